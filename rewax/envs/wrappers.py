@@ -1,0 +1,89 @@
+"""Environments made of environments: batched, and restarted when an episode ends."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.envs.base import Box, Env, State
+from rewax.types import Array, Key, PyTree
+
+
+def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
+    """``where`` over trees that may hold PRNG keys. condition: shape (). Gradient: flows to the chosen tree only."""
+
+    def choose(a: Array, b: Array) -> Array:
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            data = jnp.where(condition, jax.random.key_data(a), jax.random.key_data(b))
+            return jax.random.wrap_key_data(data, impl=jax.random.key_impl(a))
+        return jnp.where(condition, a, b)
+
+    return jax.tree.map(choose, on_true, on_false)
+
+
+@struct.dataclass
+class _Wrapper:
+    """Forwards everything that a wrapper does not change."""
+
+    env: Any
+
+    @property
+    def observation_spec(self) -> dict[str, Box]:
+        return self.env.observation_spec
+
+    @property
+    def action_spec(self) -> Box:
+        return self.env.action_spec
+
+    @property
+    def episode_length(self) -> int:
+        return self.env.episode_length
+
+    @property
+    def unwrapped(self) -> Env:
+        """The innermost environment."""
+        return getattr(self.env, "unwrapped", self.env)
+
+    def reset(self, key: Key) -> State:
+        return self.env.reset(key)
+
+    def step(self, state: State, action: Array) -> State:
+        return self.env.step(state, action)
+
+
+@struct.dataclass
+class AutoReset(_Wrapper):
+    """Starts a fresh episode in the step that ends one.
+
+    The returned state carries reward, terminated, truncated, metrics and status of the step that was taken, and obs,
+    physics and step_count of the new episode's beginning; ``final_obs`` is the observation before the reset. Every
+    reset draws a new initial state. Gradient: through the step as ever; from the new episode back to the old one it is
+    cut, for this environment alone.
+    """
+
+    def reset(self, key: Key) -> State:
+        state = self.env.reset(key)
+        return state.replace(final_obs=state.obs)
+
+    def step(self, state: State, action: Array) -> State:
+        state = self.env.step(state.replace(final_obs=None), action)
+        key, reset_key = jax.random.split(state.key)
+        fresh = jax.lax.stop_gradient(self.env.reset(reset_key).replace(key=key))
+        new = select(state.done, fresh, state)
+        return state.replace(
+            physics=new.physics, obs=new.obs, step_count=new.step_count, key=new.key, final_obs=state.obs
+        )
+
+
+@struct.dataclass
+class Vmap(_Wrapper):
+    """Many environments side by side: every argument and result has a leading axis of environments."""
+
+    def reset(self, key: Key) -> State:
+        """key: shape (num_envs,)."""
+        return jax.vmap(self.env.reset)(key)
+
+    def step(self, state: State, action: Array) -> State:
+        """action: shape (num_envs, *action_shape)."""
+        return jax.vmap(self.env.step)(state, action)

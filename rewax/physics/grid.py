@@ -1,0 +1,54 @@
+"""The background grid: a box of equally spaced nodes."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Grid:
+    """A box of nodes; static (hashable), so shapes are known when a program is traced.
+
+    Node (i, j, k) lies at ``origin + spacing * (i, j, k)``. Particles can be anywhere between ``lower`` and ``upper``.
+
+    Attributes:
+      shape: nodes along x, y, z.
+      spacing: distance of neighbouring nodes, the same along all axes [m].
+      origin: position of node (0, 0, 0) [m].
+    """
+
+    shape: tuple[int, int, int]
+    spacing: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if len(self.shape) != 3 or min(self.shape) < 4:
+            raise ValueError(f"Grid.shape is {self.shape}: give three numbers of nodes, each at least 4")
+        if not (math.isfinite(self.spacing) and self.spacing > 0):
+            raise ValueError(f"Grid.spacing is {self.spacing}: give a positive distance in metres")
+
+    @property
+    def num_nodes(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def strides(self) -> tuple[int, int, int]:
+        """How far the flat index of a node moves per step along x, y, z."""
+        return (self.shape[1] * self.shape[2], self.shape[2], 1)
+
+    @property
+    def lower(self) -> tuple[float, float, float]:
+        """Smallest coordinates that a particle can have [m]: half a cell above the first node."""
+        x, y, z = (o + 0.5 * self.spacing for o in self.origin)
+        return (x, y, z)
+
+    @property
+    def upper(self) -> tuple[float, float, float]:
+        """Largest coordinates that a particle can have [m]: half a cell below the last node."""
+        x, y, z = (o + (n - 1.5) * self.spacing for o, n in zip(self.origin, self.shape, strict=True))
+        return (x, y, z)
+
+    def axis_nodes(self, axis: int) -> np.ndarray:
+        """Coordinate of every node along one axis [m], shape (shape[axis],), float64."""
+        return self.origin[axis] + self.spacing * np.arange(self.shape[axis])

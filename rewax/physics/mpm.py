@@ -1,0 +1,295 @@
+"""The moving least squares material point method: state, substep, step, largest stable substep.
+
+One substep: return map and stress, particle to grid, gravity and contact on the grid, grid to particle. A step is a
+``scan`` of substeps in which the backward pass recomputes instead of storing, so memory grows with the number of
+stored substeps and not with their grids.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.physics import components as cp
+from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply_walls, node_positions
+from rewax.physics.materialize import materialize
+from rewax.physics.components import Mat3, Vec3
+from rewax.physics.grid import Grid
+from rewax.physics.materials import Material, Plasticity, respond, sound_speed
+from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
+from rewax.status import Status, flag
+from rewax.types import Array, Scalar
+
+MIN_NODE_MASS = 1e-15
+"""Nodes with less mass than this [kg] have velocity zero."""
+STABLE_COURANT_NUMBER = 0.5
+"""Largest tested-stable ratio of substep to the time sound takes through a cell; see ``largest_stable_dt``."""
+
+
+@struct.dataclass
+class MPMState:
+    """Particles.
+
+    Attributes:
+      x: position [m], shape (num_particles, 3).
+      v: velocity [m/s], shape (num_particles, 3).
+      C: affine velocity field around each particle [1/s], shape (num_particles, 3, 3).
+      F: trial elastic deformation gradient [-], shape (num_particles, 3, 3): the next substep's return map is still
+        to be applied.
+    """
+
+    x: Array
+    v: Array
+    C: Array
+    F: Array
+
+
+@struct.dataclass
+class MPMScene:
+    """Everything of a simulation that does not change with time; build it with ``make_scene``, which checks it.
+
+    Attributes:
+      grid: the nodes (static).
+      dt: duration of a substep [s] (static).
+      material: what the particles are made of.
+      particle_volume: rest volume of each particle [m^3], shape () or (num_particles,).
+      gravity: acceleration [m/s^2], shape (3,).
+      colliders: moving shapes, applied in order.
+      walls: the sides of the box.
+    """
+
+    grid: Grid = struct.static_field()
+    dt: float = struct.static_field()
+    material: Material
+    particle_volume: Scalar
+    gravity: Array
+    colliders: tuple[Collider, ...] = ()
+    walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))
+
+
+class _Particles(NamedTuple):
+    """``MPMState`` by components, as the inner loop wants it."""
+
+    x: Vec3
+    v: Vec3
+    C: Mat3
+    F: Mat3
+
+
+def initial_state(x: Array) -> MPMState:
+    """Undeformed particles at rest at positions x [m], shape (num_particles, 3)."""
+    x = jnp.asarray(x)
+    zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)
+    return MPMState(x=x, v=jnp.zeros_like(x), C=zeros, F=zeros + jnp.eye(3, dtype=x.dtype))
+
+
+def make_scene(
+    *,
+    grid: Grid,
+    dt: float,
+    material: Material,
+    particle_volume: Scalar,
+    gravity: Any = (0.0, -9.81, 0.0),
+    colliders: tuple[Collider, ...] = (),
+    walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None)),
+) -> MPMScene:
+    """A checked ``MPMScene``; arguments are its fields.
+
+    Raises:
+      ValueError: a modulus, density, yield stress or volume that is not positive, a Poisson's ratio outside (-1, 0.5),
+        a dt that is not positive or above ``largest_stable_dt``. The message names field, value and remedy. Inside
+        ``jit`` (traced values) only static fields can be checked.
+    """
+    _check_material(material)
+    _check_positive("particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3")
+    _check_positive("dt", dt, "give the duration of a substep in seconds")
+    limit = largest_stable_dt(material, grid)
+    if not isinstance(limit, jax.core.Tracer) and dt > float(np.min(limit)):
+        raise ValueError(
+            f"dt is {dt:g} s, above the largest stable {float(np.min(limit)):.3g} s for this material on a grid of "
+            f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer or denser material, or a coarser grid"
+        )
+    return MPMScene(
+        grid=grid,
+        dt=dt,
+        material=material,
+        particle_volume=particle_volume,
+        gravity=jnp.asarray(gravity),
+        colliders=colliders,
+        walls=walls,
+    )
+
+
+def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -> Scalar:
+    """Largest substep [s] at which the explicit integration stays stable: 0.5 spacing / (sound speed + max_speed).
+
+    The factor is measured, for blocks of two to eight particles per cell: they blow up between 0.6 and 0.9 of the
+    time that sound takes through a cell, depending on law and sampling (``tests/physics/test_mpm.py``).
+
+    Args:
+      material: its stiffness and density set the speed of sound.
+      grid: its spacing.
+      max_speed: largest particle speed expected [m/s].
+
+    Gradient: exact.
+    """
+    return STABLE_COURANT_NUMBER * grid.spacing / (sound_speed(material) + max_speed)
+
+
+def substep(scene: MPMScene, state: MPMState, before: Pose, after: Pose) -> MPMState:
+    """One substep of duration ``scene.dt``.
+
+    Args:
+      scene: the scene.
+      state: particles.
+      before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
+
+    Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
+    Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
+    """
+    return _join(_substep(scene, _split(state), (before, after)))
+
+
+def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
+    """As many substeps as ``poses`` has intervals.
+
+    Args:
+      scene: the scene.
+      state: particles.
+      poses: poses of all bodies at the num_substeps + 1 boundaries of substeps, shapes (num_substeps + 1, num_bodies,
+        3) and (num_substeps + 1, num_bodies, 3, 3); see ``static_poses`` for a scene without bodies.
+      store_every: how the backward pass gets its intermediate values. A number k, which must divide the number of
+        substeps: particles are stored every k substeps and everything else is recomputed (k = 1 recomputes each
+        substep once; larger k stores less and recomputes twice). None: everything is stored, fastest and largest.
+
+    Gradient: exact, as for ``substep``.
+    """
+    num_substeps = poses.position.shape[0] - 1
+    if store_every is not None and (store_every < 1 or num_substeps % store_every):
+        raise ValueError(
+            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
+        )
+    intervals = (jax.tree.map(lambda p: p[:-1], poses), jax.tree.map(lambda p: p[1:], poses))
+
+    def body(particles: _Particles, interval: tuple[Pose, Pose]) -> tuple[_Particles, None]:
+        return _substep(scene, particles, interval), None
+
+    particles = _split(state)
+    if store_every is None:
+        particles, _ = jax.lax.scan(body, particles, intervals)
+        return _join(particles)
+    one = jax.checkpoint(body, prevent_cse=False)
+    if store_every == 1:
+        particles, _ = jax.lax.scan(one, particles, intervals)
+        return _join(particles)
+
+    @jax.checkpoint
+    def chunk(particles: _Particles, intervals: tuple[Pose, Pose]) -> tuple[_Particles, None]:
+        return jax.lax.scan(one, particles, intervals)
+
+    chunks = jax.tree.map(lambda p: p.reshape(-1, store_every, *p.shape[1:]), intervals)
+    particles, _ = jax.lax.scan(chunk, particles, chunks)
+    return _join(particles)
+
+
+def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
+    """Poses of bodies that stay at the origin for all boundaries of substeps."""
+    shape = (num_substeps + 1, num_bodies)
+    return Pose(jnp.zeros((*shape, 3), dtype), jnp.broadcast_to(jnp.eye(3, dtype=dtype), (*shape, 3, 3)))
+
+
+def check_status(scene: MPMScene, state: MPMState) -> Array:
+    """Status bits of a state: non-finite numbers, particles at the box's border or faster than a cell per substep.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
+    state = jax.lax.stop_gradient(state)
+    lower, upper = _bounds(scene.grid, state.x.dtype)
+    finite = jnp.all(jnp.isfinite(state.x)) & jnp.all(jnp.isfinite(state.v)) & jnp.all(jnp.isfinite(state.F))
+    at_border = jnp.any((state.x <= lower) | (state.x >= upper))
+    too_fast = jnp.any(jnp.abs(state.v) * scene.dt > scene.grid.spacing)
+    return flag(~finite, Status.NAN) | flag(at_border, Status.OUT_OF_DOMAIN) | flag(too_fast, Status.CFL)
+
+
+def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
+    """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
+    F, tau = respond(scene.material, cp.split_matrix(state.F))
+    return cp.join_matrix(F), cp.join_matrix(tau)
+
+
+# --- One substep, by components --------------------------------------------------------------------------------------
+
+
+def _substep(scene: MPMScene, particles: _Particles, interval: tuple[Pose, Pose]) -> _Particles:
+    x, v, C, F_trial = particles
+    grid, dt = scene.grid, scene.dt
+    inertia = 4.0 / grid.spacing**2
+    F, tau = materialize(respond(scene.material, F_trial))
+    volume = scene.particle_volume
+    mass = jnp.broadcast_to(volume * scene.material.density, x[0].shape).astype(x[0].dtype)
+    impulse = -dt * inertia * volume
+    affine = cp.matrix(lambda i, j: impulse * tau[i][j] + mass * C[i][j])
+    fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine)
+    velocity = grid_velocity(scene, fields, *interval)
+    v, moment = materialize(grid_to_particle(grid, x, velocity))
+    C = cp.matrix(lambda i, j: inertia * moment[i][j])
+    CF = cp.matmul(C, F)
+    F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
+    lower, upper = grid.lower, grid.upper
+    x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
+    return _Particles(x, v, C, F_trial)
+
+
+def grid_velocity(scene: MPMScene, fields: GridFields, before: Pose, after: Pose) -> Vec3:
+    """Node velocities [m/s] after gravity, colliders and walls, components of shape grid.shape.
+
+    Gradient: exact with respect to fields, poses and every leaf of the scene.
+    """
+    has_mass = fields.mass > MIN_NODE_MASS
+    inverse = jnp.where(has_mass, 1.0 / jnp.where(has_mass, fields.mass, 1.0), 0.0)
+    velocity = cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
+    nodes = node_positions(scene.grid, velocity[0].dtype) if scene.colliders else velocity
+    for collider in scene.colliders:
+        pose = (Pose(p.position[collider.body], p.rotation[collider.body]) for p in (before, after))
+        velocity = apply_collider(collider, nodes, velocity, *pose, scene.dt)
+    velocity = apply_walls(scene.walls, scene.grid, velocity)
+    return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
+
+
+def _split(state: MPMState) -> _Particles:
+    return _Particles(
+        cp.split_vector(state.x), cp.split_vector(state.v), cp.split_matrix(state.C), cp.split_matrix(state.F)
+    )
+
+
+def _join(p: _Particles) -> MPMState:
+    return MPMState(x=cp.join_vector(p.x), v=cp.join_vector(p.v), C=cp.join_matrix(p.C), F=cp.join_matrix(p.F))
+
+
+def _bounds(grid: Grid, dtype: Any) -> tuple[Array, Array]:
+    return jnp.asarray(grid.lower, dtype), jnp.asarray(grid.upper, dtype)
+
+
+# --- Checks ----------------------------------------------------------------------------------------------------------
+
+
+def _check_material(material: Material) -> None:
+    _check_positive("youngs_modulus", material.youngs_modulus, "give Young's modulus in Pa")
+    _check_positive("density", material.density, "give the rest density in kg/m^3")
+    if material.plasticity is not Plasticity.NONE:
+        _check_positive("yield_stress", material.yield_stress, "give the von Mises yield stress in Pa")
+    nu = material.poissons_ratio
+    if not isinstance(nu, jax.core.Tracer) and not np.all((np.asarray(nu) > -1.0) & (np.asarray(nu) < 0.5)):
+        raise ValueError(
+            f"poissons_ratio is {np.asarray(nu)}: give a value above -1 and below 0.5 (0.5 is incompressible; take 0.45 for rubber)"
+        )
+
+
+def _check_positive(name: str, value: Any, remedy: str) -> None:
+    if isinstance(value, jax.core.Tracer):
+        return
+    if not np.all(np.asarray(value) > 0):
+        raise ValueError(f"{name} is {np.asarray(value)}, but must be positive: {remedy}")

@@ -1,0 +1,138 @@
+"""Signed distances of primitive shapes, with exact normals.
+
+Each shape lives in its own frame, axis along y where it has one. Distances are exact Euclidean ones, negative inside;
+normals are their gradients, unit length, pointing out.
+"""
+
+from typing import TypeAlias
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics import components as cp
+from rewax.physics.components import Vec3
+from rewax.types import Array, Scalar
+
+
+@struct.dataclass
+class Sphere:
+    """A ball around the origin. ``radius`` [m]."""
+
+    radius: Scalar
+
+
+@struct.dataclass
+class Capsule:
+    """All points within ``radius`` of the segment from (0, -half_length, 0) to (0, half_length, 0) [m]."""
+
+    radius: Scalar
+    half_length: Scalar
+
+
+@struct.dataclass
+class Box:
+    """A box around the origin. ``half_size``: half its edges along x, y, z [m], shape (3,)."""
+
+    half_size: Array
+
+
+@struct.dataclass
+class Cylinder:
+    """A solid cylinder around y. ``radius`` and ``half_length`` [m]."""
+
+    radius: Scalar
+    half_length: Scalar
+
+
+@struct.dataclass
+class Plane:
+    """The half-space y < 0; its surface is y = 0 and its normal (0, 1, 0)."""
+
+
+Shape: TypeAlias = Sphere | Capsule | Box | Cylinder | Plane
+
+
+def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
+    """Distance to a shape's surface, and the direction away from it.
+
+    Args:
+      shape: the shape, in its own frame.
+      points: where to evaluate, in the shape's frame [m], shape (..., 3).
+
+    Returns:
+      Signed distance [m], shape (...), negative inside; unit normal, shape (..., 3).
+
+    Gradient: exact with respect to points and the shape's sizes, finite everywhere. On the medial axis (the middle of
+      a ball, the axis of a capsule), where the normal is not defined, it is zero; edges take one side's.
+    """
+    d, n = signed_distance_components(shape, cp.split_vector(points))
+    return d, cp.join_vector(n)
+
+
+def signed_distance_components(shape: Shape, p: Vec3) -> tuple[Array, Vec3]:
+    """``signed_distance`` on components."""
+    match shape:
+        case Sphere():
+            return _round(p, shape.radius)
+        case Capsule():
+            nearest = jnp.clip(p[1], -shape.half_length, shape.half_length)
+            return _round((p[0], p[1] - nearest, p[2]), shape.radius)
+        case Box():
+            return _box(p, (shape.half_size[..., 0], shape.half_size[..., 1], shape.half_size[..., 2]))
+        case Cylinder():
+            return _cylinder(p, shape.radius, shape.half_length)
+        case Plane():
+            zero = jnp.zeros_like(p[1])
+            return p[1], (zero, jnp.ones_like(p[1]), zero)
+    raise ValueError(f"shape is {shape!r}: use Sphere, Capsule, Box, Cylinder or Plane from rewax.physics.sdf")
+
+
+def _unit(a: Vec3) -> tuple[Array, Vec3]:
+    """Length and direction; the zero vector has direction zero."""
+    square = cp.dot(a, a)
+    inverse = _safe_rsqrt(square)
+    return square * inverse, cp.scale(inverse, a)
+
+
+def _safe_rsqrt(square: Array) -> Array:
+    """1 / sqrt, zero at zero. Stored once: everything that depends on it is cheap to recompute."""
+    positive = square > 0
+    return jnp.where(positive, jax.lax.rsqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+
+def _round(p: Vec3, radius: Scalar) -> tuple[Array, Vec3]:
+    length, n = _unit(p)
+    return length - radius, n
+
+
+def _sign(a: Array) -> Array:
+    return jnp.where(a < 0, -1.0, 1.0)
+
+
+def _box(p: Vec3, half: Vec3) -> tuple[Array, Vec3]:
+    q = cp.vector(lambda i: jnp.abs(p[i]) - half[i])
+    deepest = jnp.maximum(jnp.maximum(q[0], q[1]), q[2])
+    outside, corner = _unit(cp.vector(lambda i: jnp.maximum(q[i], 0.0)))
+    is_x = q[0] >= deepest
+    is_y = ~is_x & (q[1] >= deepest)
+    face = (is_x, is_y, ~is_x & ~is_y)
+    inside = deepest <= 0
+    n = cp.vector(lambda i: _sign(p[i]) * jnp.where(inside, jnp.where(face[i], 1.0, 0.0), corner[i]))
+    return jnp.where(inside, deepest, outside), n
+
+
+def _cylinder(p: Vec3, radius: Scalar, half_length: Scalar) -> tuple[Array, Vec3]:
+    square = p[0] * p[0] + p[2] * p[2]
+    inverse = _safe_rsqrt(square)
+    r = square * inverse
+    side, cap = r - radius, jnp.abs(p[1]) - half_length
+    a, b = jnp.maximum(side, 0.0), jnp.maximum(cap, 0.0)
+    scale = _safe_rsqrt(a * a + b * b)
+    outside = (a * a + b * b) * scale
+    inside = jnp.maximum(side, cap) <= 0
+    on_side = side >= cap
+    radial = jnp.where(inside, jnp.where(on_side, 1.0, 0.0), a * scale)
+    axial = jnp.where(inside, jnp.where(on_side, 0.0, 1.0), b * scale)
+    distance = jnp.where(inside, jnp.maximum(side, cap), outside)
+    return distance, (radial * p[0] * inverse, axial * _sign(p[1]), radial * p[2] * inverse)

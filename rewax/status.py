@@ -1,0 +1,44 @@
+"""What went wrong in a simulation, as a bit field that lives inside jitted code.
+
+Exceptions cannot leave a compiled program, so a numerical failure sets bits in ``State.status`` instead: the
+episode ends with zero gradient, the failure is counted in the metrics, and no other environment is touched.
+"""
+
+import enum
+
+import jax
+import jax.numpy as jnp
+
+from rewax.types import Array, PyTree
+
+
+class Status(enum.IntFlag):
+    """Bits of ``State.status``; several can be set at once."""
+
+    OK = 0
+    NAN = 1
+    """A non-finite number in the physics, an observation or the reward. Fatal: the episode ends."""
+    OUT_OF_DOMAIN = 2
+    """A particle left the simulated box and was clamped to its border. Not fatal."""
+    CFL = 4
+    """A particle crosses more than one cell per substep: the result is not to be trusted. Not fatal."""
+
+
+FATAL = Status.NAN
+
+
+def flag(condition: Array, status: Status) -> Array:
+    """``status`` where ``condition`` holds, ``OK`` elsewhere. Shape of ``condition``, int32. Gradient: none."""
+    return jnp.where(condition, jnp.int32(status), jnp.int32(Status.OK))
+
+
+def all_finite(tree: PyTree) -> Array:
+    """True if every floating-point leaf of the tree is finite everywhere. Shape (). Gradient: none."""
+    leaves = [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves])) if leaves else jnp.bool_(True)
+
+
+def describe(status: int) -> str:
+    """The names of the bits set in one status, joined by ``|``: ``describe(3) == 'NAN|OUT_OF_DOMAIN'``."""
+    names = [bit.name or "" for bit in Status if bit is not Status.OK and status & bit]
+    return "|".join(names) or "OK"
