@@ -1,0 +1,10 @@
+"""Train SAPO: ``python examples/train_sapo.py --env=RollingFlat``; ``--help`` lists every hyper-parameter."""
+
+import sys
+
+from rewax.agents.presets import sapo_preset
+from rewax.agents.sapo import make_sapo
+from rewax.training import cli
+
+if __name__ == "__main__":
+    sys.exit(cli.main("sapo", make_sapo, sapo_preset))

@@ -1,0 +1,65 @@
+"""What a run is, apart from its algorithm."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReportConfig:
+    """What a run leaves behind, and how often.
+
+    Attributes:
+      log_every: iterations between rows of metrics.csv.
+      eval_every: iterations between evaluations, 0 for one at the end only.
+      num_eval_episodes: episodes of an evaluation.
+      checkpoint_every: iterations between checkpoints, 0 for one at the end only; each evaluation is preceded by one.
+      keep_checkpoints: number of checkpoints that stay.
+      baselines: also evaluate no action and random actions, once, for comparison.
+      plots: draw the learning curve and an episode's particles at the end.
+      num_frames: moments of the episode in the latter.
+      tensorboard: write event files beside the CSV.
+    """
+
+    log_every: int = 1
+    eval_every: int = 0
+    num_eval_episodes: int = 16
+    checkpoint_every: int = 10
+    keep_checkpoints: int = 3
+    baselines: bool = True
+    plots: bool = True
+    num_frames: int = 6
+    tensorboard: bool = True
+
+    def __post_init__(self) -> None:
+        for name, least in _LEAST.items():
+            value = getattr(self, name, least)
+            if value < least:
+                raise ValueError(f"{name} is {value}: use {least} or more")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainConfig(ReportConfig):
+    """A run: how long, from which seed, where, and what it leaves behind.
+
+    Attributes:
+      num_iterations: iterations in all, those before a resume among them.
+      run_dir: directory of the run.
+      seed: everything random follows from it.
+      resume: continue the run in ``run_dir`` from its newest checkpoint.
+    """
+
+    num_iterations: int
+    run_dir: str
+    seed: int = 0
+    resume: bool = False
+
+
+_LEAST = {
+    "num_iterations": 1,
+    "seed": 0,
+    "log_every": 1,
+    "eval_every": 0,
+    "num_eval_episodes": 1,
+    "checkpoint_every": 0,
+    "keep_checkpoints": 1,
+    "num_frames": 2,
+}

@@ -1,0 +1,186 @@
+"""Whole episodes without gradients: returns of policies, baselines and action sequences; frames for pictures."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+
+from rewax.envs.base import Env, State
+from rewax.envs.wrappers import select
+from rewax.status import FATAL
+from rewax.types import Array, Key, PyTree
+
+Policy: TypeAlias = Callable[..., Array]
+"""``policy(train_state, obs, key, deterministic=False) -> action``, for one environment."""
+_Act: TypeAlias = Callable[[State, Array, Key], Array]
+
+Evaluation: TypeAlias = dict[str, Array]
+"""What episodes brought:
+
+``mean``, ``std``, ``min``, ``max``: over episodes, of the undiscounted returns, shape ().
+``returns``: of every episode, up to its first end, shape (num_episodes,).
+``lengths``: control steps of every episode, shape (num_episodes,), int32.
+``failed``: episodes that ended by a numerical failure, shape (), int32.
+"""
+
+
+class Frame(NamedTuple):
+    """One moment of a recorded episode.
+
+    Attributes:
+      step: control steps since the beginning.
+      physics: the environment's physical state then.
+      total: sum of rewards so far.
+    """
+
+    step: int
+    physics: PyTree
+    total: float
+
+
+def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
+    """Build a jitted ``evaluate(train_state, key, deterministic=False) -> Evaluation``.
+
+    Episodes run side by side from ``num_episodes`` initial states and count up to their first end. The same key gives
+    the same initial states whatever the policy.
+
+    Args:
+      env: unbatched environment.
+      policy: ``policy(train_state, obs, key, deterministic=...) -> action`` for one environment.
+      num_episodes: at least 1.
+
+    Gradient: none needed, none kept.
+    """
+    _check_num_episodes(num_episodes)
+
+    @functools.partial(jax.jit, static_argnames="deterministic")
+    def evaluate(train_state: PyTree, key: Key, deterministic: bool = False) -> Evaluation:
+        def act(state: State, step: Array, key: Key) -> Array:
+            return policy(train_state, state.obs, jax.random.fold_in(key, step), deterministic=deterministic)
+
+        return _evaluate(env, act, key, num_episodes)
+
+    return evaluate
+
+
+def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> Evaluation:
+    """Evaluate a sequence of actions taken without looking.
+
+    Args:
+      env: unbatched environment.
+      actions: shape (env.episode_length, *action_shape).
+      key: draws initial states, the same as ``make_evaluate`` draws.
+      num_episodes: at least 1.
+
+    Raises:
+      ValueError: actions have another shape.
+    """
+    _check_num_episodes(num_episodes)
+    shape = (env.episode_length, *env.action_spec.shape)
+    if jnp.shape(actions) != shape:
+        raise ValueError(f"actions have shape {jnp.shape(actions)}: this environment needs {shape}")
+    return _evaluate_sequence(env, actions, key, num_episodes)
+
+
+def constant_policy(action: Array) -> Policy:
+    """A baseline that always takes ``action``, shape as in ``env.action_spec``; zeros are the baseline of no action."""
+
+    def policy(train_state: PyTree, obs: PyTree, key: Key, deterministic: bool = False) -> Array:
+        del train_state, obs, key, deterministic
+        return jnp.asarray(action)
+
+    return policy
+
+
+def uniform_policy(env: Env) -> Policy:
+    """A baseline that draws every action uniformly within the bounds of ``env.action_spec``."""
+    spec = env.action_spec
+
+    def policy(train_state: PyTree, obs: PyTree, key: Key, deterministic: bool = False) -> Array:
+        del train_state, obs, deterministic
+        return jax.random.uniform(key, spec.shape, minval=spec.low, maxval=spec.high)
+
+    return policy
+
+
+def record_episode(
+    env: Env, policy: Policy, train_state: PyTree, key: Key, *, num_frames: int = 6, deterministic: bool = True
+) -> list[Frame]:
+    """Run one episode and keep ``num_frames`` physical states, equally spaced from first to last.
+
+    Args:
+      env: unbatched environment.
+      policy, train_state: as for ``make_evaluate``.
+      key: draws the initial state and the policy's samples.
+      num_frames: at least 2.
+      deterministic: passed to the policy.
+
+    Returns:
+      Frames in order; after the episode's end the last state is repeated.
+    """
+    if num_frames < 2:
+        raise ValueError(f"num_frames is {num_frames}: use 2 or more")
+    reset_key, act_key = jax.random.split(key)
+
+    @jax.jit
+    def advance(carry: tuple[State, Array], first: Array, last: Array) -> tuple[State, Array]:
+        def body(step: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
+            state, total = carry
+            action = policy(train_state, state.obs, jax.random.fold_in(act_key, step), deterministic=deterministic)
+            new = env.step(state, action)
+            return select(state.done, state, new), total + jnp.where(state.done, 0, new.reward)
+
+        return jax.lax.fori_loop(first, last, body, carry)
+
+    state = jax.jit(env.reset)(reset_key)
+    carry, frames, step = (state, jnp.zeros_like(state.reward)), [], 0
+    for index in range(num_frames):
+        target = round(index * env.episode_length / (num_frames - 1))
+        carry = advance(carry, jnp.int32(step), jnp.int32(target))
+        step = target
+        state, total = carry
+        frames.append(Frame(int(state.step_count), jax.device_get(state.physics), float(total)))
+    return frames
+
+
+@functools.partial(jax.jit, static_argnames="num_episodes")
+def _evaluate_sequence(env: Env, actions: Array, key: Key, num_episodes: int) -> Evaluation:
+    return _evaluate(env, lambda state, step, key: actions[step], key, num_episodes)
+
+
+def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
+    keys = jax.random.split(key, num_episodes)
+    returns, lengths, failed = jax.vmap(lambda key: _episode(env, act, key))(keys)
+    return {
+        "mean": jnp.mean(returns),
+        "std": jnp.std(returns),
+        "min": jnp.min(returns),
+        "max": jnp.max(returns),
+        "returns": returns,
+        "lengths": lengths,
+        "failed": jnp.sum(failed, dtype=jnp.int32),
+    }
+
+
+def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array]:
+    """Return, length and failure of one episode; what comes after its first end does not count, even a NaN."""
+    reset_key, act_key = jax.random.split(key)
+
+    def body(carry: tuple[State, Array, Array, Array, Array], step: Array) -> tuple[Any, None]:
+        state, alive, total, length, failed = carry
+        state = env.step(state, act(state, step, act_key))
+        total = total + jnp.where(alive, state.reward, 0)
+        failed = failed | (alive & ((state.status & FATAL) != 0))
+        return (state, alive & ~state.done, total, length + alive, failed), None
+
+    state = env.reset(reset_key)
+    start = (state, jnp.bool_(True), jnp.zeros_like(state.reward), jnp.int32(0), jnp.bool_(False))
+    (_, _, total, length, failed), _ = jax.lax.scan(body, start, jnp.arange(env.episode_length))
+    return total, length, failed
+
+
+def _check_num_episodes(num_episodes: int) -> None:
+    if num_episodes < 1:
+        raise ValueError(f"num_episodes is {num_episodes}: use 1 or more")

@@ -1,0 +1,66 @@
+"""Stopping a run cleanly: the first Ctrl-C asks, the second insists."""
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Stop:
+    """Whether the user asked to stop.
+
+    Attributes:
+      signum: the signal that asked, 0 while none has.
+    """
+
+    signum: int = 0
+
+    @property
+    def requested(self) -> bool:
+        """A signal has asked to stop."""
+        return self.signum != 0
+
+
+@contextlib.contextmanager
+def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
+    """Within the block, SIGINT and SIGTERM set ``Stop.signum``; a second one ends the process at once.
+
+    A thread listens, because Python runs its own handlers only between bytecodes, and an iteration or a compilation can
+    be minutes of none. Outside the main thread nothing is installed, and the block never hears of a stop.
+
+    Args:
+      notify: called with a sentence for the user when the first signal arrives.
+    """
+    stop = Stop()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+
+    def listen() -> None:
+        while received := os.read(reader, 1):
+            signum = received[0]
+            if signum not in _SIGNALS:
+                continue
+            if stop.requested:
+                os._exit(128 + signum)
+            stop.signum = signum
+            notify("stopping after this iteration; once more to leave at once")
+
+    listener = threading.Thread(target=listen, daemon=True)
+    listener.start()
+    old_fd = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    old_handlers = {number: signal.signal(number, lambda *_: None) for number in _SIGNALS}
+    try:
+        yield stop
+    finally:
+        for number, handler in old_handlers.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+        signal.set_wakeup_fd(old_fd)
+        os.close(writer)  # ends the listener
+        listener.join()
+        os.close(reader)

@@ -1,0 +1,113 @@
+"""Numbers of a run on disk: CSV always, TensorBoard beside it.
+
+``metrics.csv`` and ``eval.csv`` hold nothing that depends on the clock, so two runs with one seed write the same bytes
+on a CPU, and so does a resumed run; times are in ``timing.csv``.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+class CsvWriter:
+    """Appends rows of named numbers to a CSV file, each on disk before the next is computed.
+
+    The header is that of the first row. A file that exists is continued: rows of later iterations than ``resume_at``,
+    and a last row cut short, are removed.
+
+    Args:
+      path: of the file.
+      resume_at: iteration that the run continues from; 0 starts the file afresh.
+    """
+
+    def __init__(self, path: str | Path, *, resume_at: int = 0) -> None:
+        self._path = Path(path)
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._header, rows = _read_rows(self._path) if resume_at else ([], [])
+        rows = [row for row in rows if int(row[0]) <= resume_at]
+        self.last_iteration = int(rows[-1][0]) if rows else -1
+        unfinished = self._path.with_name(self._path.name + ".writing")
+        unfinished.write_text("".join(_line(row) for row in ([self._header] if self._header else []) + rows))
+        unfinished.replace(self._path)
+        self._file = self._path.open("a", newline="")
+
+    def write(self, iteration: int, values: Mapping[str, Any]) -> None:
+        """Append a row.
+
+        Args:
+          iteration: first column.
+          values: scalars, with the same names in every row.
+
+        Raises:
+          ValueError: the names differ from the header.
+        """
+        header = ["iteration", *values]
+        if not self._header:
+            self._header = header
+            self._file.write(_line(header))
+        if header != self._header:
+            odd = sorted(set(header) ^ set(self._header)) or "their order"
+            raise ValueError(f"row {iteration} of {self._path} differs from the header in {odd}: keep one set of names")
+        self._file.write(_line([str(iteration), *(_text(value) for value in values.values())]))
+        self._file.flush()
+        self.last_iteration = iteration
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class TensorBoardWriter:
+    """Writes scalars for TensorBoard into ``folder``; numbers that are not finite are left out.
+
+    Args:
+      folder: of the event files.
+      resume_at: iteration that the run continues from; TensorBoard hides what was written beyond it.
+    """
+
+    def __init__(self, folder: str | Path, *, resume_at: int = 0) -> None:
+        from tensorboardX import SummaryWriter  # slow to import, and only needed here
+
+        self._writer = SummaryWriter(str(folder), purge_step=resume_at + 1 if resume_at else None)
+
+    def write(self, iteration: int, values: Mapping[str, Any], *, prefix: str = "train") -> None:
+        """Write ``<prefix>/<name>`` for every value."""
+        for name, value in values.items():
+            if math.isfinite(value):
+                self._writer.add_scalar(f"{prefix}/{name}", float(value), iteration)
+
+    def close(self) -> None:
+        """Write what is buffered and close the file."""
+        self._writer.close()
+
+
+def read_csv(path: str | Path) -> dict[str, np.ndarray]:
+    """Columns of a CSV file by name, float64, shape (num_rows,); empty if the file is missing or has no header."""
+    header, rows = _read_rows(Path(path))
+    table = np.array([[float(cell) for cell in row] for row in rows]).reshape(len(rows), len(header))
+    return {name: table[:, i] for i, name in enumerate(header)}
+
+
+def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Header and complete rows."""
+    if not path.is_file():
+        return [], []
+    text = path.read_text()
+    header, *rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [[]]
+    return header, [row for row in rows if len(row) == len(header)]
+
+
+def _line(cells: list[str]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerow(cells)
+    return buffer.getvalue()
+
+
+def _text(value: Any) -> str:
+    """The shortest text that reads back as the same number of the same type."""
+    return str(np.asarray(value)[()])

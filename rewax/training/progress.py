@@ -1,0 +1,66 @@
+"""What the user sees while a run goes on: a bar on a terminal, lines elsewhere."""
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+
+_SECONDS_BETWEEN_LINES = 5.0
+
+
+class ProgressReport:
+    """Shows return, entropy, speed and time left.
+
+    Args:
+      console: where to.
+      num_iterations: in all.
+      start: iterations done before this process.
+    """
+
+    def __init__(self, console: Console, num_iterations: int, start: int) -> None:
+        self._console, self._num_iterations, self._start = console, num_iterations, start
+        self._shown: dict[str, float] = {"return": math.nan, "entropy": math.nan}
+        self._began = time.perf_counter()
+        self._last_line = -math.inf
+        self._bar: Progress | None = None
+        self._task = TaskID(0)
+        if console.is_terminal:
+            columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+            self._bar = Progress(*columns, console=console)
+            self._task = self._bar.add_task("", total=num_iterations, completed=start)
+            self._bar.start()
+
+    def update(self, iteration: int, env_steps: int, metrics: Mapping[str, Any], steps_per_second: float) -> None:
+        """Show the state after an iteration. Numbers that are NaN (no episode ended) keep their previous value."""
+        for name in self._shown:
+            if math.isfinite(value := float(metrics.get(name, math.nan))):
+                self._shown[name] = value
+        elapsed = time.perf_counter() - self._began
+        left = elapsed / (iteration - self._start) * (self._num_iterations - iteration)
+        parts = [f"{name} {value:.3g}" for name, value in self._shown.items() if math.isfinite(value)]
+        text = "  ".join([*parts, f"{steps_per_second:,.0f} steps/s", f"{duration(left)} left"])
+        if self._bar is not None:
+            self._bar.update(self._task, completed=iteration, description=text)
+        elif iteration == self._num_iterations or elapsed - self._last_line >= _SECONDS_BETWEEN_LINES:
+            self._last_line = elapsed
+            say(self._console, f"iteration {iteration}/{self._num_iterations}  {env_steps:,} steps  {text}")
+
+    def close(self) -> None:
+        """Leave the terminal as it was found."""
+        if self._bar is not None:
+            self._bar.stop()
+
+
+def say(console: Console, text: str) -> None:
+    """Print a plain line, neither wrapped nor read as markup."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def duration(seconds: float) -> str:
+    """``m:ss``, or ``h:mm:ss`` from an hour on."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"

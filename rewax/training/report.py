@@ -1,0 +1,95 @@
+"""Evaluations and pictures of a run, and the files that hold them."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from rewax.envs.base import Env
+from rewax.training.config import ReportConfig
+from rewax.training.evaluate import Policy, make_evaluate, record_episode
+from rewax.training.metrics import CsvWriter, read_csv
+from rewax.types import Key
+
+_STATISTICS = ("mean", "std", "min", "max", "failed")
+
+
+class Evaluator:
+    """Evaluates a policy, sampled and deterministic, always from the same initial states; appends to ``eval.csv``.
+
+    Args:
+      env: unbatched environment.
+      policy: as of ``Agent.policy``.
+      config: of the run.
+      run_dir: directory of the run.
+      key: draws initial states.
+      resume_at: iteration that the run continues from.
+    """
+
+    def __init__(
+        self, env: Env, policy: Policy, config: ReportConfig, run_dir: Path, key: Key, *, resume_at: int
+    ) -> None:
+        self._env, self._policy, self._config, self._run_dir, self._key = env, policy, config, run_dir, key
+        self._evaluate = make_evaluate(env, policy, config.num_eval_episodes)
+        self._csv = CsvWriter(run_dir / "eval.csv", resume_at=resume_at)
+        self.last: dict[str, Any] = {}
+
+    def is_due(self, iteration: int) -> bool:
+        """The schedule asks for an evaluation here, and ``eval.csv`` does not have it yet."""
+        every = self._config.eval_every
+        return every > 0 and iteration % every == 0 and self._csv.last_iteration < iteration
+
+    def evaluate(self, iteration: int, env_steps: int, train_state: Any) -> dict[str, Any]:
+        """Evaluate and append a row: ``sampled_mean``, ..., ``deterministic_failed``."""
+        row: dict[str, Any] = {"env_steps": env_steps}
+        for name, deterministic in (("sampled", False), ("deterministic", True)):
+            result = jax.device_get(self._evaluate(train_state, self._key, deterministic=deterministic))
+            row |= {f"{name}_{statistic}": result[statistic] for statistic in _STATISTICS}
+        if self._csv.last_iteration < iteration:
+            self._csv.write(iteration, row)
+        self.last = row
+        return row
+
+    def baselines(self) -> dict[str, float]:
+        """Mean returns of no action and of random actions from the same initial states, kept in ``baselines.json``."""
+        path = self._run_dir / "baselines.json"
+        if path.is_file():
+            return json.loads(path.read_text())
+        spec = self._env.action_spec
+
+        def scaled(scale: Any, obs: Any, key: Key, deterministic: bool = False) -> jax.Array:
+            return scale * jax.random.uniform(key, spec.shape, minval=spec.low, maxval=spec.high)
+
+        evaluate = make_evaluate(self._env, scaled, self._config.num_eval_episodes)  # one compilation for both
+        result = {name: float(evaluate(scale, self._key)["mean"]) for name, scale in _BASELINES.items()}
+        path.write_text(json.dumps(result, indent=2) + "\n")
+        return result
+
+    def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[Path]:
+        """Draw the learning curve and, where the environment offers ``particles``, one deterministic episode."""
+        from rewax.viz import plots  # matplotlib is slow to import
+
+        metrics, evaluation = read_csv(self._run_dir / "metrics.csv"), read_csv(self._run_dir / "eval.csv")
+        curve = self._run_dir / "learning_curve.png"
+        written = [plots.learning_curve(metrics, curve, evaluation=evaluation, baselines=baselines)]
+        env: Any = getattr(self._env, "unwrapped", self._env)
+        if hasattr(env, "particles"):
+            frames = record_episode(env, self._policy, train_state, self._key, num_frames=self._config.num_frames)
+            written.append(
+                plots.particle_strip(
+                    [env.particles(frame.physics) for frame in frames],
+                    self._run_dir / "episode.png",
+                    labels=[f"step {frame.step}, return {frame.total:.3g}" for frame in frames],
+                    shapes=[getattr(env, "render_shapes", lambda _: [])(frame.physics) for frame in frames],
+                )
+            )
+        return written
+
+    def close(self) -> None:
+        """Close ``eval.csv``."""
+        self._csv.close()
+
+
+_BASELINES = {"no action": 0.0, "random actions": 1.0}

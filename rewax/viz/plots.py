@@ -1,0 +1,225 @@
+"""Pictures of a run: how it learned, and what it learned to do."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+from matplotlib.ticker import EngFormatter
+
+Columns: TypeAlias = Mapping[str, np.ndarray]
+"""Columns of a table by name, as ``rewax.training.metrics.read_csv`` reads them."""
+Shape: TypeAlias = Mapping[str, Any]
+"""A kinematic shape: ``kind``, ``centre`` (3,), ``radius``, and for capsules ``half_length`` and ``direction`` (3,), lengths
+in metres. Kind ``"sphere"``, or ``"capsule"``: a cylinder of that half length along direction, with round ends."""
+
+_STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": True,
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
+    "figure.dpi": 150,
+}
+_TRAINING, _SAMPLED, _DETERMINISTIC = "#4c72b0", "#dd8452", "#2a7f4f"
+
+
+def learning_curve(
+    metrics: Columns,
+    out_png: str | Path,
+    *,
+    evaluation: Columns | None = None,
+    baselines: Mapping[str, float] | None = None,
+) -> Path:
+    """Draw the return over environment steps, and below it entropy and temperature.
+
+    Args:
+      metrics: columns ``env_steps`` and, where there are, ``return``, ``entropy``, ``alpha``; shape (num_rows,) each.
+      out_png: picture to write.
+      evaluation: columns ``env_steps`` and mean and std of either kind: ``sampled_mean``, ``deterministic_mean``, ...
+      baselines: name and return of horizontal lines.
+
+    Returns:
+      The path written.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(7.0, 5.4), layout="constrained")
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1))
+        _draw_returns(top, metrics, evaluation or {}, baselines or {})
+        _draw_exploration(bottom, metrics)
+        bottom.set_xlabel("environment steps")
+        bottom.xaxis.set_major_formatter(EngFormatter(sep=""))
+        figure.align_ylabels()
+        figure.savefig(out_png)
+    return Path(out_png)
+
+
+def _draw_returns(axes: Axes, metrics: Columns, evaluation: Columns, baselines: Mapping[str, float]) -> None:
+    if "return" in metrics:
+        ended = np.isfinite(metrics["return"])
+        steps, returns = metrics["env_steps"][ended], metrics["return"][ended]
+        noisy = len(returns) > 60
+        axes.plot(steps, returns, color=_TRAINING, lw=0.8, alpha=0.35 if noisy else 1.0, label="training episodes")
+        if noisy:
+            axes.plot(steps, _running_mean(returns, len(returns) // 30), color=_TRAINING, lw=1.6, label="their mean")
+    for name, color, marker in (("sampled", _SAMPLED, "o"), ("deterministic", _DETERMINISTIC, "D")):
+        if f"{name}_mean" in evaluation:
+            spread = np.nan_to_num(evaluation[f"{name}_std"])
+            axes.errorbar(
+                evaluation["env_steps"],
+                evaluation[f"{name}_mean"],
+                spread,
+                color=color,
+                marker=marker,
+                ms=4,
+                lw=1.2,
+                elinewidth=0.8,
+                capsize=2,
+                label=f"evaluation, {name}",
+            )
+    for (name, value), style in zip(baselines.items(), ("--", ":", "-.", (0, (6, 2, 1, 2))) * 8, strict=False):
+        axes.axhline(value, color="0.35", ls=style, lw=1.0, label=f"{name} ({value:.3g})")
+    axes.set_ylabel("return")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="best", fontsize=8)
+
+
+def _draw_exploration(axes: Axes, metrics: Columns) -> None:
+    axes.set_ylabel("entropy", color=_TRAINING)
+    if "entropy" in metrics:
+        axes.plot(metrics["env_steps"], metrics["entropy"], color=_TRAINING, lw=1.2)
+    if "alpha" in metrics:
+        twin = axes.twinx()
+        twin.spines["right"].set_visible(True)
+        twin.grid(False)
+        twin.plot(metrics["env_steps"], metrics["alpha"], color=_SAMPLED, lw=1.2)
+        twin.set_ylabel("temperature alpha", color=_SAMPLED)
+
+
+def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
+    """Mean over a centred window of ``width``, narrower towards the ends."""
+    sums, reach = np.concatenate([[0.0], np.cumsum(values)]), max(width // 2, 1)
+    middle = np.arange(len(values))
+    low, high = np.maximum(middle - reach, 0), np.minimum(middle + reach + 1, len(values))
+    return (sums[high] - sums[low]) / (high - low)
+
+
+def particle_strip(
+    frames: Sequence[Any],
+    out_png: str | Path,
+    *,
+    labels: Sequence[str] = (),
+    shapes: Sequence[Sequence[Shape]] = (),
+    diameter: float | None = None,
+    title: str = "",
+) -> Path:
+    """Draw a particle cloud over time: a column for each frame, seen from the side (x, y) and from the top (x, z).
+
+    Args:
+      frames: particle positions [m] of each frame, shape (num_particles, 3), y up.
+      out_png: picture to write.
+      labels: one for each frame, e.g. its time.
+      shapes: kinematic shapes of each frame.
+      diameter: of a drawn particle [m]; by default one that fills the first frame's volume.
+      title: of the picture.
+
+    Returns:
+      The path written. Colour is height y; all panels have one scale.
+    """
+    clouds = [np.asarray(frame, np.float64) for frame in frames]
+    drawn_shapes = [list(frame) for frame in shapes] or [[] for _ in clouds]
+    low, high = _bounds(clouds, drawn_shapes)
+    diameter = _spacing(clouds[0]) if diameter is None else diameter
+    normalize = Normalize(
+        low[1] if not clouds else min(c[:, 1].min() for c in clouds), max(c[:, 1].max() for c in clouds)
+    )
+    extent = high - low
+    width = 11.0 if len(clouds) > 3 else 3.2 * len(clouds)
+    scale = width / (len(clouds) * extent[0])
+    size = (width + 1.2, scale * (extent[1] + extent[2]) + 0.9)
+    with mpl.rc_context({**_STYLE, "axes.grid": False, "font.size": 8}):
+        figure = Figure(figsize=size, layout="constrained")
+        panels = figure.subplots(
+            2, len(clouds), squeeze=False, sharex=True, sharey="row", height_ratios=(extent[1], extent[2])
+        )
+        for i, (cloud, frame_shapes) in enumerate(zip(clouds, drawn_shapes, strict=True)):
+            for row, up in enumerate((1, 2)):
+                drawn = _draw_cloud(panels[row, i], cloud, frame_shapes, up, diameter, normalize)
+                panels[row, i].set(xlim=(low[0], high[0]), ylim=(low[up], high[up]), aspect="equal")
+            if i < len(labels):
+                panels[0, i].set_title(labels[i], fontsize=8)
+            panels[1, i].set_xlabel("x [m]")
+        panels[0, 0].set_ylabel("side: y [m]")
+        panels[1, 0].set_ylabel("top: z [m]")
+        figure.colorbar(drawn, ax=panels, label="height y [m]", fraction=0.03, pad=0.01, aspect=30)
+        if title:
+            figure.suptitle(title, fontsize=10)
+        figure.savefig(out_png)
+    return Path(out_png)
+
+
+def _draw_cloud(
+    axes: Axes, cloud: np.ndarray, shapes: Sequence[Shape], up: int, diameter: float, normalize: Normalize
+) -> EllipseCollection:
+    """One panel: axis 0 to the right, axis ``up`` upwards, what is nearer to the eye drawn later."""
+    depth = np.argsort(-cloud[:, 2] if up == 1 else cloud[:, 1])
+    cloud = cloud[depth]
+    sizes = np.full(len(cloud), diameter)
+    particles = EllipseCollection(
+        sizes, sizes, 0 * sizes, units="xy", offsets=cloud[:, [0, up]], offset_transform=axes.transData, lw=0
+    )
+    particles.set(array=cloud[:, 1], cmap="viridis", norm=normalize)
+    axes.add_collection(particles)
+    for shape in shapes:
+        axes.add_patch(_outline(shape, up))
+    return particles
+
+
+def _outline(shape: Shape, up: int) -> Circle | Polygon:
+    """The projection of a shape along the axis that is not drawn."""
+    kind, centre, radius = shape["kind"], shape["centre"], shape["radius"]
+    look = {"facecolor": (0.55, 0.55, 0.6, 0.35), "edgecolor": "0.25", "lw": 1.0}
+    centre, radius = np.asarray(centre, float)[[0, up]], float(radius)
+    if kind == "sphere":
+        return Circle((centre[0], centre[1]), radius, **look)
+    if kind != "capsule":
+        raise ValueError(f"cannot draw a shape of kind {kind!r}: use 'sphere' or 'capsule'")
+    along = _half_axis(shape)[[0, up]]
+    turn = np.arctan2(along[1], along[0]) + np.linspace(-np.pi / 2, np.pi / 2, 33)
+    arc = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return Polygon(np.concatenate([centre + along + arc, centre - along - arc]), closed=True, **look)
+
+
+def _half_axis(shape: Shape) -> np.ndarray:
+    """From a shape's centre to one end of its axis, shape (3,)."""
+    if shape["kind"] == "sphere":
+        return np.zeros(3)
+    direction = np.asarray(shape["direction"], float)
+    return float(shape["half_length"]) * direction / np.linalg.norm(direction)
+
+
+def _bounds(clouds: Sequence[np.ndarray], shapes: Sequence[Sequence[Shape]]) -> tuple[np.ndarray, np.ndarray]:
+    """A box around everything drawn, with a margin."""
+    points = np.concatenate(clouds)
+    low, high = points.min(axis=0), points.max(axis=0)
+    for shape in (shape for frame in shapes for shape in frame):
+        reach = float(shape["radius"]) + np.abs(_half_axis(shape))
+        low = np.minimum(low, np.asarray(shape["centre"], float) - reach)
+        high = np.maximum(high, np.asarray(shape["centre"], float) + reach)
+    margin = 0.04 * (high - low).max() + 1e-9
+    return low - margin, high + margin
+
+
+def _spacing(cloud: np.ndarray) -> float:
+    """Edge of the cube that each particle would fill if they filled their bounding box."""
+    extent = np.maximum(np.ptp(cloud, axis=0), 1e-3)
+    return float(1.2 * (np.prod(extent) / len(cloud)) ** (1 / 3))
