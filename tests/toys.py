@@ -1,5 +1,7 @@
 """A point mass on a line and a learner of one number: small enough to know every result by hand."""
 
+import os
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -123,3 +125,9 @@ def make_toy(env: Any, *, num_envs: int = 4, horizon: int = 3, width: int = 1, n
         return ts.bias[:1] if deterministic else ts.bias[:1] + noise * jax.random.normal(key, (1,))
 
     return Agent(init, train_step, policy)
+
+
+def subprocess_environment() -> dict[str, str]:
+    """Environment variables with which another Python process imports these toys and this checkout."""
+    tests = Path(__file__).parent
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(tests), str(tests.parent)]), "COLUMNS": "200"}

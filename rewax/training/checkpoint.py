@@ -21,7 +21,7 @@ import orbax.checkpoint as ocp
 
 T = TypeVar("T")
 _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
-_ENTRIES = {"shape", "dtype", "stored_shape", "stored_dtype", "crc32"}
+_ENTRIES = {"shape", "dtype", "stored_shape", "stored_dtype", "crc32", "impl"}
 
 
 def save(run_dir: str | Path, train_state: Any, *, keep: int = 3) -> Path:
@@ -86,7 +86,7 @@ def restore(run_dir: str | Path, like: T, *, step: int | None = None) -> T:
     named = _named_leaves(like)
     _check_structure(described, dict(named), path)
     arrays = _read_arrays(path, described)
-    leaves = [_from_numpy(arrays[name], leaf) for name, leaf in named]
+    leaves = [_from_numpy(arrays[name], leaf, described[name]["impl"]) for name, leaf in named]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 
@@ -148,14 +148,14 @@ def _to_numpy(leaf: Any) -> np.ndarray:
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
 
 
-def _from_numpy(value: np.ndarray, like: Any) -> Any:
+def _from_numpy(value: np.ndarray, like: Any, impl: str | None) -> Any:
     array = jax.device_put(value) if getattr(like, "sharding", None) is None else jax.device_put(value, like.sharding)
-    return jax.random.wrap_key_data(array, impl=jax.random.key_impl(like)) if _is_key(like) else array
+    return array if impl is None else jax.random.wrap_key_data(array, impl=impl)
 
 
 def _describe(leaf: Any, value: np.ndarray) -> dict[str, Any]:
     stored = {"stored_shape": value.shape, "stored_dtype": str(value.dtype), "crc32": _checksum(value)}
-    return _signature(leaf) | stored
+    return _signature(leaf) | stored | {"impl": str(jax.random.key_impl(leaf)) if _is_key(leaf) else None}
 
 
 def _checksum(value: np.ndarray) -> int:

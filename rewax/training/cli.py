@@ -49,8 +49,7 @@ def main(
 
 
 def quiet() -> None:
-    """Silence what libraries say at import and on success; warnings that users cannot act upon."""
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    """Silence what libraries say on success, and warnings that users cannot act upon."""
     for noisy in ("absl", "orbax", "jax._src.xla_bridge"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
 

@@ -16,8 +16,8 @@ from matplotlib.ticker import EngFormatter
 Columns: TypeAlias = Mapping[str, np.ndarray]
 """Columns of a table by name, as ``rewax.training.metrics.read_csv`` reads them."""
 Shape: TypeAlias = Mapping[str, Any]
-"""A kinematic shape: ``kind``, ``centre`` (3,), ``radius``, and for capsules ``half_length`` and ``direction`` (3,), lengths
-in metres. Kind ``"sphere"``, or ``"capsule"``: a cylinder of that half length along direction, with round ends."""
+"""A kinematic shape: ``kind``, ``centre`` (3,), ``radius``, and for capsules ``half_length`` and ``direction`` (3,); in
+metres. Kind ``"sphere"``, or ``"capsule"``: a cylinder of that half length along direction, with round ends."""
 
 _STYLE: dict[Any, Any] = {
     "font.size": 9,

@@ -1,0 +1,172 @@
+"""What surrounds an environment: automatic resets, batches, time limits, failures, names."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toys
+
+from rewax import struct
+from rewax.envs import registry
+from rewax.envs.wrappers import AutoReset, Vmap, select
+from rewax.status import Status
+
+LENGTH = 3
+
+
+def rollout(env, state, actions):
+    """States after each action, stacked."""
+
+    def step(state, action):
+        state = env.step(state, action)
+        return state, state
+
+    return jax.lax.scan(step, state, actions)[1]
+
+
+@struct.dataclass
+class Fragile(toys.PointMass):
+    """NaN physics, with a NaN derivative, once x exceeds ``limit``."""
+
+    limit: Any
+
+    def step(self, state, action):
+        x = state.physics + self.gain * jnp.clip(action, -1.0, 1.0)
+        return self.after(state, jnp.sqrt(jnp.where(x > self.limit, -1.0, 1.0) * x**2))
+
+
+@struct.dataclass
+class Terminating(toys.PointMass):
+    """Terminates in step 3 of 3, where the time limit is reached too."""
+
+    def step(self, state, action):
+        return self.after(state, state.physics, terminated=state.step_count == 2)
+
+
+def test_auto_reset_keeps_the_last_observation_and_begins_afresh():
+    env = AutoReset(env=toys.point_mass(LENGTH))
+    first = env.reset(jax.random.key(0))
+    np.testing.assert_array_equal(first.final_obs["x"], first.obs["x"])
+    states = rollout(env, first, jnp.full((2 * LENGTH, 1), 0.2))
+    np.testing.assert_array_equal(states.truncated, [False, False, True] * 2)
+    np.testing.assert_array_equal(states.step_count, [1, 2, 0] * 2)
+    path = first.physics[0] + 0.1 * jnp.arange(1, LENGTH + 1)
+    np.testing.assert_allclose(states.final_obs["x"][:LENGTH, 0], path, rtol=1e-6)
+    np.testing.assert_allclose(states.reward[:LENGTH], -(path**2), rtol=1e-6)  # of the step taken, not of the reset
+    np.testing.assert_allclose(states.metrics["distance"][LENGTH - 1], path[-1], rtol=1e-6)
+    assert 0.5 <= float(states.obs["x"][LENGTH - 1, 0]) <= 1.5
+    assert float(states.obs["x"][LENGTH - 1, 0]) != float(states.final_obs["x"][LENGTH - 1, 0])
+    np.testing.assert_array_equal(states.obs["x"][:2], states.final_obs["x"][:2])
+
+
+def test_every_episode_begins_in_another_state_and_repeats_with_its_key():
+    env = AutoReset(env=toys.point_mass(LENGTH))
+    states = rollout(env, env.reset(jax.random.key(0)), jnp.zeros((10 * LENGTH, 1)))
+    starts = np.asarray(states.physics[LENGTH - 1 :: LENGTH, 0])
+    assert len(np.unique(starts)) == 10
+    again = rollout(env, env.reset(jax.random.key(0)), jnp.zeros((10 * LENGTH, 1)))
+    np.testing.assert_array_equal(again.physics, states.physics)
+
+
+def test_gradient_is_cut_exactly_at_the_boundary_for_that_environment_alone():
+    env = Vmap(env=AutoReset(env=toys.point_mass(LENGTH)))
+    state = env.reset(jax.random.split(jax.random.key(0), 2))
+    state = state.replace(step_count=jnp.array([0, 2]))  # the second ends in the first step
+
+    def last_rewards(actions):
+        return rollout(env, state, actions).reward[1]  # of the second step
+
+    slope = jax.jacobian(last_rewards)(jnp.zeros((2, 2, 1)))[..., 0]  # (reward of env, step, action of env)
+    x = rollout(env, state, jnp.zeros((2, 2, 1))).physics[1, :, 0]
+    np.testing.assert_allclose(slope[0, :, 0], [-x[0], -x[0]], rtol=1e-5)  # d(-x^2)/da = -2 x gain
+    np.testing.assert_allclose(slope[1, :, 1], [0.0, -x[1]], rtol=1e-5)  # nothing from before the reset
+    np.testing.assert_array_equal(slope[0, :, 1], [0.0, 0.0])
+    np.testing.assert_array_equal(slope[1, :, 0], [0.0, 0.0])
+
+
+def test_gradient_with_respect_to_the_environment():
+    def total(env):
+        state = env.reset(jax.random.key(0))
+        return jnp.sum(rollout(env, state, jnp.full((2, 1), 0.4)).reward)
+
+    env = toys.point_mass(LENGTH)
+    x = float(env.reset(jax.random.key(0)).physics[0])
+    expected = -2 * (x + 0.2) * 0.4 - 2 * (x + 0.4) * 0.8
+    np.testing.assert_allclose(jax.grad(total)(env).gain, expected, rtol=1e-5)
+
+
+def test_a_failed_environment_ends_and_touches_no_other():
+    env = Vmap(env=AutoReset(env=Fragile(gain=jnp.float32(0.5), limit=jnp.float32(1.4), length=LENGTH)))
+    keys = jax.random.split(jax.random.key(3), 16)
+    state = env.reset(keys)
+    new = env.step(state, jnp.full((16, 1), 0.5))
+    failed = np.asarray(state.physics[:, 0] + 0.25 > 1.4)
+    assert 0 < failed.sum() < 16
+    np.testing.assert_array_equal(new.terminated, failed)
+    np.testing.assert_array_equal((new.status & Status.NAN) != 0, failed)
+    np.testing.assert_array_equal(np.asarray(new.reward)[failed], 0.0)
+    for leaf in (new.physics, new.obs["x"], new.final_obs["x"], new.reward, new.metrics["distance"]):
+        assert np.isfinite(leaf).all()
+    np.testing.assert_array_equal(np.asarray(new.final_obs["x"])[failed], np.asarray(state.obs["x"])[failed])
+    alone = jax.vmap(env.env.step)(*jax.tree.map(lambda a: a[~failed], (state, jnp.full((16, 1), 0.5))))
+    np.testing.assert_array_equal(alone.physics, new.physics[~failed])
+    slope = jax.jacobian(lambda a: env.step(state, a).reward)(jnp.full((16, 1), 0.5))[..., 0]
+    healthy = np.asarray(slope)[np.ix_(~failed, ~failed)]
+    assert np.isfinite(healthy).all() and (np.diag(healthy) != 0).all()
+    assert (healthy == np.diag(np.diag(healthy))).all()
+
+
+@pytest.mark.parametrize(
+    ("env", "ends"), [(toys.point_mass(LENGTH), (0, 1)), (Terminating(gain=0.5, length=LENGTH), (1, 0))]
+)
+def test_terminated_and_truncated_exclude_each_other(env, ends):
+    states = rollout(env, env.reset(jax.random.key(0)), jnp.zeros((LENGTH, 1)))
+    np.testing.assert_array_equal(states.done, [False] * (LENGTH - 1) + [True])
+    assert (int(states.terminated[-1]), int(states.truncated[-1])) == ends
+
+
+def test_batch_equals_loop():
+    env = AutoReset(env=toys.point_mass(2))
+    keys, actions = jax.random.split(jax.random.key(0), 4), jnp.linspace(-1, 1, 4)[:, None]
+    batch = Vmap(env=env)
+    state = batch.step(batch.step(batch.reset(keys), actions), actions)
+    for i in range(4):
+        one = env.step(env.step(env.reset(keys[i]), actions[i]), actions[i])
+        np.testing.assert_allclose(state.obs["x"][i], one.obs["x"], rtol=1e-6)
+        assert bool(jnp.all(jax.random.key_data(state.key[i]) == jax.random.key_data(one.key)))
+
+
+def test_wrappers_forward_what_they_do_not_change():
+    inner = toys.point_mass(LENGTH)
+    env = Vmap(env=AutoReset(env=inner))
+    assert env.unwrapped is inner and env.episode_length == LENGTH
+    assert env.action_spec == inner.action_spec and env.observation_spec == inner.observation_spec
+
+
+def test_select_chooses_whole_trees_with_keys():
+    a, b = ({"x": jnp.full(2, v), "key": jax.random.key(i)} for i, v in enumerate([1.0, jnp.nan]))
+    chosen = select(jnp.bool_(True), a, b)
+    np.testing.assert_array_equal(chosen["x"], a["x"])
+    assert (jax.random.key_data(chosen["key"]) == jax.random.key_data(a["key"])).all()
+
+
+def test_registry(monkeypatch):
+    monkeypatch.setattr(registry, "_FACTORIES", {})
+    registry.register("PointMass", toys_factory)
+    registry.register("PointMass", toys_factory)  # the same again is no conflict
+    assert registry.list_envs() == ["PointMass"]
+    assert registry.make("PointMass", scale="paper").episode_length == 50
+    assert registry.make("PointMass", scale="small", length=9).episode_length == 9
+    assert registry.make("PointMass").episode_length == (5 if registry.default_scale() == "small" else 50)
+    with pytest.raises(ValueError, match="named 'PointMass' is registered already: choose another name"):
+        registry.register("PointMass", toys.point_mass)
+    with pytest.raises(ValueError, match="no environment named 'PointMas': did you mean 'PointMass'"):
+        registry.make("PointMas")
+    with pytest.raises(ValueError, match="scale is 'huge': use one of 'paper', 'small'"):
+        registry.make("PointMass", scale="huge")
+
+
+def toys_factory(scale, length=None):
+    return toys.point_mass(length or (5 if scale == "small" else 50))

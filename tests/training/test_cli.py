@@ -1,0 +1,182 @@
+"""The command line: exit codes, one-sentence errors, defaults of environment and scale, leaving by Ctrl-C."""
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+import toys
+
+from rewax.envs import registry
+from rewax.training import cli
+from rewax.training.metrics import read_csv
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ToyConfig:
+    """The toy's hyper-parameters.
+
+    Attributes:
+      noise: of actions.
+    """
+
+    num_envs: int = 4
+    horizon: int = 3
+    num_iterations: int = 2
+    noise: float = 0.1
+
+    def __post_init__(self):
+        if self.noise < 0:
+            raise ValueError(f"noise is {self.noise}: use 0 or more")
+
+
+def make(env, config):
+    return toys.make_toy(env, num_envs=config.num_envs, horizon=config.horizon, noise=config.noise)
+
+
+def preset(env_name, scale):
+    return ToyConfig(num_iterations=2 if scale == "small" else 3)
+
+
+def factory(scale):
+    return toys.point_mass(5 if scale == "small" else 7)
+
+
+@pytest.fixture
+def main(tmp_path, monkeypatch, capfd):
+    """``main(*argv)``: exit code and output of the command line, in an empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(registry._FACTORIES, "PointMass", factory)
+    quick = ["--train.no-plots", "--train.no-baselines", "--train.num-eval-episodes=2", "--train.no-tensorboard"]
+
+    def call(*argv, quickly=True):
+        try:
+            code = cli.main("toy", make, preset, default_env="PointMass", argv=[*argv, *(quick if quickly else [])])
+        except SystemExit as leaving:  # of the parser
+            code = leaving.code
+        out, err = capfd.readouterr()
+        return code, out + err
+
+    return call
+
+
+def test_trains_with_the_defaults_of_the_scale(main, tmp_path):
+    code, text = main("--env=PointMass")
+    assert code == 0
+    assert "scale small, because JAX found no accelerator; choose the other with --scale paper" in text
+    run_dir = tmp_path / "runs" / "PointMass-small-0"
+    assert len(read_csv(run_dir / "metrics.csv")["iteration"]) == 2
+    code, text = main("--env", "PointMass", "--scale", "paper", "--seed", "3", "--toy.noise", "0.2")
+    assert code == 0
+    config = json.loads((tmp_path / "runs" / "PointMass-paper-3" / "config.json").read_text())
+    assert (config["env"], config["scale"], config["seed"], config["agent"]) == ("PointMass", "paper", 3, "toy")
+    assert config["toy"] == {"num_envs": 4, "horizon": 3, "num_iterations": 3, "noise": 0.2}
+
+
+def test_steps_are_rounded_up_to_iterations_and_resume_continues(main, tmp_path):
+    assert main("--steps", "25", "--run-dir", "a")[0] == 0
+    assert read_csv(tmp_path / "a" / "metrics.csv")["env_steps"][-1] == 36
+    code, text = main("--steps", "50", "--run-dir", "a")
+    assert code == 2 and "holds a run already" in text and "Traceback" not in text
+    assert main("--steps", "50", "--run-dir", "a", "--resume")[0] == 0
+    assert read_csv(tmp_path / "a" / "metrics.csv")["env_steps"][-1] == 60
+
+
+@pytest.mark.parametrize(
+    ("argv", "sentence"),
+    [
+        (["--env", "PointMas"], "there is no environment named 'PointMas': did you mean 'PointMass'?"),
+        (["--scale=medium"], "scale is 'medium': use one of 'paper', 'small'"),
+        (["--toy.noise=-1"], "noise is -1.0: use 0 or more"),
+        (["--train.log-every=0"], "log_every is 0: use 1 or more"),
+        (["--steps=0"], "steps is 0: use 1 or more"),
+        (["--seed=-1"], "seed is -1: use 0 or more"),
+        (["--toy.noise=loud"], "could not convert string to float: 'loud'"),
+        (["--nonsense"], "--nonsense"),
+        (["--resume", "--run-dir=nowhere"], "there is no run directory"),
+    ],
+)
+def test_impossible_input_is_one_sentence_and_exit_code_2(main, tmp_path, argv, sentence):
+    code, text = main(*argv)
+    assert code == 2
+    assert sentence in text
+    assert "Traceback" not in text
+    assert not list(tmp_path.rglob("metrics.csv"))
+
+
+def test_an_unreadable_checkpoint_is_exit_code_2(main, tmp_path):
+    assert main("--run-dir=a")[0] == 0
+    (tmp_path / "a" / "checkpoints" / "2" / "leaves.json").write_text("{")
+    code, text = main("--run-dir=a", "--resume")
+    assert code == 2 and "is damaged and cannot be read" in text and "Traceback" not in text
+
+
+def test_help_lists_every_hyperparameter(main):
+    code, text = main("--help", quickly=False)
+    assert code == 0
+    for option in ("--env", "--scale", "--resume", "--toy.noise", "--train.eval-every", "of actions."):
+        assert option in text
+
+
+SLOW = textwrap.dedent("""
+    import sys, time
+    import jax, jax.numpy as jnp, toys
+    from rewax.envs import registry
+    from rewax.training import cli
+    sys.path.insert(0, sys.argv.pop(1))
+    import test_cli
+    registry.register("PointMass", test_cli.factory)
+    def make(env, config):
+        agent = test_cli.make(env, config)
+        def slow(state):
+            wait = lambda iteration: (time.sleep(PAUSE), iteration)[1]
+            iteration = jax.pure_callback(wait, jax.ShapeDtypeStruct((), jnp.int32), state.iteration)
+            return agent.train_step(state.replace(iteration=iteration))
+        return agent._replace(train_step=jax.jit(slow))
+    sys.exit(cli.main("toy", make, test_cli.preset, default_env="PointMass"))
+""")
+
+
+def start(tmp_path, pause):
+    """A process that trains slowly, in its second iteration at the latest when this returns."""
+    argv = ["--run-dir=a", "--steps=100000", "--train.no-baselines", "--train.num-eval-episodes=2"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLOW.replace("PAUSE", str(pause)), str(__file__).rpartition("/")[0], *argv],
+        cwd=tmp_path,
+        env=toys.subprocess_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    for line in process.stdout:
+        if line.startswith("compiled in"):
+            return process
+    raise AssertionError("the process ended before it trained")
+
+
+def test_ctrl_c_saves_and_leaves_with_130(tmp_path):
+    process = start(tmp_path, 0.5)
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    text, _ = process.communicate(timeout=240)
+    assert process.returncode == 130
+    assert "the same command with --resume continues from" in text and "Traceback" not in text
+    done = len(read_csv(tmp_path / "a" / "metrics.csv")["iteration"])
+    assert (tmp_path / "a" / "checkpoints" / str(done)).is_dir()
+    assert (tmp_path / "a" / "learning_curve.png").exists()
+
+
+def test_a_second_ctrl_c_leaves_at_once(tmp_path):
+    process = start(tmp_path, 100)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    assert "once more to leave at once" in process.stdout.readline()
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) == 130
+    assert time.monotonic() - began < 20
+    process.stdout.close()

@@ -1,0 +1,72 @@
+"""CSV files that a resumed run continues as if it had never stopped."""
+
+import numpy as np
+import pytest
+
+from rewax.training.metrics import CsvWriter, TensorBoardWriter, read_csv
+
+
+def rows(first, last):
+    return [
+        (i, {"env_steps": 10 * i, "return": np.float32(np.nan if i == 1 else 0.1 * i)}) for i in range(first, last + 1)
+    ]
+
+
+def write(path, some_rows, **kwargs):
+    writer = CsvWriter(path, **kwargs)
+    for iteration, values in some_rows:
+        writer.write(iteration, values)
+    writer.close()
+
+
+def test_reads_back_what_was_written(tmp_path):
+    write(tmp_path / "a.csv", rows(1, 3))
+    columns = read_csv(tmp_path / "a.csv")
+    assert list(columns) == ["iteration", "env_steps", "return"]
+    np.testing.assert_array_equal(columns["iteration"], [1, 2, 3])
+    np.testing.assert_array_equal(columns["return"].astype(np.float32), np.float32([np.nan, 0.2, 0.3]))
+    assert (tmp_path / "a.csv").read_text().splitlines()[2] == "2,20,0.2"
+
+
+@pytest.mark.parametrize("number", [np.float32(1 / 3), np.float64(1 / 3), np.float32(1e-30), np.int32(-7)])
+def test_numbers_survive_exactly(tmp_path, number):
+    write(tmp_path / "a.csv", [(1, {"x": number})])
+    assert read_csv(tmp_path / "a.csv")["x"].astype(number.dtype)[0] == number
+
+
+def test_resumed_file_equals_an_uninterrupted_one(tmp_path):
+    whole, parts = tmp_path / "whole.csv", tmp_path / "parts.csv"
+    write(whole, rows(1, 8))
+    write(parts, rows(1, 6))
+    with parts.open("a") as file:
+        file.write("7,7")  # cut short by a crash
+    write(parts, rows(5, 8), resume_at=4)
+    assert parts.read_bytes() == whole.read_bytes()
+
+
+def test_each_row_is_on_disk_at_once(tmp_path):
+    writer = CsvWriter(tmp_path / "a.csv")
+    writer.write(1, {"x": 1.0})
+    assert (tmp_path / "a.csv").read_text() == "iteration,x\n1,1.0\n"
+    writer.close()
+
+
+def test_other_names_than_the_header_are_refused(tmp_path):
+    writer = CsvWriter(tmp_path / "a.csv")
+    writer.write(1, {"x": 1.0})
+    with pytest.raises(ValueError, match=r"row 2 .* differs from the header in \['x', 'y'\]"):
+        writer.write(2, {"y": 1.0})
+    writer.close()
+
+
+def test_a_missing_file_has_no_columns(tmp_path):
+    assert read_csv(tmp_path / "none.csv") == {}
+
+
+def test_tensorboard_writes_events(tmp_path):
+    writer = TensorBoardWriter(tmp_path)
+    writer.write(1, {"return": np.float32(2.0), "nothing": np.float32(np.nan)})
+    writer.close()
+    (events,) = tmp_path.glob("events*")
+    content = events.read_bytes()
+    assert b"train/return" in content and b"train/nothing" not in content

@@ -1,0 +1,71 @@
+"""Pictures have the size and the ink they should, and draw shapes where they are."""
+
+import matplotlib.image
+import matplotlib.patches
+import numpy as np
+import pytest
+
+from rewax.viz import plots
+
+
+def capsule(centre=(0.5, 0.2, 0.5), direction=(0.0, 0.0, 1.0)):
+    return {"kind": "capsule", "centre": centre, "radius": 0.05, "half_length": 0.2, "direction": direction}
+
+
+def metrics(num_rows):
+    steps = np.arange(num_rows) * 100.0
+    returns = np.where(np.arange(num_rows) % 3 == 0, np.nan, np.sin(steps))
+    return {"env_steps": steps, "return": returns, "entropy": -steps, "alpha": np.exp(-steps)}
+
+
+@pytest.mark.parametrize("num_rows", [0, 1, 50, 400])
+def test_learning_curve(tmp_path, num_rows):
+    evaluation = {"env_steps": np.array([0.0, 900.0])}
+    for name in ("sampled", "deterministic"):
+        evaluation |= {f"{name}_mean": np.array([0.0, 1.0]), f"{name}_std": np.array([0.1, np.nan])}
+    path = plots.learning_curve(
+        metrics(num_rows), tmp_path / "a.png", evaluation=evaluation, baselines={"no action": -1.0, "random": -2.0}
+    )
+    image = matplotlib.image.imread(path)
+    assert image.shape[:2] == (810, 1050)
+    assert 0.01 < np.mean(image[..., :3].min(axis=-1) < 0.9) < 0.5
+
+
+def test_learning_curve_of_a_run_without_anything(tmp_path):
+    assert plots.learning_curve({}, tmp_path / "a.png").stat().st_size > 2000
+
+
+@pytest.mark.parametrize("num_frames", [1, 3, 6])
+def test_particle_strip_has_a_column_for_each_frame(tmp_path, num_frames):
+    cloud = np.random.default_rng(0).uniform([0.4, 0.0, 0.4], [0.6, 0.1, 0.6], (300, 3))
+    path = plots.particle_strip(
+        [cloud] * num_frames,
+        tmp_path / "a.png",
+        labels=[f"{i} s" for i in range(num_frames)],
+        shapes=[[capsule()]] * num_frames,
+    )
+    image = matplotlib.image.imread(path)
+    assert image.shape[1] > 150 * 3 * num_frames or num_frames == 6
+    dark = image[..., :3].min(axis=-1) < 0.5  # viridis
+    columns = np.array_split(dark[:, int(0.08 * dark.shape[1]) : int(0.88 * dark.shape[1])], num_frames, axis=1)
+    inked = [float(column.mean()) for column in columns]
+    assert min(inked) > 0.1 and max(inked) < 2.5 * min(inked)
+
+
+def test_capsule_outline_projects_along_the_hidden_axis():
+    side, top = plots._outline(capsule(), 1), plots._outline(capsule(), 2)
+    assert isinstance(side, matplotlib.patches.Polygon) and isinstance(top, matplotlib.patches.Polygon)
+    for patch, centre, reach in ((side, (0.5, 0.2), (0.05, 0.05)), (top, (0.5, 0.5), (0.05, 0.25))):
+        corners = patch.get_xy()
+        np.testing.assert_allclose(corners.max(axis=0), np.add(centre, reach), atol=1e-3)
+        np.testing.assert_allclose(corners.min(axis=0), np.subtract(centre, reach), atol=1e-3)
+
+
+def test_bounds_hold_every_shape():
+    low, high = plots._bounds([np.zeros((1, 3))], [[capsule(direction=(2.0, 0.0, 0.0))]])
+    assert low[0] < 0.0 and high[0] > 0.75 and high[2] > 0.55
+
+
+def test_unknown_shapes_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="cannot draw a shape of kind 'cone': use 'sphere' or 'capsule'"):
+        plots.particle_strip([np.eye(3)], tmp_path / "a.png", shapes=[[{**capsule(), "kind": "cone"}]])
