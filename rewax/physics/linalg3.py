@@ -158,7 +158,8 @@ def polar_components(f: Mat3) -> Mat3:
     def inverse_root(eigenvalues: Vec3, parameters: None) -> tuple[Vec3, ...]:
         del parameters
         largest = jnp.maximum(jnp.maximum(eigenvalues[0], eigenvalues[1]), eigenvalues[2])
-        floor = jax.lax.stop_gradient(jnp.maximum(1e-12 * largest, float(jnp.finfo(largest.dtype).tiny)))
+        # tiny^0.6 keeps the derivative, floor^(-3/2), finite for a zero matrix.
+        floor = jax.lax.stop_gradient(jnp.maximum(1e-12 * largest, float(jnp.finfo(largest.dtype).tiny) ** 0.6))
         return (cp.vector(lambda i: jax.lax.rsqrt(jnp.maximum(eigenvalues[i], floor))),)
 
     (root,) = spectral(inverse_root, cp.matmul(f, cp.transpose(f)), None)

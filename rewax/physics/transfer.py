@@ -261,7 +261,7 @@ def _flatten(stencil: Stencil) -> Stencil:
 def _windows(grid: Grid, st: _Stencils, fields: Arrays):
     """Values of all fields at three neighbouring nodes along z: for each (i, j) a list over k of field tuples."""
     shape, count = st.axes[0].base.shape, len(fields)
-    rows = jnp.stack(materialize([f.reshape(-1) for f in fields]), axis=-1).reshape(-1)
+    rows = jnp.stack(materialize(fields), axis=-1).reshape(-1)
     for i, j in itertools.product(cp.AXES, repeat=2):
         start = (st.base + int(np.dot((i, j, 0), grid.strides))) * count
         window = jax.lax.gather(rows, start[:, None], _GATHER_WINDOWS, (3 * count,), mode=_IN_BOUNDS)

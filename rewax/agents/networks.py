@@ -1,0 +1,116 @@
+"""Networks: point-cloud and vector encoders, policy and value heads (flax linen)."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+from rewax.types import Array, Observation
+
+Activation = Callable[[Array], Array]
+
+
+class Layer(nn.Module):
+    """Linear -> LayerNorm -> activation."""
+
+    width: int
+    activation: Activation
+    gain: float
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        x = nn.Dense(self.width, kernel_init=nn.initializers.orthogonal(self.gain))(x)
+        return self.activation(nn.LayerNorm()(x))
+
+
+class MLP(nn.Module):
+    """A stack of ``Layer``."""
+
+    widths: Sequence[int]
+    activation: Activation
+    gain: float
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        for width in self.widths:
+            x = Layer(width, self.activation, self.gain)(x)
+        return x
+
+
+class Encoder(nn.Module):
+    """Features of a named observation.
+
+    Point clouds, arrays (num_points, channels), each go through a PointNet: layers per point, mean over the points,
+    one more layer. Vectors are concatenated in the order of their names and go through one layer.
+
+    Source: the 3D Diffusion Policy encoder as used by SAPO, with mean instead of max pooling.
+    """
+
+    point_widths: Sequence[int]
+    point_features: int
+    vector_features: int
+    activation: Activation
+    gain: float
+
+    @nn.compact
+    def __call__(self, obs: Observation) -> Array:
+        features = []
+        for name in sorted(obs):
+            if obs[name].ndim == 2:
+                x = MLP(self.point_widths, self.activation, self.gain, name=f"points_{name}")(obs[name])
+                features.append(
+                    Layer(self.point_features, self.activation, self.gain, name=f"pooled_{name}")(x.mean(axis=0))
+                )
+        vectors = [obs[name].reshape(-1) for name in sorted(obs) if obs[name].ndim != 2]
+        if vectors:
+            features.append(
+                Layer(self.vector_features, self.activation, self.gain, name="vectors")(jnp.concatenate(vectors))
+            )
+        return jnp.concatenate(features)
+
+
+class GaussianActor(nn.Module):
+    """Observation -> mean and log standard deviation (state-dependent, clamped) of the action before its tanh."""
+
+    encoder: Encoder
+    widths: Sequence[int]
+    action_size: int
+    activation: Activation
+    gain: float
+    log_std_range: tuple[float, float]
+    initial_log_std: float = 0.0
+
+    @nn.compact
+    def __call__(self, obs: Observation) -> tuple[Array, Array]:
+        x = MLP(self.widths, self.activation, self.gain)(self.encoder(obs))
+        init = nn.initializers.orthogonal(self.gain)
+        mean = nn.Dense(self.action_size, kernel_init=init, name="mean")(x)
+        bias = nn.initializers.constant(self.initial_log_std)
+        log_std = nn.Dense(self.action_size, kernel_init=init, bias_init=bias, name="log_std")(x)
+        return mean, jnp.clip(log_std, *self.log_std_range)
+
+
+class Critics(nn.Module):
+    """Observation -> values of several independent heads on one encoder, shape (num_critics,)."""
+
+    encoder: Encoder
+    widths: Sequence[int]
+    num_critics: int
+    activation: Activation
+    gain: float
+
+    @nn.compact
+    def __call__(self, obs: Observation) -> Array:
+        features = self.encoder(obs)
+        init = nn.initializers.orthogonal(self.gain)
+        values = [
+            nn.Dense(1, kernel_init=init, name=f"value_{i}")(
+                MLP(self.widths, self.activation, self.gain, name=f"mlp_{i}")(features)
+            )
+            for i in range(self.num_critics)
+        ]
+        return jnp.concatenate(values)
+
+
+ACTIVATIONS: Mapping[str, Activation] = {"silu": jax.nn.silu, "elu": jax.nn.elu, "relu": jax.nn.relu, "tanh": jnp.tanh}
