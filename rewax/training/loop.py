@@ -158,7 +158,7 @@ class _Run:
         if not stop.requested:
             row = self.evaluator.last if self.evaluator.last.get("env_steps") == self.env_steps else self._evaluate()
             if self.config.baselines:
-                baselines = self.evaluator.baselines()
+                baselines = self.evaluator.baselines(self.train_state)
                 say(self.console, "baselines: " + ", ".join(f"{name} {value:.4g}" for name, value in baselines.items()))
         if self.config.plots:
             for path in self.evaluator.draw(self.train_state, baselines):

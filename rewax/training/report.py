@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
-from rewax.training.evaluate import Policy, make_evaluate, record_episode
+from rewax.training.evaluate import Policy, make_evaluate, record_episode, uniform_policy
 from rewax.training.metrics import CsvWriter, read_csv
 from rewax.types import Key
 
@@ -32,7 +33,7 @@ class Evaluator:
         self, env: Env, policy: Policy, config: ReportConfig, run_dir: Path, key: Key, *, resume_at: int
     ) -> None:
         self._env, self._policy, self._config, self._run_dir, self._key = env, policy, config, run_dir, key
-        self._evaluate = make_evaluate(env, policy, config.num_eval_episodes)
+        self._evaluate = make_evaluate(env, _any_of(env, policy), config.num_eval_episodes)
         self._csv = CsvWriter(run_dir / "eval.csv", resume_at=resume_at)
         self.last: dict[str, Any] = {}
 
@@ -44,26 +45,25 @@ class Evaluator:
     def evaluate(self, iteration: int, env_steps: int, train_state: Any) -> dict[str, Any]:
         """Evaluate and append a row: ``sampled_mean``, ..., ``deterministic_failed``."""
         row: dict[str, Any] = {"env_steps": env_steps}
-        for name, deterministic in (("sampled", False), ("deterministic", True)):
-            result = jax.device_get(self._evaluate(train_state, self._key, deterministic=deterministic))
+        for name in ("sampled", "deterministic"):
+            result = jax.device_get(self._evaluate((train_state, _MODES.index(name)), self._key))
             row |= {f"{name}_{statistic}": result[statistic] for statistic in _STATISTICS}
         if self._csv.last_iteration < iteration:
             self._csv.write(iteration, row)
         self.last = row
         return row
 
-    def baselines(self) -> dict[str, float]:
-        """Mean returns of no action and of random actions from the same initial states, kept in ``baselines.json``."""
+    def baselines(self, train_state: Any) -> dict[str, float]:
+        """Mean returns of no action and of random actions from the same initial states, kept in ``baselines.json``.
+
+        The training state is not used, but the program that was compiled for ``evaluate`` is.
+        """
         path = self._run_dir / "baselines.json"
         if path.is_file():
             return json.loads(path.read_text())
-        spec = self._env.action_spec
-
-        def scaled(scale: Any, obs: Any, key: Key, deterministic: bool = False) -> jax.Array:
-            return scale * jax.random.uniform(key, spec.shape, minval=spec.low, maxval=spec.high)
-
-        evaluate = make_evaluate(self._env, scaled, self._config.num_eval_episodes)  # one compilation for both
-        result = {name: float(evaluate(scale, self._key)["mean"]) for name, scale in _BASELINES.items()}
+        result = {
+            name: float(self._evaluate((train_state, _MODES.index(name)), self._key)["mean"]) for name in _MODES[2:]
+        }
         path.write_text(json.dumps(result, indent=2) + "\n")
         return result
 
@@ -92,4 +92,22 @@ class Evaluator:
         self._csv.close()
 
 
-_BASELINES = {"no action": 0.0, "random actions": 1.0}
+_MODES = ("sampled", "deterministic", "no action", "random actions")
+
+
+def _any_of(env: Env, policy: Policy) -> Policy:
+    """A policy of ``(train_state, mode)``: one program, compiled once, for the agent's policies and the baselines."""
+    random = uniform_policy(env)
+
+    def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False) -> jax.Array:
+        train_state, mode = state_and_mode
+        shape, dtype = env.action_spec.shape, jnp.result_type(float)
+        branches = (
+            lambda: policy(train_state, obs, key, deterministic=False).astype(dtype),
+            lambda: policy(train_state, obs, key, deterministic=True).astype(dtype),
+            lambda: jnp.zeros(shape, dtype),
+            lambda: random(None, obs, key).astype(dtype),
+        )
+        return jax.lax.switch(mode, branches)
+
+    return choose

@@ -43,7 +43,8 @@ def learning_curve(
     """Draw the return over environment steps, and below it entropy and temperature.
 
     Args:
-      metrics: columns ``env_steps`` and, where there are, ``return``, ``entropy``, ``alpha``; shape (num_rows,) each.
+      metrics: columns ``env_steps`` and, where there are, ``return``, ``entropy``, ``alpha`` or ``temperature``, each
+        of shape (num_rows,).
       out_png: picture to write.
       evaluation: columns ``env_steps`` and mean and std of either kind: ``sampled_mean``, ``deterministic_mean``, ...
       baselines: name and return of horizontal lines.
@@ -97,11 +98,12 @@ def _draw_exploration(axes: Axes, metrics: Columns) -> None:
     axes.set_ylabel("entropy", color=_TRAINING)
     if "entropy" in metrics:
         axes.plot(metrics["env_steps"], metrics["entropy"], color=_TRAINING, lw=1.2)
-    if "alpha" in metrics:
+    temperature = metrics.get("alpha", metrics.get("temperature"))
+    if temperature is not None:
         twin = axes.twinx()
         twin.spines["right"].set_visible(True)
         twin.grid(False)
-        twin.plot(metrics["env_steps"], metrics["alpha"], color=_SAMPLED, lw=1.2)
+        twin.plot(metrics["env_steps"], temperature, color=_SAMPLED, lw=1.2)
         twin.set_ylabel("temperature alpha", color=_SAMPLED)
 
 
@@ -220,6 +222,6 @@ def _bounds(clouds: Sequence[np.ndarray], shapes: Sequence[Sequence[Shape]]) -> 
 
 
 def _spacing(cloud: np.ndarray) -> float:
-    """Edge of the cube that each particle would fill if they filled their bounding box."""
+    """Edge of the cube that belongs to each particle if they fill their bounding box evenly."""
     extent = np.maximum(np.ptp(cloud, axis=0), 1e-3)
-    return float(1.2 * (np.prod(extent) / len(cloud)) ** (1 / 3))
+    return float((np.prod(extent) / len(cloud)) ** (1 / 3))
