@@ -4,9 +4,11 @@ import contextlib
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SAME_SECONDS = 0.3  # supervisors such as `timeout` signal a process and its group: twice, but meant once
 
 
 class Stop:
@@ -42,13 +44,16 @@ def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
     os.set_blocking(writer, False)
 
     def listen() -> None:
+        first = 0.0
         while received := os.read(reader, 1):
             signum = received[0]
             if signum not in _SIGNALS:
                 continue
             if stop.requested:
+                if time.monotonic() - first < _SAME_SECONDS:
+                    continue
                 os._exit(128 + signum)
-            stop.signum = signum
+            first, stop.signum = time.monotonic(), signum
             notify("stopping after this iteration; once more to leave at once")
 
     listener = threading.Thread(target=listen, daemon=True)

@@ -202,14 +202,11 @@ def _first_state(
     for name, old, new in _changes(checkpoint.read_config(run_dir), checkpoint.plain(description)):
         if name in ("env", "scale"):
             raise ValueError(f"{run_dir} holds a run with {name} {old}, not {new}: resume it with --{name} {old}")
-        if name not in _FREE_TO_CHANGE:
+        if name == "train.seed" or not name.startswith("train."):  # how to report is free to change
             say(console, f"note: resuming with {name} {new}, it was {old}")
     train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, key))
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
-
-
-_FREE_TO_CHANGE = {"train.resume", "train.run_dir", "train.num_iterations"}
 
 
 def _changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any, Any]]:

@@ -175,6 +175,9 @@ def test_a_second_ctrl_c_leaves_at_once(tmp_path):
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
     assert "once more to leave at once" in process.stdout.readline()
+    process.send_signal(signal.SIGINT)  # the same press, passed on by a supervisor
+    time.sleep(1.0)
+    assert process.poll() is None
     began = time.monotonic()
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=60) == 130
