@@ -48,7 +48,9 @@ def eigh_components(a: Mat3) -> tuple[Vec3, Mat3]:
             r = 3 - p - q
             difference = s[q][q] - s[p][p]
             twice = 2.0 * s[p][q]
-            scale = jnp.abs(difference) + jnp.sqrt(difference * difference + twice * twice)
+            # The maximum is for squares that underflow: without it t explodes and mixes equal eigenvalues.
+            root = jnp.maximum(jnp.sqrt(difference * difference + twice * twice), jnp.abs(twice))
+            scale = jnp.abs(difference) + root
             t = twice * jnp.where(difference >= 0, 1.0, -1.0) / (scale + tiny)
             cosine = jax.lax.rsqrt(1.0 + t * t)
             sine = t * cosine

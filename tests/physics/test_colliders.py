@@ -1,0 +1,163 @@
+"""Contact on grid velocities: each case of the friction law by hand, moving bodies, walls in metres."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.physics import components as cp
+from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls, apply_collider, apply_walls
+from rewax.physics.grid import Grid
+from rewax.physics.sdf import Plane, Sphere
+
+EYE, ORIGIN, DT = jnp.eye(3), jnp.zeros(3), 1e-3
+REST = Pose(ORIGIN, EYE)
+
+
+def ground(friction=0.5, softness=100.0) -> Collider:
+    return Collider(shape=Plane(), offset=ORIGIN, rotation=EYE, friction=friction, softness=softness)
+
+
+def contact(collider, node, velocity, before=REST, after=REST):
+    """Velocity of one node after contact, shape (3,)."""
+    node, velocity = (cp.split_vector(jnp.asarray(a, jnp.result_type(float))[None]) for a in (node, velocity))
+    return np.asarray(cp.join_vector(apply_collider(collider, node, velocity, before, after, DT)))[0]
+
+
+UNDER, AT = [0.3, -0.05, 0.1], [0.3, 0.0, 0.1]
+
+
+def test_sticking(x64):
+    """Coulomb's limit 0.5 * 2 exceeds the tangential speed 0.6."""
+    np.testing.assert_allclose(contact(ground(), UNDER, [0.6, -2.0, 0.0]), 0.0, atol=1e-14)
+
+
+def test_sliding_loses_friction_times_normal_impulse(x64):
+    np.testing.assert_allclose(contact(ground(), UNDER, [3.0, -2.0, 4.0]), [3.0 * 0.8, 0.0, 4.0 * 0.8], rtol=1e-12)
+    np.testing.assert_allclose(contact(ground(friction=0.0), AT, [3.0, -2.0, 4.0]), [3.0, 0.0, 4.0], atol=1e-12)
+
+
+def test_separating_is_untouched(x64):
+    np.testing.assert_array_equal(contact(ground(), UNDER, [3.0, 2.0, 4.0]), [3.0, 2.0, 4.0])
+
+
+def test_influence_fades_with_distance_and_ends(x64):
+    """At distance d the change is exp(-softness d) of the full one; beyond log(10) / softness there is none."""
+    v, full = np.array([0.6, -2.0, 0.0]), np.zeros(3)
+    near = contact(ground(), [0.0, 0.02, 0.0], v)
+    np.testing.assert_allclose(near - v, np.exp(-2.0) * (full - v), rtol=1e-12)
+    np.testing.assert_array_equal(contact(ground(), [0.0, 0.0231, 0.0], v), v)
+    assert np.abs(contact(ground(), [0.0, 0.0229, 0.0], v) - v).max() > 0.1
+
+
+def test_a_moving_body_drags_and_pushes(x64):
+    """In the frame of the body the law is the same: Galilean invariance, and a node at rest is pushed and dragged."""
+    shift, v = np.array([0.7, 1.5, -0.2]), np.array([1.0, -2.0, 0.5])
+    moved = Pose(jnp.asarray(shift * DT), EYE)
+    still = contact(ground(), UNDER, v)
+    np.testing.assert_allclose(contact(ground(), UNDER, v + shift, REST, moved), still + shift, rtol=1e-12)
+    np.testing.assert_allclose(contact(ground(friction=9.0), UNDER, [0.0, 0, 0], REST, moved), shift, rtol=1e-12)
+
+
+def test_a_rotating_body_has_the_velocity_of_its_points(x64):
+    """A sphere that turns about z by omega: a sticking node at its surface moves with omega x r, up to omega^2 dt."""
+    omega, radius = 2.0, 0.3
+    c, s = np.cos(omega * DT), np.sin(omega * DT)
+    turned = Pose(ORIGIN, jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+    ball = Collider(shape=Sphere(radius=radius), offset=ORIGIN, rotation=EYE, friction=100.0)
+    got = contact(ball, [radius, 0.0, 0.0], [-1.0, 0.0, 0.0], REST, turned)
+    np.testing.assert_allclose(got, [0.0, omega * radius, 0.0], atol=1.1 * 0.5 * omega**2 * DT * radius)
+
+
+def test_offset_and_rotation_of_the_shape_in_its_body(x64):
+    """A ground turned by 90 degrees about z is a wall whose normal is -x; it travels with offset and body."""
+    turn = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    wall = ground(friction=0.0).replace(rotation=turn, offset=jnp.array([0.2, 0.0, 0.0]))
+    body = Pose(jnp.array([1.0, 0.0, 0.0]), EYE)
+    np.testing.assert_allclose(contact(wall, [1.3, 5.0, 0.0], [2.0, 1.0, 0.0], body, body), [0.0, 1.0, 0.0], atol=1e-14)
+    np.testing.assert_array_equal(contact(wall, [1.1, 5.0, 0.0], [2.0, 1.0, 0.0], body, body), [2.0, 1.0, 0.0])
+    # The whole body turned back: the ground is a ground again, and its offset turns with it.
+    body = Pose(jnp.array([0.0, 0.5, 0.0]), turn.T)
+    np.testing.assert_allclose(contact(wall, [0.0, 0.2, 0.0], [2.0, -1.0, 0.0], body, body), [2.0, 0.0, 0.0], atol=1e-14)
+    np.testing.assert_array_equal(contact(wall, [0.0, 0.4, 0.0], [2.0, -1.0, 0.0], body, body), [2.0, -1.0, 0.0])
+
+
+def test_derivatives_equal_finite_differences(x64, random_like, central_difference, relative_error):
+    """Of sliding, sticking, separating and fading nodes, with respect to everything at once."""
+    rng = np.random.default_rng(0)
+    q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    poses = Pose(jnp.array([[0.0, 0.0, 0.0], [1e-3, -2e-3, 0.0]]), jnp.asarray(np.stack([q, q + 1e-3])))
+    ball = Collider(shape=Sphere(radius=jnp.array(0.3)), offset=0.1 * jnp.ones(3), rotation=jnp.asarray(q), friction=jnp.array(0.4), softness=jnp.array(20.0))  # fmt: skip
+    nodes, velocity = jnp.asarray(rng.uniform(-0.4, 0.4, (64, 3))), jnp.asarray(rng.standard_normal((64, 3)))
+
+    def after(args):
+        ball, velocity, poses = args
+        before, behind = (jax.tree.map(lambda p, t=t: p[t], poses) for t in (0, 1))
+        return cp.join_vector(apply_collider(ball, cp.split_vector(nodes), cp.split_vector(velocity), before, behind, DT))
+
+    args = (ball, velocity, poses)
+    touched = np.any(after(args) != velocity, axis=1)
+    assert 8 < touched.sum() < 60
+    direction = random_like(1, args)
+    _, tangent = jax.jvp(after, (args,), (direction,))
+    assert relative_error(tangent, central_difference(after, args, direction, 1e-8)) < 1e-6
+    cotangent = random_like(2, tangent)
+    (gradient,) = jax.vjp(after, args)[1](cotangent)
+    reverse = sum(float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True))
+    np.testing.assert_allclose(reverse, float(jnp.vdot(cotangent, tangent)), rtol=1e-11)
+
+
+# --- Walls ------------------------------------------------------------------------------------------------------------
+
+OPEN = (None, None, None)
+
+
+def after_walls(walls, velocity, num=6, spacing=0.1):
+    """All nodes start with the same velocity."""
+    grid = Grid(shape=(num, num, num), spacing=spacing)
+    v = tuple(jnp.full(grid.shape, a) for a in velocity)
+    return np.stack(apply_walls(walls, grid, v), axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "friction", "into", "away"),
+    [
+        (WallKind.STICKY, 0.0, [0, 0, 0], [0, 0, 0]),
+        (WallKind.SLIP, 0.0, [3, 0, 4], [3, 0, 4]),
+        (WallKind.SEPARATING, 0.0, [3, 0, 4], [3, 2, 4]),
+        (WallKind.SEPARATING, 0.5, [3 * 0.8, 0, 4 * 0.8], [3, 2, 4]),
+        (WallKind.SEPARATING, 5.0, [0, 0, 0], [3, 2, 4]),
+        (WallKind.GRIPPING, 0.0, [0, 0, 0], [3, 2, 4]),
+    ],
+)
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_each_kind_of_wall(x64, kind, friction, into, away, side):
+    wall = (None, Wall(position=0.25, kind=kind, friction=friction), None)
+    walls = Walls(**({"lower": OPEN, "upper": OPEN} | {side: wall}))
+    sign = 1.0 if side == "lower" else -1.0
+    behind = np.arange(6) * 0.1 < 0.25 if side == "lower" else np.arange(6) * 0.1 > 0.25
+    for v, expected in (([3.0, -2.0 * sign, 4.0], into), ([3.0, 2.0 * sign, 4.0], away)):
+        got = after_walls(walls, v)
+        expected = np.array(expected) * [1, sign, 1]
+        np.testing.assert_allclose(got[:, behind], np.broadcast_to(expected, got[:, behind].shape), atol=1e-14)
+        np.testing.assert_array_equal(got[:, ~behind], np.broadcast_to(v, got[:, ~behind].shape))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_walls_stand_where_their_metres_say_at_every_resolution(axis):
+    """Changing the grid moves no wall: nodes strictly below 0.2 m are held, also where 0.2 m is a node."""
+    lower = tuple(Wall(position=0.2, kind=WallKind.STICKY) if a == axis else None for a in range(3))
+    for num, spacing in ((6, 0.1), (11, 0.05), (8, 0.07), (21, 0.025)):
+        held = np.all(after_walls(Walls(lower=lower, upper=OPEN), (1.0, 1.0, 1.0), num, spacing) == 0, axis=-1)
+        expected = np.arange(num) * spacing < 0.2 - 1e-9
+        np.testing.assert_array_equal(np.moveaxis(held, axis, 0), np.broadcast_to(expected[:, None, None], held.shape))
+
+
+def test_friction_of_a_wall_is_differentiable(x64):
+    def speed(friction):
+        wall = (None, Wall(position=0.25, friction=friction), None)
+        return jnp.sum(jnp.stack(apply_walls(Walls(lower=wall, upper=OPEN), Grid(shape=(4, 4, 4), spacing=0.1), velocity))[0])
+
+    velocity = tuple(jnp.full((4, 4, 4), a) for a in (3.0, -2.0, 4.0))
+    # 16 nodes in each of the 3 layers behind: u_x = 3 (1 - 2 mu / 5).
+    np.testing.assert_allclose(jax.grad(speed)(0.5), 48 * 3 * -2 / 5, rtol=1e-12)

@@ -1,0 +1,62 @@
+"""Particles in boxes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as hs
+
+from rewax.physics.sampling import fill_box, sample_box
+
+CENTER, SIZE = (0.5, -0.1, 2.0), (0.2, 0.4, 0.6)
+
+
+def test_random_points_are_uniform_in_the_box():
+    """Mean, variance and correlation of uniform coordinates, each within five standard errors."""
+    num = 20_000
+    x = np.asarray(sample_box(jax.random.key(0), CENTER, SIZE, num), np.float64)
+    unit = (x - CENTER) / SIZE
+    assert np.abs(unit).max() <= 0.5 + 1e-6
+    np.testing.assert_allclose(unit.mean(0), 0.0, atol=5 / np.sqrt(12 * num))
+    np.testing.assert_allclose(np.cov(unit.T), np.eye(3) / 12, atol=5 / (12 * np.sqrt(num)))
+    np.testing.assert_array_equal(x, np.asarray(sample_box(jax.random.key(0), CENTER, SIZE, num), np.float64))
+    assert np.all(x != np.asarray(sample_box(jax.random.key(1), CENTER, SIZE, num), np.float64))
+
+
+def test_random_points_move_and_stretch_with_the_box():
+    key = jax.random.key(2)
+
+    def mean(center, size):
+        return jnp.mean(sample_box(key, center, size, 50), axis=0)
+
+    args = jnp.array(CENTER), jnp.array(SIZE)
+    by_center, by_size = jax.jacobian(mean, (0, 1))(*args)
+    np.testing.assert_allclose(by_center, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(by_size, np.diag((mean(*args) - args[0]) / args[1]), atol=1e-5)
+
+
+@given(
+    center=hs.tuples(*[hs.floats(-1, 1)] * 3),
+    size=hs.tuples(*[hs.floats(0.05, 0.6)] * 3),
+    spacing=hs.floats(0.04, 0.3),
+)
+def test_lattice_is_symmetric_regular_and_fills_the_box(center, size, spacing):
+    x = fill_box(center, size, spacing)
+    counts = np.maximum(1, np.round(np.array(size) / spacing))
+    assert len(x) == np.prod(counts)
+    from_center = x - center
+    mirrored = -from_center[::-1]
+    np.testing.assert_allclose(from_center, mirrored, atol=1e-14)
+    for axis in range(3):
+        levels = np.unique(np.round(x[:, axis], 12))
+        assert len(levels) == counts[axis]
+        pitch = size[axis] / counts[axis]
+        np.testing.assert_allclose(np.diff(levels), pitch, rtol=1e-9)
+        np.testing.assert_allclose(levels[0] - (center[axis] - size[axis] / 2), pitch / 2, atol=1e-11)
+
+
+@pytest.mark.parametrize(("size", "spacing", "name"), [(SIZE, 0.0, "spacing"), (SIZE, -1.0, "spacing"), ((1, 0, 1), 0.1, "size")])
+def test_what_is_not_positive_is_refused(size, spacing, name):
+    with pytest.raises(ValueError, match=f"{name} is .* must be positive"):
+        fill_box(CENTER, size, spacing)
