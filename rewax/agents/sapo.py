@@ -220,7 +220,7 @@ def _init(parts: _Parts, key: Key) -> SAPOState:
     statistics = init_statistics(env.observation_spec)
     if config.normalize_observations:
         statistics = update_statistics(statistics, env_state.obs)
-    return SAPOState(
+    state = SAPOState(
         actor_params=actor_params,
         critic_params=critic_params,
         log_temperature=log_temperature,
@@ -234,6 +234,12 @@ def _init(parts: _Parts, key: Key) -> SAPOState:
         iteration=jnp.zeros((), jnp.int32),
         env_steps=jnp.zeros((), jnp.int32),
     )
+    # Python scalars leave weak types behind, with which train_step would be compiled once more for its own output.
+    return jax.tree.map(_strongly_typed, state)
+
+
+def _strongly_typed(a: Array) -> Array:
+    return jax.lax.convert_element_type(a, a.dtype) if jnp.issubdtype(a.dtype, jnp.number) else a
 
 
 def _train_step(parts: _Parts, state: SAPOState) -> tuple[SAPOState, Metrics]:

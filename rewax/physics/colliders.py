@@ -86,7 +86,7 @@ class Walls:
 
 
 def apply_collider(
-    collider: Collider, nodes: Vec3, velocity: Vec3, before: Pose, after: Pose, dt: float
+    collider: Collider, basis: Array, velocity: Vec3, before: Pose, after: Pose, dt: float
 ) -> Vec3:
     """Node velocities after contact with one moving shape.
 
@@ -96,7 +96,7 @@ def apply_collider(
 
     Args:
       collider: the shape.
-      nodes: node positions [m], components that broadcast against velocity.
+      basis: (x, y, z, 1) of every node [m], shape (4, num_nodes), from ``node_basis``.
       velocity: node velocities [m/s].
       before, after: pose of the collider's body at the beginning and end of the substep, shapes (3,), (3, 3).
       dt: duration of the substep [s].
@@ -106,17 +106,18 @@ def apply_collider(
     Source: Huang et al. 2021, PlasticineLab, appendix; the law used by Rewarped.
     """
     start, end = _shape_pose(collider, before), _shape_pose(collider, after)
-    from_origin = cp.vector(lambda i: nodes[i] - start.position[i])
-    rotation = cp.split_matrix(start.rotation)
-    local = cp.matvec(cp.transpose(rotation), from_origin)
-    distance, local_normal = signed_distance_components(collider.shape, local)
-    normal = cp.matvec(rotation, local_normal)
+    # Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
+    to_local = _affine_map(start.rotation.T, -jnp.matmul(start.rotation.T, start.position, precision="highest"))
+    turn = jnp.matmul((end.rotation - start.rotation) / dt, start.rotation.T, precision="highest")
+    shift = (end.position - start.position) / dt - jnp.matmul(turn, start.position, precision="highest")
+    mapped = jnp.matmul(jnp.concatenate([to_local, _affine_map(turn, shift)]), basis, precision="highest")
+    shape = velocity[0].shape
+    lx, ly, lz, bx, by, bz = materialize([a.reshape(shape) for a in jax.lax.split(mapped, (1,) * 6, axis=0)])
+    distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     influence = jnp.minimum(jnp.exp(-collider.softness * distance), 1.0)
-    turned = cp.matvec(cp.split_matrix((end.rotation - start.rotation) / dt), local)
-    shift = (end.position - start.position) / dt
-    body = cp.vector(lambda i: shift[i] + turned[i])
-    # Without barriers XLA recomputes distance and normal in each of the loops below.
-
+    normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
+    normal = materialize(normal)
+    body = (bx, by, bz)
     relative = cp.subtract(velocity, body)
     approach = jnp.minimum(cp.dot(relative, normal), 0.0)
     tangential = cp.vector(lambda i: relative[i] - approach * normal[i])
@@ -129,6 +130,17 @@ def apply_collider(
         return jnp.where(active, body[i] + (1.0 - influence) * u + influence * u_t, velocity[i])
 
     return cp.vector(after_contact)
+
+
+def _affine_map(matrix: Array, offset: Array) -> Array:
+    """Rows that take (x, y, z, 1) to matrix (x, y, z) + offset, shape (3, 4)."""
+    return jnp.concatenate([matrix, offset[:, None]], axis=1)
+
+
+def node_basis(grid: Grid, dtype) -> Array:
+    """(x, y, z, 1) of every node [m], shape (4, num_nodes)."""
+    x, y, z = (jnp.broadcast_to(a, grid.shape).reshape(-1) for a in node_positions(grid, dtype))
+    return jnp.stack([x, y, z, jnp.ones_like(x)])
 
 
 def _friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.physics import components as cp
-from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply_walls, node_positions
+from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply_walls, node_basis
 from rewax.physics.materialize import materialize
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
@@ -253,10 +253,10 @@ def grid_velocity(scene: MPMScene, fields: GridFields, before: Pose, after: Pose
     has_mass = fields.mass > MIN_NODE_MASS
     inverse = jnp.where(has_mass, 1.0 / jnp.where(has_mass, fields.mass, 1.0), 0.0)
     velocity = cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
-    nodes = node_positions(scene.grid, velocity[0].dtype) if scene.colliders else velocity
+    basis = node_basis(scene.grid, velocity[0].dtype)
     for collider in scene.colliders:
         pose = (Pose(p.position[collider.body], p.rotation[collider.body]) for p in (before, after))
-        velocity = apply_collider(collider, nodes, velocity, *pose, scene.dt)
+        velocity = apply_collider(collider, basis, velocity, *pose, scene.dt)
     velocity = apply_walls(scene.walls, scene.grid, velocity)
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 

@@ -13,7 +13,7 @@ environments and particles into one long particle axis over one long node axis, 
 """
 
 import functools
-import itertools
+import math
 from typing import NamedTuple
 
 import jax
@@ -21,18 +21,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics import components as cp
-from rewax.physics.materialize import materialize
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
-from rewax.physics.kernels import Stencil, quadratic_bspline
+from rewax.physics.kernels import quadratic_bspline
 from rewax.physics.linear_pass import Arrays, linear_pass
+from rewax.physics.materialize import materialize
 from rewax.types import Array
 
 _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _SCATTER_WINDOWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1,), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
-_GATHER_WINDOWS = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
+_GATHER_WINDOWS = jax.lax.GatherDimensionNumbers(offset_dims=(0,), collapsed_slice_dims=(), start_index_map=(0,))
 
 
 class GridFields(NamedTuple):
@@ -44,9 +44,24 @@ class GridFields(NamedTuple):
     """Node momentum [kg m/s]."""
 
 
+class _Axis(NamedTuple):
+    """``Stencil`` along one axis with its three nodes stacked, arrays (3, particles)."""
+
+    weights: Array
+    slopes: Array
+    offsets: Array
+
+
 class _Stencils(NamedTuple):
+    """Where all particles of all copies of the grid meet the nodes."""
+
     base: Array
-    axes: tuple[Stencil, Stencil, Stencil]
+    """Flat index of each particle's lowest node, shape (particles,)."""
+    axes: tuple[_Axis, ...]
+    batch: tuple[int, ...]
+    """Shape of the particle arrays before flattening."""
+    num_copies: int
+    """Product of the batch axes before the particles."""
 
 
 class _Affine(NamedTuple):
@@ -110,7 +125,7 @@ def _spread(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
 def _gather_moments(grid: Grid, residuals: Arrays, cotangents: Arrays) -> Arrays:
     """Transpose of ``_spread``: (sum w g_mass, sum w g, sum w g d^T)."""
     st = _stencils(grid, residuals[:3])
-    q, B, _ = _gather(grid, st, cotangents, None)
+    q, B = _gather(grid, st, cotangents)
     return (*q, *_flat(B))
 
 
@@ -126,7 +141,7 @@ def _spread_tangent(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
 def _spread_tangent_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays) -> Arrays:
     st = _stencils(grid, residuals[:3])
     mass, p, A = residuals[3], residuals[4:7], _as_matrix(residuals[7:])
-    q, B, X = _gather(grid, st, cotangents, (mass, p, A))
+    q, B, X = _gather_both(grid, st, cotangents, _affine((mass, *p), A))
     dx = cp.subtract(X, cp.matvec(cp.transpose(A), q[1:]))
     return (*dx, *q, *_flat(B))
 
@@ -134,7 +149,7 @@ def _spread_tangent_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays)
 def _interpolate(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
     """(sum w g, sum w g d^T) of node velocities g. residuals: x; linear: velocity."""
     st = _stencils(grid, residuals[:3])
-    q, B, _ = _gather(grid, st, linear, None)
+    q, B = _gather(grid, st, linear)
     return (*q, *_flat(B))
 
 
@@ -149,7 +164,7 @@ def _interpolate_tangent(grid: Grid, residuals: Arrays, linear: Arrays) -> Array
     x, g, v = residuals[:3], residuals[3:6], residuals[6:9]
     dx, dg = linear[:3], linear[3:]
     st = _stencils(grid, x)
-    q, B, _ = _gather(grid, st, dg, None)
+    q, B = _gather(grid, st, dg)
     slope_q, slope_B = _gather_slope(grid, st, g, dx)
     dv = cp.add(q, slope_q)
     dB = cp.matrix(lambda i, j: B[i][j] + slope_B[i][j] - v[i] * dx[j])
@@ -160,7 +175,7 @@ def _interpolate_tangent_transpose(grid: Grid, residuals: Arrays, cotangents: Ar
     x, g, v = residuals[:3], residuals[3:6], residuals[6:9]
     vbar, Bbar = cotangents[:3], _as_matrix(cotangents[3:])
     st = _stencils(grid, x)
-    _, _, X = _gather(grid, st, g, (None, vbar, Bbar), moments=False)
+    X = _gather_work(grid, st, g, _affine(vbar, Bbar))
     dx = cp.subtract(X, cp.matvec(cp.transpose(Bbar), v))
     return (*dx, *_interpolate_transpose(grid, x, cotangents))
 
@@ -201,15 +216,18 @@ def _flat(a: Mat3) -> Arrays:
 
 def _stencils(grid: Grid, x: Arrays) -> _Stencils:
     """Stencils of all particles, flat index of the lowest node of each; batch axes are flattened away."""
-    axes = tuple(
-        quadratic_bspline(x[a], origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a]) for a in cp.AXES
-    )
-    base = sum(st.base * stride for st, stride in zip(axes, grid.strides, strict=True))
-    batch = x[0].shape[:-1]
-    if batch:
-        env = np.arange(np.prod(batch), dtype=np.int32).reshape(*batch, 1) * grid.num_nodes
-        base = base + env
-    return _Stencils(base.reshape(-1), axes)  # type: ignore[arg-type]
+    batch = x[0].shape
+    axes, base = [], jnp.zeros((), jnp.int32)
+    for a in cp.AXES:
+        st = quadratic_bspline(
+            x[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a]
+        )
+        base = base + st.base * grid.strides[a]
+        axes.append(_Axis(jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)))
+    copies = math.prod(batch[:-1])
+    if copies > 1:
+        base = base + np.repeat(np.arange(copies, dtype=np.int32) * grid.num_nodes, batch[-1])
+    return _Stencils(base, tuple(materialize(axes)), batch, copies)
 
 
 def _affine(value: Arrays, matrix: Mat3) -> _Affine:
@@ -229,102 +247,143 @@ def _scatter(grid: Grid, st: _Stencils, field: _Affine, moved: tuple[Arrays, _Af
 
     ``moved = (dx, other)`` adds the change of the weights, (grad w . dx) (other.value + other.slope . d).
     """
-    sx, sy, sz = st.axes
-    shape, count = sx.base.shape, field.value.shape[0]
-    x_axis, y_axis = _flatten(sx), _flatten(sy)
-    wz, mz, dz = _stack(sz.weights), _stack(sz.slopes), _stack(sz.offsets)
+    count = field.value.shape[0]
+    x_axis, y_axis, z_axis = st.axes
+    num_values = grid.num_nodes * st.num_copies * count
+    change = None if moved is None else [a.reshape(-1) for a in moved[0]]
 
-    def window(f: _Affine, i: int, j: int) -> Array:
-        plane = f.value + f.slope[0] * x_axis.offsets[i] + f.slope[1] * y_axis.offsets[j]
-        return plane[None] + dz[:, None] * f.slope[2][None]
+    def window(f: _Affine, x: _Axis, y: _Axis) -> Array:
+        plane = f.value + f.slope[0] * x.offsets + f.slope[1] * y.offsets
+        return plane[None] + z_axis.offsets[:, None] * f.slope[2][None]
 
-    num_values = grid.num_nodes * int(np.prod(shape[:-1])) * count
-    nodes = jnp.zeros((num_values,), field.value.dtype)
-    for i, j in itertools.product(cp.AXES, repeat=2):
-        wx, wy = x_axis.weights[i], y_axis.weights[j]
-        updates = (wx * wy * wz)[:, None] * window(field, i, j)
-        if moved is not None:
-            dx, dy, dzz = (a.reshape(-1) for a in moved[0])
-            slope = (dx * x_axis.slopes[i] * wy + dy * wx * y_axis.slopes[j]) * wz + dzz * wx * wy * mz
-            updates = updates + slope[:, None] * window(moved[1], i, j)
+    def add(n: Array, nodes: Array) -> Array:
+        i, j = n // 3, n % 3
+        x, y = _node(x_axis, i), _node(y_axis, j)
+        updates = (x.weights * y.weights * z_axis.weights)[:, None] * window(field, x, y)
+        if moved is not None and change is not None:
+            across = change[0] * x.slopes * y.weights + change[1] * x.weights * y.slopes
+            slope = across * z_axis.weights + change[2] * x.weights * y.weights * z_axis.slopes
+            updates = updates + slope[:, None] * window(moved[1], x, y)
         updates = materialize(updates).reshape(3 * count, -1).T
-        start = (st.base + int(np.dot((i, j, 0), grid.strides))) * count
-        nodes = jax.lax.scatter_add(nodes, start[:, None], updates, _SCATTER_WINDOWS, mode=_IN_BOUNDS)
-    fields = nodes.reshape(-1, count).T.reshape(count, *shape[:-1], *grid.shape)
+        start = (st.base + i * grid.strides[0] + j * grid.strides[1]) * count
+        return jax.lax.scatter_add(nodes, start[:, None], updates, _SCATTER_WINDOWS, mode=_IN_BOUNDS)
+
+    nodes = jax.lax.fori_loop(0, 9, add, jnp.zeros((num_values,), field.value.dtype))
+    fields = nodes.reshape(-1, count).T.reshape(count, *st.batch[:-1], *grid.shape)
     return tuple(fields[c] for c in range(count))
 
 
-def _flatten(stencil: Stencil) -> Stencil:
-    return jax.tree.map(lambda a: a.reshape(-1), stencil)
+def _node(axis: _Axis, i: Array) -> _Axis:
+    """One of the three nodes along an axis, arrays (particles,), stored: a slice inside a fusion is not vectorised."""
+    return materialize(_Axis(axis.weights[i], axis.slopes[i], axis.offsets[i]))
 
 
-def _windows(grid: Grid, st: _Stencils, fields: Arrays):
-    """Values of all fields at three neighbouring nodes along z: for each (i, j) a list over k of field tuples."""
-    shape, count = st.axes[0].base.shape, len(fields)
-    rows = jnp.stack(materialize(fields), axis=-1).reshape(-1)
-    for i, j in itertools.product(cp.AXES, repeat=2):
-        start = (st.base + int(np.dot((i, j, 0), grid.strides))) * count
-        window = jax.lax.gather(rows, start[:, None], _GATHER_WINDOWS, (3 * count,), mode=_IN_BOUNDS)
-        columns = window.T.reshape(3, count, *shape)
-        yield i, j, [tuple(columns[k, c] for c in range(count)) for k in cp.AXES]
+class _Moments(NamedTuple):
+    """Sums over the stencil of node values g."""
+
+    total: Array
+    """sum w g, shape (num_fields, particles)."""
+    first: tuple[Array, Array, Array]
+    """sum w g d by component of d, each (3, particles), of the last three fields."""
 
 
-def _gather(grid: Grid, st: _Stencils, fields: Arrays, source, *, moments: bool = True):
-    """Sums over the stencil of node values g (one, three or four fields; of four the first is a mass).
-
-    Args:
-      source: None, or (mass or None, p, A): then also X = sum grad w (g . (mass, p + A d)).
-      moments: whether q = sum w g and B = sum w g d^T are wanted.
-
-    Returns:
-      q: tuple over fields; B: Mat3 over the last three fields; X: Vec3 (zeros stand for what was not asked).
-    """
-    sx, sy, sz = st.axes
+def _windows(grid: Grid, st: _Stencils, fields: Arrays, add, init):
+    """Fold ``add(x, y, g, carry)`` over the 9 windows; g: three arrays (num_fields, particles), nodes along z."""
     count = len(fields)
-    first = count - 3
-    zero = jnp.zeros_like(sx.weights[0])
-    q = [zero] * count
-    B = [[zero] * 3 for _ in cp.AXES]
-    X = [zero] * 3
-    for i, j, g in _windows(grid, st, fields):
-        wij = sx.weights[i] * sy.weights[j]
-        if moments:
-            wd = [w * d for w, d in zip(sz.weights, sz.offsets, strict=True)]
-            a = [sum(sz.weights[k] * g[k][c] for k in cp.AXES) for c in range(count)]
-            for c in range(count):
-                q[c] = q[c] + wij * a[c]
-            for c in cp.AXES:
-                b = wd[0] * g[0][first + c] + wd[1] * g[1][first + c] + wd[2] * g[2][first + c]
-                B[c][0] = B[c][0] + (wij * sx.offsets[i]) * a[first + c]
-                B[c][1] = B[c][1] + (wij * sy.offsets[j]) * a[first + c]
-                B[c][2] = B[c][2] + wij * b
-        if source is not None:
-            mass, p, A = source
-            s = [p[c] + A[c][0] * sx.offsets[i] + A[c][1] * sy.offsets[j] for c in cp.AXES]
-            work = []
-            for k in cp.AXES:
-                e = sum(g[k][first + c] * (s[c] + A[c][2] * sz.offsets[k]) for c in cp.AXES)
-                work.append(e if mass is None else e + mass * g[k][0])
-            along = sum(sz.weights[k] * work[k] for k in cp.AXES)
-            X[0] = X[0] + sx.slopes[i] * sy.weights[j] * along
-            X[1] = X[1] + sx.weights[i] * sy.slopes[j] * along
-            X[2] = X[2] + wij * sum(sz.slopes[k] * work[k] for k in cp.AXES)
-    return tuple(q), tuple(tuple(r) for r in B), tuple(X)
+    rows = jnp.stack(materialize(fields), axis=-1).reshape(-1)
+
+    def body(n: Array, carry):
+        i, j = n // 3, n % 3
+        start = (st.base + i * grid.strides[0] + j * grid.strides[1]) * count
+        window = jax.lax.gather(rows, start[:, None], _GATHER_WINDOWS, (3 * count,), mode=_IN_BOUNDS)
+        columns = window.reshape(3, count, -1)
+        x, y = _node(st.axes[0], i), _node(st.axes[1], j)
+        return add(x, y, (columns[0], columns[1], columns[2]), carry)
+
+    return jax.lax.fori_loop(0, 9, body, init)
 
 
-def _gather_slope(grid: Grid, st: _Stencils, fields: Arrays, dx: Arrays) -> tuple[Vec3, Mat3]:
+def _gather(grid: Grid, st: _Stencils, fields: Arrays) -> tuple[Arrays, Mat3]:
+    """q = sum w g of all fields, B = sum w g d^T of the last three (a mass may come before them)."""
+    moments = _windows(grid, st, fields, functools.partial(_add_moments, st), _zero_moments(st, fields))
+    return _unpack_moments(st, moments)
+
+
+def _gather_work(grid: Grid, st: _Stencils, fields: Arrays, source: _Affine) -> Vec3:
+    """X = sum grad w (g . (value + slope . d)): how the work done on the nodes changes with the particle's position."""
+    X = _windows(grid, st, fields, functools.partial(_add_work, st, source), _zero_work(st, fields))
+    return cp.vector(lambda a: X[a].reshape(st.batch))
+
+
+def _gather_both(grid: Grid, st: _Stencils, fields: Arrays, source: _Affine) -> tuple[Arrays, Mat3, Vec3]:
+    """``_gather`` and ``_gather_work`` in one pass."""
+
+    def add(x: _Axis, y: _Axis, g, carry):
+        return _add_moments(st, x, y, g, carry[0]), _add_work(st, source, x, y, g, carry[1])
+
+    moments, X = _windows(grid, st, fields, add, (_zero_moments(st, fields), _zero_work(st, fields)))
+    q, B = _unpack_moments(st, moments)
+    return q, B, cp.vector(lambda a: X[a].reshape(st.batch))
+
+
+def _add_moments(st: _Stencils, x: _Axis, y: _Axis, g, m: _Moments) -> _Moments:
+    z_axis = st.axes[2]
+    skip = g[0].shape[0] - 3
+    wz, wdz = z_axis.weights, z_axis.weights * z_axis.offsets
+    wij = x.weights * y.weights
+    a = wij * (wz[0] * g[0] + wz[1] * g[1] + wz[2] * g[2])
+    b = wij * (wdz[0] * g[0] + wdz[1] * g[1] + wdz[2] * g[2])[skip:]
+    bx, by, bz = m.first
+    return _Moments(m.total + a, (bx + x.offsets * a[skip:], by + y.offsets * a[skip:], bz + b))
+
+
+def _add_work(st: _Stencils, source: _Affine, x: _Axis, y: _Axis, g, X: Vec3) -> Vec3:
+    z_axis = st.axes[2]
+    plane = source.value + source.slope[0] * x.offsets + source.slope[1] * y.offsets
+    work = []
+    for k in cp.AXES:
+        terms = g[k] * (plane + source.slope[2] * z_axis.offsets[k])
+        work.append(sum(terms[c] for c in range(terms.shape[0])))
+    work = materialize(work)
+    along = z_axis.weights[0] * work[0] + z_axis.weights[1] * work[1] + z_axis.weights[2] * work[2]
+    across = z_axis.slopes[0] * work[0] + z_axis.slopes[1] * work[1] + z_axis.slopes[2] * work[2]
+    return (
+        X[0] + x.slopes * y.weights * along,
+        X[1] + x.weights * y.slopes * along,
+        X[2] + x.weights * y.weights * across,
+    )
+
+
+def _zero_moments(st: _Stencils, fields: Arrays) -> _Moments:
+    zeros = jnp.zeros((len(fields), st.base.shape[0]), fields[0].dtype)
+    return _Moments(zeros, (zeros[:3],) * 3)
+
+
+def _zero_work(st: _Stencils, fields: Arrays) -> Vec3:
+    zeros = jnp.zeros(st.base.shape, fields[0].dtype)
+    return (zeros, zeros, zeros)
+
+
+def _unpack_moments(st: _Stencils, m: _Moments) -> tuple[Arrays, Mat3]:
+    return _unstack(st, m.total), cp.matrix(lambda c, a: m.first[a][c].reshape(st.batch))
+
+
+def _gather_slope(grid: Grid, st: _Stencils, fields: Arrays, dx: Arrays) -> tuple[Arrays, Mat3]:
     """(sum (grad w . dx) g, sum (grad w . dx) g d^T) of three fields: only forward mode needs it."""
-    sx, sy, sz = st.axes
-    zero = jnp.zeros_like(sx.weights[0])
-    q = [zero] * 3
-    B = [[zero] * 3 for _ in cp.AXES]
-    for i, j, g in _windows(grid, st, fields):
-        for k in cp.AXES:
-            wx, wy, wz = sx.weights[i], sy.weights[j], sz.weights[k]
-            slope = dx[0] * sx.slopes[i] * wy * wz + dx[1] * wx * sy.slopes[j] * wz + dx[2] * wx * wy * sz.slopes[k]
-            d = (sx.offsets[i], sy.offsets[j], sz.offsets[k])
-            for c in cp.AXES:
-                q[c] = q[c] + slope * g[k][c]
-                for a in cp.AXES:
-                    B[c][a] = B[c][a] + slope * g[k][c] * d[a]
-    return tuple(q), tuple(tuple(r) for r in B)  # type: ignore[return-value]
+    z_axis = st.axes[2]
+    change = [a.reshape(-1) for a in dx]
+
+    def add(x: _Axis, y: _Axis, g, m: _Moments) -> _Moments:
+        across = change[0] * x.slopes * y.weights + change[1] * x.weights * y.slopes
+        slope = across * z_axis.weights + change[2] * x.weights * y.weights * z_axis.slopes
+        a = slope[0] * g[0] + slope[1] * g[1] + slope[2] * g[2]
+        moved = slope * z_axis.offsets
+        b = moved[0] * g[0] + moved[1] * g[1] + moved[2] * g[2]
+        bx, by, bz = m.first
+        return _Moments(m.total + a, (bx + x.offsets * a, by + y.offsets * a, bz + b))
+
+    return _unpack_moments(st, _windows(grid, st, fields, add, _zero_moments(st, fields)))
+
+
+def _unstack(st: _Stencils, a: Array) -> Arrays:
+    return tuple(a[c].reshape(st.batch) for c in range(a.shape[0]))
