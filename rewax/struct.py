@@ -5,7 +5,7 @@ State and parameters of rewax are frozen, keyword-only dataclasses registered as
 structure (hashed and compared, a change recompiles).
 """
 
-from typing import Any, TypeVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, Self, TypeVar, dataclass_transform
 
 import flax.struct
 from flax.struct import field
@@ -24,4 +24,14 @@ def dataclass(cls: type[T]) -> type[T]:
     return flax.struct.dataclass(cls, kw_only=True)
 
 
-__all__ = ["dataclass", "field", "static_field"]
+class Replaceable:
+    """Base that tells type checkers of the method which ``dataclass`` adds."""
+
+    if TYPE_CHECKING:
+
+        def replace(self, **changes: Any) -> Self:
+            """A copy with some fields changed."""
+            ...
+
+
+__all__ = ["Replaceable", "dataclass", "field", "static_field"]

@@ -10,7 +10,7 @@ gradient is not finite is left out and counted.
 """
 
 import dataclasses
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -188,7 +188,7 @@ def _make_parts(env: Env, config: SAPOConfig) -> _Parts:
 
     def falling(learning_rate: float, updates_per_iteration: int) -> optax.Schedule:
         schedule = optax.linear_schedule(learning_rate, config.final_learning_rate, config.num_iterations)
-        return lambda count: schedule(count // updates_per_iteration)
+        return lambda count: schedule(jnp.asarray(count) // updates_per_iteration)
 
     return _Parts(
         env=AutoReset(env=env),
@@ -298,8 +298,14 @@ def _train_step(parts: _Parts, state: SAPOState) -> tuple[SAPOState, Metrics]:
 def _action_distribution(
     parts: _Parts, actor_params: PyTree, statistics: RunningStatistics, obs: Observation
 ) -> TanhNormal:
-    mean, log_std = parts.actor.apply(actor_params, normalize(statistics, obs))
-    return TanhNormal(mean=mean, log_std=log_std)
+    out: Any = parts.actor.apply(actor_params, normalize(statistics, obs))
+    return TanhNormal(mean=out[0], log_std=out[1])
+
+
+def _values(parts: _Parts, critic_params: PyTree, normalized_obs: Observation) -> Array:
+    """By all critics, for observations with one leading axis, shape (T, num_critics)."""
+    out: Any = jax.vmap(lambda obs: parts.critics.apply(critic_params, obs))(normalized_obs)
+    return out
 
 
 def _normalized_entropy(parts: _Parts, entropy: Array) -> Array:
@@ -324,9 +330,7 @@ def _actor_loss(
     final_state, transitions = rollout(
         parts.env, env_state, policy, key, horizon=config.horizon, differentiate=config.differentiate
     )
-    next_values = jax.vmap(lambda obs: parts.critics.apply(state.critic_params, normalize(state.statistics, obs)))(
-        transitions.next_obs
-    )
+    next_values = _values(parts, state.critic_params, normalize(state.statistics, transitions.next_obs))
     reward = transitions.reward
     if config.entropy_in_return:
         reward = reward + jnp.exp(state.log_temperature) * _normalized_entropy(parts, transitions.extras["entropy"])
@@ -348,7 +352,7 @@ def _mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
     return jax.tree.map(mean, grads), kept
 
 
-def _update_temperature(parts: _Parts, state: SAPOState, entropy: Array) -> tuple[Array, PyTree]:
+def _update_temperature(parts: _Parts, state: SAPOState, entropy: Array) -> tuple[Any, PyTree]:
     """One step towards the target entropy; entropy: mean over each environment's stretch, shape (envs,)."""
     if not parts.config.learn_temperature:
         return state.log_temperature, state.temperature_opt
@@ -385,8 +389,7 @@ def _update_critics(
     batches = jax.tree.map(minibatches, (obs, targets))
 
     def loss(params: PyTree, obs: Observation, target: Array) -> Array:
-        values = jax.vmap(lambda o: parts.critics.apply(params, o))(obs)
-        return jnp.mean((values - target[:, None]) ** 2)
+        return jnp.mean((_values(parts, params, obs) - target[:, None]) ** 2)
 
     def update(carry: tuple[PyTree, PyTree], batch: tuple[Observation, Array]):
         params, opt = carry

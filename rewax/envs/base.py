@@ -13,7 +13,7 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @struct.dataclass
-class State:
+class State(struct.Replaceable):
     """One environment between two control steps.
 
     Attributes:
@@ -143,7 +143,7 @@ def next_state(
 
     step_count = state.step_count + 1
     terminated = jnp.asarray(terminated) | failed
-    return state.replace(  # type: ignore[attr-defined]
+    return state.replace(
         physics=keep(physics, state.physics),
         obs=keep(dict(obs), dict(state.obs)),
         reward=jnp.where(failed, 0.0, reward),

@@ -41,7 +41,7 @@ class RollingFlatPhysics:
 
 
 @struct.dataclass
-class RollingFlat:
+class RollingFlat(struct.Replaceable):
     """The environment; build it with ``rewax.make("RollingFlat", scale=...)``.
 
     Every array is a leaf: differentiate with respect to it or vmap over it.
@@ -143,16 +143,19 @@ class RollingFlat:
     def render_shapes(self, physics: RollingFlatPhysics) -> list[dict[str, Any]]:
         """Pin parts for pictures: kind, centre [m], radius [m], half_length [m], direction of the axis."""
         pose = jax.tree.map(lambda a: a[0, 0], self._pin_poses(physics.joint_q[None]))
-        return [
-            {
-                "kind": "capsule",
-                "centre": pose.position + pose.rotation @ collider.offset,
-                "radius": collider.shape.radius,
-                "half_length": collider.shape.half_length,
-                "direction": pose.rotation @ collider.rotation[:, 1],
-            }
-            for collider in self.scene.colliders
-        ]
+        shapes = []
+        for collider in self.scene.colliders:
+            assert isinstance(collider.shape, Capsule)
+            shapes.append(
+                {
+                    "kind": "capsule",
+                    "centre": pose.position + pose.rotation @ collider.offset,
+                    "radius": collider.shape.radius,
+                    "half_length": collider.shape.half_length,
+                    "direction": pose.rotation @ collider.rotation[:, 1],
+                }
+            )
+        return shapes
 
     def _pin_poses(self, joint_q: Array) -> Pose:
         """joint_q (T, 3) -> poses of the one body, shapes (T, 1, 3) and (T, 1, 3, 3)."""

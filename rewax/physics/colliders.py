@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics import components as cp
-from rewax.physics.materialize import materialize
 from rewax.physics.components import Vec3
 from rewax.physics.grid import Grid
+from rewax.physics.materialize import materialize
 from rewax.physics.sdf import Shape, signed_distance_components
 from rewax.types import Array, Scalar
 
@@ -85,9 +85,7 @@ class Walls:
     upper: tuple[Wall | None, Wall | None, Wall | None]
 
 
-def apply_collider(
-    collider: Collider, basis: Array, velocity: Vec3, before: Pose, after: Pose, dt: float
-) -> Vec3:
+def apply_collider(collider: Collider, basis: Array, velocity: Vec3, before: Pose, after: Pose, dt: float) -> Vec3:
     """Node velocities after contact with one moving shape.
 
     With d and n the signed distance and normal at a node, v_b the velocity of the body's material point there and
@@ -211,6 +209,4 @@ def _apply_wall(wall: Wall, axis: int, inward: float, behind: Array, velocity: V
     zero = jnp.zeros_like(normal_velocity)
     tangential = cp.vector(lambda i: zero if i == axis else velocity[i])
     factor = _friction_factor(tangential, jnp.minimum(normal_velocity, 0.0), wall.friction)
-    return cp.vector(
-        lambda i: jnp.where(approaches, 0.0 if i == axis else velocity[i] * factor, velocity[i])
-    )
+    return cp.vector(lambda i: jnp.where(approaches, 0.0 if i == axis else velocity[i] * factor, velocity[i]))

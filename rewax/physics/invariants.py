@@ -32,7 +32,9 @@ def momentum(scene: MPMScene, state: MPMState) -> Array:
     return jnp.sum(_particle_mass(scene, state)[:, None] * state.v, axis=0)
 
 
-def angular_momentum(scene: MPMScene, state: MPMState, about: Array | tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
+def angular_momentum(
+    scene: MPMScene, state: MPMState, about: Array | tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Array:
     """Angular momentum of all particles [kg m^2/s], shape (3,): sum m r x v + m dx^2/4 axial(C).
 
     Constant without gravity, colliders and walls. axial(C)_i = epsilon_ijk C_kj: twice the angular velocity of a rigid

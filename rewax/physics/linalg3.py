@@ -16,7 +16,6 @@ import jax.numpy as jnp
 
 from rewax.physics import components as cp
 from rewax.physics.components import AXES, Mat3, Vec3
-from rewax.physics.materialize import materialize
 from rewax.types import Array
 
 SpectralFunction = Callable[[Vec3, Any], tuple[Vec3, ...]]
@@ -37,38 +36,40 @@ def eigh_components(a: Mat3) -> tuple[Vec3, Mat3]:
     Source: Golub and Van Loan, Matrix Computations, 8.5.
     """
     a = jax.lax.stop_gradient(a)
-    s = [list(row) for row in a]
-    one, zero = jnp.ones_like(s[0][0]), jnp.zeros_like(s[0][0])
-    u = [[one if i == j else zero for j in AXES] for i in AXES]
-    tiny = float(jnp.finfo(one.dtype).tiny)
-    for sweep in range(_num_sweeps(one.dtype)):
-        if sweep:
-            s, u = materialize((s, u))
-        for p, q in _ROTATIONS:
-            r = 3 - p - q
-            difference = s[q][q] - s[p][p]
-            twice = 2.0 * s[p][q]
-            # The maximum is for squares that underflow: without it t explodes and mixes equal eigenvalues.
-            root = jnp.maximum(jnp.sqrt(difference * difference + twice * twice), jnp.abs(twice))
-            scale = jnp.abs(difference) + root
-            t = twice * jnp.where(difference >= 0, 1.0, -1.0) / (scale + tiny)
-            cosine = jax.lax.rsqrt(1.0 + t * t)
-            sine = t * cosine
-            s[p][p], s[q][q] = s[p][p] - t * s[p][q], s[q][q] + t * s[p][q]
-            s[p][q] = s[q][p] = zero
-            rp, rq = s[r][p], s[r][q]
-            s[r][p] = s[p][r] = cosine * rp - sine * rq
-            s[r][q] = s[q][r] = sine * rp + cosine * rq
-            for row in u:
-                row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
-    return (s[0][0], s[1][1], s[2][2]), cp.matrix(lambda i, j: u[i][j])
+    one, zero = jnp.ones_like(a[0][0]), jnp.zeros_like(a[0][0])
+    # A loop, not unrolled: it compiles faster, and XLA cannot recompute one sweep inside the next.
+    s, u = jax.lax.fori_loop(
+        0, _num_sweeps(one.dtype), lambda _, carry: _sweep(*carry), (a, cp.matrix(lambda i, j: one if i == j else zero))
+    )
+    return (s[0][0], s[1][1], s[2][2]), u
+
+
+def _sweep(a: Mat3, eigenvectors: Mat3) -> tuple[Mat3, Mat3]:
+    """One cyclic sweep of three Jacobi rotations of a symmetric matrix, and of the eigenvectors gathered so far."""
+    s, u = [list(row) for row in a], [list(row) for row in eigenvectors]
+    tiny = float(jnp.finfo(a[0][0].dtype).tiny)
+    for p, q in _ROTATIONS:
+        r = 3 - p - q
+        difference = s[q][q] - s[p][p]
+        twice = 2.0 * s[p][q]
+        # The maximum is for squares that underflow: without it t explodes and mixes equal eigenvalues.
+        root = jnp.maximum(jnp.sqrt(difference * difference + twice * twice), jnp.abs(twice))
+        t = twice * jnp.where(difference >= 0, 1.0, -1.0) / (jnp.abs(difference) + root + tiny)
+        cosine = jax.lax.rsqrt(1.0 + t * t)
+        sine = t * cosine
+        s[p][p], s[q][q] = s[p][p] - t * s[p][q], s[q][q] + t * s[p][q]
+        s[p][q] = s[q][p] = jnp.zeros_like(t)
+        rp, rq = s[r][p], s[r][q]
+        s[r][p] = s[p][r] = cosine * rp - sine * rq
+        s[r][q] = s[q][r] = sine * rp + cosine * rq
+        for row in u:
+            row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
+    return cp.matrix(lambda i, j: s[i][j]), cp.matrix(lambda i, j: u[i][j])
 
 
 def _recompose(u: Mat3, principal: Vec3) -> Mat3:
     """U diag(principal) U^T."""
-    upper = {
-        (i, j): sum(u[i][k] * principal[k] * u[j][k] for k in AXES) for i in AXES for j in AXES if i <= j
-    }
+    upper = {(i, j): sum(u[i][k] * principal[k] * u[j][k] for k in AXES) for i in AXES for j in AXES if i <= j}
     return cp.matrix(lambda i, j: upper[min(i, j), max(i, j)])
 
 
@@ -112,7 +113,9 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
     one, zero = jnp.ones_like(eigenvalues[0]), jnp.zeros_like(eigenvalues[0])
     # by_eigenvalue[j][n][i]: derivative of component i of result n by eigenvalue j
     by_eigenvalue = [
-        jax.jvp(lambda e: function(e, parameters), (eigenvalues,), (cp.vector(lambda i, j=j: one if i == j else zero),))[1]
+        jax.jvp(
+            lambda e: function(e, parameters), (eigenvalues,), (cp.vector(lambda i, j=j: one if i == j else zero),)
+        )[1]
         for j in AXES
     ]
     by_parameters = None
@@ -273,6 +276,8 @@ def _unit(a: Array, fallback: Array, relative_to: Array | None = None) -> tuple[
 
 def _any_orthogonal(a: Array) -> Array:
     """A unit vector orthogonal to the unit vector a."""
-    axis = jnp.where(jnp.abs(a[..., :1]) < 0.8, jnp.array([1.0, 0.0, 0.0], a.dtype), jnp.array([0.0, 1.0, 0.0], a.dtype))
+    axis = jnp.where(
+        jnp.abs(a[..., :1]) < 0.8, jnp.array([1.0, 0.0, 0.0], a.dtype), jnp.array([0.0, 1.0, 0.0], a.dtype)
+    )
     c = jnp.cross(a, axis)
     return c / jnp.sqrt(jnp.sum(c * c, -1, keepdims=True))

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -23,7 +24,9 @@ linear_pass_p = Primitive("linear_pass")
 linear_pass_p.multiple_results = True
 
 
-def linear_pass(function: Pass, transpose: Pass, static: Any, residuals: Sequence[Array], linear: Sequence[Array]) -> Arrays:
+def linear_pass(
+    function: Pass, transpose: Pass, static: Any, residuals: Sequence[Array], linear: Sequence[Array]
+) -> Arrays:
     """``function(static, residuals, linear)``, linear in ``linear``, with ``transpose`` as its transpose.
 
     Args:
@@ -46,7 +49,7 @@ def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residua
 
 
 def _abstract_eval(*args, **params):
-    return [jax.core.ShapedArray(a.shape, a.dtype) for a in jax.eval_shape(lambda *xs: _run(*xs, **params), *args)]
+    return [ShapedArray(a.shape, a.dtype) for a in jax.eval_shape(lambda *xs: _run(*xs, **params), *args)]
 
 
 def _jvp(primals, tangents, *, num_residuals: int, **params):

@@ -46,7 +46,7 @@ class Plasticity(enum.Enum):
 
 
 @struct.dataclass
-class Material:
+class Material(struct.Replaceable):
     """An isotropic elastic or elastoplastic solid.
 
     Attributes:
@@ -129,7 +129,7 @@ def kirchhoff_stress(material: Material, F: Array) -> Array:
     Gradient: exact. Source: Hencky and von Mises: Klar et al. 2016, Drucker-Prager elastoplasticity, section 6;
       fixed corotated: Stomakhin et al. 2012; neo-Hookean: Jiang et al. 2016, MPM course notes, eq. 48, times F^T.
     """
-    _, tau = respond(material.replace(plasticity=Plasticity.NONE), cp.split_matrix(F))  # type: ignore[attr-defined]
+    _, tau = respond(material.replace(plasticity=Plasticity.NONE), cp.split_matrix(F))
     return cp.join_matrix(tau)
 
 

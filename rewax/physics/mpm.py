@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics import components as cp
 from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply_walls, node_basis
-from rewax.physics.materialize import materialize
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
+from rewax.physics.materialize import materialize
 from rewax.physics.materials import Material, Plasticity, respond, sound_speed
 from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
 from rewax.status import Status, flag
@@ -47,7 +48,7 @@ class MPMState:
 
 
 @struct.dataclass
-class MPMScene:
+class MPMScene(struct.Replaceable):
     """Everything of a simulation that does not change with time; build it with ``make_scene``, which checks it.
 
     Attributes:
@@ -103,13 +104,16 @@ def make_scene(
         ``jit`` (traced values) only static fields can be checked.
     """
     _check_material(material)
-    _check_positive("particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3")
+    _check_positive(
+        "particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3"
+    )
     _check_positive("dt", dt, "give the duration of a substep in seconds")
     limit = largest_stable_dt(material, grid)
-    if not isinstance(limit, jax.core.Tracer) and dt > float(np.min(limit)):
+    if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
         raise ValueError(
             f"dt is {dt:g} s, above the largest stable {float(np.min(limit)):.3g} s for this material on a grid of "
-            f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer or denser material, or a coarser grid"
+            f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer or denser material, "
+            "or a coarser grid"
         )
     return MPMScene(
         grid=grid,
@@ -255,8 +259,8 @@ def grid_velocity(scene: MPMScene, fields: GridFields, before: Pose, after: Pose
     velocity = cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
     basis = node_basis(scene.grid, velocity[0].dtype)
     for collider in scene.colliders:
-        pose = (Pose(p.position[collider.body], p.rotation[collider.body]) for p in (before, after))
-        velocity = apply_collider(collider, basis, velocity, *pose, scene.dt)
+        start, end = (Pose(p.position[collider.body], p.rotation[collider.body]) for p in (before, after))
+        velocity = apply_collider(collider, basis, velocity, start, end, scene.dt)
     velocity = apply_walls(scene.walls, scene.grid, velocity)
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
@@ -284,14 +288,15 @@ def _check_material(material: Material) -> None:
     if material.plasticity is not Plasticity.NONE:
         _check_positive("yield_stress", material.yield_stress, "give the von Mises yield stress in Pa")
     nu = material.poissons_ratio
-    if not isinstance(nu, jax.core.Tracer) and not np.all((np.asarray(nu) > -1.0) & (np.asarray(nu) < 0.5)):
+    if not isinstance(nu, Tracer) and not np.all((np.asarray(nu) > -1.0) & (np.asarray(nu) < 0.5)):
         raise ValueError(
-            f"poissons_ratio is {np.asarray(nu)}: give a value above -1 and below 0.5 (0.5 is incompressible; take 0.45 for rubber)"
+            f"poissons_ratio is {np.asarray(nu)}: give a value above -1 and below 0.5 "
+            "(0.5 is incompressible; take 0.45 for rubber)"
         )
 
 
 def _check_positive(name: str, value: Any, remedy: str) -> None:
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return
     if not np.all(np.asarray(value) > 0):
         raise ValueError(f"{name} is {np.asarray(value)}, but must be positive: {remedy}")

@@ -54,13 +54,12 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
       (8, 3)
     """
     if not spacing > 0:
-        raise ValueError(f"spacing is {spacing}, but must be positive: give the distance of neighbouring points in metres")
+        raise ValueError(f"spacing is {spacing}, but must be positive: give the distance of neighbours in metres")
     if not np.all(np.asarray(size) > 0):
         raise ValueError(f"size is {tuple(size)}, but must be positive: give the three edges of the box in metres")
     counts = [max(1, round(edge / spacing)) for edge in size]
     axes = [
-        middle + edge * ((np.arange(n) + 0.5) / n - 0.5)
-        for middle, edge, n in zip(center, size, counts, strict=True)
+        middle + edge * ((np.arange(n) + 0.5) / n - 0.5) for middle, edge, n in zip(center, size, counts, strict=True)
     ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 

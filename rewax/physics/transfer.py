@@ -110,7 +110,7 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3) -> tuple[Vec3, Mat3]:
     Source: Jiang et al. 2015, APIC; Hu et al. 2018, MLS-MPM, eq. 17.
     """
     out = _grid_to_particle(grid, *x, *velocity)
-    return out[:3], _as_matrix(out[3:])
+    return _as_vector(out[:3]), _as_matrix(out[3:])
 
 
 # --- The four passes -------------------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ def _spread_tangent(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
     """Derivative of ``_spread`` in the direction (dx, dmass, dp, dA) at (x, mass, p, A)."""
     st = _stencils(grid, residuals[:3])
     mass, p, A = residuals[3], residuals[4:7], _as_matrix(residuals[7:])
-    dx, dmass, dp, dA = linear[:3], linear[3], linear[4:7], _as_matrix(linear[7:])
+    dx, dmass, dp, dA = _as_vector(linear[:3]), linear[3], _as_vector(linear[4:7]), _as_matrix(linear[7:])
     along = _affine((dmass, *cp.subtract(dp, cp.matvec(A, dx))), dA)
     return _scatter(grid, st, along, moved=(dx, _affine((mass, *p), A)))
 
@@ -142,7 +142,7 @@ def _spread_tangent_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays)
     st = _stencils(grid, residuals[:3])
     mass, p, A = residuals[3], residuals[4:7], _as_matrix(residuals[7:])
     q, B, X = _gather_both(grid, st, cotangents, _affine((mass, *p), A))
-    dx = cp.subtract(X, cp.matvec(cp.transpose(A), q[1:]))
+    dx = cp.subtract(X, cp.matvec(cp.transpose(A), _as_vector(q[1:])))
     return (*dx, *q, *_flat(B))
 
 
@@ -161,18 +161,18 @@ def _interpolate_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays) ->
 
 def _interpolate_tangent(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
     """Derivative of ``_interpolate`` in the direction (dx, dg) at (x, g, v = sum w g)."""
-    x, g, v = residuals[:3], residuals[3:6], residuals[6:9]
+    x, g, v = residuals[:3], residuals[3:6], _as_vector(residuals[6:9])
     dx, dg = linear[:3], linear[3:]
     st = _stencils(grid, x)
     q, B = _gather(grid, st, dg)
     slope_q, slope_B = _gather_slope(grid, st, g, dx)
-    dv = cp.add(q, slope_q)
+    dv = cp.add(_as_vector(q), _as_vector(slope_q))
     dB = cp.matrix(lambda i, j: B[i][j] + slope_B[i][j] - v[i] * dx[j])
     return (*dv, *_flat(dB))
 
 
 def _interpolate_tangent_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    x, g, v = residuals[:3], residuals[3:6], residuals[6:9]
+    x, g, v = residuals[:3], residuals[3:6], _as_vector(residuals[6:9])
     vbar, Bbar = cotangents[:3], _as_matrix(cotangents[3:])
     st = _stencils(grid, x)
     X = _gather_work(grid, st, g, _affine(vbar, Bbar))
@@ -206,8 +206,12 @@ def _grid_to_particle_jvp(grid: Grid, args: Arrays, tangents: Arrays) -> tuple[A
 # --- Sums over the stencil -------------------------------------------------------------------------------------------
 
 
+def _as_vector(a: Arrays) -> Vec3:
+    return (a[0], a[1], a[2])
+
+
 def _as_matrix(a: Arrays) -> Mat3:
-    return (a[0:3], a[3:6], a[6:9])  # type: ignore[return-value]
+    return (_as_vector(a[0:3]), _as_vector(a[3:6]), _as_vector(a[6:9]))
 
 
 def _flat(a: Mat3) -> Arrays:
@@ -219,9 +223,7 @@ def _stencils(grid: Grid, x: Arrays) -> _Stencils:
     batch = x[0].shape
     axes, base = [], jnp.zeros((), jnp.int32)
     for a in cp.AXES:
-        st = quadratic_bspline(
-            x[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a]
-        )
+        st = quadratic_bspline(x[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
         base = base + st.base * grid.strides[a]
         axes.append(_Axis(jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)))
     copies = math.prod(batch[:-1])
@@ -356,7 +358,7 @@ def _add_work(st: _Stencils, source: _Affine, x: _Axis, y: _Axis, g, X: Vec3) ->
 
 def _zero_moments(st: _Stencils, fields: Arrays) -> _Moments:
     zeros = jnp.zeros((len(fields), st.base.shape[0]), fields[0].dtype)
-    return _Moments(zeros, (zeros[:3],) * 3)
+    return _Moments(zeros, (zeros[:3], zeros[:3], zeros[:3]))
 
 
 def _zero_work(st: _Stencils, fields: Arrays) -> Vec3:

@@ -20,7 +20,7 @@ class ReportConfig:
     """
 
     log_every: int = 1
-    eval_every: int = 0
+    eval_every: int = 20
     num_eval_episodes: int = 16
     checkpoint_every: int = 10
     keep_checkpoints: int = 3
