@@ -1,0 +1,109 @@
+"""Networks: what an encoder must not see and must see, where a policy starts, that critics are independent."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.agents.networks import Critics, Encoder, GaussianActor
+
+SILU = jax.nn.silu
+
+
+def encoder():
+    return Encoder((8, 16), 8, 8, SILU, 1.0)
+
+
+def actor(initial_log_std=0.0):
+    return GaussianActor(encoder(), (16,), 3, SILU, 1.0, (-5.0, 2.0), initial_log_std)
+
+
+def observation(seed):
+    rng = np.random.default_rng(seed)
+    shapes = {"cloud": (10, 3), "joint_q": (2,), "height": ()}
+    return {name: jnp.asarray(rng.normal(size=shape), jnp.float32) for name, shape in shapes.items()}
+
+
+@pytest.fixture(scope="module")
+def encode():
+    module = encoder()
+    params = module.init(jax.random.key(0), observation(0))
+    return jax.jit(lambda obs: module.apply(params, obs))
+
+
+def test_encoder_does_not_see_the_order_or_the_number_of_points(encode):
+    obs = observation(1)
+    shuffled = {**obs, "cloud": obs["cloud"][jnp.array([3, 1, 4, 0, 5, 9, 2, 6, 8, 7])]}
+    np.testing.assert_allclose(encode(shuffled), encode(obs), rtol=1e-5, atol=1e-6)
+    doubled = {**obs, "cloud": jnp.concatenate([obs["cloud"], obs["cloud"]])}
+    np.testing.assert_allclose(encode(doubled), encode(obs), rtol=1e-5, atol=1e-6)
+    renamed = dict(reversed(obs.items()))
+    np.testing.assert_array_equal(encode(renamed), encode(obs))
+
+
+@pytest.mark.parametrize(
+    ("name", "features"), [("cloud", slice(0, 8)), ("joint_q", slice(8, 16)), ("height", slice(8, 16))]
+)
+def test_encoder_sees_every_observation_in_its_own_features(encode, name, features):
+    obs = observation(1)
+    change = np.abs(np.asarray(encode({**obs, name: obs[name] + 0.5}) - encode(obs)))
+    assert change.shape == (16,)
+    assert change[features].max() > 1e-2
+    np.testing.assert_array_equal(np.delete(change, features), 0.0)
+
+
+def test_encoder_moves_with_a_single_point(encode):
+    obs = observation(1)
+    slope = np.asarray(jax.jacobian(lambda c: encode({**obs, "cloud": c})[:8])(obs["cloud"]))
+    assert (np.abs(slope).max(axis=(0, 2)) > 1e-4).all()  # every point counts
+
+
+@pytest.fixture(scope="module")
+def initial_policies():
+    """Parameters of 32 fresh policies, and mean and log standard deviation of 32 observations each under them."""
+    module = actor()
+    params = jax.jit(jax.vmap(lambda k: module.init(k, observation(0))))(jax.random.split(jax.random.key(1), 32))
+    obs = jax.tree.map(lambda *a: jnp.stack(a), *[observation(i) for i in range(32)])
+    return params, obs, jax.jit(jax.vmap(jax.vmap(module.apply, (None, 0)), (0, None)))(params, obs)
+
+
+def test_policy_starts_around_zero_with_sigma_near_one(initial_policies):
+    mean, log_std = map(np.asarray, initial_policies[2])
+    assert mean.shape == log_std.shape == (32, 32, 3)
+    for head in (mean, log_std):
+        assert abs(head.mean()) < 0.15
+        assert 0.1 < head.std() < 1.0
+    assert np.ptp(log_std, axis=1).max() > 0.3  # depends on the observation
+
+
+def test_initial_log_std_moves_sigma_alone(initial_policies):
+    _, obs, (mean, log_std) = initial_policies
+    one = jax.tree.map(lambda a: a[0], obs)
+    module, key = actor(-1.0), jax.random.split(jax.random.key(1), 32)[0]
+    got_mean, got_log_std = module.apply(module.init(key, one), one)
+    np.testing.assert_allclose(got_mean, mean[0, 0], atol=1e-5)
+    np.testing.assert_allclose(got_log_std, log_std[0, 0] - 1.0, atol=1e-5)
+
+
+def test_log_std_is_clamped_at_both_ends(initial_policies):
+    params, obs, (mean, _) = initial_policies
+    params = jax.tree.map(lambda a: a[0], params)
+    kernel = params["params"]["log_std"]["kernel"]
+    params["params"]["log_std"]["kernel"] = 1000.0 * kernel
+    got_mean, log_std = jax.vmap(actor().apply, (None, 0))(params, obs)
+    assert log_std.min() == -5.0 and log_std.max() == 2.0
+    np.testing.assert_allclose(got_mean, mean[0], atol=1e-5)
+
+
+def test_critics_share_an_encoder_and_nothing_else():
+    module, obs = Critics(encoder(), (16,), 3, SILU, 1.0), observation(2)
+    params = module.init(jax.random.key(2), obs)
+    values, slopes = module.apply(params, obs), jax.jit(jax.jacobian(module.apply))(params, obs)["params"]
+    assert values.shape == (3,) and len(np.unique(np.asarray(values))) == 3
+    for i in range(3):
+        for head in (f"mlp_{i}", f"value_{i}"):
+            for leaf in jax.tree.leaves(slopes[head]):
+                moved = np.abs(np.asarray(leaf)).reshape(3, -1).max(axis=1) > 0
+                np.testing.assert_array_equal(moved, np.arange(3) == i)
+    for leaf in jax.tree.leaves(slopes["encoder"]):
+        assert (np.abs(np.asarray(leaf)).reshape(3, -1).max(axis=1) > 0).all()

@@ -1,0 +1,92 @@
+"""A policy acting on a line: what is recorded, and where gradients flow."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toys
+
+from rewax.agents.rollout import rollout
+from rewax.envs.wrappers import AutoReset
+
+LENGTH, HORIZON, GAIN = 4, 6, 0.5
+ENV = AutoReset(env=toys.point_mass(LENGTH))
+
+
+def proportional(k):
+    """A policy that pulls the point to 0: x <- (1 - gain k) x."""
+    return lambda obs, key: (-k * obs["x"], {"noise": jax.random.normal(key)})
+
+
+def run(k, state, differentiate):
+    final, transitions = rollout(
+        ENV, state, proportional(k), jax.random.key(1), horizon=HORIZON, differentiate=differentiate
+    )
+    return transitions.reward, (final, transitions)
+
+
+@pytest.fixture(scope="module")
+def state():
+    return ENV.reset(jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def runs(state):
+    """By way of differentiation: rewards with their slopes by k, and the rest."""
+
+    def both(differentiate):
+        def total(k):
+            reward, rest = run(k, state, differentiate)
+            return reward.sum(), (reward, rest)
+
+        return jax.jit(jax.value_and_grad(total, has_aux=True))(0.4)
+
+    return {d: both(d) for d in ("full", "checkpointed", "none")}
+
+
+def test_records_every_step(runs, state):
+    _, (reward, (final, transitions)) = runs["full"][0]
+    x, fresh = state.physics[0] * 0.8 ** np.arange(LENGTH + 1), transitions.obs["x"][LENGTH, 0]
+    assert 0.5 <= fresh <= 1.5
+    np.testing.assert_allclose(transitions.obs["x"][:, 0], [*x[:-1], fresh, 0.8 * fresh], rtol=1e-5)
+    np.testing.assert_allclose(transitions.next_obs["x"][:, 0], [*x[1:], 0.8 * fresh, 0.64 * fresh], rtol=1e-5)
+    np.testing.assert_allclose(transitions.action, -0.4 * transitions.obs["x"], rtol=1e-6)
+    np.testing.assert_allclose(reward, -(transitions.next_obs["x"][:, 0] ** 2), rtol=1e-5)
+    np.testing.assert_array_equal(transitions.truncated, np.arange(HORIZON) == LENGTH - 1)
+    np.testing.assert_array_equal(transitions.terminated, np.zeros(HORIZON, bool))
+    np.testing.assert_allclose(final.obs["x"][0], 0.64 * fresh, rtol=1e-5)
+    assert len(np.unique(np.asarray(transitions.extras["noise"]))) == HORIZON  # a new key each step
+
+
+def test_full_equals_checkpointed_equals_the_derivative_by_hand(runs):
+    (_, (reward, rest)), slope = runs["full"]
+    (_, (again, rest2)), slope2 = runs["checkpointed"]
+    np.testing.assert_allclose(again, reward, rtol=1e-6)
+    np.testing.assert_allclose(rest2[1].next_obs["x"], rest[1].next_obs["x"], rtol=1e-6)
+    np.testing.assert_allclose(slope2, slope, rtol=1e-5)
+    x0, fresh = rest[1].obs["x"][0, 0], rest[1].obs["x"][LENGTH, 0]
+    # -x0^2 rho^(2 n) with rho = 1 - gain k, and the fresh episode starts anew
+    expected = sum(2 * n * GAIN * x**2 * 0.8 ** (2 * n - 1) for x, m in ((x0, 4), (fresh, 2)) for n in range(1, m + 1))
+    np.testing.assert_allclose(slope, expected, rtol=1e-5)
+
+
+def test_none_cuts_every_gradient_and_changes_no_value(runs):
+    (_, (reward, rest)), slope = runs["none"]
+    assert slope == 0.0
+    np.testing.assert_allclose(reward, runs["full"][0][1][0], rtol=1e-6)
+    np.testing.assert_allclose(rest[0].physics, runs["full"][0][1][1][0].physics, rtol=1e-6)
+
+
+@pytest.mark.parametrize("differentiate", ["full", "checkpointed"])
+def test_gradient_stops_at_the_end_of_an_episode(state, differentiate):
+    def rewards(x):
+        return run(0.4, state.replace(physics=x, obs={"x": x}), differentiate)[0]
+
+    slope = np.asarray(jax.jit(jax.jacobian(rewards))(state.physics))[:, 0]
+    np.testing.assert_allclose(slope[:LENGTH], -2 * state.physics[0] * 0.8 ** (2 * np.arange(1, LENGTH + 1)), rtol=1e-5)
+    np.testing.assert_array_equal(slope[LENGTH:], 0.0)
+
+
+def test_needs_automatic_resets(state):
+    with pytest.raises(AssertionError, match="AutoReset"):
+        rollout(ENV.env, state.replace(final_obs=None), proportional(0.4), jax.random.key(0), horizon=2)
