@@ -210,9 +210,12 @@ def _init(parts: _Parts, key: Key) -> SAPOState:
     env, config = parts.env, parts.config
     key, actor_key, critic_key, env_key, stagger_key = jax.random.split(key, 5)
     env_state = jax.vmap(env.reset)(jax.random.split(env_key, config.num_envs))
+    episode_return = jnp.zeros(config.num_envs)
     if config.stagger_episodes:
         start = jax.random.randint(stagger_key, (config.num_envs,), 0, env.episode_length, jnp.int32)
         env_state = env_state.replace(step_count=start)
+        # A first episode that is cut short has no return that compares with the others'.
+        episode_return = jnp.where(start > 0, jnp.nan, episode_return)
     obs = jax.tree.map(lambda a: a[0], env_state.obs)
     actor_params = parts.actor.init(actor_key, obs)
     critic_params = parts.critics.init(critic_key, obs)
@@ -229,7 +232,7 @@ def _init(parts: _Parts, key: Key) -> SAPOState:
         temperature_opt=parts.temperature_optimizer.init(log_temperature),
         statistics=statistics,
         env_state=env_state,
-        episode_return=jnp.zeros(config.num_envs),
+        episode_return=episode_return,
         key=key,
         iteration=jnp.zeros((), jnp.int32),
         env_steps=jnp.zeros((), jnp.int32),

@@ -1,0 +1,62 @@
+"""Is every gradient finite? The gradient of a 32-step return with respect to everything, over many seeds.
+
+For each seed: a reset, a random action sequence, and the derivative of the return by every action and by every leaf of
+the environment (material, gravity, shapes, friction, rest positions, ...).
+
+    python benchmarks/gradient_health.py --seeds 100
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+import rewax
+from rewax.status import all_finite
+from rewax.training.cache import enable_compilation_cache
+
+
+@dataclasses.dataclass(frozen=True)
+class Args:
+    """Options of this check."""
+
+    scale: str = "small"
+    seeds: int = 100
+    steps: int = 32
+    at_once: int = 10
+    """Seeds simulated side by side."""
+
+
+def main(args: Args) -> int:
+    enable_compilation_cache()
+    env = rewax.make("RollingFlat", scale=args.scale)
+
+    def total_return(env, actions, key):
+        def step(state, action):
+            state = env.step(state, action)
+            return state, state.reward
+
+        return jax.lax.scan(step, env.reset(key), actions)[1].sum()
+
+    def check(seed):
+        reset_key, action_key = jax.random.split(jax.random.key(seed))
+        noise = jax.random.uniform(action_key, (args.steps, *env.action_spec.shape), minval=-1.0, maxval=1.0)
+        actions = noise + jnp.asarray([0.0, -0.7, 0.0])  # mostly downwards, so that the pin touches the dough
+        grads = jax.grad(total_return, argnums=(0, 1))(env, actions, reset_key)
+        finite = jnp.stack([all_finite(leaf) for leaf in jax.tree.leaves(grads)])
+        return finite, jnp.linalg.norm(grads[1]), jnp.abs(grads[0].scene.material.youngs_modulus)
+
+    run = jax.jit(jax.vmap(check))
+    parts = [run(jnp.arange(i, i + args.at_once)) for i in range(0, args.seeds, args.at_once)]
+    finite, action_norm, modulus = (np.concatenate([np.asarray(p[k]) for p in parts]) for k in range(3))
+    bad = int((~finite).sum())
+    print(f"{finite.shape[0]} seeds, {finite.shape[1]} leaves each: {bad} leaves are not finite")
+    print(f"norm by actions: median {np.median(action_norm):.3g}, largest {action_norm.max():.3g}")
+    print(f"by Young's modulus: median {np.median(modulus):.3g}, zero for {int((modulus == 0).sum())} seeds")
+    return bad
+
+
+if __name__ == "__main__":
+    raise SystemExit(min(main(tyro.cli(Args, description=__doc__)), 1))
