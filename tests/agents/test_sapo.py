@@ -80,7 +80,7 @@ def assert_same_bits(a, b):
 
 
 def finite(tree):
-    return all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(tree))
+    return all(np.isfinite(raw(leaf)).all() for leaf in jax.tree.leaves(tree))
 
 
 @pytest.fixture(scope="module")
