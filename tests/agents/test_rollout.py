@@ -1,7 +1,6 @@
 """A policy acting on a line: what is recorded, and where gradients flow."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys

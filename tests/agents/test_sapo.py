@@ -214,7 +214,10 @@ def test_return_is_that_of_the_episodes_that_ended(agent, start):
 def test_a_broken_environment_is_dropped_counted_and_touches_no_other(agent, start, gradients, mode, failures):
     healthy, broken = prepared(start, [HEALTHY] * 4), prepared(start, [HEALTHY, HEALTHY, mode, HEALTHY])
     others = np.array([0, 1, 3])
-    (clean, broke), keep = (gradients(s) for s in (healthy, broken)), lambda tree: jax.tree.map(lambda a: a[others], tree)
+    (clean, broke), keep = (
+        (gradients(s) for s in (healthy, broken)),
+        lambda tree: jax.tree.map(lambda a: a[others], tree),
+    )
     assert_same_bits(keep(clean), keep(broke))  # losses, trajectories and gradients
     assert finite(broke[0]) and not finite(jax.tree.map(lambda g: g[2], broke[1]))  # only its gradient is bad
     (reference, good), (new, metrics) = agent.train_step(healthy), agent.train_step(broken)
@@ -307,9 +310,9 @@ def test_critics_regress_onto_soft_targets_of_the_smaller_value(start, data, sof
     mean, var = start.statistics.mean["x"], start.statistics.variance["x"]
 
     def values(obs):
-        return jax.vmap(jax.vmap(lambda x: parts.critics.apply(start.critic_params, {"x": (x - mean) / jnp.sqrt(var + 1e-5)})))(
-            obs["x"]
-        )
+        return jax.vmap(
+            jax.vmap(lambda x: parts.critics.apply(start.critic_params, {"x": (x - mean) / jnp.sqrt(var + 1e-5)}))
+        )(obs["x"])
 
     assert t.terminated.sum() == 1 and t.truncated.sum() >= 1
     following = np.where(t.terminated, 0.0, values(t.next_obs).min(-1))
@@ -401,7 +404,9 @@ def test_defaults_are_the_papers():
     config = SAPOConfig()
     paper = (32, 32, 0.99, 0.95, 2e-3, 5e-4, 1e-5, 5e-3, 0.7, 0.95, 0.01, 0.5, 1.0, 0.5, 16, 4, 2)
     assert dataclasses.astuple(config)[:2] + dataclasses.astuple(config)[3:14] == paper[:13]
-    assert (config.target_entropy_scale, config.critic_passes, config.critic_minibatches, config.num_critics) == paper[13:]
+    assert (config.target_entropy_scale, config.critic_passes, config.critic_minibatches, config.num_critics) == paper[
+        13:
+    ]
     assert (config.actor_widths, config.critic_widths) == ((512, 256), (256, 256))
     assert (config.point_widths, config.point_features, config.vector_features) == ((64, 128, 256), 64, 128)
     assert config.activation == "silu" and config.log_std_range == (-5.0, 2.0)
