@@ -289,7 +289,7 @@ def _train_step(parts: _Parts, state: SAPOState) -> tuple[SAPOState, Metrics]:
         "entropy": entropy.mean(),
         "temperature": jnp.exp(log_temperature),
         "actor_loss": jnp.sum(jnp.where(kept, losses, 0.0)) / jnp.maximum(kept.sum(), 1),
-        "actor_grad_norm": optax.global_norm(grad),
+        "actor_grad_norm": optax.tree.norm(grad),
         **critic_metrics,
         "dropped_gradients": jnp.sum(~kept),
         "failed_episodes": jnp.sum(failed),
@@ -399,7 +399,7 @@ def _update_critics(
         value, grad = jax.value_and_grad(loss)(params, *batch)
         grad = jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), grad)
         updates, opt = parts.critic_optimizer.update(grad, opt, params)
-        return (optax.apply_updates(params, updates), opt), (value, optax.global_norm(grad))
+        return (optax.apply_updates(params, updates), opt), (value, optax.tree.norm(grad))
 
     def one_pass(carry: tuple[PyTree, PyTree], _: None):
         return jax.lax.scan(update, carry, batches)

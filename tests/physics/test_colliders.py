@@ -20,8 +20,14 @@ def ground(friction=0.5, softness=100.0) -> Collider:
 
 def contact(collider, node, velocity, before=REST, after=REST):
     """Velocity of one node after contact, shape (3,)."""
-    node, velocity = (cp.split_vector(jnp.asarray(a, jnp.result_type(float))[None]) for a in (node, velocity))
-    return np.asarray(cp.join_vector(apply_collider(collider, node, velocity, before, after, DT)))[0]
+    node, velocity = (jnp.asarray(a, float)[None] for a in (node, velocity))
+    return np.asarray(after_contact(collider, node, velocity, before, after))[0]
+
+
+def after_contact(collider, nodes, velocity, before, after):
+    """Velocities (N, 3) of nodes (N, 3) after contact."""
+    basis = jnp.concatenate([nodes, jnp.ones_like(nodes[:, :1])], axis=1).T
+    return cp.join_vector(apply_collider(collider, basis, cp.split_vector(velocity), before, after, DT))
 
 
 UNDER, AT = [0.3, -0.05, 0.1], [0.3, 0.0, 0.1]
@@ -93,7 +99,7 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
     def after(args):
         ball, velocity, poses = args
         before, behind = (jax.tree.map(lambda p, t=t: p[t], poses) for t in (0, 1))
-        return cp.join_vector(apply_collider(ball, cp.split_vector(nodes), cp.split_vector(velocity), before, behind, DT))
+        return after_contact(ball, nodes, velocity, before, behind)
 
     args = (ball, velocity, poses)
     touched = np.any(after(args) != velocity, axis=1)
