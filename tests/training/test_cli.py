@@ -143,7 +143,13 @@ SLOW = textwrap.dedent("""
 
 def start(tmp_path, pause):
     """A process that trains slowly, in its second iteration at the latest when this returns."""
-    argv = ["--run-dir=a", "--steps=100000", "--train.no-baselines", "--train.num-eval-episodes=2"]
+    argv = [
+        "--run-dir=a",
+        "--steps=100000",
+        "--train.eval-every=0",
+        "--train.no-baselines",
+        "--train.num-eval-episodes=2",
+    ]
     process = subprocess.Popen(
         [sys.executable, "-c", SLOW.replace("PAUSE", str(pause)), str(__file__).rpartition("/")[0], *argv],
         cwd=tmp_path,

@@ -18,7 +18,7 @@ from rewax.training.metrics import read_csv
 
 ENV = toys.point_mass()
 AGENT = toys.make_toy(ENV)
-QUIET = {"baselines": False, "plots": False, "tensorboard": False, "num_eval_episodes": 2}
+QUIET = {"eval_every": 0, "baselines": False, "plots": False, "tensorboard": False, "num_eval_episodes": 2}
 
 
 def run(run_dir, agent=AGENT, describe=None, **changes):
