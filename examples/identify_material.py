@@ -26,7 +26,7 @@ class Args:
     """Young's modulus of the observed dough [Pa]."""
     first_guess: float = 400.0
     """[Pa]"""
-    iterations: int = 40
+    iterations: int = 60
     steps: int = 8
     """Control steps that were observed."""
     learning_rate: float = 0.1
