@@ -25,7 +25,7 @@ class Args:
     scale: str = "small"
     seeds: int = 100
     steps: int = 32
-    at_once: int = 10
+    at_once: int = 25
     """Seeds simulated side by side."""
 
 
