@@ -22,6 +22,8 @@ class Status(enum.IntFlag):
     """A particle left the simulated box and was clamped to its border. Not fatal."""
     CFL = 4
     """A particle crosses more than one cell per substep: the result is not to be trusted. Not fatal."""
+    OUT_OF_WINDOW = 8
+    """A particle was stopped at the border of the moving window: give the scene a larger one. Not fatal."""
 
 
 FATAL = Status.NAN

@@ -4,13 +4,13 @@ import enum
 import math
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics import components as cp
 from rewax.physics.components import Vec3
 from rewax.physics.grid import Grid
+from rewax.physics.linear_pass import Arrays, linear_pass
 from rewax.physics.materialize import materialize
 from rewax.physics.sdf import Shape, signed_distance_components
 from rewax.types import Array, Scalar
@@ -85,7 +85,7 @@ class Walls:
     upper: tuple[Wall | None, Wall | None, Wall | None]
 
 
-def apply_collider(collider: Collider, basis: Array, velocity: Vec3, before: Pose, after: Pose, dt: float) -> Vec3:
+def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: Pose, after: Pose, dt: float) -> Vec3:
     """Node velocities after contact with one moving shape.
 
     With d and n the signed distance and normal at a node, v_b the velocity of the body's material point there and
@@ -94,8 +94,8 @@ def apply_collider(collider: Collider, basis: Array, velocity: Vec3, before: Pos
 
     Args:
       collider: the shape.
-      basis: (x, y, z, 1) of every node [m], shape (4, num_nodes), from ``node_basis``.
-      velocity: node velocities [m/s].
+      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      velocity: node velocities [m/s], components of shape (num_nodes,).
       before, after: pose of the collider's body at the beginning and end of the substep, shapes (3,), (3, 3).
       dt: duration of the substep [s].
 
@@ -105,12 +105,11 @@ def apply_collider(collider: Collider, basis: Array, velocity: Vec3, before: Pos
     """
     start, end = _shape_pose(collider, before), _shape_pose(collider, after)
     # Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
-    to_local = _affine_map(start.rotation.T, -jnp.matmul(start.rotation.T, start.position, precision="highest"))
+    to_local = -jnp.matmul(start.rotation.T, start.position, precision="highest")
     turn = jnp.matmul((end.rotation - start.rotation) / dt, start.rotation.T, precision="highest")
     shift = (end.position - start.position) / dt - jnp.matmul(turn, start.position, precision="highest")
-    mapped = jnp.matmul(jnp.concatenate([to_local, _affine_map(turn, shift)]), basis, precision="highest")
-    shape = velocity[0].shape
-    lx, ly, lz, bx, by, bz = materialize([a.reshape(shape) for a in jax.lax.split(mapped, (1,) * 6, axis=0)])
+    maps = jnp.concatenate([start.rotation.T, turn]), jnp.concatenate([to_local, shift])
+    lx, ly, lz, bx, by, bz = materialize(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     influence = jnp.minimum(jnp.exp(-collider.softness * distance), 1.0)
     normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
@@ -130,15 +129,24 @@ def apply_collider(collider: Collider, basis: Array, velocity: Vec3, before: Pos
     return cp.vector(after_contact)
 
 
-def _affine_map(matrix: Array, offset: Array) -> Array:
-    """Rows that take (x, y, z, 1) to matrix (x, y, z) + offset, shape (3, 4)."""
-    return jnp.concatenate([matrix, offset[:, None]], axis=1)
+def _at_nodes(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Affine functions M (x, y, z) + m of positions (..., n): M (..., k, 3), m (..., k) -> k arrays (..., n)."""
+    del static
+    x, y, z = residuals
+    matrix, offset = (a[..., None] for a in linear)
+    return tuple(
+        matrix[..., c, 0, :] * x + matrix[..., c, 1, :] * y + matrix[..., c, 2, :] * z + offset[..., c, :]
+        for c in range(offset.shape[-2])
+    )
 
 
-def node_basis(grid: Grid, dtype) -> Array:
-    """(x, y, z, 1) of every node [m], shape (4, num_nodes)."""
-    x, y, z = (jnp.broadcast_to(a, grid.shape).reshape(-1) for a in node_positions(grid, dtype))
-    return jnp.stack([x, y, z, jnp.ones_like(x)])
+def _at_nodes_transpose(static: None, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """Sums over the nodes of cotangent times (x, y, z, 1)."""
+    del static
+    columns = materialize(jnp.stack([*residuals, jnp.ones_like(residuals[0])], axis=-1))
+    sums = [jnp.matmul(ct[..., None, :], columns, precision="highest")[..., 0, :] for ct in cotangents]
+    both = jnp.stack(sums, axis=-2)
+    return both[..., :3], both[..., 3]
 
 
 def _friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:
@@ -156,42 +164,31 @@ def _shape_pose(collider: Collider, body: Pose) -> Pose:
     )
 
 
-def apply_walls(walls: Walls, grid: Grid, velocity: Vec3) -> Vec3:
+def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], velocity: Vec3) -> Vec3:
     """Node velocities after all walls, in the order x, y, z, at each axis the lower one first.
 
     Args:
       walls: the six sides.
-      grid: the nodes; those strictly beyond a wall obey it.
-      velocity: node velocities [m/s], components of shape grid.shape.
+      grid: the grid; nodes strictly beyond a wall obey it.
+      index: index of each node in the grid along x, y, z, int32, shapes (num_nodes,).
+      velocity: node velocities [m/s], components of shape (num_nodes,).
 
     Gradient: exact with respect to velocities and friction.
     """
     for axis in cp.AXES:
         for wall, inward in ((walls.lower[axis], 1.0), (walls.upper[axis], -1.0)):
             if wall is not None:
-                velocity = _apply_wall(wall, axis, inward, _behind(grid, wall, axis, inward), velocity)
+                behind = _behind(grid, wall, axis, inward, index[axis])
+                velocity = _apply_wall(wall, axis, inward, behind, velocity)
     return velocity
 
 
-def _behind(grid: Grid, wall: Wall, axis: int, inward: float) -> Array:
-    """Which nodes lie strictly beyond the wall, of a shape that broadcasts against ``grid.shape``."""
+def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Array) -> Array:
+    """Which of the nodes with the given indices along an axis lie strictly beyond the wall."""
     cells = (wall.position - grid.origin[axis]) / grid.spacing
-    index = node_index(grid, axis)
     if inward > 0:
         return index < math.ceil(cells - 1e-6)
     return index > math.floor(cells + 1e-6)
-
-
-def node_index(grid: Grid, axis: int) -> Array:
-    """Index of nodes along one axis, int32, of a shape that broadcasts against ``grid.shape``."""
-    shape = [1, 1, 1]
-    shape[axis] = grid.shape[axis]
-    return jax.lax.broadcasted_iota(jnp.int32, shape, axis)
-
-
-def node_positions(grid: Grid, dtype) -> Vec3:
-    """Coordinates of nodes along x, y, z [m], of shapes that broadcast against ``grid.shape``."""
-    return cp.vector(lambda a: grid.origin[a] + grid.spacing * node_index(grid, a).astype(dtype))
 
 
 def _apply_wall(wall: Wall, axis: int, inward: float, behind: Array, velocity: Vec3) -> Vec3:

@@ -9,6 +9,7 @@ Kirchhoff stress tau = J sigma. Stretches of an inverted particle (det F < 0) ca
 
 import enum
 import functools
+import math
 from typing import NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ from rewax import struct
 from rewax.physics import components as cp
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.linalg3 import spectral
+from rewax.physics.materialize import materialize
 from rewax.types import Array, Scalar
 
 MIN_STRETCH = 1e-5
@@ -213,17 +215,19 @@ def _plastic_law(
     """Ratio of new to trial stretch, and stress of the new stretches."""
     assert plasticity is Plasticity.VON_MISES
     s = _stretches(eigenvalues, parameters.sign)
-    log_s, flows = _von_mises(s, parameters)
+    log_s = materialize(_log(s))
+    log_flowed, flows = _von_mises(log_s, parameters)
     # Unless it flows, a particle keeps its trial state, inverted or not.
-    new = cp.vector(lambda i: jnp.where(flows, jnp.exp(log_s[i]), s[i]))
+    new = cp.vector(lambda i: jnp.where(flows, jnp.exp(log_flowed[i]), s[i]))
+    log_new = cp.vector(lambda i: jnp.where(flows, log_flowed[i], log_s[i]))
+    new, log_new = materialize((new, log_new))
     ratio = cp.vector(lambda i: jnp.where(flows, new[i] / _away_from_zero(s[i]), 1.0))
-    log_new = cp.vector(lambda i: jnp.where(flows, log_s[i], _log(s)[i]))
     return ratio, _principal_stress(elasticity, new, log_new, parameters.lame)
 
 
-def _von_mises(s: Vec3, parameters: _LawParameters) -> tuple[Vec3, Array]:
+def _von_mises(log_s: Vec3, parameters: _LawParameters) -> tuple[Vec3, Array]:
     """Logarithmic strains after flow, and whether the particle flows."""
-    e = cp.vector(lambda i: jnp.log(jnp.maximum(s[i], MIN_PLASTIC_STRETCH)))
+    e = cp.vector(lambda i: jnp.maximum(log_s[i], math.log(MIN_PLASTIC_STRETCH)))
     mean = (e[0] + e[1] + e[2]) * (1.0 / 3.0)
     deviator = cp.vector(lambda i: e[i] - mean)
     length = cp.norm(deviator)

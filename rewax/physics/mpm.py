@@ -14,12 +14,13 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics import components as cp
-from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply_walls, node_basis
+from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply_walls
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
 from rewax.physics.materialize import materialize
 from rewax.physics.materials import Material, Plasticity, respond, sound_speed
 from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
+from rewax.physics.window import REACH, Nodes, count_nodes, list_nodes, place_window
 from rewax.status import Status, flag
 from rewax.types import Array, Scalar
 
@@ -30,7 +31,7 @@ STABLE_COURANT_NUMBER = 0.5
 
 
 @struct.dataclass
-class MPMState:
+class MPMState(struct.Replaceable):
     """Particles.
 
     Attributes:
@@ -59,6 +60,8 @@ class MPMScene(struct.Replaceable):
       gravity: acceleration [m/s^2], shape (3,).
       colliders: moving shapes, applied in order.
       walls: the sides of the box.
+      window: nodes along x, y, z of the moving box in which a step takes place, None for the whole grid (static).
+      max_active_nodes: how many nodes can have a velocity in a step, None for all (static).
     """
 
     grid: Grid = struct.static_field()
@@ -68,6 +71,8 @@ class MPMScene(struct.Replaceable):
     gravity: Array
     colliders: tuple[Collider, ...] = ()
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))
+    window: tuple[int, int, int] | None = struct.static_field(default=None)
+    max_active_nodes: int | None = struct.static_field(default=None)
 
 
 class _Particles(NamedTuple):
@@ -95,8 +100,16 @@ def make_scene(
     gravity: Any = (0.0, -9.81, 0.0),
     colliders: tuple[Collider, ...] = (),
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None)),
+    window: tuple[int, int, int] | None = None,
+    max_active_nodes: int | None = None,
 ) -> MPMScene:
     """A checked ``MPMScene``; arguments are its fields.
+
+    Two options make a step cost less than the whole grid; ``check_status`` tells when they were chosen too tight.
+    A ``window`` is centred on the body at the beginning of every step (not substep): it must hold the body, one and a
+    half cells around it, and how far the body moves within a step. ``max_active_nodes`` limits gravity, colliders and
+    walls to the nodes that particles can touch while none moves by more than a cell within a step; it pays where a
+    body fills little of its box.
 
     Raises:
       ValueError: a modulus, density, yield stress or volume that is not positive, a Poisson's ratio outside (-1, 0.5),
@@ -108,6 +121,7 @@ def make_scene(
         "particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3"
     )
     _check_positive("dt", dt, "give the duration of a substep in seconds")
+    _check_window(window, max_active_nodes, grid)
     limit = largest_stable_dt(material, grid)
     if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
         raise ValueError(
@@ -123,6 +137,8 @@ def make_scene(
         gravity=jnp.asarray(gravity),
         colliders=colliders,
         walls=walls,
+        window=window,
+        max_active_nodes=max_active_nodes,
     )
 
 
@@ -155,7 +171,8 @@ def substep(scene: MPMScene, state: MPMState, before: Pose, after: Pose) -> MPMS
     Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
     Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
     """
-    return _join(_substep(scene, _split(state), (before, after)))
+    poses = jax.tree.map(lambda *p: jnp.stack(p), before, after)
+    return step(scene, state, poses, store_every=None)
 
 
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
@@ -177,19 +194,27 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
         raise ValueError(
             f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
         )
+    window = place_window(scene.grid, scene.window, state.x)
+    nodes = list_nodes(window, state.x - window.origin, scene.max_active_nodes)
+    poses = Pose(poses.position - window.origin, poses.rotation)
     intervals = (jax.tree.map(lambda p: p[:-1], poses), jax.tree.map(lambda p: p[1:], poses))
 
     def body(particles: _Particles, interval: tuple[Pose, Pose]) -> tuple[_Particles, None]:
-        return _substep(scene, particles, interval), None
+        return _substep(scene, window.grid, nodes, particles, interval), None
 
-    particles = _split(state)
+    particles = _split(state.replace(x=state.x - window.origin))
+
+    def finish(particles: _Particles) -> MPMState:
+        end = _join(particles)
+        return end.replace(x=end.x + window.origin)
+
     if store_every is None:
         particles, _ = jax.lax.scan(body, particles, intervals)
-        return _join(particles)
+        return finish(particles)
     one = jax.checkpoint(body, prevent_cse=False)
     if store_every == 1:
         particles, _ = jax.lax.scan(one, particles, intervals)
-        return _join(particles)
+        return finish(particles)
 
     @jax.checkpoint
     def chunk(particles: _Particles, intervals: tuple[Pose, Pose]) -> tuple[_Particles, None]:
@@ -197,7 +222,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
 
     chunks = jax.tree.map(lambda p: p.reshape(-1, store_every, *p.shape[1:]), intervals)
     particles, _ = jax.lax.scan(chunk, particles, chunks)
-    return _join(particles)
+    return finish(particles)
 
 
 def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
@@ -206,8 +231,13 @@ def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> P
     return Pose(jnp.zeros((*shape, 3), dtype), jnp.broadcast_to(jnp.eye(3, dtype=dtype), (*shape, 3, 3)))
 
 
-def check_status(scene: MPMScene, state: MPMState) -> Array:
+def check_status(scene: MPMScene, state: MPMState, *, start: MPMState | None = None) -> Array:
     """Status bits of a state: non-finite numbers, particles at the box's border or faster than a cell per substep.
+
+    Args:
+      scene: the scene.
+      state: particles at the end of a step.
+      start: particles at its beginning, to also tell whether the scene's window and list of nodes were large enough.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
@@ -217,7 +247,26 @@ def check_status(scene: MPMScene, state: MPMState) -> Array:
     finite = jnp.all(jnp.isfinite(state.x)) & jnp.all(jnp.isfinite(state.v)) & jnp.all(jnp.isfinite(state.F))
     at_border = jnp.any((state.x <= lower) | (state.x >= upper))
     too_fast = jnp.any(jnp.abs(state.v) * scene.dt > scene.grid.spacing)
-    return flag(~finite, Status.NAN) | flag(at_border, Status.OUT_OF_DOMAIN) | flag(too_fast, Status.CFL)
+    status = flag(~finite, Status.NAN) | flag(at_border, Status.OUT_OF_DOMAIN) | flag(too_fast, Status.CFL)
+    if start is None:
+        return status
+    return status | flag(_left_window(scene, jax.lax.stop_gradient(start).x, state.x), Status.OUT_OF_WINDOW)
+
+
+def _left_window(scene: MPMScene, before: Array, after: Array) -> Array:
+    """Whether a step from positions before to after was cut short by the window or the list of nodes, shape ()."""
+    window = place_window(scene.grid, scene.window, before)
+    left = jnp.zeros((), bool)
+    if scene.window is not None:
+        lower, upper = _bounds(window.grid, after.dtype)
+        margin = 1e-3 * scene.grid.spacing  # rounding of the way there and back
+        moves = jnp.asarray(scene.window) < jnp.asarray(scene.grid.shape)
+        stopped = (after <= window.origin + lower + margin) | (after >= window.origin + upper - margin)
+        left = left | jnp.any(moves & stopped)
+    if scene.max_active_nodes is not None:
+        left = left | jnp.any(jnp.abs(after - before) > REACH * scene.grid.spacing)
+        left = left | (count_nodes(window, before - window.origin) > scene.max_active_nodes)
+    return left
 
 
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
@@ -229,18 +278,21 @@ def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
 # --- One substep, by components --------------------------------------------------------------------------------------
 
 
-def _substep(scene: MPMScene, particles: _Particles, interval: tuple[Pose, Pose]) -> _Particles:
+def _substep(
+    scene: MPMScene, grid: Grid, nodes: Nodes, particles: _Particles, interval: tuple[Pose, Pose]
+) -> _Particles:
+    """One substep in the coordinates of a window."""
     x, v, C, F_trial = particles
-    grid, dt = scene.grid, scene.dt
+    dt = scene.dt
     inertia = 4.0 / grid.spacing**2
     F, tau = materialize(respond(scene.material, F_trial))
     volume = scene.particle_volume
     mass = jnp.broadcast_to(volume * scene.material.density, x[0].shape).astype(x[0].dtype)
     impulse = -dt * inertia * volume
     affine = cp.matrix(lambda i, j: impulse * tau[i][j] + mass * C[i][j])
-    fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine)
-    velocity = grid_velocity(scene, fields, *interval)
-    v, moment = materialize(grid_to_particle(grid, x, velocity))
+    fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine, nodes=nodes.flat)
+    velocity = grid_velocity(scene, nodes, fields, *interval)
+    v, moment = materialize(grid_to_particle(grid, x, velocity, nodes=nodes.flat))
     C = cp.matrix(lambda i, j: inertia * moment[i][j])
     CF = cp.matmul(C, F)
     F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
@@ -249,19 +301,20 @@ def _substep(scene: MPMScene, particles: _Particles, interval: tuple[Pose, Pose]
     return _Particles(x, v, C, F_trial)
 
 
-def grid_velocity(scene: MPMScene, fields: GridFields, before: Pose, after: Pose) -> Vec3:
-    """Node velocities [m/s] after gravity, colliders and walls, components of shape grid.shape.
+def grid_velocity(scene: MPMScene, nodes: Nodes, fields: GridFields, before: Pose, after: Pose) -> Vec3:
+    """Velocities of the given nodes [m/s] after gravity, colliders and walls, components of shape (num_nodes,).
+
+    Poses are in the coordinates of the nodes.
 
     Gradient: exact with respect to fields, poses and every leaf of the scene.
     """
     has_mass = fields.mass > MIN_NODE_MASS
     inverse = jnp.where(has_mass, 1.0 / jnp.where(has_mass, fields.mass, 1.0), 0.0)
     velocity = cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
-    basis = node_basis(scene.grid, velocity[0].dtype)
     for collider in scene.colliders:
         start, end = (Pose(p.position[collider.body], p.rotation[collider.body]) for p in (before, after))
-        velocity = apply_collider(collider, basis, velocity, start, end, scene.dt)
-    velocity = apply_walls(scene.walls, scene.grid, velocity)
+        velocity = apply_collider(collider, nodes.position, velocity, start, end, scene.dt)
+    velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
@@ -280,6 +333,18 @@ def _bounds(grid: Grid, dtype: Any) -> tuple[Array, Array]:
 
 
 # --- Checks ----------------------------------------------------------------------------------------------------------
+
+
+def _check_window(window: tuple[int, int, int] | None, max_active_nodes: int | None, grid: Grid) -> None:
+    if window is not None and not (
+        len(window) == 3 and all(4 <= w <= n for w, n in zip(window, grid.shape, strict=True))
+    ):
+        raise ValueError(
+            f"window is {window} on a grid of {grid.shape} nodes: give three numbers of nodes, each at least 4 and "
+            "at most the grid's, or None for the whole grid"
+        )
+    if max_active_nodes is not None and max_active_nodes < 1:
+        raise ValueError(f"max_active_nodes is {max_active_nodes}: give a positive number, or None for all nodes")
 
 
 def _check_material(material: Material) -> None:

@@ -5,15 +5,17 @@ as one pass over the particles. With g a node's cotangent, w its weight, d its o
 s = p + A d what the particle sends there:
 
 * reverse of particle-to-grid, one gather:  p' = sum w g,  A' = sum w g d^T,  x' = sum grad w (g . s) - A^T sum w g
-* reverse of grid-to-particle (v, B), one scatter of w (v' + B' d) and one gather
-  x' = sum grad w (g . (v' + B' d)) - B'^T v
+* reverse of grid-to-particle (v, B), one scatter of w (v' + B' d), and for x' the sums of grad w g and grad w g d^T,
+  which the forward direction takes from the nodes it has gathered anyway
 
-Arrays come as separate components (see ``components``) and may carry leading batch axes: ``vmap`` flattens
-environments and particles into one long particle axis over one long node axis, which suits XLA's scatter best.
+Every sum over the 27 nodes is separable: w, d w, grad w and d grad w are products of factors along x, y and z, so it
+is contracted axis by axis. Arrays come as separate components (see ``components``) and may carry leading batch axes:
+``vmap`` flattens environments and particles into one long particle axis over one long node axis.
 """
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -29,14 +31,17 @@ from rewax.physics.materialize import materialize
 from rewax.types import Array
 
 _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
-_SCATTER_WINDOWS = jax.lax.ScatterDimensionNumbers(
+_SCATTER_ROWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1,), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
-_GATHER_WINDOWS = jax.lax.GatherDimensionNumbers(offset_dims=(0,), collapsed_slice_dims=(), start_index_map=(0,))
+_GATHER_ROWS = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
+_GATHER_WINDOWS = jax.lax.GatherDimensionNumbers(
+    offset_dims=(1, 2, 3), collapsed_slice_dims=(), start_index_map=(0, 1, 2)
+)
 
 
 class GridFields(NamedTuple):
-    """What particles leave on the nodes, as components of shape grid.shape."""
+    """What particles leave on the nodes, as components of shape (num_nodes,)."""
 
     mass: Array
     """Node mass [kg]."""
@@ -45,23 +50,47 @@ class GridFields(NamedTuple):
 
 
 class _Axis(NamedTuple):
-    """``Stencil`` along one axis with its three nodes stacked, arrays (3, particles)."""
+    """Factors of weights along one axis for its three nodes, arrays (3, particles), by the letters of moments."""
 
-    weights: Array
-    slopes: Array
-    offsets: Array
+    w: Array
+    """Weight [-]."""
+    o: Array
+    """Weight times offset of the node [m]."""
+    s: Array
+    """Slope of the weight [1/m]."""
+    t: Array
+    """Slope of the weight times offset of the node [-]."""
+    offset: Array
+    """Node position minus particle position [m]."""
+
+
+class _Layout(NamedTuple):
+    """What is known when a program is traced."""
+
+    grid: Grid
+    listed: bool
+    """Node arrays hold the nodes of a list instead of all nodes."""
+
+    @property
+    def num_places(self) -> int:
+        """Arrays that say where particles and nodes are: x, y, z and the list."""
+        return 4 if self.listed else 3
 
 
 class _Stencils(NamedTuple):
     """Where all particles of all copies of the grid meet the nodes."""
 
-    base: Array
-    """Flat index of each particle's lowest node, shape (particles,)."""
-    axes: tuple[_Axis, ...]
+    lowest: tuple[Array, Array, Array]
+    """Index of each particle's lowest node along x (counted through all copies), y, z, shape (particles,), int32."""
+    axes: tuple[_Axis, _Axis, _Axis]
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
-    num_copies: int
-    """Product of the batch axes before the particles."""
+    listed: Array | None
+    """Row of each listed node among the nodes of all copies, shape (copies * num_nodes,); None: all in order."""
+
+    @property
+    def copies(self) -> int:
+        return math.prod(self.batch[:-1])
 
 
 class _Affine(NamedTuple):
@@ -71,7 +100,22 @@ class _Affine(NamedTuple):
     slope: tuple[Array, Array, Array]
 
 
-def particle_to_grid(grid: Grid, x: Vec3, mass: Array, momentum: Vec3, affine: Mat3) -> GridFields:
+class _Term(NamedTuple):
+    """What particles send to a node: the product of three factors, one per axis, times an affine field."""
+
+    factors: tuple[Array, Array, Array]
+    field: _Affine
+
+
+_VALUE_MOMENTS = ("www", "oww", "wow", "wwo")
+"""Sums over the stencil of g, and of g times the offset along x, y, z: a factor of ``_Axis`` for each axis."""
+_SLOPE_MOMENTS = (("sww", "tww", "sow", "swo"), ("wsw", "osw", "wtw", "wso"), ("wws", "ows", "wos", "wwt"))
+"""How those change with the particle's position along x, y, z while its offsets stay."""
+
+
+def particle_to_grid(
+    grid: Grid, x: Vec3, mass: Array, momentum: Vec3, affine: Mat3, *, nodes: Array | None = None
+) -> GridFields:
     """Spread particles' mass and momentum onto the nodes around them.
 
     Node i receives w_i mass and w_i (momentum + affine d_i), d_i its offset from the particle. Mass is conserved to
@@ -83,24 +127,28 @@ def particle_to_grid(grid: Grid, x: Vec3, mass: Array, momentum: Vec3, affine: M
       mass: particle masses [kg], shape (num_particles,).
       momentum: particle momenta [kg m/s], components of shape (num_particles,).
       affine: linear field of momentum around each particle [kg/s]; in MLS-MPM -dt vol 4/dx^2 tau + mass C.
+      nodes: flat indices of the nodes that are wanted, shape (num_nodes,), int32; ``grid.num_nodes`` marks a place
+        that is not used. None: all, in order.
 
     Returns:
-      Mass and momentum of the nodes, components of shape grid.shape.
+      Mass and momentum of the nodes, components of shape (num_nodes,).
 
     Gradient: exact with respect to all arrays, forward and reverse.
     Source: Hu et al. 2018, MLS-MPM, eq. 29; Jiang et al. 2015, APIC.
     """
-    m, px, py, pz = _particle_to_grid(grid, *x, mass, *momentum, *affine[0], *affine[1], *affine[2])
+    layout = _Layout(grid, nodes is not None)
+    m, px, py, pz = _particle_to_grid(layout, *_places(x, nodes), mass, *momentum, *_flat(affine))
     return GridFields(m, (px, py, pz))
 
 
-def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3) -> tuple[Vec3, Mat3]:
+def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, nodes: Array | None = None) -> tuple[Vec3, Mat3]:
     """Interpolate node velocities at particles, with their first moment.
 
     Args:
       grid: the nodes.
       x: particle positions [m], components of shape (num_particles,).
-      velocity: node velocities [m/s], components of shape grid.shape.
+      velocity: node velocities [m/s], components of shape (num_nodes,).
+      nodes: flat indices of those nodes, as in ``particle_to_grid``; all others have velocity zero.
 
     Returns:
       velocity: sum w_i v_i [m/s], components of shape (num_particles,).
@@ -109,104 +157,102 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3) -> tuple[Vec3, Mat3]:
     Gradient: exact with respect to positions and velocities, forward and reverse.
     Source: Jiang et al. 2015, APIC; Hu et al. 2018, MLS-MPM, eq. 17.
     """
-    out = _grid_to_particle(grid, *x, *velocity)
+    out = _grid_to_particle(_Layout(grid, nodes is not None), *_places(x, nodes), *velocity)
     return _as_vector(out[:3]), _as_matrix(out[3:])
 
 
-# --- The four passes -------------------------------------------------------------------------------------------------
+# --- The passes ------------------------------------------------------------------------------------------------------
 
 
-def _spread(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
+def _spread(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """w (mass, p + A d) summed onto nodes. residuals: x; linear: mass, p, A. -> mass, momentum of the nodes."""
-    st = _stencils(grid, residuals[:3])
-    return _scatter(grid, st, _affine((linear[0], *linear[1:4]), _as_matrix(linear[4:])))
+    st, _ = _stencils(layout, residuals)
+    return _scatter(layout.grid, st, [_Term(_weights(st), _affine(linear[:4], _as_matrix(linear[4:])))])
 
 
-def _gather_moments(grid: Grid, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of ``_spread``: (sum w g_mass, sum w g, sum w g d^T)."""
-    st = _stencils(grid, residuals[:3])
-    q, B = _gather(grid, st, cotangents)
-    return (*q, *_flat(B))
+def _gather_values(layout: _Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
+    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``_spread``; interpolation of velocities."""
+    st, _ = _stencils(layout, residuals)
+    return _values(st, _moments(layout.grid, st, nodes, _VALUE_MOMENTS))
 
 
-def _spread_tangent(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
+def _scatter_values(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Transpose of ``_gather_values`` for three fields: w (v + B d) summed onto nodes."""
+    st, _ = _stencils(layout, residuals)
+    return _scatter(layout.grid, st, [_Term(_weights(st), _affine(linear[:3], _as_matrix(linear[3:])))])
+
+
+def _gather_slopes(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """All ``_SLOPE_MOMENTS`` of the node fields behind x in residuals: 3 x 4 x 3 arrays."""
+    del linear
+    st, rest = _stencils(layout, residuals)
+    moments = _moments(layout.grid, st, rest, sum(_SLOPE_MOMENTS, ()))
+    return tuple(a for name in sum(_SLOPE_MOMENTS, ()) for a in _unstack(st, moments[name]))
+
+
+def _spread_tangent(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """Derivative of ``_spread`` in the direction (dx, dmass, dp, dA) at (x, mass, p, A)."""
-    st = _stencils(grid, residuals[:3])
-    mass, p, A = residuals[3], residuals[4:7], _as_matrix(residuals[7:])
+    st, rest = _stencils(layout, residuals)
+    mass, p, A = rest[0], rest[1:4], _as_matrix(rest[4:])
     dx, dmass, dp, dA = _as_vector(linear[:3]), linear[3], _as_vector(linear[4:7]), _as_matrix(linear[7:])
-    along = _affine((dmass, *cp.subtract(dp, cp.matvec(A, dx))), dA)
-    return _scatter(grid, st, along, moved=(dx, _affine((mass, *p), A)))
+    terms = [_Term(_weights(st), _affine((dmass, *cp.subtract(dp, cp.matvec(A, dx))), dA))]
+    field = _affine((mass, *p), A)
+    for axis in cp.AXES:
+        factors = [a.s * dx[axis].reshape(-1) if i == axis else a.w for i, a in enumerate(st.axes)]
+        terms.append(_Term(_as_vector(factors), field))
+    return _scatter(layout.grid, st, terms)
 
 
-def _spread_tangent_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    st = _stencils(grid, residuals[:3])
-    mass, p, A = residuals[3], residuals[4:7], _as_matrix(residuals[7:])
-    q, B, X = _gather_both(grid, st, cotangents, _affine((mass, *p), A))
-    dx = cp.subtract(X, cp.matvec(cp.transpose(A), _as_vector(q[1:])))
-    return (*dx, *q, *_flat(B))
+def _spread_tangent_transpose(layout: _Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    st, rest = _stencils(layout, residuals)
+    A = _as_matrix(rest[4:])
+    field = _affine(rest[:4], A)
+    moments = _moments(layout.grid, st, cotangents, _VALUE_MOMENTS + sum(_SLOPE_MOMENTS, ()))
+    values = _values(st, moments)
+    work = cp.vector(lambda a: _work(st, field, [moments[name] for name in _SLOPE_MOMENTS[a]]))
+    return (*cp.subtract(work, cp.matvec(cp.transpose(A), _as_vector(values[1:4]))), *values)
 
 
-def _interpolate(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
-    """(sum w g, sum w g d^T) of node velocities g. residuals: x; linear: velocity."""
-    st = _stencils(grid, residuals[:3])
-    q, B = _gather(grid, st, linear)
-    return (*q, *_flat(B))
-
-
-def _interpolate_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    st = _stencils(grid, residuals[:3])
-    v, B = cotangents[:3], _as_matrix(cotangents[3:])
-    return _scatter(grid, st, _affine(v, B))
-
-
-def _interpolate_tangent(grid: Grid, residuals: Arrays, linear: Arrays) -> Arrays:
-    """Derivative of ``_interpolate`` in the direction (dx, dg) at (x, g, v = sum w g)."""
-    x, g, v = residuals[:3], residuals[3:6], _as_vector(residuals[6:9])
-    dx, dg = linear[:3], linear[3:]
-    st = _stencils(grid, x)
-    q, B = _gather(grid, st, dg)
-    slope_q, slope_B = _gather_slope(grid, st, g, dx)
-    dv = cp.add(_as_vector(q), _as_vector(slope_q))
-    dB = cp.matrix(lambda i, j: B[i][j] + slope_B[i][j] - v[i] * dx[j])
-    return (*dv, *_flat(dB))
-
-
-def _interpolate_tangent_transpose(grid: Grid, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    x, g, v = residuals[:3], residuals[3:6], _as_vector(residuals[6:9])
-    vbar, Bbar = cotangents[:3], _as_matrix(cotangents[3:])
-    st = _stencils(grid, x)
-    X = _gather_work(grid, st, g, _affine(vbar, Bbar))
-    dx = cp.subtract(X, cp.matvec(cp.transpose(Bbar), v))
-    return (*dx, *_interpolate_transpose(grid, x, cotangents))
+def _no_second_derivative(*args):
+    raise NotImplementedError("second derivatives through grid_to_particle are not available")
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _particle_to_grid(grid: Grid, *args: Array) -> Arrays:
-    return linear_pass(_spread, _gather_moments, grid, args[:3], args[3:])
+def _particle_to_grid(layout: _Layout, *args: Array) -> Arrays:
+    return linear_pass(_spread, _gather_values, layout, *_split(layout, args))
 
 
 @_particle_to_grid.defjvp
-def _particle_to_grid_jvp(grid: Grid, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
-    out = _particle_to_grid(grid, *args)
-    return out, linear_pass(_spread_tangent, _spread_tangent_transpose, grid, args, tangents)
+def _particle_to_grid_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
+    out = _particle_to_grid(layout, *args)
+    return out, linear_pass(_spread_tangent, _spread_tangent_transpose, layout, args, _without_list(layout, tangents))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _grid_to_particle(grid: Grid, *args: Array) -> Arrays:
-    return linear_pass(_interpolate, _interpolate_transpose, grid, args[:3], args[3:])
+def _grid_to_particle(layout: _Layout, *args: Array) -> Arrays:
+    return linear_pass(_gather_values, _scatter_values, layout, *_split(layout, args))
 
 
 @_grid_to_particle.defjvp
-def _grid_to_particle_jvp(grid: Grid, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
-    out = _grid_to_particle(grid, *args)
-    residuals = (*args, *out[:3])
-    return out, linear_pass(_interpolate_tangent, _interpolate_tangent_transpose, grid, residuals, tangents)
+def _grid_to_particle_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
+    out = _grid_to_particle(layout, *args)
+    places, dx = _split(layout, args)[0], tangents[:3]
+    slopes = linear_pass(_gather_slopes, _no_second_derivative, layout, args, ())
+    by_nodes = linear_pass(_gather_values, _scatter_values, layout, places, _split(layout, tangents)[1])
+
+    def along(moment: int, component: int) -> Array:
+        """Change of one moment of one component with the motion dx."""
+        return sum(slopes[12 * a + 3 * moment + component] * dx[a] for a in cp.AXES)  # type: ignore[return-value]
+
+    dv = cp.vector(lambda c: by_nodes[c] + along(0, c))
+    dB = cp.matrix(lambda c, b: by_nodes[3 + 3 * c + b] + along(1 + b, c) - out[c] * dx[b])
+    return out, (*dv, *_flat(dB))
 
 
 # --- Sums over the stencil -------------------------------------------------------------------------------------------
 
 
-def _as_vector(a: Arrays) -> Vec3:
+def _as_vector(a: Sequence[Array]) -> Vec3:
     return (a[0], a[1], a[2])
 
 
@@ -218,174 +264,141 @@ def _flat(a: Mat3) -> Arrays:
     return (*a[0], *a[1], *a[2])
 
 
-def _stencils(grid: Grid, x: Arrays) -> _Stencils:
-    """Stencils of all particles, flat index of the lowest node of each; batch axes are flattened away."""
-    batch = x[0].shape
-    axes, base = [], jnp.zeros((), jnp.int32)
-    for a in cp.AXES:
-        st = quadratic_bspline(x[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
-        base = base + st.base * grid.strides[a]
-        axes.append(_Axis(jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)))
+def _places(x: Vec3, nodes: Array | None) -> Arrays:
+    return x if nodes is None else (*x, nodes)
+
+
+def _split(layout: _Layout, args: Arrays) -> tuple[Arrays, Arrays]:
+    return args[: layout.num_places], args[layout.num_places :]
+
+
+def _without_list(layout: _Layout, tangents: Arrays) -> Arrays:
+    """Tangents of everything but the list of nodes, which has none."""
+    return (*tangents[:3], *_split(layout, tangents)[1])
+
+
+def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
+    """Stencils of all particles, and what of the residuals is not about places.
+
+    Batch axes are flattened away; copies of the grid lie one behind the other along x.
+    """
+    grid = layout.grid
+    places, rest = _split(layout, residuals)
+    batch = places[0].shape
     copies = math.prod(batch[:-1])
+    axes, lowest = [], []
+    for a in cp.AXES:
+        x = places[a].reshape(-1)
+        st = quadratic_bspline(x, origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
+        w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
+        axes.append(_Axis(w, w * d, s, s * d, d))
+        lowest.append(st.base)
     if copies > 1:
-        base = base + np.repeat(np.arange(copies, dtype=np.int32) * grid.num_nodes, batch[-1])
-    return _Stencils(base, tuple(materialize(axes)), batch, copies)
+        lowest[0] = lowest[0] + np.repeat(np.arange(copies, dtype=np.int32) * grid.shape[0], batch[-1])
+    listed = None
+    if layout.listed:
+        nodes = places[3].reshape(copies, -1)
+        offset = np.arange(copies, dtype=np.int32)[:, None] * grid.num_nodes
+        listed = jnp.where(nodes < grid.num_nodes, nodes + offset, copies * grid.num_nodes).reshape(-1)
+    lowest, axes, listed = materialize((_as_vector(lowest), tuple(axes), listed))
+    return _Stencils(lowest, axes, batch, listed), rest
 
 
-def _affine(value: Arrays, matrix: Mat3) -> _Affine:
+def _weights(st: _Stencils) -> tuple[Array, Array, Array]:
+    return (st.axes[0].w, st.axes[1].w, st.axes[2].w)
+
+
+def _affine(value: Sequence[Array], matrix: Mat3) -> _Affine:
     """Stack three or four fields; the last three have the matrix's rows as slopes, a mass before them has none."""
     extra = [jnp.zeros_like(matrix[0][0])] * (len(value) - 3)
     slopes = [_stack([*extra, *(row[a] for row in matrix)]) for a in cp.AXES]
     return _Affine(_stack(value), (slopes[0], slopes[1], slopes[2]))
 
 
-def _stack(arrays) -> Array:
+def _stack(arrays: Sequence[Array]) -> Array:
     """Shape (len(arrays), particles). The barrier keeps XLA from recomputing the stack in every one of its users."""
     return materialize(jnp.stack(materialize([a.reshape(-1) for a in arrays])))
 
 
-def _scatter(grid: Grid, st: _Stencils, field: _Affine, moved: tuple[Arrays, _Affine] | None = None) -> Arrays:
-    """Sum w (value + slope . d) onto the 27 nodes around each particle, one window of 3 nodes along z at a time.
+def _unstack(st: _Stencils, a: Array) -> Arrays:
+    return tuple(a[c].reshape(st.batch) for c in range(a.shape[0]))
 
-    ``moved = (dx, other)`` adds the change of the weights, (grad w . dx) (other.value + other.slope . d).
-    """
-    count = field.value.shape[0]
-    x_axis, y_axis, z_axis = st.axes
-    num_values = grid.num_nodes * st.num_copies * count
-    change = None if moved is None else [a.reshape(-1) for a in moved[0]]
 
-    def window(f: _Affine, x: _Axis, y: _Axis) -> Array:
-        plane = f.value + f.slope[0] * x.offsets + f.slope[1] * y.offsets
-        return plane[None] + z_axis.offsets[:, None] * f.slope[2][None]
+def _scatter(grid: Grid, st: _Stencils, terms: list[_Term]) -> Arrays:
+    """Sum the terms onto the 27 nodes around each particle, as 9 rows of 3 nodes along z."""
+    count, num = terms[0].field.value.shape
+    _, stride_y, _ = grid.strides
+    d = [axis.offset for axis in st.axes]
+    updates = jnp.zeros((), terms[0].field.value.dtype)
+    for (wx, wy, wz), field in terms:
+        across = (wx[:, None] * wy[None])[:, :, None]  # (3, 3, 1, particles)
+        plane = field.value + field.slope[0] * d[0][:, None, None] + field.slope[1] * d[1][None, :, None]
+        plane, tilt = materialize((across * plane, across * field.slope[2]))
+        updates = updates + wz[:, None] * (plane[:, :, None] + d[2][:, None] * tilt[:, :, None])
+    rows = materialize(updates.reshape(9, 3 * count, num))
+    rows = materialize(rows.transpose(0, 2, 1)).reshape(9 * num, 3 * count)
+    steps = np.asarray([[i, j] for i in range(3) for j in range(3)], np.int32) @ np.asarray(grid.strides[:2], np.int32)
+    base = (st.lowest[0] * grid.shape[1] + st.lowest[1]) * stride_y + st.lowest[2]
+    start = materialize(count * base + count * steps[:, None]).reshape(-1, 1)
+    nodes = jnp.zeros(((st.copies * grid.num_nodes + 1) * count,), rows.dtype)
+    nodes = jax.lax.scatter_add(nodes, start, rows, _SCATTER_ROWS, mode=_IN_BOUNDS)
+    return _from_rows(st, nodes.reshape(-1, count))
 
-    def add(n: Array, nodes: Array) -> Array:
-        i, j = n // 3, n % 3
-        x, y = _node(x_axis, i), _node(y_axis, j)
-        updates = (x.weights * y.weights * z_axis.weights)[:, None] * window(field, x, y)
-        if moved is not None and change is not None:
-            across = change[0] * x.slopes * y.weights + change[1] * x.weights * y.slopes
-            slope = across * z_axis.weights + change[2] * x.weights * y.weights * z_axis.slopes
-            updates = updates + slope[:, None] * window(moved[1], x, y)
-        updates = materialize(updates).reshape(3 * count, -1).T
-        start = (st.base + i * grid.strides[0] + j * grid.strides[1]) * count
-        return jax.lax.scatter_add(nodes, start[:, None], updates, _SCATTER_WINDOWS, mode=_IN_BOUNDS)
 
-    nodes = jax.lax.fori_loop(0, 9, add, jnp.zeros((num_values,), field.value.dtype))
-    fields = nodes.reshape(-1, count).T.reshape(count, *st.batch[:-1], *grid.shape)
+def _from_rows(st: _Stencils, rows: Array) -> Arrays:
+    """Node arrays out of one row (num_fields,) per node of all copies and one more for places that are not used."""
+    count = rows.shape[1]
+    if st.listed is None:
+        rows = rows[:-1]
+    else:
+        start = st.listed[:, None] * count
+        rows = jax.lax.gather(rows.reshape(-1), start, _GATHER_ROWS, (count,), mode=_IN_BOUNDS)
+    fields = materialize(rows).T.reshape(count, *st.batch[:-1], -1)
     return tuple(fields[c] for c in range(count))
 
 
-def _node(axis: _Axis, i: Array) -> _Axis:
-    """One of the three nodes along an axis, arrays (particles,), stored: a slice inside a fusion is not vectorised."""
-    return materialize(_Axis(axis.weights[i], axis.slopes[i], axis.offsets[i]))
-
-
-class _Moments(NamedTuple):
-    """Sums over the stencil of node values g."""
-
-    total: Array
-    """sum w g, shape (num_fields, particles)."""
-    first: tuple[Array, Array, Array]
-    """sum w g d by component of d, each (3, particles), of the last three fields."""
-
-
-def _windows(grid: Grid, st: _Stencils, fields: Arrays, add, init):
-    """Fold ``add(x, y, g, carry)`` over the 9 windows; g: three arrays (num_fields, particles), nodes along z."""
+def _to_rows(grid: Grid, st: _Stencils, fields: Arrays) -> Array:
+    """The inverse of ``_from_rows``, zero at nodes that are not listed; without the last row, flattened."""
+    num_nodes = st.copies * grid.num_nodes
+    rows = jnp.stack(materialize([f.reshape(-1) for f in fields]), axis=-1)
+    if st.listed is None:
+        return rows.reshape(-1)
     count = len(fields)
-    rows = jnp.stack(materialize(fields), axis=-1).reshape(-1)
-
-    def body(n: Array, carry):
-        i, j = n // 3, n % 3
-        start = (st.base + i * grid.strides[0] + j * grid.strides[1]) * count
-        window = jax.lax.gather(rows, start[:, None], _GATHER_WINDOWS, (3 * count,), mode=_IN_BOUNDS)
-        columns = window.reshape(3, count, -1)
-        x, y = _node(st.axes[0], i), _node(st.axes[1], j)
-        return add(x, y, (columns[0], columns[1], columns[2]), carry)
-
-    return jax.lax.fori_loop(0, 9, body, init)
+    nodes = jnp.zeros(((num_nodes + 1) * count,), rows.dtype)
+    start = st.listed[:, None] * count
+    nodes = jax.lax.scatter(nodes, start, materialize(rows), _SCATTER_ROWS, mode=_IN_BOUNDS)
+    return nodes[: num_nodes * count]
 
 
-def _gather(grid: Grid, st: _Stencils, fields: Arrays) -> tuple[Arrays, Mat3]:
-    """q = sum w g of all fields, B = sum w g d^T of the last three (a mass may come before them)."""
-    moments = _windows(grid, st, fields, functools.partial(_add_moments, st), _zero_moments(st, fields))
-    return _unpack_moments(st, moments)
+def _moments(grid: Grid, st: _Stencils, fields: Arrays, names: tuple[str, ...]) -> dict[str, Array]:
+    """Sums over the stencil of factor along x * factor along y * factor along z * g, each (num_fields, particles)."""
+    count, num = len(fields), st.lowest[0].shape[0]
+    rows = _to_rows(grid, st, fields).reshape(-1, grid.shape[1], grid.shape[2] * count)
+    start = materialize(jnp.stack([st.lowest[0], st.lowest[1], st.lowest[2] * count], axis=-1))
+    windows = jax.lax.gather(rows, start, _GATHER_WINDOWS, (3, 3, 3 * count), mode=_IN_BOUNDS)
+    windows = materialize(windows.reshape(num, 27 * count))
+    g = materialize(windows.T).reshape(3, 3, 3, count, num)
+    along_z = {z: _contract(getattr(st.axes[2], z), g) for z in dict.fromkeys(n[2] for n in names)}
+    along_z = materialize(along_z)
+    along_y = {yz: _contract(getattr(st.axes[1], yz[0]), along_z[yz[1]]) for yz in dict.fromkeys(n[1:] for n in names)}
+    along_y = materialize(along_y)
+    return materialize({n: _contract(getattr(st.axes[0], n[0]), along_y[n[1:]]) for n in names})
 
 
-def _gather_work(grid: Grid, st: _Stencils, fields: Arrays, source: _Affine) -> Vec3:
-    """X = sum grad w (g . (value + slope . d)): how the work done on the nodes changes with the particle's position."""
-    X = _windows(grid, st, fields, functools.partial(_add_work, st, source), _zero_work(st, fields))
-    return cp.vector(lambda a: X[a].reshape(st.batch))
+def _contract(factor: Array, g: Array) -> Array:
+    """Sum over the last of the node axes of g (..., 3, num_fields, particles), factor (3, particles)."""
+    return g[..., 0, :, :] * factor[0] + g[..., 1, :, :] * factor[1] + g[..., 2, :, :] * factor[2]
 
 
-def _gather_both(grid: Grid, st: _Stencils, fields: Arrays, source: _Affine) -> tuple[Arrays, Mat3, Vec3]:
-    """``_gather`` and ``_gather_work`` in one pass."""
-
-    def add(x: _Axis, y: _Axis, g, carry):
-        return _add_moments(st, x, y, g, carry[0]), _add_work(st, source, x, y, g, carry[1])
-
-    moments, X = _windows(grid, st, fields, add, (_zero_moments(st, fields), _zero_work(st, fields)))
-    q, B = _unpack_moments(st, moments)
-    return q, B, cp.vector(lambda a: X[a].reshape(st.batch))
+def _values(st: _Stencils, moments: dict[str, Array]) -> Arrays:
+    """(sum w g of all fields, sum w g d^T of the last three) as flat components."""
+    q = _unstack(st, moments["www"])
+    first = [_unstack(st, moments[name])[-3:] for name in _VALUE_MOMENTS[1:]]
+    return (*q, *_flat(cp.matrix(lambda c, a: first[a][c])))
 
 
-def _add_moments(st: _Stencils, x: _Axis, y: _Axis, g, m: _Moments) -> _Moments:
-    z_axis = st.axes[2]
-    skip = g[0].shape[0] - 3
-    wz, wdz = z_axis.weights, z_axis.weights * z_axis.offsets
-    wij = x.weights * y.weights
-    a = wij * (wz[0] * g[0] + wz[1] * g[1] + wz[2] * g[2])
-    b = wij * (wdz[0] * g[0] + wdz[1] * g[1] + wdz[2] * g[2])[skip:]
-    bx, by, bz = m.first
-    return _Moments(m.total + a, (bx + x.offsets * a[skip:], by + y.offsets * a[skip:], bz + b))
-
-
-def _add_work(st: _Stencils, source: _Affine, x: _Axis, y: _Axis, g, X: Vec3) -> Vec3:
-    z_axis = st.axes[2]
-    plane = source.value + source.slope[0] * x.offsets + source.slope[1] * y.offsets
-    work = []
-    for k in cp.AXES:
-        terms = g[k] * (plane + source.slope[2] * z_axis.offsets[k])
-        work.append(sum(terms[c] for c in range(terms.shape[0])))
-    work = materialize(work)
-    along = z_axis.weights[0] * work[0] + z_axis.weights[1] * work[1] + z_axis.weights[2] * work[2]
-    across = z_axis.slopes[0] * work[0] + z_axis.slopes[1] * work[1] + z_axis.slopes[2] * work[2]
-    return (
-        X[0] + x.slopes * y.weights * along,
-        X[1] + x.weights * y.slopes * along,
-        X[2] + x.weights * y.weights * across,
-    )
-
-
-def _zero_moments(st: _Stencils, fields: Arrays) -> _Moments:
-    zeros = jnp.zeros((len(fields), st.base.shape[0]), fields[0].dtype)
-    return _Moments(zeros, (zeros[:3], zeros[:3], zeros[:3]))
-
-
-def _zero_work(st: _Stencils, fields: Arrays) -> Vec3:
-    zeros = jnp.zeros(st.base.shape, fields[0].dtype)
-    return (zeros, zeros, zeros)
-
-
-def _unpack_moments(st: _Stencils, m: _Moments) -> tuple[Arrays, Mat3]:
-    return _unstack(st, m.total), cp.matrix(lambda c, a: m.first[a][c].reshape(st.batch))
-
-
-def _gather_slope(grid: Grid, st: _Stencils, fields: Arrays, dx: Arrays) -> tuple[Arrays, Mat3]:
-    """(sum (grad w . dx) g, sum (grad w . dx) g d^T) of three fields: only forward mode needs it."""
-    z_axis = st.axes[2]
-    change = [a.reshape(-1) for a in dx]
-
-    def add(x: _Axis, y: _Axis, g, m: _Moments) -> _Moments:
-        across = change[0] * x.slopes * y.weights + change[1] * x.weights * y.slopes
-        slope = across * z_axis.weights + change[2] * x.weights * y.weights * z_axis.slopes
-        a = slope[0] * g[0] + slope[1] * g[1] + slope[2] * g[2]
-        moved = slope * z_axis.offsets
-        b = moved[0] * g[0] + moved[1] * g[1] + moved[2] * g[2]
-        bx, by, bz = m.first
-        return _Moments(m.total + a, (bx + x.offsets * a, by + y.offsets * a, bz + b))
-
-    return _unpack_moments(st, _windows(grid, st, fields, add, _zero_moments(st, fields)))
-
-
-def _unstack(st: _Stencils, a: Array) -> Arrays:
-    return tuple(a[c].reshape(st.batch) for c in range(a.shape[0]))
+def _work(st: _Stencils, field: _Affine, slopes: list[Array]) -> Array:
+    """sum grad w (g . (value + slope . d)) along one axis, from that axis' ``_SLOPE_MOMENTS``."""
+    terms = [field.value * slopes[0], *(field.slope[b] * slopes[1 + b] for b in cp.AXES)]
+    terms = materialize(terms[0] + terms[1] + terms[2] + terms[3])
+    return sum(_unstack(st, terms)[1:], _unstack(st, terms)[0])

@@ -26,8 +26,8 @@ def contact(collider, node, velocity, before=REST, after=REST):
 
 def after_contact(collider, nodes, velocity, before, after):
     """Velocities (N, 3) of nodes (N, 3) after contact."""
-    basis = jnp.concatenate([nodes, jnp.ones_like(nodes[:, :1])], axis=1).T
-    return cp.join_vector(apply_collider(collider, basis, cp.split_vector(velocity), before, after, DT))
+    position = cp.split_vector(nodes)
+    return cp.join_vector(apply_collider(collider, position, cp.split_vector(velocity), before, after, DT))
 
 
 UNDER, AT = [0.3, -0.05, 0.1], [0.3, 0.0, 0.1]

@@ -55,11 +55,11 @@ def plain_g2p(x, v):
 
 def p2g(x, mass, p, A):
     fields = transfer.particle_to_grid(GRID, cp.split_vector(x), mass, cp.split_vector(p), cp.split_matrix(A))
-    return fields.mass, cp.join_vector(fields.momentum)
+    return fields.mass.reshape(GRID.shape), cp.join_vector(fields.momentum).reshape(*GRID.shape, 3)
 
 
 def g2p(x, v):
-    velocity, moment = transfer.grid_to_particle(GRID, cp.split_vector(x), cp.split_vector(v))
+    velocity, moment = transfer.grid_to_particle(GRID, cp.split_vector(x), cp.split_vector(v.reshape(-1, 3)))
     return cp.join_vector(velocity), cp.join_matrix(moment)
 
 

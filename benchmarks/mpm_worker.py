@@ -1,0 +1,75 @@
+"""A worker for the MLS-MPM comparison with Warp and Taichi: the same scene through rewax.
+
+It speaks the protocol of that comparison's ``bench_common.py``, which must be importable; ``docs/benchmarks.md`` gives
+the command line of a whole run.
+
+    python mpm_worker.py SCENE        # a: 2500 particles, 48^3; b: 8 of them side by side; c: 30000 particles, 64^3
+"""
+
+import functools
+import sys
+
+import bench_common
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics import mpm
+from rewax.physics.colliders import Wall, Walls
+from rewax.physics.grid import Grid
+from rewax.physics.materials import Elasticity, Material
+from rewax.training.cache import enable_compilation_cache
+
+
+WINDOW = {48: 16, 64: 24}
+"""Nodes per axis of the moving window by nodes per axis of the grid: the block, and a few cells to move in."""
+
+
+class Worker:
+    """Corotated block that falls onto a slippery floor; ``fwd(n)`` and ``grad(n)`` run n substeps."""
+
+    def __init__(self, scene: dict) -> None:
+        enable_compilation_cache()
+        nodes, dx = scene["grid"], scene["dx"]
+        sides = tuple(Wall(position=bench_common.BOUND * dx) for _ in range(3))
+        far = tuple(Wall(position=(nodes - bench_common.BOUND) * dx) for _ in range(3))
+        self.scene = mpm.make_scene(
+            grid=Grid(shape=(nodes, nodes, nodes), spacing=dx),
+            dt=scene["dt"],
+            material=Material(
+                youngs_modulus=jnp.asarray(bench_common.E),
+                poissons_ratio=jnp.asarray(bench_common.NU),
+                density=jnp.asarray(bench_common.RHO),
+                elasticity=Elasticity.FIXED_COROTATED,
+            ),
+            particle_volume=jnp.asarray(scene["p_vol"]),
+            gravity=(0.0, bench_common.GRAVITY, 0.0),
+            walls=Walls(lower=sides, upper=far),
+            window=(WINDOW[nodes],) * 3,
+        )
+        self.envs = scene["envs"]
+        self.x = jnp.asarray(np.tile(scene["x"][None], (self.envs, 1, 1)))
+        self.v = jnp.asarray(np.tile(scene["v"][None], (self.envs, 1, 1)))
+        self._forward = jax.jit(functools.partial(self._mean_height, store_every=None), static_argnums=2)
+        backward = jax.value_and_grad(functools.partial(self._mean_height, store_every=1))
+        self._backward = jax.jit(backward, static_argnums=2)
+
+    def _mean_height(self, v: jax.Array, x: jax.Array, num_substeps: int, store_every: int | None) -> jax.Array:
+        poses = mpm.static_poses(num_substeps)
+
+        def run(v: jax.Array, x: jax.Array) -> jax.Array:
+            state = mpm.initial_state(x).replace(v=v)
+            return mpm.step(self.scene, state, poses, store_every=store_every).x[:, 1].mean()
+
+        return jax.vmap(run)(v, x).mean()
+
+    def fwd(self, n: int) -> dict:
+        return {"val": float(self._forward(self.v, self.x, n))}
+
+    def grad(self, n: int) -> dict:
+        value, gradient = jax.block_until_ready(self._backward(self.v, self.x, n))
+        return {"val": float(value), "g": np.asarray(gradient).sum((0, 1)).tolist()}
+
+
+if __name__ == "__main__":
+    bench_common.serve(Worker, sys.argv[1])
