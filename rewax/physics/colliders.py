@@ -112,18 +112,19 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
     lx, ly, lz, bx, by, bz = materialize(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     influence = jnp.minimum(jnp.exp(-collider.softness * distance), 1.0)
-    normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
-    normal = materialize(normal)
+    # Stored at each step: XLA would compute the whole chain, forward and backward, anew for every component.
+    influence, local_normal = materialize((influence, local_normal))
     body = (bx, by, bz)
-    relative = cp.subtract(velocity, body)
-    approach = jnp.minimum(cp.dot(relative, normal), 0.0)
-    tangential = cp.vector(lambda i: relative[i] - approach * normal[i])
-    slipping = _friction_factor(tangential, approach, collider.friction)
+    normal, relative = materialize(
+        (cp.matvec(cp.split_matrix(start.rotation), local_normal), cp.subtract(velocity, body))
+    )
+    approach = materialize(jnp.minimum(cp.dot(relative, normal), 0.0))
+    tangential = materialize(cp.vector(lambda i: relative[i] - approach * normal[i]))
+    slipping = materialize(_friction_factor(tangential, approach, collider.friction))
     active = influence > MIN_INFLUENCE
-    slipping, approach = materialize((slipping, approach))
 
     def after_contact(i: int) -> Array:
-        u, u_t = relative[i], (relative[i] - approach * normal[i]) * slipping
+        u, u_t = relative[i], tangential[i] * slipping
         return jnp.where(active, body[i] + (1.0 - influence) * u + influence * u_t, velocity[i])
 
     return cp.vector(after_contact)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from rewax.physics import components as cp
 from rewax.physics.components import AXES, Mat3, Vec3
+from rewax.physics.materialize import materialize
 from rewax.types import Array
 
 SpectralFunction = Callable[[Vec3, Any], tuple[Vec3, ...]]
@@ -109,7 +110,7 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
     db, dparameters = _instantiate(tangents[0]), tangents[1]
     parameters_move = not all(_is_zero(t) for t in jax.tree.leaves(dparameters, is_leaf=_is_zero))
     eigenvalues, u = eigh_components(b)
-    principal = function(eigenvalues, parameters)
+    principal = materialize(function(eigenvalues, parameters))
     one, zero = jnp.ones_like(eigenvalues[0]), jnp.zeros_like(eigenvalues[0])
     # by_eigenvalue[j][n][i]: derivative of component i of result n by eigenvalue j
     by_eigenvalue = [
@@ -118,10 +119,12 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
         )[1]
         for j in AXES
     ]
+    by_eigenvalue = materialize(by_eigenvalue)
     by_parameters = None
     if parameters_move:
         _, by_parameters = jax.jvp(lambda p: function(eigenvalues, p), (parameters,), (_instantiate(dparameters),))
-    rotated = cp.matmul(cp.transpose(u), cp.matmul(cp.matrix(lambda i, j: 0.5 * (db[i][j] + db[j][i])), u))
+    symmetric = materialize(cp.matmul(cp.matrix(lambda i, j: 0.5 * (db[i][j] + db[j][i])), u))
+    rotated = materialize(cp.matmul(cp.transpose(u), symmetric))
     close = jnp.finfo(one.dtype).eps ** (1 / 3)
     out, dout = [], []
     for n, f in enumerate(principal):
@@ -135,7 +138,7 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
             limit = 0.5 * (own_i - cross_i + own_j - cross_j)
             return jnp.where(near, limit, (f[i] - f[j]) / jnp.where(near, 1.0, gap))
 
-        k = {pair: divided_difference(*pair) for pair in _ROTATIONS}
+        k = materialize({pair: divided_difference(*pair) for pair in _ROTATIONS})
 
         def entry(i: int, j: int, k=k, n=n) -> Array:
             if i != j:
@@ -143,9 +146,9 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
             along = cp.dot(cp.vector(lambda a: by_eigenvalue[a][n][i]), cp.vector(lambda a: rotated[a][a]))
             return along if by_parameters is None else along + by_parameters[n][i]
 
-        inner = cp.matrix(entry)
+        half = materialize(cp.matmul(materialize(cp.matrix(entry)), cp.transpose(u)))
         out.append(_recompose(u, f))
-        dout.append(cp.matmul(u, cp.matmul(inner, cp.transpose(u))))
+        dout.append(cp.matmul(u, half))
     return tuple(out), tuple(dout)
 
 

@@ -31,7 +31,7 @@ def _store(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
 
 def _store_on_cpu(*arrays):
     first = jax.lax.slice(arrays[0].reshape(-1), (0,), (1,))[0]
-    never = first < -jnp.inf  # not even for NaN
+    never = first.astype(jnp.float32) < -jnp.inf  # not even for NaN
     more, out = jax.lax.while_loop(
         lambda carry: carry[0],
         lambda carry: (jnp.zeros_like(carry[0]), tuple(a + a for a in carry[1])),

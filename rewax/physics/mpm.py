@@ -20,7 +20,7 @@ from rewax.physics.grid import Grid
 from rewax.physics.materialize import materialize
 from rewax.physics.materials import Material, Plasticity, respond, sound_speed
 from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
-from rewax.physics.window import REACH, Nodes, count_nodes, list_nodes, place_window
+from rewax.physics.window import REACH, Nodes, Window, count_nodes, list_nodes, place_window
 from rewax.status import Status, flag
 from rewax.types import Array, Scalar
 
@@ -171,8 +171,9 @@ def substep(scene: MPMScene, state: MPMState, before: Pose, after: Pose) -> MPMS
     Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
     Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
     """
-    poses = jax.tree.map(lambda *p: jnp.stack(p), before, after)
-    return step(scene, state, poses, store_every=None)
+    window, nodes = _surroundings(scene, state)
+    interval = (_seen_from(window, before), _seen_from(window, after))
+    return _leave(window, _substep(scene, window.grid, nodes, _enter(window, state), interval))
 
 
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
@@ -194,27 +195,21 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
         raise ValueError(
             f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
         )
-    window = place_window(scene.grid, scene.window, state.x)
-    nodes = list_nodes(window, state.x - window.origin, scene.max_active_nodes)
-    poses = Pose(poses.position - window.origin, poses.rotation)
+    window, nodes = _surroundings(scene, state)
+    poses = _seen_from(window, poses)
     intervals = (jax.tree.map(lambda p: p[:-1], poses), jax.tree.map(lambda p: p[1:], poses))
 
     def body(particles: _Particles, interval: tuple[Pose, Pose]) -> tuple[_Particles, None]:
         return _substep(scene, window.grid, nodes, particles, interval), None
 
-    particles = _split(state.replace(x=state.x - window.origin))
-
-    def finish(particles: _Particles) -> MPMState:
-        end = _join(particles)
-        return end.replace(x=end.x + window.origin)
-
+    particles = _enter(window, state)
     if store_every is None:
         particles, _ = jax.lax.scan(body, particles, intervals)
-        return finish(particles)
+        return _leave(window, particles)
     one = jax.checkpoint(body, prevent_cse=False)
     if store_every == 1:
         particles, _ = jax.lax.scan(one, particles, intervals)
-        return finish(particles)
+        return _leave(window, particles)
 
     @jax.checkpoint
     def chunk(particles: _Particles, intervals: tuple[Pose, Pose]) -> tuple[_Particles, None]:
@@ -222,7 +217,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
 
     chunks = jax.tree.map(lambda p: p.reshape(-1, store_every, *p.shape[1:]), intervals)
     particles, _ = jax.lax.scan(chunk, particles, chunks)
-    return finish(particles)
+    return _leave(window, particles)
 
 
 def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
@@ -260,9 +255,11 @@ def _left_window(scene: MPMScene, before: Array, after: Array) -> Array:
     if scene.window is not None:
         lower, upper = _bounds(window.grid, after.dtype)
         margin = 1e-3 * scene.grid.spacing  # rounding of the way there and back
-        moves = jnp.asarray(scene.window) < jnp.asarray(scene.grid.shape)
-        stopped = (after <= window.origin + lower + margin) | (after >= window.origin + upper - margin)
-        left = left | jnp.any(moves & stopped)
+        more_below = window.first > 0
+        more_above = window.first + jnp.asarray(scene.window) < jnp.asarray(scene.grid.shape)
+        stopped_below = more_below & (after <= window.origin + lower + margin)
+        stopped_above = more_above & (after >= window.origin + upper - margin)
+        left = left | jnp.any(stopped_below | stopped_above)
     if scene.max_active_nodes is not None:
         left = left | jnp.any(jnp.abs(after - before) > REACH * scene.grid.spacing)
         left = left | (count_nodes(window, before - window.origin) > scene.max_active_nodes)
@@ -282,7 +279,8 @@ def _substep(
     scene: MPMScene, grid: Grid, nodes: Nodes, particles: _Particles, interval: tuple[Pose, Pose]
 ) -> _Particles:
     """One substep in the coordinates of a window."""
-    x, v, C, F_trial = particles
+    # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
+    x, v, C, F_trial = materialize(particles)
     dt = scene.dt
     inertia = 4.0 / grid.spacing**2
     F, tau = materialize(respond(scene.material, F_trial))
@@ -316,6 +314,25 @@ def grid_velocity(scene: MPMScene, nodes: Nodes, fields: GridFields, before: Pos
         velocity = apply_collider(collider, nodes.position, velocity, start, end, scene.dt)
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
+
+
+def _surroundings(scene: MPMScene, state: MPMState) -> tuple[Window, Nodes]:
+    """Where the next step takes place."""
+    window = place_window(scene.grid, scene.window, state.x)
+    return window, list_nodes(window, state.x - window.origin, scene.max_active_nodes)
+
+
+def _seen_from(window: Window, poses: Pose) -> Pose:
+    return Pose(poses.position - window.origin, poses.rotation)
+
+
+def _enter(window: Window, state: MPMState) -> _Particles:
+    return _split(state.replace(x=state.x - window.origin))
+
+
+def _leave(window: Window, particles: _Particles) -> MPMState:
+    state = _join(particles)
+    return state.replace(x=state.x + window.origin)
 
 
 def _split(state: MPMState) -> _Particles:

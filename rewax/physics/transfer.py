@@ -290,6 +290,7 @@ def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
     for a in cp.AXES:
         x = places[a].reshape(-1)
         st = quadratic_bspline(x, origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
+        st = materialize(st)
         w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
         axes.append(_Axis(w, w * d, s, s * d, d))
         lowest.append(st.base)

@@ -6,6 +6,13 @@ import numpy as np
 import pytest
 
 
+@pytest.fixture(scope="module", autouse=True)
+def release_programs():
+    """Programs of one module are no use to the next, and each keeps memory and many memory maps."""
+    yield
+    jax.clear_caches()
+
+
 def _norm(tree) -> float:
     return float(np.sqrt(sum(np.sum(np.square(np.asarray(leaf, np.float64))) for leaf in jax.tree.leaves(tree))))
 

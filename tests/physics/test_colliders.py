@@ -84,7 +84,9 @@ def test_offset_and_rotation_of_the_shape_in_its_body(x64):
     np.testing.assert_array_equal(contact(wall, [1.1, 5.0, 0.0], [2.0, 1.0, 0.0], body, body), [2.0, 1.0, 0.0])
     # The whole body turned back: the ground is a ground again, and its offset turns with it.
     body = Pose(jnp.array([0.0, 0.5, 0.0]), turn.T)
-    np.testing.assert_allclose(contact(wall, [0.0, 0.2, 0.0], [2.0, -1.0, 0.0], body, body), [2.0, 0.0, 0.0], atol=1e-14)
+    np.testing.assert_allclose(
+        contact(wall, [0.0, 0.2, 0.0], [2.0, -1.0, 0.0], body, body), [2.0, 0.0, 0.0], atol=1e-14
+    )
     np.testing.assert_array_equal(contact(wall, [0.0, 0.4, 0.0], [2.0, -1.0, 0.0], body, body), [2.0, -1.0, 0.0])
 
 
@@ -109,7 +111,9 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
     assert relative_error(tangent, central_difference(after, args, direction, 1e-8)) < 1e-6
     cotangent = random_like(2, tangent)
     (gradient,) = jax.vjp(after, args)[1](cotangent)
-    reverse = sum(float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True))
+    reverse = sum(
+        float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
+    )
     np.testing.assert_allclose(reverse, float(jnp.vdot(cotangent, tangent)), rtol=1e-11)
 
 
@@ -121,8 +125,13 @@ OPEN = (None, None, None)
 def after_walls(walls, velocity, num=6, spacing=0.1):
     """All nodes start with the same velocity."""
     grid = Grid(shape=(num, num, num), spacing=spacing)
-    v = tuple(jnp.full(grid.shape, a) for a in velocity)
-    return np.stack(apply_walls(walls, grid, v), axis=-1)
+    v = tuple(jnp.full(grid.num_nodes, a) for a in velocity)
+    return np.stack(apply_walls(walls, grid, indices(grid), v), axis=-1).reshape(*grid.shape, 3)
+
+
+def indices(grid):
+    """Index of every node along x, y, z."""
+    return tuple(jnp.asarray(a.reshape(-1), jnp.int32) for a in np.indices(grid.shape))
 
 
 @pytest.mark.parametrize(
@@ -162,8 +171,9 @@ def test_walls_stand_where_their_metres_say_at_every_resolution(axis):
 def test_friction_of_a_wall_is_differentiable(x64):
     def speed(friction):
         wall = (None, Wall(position=0.25, friction=friction), None)
-        return jnp.sum(jnp.stack(apply_walls(Walls(lower=wall, upper=OPEN), Grid(shape=(4, 4, 4), spacing=0.1), velocity))[0])
+        return jnp.sum(apply_walls(Walls(lower=wall, upper=OPEN), grid, indices(grid), velocity)[0])
 
-    velocity = tuple(jnp.full((4, 4, 4), a) for a in (3.0, -2.0, 4.0))
+    grid = Grid(shape=(4, 4, 4), spacing=0.1)
+    velocity = tuple(jnp.full(64, a) for a in (3.0, -2.0, 4.0))
     # 16 nodes in each of the 3 layers behind: u_x = 3 (1 - 2 mu / 5).
     np.testing.assert_allclose(jax.grad(speed)(0.5), 48 * 3 * -2 / 5, rtol=1e-12)
