@@ -9,7 +9,7 @@ the command line of a whole run.
 import functools
 import sys
 
-import bench_common
+import bench_common  # pyright: ignore[reportMissingImports]
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +19,6 @@ from rewax.physics.colliders import Wall, Walls
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Elasticity, Material
 from rewax.training.cache import enable_compilation_cache
-
 
 WINDOW = {48: 16, 64: 24}
 """Nodes per axis of the moving window by nodes per axis of the grid: the block, and a few cells to move in."""

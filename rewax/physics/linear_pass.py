@@ -5,6 +5,7 @@ primitive of our own (see "JAX internals: primitives" in JAX's documentation) ha
 ``jax.custom_jvp`` it gives forward mode by running the map and reverse mode by running its transpose.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -49,7 +50,14 @@ def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residua
 
 
 def _abstract_eval(*args, **params):
-    return [ShapedArray(a.shape, a.dtype) for a in jax.eval_shape(lambda *xs: _run(*xs, **params), *args)]
+    return list(_shapes(tuple((a.shape, a.dtype) for a in args), **params))
+
+
+@functools.cache
+def _shapes(args: tuple, **params) -> tuple[ShapedArray, ...]:
+    """Shapes of the outputs. Every transformation asks for them again, and finding out means tracing the pass."""
+    out = jax.eval_shape(lambda *xs: _run(*xs, **params), *(jax.ShapeDtypeStruct(*a) for a in args))
+    return tuple(ShapedArray(a.shape, a.dtype) for a in out)
 
 
 def _jvp(primals, tangents, *, num_residuals: int, **params):
