@@ -236,7 +236,7 @@ def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: flo
             _pin(0.012, 0.3, offset=(0.0, 0.0, 0.5), friction=0.9),
         ),
         walls=_box_walls(floor=0.0625, lower=(0.0625, 0.0625), upper=(0.9375, 0.9375)),
-        max_active_nodes=6144,  # rolled flat or torn apart by the pin, dough reached 4000
+        max_active_nodes=5120,  # rolled flat or torn apart by the pin, dough needed 4000
     )
     return RollingFlat(
         scene=scene,

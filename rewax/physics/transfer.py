@@ -330,12 +330,13 @@ def _scatter(grid: Grid, st: _Stencils, terms: list[_Term]) -> Arrays:
     count, num = terms[0].field.value.shape
     _, stride_y, _ = grid.strides
     d = [axis.offset for axis in st.axes]
-    updates = jnp.zeros((), terms[0].field.value.dtype)
+    sums = []
     for (wx, wy, wz), field in terms:
         across = (wx[:, None] * wy[None])[:, :, None]  # (3, 3, 1, particles)
         plane = field.value + field.slope[0] * d[0][:, None, None] + field.slope[1] * d[1][None, :, None]
-        plane, tilt = materialize((across * plane, across * field.slope[2]))
-        updates = updates + wz[:, None] * (plane[:, :, None] + d[2][:, None] * tilt[:, :, None])
+        plane, tilt, lever = materialize((across * plane, across * field.slope[2], wz * d[2]))
+        sums.append(wz[:, None] * plane[:, :, None] + lever[:, None] * tilt[:, :, None])
+    updates = sum(sums[1:], sums[0])  # (3, 3, 3, count, particles)
     rows = materialize(updates.reshape(9, 3 * count, num))
     rows = materialize(rows.transpose(0, 2, 1)).reshape(9 * num, 3 * count)
     steps = np.asarray([[i, j] for i in range(3) for j in range(3)], np.int32) @ np.asarray(grid.strides[:2], np.int32)
