@@ -23,7 +23,8 @@ class Status(enum.IntFlag):
     CFL = 4
     """A particle crosses more than one cell per substep: the result is not to be trusted. Not fatal."""
     OUT_OF_WINDOW = 8
-    """A particle was stopped at the border of the moving window: give the scene a larger one. Not fatal."""
+    """A particle came to the border of the moving window, or out of reach of the listed nodes, or these were too few:
+    give the scene a larger ``window`` or ``max_active_nodes``, or shorter steps. Not fatal."""
 
 
 FATAL = Status.NAN

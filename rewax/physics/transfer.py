@@ -165,21 +165,15 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, nodes: Array | None
 
 
 def _spread(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """w (mass, p + A d) summed onto nodes. residuals: x; linear: mass, p, A. -> mass, momentum of the nodes."""
+    """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
     st, _ = _stencils(layout, residuals)
-    return _scatter(layout.grid, st, [_Term(_weights(st), _affine(linear[:4], _as_matrix(linear[4:])))])
+    return _scatter(layout.grid, st, [_Term(_weights(st), _affine(linear[:-9], _as_matrix(linear[-9:])))])
 
 
 def _gather_values(layout: _Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
     """(sum w g of all fields, sum w g d^T of the last three): transpose of ``_spread``; interpolation of velocities."""
     st, _ = _stencils(layout, residuals)
     return _values(st, _moments(layout.grid, st, nodes, _VALUE_MOMENTS))
-
-
-def _scatter_values(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """Transpose of ``_gather_values`` for three fields: w (v + B d) summed onto nodes."""
-    st, _ = _stencils(layout, residuals)
-    return _scatter(layout.grid, st, [_Term(_weights(st), _affine(linear[:3], _as_matrix(linear[3:])))])
 
 
 def _gather_slopes(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
@@ -213,8 +207,10 @@ def _spread_tangent_transpose(layout: _Layout, residuals: Arrays, cotangents: Ar
     return (*cp.subtract(work, cp.matvec(cp.transpose(A), _as_vector(values[1:4]))), *values)
 
 
-def _no_second_derivative(*args):
-    raise NotImplementedError("second derivatives through grid_to_particle are not available")
+def _nothing(layout: _Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """Transpose of a pass that has no linear arguments. (``linear_pass`` refuses second derivatives.)"""
+    del layout, residuals, cotangents
+    return ()
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -230,15 +226,15 @@ def _particle_to_grid_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tu
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _grid_to_particle(layout: _Layout, *args: Array) -> Arrays:
-    return linear_pass(_gather_values, _scatter_values, layout, *_split(layout, args))
+    return linear_pass(_gather_values, _spread, layout, *_split(layout, args))
 
 
 @_grid_to_particle.defjvp
 def _grid_to_particle_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _grid_to_particle(layout, *args)
     places, dx = _split(layout, args)[0], tangents[:3]
-    slopes = linear_pass(_gather_slopes, _no_second_derivative, layout, args, ())
-    by_nodes = linear_pass(_gather_values, _scatter_values, layout, places, _split(layout, tangents)[1])
+    slopes = linear_pass(_gather_slopes, _nothing, layout, args, ())
+    by_nodes = linear_pass(_gather_values, _spread, layout, places, _split(layout, tangents)[1])
 
     def along(moment: int, component: int) -> Array:
         """Change of one moment of one component with the motion dx."""
