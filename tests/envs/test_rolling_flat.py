@@ -317,3 +317,11 @@ def test_impossible_arguments_say_what_to_do(kwargs, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}") as error:
         rewax.make("RollingFlat", scale="small", **kwargs)
     assert "\n" not in str(error.value)
+
+
+def test_a_list_of_nodes_that_is_too_short_is_flagged_by_the_step():
+    env = small()
+    tight = env.replace(scene=env.scene.replace(max_active_nodes=100))
+    state = jax.jit(tight.step)(tight.reset(jax.random.key(0)), jnp.zeros(3))
+    assert int(state.status) & Status.OUT_OF_WINDOW
+    assert not bool(state.terminated)
