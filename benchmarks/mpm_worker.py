@@ -18,10 +18,13 @@ from rewax.physics import mpm
 from rewax.physics.colliders import Wall, Walls
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Elasticity, Material
+from rewax.status import describe
 from rewax.training.cache import enable_compilation_cache
 
-WINDOW = {48: 16, 64: 24}
-"""Nodes per axis of the moving window by nodes per axis of the grid: the block, and a few cells to move in."""
+ACTIVE_NODES = {48: 2560, 64: 10240}
+"""Room for the block and a few cells to move in, by nodes per axis of the grid."""
+CONTROL_STEP = 25
+"""Substeps for which one list of active nodes has to suffice."""
 
 
 class Worker:
@@ -44,30 +47,44 @@ class Worker:
             particle_volume=jnp.asarray(scene["p_vol"]),
             gravity=(0.0, bench_common.GRAVITY, 0.0),
             walls=Walls(lower=sides, upper=far),
-            window=(WINDOW[nodes],) * 3,
+            max_active_nodes=ACTIVE_NODES[nodes],
         )
         self.envs = scene["envs"]
         self.x = jnp.asarray(np.tile(scene["x"][None], (self.envs, 1, 1)))
         self.v = jnp.asarray(np.tile(scene["v"][None], (self.envs, 1, 1)))
         self._forward = jax.jit(functools.partial(self._mean_height, store_every=None), static_argnums=2)
-        backward = jax.value_and_grad(functools.partial(self._mean_height, store_every=1))
+        backward = jax.value_and_grad(functools.partial(self._mean_height, store_every=1), has_aux=True)
         self._backward = jax.jit(backward, static_argnums=2)
 
-    def _mean_height(self, v: jax.Array, x: jax.Array, num_substeps: int, store_every: int | None) -> jax.Array:
-        poses = mpm.static_poses(num_substeps)
+    def _mean_height(
+        self, v: jax.Array, x: jax.Array, num_substeps: int, store_every: int | None
+    ) -> tuple[jax.Array, jax.Array]:
+        poses = mpm.static_poses(CONTROL_STEP)
 
-        def run(v: jax.Array, x: jax.Array) -> jax.Array:
+        def control_step(state: mpm.MPMState, _: None) -> tuple[mpm.MPMState, jax.Array]:
+            new = mpm.step(self.scene, state, poses, store_every=store_every)
+            return new, mpm.check_status(self.scene, new, start=state)
+
+        def run(v: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
             state = mpm.initial_state(x).replace(v=v)
-            return mpm.step(self.scene, state, poses, store_every=store_every).x[:, 1].mean()
+            state, status = jax.lax.scan(control_step, state, length=num_substeps // CONTROL_STEP)
+            return state.x[:, 1].mean(), status
 
-        return jax.vmap(run)(v, x).mean()
+        height, status = jax.vmap(run)(v, x)
+        return height.mean(), status
 
     def fwd(self, n: int) -> dict:
-        return {"val": float(self._forward(self.v, self.x, n))}
+        value, status = self._forward(self.v, self.x, n)
+        return {"val": self._checked(value, status)}
+
+    def _checked(self, value: jax.Array, status: jax.Array) -> float:
+        if np.any(status):
+            raise RuntimeError(f"the run was not valid: {describe(int(np.bitwise_or.reduce(status, axis=None)))}")
+        return float(value)
 
     def grad(self, n: int) -> dict:
-        value, gradient = jax.block_until_ready(self._backward(self.v, self.x, n))
-        return {"val": float(value), "g": np.asarray(gradient).sum((0, 1)).tolist()}
+        (value, status), gradient = jax.block_until_ready(self._backward(self.v, self.x, n))
+        return {"val": self._checked(value, status), "g": np.asarray(gradient).sum((0, 1)).tolist()}
 
 
 if __name__ == "__main__":

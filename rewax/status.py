@@ -22,9 +22,9 @@ class Status(enum.IntFlag):
     """A particle left the simulated box and was clamped to its border. Not fatal."""
     CFL = 4
     """A particle crosses more than one cell per substep: the result is not to be trusted. Not fatal."""
-    OUT_OF_WINDOW = 8
-    """A particle came to the border of the moving window, or out of reach of the listed nodes, or these were too few:
-    give the scene a larger ``window`` or ``max_active_nodes``, or shorter steps. Not fatal."""
+    INACTIVE_NODES = 8
+    """More nodes were needed than the scene's ``max_active_nodes``, or a particle moved by more than a cell within a
+    step of such a scene: the result is not to be trusted. Give a larger number, or shorter steps. Not fatal."""
 
 
 FATAL = Status.NAN

@@ -33,6 +33,11 @@ class Grid:
         return math.prod(self.shape)
 
     @property
+    def num_columns(self) -> int:
+        """Columns of nodes along z."""
+        return self.shape[0] * self.shape[1]
+
+    @property
     def strides(self) -> tuple[int, int, int]:
         """How far the flat index of a node moves per step along x, y, z."""
         return (self.shape[1] * self.shape[2], self.shape[2], 1)

@@ -7,7 +7,7 @@ primitive of our own (see "JAX internals: primitives" in JAX's documentation) ha
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol, Self, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -21,12 +21,31 @@ Arrays = tuple[Array, ...]
 Pass = Callable[[Any, Arrays, Arrays], Arrays]
 """``(static, residuals, linear) -> outputs``; every array may carry further leading batch axes, the same for all."""
 
+Shapes = tuple[tuple[tuple[int, ...], Any], ...]
+"""Shape and dtype of each output."""
+
+
+@runtime_checkable
+class Batchable(Protocol):
+    """What ``static`` can be to have residuals that are the same for a whole batch passed as they are."""
+
+    def batched(self, which: tuple[bool, ...]) -> Self:
+        """The same under one more ``vmap``, and which of the residuals have its axis, at the front."""
+        ...
+
+
 linear_pass_p = Primitive("linear_pass")
 linear_pass_p.multiple_results = True
 
 
 def linear_pass(
-    function: Pass, transpose: Pass, static: Any, residuals: Sequence[Array], linear: Sequence[Array]
+    function: Pass,
+    transpose: Pass,
+    static: Any,
+    residuals: Sequence[Array],
+    linear: Sequence[Array],
+    *,
+    like: Sequence[Array] | None = None,
 ) -> Arrays:
     """``function(static, residuals, linear)``, linear in ``linear``, with ``transpose`` as its transpose.
 
@@ -34,30 +53,44 @@ def linear_pass(
       function: maps arrays to a tuple of arrays. Must accept leading batch axes: ``vmap`` calls it once with all
         arrays batched along axis 0 instead of tracing it anew.
       transpose: ``(static, residuals, cotangents of the outputs) -> cotangents of linear``.
-      static: anything hashable.
+      static: anything hashable. If it is ``Batchable``, residuals that a ``vmap`` does not touch are not repeated.
       residuals: arrays in which the function need not be linear. Gradient: none (wrap in ``jax.custom_jvp``).
       linear: arrays in which the function is linear. Gradient: exact.
+      like: arrays of the shapes and types of the outputs, if they are known; else the function is traced to find out.
     """
+    if like is None:
+        inputs = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, (*residuals, *linear)))
+        shapes = _shapes(inputs, function, static, len(residuals))
+    else:
+        shapes = tuple((a.shape, a.dtype) for a in like)
     out = linear_pass_p.bind(
-        *residuals, *linear, function=function, transpose=transpose, static=static, num_residuals=len(residuals)
+        *residuals,
+        *linear,
+        function=function,
+        transpose=transpose,
+        static=static,
+        num_residuals=len(residuals),
+        out=shapes,
     )
     return tuple(out)
 
 
-def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residuals: int) -> list[Array]:
-    del transpose
+def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residuals: int, out: Shapes) -> list[Array]:
+    del transpose, out
     return list(function(static, args[:num_residuals], args[num_residuals:]))
 
 
-def _abstract_eval(*args, **params):
-    return list(_shapes(tuple((a.shape, a.dtype) for a in args), **params))
+def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[ShapedArray]:
+    del args, params
+    return [ShapedArray(*a) for a in out]
 
 
 @functools.cache
-def _shapes(args: tuple, **params) -> tuple[ShapedArray, ...]:
-    """Shapes of the outputs. Every transformation asks for them again, and finding out means tracing the pass."""
-    out = jax.eval_shape(lambda *xs: _run(*xs, **params), *(jax.ShapeDtypeStruct(*a) for a in args))
-    return tuple(ShapedArray(a.shape, a.dtype) for a in out)
+def _shapes(args: tuple, function: Pass, static: Any, num_residuals: int) -> Shapes:
+    """Shapes of the outputs: found by tracing the pass once; transformations derive theirs from these."""
+    xs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in args]
+    out = jax.eval_shape(lambda xs: function(static, tuple(xs[:num_residuals]), tuple(xs[num_residuals:])), xs)
+    return tuple((a.shape, a.dtype) for a in out)
 
 
 def _jvp(primals, tangents, *, num_residuals: int, **params):
@@ -72,29 +105,38 @@ def _jvp(primals, tangents, *, num_residuals: int, **params):
     return out, linear_pass_p.bind(*residuals, *dlinear, num_residuals=num_residuals, **params)
 
 
-def _transpose(cotangents, *args, function: Pass, transpose: Pass, static: Any, num_residuals: int):
+def _transpose(cotangents, *args, function: Pass, transpose: Pass, static: Any, num_residuals: int, out: Shapes):
+    del out
     residuals, linear = args[:num_residuals], args[num_residuals:]
     cotangents = [ad.instantiate_zeros(ct) for ct in cotangents]
+    shapes = tuple((x.aval.shape, x.aval.dtype) if ad.is_undefined_primal(x) else (x.shape, x.dtype) for x in linear)
     out = linear_pass_p.bind(
-        *residuals, *cotangents, function=transpose, transpose=function, static=static, num_residuals=num_residuals
+        *residuals,
+        *cotangents,
+        function=transpose,
+        transpose=function,
+        static=static,
+        num_residuals=num_residuals,
+        out=shapes,
     )
     wanted = [ct if ad.is_undefined_primal(x) else None for ct, x in zip(out, linear, strict=True)]
     return [None] * num_residuals + wanted
 
 
-def _batch(args, dims, **params):
+def _batch(args, dims, *, static: Any, num_residuals: int, out: Shapes, **params: Any):
     size = next(a.shape[d] for a, d in zip(args, dims, strict=True) if d is not None)
+    args = [a if d is None else jnp.moveaxis(a, d, 0) for a, d in zip(args, dims, strict=True)]
+    shared = [d is None for d in dims]
+    if isinstance(static, Batchable):
+        static = static.batched(tuple(not s for s in shared[:num_residuals]))
+        shared[:num_residuals] = [False] * num_residuals
+    args = [jnp.broadcast_to(a, (size, *a.shape)) if s else a for a, s in zip(args, shared, strict=True)]
+    out = tuple(((size, *shape), dtype) for shape, dtype in out)
+    results = linear_pass_p.bind(*args, static=static, num_residuals=num_residuals, out=out, **params)
+    return results, [0] * len(results)
 
-    def leading(a: Array, d: int | None) -> Array:
-        if d is None:
-            return jnp.broadcast_to(a, (size, *a.shape))
-        return jnp.moveaxis(a, d, 0)
 
-    out = linear_pass_p.bind(*[leading(a, d) for a, d in zip(args, dims, strict=True)], **params)
-    return out, [0] * len(out)
-
-
-linear_pass_p.def_impl(jax.jit(_run, static_argnames=("function", "transpose", "static", "num_residuals")))
+linear_pass_p.def_impl(jax.jit(_run, static_argnames=("function", "transpose", "static", "num_residuals", "out")))
 linear_pass_p.def_abstract_eval(_abstract_eval)
 ad.primitive_jvps[linear_pass_p] = _jvp
 ad.primitive_transposes[linear_pass_p] = _transpose

@@ -14,13 +14,14 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics import components as cp
+from rewax.physics.active_nodes import REACH, ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply_walls
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
 from rewax.physics.materialize import materialize
 from rewax.physics.materials import Material, Plasticity, respond, sound_speed
+from rewax.physics.recompute import recomputed
 from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
-from rewax.physics.window import REACH, Nodes, Window, count_nodes, list_nodes, place_window
 from rewax.status import Status, flag
 from rewax.types import Array, Scalar
 
@@ -60,7 +61,6 @@ class MPMScene(struct.Replaceable):
       gravity: acceleration [m/s^2], shape (3,).
       colliders: moving shapes, applied in order.
       walls: the sides of the box.
-      window: nodes along x, y, z of the moving box in which a step takes place, None for the whole grid (static).
       max_active_nodes: how many nodes can have a velocity in a step, None for all (static).
     """
 
@@ -71,7 +71,6 @@ class MPMScene(struct.Replaceable):
     gravity: Array
     colliders: tuple[Collider, ...] = ()
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))
-    window: tuple[int, int, int] | None = struct.static_field(default=None)
     max_active_nodes: int | None = struct.static_field(default=None)
 
 
@@ -100,16 +99,13 @@ def make_scene(
     gravity: Any = (0.0, -9.81, 0.0),
     colliders: tuple[Collider, ...] = (),
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None)),
-    window: tuple[int, int, int] | None = None,
     max_active_nodes: int | None = None,
 ) -> MPMScene:
     """A checked ``MPMScene``; arguments are its fields.
 
-    Two options make a step cost less than the whole grid; ``check_status`` tells when they were chosen too tight.
-    A ``window`` is centred on the body at the beginning of every step (not substep): it must hold the body, one and a
-    half cells around it, and how far the body moves within a step. ``max_active_nodes`` limits gravity, colliders and
-    walls to the nodes that particles can touch while none moves by more than a cell within a step; it pays where a
-    body fills little of its box.
+    ``max_active_nodes`` makes memory and grid work of a step grow with the body instead of the box: nodes have a
+    place only where particles can be while none moves by more than a cell within a step (not substep). It pays where
+    a body fills little of its box; ``check_status`` tells when it was chosen too small.
 
     Raises:
       ValueError: a modulus, density, yield stress or volume that is not positive, a Poisson's ratio outside (-1, 0.5),
@@ -121,7 +117,7 @@ def make_scene(
         "particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3"
     )
     _check_positive("dt", dt, "give the duration of a substep in seconds")
-    _check_window(window, max_active_nodes, grid)
+    _check_max_active_nodes(max_active_nodes)
     limit = largest_stable_dt(material, grid)
     if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
         raise ValueError(
@@ -137,7 +133,6 @@ def make_scene(
         gravity=jnp.asarray(gravity),
         colliders=colliders,
         walls=walls,
-        window=window,
         max_active_nodes=max_active_nodes,
     )
 
@@ -171,9 +166,8 @@ def substep(scene: MPMScene, state: MPMState, before: Pose, after: Pose) -> MPMS
     Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
     Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
     """
-    window, nodes = _surroundings(scene, state)
-    interval = (_seen_from(window, before), _seen_from(window, after))
-    return _leave(window, _substep(scene, window.grid, nodes, _enter(window, state), interval))
+    nodes = _nodes(scene, state.x)
+    return _join(_recomputed_substep(scene, nodes, _split(state), (before, after)))
 
 
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
@@ -195,29 +189,21 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
         raise ValueError(
             f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
         )
-    window, nodes = _surroundings(scene, state)
-    poses = _seen_from(window, poses)
+    nodes = _nodes(scene, state.x)
     intervals = (jax.tree.map(lambda p: p[:-1], poses), jax.tree.map(lambda p: p[1:], poses))
 
+    one = _substep if store_every is None else _recomputed_substep
+
     def body(particles: _Particles, interval: tuple[Pose, Pose]) -> tuple[_Particles, None]:
-        return _substep(scene, window.grid, nodes, particles, interval), None
+        return one(scene, nodes, particles, interval), None
 
-    particles = _enter(window, state)
-    if store_every is None:
-        particles, _ = jax.lax.scan(body, particles, intervals)
-        return _leave(window, particles)
-    one = jax.checkpoint(body, prevent_cse=False)
-    if store_every == 1:
-        particles, _ = jax.lax.scan(one, particles, intervals)
-        return _leave(window, particles)
-
-    @jax.checkpoint
     def chunk(particles: _Particles, intervals: tuple[Pose, Pose]) -> tuple[_Particles, None]:
-        return jax.lax.scan(one, particles, intervals)
+        return jax.lax.scan(body, particles, intervals)
 
+    if store_every is None or store_every == 1:
+        return _join(chunk(_split(state), intervals)[0])
     chunks = jax.tree.map(lambda p: p.reshape(-1, store_every, *p.shape[1:]), intervals)
-    particles, _ = jax.lax.scan(chunk, particles, chunks)
-    return _leave(window, particles)
+    return _join(jax.lax.scan(jax.checkpoint(chunk), _split(state), chunks)[0])
 
 
 def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
@@ -232,7 +218,7 @@ def check_status(scene: MPMScene, state: MPMState, *, start: MPMState | None = N
     Args:
       scene: the scene.
       state: particles at the end of a step.
-      start: particles at its beginning, to also tell whether the scene's window and list of nodes were large enough.
+      start: particles at its beginning, to also tell whether the scene's ``max_active_nodes`` sufficed.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
@@ -245,25 +231,12 @@ def check_status(scene: MPMScene, state: MPMState, *, start: MPMState | None = N
     status = flag(~finite, Status.NAN) | flag(at_border, Status.OUT_OF_DOMAIN) | flag(too_fast, Status.CFL)
     if start is None:
         return status
-    return status | flag(_left_window(scene, jax.lax.stop_gradient(start).x, state.x), Status.OUT_OF_WINDOW)
-
-
-def _left_window(scene: MPMScene, before: Array, after: Array) -> Array:
-    """Whether a step from positions before to after was cut short by the window or the list of nodes, shape ()."""
-    window = place_window(scene.grid, scene.window, before)
-    left = jnp.zeros((), bool)
-    if scene.window is not None:
-        lower, upper = _bounds(window.grid, after.dtype)
-        margin = 1e-3 * scene.grid.spacing  # rounding of the way there and back
-        more_below = window.first > 0
-        more_above = window.first + jnp.asarray(scene.window) < jnp.asarray(scene.grid.shape)
-        stopped_below = more_below & (after <= window.origin + lower + margin)
-        stopped_above = more_above & (after >= window.origin + upper - margin)
-        left = left | jnp.any(stopped_below | stopped_above)
-    if scene.max_active_nodes is not None:
-        left = left | jnp.any(jnp.abs(after - before) > REACH * scene.grid.spacing)
-        left = left | (count_nodes(window, before - window.origin) > scene.max_active_nodes)
-    return left
+    if scene.max_active_nodes is None:
+        return status
+    before = jax.lax.stop_gradient(start).x
+    too_few = count_nodes(scene.grid, before) > scene.max_active_nodes
+    too_far = jnp.any(jnp.abs(state.x - before) > REACH * scene.grid.spacing)
+    return status | flag(too_few | too_far, Status.INACTIVE_NODES)
 
 
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
@@ -275,22 +248,20 @@ def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
 # --- One substep, by components --------------------------------------------------------------------------------------
 
 
-def _substep(
-    scene: MPMScene, grid: Grid, nodes: Nodes, particles: _Particles, interval: tuple[Pose, Pose]
-) -> _Particles:
-    """One substep in the coordinates of a window."""
+def _substep(scene: MPMScene, nodes: ActiveNodes, particles: _Particles, interval: tuple[Pose, Pose]) -> _Particles:
     # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
     x, v, C, F_trial = materialize(particles)
-    dt = scene.dt
+    grid, dt = scene.grid, scene.dt
+    active = None if scene.max_active_nodes is None else nodes
     inertia = 4.0 / grid.spacing**2
     F, tau = materialize(respond(scene.material, F_trial))
     volume = scene.particle_volume
     mass = jnp.broadcast_to(volume * scene.material.density, x[0].shape).astype(x[0].dtype)
     impulse = -dt * inertia * volume
     affine = cp.matrix(lambda i, j: impulse * tau[i][j] + mass * C[i][j])
-    fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine, nodes=nodes.flat)
+    fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine, active=active)
     velocity = grid_velocity(scene, nodes, fields, *interval)
-    v, moment = materialize(grid_to_particle(grid, x, velocity, nodes=nodes.flat))
+    v, moment = materialize(grid_to_particle(grid, x, velocity, active=active))
     C = cp.matrix(lambda i, j: inertia * moment[i][j])
     CF = cp.matmul(C, F)
     F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
@@ -299,10 +270,11 @@ def _substep(
     return _Particles(x, v, C, F_trial)
 
 
-def grid_velocity(scene: MPMScene, nodes: Nodes, fields: GridFields, before: Pose, after: Pose) -> Vec3:
-    """Velocities of the given nodes [m/s] after gravity, colliders and walls, components of shape (num_nodes,).
+_recomputed_substep = recomputed(_substep)
 
-    Poses are in the coordinates of the nodes.
+
+def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, before: Pose, after: Pose) -> Vec3:
+    """Velocities of the given nodes [m/s] after gravity, colliders and walls, components of shape (num_nodes,).
 
     Gradient: exact with respect to fields, poses and every leaf of the scene.
     """
@@ -316,23 +288,11 @@ def grid_velocity(scene: MPMScene, nodes: Nodes, fields: GridFields, before: Pos
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
-def _surroundings(scene: MPMScene, state: MPMState) -> tuple[Window, Nodes]:
-    """Where the next step takes place."""
-    window = place_window(scene.grid, scene.window, state.x)
-    return window, list_nodes(window, state.x - window.origin, scene.max_active_nodes)
-
-
-def _seen_from(window: Window, poses: Pose) -> Pose:
-    return Pose(poses.position - window.origin, poses.rotation)
-
-
-def _enter(window: Window, state: MPMState) -> _Particles:
-    return _split(state.replace(x=state.x - window.origin))
-
-
-def _leave(window: Window, particles: _Particles) -> MPMState:
-    state = _join(particles)
-    return state.replace(x=state.x + window.origin)
+def _nodes(scene: MPMScene, x: Array) -> ActiveNodes:
+    """The nodes that take part in the step that starts at positions x."""
+    if scene.max_active_nodes is None:
+        return all_nodes(scene.grid, x.dtype)
+    return list_nodes(scene.grid, x, scene.max_active_nodes)
 
 
 def _split(state: MPMState) -> _Particles:
@@ -352,16 +312,11 @@ def _bounds(grid: Grid, dtype: Any) -> tuple[Array, Array]:
 # --- Checks ----------------------------------------------------------------------------------------------------------
 
 
-def _check_window(window: tuple[int, int, int] | None, max_active_nodes: int | None, grid: Grid) -> None:
-    if window is not None and not (
-        len(window) == 3 and all(4 <= w <= n for w, n in zip(window, grid.shape, strict=True))
-    ):
+def _check_max_active_nodes(max_active_nodes: int | None) -> None:
+    if max_active_nodes is not None and max_active_nodes < 27:
         raise ValueError(
-            f"window is {window} on a grid of {grid.shape} nodes: give three numbers of nodes, each at least 4 and "
-            "at most the grid's, or None for the whole grid"
+            f"max_active_nodes is {max_active_nodes}: give at least the 27 that one particle touches, or None for all"
         )
-    if max_active_nodes is not None and max_active_nodes < 1:
-        raise ValueError(f"max_active_nodes is {max_active_nodes}: give a positive number, or None for all nodes")
 
 
 def _check_material(material: Material) -> None:

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics import components as cp
+from rewax.physics.active_nodes import ActiveNodes
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
 from rewax.physics.kernels import quadratic_bspline
@@ -34,10 +35,9 @@ _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _SCATTER_ROWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1,), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
+_COLUMNS = np.asarray([[i, j] for i in range(3) for j in range(3)], np.int32)
+"""Steps from the lowest node to the 9 columns along z that a particle touches."""
 _GATHER_ROWS = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
-_GATHER_WINDOWS = jax.lax.GatherDimensionNumbers(
-    offset_dims=(1, 2, 3), collapsed_slice_dims=(), start_index_map=(0, 1, 2)
-)
 
 
 class GridFields(NamedTuple):
@@ -68,25 +68,28 @@ class _Layout(NamedTuple):
     """What is known when a program is traced."""
 
     grid: Grid
-    listed: bool
-    """Node arrays hold the nodes of a list instead of all nodes."""
+    num_active: int | None
+    """Length of node arrays that hold active nodes only; None: they hold all nodes."""
+
+    @property
+    def num_nodes(self) -> int:
+        return self.grid.num_nodes if self.num_active is None else self.num_active
 
     @property
     def num_places(self) -> int:
-        """Arrays that say where particles and nodes are: x, y, z and the list."""
-        return 4 if self.listed else 3
+        """Arrays that say where particles and nodes are: x, y, z and the offsets of columns."""
+        return 3 if self.num_active is None else 4
 
 
 class _Stencils(NamedTuple):
     """Where all particles of all copies of the grid meet the nodes."""
 
-    lowest: tuple[Array, Array, Array]
-    """Index of each particle's lowest node along x (counted through all copies), y, z, shape (particles,), int32."""
+    rows: Array
+    """Place of the lowest node of each of the 9 rows of 3 nodes along z that a particle touches, among the nodes of
+    all copies, shape (9, particles), int32."""
     axes: tuple[_Axis, _Axis, _Axis]
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
-    listed: Array | None
-    """Row of each listed node among the nodes of all copies, shape (copies * num_nodes,); None: all in order."""
 
     @property
     def copies(self) -> int:
@@ -114,7 +117,7 @@ _SLOPE_MOMENTS = (("sww", "tww", "sow", "swo"), ("wsw", "osw", "wtw", "wso"), ("
 
 
 def particle_to_grid(
-    grid: Grid, x: Vec3, mass: Array, momentum: Vec3, affine: Mat3, *, nodes: Array | None = None
+    grid: Grid, x: Vec3, mass: Array, momentum: Vec3, affine: Mat3, *, active: ActiveNodes | None = None
 ) -> GridFields:
     """Spread particles' mass and momentum onto the nodes around them.
 
@@ -127,8 +130,8 @@ def particle_to_grid(
       mass: particle masses [kg], shape (num_particles,).
       momentum: particle momenta [kg m/s], components of shape (num_particles,).
       affine: linear field of momentum around each particle [kg/s]; in MLS-MPM -dt vol 4/dx^2 tau + mass C.
-      nodes: flat indices of the nodes that are wanted, shape (num_nodes,), int32; ``grid.num_nodes`` marks a place
-        that is not used. None: all, in order.
+      active: the nodes that are wanted, among them all that particles touch (see ``active_nodes``). None: all, in
+        order.
 
     Returns:
       Mass and momentum of the nodes, components of shape (num_nodes,).
@@ -136,19 +139,19 @@ def particle_to_grid(
     Gradient: exact with respect to all arrays, forward and reverse.
     Source: Hu et al. 2018, MLS-MPM, eq. 29; Jiang et al. 2015, APIC.
     """
-    layout = _Layout(grid, nodes is not None)
-    m, px, py, pz = _particle_to_grid(layout, *_places(x, nodes), mass, *momentum, *_flat(affine))
+    layout, places = _layout(grid, x, active)
+    m, px, py, pz = _particle_to_grid(layout, *places, mass, *momentum, *_flat(affine))
     return GridFields(m, (px, py, pz))
 
 
-def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, nodes: Array | None = None) -> tuple[Vec3, Mat3]:
+def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes | None = None) -> tuple[Vec3, Mat3]:
     """Interpolate node velocities at particles, with their first moment.
 
     Args:
       grid: the nodes.
       x: particle positions [m], components of shape (num_particles,).
       velocity: node velocities [m/s], components of shape (num_nodes,).
-      nodes: flat indices of those nodes, as in ``particle_to_grid``; all others have velocity zero.
+      active: which nodes these are, as in ``particle_to_grid``.
 
     Returns:
       velocity: sum w_i v_i [m/s], components of shape (num_particles,).
@@ -157,7 +160,8 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, nodes: Array | None
     Gradient: exact with respect to positions and velocities, forward and reverse.
     Source: Jiang et al. 2015, APIC; Hu et al. 2018, MLS-MPM, eq. 17.
     """
-    out = _grid_to_particle(_Layout(grid, nodes is not None), *_places(x, nodes), *velocity)
+    layout, places = _layout(grid, x, active)
+    out = _grid_to_particle(layout, *places, *velocity)
     return _as_vector(out[:3]), _as_matrix(out[3:])
 
 
@@ -167,20 +171,20 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, nodes: Array | None
 def _spread(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
     st, _ = _stencils(layout, residuals)
-    return _scatter(layout.grid, st, [_Term(_weights(st), _affine(linear[:-9], _as_matrix(linear[-9:])))])
+    return _scatter(layout, st, [_Term(_weights(st), _affine(linear[:-9], _as_matrix(linear[-9:])))])
 
 
 def _gather_values(layout: _Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
     """(sum w g of all fields, sum w g d^T of the last three): transpose of ``_spread``; interpolation of velocities."""
     st, _ = _stencils(layout, residuals)
-    return _values(st, _moments(layout.grid, st, nodes, _VALUE_MOMENTS))
+    return _values(st, _moments(st, nodes, _VALUE_MOMENTS))
 
 
 def _gather_slopes(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """All ``_SLOPE_MOMENTS`` of the node fields behind x in residuals: 3 x 4 x 3 arrays."""
     del linear
     st, rest = _stencils(layout, residuals)
-    moments = _moments(layout.grid, st, rest, sum(_SLOPE_MOMENTS, ()))
+    moments = _moments(st, rest, sum(_SLOPE_MOMENTS, ()))
     return tuple(a for name in sum(_SLOPE_MOMENTS, ()) for a in _unstack(st, moments[name]))
 
 
@@ -194,14 +198,14 @@ def _spread_tangent(layout: _Layout, residuals: Arrays, linear: Arrays) -> Array
     for axis in cp.AXES:
         factors = [a.s * dx[axis].reshape(-1) if i == axis else a.w for i, a in enumerate(st.axes)]
         terms.append(_Term(_as_vector(factors), field))
-    return _scatter(layout.grid, st, terms)
+    return _scatter(layout, st, terms)
 
 
 def _spread_tangent_transpose(layout: _Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
     st, rest = _stencils(layout, residuals)
     A = _as_matrix(rest[4:])
     field = _affine(rest[:4], A)
-    moments = _moments(layout.grid, st, cotangents, _VALUE_MOMENTS + sum(_SLOPE_MOMENTS, ()))
+    moments = _moments(st, cotangents, _VALUE_MOMENTS + sum(_SLOPE_MOMENTS, ()))
     values = _values(st, moments)
     work = cp.vector(lambda a: _work(st, field, [moments[name] for name in _SLOPE_MOMENTS[a]]))
     return (*cp.subtract(work, cp.matvec(cp.transpose(A), _as_vector(values[1:4]))), *values)
@@ -260,8 +264,10 @@ def _flat(a: Mat3) -> Arrays:
     return (*a[0], *a[1], *a[2])
 
 
-def _places(x: Vec3, nodes: Array | None) -> Arrays:
-    return x if nodes is None else (*x, nodes)
+def _layout(grid: Grid, x: Vec3, active: ActiveNodes | None) -> tuple[_Layout, Arrays]:
+    if active is None:
+        return _Layout(grid, None), x
+    return _Layout(grid, active.index[0].shape[-1]), (*x, active.offset)
 
 
 def _split(layout: _Layout, args: Arrays) -> tuple[Arrays, Arrays]:
@@ -269,14 +275,14 @@ def _split(layout: _Layout, args: Arrays) -> tuple[Arrays, Arrays]:
 
 
 def _without_list(layout: _Layout, tangents: Arrays) -> Arrays:
-    """Tangents of everything but the list of nodes, which has none."""
+    """Tangents of everything but the offsets of columns, which have none."""
     return (*tangents[:3], *_split(layout, tangents)[1])
 
 
 def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
     """Stencils of all particles, and what of the residuals is not about places.
 
-    Batch axes are flattened away; copies of the grid lie one behind the other along x.
+    Batch axes are flattened away; the nodes of the copies of the grid lie one behind the other.
     """
     grid = layout.grid
     places, rest = _split(layout, residuals)
@@ -290,15 +296,17 @@ def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
         w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
         axes.append(_Axis(w, w * d, s, s * d, d))
         lowest.append(st.base)
-    if copies > 1:
-        lowest[0] = lowest[0] + np.repeat(np.arange(copies, dtype=np.int32) * grid.shape[0], batch[-1])
-    listed = None
-    if layout.listed:
-        nodes = places[3].reshape(copies, -1)
-        offset = np.arange(copies, dtype=np.int32)[:, None] * grid.num_nodes
-        listed = jnp.where(nodes < grid.num_nodes, nodes + offset, copies * grid.num_nodes).reshape(-1)
-    lowest, axes, listed = materialize((_as_vector(lowest), tuple(axes), listed))
-    return _Stencils(lowest, axes, batch, listed), rest
+    copy = np.repeat(np.arange(copies, dtype=np.int32), batch[-1])
+    columns = lowest[0] * grid.shape[1] + lowest[1] + (_COLUMNS @ np.asarray([[grid.shape[1]], [1]], np.int32))
+    if layout.num_active is None:
+        rows = columns * grid.shape[2] + lowest[2]
+    else:
+        table = places[3].reshape(-1)
+        columns = materialize(columns + copy * grid.num_columns)
+        rows = table.at[columns].get(mode="promise_in_bounds") + lowest[2]
+        rows = jnp.clip(rows, 0, layout.num_nodes - 3)  # a particle that left the active nodes, see Status
+    rows, axes = materialize((rows + copy * layout.num_nodes, tuple(axes)))
+    return _Stencils(rows, axes, batch), rest
 
 
 def _weights(st: _Stencils) -> tuple[Array, Array, Array]:
@@ -321,10 +329,9 @@ def _unstack(st: _Stencils, a: Array) -> Arrays:
     return tuple(a[c].reshape(st.batch) for c in range(a.shape[0]))
 
 
-def _scatter(grid: Grid, st: _Stencils, terms: list[_Term]) -> Arrays:
+def _scatter(layout: _Layout, st: _Stencils, terms: list[_Term]) -> Arrays:
     """Sum the terms onto the 27 nodes around each particle, as 9 rows of 3 nodes along z."""
     count, num = terms[0].field.value.shape
-    _, stride_y, _ = grid.strides
     d = [axis.offset for axis in st.axes]
     sums = []
     for (wx, wy, wz), field in terms:
@@ -335,47 +342,21 @@ def _scatter(grid: Grid, st: _Stencils, terms: list[_Term]) -> Arrays:
     updates = sum(sums[1:], sums[0])  # (3, 3, 3, count, particles)
     rows = materialize(updates.reshape(9, 3 * count, num))
     rows = materialize(rows.transpose(0, 2, 1)).reshape(9 * num, 3 * count)
-    steps = np.asarray([[i, j] for i in range(3) for j in range(3)], np.int32) @ np.asarray(grid.strides[:2], np.int32)
-    base = (st.lowest[0] * grid.shape[1] + st.lowest[1]) * stride_y + st.lowest[2]
-    start = materialize(count * base + count * steps[:, None]).reshape(-1, 1)
-    nodes = jnp.zeros(((st.copies * grid.num_nodes + 1) * count,), rows.dtype)
+    start = materialize(st.rows * count).reshape(-1, 1)
+    nodes = jnp.zeros((st.copies * layout.num_nodes * count,), rows.dtype)
     nodes = jax.lax.scatter_add(nodes, start, rows, _SCATTER_ROWS, mode=_IN_BOUNDS)
-    return _from_rows(st, nodes.reshape(-1, count))
-
-
-def _from_rows(st: _Stencils, rows: Array) -> Arrays:
-    """Node arrays out of one row (num_fields,) per node of all copies and one more for places that are not used."""
-    count = rows.shape[1]
-    if st.listed is None:
-        rows = rows[:-1]
-    else:
-        start = st.listed[:, None] * count
-        rows = jax.lax.gather(rows.reshape(-1), start, _GATHER_ROWS, (count,), mode=_IN_BOUNDS)
-    fields = materialize(rows).T.reshape(count, *st.batch[:-1], -1)
+    fields = materialize(nodes.reshape(-1, count)).T.reshape(count, *st.batch[:-1], -1)
     return tuple(fields[c] for c in range(count))
 
 
-def _to_rows(grid: Grid, st: _Stencils, fields: Arrays) -> Array:
-    """The inverse of ``_from_rows``, zero at nodes that are not listed; without the last row, flattened."""
-    num_nodes = st.copies * grid.num_nodes
-    rows = jnp.stack(materialize([f.reshape(-1) for f in fields]), axis=-1)
-    if st.listed is None:
-        return rows.reshape(-1)
-    count = len(fields)
-    nodes = jnp.zeros(((num_nodes + 1) * count,), rows.dtype)
-    start = st.listed[:, None] * count
-    nodes = jax.lax.scatter(nodes, start, materialize(rows), _SCATTER_ROWS, mode=_IN_BOUNDS)
-    return nodes[: num_nodes * count]
-
-
-def _moments(grid: Grid, st: _Stencils, fields: Arrays, names: tuple[str, ...]) -> dict[str, Array]:
+def _moments(st: _Stencils, fields: Arrays, names: tuple[str, ...]) -> dict[str, Array]:
     """Sums over the stencil of factor along x * factor along y * factor along z * g, each (num_fields, particles)."""
-    count, num = len(fields), st.lowest[0].shape[0]
-    rows = _to_rows(grid, st, fields).reshape(-1, grid.shape[1], grid.shape[2] * count)
-    start = materialize(jnp.stack([st.lowest[0], st.lowest[1], st.lowest[2] * count], axis=-1))
-    windows = jax.lax.gather(rows, start, _GATHER_WINDOWS, (3, 3, 3 * count), mode=_IN_BOUNDS)
-    windows = materialize(windows.reshape(num, 27 * count))
-    g = materialize(windows.T).reshape(3, 3, 3, count, num)
+    count, num = len(fields), st.rows.shape[1]
+    nodes = materialize(jnp.stack(materialize([f.reshape(-1) for f in fields]), axis=-1)).reshape(-1)
+    start = materialize(st.rows * count).reshape(-1, 1)
+    rows = jax.lax.gather(nodes, start, _GATHER_ROWS, (3 * count,), mode=_IN_BOUNDS)
+    rows = materialize(rows.reshape(9, num, 3 * count))
+    g = materialize(rows.transpose(0, 2, 1)).reshape(3, 3, 3, count, num)
     along_z = {z: _contract(getattr(st.axes[2], z), g) for z in dict.fromkeys(n[2] for n in names)}
     along_z = materialize(along_z)
     along_y = {yz: _contract(getattr(st.axes[1], yz[0]), along_z[yz[1]]) for yz in dict.fromkeys(n[1:] for n in names)}

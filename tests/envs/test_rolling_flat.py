@@ -323,5 +323,26 @@ def test_a_list_of_nodes_that_is_too_short_is_flagged_by_the_step():
     env = small()
     tight = env.replace(scene=env.scene.replace(max_active_nodes=100))
     state = jax.jit(tight.step)(tight.reset(jax.random.key(0)), jnp.zeros(3))
-    assert int(state.status) & Status.OUT_OF_WINDOW
+    assert int(state.status) & Status.INACTIVE_NODES
     assert not bool(state.terminated)
+
+
+# --- The pin drags the dough -----------------------------------------------------------------------------------------
+
+
+def test_the_pin_drags_the_dough_it_presses_on(step, start):
+    """Along its motion, to either side alike; the more the nearer to it; and not at all where it does not touch."""
+    down = press(step, start, [0.0, -1.0, 0.0], 6)[-1]
+    rest = np.asarray(start.physics.dough.x)
+    top, bottom = rest[:, 1] > 0.14, rest[:, 1] < 0.10
+
+    def moved(state, direction):
+        after, still = (press(step, state, [d, 0.0, 0.0], 3)[-1].physics.dough.x for d in (direction, 0.0))
+        return np.asarray(after - still)[:, 0]
+
+    right, left = moved(down, 0.5), moved(down, -0.5)
+    assert right[top].mean() > 0.002 and left[top].mean() < -0.002  # the pin itself moves by 30 mm
+    assert right[top].mean() > 1.5 * right[bottom].mean() > 0.0
+    assert left[top].mean() < 1.5 * left[bottom].mean() < 0.0
+    lifted = press(step, start, [0.0, 1.0, 0.0], 6)[-1]
+    assert np.abs(moved(lifted, 0.5)).max() < 1e-4

@@ -1,4 +1,4 @@
-"""A step in a window, on listed nodes only, against the same step on the whole grid."""
+"""A step on active nodes only, against the same step on the whole grid."""
 
 import jax
 import jax.numpy as jnp
@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rewax.physics import mpm
+from rewax.physics.active_nodes import REACH, all_nodes, count_nodes, list_nodes
 from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Elasticity, Material, Plasticity
 from rewax.physics.sdf import Capsule
-from rewax.physics.window import REACH, count_nodes, list_nodes, place_window
 from rewax.status import Status
 
 GRID = Grid(shape=(17, 14, 15), spacing=0.05, origin=(-0.2, 0.1, 0.3))
 NUM, NUM_SUBSTEPS, DT = 30, 4, 1e-3
-TIGHT = {"window": (10, 9, 10), "max_active_nodes": 700}
+TIGHT = {"max_active_nodes": 750}
 
 
 def make(dtype=np.float64, **options) -> mpm.MPMScene:
@@ -82,7 +82,7 @@ def test_a_tight_step_equals_one_on_the_whole_grid(x64, relative_error, seed, co
     weights = [jnp.asarray(rng.normal(size=a.shape)) for a in jax.tree.leaves(state)]
     (_, whole), whole_gradient = GRADIENT((make(), state, poses), weights)
     (_, tight), tight_gradient = GRADIENT((make(**TIGHT), state, poses), weights)
-    assert int(mpm.check_status(make(**TIGHT), tight, start=state)) & Status.OUT_OF_WINDOW == 0
+    assert int(mpm.check_status(make(**TIGHT), tight, start=state)) & Status.INACTIVE_NODES == 0
     assert relative_error(tight, whole) < 1e-12
     # Sums of large terms of both signs, and contact that amplifies: no digit less than the whole grid has.
     assert relative_error(jax.tree.leaves(tight_gradient), jax.tree.leaves(whole_gradient)) < 1e-9
@@ -94,44 +94,39 @@ def test_a_tight_step_equals_one_on_the_whole_grid_in_float32(relative_error):
     assert relative_error(tight, whole) < 1e-5
 
 
-def test_listed_nodes_are_those_in_reach():
+@pytest.mark.parametrize("corner", [(0.2, 0.1, 0.9), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
+def test_active_nodes_are_those_in_reach_and_between_them_along_z(corner):
     """Against each particle's own 27 nodes, widened by the reach, node by node."""
-    state, _ = body(1, (0.2, 0.1, 0.9), np.float32)
-    window = place_window(GRID, (10, 9, 10), state.x)
-    x = np.asarray(state.x - window.origin)
-    wanted = set()
-    for lowest in np.floor(x / GRID.spacing - 0.5).astype(int):
-        for offset in np.ndindex(3 + 2 * REACH, 3 + 2 * REACH, 3 + 2 * REACH):
+    state, _ = body(1, corner, np.float32)
+    columns = {}
+    for lowest in np.floor((np.asarray(state.x) - GRID.origin) / GRID.spacing - 0.5).astype(int):
+        for offset in np.ndindex(*[3 + 2 * REACH] * 3):
             node = lowest - REACH + np.asarray(offset)
-            if np.all(node >= 0) and np.all(node < window.grid.shape):
-                wanted.add(int(np.ravel_multi_index(node, window.grid.shape)))
-    assert int(count_nodes(window, jnp.asarray(x))) == len(wanted)
-    nodes = list_nodes(window, jnp.asarray(x), 700)
-    assert nodes.flat is not None
-    np.testing.assert_array_equal(nodes.flat, sorted(wanted) + [window.grid.num_nodes] * (700 - len(wanted)))
-    used = np.asarray(nodes.flat) < window.grid.num_nodes
-    index = np.stack(np.unravel_index(np.asarray(nodes.flat)[used], window.grid.shape), -1)
-    np.testing.assert_array_equal(np.stack(nodes.index, -1)[used], index + np.asarray(window.first))
-    np.testing.assert_allclose(np.stack(nodes.position, -1)[used], GRID.spacing * index, rtol=1e-6)
+            if np.all(node >= 0) and np.all(node < GRID.shape):
+                columns.setdefault(tuple(node[:2]), []).append(node[2])
+    wanted = [(i, j, k) for i, j in sorted(columns) for k in range(min(columns[i, j]), max(columns[i, j]) + 1)]
+    assert int(count_nodes(GRID, state.x)) == len(wanted) < 750
+    nodes = list_nodes(GRID, state.x, 750)
+    used = slice(len(wanted))
+    np.testing.assert_array_equal(np.stack(nodes.index, -1)[used], wanted)
+    np.testing.assert_allclose(
+        np.stack(nodes.position, -1)[used], GRID.origin + GRID.spacing * np.asarray(wanted), rtol=1e-5
+    )
+    places = [int(nodes.offset[i * GRID.shape[1] + j]) + k for i, j, k in wanted]
+    np.testing.assert_array_equal(places, np.arange(len(wanted)))
 
 
-@pytest.mark.parametrize("corner", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.5, 0.3, 0.7)])
-def test_the_window_holds_the_body_and_stays_in_the_grid(corner):
-    state, _ = body(2, corner, np.float32)
-    window = place_window(GRID, (10, 9, 10), state.x)
-    first = np.asarray(window.first)
-    assert np.all(first >= 0) and np.all(first + window.grid.shape <= GRID.shape)
-    np.testing.assert_allclose(window.origin, np.asarray(GRID.origin) + GRID.spacing * first, rtol=1e-6)
-    x = np.asarray(state.x - window.origin)
-    assert np.all(x >= window.grid.lower) and np.all(x <= window.grid.upper)
+def test_all_nodes_are_in_order():
+    nodes = all_nodes(GRID, np.float32)
+    np.testing.assert_array_equal(np.stack(nodes.index, -1), list(np.ndindex(GRID.shape)))
+    np.testing.assert_allclose(nodes.position[1], np.tile(np.repeat(GRID.axis_nodes(1), 15), 17), rtol=1e-6)
 
 
-@pytest.mark.parametrize("options", [{"window": (5, 9, 10)}, {"max_active_nodes": 60}])
-def test_too_tight_is_flagged(options):
+def test_too_few_nodes_are_flagged():
     state, poses = body(4, (0.5, 0.5, 0.5), np.float32)
-    scene = make(np.float32, **options)
+    scene = make(np.float32, max_active_nodes=60)
     end = STEP(scene, state, poses)
-    assert int(mpm.check_status(scene, end, start=state)) & Status.OUT_OF_WINDOW
+    assert int(mpm.check_status(scene, end, start=state)) & Status.INACTIVE_NODES
     assert np.isfinite(end.x).all()
 
 
@@ -139,13 +134,10 @@ def test_moving_further_than_the_list_reaches_is_flagged():
     state, _ = body(5, (0.5, 0.5, 0.5), np.float32)
     scene = make(np.float32, **TIGHT)
     near, far = (state.replace(x=state.x.at[3, 1].add(f * GRID.spacing)) for f in (0.99, 1.01))
-    assert int(mpm.check_status(scene, near, start=state)) & Status.OUT_OF_WINDOW == 0
-    assert int(mpm.check_status(scene, far, start=state)) & Status.OUT_OF_WINDOW
+    assert int(mpm.check_status(scene, near, start=state)) & Status.INACTIVE_NODES == 0
+    assert int(mpm.check_status(scene, far, start=state)) & Status.INACTIVE_NODES
 
 
-def test_impossible_windows_are_refused():
-    for window in ((3, 9, 9), (18, 9, 9), (9, 9)):
-        with pytest.raises(ValueError, match=r"window is .* at least 4 and at most the grid's"):
-            make(window=window)
-    with pytest.raises(ValueError, match="max_active_nodes is 0: give a positive number"):
-        make(max_active_nodes=0)
+def test_impossible_numbers_are_refused():
+    with pytest.raises(ValueError, match="max_active_nodes is 26: give at least the 27 that one particle touches"):
+        make(max_active_nodes=26)
