@@ -270,6 +270,7 @@ def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: floa
         gravity=(0.0, -90.0, 0.0),
         colliders=(_pin(radius, 0.25, offset=(0.0, 0.0, 0.0), friction=0.9),),
         walls=_box_walls(floor=floor, lower=(0.15, 0.25), upper=(0.85, 0.75)),
+        max_active_nodes=1664,  # scripted rolling needed 1472
     )
     return RollingFlat(
         scene=scene,
