@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from rewax.physics.materialize import materialize
 from rewax.types import Array
 
 
@@ -37,7 +38,9 @@ def quadratic_bspline(x: Array, *, origin: float, spacing: float, num_nodes: int
     Source: Jiang et al. 2016, MPM course notes, eq. 123.
     """
     cells = (x - origin) * (1.0 / spacing)
-    base = jnp.clip(jnp.floor(cells - 0.5).astype(jnp.int32), 0, num_nodes - 3)
+    # Stored before its users: a compiler that computes it twice, once rounding otherwise, puts a particle midway
+    # between two nodes onto two different stencils.
+    base = materialize(jnp.clip(jnp.floor(cells - 0.5).astype(jnp.int32), 0, num_nodes - 3))
     f = cells - base.astype(x.dtype)
     weights = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)
     inv = 1.0 / spacing

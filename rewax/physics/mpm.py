@@ -254,19 +254,24 @@ def _substep(scene: MPMScene, nodes: ActiveNodes, particles: _Particles, interva
     grid, dt = scene.grid, scene.dt
     active = None if scene.max_active_nodes is None else nodes
     inertia = 4.0 / grid.spacing**2
-    F, tau = materialize(respond(scene.material, F_trial))
     volume = scene.particle_volume
     mass = jnp.broadcast_to(volume * scene.material.density, x[0].shape).astype(x[0].dtype)
     impulse = -dt * inertia * volume
-    affine = cp.matrix(lambda i, j: impulse * tau[i][j] + mass * C[i][j])
-    fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine, active=active)
-    velocity = grid_velocity(scene, nodes, fields, *interval)
-    v, moment = materialize(grid_to_particle(grid, x, velocity, active=active))
-    C = cp.matrix(lambda i, j: inertia * moment[i][j])
-    CF = cp.matmul(C, F)
-    F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
-    lower, upper = grid.lower, grid.upper
-    x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
+    with jax.named_scope("law"):
+        F, tau = materialize(respond(scene.material, F_trial))
+        affine = cp.matrix(lambda i, j: impulse * tau[i][j] + mass * C[i][j])
+    with jax.named_scope("particle_to_grid"):
+        fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine, active=active)
+    with jax.named_scope("grid"):
+        velocity = grid_velocity(scene, nodes, fields, *interval)
+    with jax.named_scope("grid_to_particle"):
+        v, moment = materialize(grid_to_particle(grid, x, velocity, active=active))
+    with jax.named_scope("update"):
+        C = cp.matrix(lambda i, j: inertia * moment[i][j])
+        CF = cp.matmul(C, F)
+        F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
+        lower, upper = grid.lower, grid.upper
+        x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
     return _Particles(x, v, C, F_trial)
 
 

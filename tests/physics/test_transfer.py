@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rewax.physics import components as cp
 from rewax.physics import transfer
@@ -127,18 +129,28 @@ def value_and_cotangents(f, args, cotangent):
     return value, back(cotangent)
 
 
+def everything(f, args, tangents, cotangent):
+    value, tangent = jax.jvp(f, args, tangents)
+    return value, jax.vjp(f, *args)[1](cotangent), tangent
+
+
+EVERYTHING = jax.jit(everything, static_argnums=0)
+
+
 @pytest.mark.parametrize("dtype", TOLERANCE)
 @pytest.mark.parametrize("name", CASES)
-def test_values_and_derivatives_equal_the_reference(x64, random_like, relative_error, name, dtype):
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6), snapped=st.sampled_from([0.0, 0.5]))
+def test_values_and_derivatives_equal_the_reference(x64, random_like, relative_error, name, dtype, seed, snapped):
+    """Anywhere between the nodes, and exactly on them and midway, where stencils change."""
     mine, plain = CASES[name]
-    args = arguments(name, dtype)
+    x, *rest = arguments(name, dtype, seed)
+    half_cells = np.round((np.asarray(x) - GRID.origin) / (0.5 * GRID.spacing))
+    on_knots = np.clip(GRID.origin + 0.5 * GRID.spacing * half_cells, GRID.lower, GRID.upper)
+    snap = np.random.default_rng(seed).random((NUM, 1)) < snapped
+    args = (jnp.asarray(np.where(snap, on_knots, x), dtype), *rest)
     tangents, cotangent = random_like(2, args), random_like(1, jax.eval_shape(mine, *args))
-
-    def everything(f):
-        value, tangent = jax.jvp(f, args, tangents)
-        return value, jax.vjp(f, *args)[1](cotangent), tangent
-
-    got, want = everything(mine), jax.jit(everything, static_argnums=0)(plain)
+    got, want = (EVERYTHING(f, args, tangents, cotangent) for f in (mine, plain))
     for mine_leaf, plain_leaf in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
         assert mine_leaf.dtype == dtype
         assert relative_error(mine_leaf, plain_leaf) < TOLERANCE[dtype]
