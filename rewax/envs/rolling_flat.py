@@ -59,6 +59,7 @@ class RollingFlat(struct.Replaceable):
       num_substeps: per control step (static).
       max_steps: control steps per episode (static).
       observed_stride, num_observed: which particles are observed: every so many, at most so many (static).
+      store_every: substeps between stored particles in the backward pass, see ``mpm.step`` (static).
       observe_velocity: whether the pin's last motion is observed as joint_qd (static).
     """
 
@@ -78,6 +79,7 @@ class RollingFlat(struct.Replaceable):
     max_steps: int = struct.static_field()
     observed_stride: int = struct.static_field()
     num_observed: int = struct.static_field()
+    store_every: int = struct.static_field(default=1)
     observe_velocity: bool = struct.static_field(default=False)
 
     @property
@@ -123,7 +125,7 @@ class RollingFlat(struct.Replaceable):
         motion = jnp.clip(motion, self.joint_lower - frozen, self.joint_upper - frozen)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
         poses = self._pin_poses(q + fraction[:, None] * motion)
-        dough = mpm.step(self.scene, physics.dough, poses)
+        dough = mpm.step(self.scene, physics.dough, poses, store_every=self.store_every)
         new = RollingFlatPhysics(dough=dough, joint_q=q + motion, joint_qd=motion / self.joint_step)
         reward, metrics = self._reward(new)
         return next_state(

@@ -202,7 +202,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
 
     if store_every is None or store_every == 1:
         return _join(chunk(_split(state), intervals)[0])
-    chunks = jax.tree.map(lambda p: p.reshape(-1, store_every, *p.shape[1:]), intervals)
+    chunks = jax.tree.map(lambda p: p.reshape(num_substeps // store_every, store_every, *p.shape[1:]), intervals)
     return _join(jax.lax.scan(jax.checkpoint(chunk), _split(state), chunks)[0])
 
 
