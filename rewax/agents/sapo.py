@@ -179,12 +179,13 @@ def _make_parts(env: Env, config: SAPOConfig) -> _Parts:
         return Encoder(config.point_widths, config.point_features, config.vector_features, activation, gain)
 
     def optimizer(schedule: optax.ScalarOrSchedule) -> optax.GradientTransformation:
-        return optax.chain(
+        chain = optax.chain(
             optax.clip_by_global_norm(config.max_grad_norm),
             optax.scale_by_adam(config.adam_b1, config.adam_b2),
             optax.add_decayed_weights(config.weight_decay),
             optax.scale_by_learning_rate(schedule),
         )
+        return optax.flatten(chain)  # one long vector: a tenth of the operations to trace, compile and launch
 
     def falling(learning_rate: float, updates_per_iteration: int) -> optax.Schedule:
         schedule = optax.linear_schedule(learning_rate, config.final_learning_rate, config.num_iterations)

@@ -81,6 +81,10 @@ def norm(a: Vec3) -> Array:
     return safe_sqrt(dot(a, a))
 
 
+def add_matrices(a: Mat3, b: Mat3) -> Mat3:
+    return matrix(lambda i, j: a[i][j] + b[i][j])
+
+
 def transpose(a: Mat3) -> Mat3:
     return matrix(lambda i, j: a[j][i])
 

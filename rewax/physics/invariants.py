@@ -9,13 +9,13 @@ import jax.numpy as jnp
 
 from rewax.physics import components as cp
 from rewax.physics.materials import elastic_energy_density
-from rewax.physics.mpm import MPMScene, MPMState, deform
+from rewax.physics.mpm import MPMScene, MPMState, deform, particle_mass, per_material
 from rewax.types import Array
 
 
 def total_mass(scene: MPMScene, state: MPMState) -> Array:
     """Mass of all particles [kg], shape (). Gradient: exact with respect to density and volume."""
-    return jnp.sum(_particle_mass(scene, state))
+    return jnp.sum(particle_mass(scene, state.x))
 
 
 def momentum(scene: MPMScene, state: MPMState) -> Array:
@@ -29,7 +29,7 @@ def momentum(scene: MPMScene, state: MPMState) -> Array:
 
     Gradient: exact.
     """
-    return jnp.sum(_particle_mass(scene, state)[:, None] * state.v, axis=0)
+    return jnp.sum(particle_mass(scene, state.x)[:, None] * state.v, axis=0)
 
 
 def angular_momentum(
@@ -48,7 +48,7 @@ def angular_momentum(
     Gradient: exact.
     Source: Jiang et al. 2015, APIC, eq. 11, with the D of quadratic splines.
     """
-    mass = _particle_mass(scene, state)
+    mass = particle_mass(scene, state.x)
     orbital = jnp.cross(state.x - jnp.asarray(about, state.x.dtype), state.v)
     C = cp.split_matrix(state.C)
     axial = cp.join_vector((C[2][1] - C[1][2], C[0][2] - C[2][0], C[1][0] - C[0][1]))
@@ -62,18 +62,18 @@ def kinetic_energy(scene: MPMScene, state: MPMState) -> Array:
     increase this sum.
     """
     per_mass = jnp.sum(state.v**2, axis=-1) + _second_moment(scene) * jnp.sum(state.C**2, axis=(-2, -1))
-    return 0.5 * jnp.sum(_particle_mass(scene, state) * per_mass)
+    return 0.5 * jnp.sum(particle_mass(scene, state.x) * per_mass)
 
 
 def elastic_energy(scene: MPMScene, state: MPMState) -> Array:
     """Elastic energy of all particles [J], shape (), after the pending return map. Gradient: exact."""
     F, _ = deform(scene, state)
-    return jnp.sum(scene.particle_volume * elastic_energy_density(scene.material, F))
+    return jnp.sum(scene.particle_volume * per_material(scene, elastic_energy_density, F))
 
 
 def gravitational_energy(scene: MPMScene, state: MPMState) -> Array:
     """Potential energy of all particles in the scene's gravity [J], shape (): -sum m g . x. Gradient: exact."""
-    return -jnp.sum(_particle_mass(scene, state) * jnp.sum(scene.gravity * state.x, axis=-1))
+    return -jnp.sum(particle_mass(scene, state.x) * jnp.sum(scene.gravity * state.x, axis=-1))
 
 
 def total_energy(scene: MPMScene, state: MPMState) -> Array:
@@ -83,10 +83,6 @@ def total_energy(scene: MPMScene, state: MPMState) -> Array:
     symplectic integrator; the transfers dissipate some of it.
     """
     return kinetic_energy(scene, state) + elastic_energy(scene, state) + gravitational_energy(scene, state)
-
-
-def _particle_mass(scene: MPMScene, state: MPMState) -> Array:
-    return jnp.broadcast_to(scene.particle_volume * scene.material.density, state.x.shape[:1]).astype(state.x.dtype)
 
 
 def _second_moment(scene: MPMScene) -> float:

@@ -1,15 +1,14 @@
-"""Elasticity and plasticity of isotropic solids, composed freely.
+"""What particles are made of: elasticity, plasticity, viscosity and muscles, composed freely.
 
-Every law here needs only the left Cauchy-Green tensor b = F F^T = U diag(s^2) U^T: an elastic law maps principal
-stretches s to principal Kirchhoff stresses tau, a return map maps trial stretches to admissible ones. So any
-elasticity goes with any plasticity, and both share one spectral evaluation whose derivative is exact (``linalg3``).
+Every elastic and plastic law here needs only the left Cauchy-Green tensor b = F F^T = U diag(s^2) U^T: an elastic law
+maps principal stretches s to principal Kirchhoff stresses tau, a return map maps trial stretches to admissible ones
+(``laws``). So any elasticity goes with any plasticity, and both share one spectral evaluation whose derivative is exact
+(``linalg3``). Fluids need only J = det F. Viscous and active stresses are added.
 
 Kirchhoff stress tau = J sigma. Stretches of an inverted particle (det F < 0) carry a minus sign on the smallest one.
 """
 
-import enum
 import functools
-import math
 from typing import NamedTuple
 
 import jax
@@ -17,69 +16,78 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics import components as cp
-from rewax.physics.components import Mat3, Vec3
+from rewax.physics.components import Mat3
+from rewax.physics.laws import (
+    FLUIDS,
+    MIN_FLUID_VOLUME,
+    Elasticity,
+    LameParameters,
+    LawParameters,
+    Plasticity,
+    elastic_law,
+    energy_law,
+    fluid_energy,
+    fluid_stress,
+    plastic_law,
+)
 from rewax.physics.linalg3 import spectral
-from rewax.physics.materialize import materialize
 from rewax.types import Array, Scalar
-
-MIN_STRETCH = 1e-5
-"""Stretches below this count as this in logarithms and quotients [-]."""
-MIN_PLASTIC_STRETCH = 0.01
-"""Trial stretches below this count as this in the von Mises return map [-]."""
-
-
-class Elasticity(enum.Enum):
-    """How stretches make stress."""
-
-    HENCKY = "hencky"
-    """tau = 2 mu log s + lambda tr(log s): quadratic in logarithmic strain."""
-    FIXED_COROTATED = "fixed_corotated"
-    """tau = 2 mu (s - 1) s + lambda (J - 1) J."""
-    NEO_HOOKEAN = "neo_hookean"
-    """tau = mu (s^2 - 1) + lambda log J."""
-
-
-class Plasticity(enum.Enum):
-    """What happens to stretches beyond the yield surface."""
-
-    NONE = "none"
-    VON_MISES = "von_mises"
-    """The deviator of logarithmic strain is limited to yield_stress / (2 mu), volume is kept."""
 
 
 @struct.dataclass
 class Material(struct.Replaceable):
-    """An isotropic elastic or elastoplastic solid.
+    """An isotropic material. Parameters are numbers, or arrays of shape (num_particles,) that differ per particle.
+
+    Those of laws that a material does not use stay None, and are no leaves to differentiate.
 
     Attributes:
-      youngs_modulus: Young's modulus E [Pa], > 0.
-      poissons_ratio: Poisson's ratio nu [-], in (-1, 0.5).
+      youngs_modulus: Young's modulus E [Pa], > 0; unused by ``TAIT``.
+      poissons_ratio: Poisson's ratio nu [-], in (-1, 0.5); unused by ``TAIT``.
       density: rest density [kg/m^3], > 0.
-      yield_stress: von Mises yield stress, the Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0;
-        unused without plasticity.
+      yield_stress: von Mises yield stress, the Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0.
+      friction_angle: of ``DRUCKER_PRAGER`` [rad], in (0, pi / 2).
+      cohesion: logarithmic strain along each axis to which ``DRUCKER_PRAGER`` can be pulled [-], >= 0 (None: 0).
+      critical_compression, critical_stretch: of ``SNOW`` [-], > 0 (fresh: 0.025 and 0.0075).
+      hardening: of ``SNOW`` [-]: moduli grow by exp(hardening (1 - plastic volume)), at most fivefold
+        (fresh: 10).
+      viscosity: dynamic (Newtonian) viscosity [Pa s], >= 0; None: no viscous stress.
+      speed_of_sound: of ``TAIT`` [m/s], > 0.
+      fibre: direction of muscle fibres in the undeformed body, unit vectors of shape (3,) or (num_particles, 3).
+      activation: active stress along the deformed fibres [Pa], positive pulls together.
       elasticity, plasticity: the laws (static).
     """
 
-    youngs_modulus: Scalar
-    poissons_ratio: Scalar
+    youngs_modulus: Scalar = 0.0
+    poissons_ratio: Scalar = 0.0
     density: Scalar
     yield_stress: Scalar = jnp.inf
+    friction_angle: Scalar | None = None
+    cohesion: Scalar | None = None
+    critical_compression: Scalar | None = None
+    critical_stretch: Scalar | None = None
+    hardening: Scalar | None = None
+    viscosity: Scalar | None = None
+    speed_of_sound: Scalar | None = None
+    fibre: Array | None = None
+    activation: Scalar | None = None
     elasticity: Elasticity = struct.static_field(default=Elasticity.HENCKY)
     plasticity: Plasticity = struct.static_field(default=Plasticity.NONE)
 
-
-class LameParameters(NamedTuple):
-    shear: Scalar
-    """Shear modulus mu [Pa]."""
-    first: Scalar
-    """First Lame parameter lambda [Pa]."""
+    @property
+    def remembers(self) -> bool:
+        """Whether particles carry ``MPMState.plastic_volume``."""
+        return self.plasticity is Plasticity.SNOW
 
 
-class _LawParameters(NamedTuple):
-    lame: LameParameters
-    yield_stress: Scalar
-    sign: Array
-    """Sign of det F, shape of the components."""
+class Response(NamedTuple):
+    """What a material makes of a trial state, by components."""
+
+    F: Mat3
+    """Elastic deformation gradient after plastic flow [-]."""
+    stress: Mat3
+    """Kirchhoff stress [Pa]."""
+    plastic_volume: Array | None
+    """Volume ratio of all plastic flow so far [-]; None for materials that do not remember it."""
 
 
 def lame_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> LameParameters:
@@ -89,40 +97,47 @@ def lame_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> LameParam
 
 
 def sound_speed(material: Material) -> Scalar:
-    """Speed of pressure waves at rest, sqrt((lambda + 2 mu) / density) [m/s]. Gradient: exact."""
-    lame = lame_parameters(material.youngs_modulus, material.poissons_ratio)
-    return jnp.sqrt((lame.first + 2.0 * lame.shear) / material.density)
+    """Speed of pressure waves at rest [m/s]: sqrt((lambda + 2 mu) / density), fluids without mu. Gradient: exact."""
+    if material.elasticity is Elasticity.TAIT:
+        assert material.speed_of_sound is not None
+        return material.speed_of_sound
+    mu, lam = lame_parameters(material.youngs_modulus, material.poissons_ratio)
+    return jnp.sqrt((lam if material.elasticity is Elasticity.FLUID else lam + 2.0 * mu) / material.density)
 
 
-def respond(material: Material, F: Mat3) -> tuple[Mat3, Mat3]:
-    """Return map and stress in one spectral evaluation, by components.
+def respond(
+    material: Material, F: Mat3, *, velocity_gradient: Mat3 | None = None, plastic_volume: Array | None = None
+) -> Response:
+    """Return map and stress in one evaluation, by components.
 
     Args:
       material: its parameters broadcast against the components of F.
       F: trial deformation gradient [-], components of any shape.
+      velocity_gradient: C [1/s], for viscous materials.
+      plastic_volume: volume ratio of earlier plastic flow [-], for materials that remember it.
 
-    Returns:
-      The elastic deformation gradient after plastic flow [-] and its Kirchhoff stress [Pa].
-
-    Gradient: exact with respect to F and all parameters, forward and reverse; finite at F = I, at repeated
-      stretches, for flattened and for inverted particles.
+    Gradient: exact with respect to F, C and all parameters, forward and reverse; finite at F = I, at repeated
+      stretches, for flattened and for inverted particles; on yield surfaces that of one side.
     """
-    lame = lame_parameters(material.youngs_modulus, material.poissons_ratio)
-    sign = jax.lax.stop_gradient(jnp.where(cp.det(F) < 0, -1.0, 1.0).astype(F[0][0].dtype))
-    parameters = _LawParameters(lame, material.yield_stress, sign)
-    b = cp.matmul(F, cp.transpose(F))
-    if material.plasticity is Plasticity.NONE:
-        (tau,) = spectral(functools.partial(_elastic_law, material.elasticity), b, parameters)
-        return F, tau
-    correction, tau = spectral(functools.partial(_plastic_law, material.elasticity, material.plasticity), b, parameters)
-    return cp.matmul(correction, F), tau
+    if material.elasticity in FLUIDS:
+        F_new, tau = _fluid(material, F)
+    else:
+        F_new, tau, plastic_volume = _solid(material, F, plastic_volume)
+    if material.viscosity is not None:
+        if velocity_gradient is None:
+            raise ValueError("the material is viscous: give velocity_gradient")
+        tau = cp.add_matrices(tau, _viscous_stress(material.viscosity, F_new, velocity_gradient))
+    if material.fibre is not None and material.activation is not None:
+        along = cp.matvec(F_new, cp.split_vector(jnp.asarray(material.fibre)))
+        tau = cp.matrix(lambda i, j: tau[i][j] + material.activation * along[i] * along[j])
+    return Response(F_new, tau, plastic_volume if material.remembers else None)
 
 
 def kirchhoff_stress(material: Material, F: Array) -> Array:
     """Kirchhoff stress of the elastic law alone.
 
     Args:
-      material: the solid; its plasticity is ignored.
+      material: its elasticity counts.
       F: elastic deformation gradient [-], shape (..., 3, 3).
 
     Returns:
@@ -131,114 +146,102 @@ def kirchhoff_stress(material: Material, F: Array) -> Array:
     Gradient: exact. Source: Hencky and von Mises: Klar et al. 2016, Drucker-Prager elastoplasticity, section 6;
       fixed corotated: Stomakhin et al. 2012; neo-Hookean: Jiang et al. 2016, MPM course notes, eq. 48, times F^T.
     """
-    _, tau = respond(material.replace(plasticity=Plasticity.NONE), cp.split_matrix(F))
-    return cp.join_matrix(tau)
+    alone = material.replace(plasticity=Plasticity.NONE, viscosity=None, fibre=None)
+    return cp.join_matrix(respond(alone, cp.split_matrix(F)).stress)
 
 
-def return_map(material: Material, F: Array) -> Array:
+def return_map(material: Material, F: Array, plastic_volume: Array | None = None) -> Array:
     """Elastic deformation gradient after plastic flow.
 
     Args:
-      material: the elastoplastic solid.
+      material: its plasticity counts.
       F: trial deformation gradient [-], shape (..., 3, 3).
+      plastic_volume: volume ratio of earlier plastic flow [-], shape (...), for materials that remember it.
 
     Returns:
       Admissible elastic deformation gradient [-], shape (..., 3, 3); F itself inside the yield surface.
 
     Gradient: exact; at the yield surface the one of the elastic side.
-    Source: Gao et al. 2017, "An adaptive generalized interpolation material point method", with the norm of the
-      deviatoric strain unguarded, so that the map is idempotent.
+    Source: von Mises: Gao et al. 2017, "An adaptive generalized interpolation material point method", with the norm
+      of the deviatoric strain unguarded, so that the map is idempotent. Drucker-Prager: Klar et al. 2016, without the
+      volume correction. Snow: Stomakhin et al. 2013, "A material point method for snow simulation".
     """
-    F_new, _ = respond(material, cp.split_matrix(F))
-    return cp.join_matrix(F_new)
+    response = respond(material.replace(viscosity=None), cp.split_matrix(F), plastic_volume=plastic_volume)
+    return cp.join_matrix(response.F)
 
 
 def elastic_energy_density(material: Material, F: Array) -> Array:
     """Elastic energy per rest volume [J/m^3] of F (..., 3, 3), shape (...). Gradient: exact; P F^T = tau."""
-    lame = lame_parameters(material.youngs_modulus, material.poissons_ratio)
     Fc = cp.split_matrix(F)
-
-    def energy(eigenvalues: Vec3, parameters: _LawParameters) -> tuple[Vec3, ...]:
-        s = _stretches(eigenvalues, parameters.sign)
-        mu, lam = parameters.lame
-        J = s[0] * s[1] * s[2]
-        if material.elasticity is Elasticity.FIXED_COROTATED:
-            psi = mu * sum((a - 1.0) ** 2 for a in s) + 0.5 * lam * (J - 1.0) ** 2
-        else:
-            e = _log(s)
-            trace = e[0] + e[1] + e[2]
-            if material.elasticity is Elasticity.HENCKY:
-                psi = mu * cp.dot(e, e) + 0.5 * lam * trace**2
-            else:
-                psi = 0.5 * mu * (cp.dot(s, s) - 3.0) - mu * trace + 0.5 * lam * trace**2
-        return ((psi, psi, psi),)
-
-    sign = jax.lax.stop_gradient(jnp.where(cp.det(Fc) < 0, -1.0, 1.0).astype(F.dtype))
-    parameters = _LawParameters(lame, material.yield_stress, sign)
-    (psi,) = spectral(energy, cp.matmul(Fc, cp.transpose(Fc)), parameters)
+    if material.elasticity in FLUIDS:
+        J = jnp.maximum(cp.det(Fc), MIN_FLUID_VOLUME)
+        return fluid_energy(material.elasticity, J, _lame(material), _bulk_modulus(material))
+    law = functools.partial(energy_law, material.elasticity)
+    (psi,) = spectral(law, cp.matmul(Fc, cp.transpose(Fc)), _law_parameters(material, Fc, None))
     return psi[0][0]
 
 
-# --- Principal values ------------------------------------------------------------------------------------------------
+def _solid(material: Material, F: Mat3, plastic_volume: Array | None) -> tuple[Mat3, Mat3, Array | None]:
+    b = cp.matmul(F, cp.transpose(F))
+    if material.remembers and plastic_volume is None:
+        raise ValueError(
+            "snow remembers its plastic volume, which is missing: begin with mpm.initial_state(x, scene), or give ones"
+        )
+    parameters = _law_parameters(material, F, plastic_volume)
+    if material.plasticity is Plasticity.NONE:
+        (tau,) = spectral(functools.partial(elastic_law, material.elasticity), b, parameters)
+        return F, tau, None
+    law = functools.partial(plastic_law, material.elasticity, material.plasticity)
+    correction, tau = spectral(law, b, parameters)
+    F_new = cp.matmul(correction, F)
+    if material.remembers:
+        assert plastic_volume is not None
+        # det of the correction is det F_new / det F, finite for flattened particles too.
+        plastic_volume = plastic_volume / cp.det(correction)
+    return F_new, tau, plastic_volume
 
 
-def _stretches(eigenvalues: Vec3, sign: Array) -> Vec3:
-    """Square roots, the smallest with the sign of det F."""
-    s = cp.vector(lambda i: jnp.sqrt(jnp.maximum(eigenvalues[i], MIN_STRETCH**2)))
-    smallest = jnp.minimum(jnp.minimum(eigenvalues[0], eigenvalues[1]), eigenvalues[2])
-    return cp.vector(lambda i: jnp.where(eigenvalues[i] == smallest, sign * s[i], s[i]))
+def _fluid(material: Material, F: Mat3) -> tuple[Mat3, Mat3]:
+    """A fluid forgets its shape: F becomes J^(1/3) I."""
+    J = jnp.maximum(cp.det(F), MIN_FLUID_VOLUME)
+    side = jnp.cbrt(J)
+    pressure = fluid_stress(material.elasticity, J, _lame(material), _bulk_modulus(material))
+    zero = jnp.zeros_like(J)
+    return _isotropic(side, zero), _isotropic(pressure, zero)
 
 
-def _log(s: Vec3) -> Vec3:
-    return cp.vector(lambda i: jnp.log(jnp.maximum(s[i], MIN_STRETCH)))
+def _isotropic(a: Array, zero: Array) -> Mat3:
+    return cp.matrix(lambda i, j: a if i == j else zero)
 
 
-def _principal_stress(elasticity: Elasticity, s: Vec3, log_s: Vec3, lame: LameParameters) -> Vec3:
-    mu, lam = lame
-    trace = log_s[0] + log_s[1] + log_s[2]
-    if elasticity is Elasticity.HENCKY:
-        return cp.vector(lambda i: 2.0 * mu * log_s[i] + lam * trace)
-    if elasticity is Elasticity.NEO_HOOKEAN:
-        return cp.vector(lambda i: mu * (s[i] * s[i] - 1.0) + lam * trace)
-    J = s[0] * s[1] * s[2]
-    return cp.vector(lambda i: 2.0 * mu * (s[i] - 1.0) * s[i] + lam * (J - 1.0) * J)
+def _viscous_stress(viscosity: Scalar, F: Mat3, C: Mat3) -> Mat3:
+    """2 J viscosity dev(sym C)."""
+    J = cp.det(F)
+    mean = (C[0][0] + C[1][1] + C[2][2]) * (1.0 / 3.0)
+    return cp.matrix(lambda i, j: J * viscosity * (C[i][j] + C[j][i] - (2.0 * mean if i == j else 0.0)))
 
 
-def _elastic_law(elasticity: Elasticity, eigenvalues: Vec3, parameters: _LawParameters) -> tuple[Vec3]:
-    s = _stretches(eigenvalues, parameters.sign)
-    return (_principal_stress(elasticity, s, _log(s), parameters.lame),)
+def _law_parameters(material: Material, F: Mat3, plastic_volume: Array | None) -> LawParameters:
+    """The material's parameters; those that its laws do not use stay out, so that nothing carries their zeros."""
+    sign = jax.lax.stop_gradient(jnp.where(cp.det(F) < 0, -1.0, 1.0).astype(F[0][0].dtype))
+    parameters = LawParameters(_lame(material), sign)
+    if material.plasticity is Plasticity.VON_MISES:
+        return parameters._replace(yield_stress=material.yield_stress)
+    if material.plasticity is Plasticity.DRUCKER_PRAGER:
+        cohesion = 0.0 if material.cohesion is None else material.cohesion
+        return parameters._replace(friction_angle=material.friction_angle, cohesion=cohesion)
+    if material.plasticity is Plasticity.SNOW and plastic_volume is not None:
+        names = ("critical_compression", "critical_stretch", "hardening")
+        return parameters._replace(plastic_volume=plastic_volume, **{name: getattr(material, name) for name in names})
+    return parameters
 
 
-def _plastic_law(
-    elasticity: Elasticity, plasticity: Plasticity, eigenvalues: Vec3, parameters: _LawParameters
-) -> tuple[Vec3, Vec3]:
-    """Ratio of new to trial stretch, and stress of the new stretches."""
-    assert plasticity is Plasticity.VON_MISES
-    s = _stretches(eigenvalues, parameters.sign)
-    log_s = materialize(_log(s))
-    log_flowed, flows = _von_mises(log_s, parameters)
-    # Unless it flows, a particle keeps its trial state, inverted or not.
-    new = cp.vector(lambda i: jnp.where(flows, jnp.exp(log_flowed[i]), s[i]))
-    log_new = cp.vector(lambda i: jnp.where(flows, log_flowed[i], log_s[i]))
-    new, log_new = materialize((new, log_new))
-    ratio = cp.vector(lambda i: jnp.where(flows, new[i] / _away_from_zero(s[i]), 1.0))
-    return ratio, _principal_stress(elasticity, new, log_new, parameters.lame)
+def _lame(material: Material) -> LameParameters:
+    return lame_parameters(material.youngs_modulus, material.poissons_ratio)
 
 
-def _von_mises(log_s: Vec3, parameters: _LawParameters) -> tuple[Vec3, Array]:
-    """Logarithmic strains after flow, and whether the particle flows."""
-    e = cp.vector(lambda i: jnp.maximum(log_s[i], math.log(MIN_PLASTIC_STRETCH)))
-    mean = (e[0] + e[1] + e[2]) * (1.0 / 3.0)
-    deviator = cp.vector(lambda i: e[i] - mean)
-    length = cp.norm(deviator)
-    limit = parameters.yield_stress / (2.0 * parameters.lame.shear)
-    flows = length > limit
-    kept = jnp.where(flows, limit / jnp.where(flows, length, 1.0), 1.0)
-    return cp.vector(lambda i: mean + kept * deviator[i]), flows
-
-
-def _away_from_zero(s: Array) -> Array:
-    return jnp.where(jnp.abs(s) < MIN_STRETCH, MIN_STRETCH, s)
+def _bulk_modulus(material: Material) -> Scalar:
+    return 0.0 if material.speed_of_sound is None else material.density * material.speed_of_sound**2
 
 
 __all__ = [
@@ -246,6 +249,7 @@ __all__ = [
     "LameParameters",
     "Material",
     "Plasticity",
+    "Response",
     "elastic_energy_density",
     "kirchhoff_stress",
     "lame_parameters",

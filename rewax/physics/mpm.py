@@ -5,6 +5,7 @@ One substep: return map and stress, particle to grid, gravity and contact on the
 stored substeps and not with their grids.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from rewax.physics.colliders import Collider, Pose, Walls, apply_collider, apply
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
 from rewax.physics.materialize import materialize
-from rewax.physics.materials import Material, Plasticity, respond, sound_speed
+from rewax.physics.materials import Elasticity, Material, Plasticity, Response, respond, sound_speed
 from rewax.physics.recompute import recomputed
 from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
 from rewax.status import Status, flag
@@ -41,12 +42,15 @@ class MPMState(struct.Replaceable):
       C: affine velocity field around each particle [1/s], shape (num_particles, 3, 3).
       F: trial elastic deformation gradient [-], shape (num_particles, 3, 3): the next substep's return map is still
         to be applied.
+      plastic_volume: volume ratio of all plastic flow so far [-], shape (num_particles,), if a material of the scene
+        remembers it, else None.
     """
 
     x: Array
     v: Array
     C: Array
     F: Array
+    plastic_volume: Array | None = None
 
 
 @struct.dataclass
@@ -56,7 +60,8 @@ class MPMScene(struct.Replaceable):
     Attributes:
       grid: the nodes (static).
       dt: duration of a substep [s] (static).
-      material: what the particles are made of.
+      material: what the particles are made of; several, if they are of different kinds.
+      particle_counts: with several materials, how many particles are of each, in their order (static).
       particle_volume: rest volume of each particle [m^3], shape () or (num_particles,).
       gravity: acceleration [m/s^2], shape (3,).
       colliders: moving shapes, applied in order.
@@ -66,9 +71,10 @@ class MPMScene(struct.Replaceable):
 
     grid: Grid = struct.static_field()
     dt: float = struct.static_field()
-    material: Material
+    material: Material | tuple[Material, ...]
     particle_volume: Scalar
     gravity: Array
+    particle_counts: tuple[int, ...] | None = struct.static_field(default=None)
     colliders: tuple[Collider, ...] = ()
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))
     max_active_nodes: int | None = struct.static_field(default=None)
@@ -81,21 +87,35 @@ class _Particles(NamedTuple):
     v: Vec3
     C: Mat3
     F: Mat3
+    plastic_volume: Array | None
 
 
-def initial_state(x: Array) -> MPMState:
-    """Undeformed particles at rest at positions x [m], shape (num_particles, 3)."""
+def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
+    """Undeformed particles at rest.
+
+    Args:
+      x: positions [m], shape (num_particles, 3).
+      scene: what they are made of; needed where a material remembers its plastic flow (snow).
+    """
     x = jnp.asarray(x)
     zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)
-    return MPMState(x=x, v=jnp.zeros_like(x), C=zeros, F=zeros + jnp.eye(3, dtype=x.dtype))
+    remembers = scene is not None and any(m.remembers for m in _materials(scene))
+    return MPMState(
+        x=x,
+        v=jnp.zeros_like(x),
+        C=zeros,
+        F=zeros + jnp.eye(3, dtype=x.dtype),
+        plastic_volume=jnp.ones(x.shape[0], x.dtype) if remembers else None,
+    )
 
 
 def make_scene(
     *,
     grid: Grid,
     dt: float,
-    material: Material,
+    material: Material | tuple[Material, ...],
     particle_volume: Scalar,
+    particle_counts: tuple[int, ...] | None = None,
     gravity: Any = (0.0, -9.81, 0.0),
     colliders: tuple[Collider, ...] = (),
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None)),
@@ -112,24 +132,33 @@ def make_scene(
         a dt that is not positive or above ``largest_stable_dt``. The message names field, value and remedy. Inside
         ``jit`` (traced values) only static fields can be checked.
     """
-    _check_material(material)
+    materials = material if isinstance(material, tuple) else (material,)
+    for one in materials:
+        _check_material(one)
+    if (particle_counts is None) != isinstance(material, Material) or len(particle_counts or (0,)) != len(materials):
+        raise ValueError(
+            f"particle_counts is {particle_counts} with {len(materials)} materials: give a tuple of materials and how "
+            "many particles are of each, in their order; or one material and no particle_counts"
+        )
     _check_positive(
         "particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3"
     )
     _check_positive("dt", dt, "give the duration of a substep in seconds")
     _check_max_active_nodes(max_active_nodes)
-    limit = largest_stable_dt(material, grid)
-    if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
-        raise ValueError(
-            f"dt is {dt:g} s, above the largest stable {float(np.min(limit)):.3g} s for this material on a grid of "
-            f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer or denser material, "
-            "or a coarser grid"
-        )
+    for one in materials:
+        limit = largest_stable_dt(one, grid)
+        if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
+            raise ValueError(
+                f"dt is {dt:g} s, above the largest stable {float(np.min(limit)):.3g} s for this material on a grid of "
+                f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer, denser or less viscous "
+                "material, or a coarser grid"
+            )
     return MPMScene(
         grid=grid,
         dt=dt,
         material=material,
         particle_volume=particle_volume,
+        particle_counts=particle_counts,
         gravity=jnp.asarray(gravity),
         colliders=colliders,
         walls=walls,
@@ -241,8 +270,8 @@ def check_status(scene: MPMScene, state: MPMState, *, start: MPMState | None = N
 
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
     """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
-    F, tau = respond(scene.material, cp.split_matrix(state.F))
-    return cp.join_matrix(F), cp.join_matrix(tau)
+    response = _respond(scene, _split(state))
+    return cp.join_matrix(response.F), cp.join_matrix(response.stress)
 
 
 # --- One substep, by components --------------------------------------------------------------------------------------
@@ -250,15 +279,16 @@ def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
 
 def _substep(scene: MPMScene, nodes: ActiveNodes, particles: _Particles, interval: tuple[Pose, Pose]) -> _Particles:
     # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
-    x, v, C, F_trial = materialize(particles)
+    particles = materialize(particles)
+    x, v, C, F_trial, plastic_volume = particles
     grid, dt = scene.grid, scene.dt
     active = None if scene.max_active_nodes is None else nodes
     inertia = 4.0 / grid.spacing**2
     volume = scene.particle_volume
-    mass = jnp.broadcast_to(volume * scene.material.density, x[0].shape).astype(x[0].dtype)
+    mass = particle_mass(scene, x[0])
     impulse = -dt * inertia * volume
     with jax.named_scope("law"):
-        F, tau = materialize(respond(scene.material, F_trial))
+        F, tau, plastic_volume = materialize(_respond(scene, particles))
         affine = cp.matrix(lambda i, j: impulse * tau[i][j] + mass * C[i][j])
     with jax.named_scope("particle_to_grid"):
         fields = particle_to_grid(grid, x, mass, cp.vector(lambda i: mass * v[i]), affine, active=active)
@@ -272,7 +302,58 @@ def _substep(scene: MPMScene, nodes: ActiveNodes, particles: _Particles, interva
         F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
         lower, upper = grid.lower, grid.upper
         x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
-    return _Particles(x, v, C, F_trial)
+    return _Particles(x, v, C, F_trial, plastic_volume)
+
+
+def _materials(scene: MPMScene) -> tuple[Material, ...]:
+    return scene.material if isinstance(scene.material, tuple) else (scene.material,)
+
+
+def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], particles: Any) -> Any:
+    """``function(material, particles)``, for each material with its own part of the particles.
+
+    Args:
+      scene: its materials and ``particle_counts``.
+      function: from a material and a pytree of arrays of its particles to a pytree of arrays of these particles.
+      particles: pytree of arrays with a first axis over all particles.
+
+    Returns:
+      The results for all particles, in their order.
+    """
+    if isinstance(scene.material, Material):
+        return function(scene.material, particles)
+    counts = scene.particle_counts
+    assert counts is not None
+    num_particles = jax.tree.leaves(particles)[0].shape[0]
+    if sum(counts) != num_particles:
+        raise ValueError(
+            f"particle_counts is {counts}, in sum {sum(counts)}, but there are {num_particles} particles: "
+            "make both agree"
+        )
+    results, start = [], 0
+    for material, count in zip(scene.material, counts, strict=True):
+        part = slice(start, start + count)
+        results.append(function(material, jax.tree.map(lambda a, part=part: a[part], particles)))
+        start += count
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *results)
+
+
+def particle_mass(scene: MPMScene, x: Array) -> Array:
+    """Mass of each of the particles at x [kg], any array with one entry per particle; shape (num_particles,).
+
+    Gradient: exact with respect to volume and densities.
+    """
+    density = per_material(scene, lambda m, a: jnp.broadcast_to(m.density, a.shape[:1]).astype(a.dtype), x)
+    return jnp.broadcast_to(scene.particle_volume * density, x.shape[:1]).astype(x.dtype)
+
+
+def _respond(scene: MPMScene, particles: _Particles) -> Response:
+    def one(material: Material, p: _Particles) -> Response:
+        response = respond(material, p.F, velocity_gradient=p.C, plastic_volume=p.plastic_volume)
+        # Beside snow, others keep the number that they do not use.
+        return response if material.remembers else response._replace(plastic_volume=p.plastic_volume)
+
+    return per_material(scene, one, particles)
 
 
 _recomputed_substep = recomputed(_substep)
@@ -302,12 +383,22 @@ def _nodes(scene: MPMScene, x: Array) -> ActiveNodes:
 
 def _split(state: MPMState) -> _Particles:
     return _Particles(
-        cp.split_vector(state.x), cp.split_vector(state.v), cp.split_matrix(state.C), cp.split_matrix(state.F)
+        cp.split_vector(state.x),
+        cp.split_vector(state.v),
+        cp.split_matrix(state.C),
+        cp.split_matrix(state.F),
+        state.plastic_volume,
     )
 
 
 def _join(p: _Particles) -> MPMState:
-    return MPMState(x=cp.join_vector(p.x), v=cp.join_vector(p.v), C=cp.join_matrix(p.C), F=cp.join_matrix(p.F))
+    return MPMState(
+        x=cp.join_vector(p.x),
+        v=cp.join_vector(p.v),
+        C=cp.join_matrix(p.C),
+        F=cp.join_matrix(p.F),
+        plastic_volume=p.plastic_volume,
+    )
 
 
 def _bounds(grid: Grid, dtype: Any) -> tuple[Array, Array]:
@@ -325,20 +416,41 @@ def _check_max_active_nodes(max_active_nodes: int | None) -> None:
 
 
 def _check_material(material: Material) -> None:
-    _check_positive("youngs_modulus", material.youngs_modulus, "give Young's modulus in Pa")
     _check_positive("density", material.density, "give the rest density in kg/m^3")
-    if material.plasticity is not Plasticity.NONE:
+    if material.elasticity is Elasticity.TAIT:
+        _check_positive("speed_of_sound", material.speed_of_sound, "give the fluid's speed of sound in m/s")
+    else:
+        _check_positive("youngs_modulus", material.youngs_modulus, "give Young's modulus in Pa")
+    if material.plasticity is Plasticity.VON_MISES:
         _check_positive("yield_stress", material.yield_stress, "give the von Mises yield stress in Pa")
-    nu = material.poissons_ratio
-    if not isinstance(nu, Tracer) and not np.all((np.asarray(nu) > -1.0) & (np.asarray(nu) < 0.5)):
-        raise ValueError(
-            f"poissons_ratio is {np.asarray(nu)}: give a value above -1 and below 0.5 "
-            "(0.5 is incompressible; take 0.45 for rubber)"
+    if material.plasticity is Plasticity.SNOW:
+        remedy = (
+            "give a positive number (fresh snow: critical_compression 0.025, critical_stretch 0.0075, hardening 10)"
         )
+        for name in ("critical_compression", "critical_stretch", "hardening"):
+            _check_positive(name, getattr(material, name), remedy)
+    remedy = "give a value above -1 and below 0.5 (0.5 is incompressible; take 0.45 for rubber)"
+    _check_range("poissons_ratio", material.poissons_ratio, (-1.0, 0.5), remedy)
+    if material.plasticity is Plasticity.DRUCKER_PRAGER:
+        remedy = "give an angle in radians between 0 and pi / 2 (dry sand: 0.5)"
+        _check_range("friction_angle", material.friction_angle, (0.0, 0.5 * np.pi), remedy)
+    not_negative = (np.nextafter(0.0, -1.0), np.inf)
+    if material.cohesion is not None:
+        _check_range("cohesion", material.cohesion, not_negative, "give a strain of 0 or more")
+    if material.viscosity is not None:
+        _check_range("viscosity", material.viscosity, not_negative, "give the dynamic viscosity in Pa s, 0 or more")
+
+
+def _check_range(name: str, value: Any, limits: tuple[float, float], remedy: str) -> None:
+    if isinstance(value, Tracer):
+        return
+    if value is None or not np.all((np.asarray(value) > limits[0]) & (np.asarray(value) < limits[1])):
+        raise ValueError(f"{name} is {value if value is None else np.asarray(value)}: {remedy}")
 
 
 def _check_positive(name: str, value: Any, remedy: str) -> None:
     if isinstance(value, Tracer):
         return
-    if not np.all(np.asarray(value) > 0):
-        raise ValueError(f"{name} is {np.asarray(value)}, but must be positive: {remedy}")
+    if value is None or not np.all(np.asarray(value) > 0):
+        shown = value if value is None else np.asarray(value)
+        raise ValueError(f"{name} is {shown}, but must be positive: {remedy}")
