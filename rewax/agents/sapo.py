@@ -15,7 +15,6 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jax.flatten_util import ravel_pytree
 
 from rewax import struct
 from rewax.agents.base import Agent, Metrics
@@ -26,7 +25,7 @@ from rewax.agents.returns import short_horizon_return, td_lambda
 from rewax.agents.rollout import Differentiation, Transition, rollout
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import AutoReset
-from rewax.status import Status
+from rewax.status import Status, all_finite
 from rewax.types import Array, Key, Observation, PyTree
 
 
@@ -228,8 +227,8 @@ def _init(parts: _Parts, key: Key) -> SAPOState:
         actor_params=actor_params,
         critic_params=critic_params,
         log_temperature=log_temperature,
-        actor_opt=parts.actor_optimizer.init(_ravel(actor_params)),
-        critic_opt=parts.critic_optimizer.init(_ravel(critic_params)),
+        actor_opt=parts.actor_optimizer.init(actor_params),
+        critic_opt=parts.critic_optimizer.init(critic_params),
         temperature_opt=parts.temperature_optimizer.init(log_temperature),
         statistics=statistics,
         env_state=env_state,
@@ -257,10 +256,9 @@ def _train_step(parts: _Parts, state: SAPOState) -> tuple[SAPOState, Metrics]:
         lambda env_state, key: loss_and_grad(parts, state.actor_params, state, env_state, key)
     )(state.env_state, keys)
     data = jax.lax.stop_gradient(data)
-    grad, kept = _mean_of_finite(losses, jax.vmap(_ravel)(grads))
-    params, unravel = ravel_pytree(state.actor_params)
-    updates, actor_opt = parts.actor_optimizer.update(grad, state.actor_opt, params)
-    actor_params = unravel(params + updates)
+    grad, kept = _mean_of_finite(losses, grads)
+    updates, actor_opt = parts.actor_optimizer.update(grad, state.actor_opt, state.actor_params)
+    actor_params = optax.apply_updates(state.actor_params, updates)
 
     entropy = data.transitions.extras["entropy"]
     log_temperature, temperature_opt = _update_temperature(parts, state, entropy.mean(axis=1))
@@ -291,7 +289,7 @@ def _train_step(parts: _Parts, state: SAPOState) -> tuple[SAPOState, Metrics]:
         "entropy": entropy.mean(),
         "temperature": jnp.exp(log_temperature),
         "actor_loss": jnp.sum(jnp.where(kept, losses, 0.0)) / jnp.maximum(kept.sum(), 1),
-        "actor_grad_norm": jnp.linalg.norm(grad),
+        "actor_grad_norm": optax.tree.norm(grad),
         **critic_metrics,
         "dropped_gradients": jnp.sum(~kept),
         "failed_episodes": jnp.sum(failed),
@@ -345,15 +343,16 @@ def _actor_loss(
     return -objective / config.horizon, _Rollout(final_state, transitions, next_values)
 
 
-def _ravel(params: PyTree) -> Array:
-    """All parameters as one vector. Optimizers work on it: a tenth of the operations to trace, compile and launch."""
-    return ravel_pytree(params)[0]
-
-
-def _mean_of_finite(losses: Array, grads: Array) -> tuple[Array, Array]:
+def _mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
     """Mean gradient over the environments whose loss and gradient are finite, and which those are, shape (envs,)."""
-    kept = jnp.isfinite(losses) & jnp.isfinite(grads).all(axis=1)
-    return jnp.sum(jnp.where(kept[:, None], grads, 0.0), axis=0) / jnp.maximum(kept.sum(), 1), kept
+    kept = jax.vmap(all_finite)((losses, grads))
+    count = jnp.maximum(kept.sum(), 1)
+
+    def mean(g: Array) -> Array:
+        mask = kept.reshape(-1, *[1] * (g.ndim - 1))
+        return jnp.sum(jnp.where(mask, g, 0.0), axis=0) / count
+
+    return jax.tree.map(mean, grads), kept
 
 
 def _update_temperature(parts: _Parts, state: SAPOState, entropy: Array) -> tuple[Any, PyTree]:
@@ -395,22 +394,20 @@ def _update_critics(
     def loss(params: PyTree, obs: Observation, target: Array) -> Array:
         return jnp.mean((_values(parts, params, obs) - target[:, None]) ** 2)
 
-    flat, unravel = ravel_pytree(state.critic_params)
+    def update(carry: tuple[PyTree, PyTree], batch: tuple[Observation, Array]):
+        params, opt = carry
+        value, grad = jax.value_and_grad(loss)(params, *batch)
+        grad = jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), grad)
+        updates, opt = parts.critic_optimizer.update(grad, opt, params)
+        return (optax.apply_updates(params, updates), opt), (value, optax.tree.norm(grad))
 
-    def update(carry: tuple[Array, PyTree], batch: tuple[Observation, Array]):
-        flat, opt = carry
-        value, grad = jax.value_and_grad(loss)(unravel(flat), *batch)
-        grad = _ravel(grad)
-        grad = jnp.where(jnp.isfinite(grad), grad, 0.0)
-        updates, opt = parts.critic_optimizer.update(grad, opt, flat)
-        return (flat + updates, opt), (value, jnp.linalg.norm(grad))
-
-    def one_pass(carry: tuple[Array, PyTree], _: None):
+    def one_pass(carry: tuple[PyTree, PyTree], _: None):
         return jax.lax.scan(update, carry, batches)
 
-    (flat, opt), (losses, norms) = jax.lax.scan(one_pass, (flat, state.critic_opt), None, length=config.critic_passes)
-    metrics = {"critic_loss": losses[-1].mean(), "critic_grad_norm": norms.mean(), "value": value.mean()}
-    return unravel(flat), opt, metrics
+    (params, opt), (losses, norms) = jax.lax.scan(
+        one_pass, (state.critic_params, state.critic_opt), None, length=config.critic_passes
+    )
+    return params, opt, {"critic_loss": losses[-1].mean(), "critic_grad_norm": norms.mean(), "value": value.mean()}
 
 
 def _episode_returns(running: Array, transitions: Transition) -> tuple[Array, Array]:
