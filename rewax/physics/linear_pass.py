@@ -75,6 +75,12 @@ def linear_pass(
     return tuple(out)
 
 
+def no_transpose(static: Any, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """Transpose of a pass that has no linear arguments. (``linear_pass`` refuses second derivatives.)"""
+    del static, residuals, cotangents
+    return ()
+
+
 def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residuals: int, out: Shapes) -> list[Array]:
     del transpose, out
     return list(function(static, args[:num_residuals], args[num_residuals:]))

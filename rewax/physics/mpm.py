@@ -150,8 +150,8 @@ def make_scene(
         if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
             raise ValueError(
                 f"dt is {dt:g} s, above the largest stable {float(np.min(limit)):.3g} s for this material on a grid of "
-                f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer, denser or less viscous "
-                "material, or a coarser grid"
+                f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer or denser material, "
+                "or a coarser grid"
             )
     return MPMScene(
         grid=grid,
@@ -172,7 +172,8 @@ def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -
     The factor is measured, for elastic blocks of two to eight particles per cell, random and regular, over 2000
     substeps: they blow up between 0.7 of the time that sound takes through a cell (two random particles per cell, nu
     0.45, initial velocities of 5 % of the speed of sound) and 1.2 (eight regular ones, nu 0.2), nearly whatever the
-    law. Strong compression makes sound faster: it needs a margin of its own.
+    law. Strong compression makes sound faster: it needs a margin of its own. So do viscosity and the hardening of snow,
+    which do not count here, and Tait's law and the reference's fluid, for which the factor was not measured.
 
     Args:
       material: its stiffness and density set the speed of sound.

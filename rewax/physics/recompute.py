@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from rewax.physics.linear_pass import Arrays, linear_pass
+from rewax.physics.linear_pass import Arrays, linear_pass, no_transpose
 from rewax.types import Array
 
 T = TypeVar("T")
@@ -88,7 +88,7 @@ def _out_tree(program: _Program, shapes: tuple) -> Any:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _call(program: _Program, *arrays: Array) -> Arrays:
-    return linear_pass(_value, _nothing, program, arrays, ())
+    return linear_pass(_value, no_transpose, program, arrays, ())
 
 
 def _call_jvp(program: _Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
@@ -104,12 +104,6 @@ _call.defjvp(_call_jvp, symbolic_zeros=True)
 
 def _value(program: _Program, arrays: Arrays, nothing: Arrays) -> Arrays:
     return program.under_vmap(lambda arrays, _: tuple(jax.tree.leaves(program.apply(arrays))))(arrays, nothing)
-
-
-def _nothing(program: _Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of a pass that has no linear arguments. (``linear_pass`` refuses second derivatives.)"""
-    del program, arrays, cotangents
-    return ()
 
 
 def _tangent(program: _Program, arrays: Arrays, tangents: Arrays) -> Arrays:

@@ -27,7 +27,7 @@ from rewax.physics.active_nodes import ActiveNodes
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
 from rewax.physics.kernels import quadratic_bspline
-from rewax.physics.linear_pass import Arrays, linear_pass
+from rewax.physics.linear_pass import Arrays, linear_pass, no_transpose
 from rewax.physics.materialize import materialize
 from rewax.types import Array
 
@@ -211,12 +211,6 @@ def _spread_tangent_transpose(layout: _Layout, residuals: Arrays, cotangents: Ar
     return (*cp.subtract(work, cp.matvec(cp.transpose(A), _as_vector(values[1:4]))), *values)
 
 
-def _nothing(layout: _Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of a pass that has no linear arguments. (``linear_pass`` refuses second derivatives.)"""
-    del layout, residuals, cotangents
-    return ()
-
-
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _particle_to_grid(layout: _Layout, *args: Array) -> Arrays:
     return linear_pass(_spread, _gather_values, layout, *_split(layout, args))
@@ -237,7 +231,7 @@ def _grid_to_particle(layout: _Layout, *args: Array) -> Arrays:
 def _grid_to_particle_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _grid_to_particle(layout, *args)
     places, dx = _split(layout, args)[0], tangents[:3]
-    slopes = linear_pass(_gather_slopes, _nothing, layout, args, ())
+    slopes = linear_pass(_gather_slopes, no_transpose, layout, args, ())
     by_nodes = linear_pass(_gather_values, _spread, layout, places, _split(layout, tangents)[1])
 
     def along(moment: int, component: int) -> Array:

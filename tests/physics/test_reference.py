@@ -142,7 +142,7 @@ RUN = jax.jit(value_and_gradient, static_argnums=0)
         (Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, {}, np.float64),
     ],
 )
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_a_substep_equals_the_plain_one(x64, random_like, elasticity, plasticity, options, dtype, seed):
     """Values, and gradients by particles, material, gravity, collider and poses, each leaf for itself.
