@@ -25,6 +25,9 @@ class Status(enum.IntFlag):
     INACTIVE_NODES = 8
     """More nodes were needed than the scene's ``max_active_nodes``, or a particle moved by more than a cell within a
     step of such a scene: the result is not to be trusted. Give a larger number, or shorter steps. Not fatal."""
+    INVERTED = 16
+    """A particle is flattened or turned inside out (det F <= 0): the time step is too long for what happens to it, or
+    something crushes it. Not fatal."""
 
 
 FATAL = Status.NAN

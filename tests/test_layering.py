@@ -14,6 +14,7 @@ ALLOWED = {
     "agents": {"base", "physics", "envs"},
     "training": {"base", "physics", "envs", "agents", "viz"},
     "testing": {"base", "physics", "envs"},
+    "debug": {"base", "physics"},
     "top": {"base", "physics", "envs", "agents", "training", "viz", "testing"},
 }
 """Layers, and what each may import besides itself."""

@@ -4,6 +4,7 @@ import enum
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from rewax import struct
@@ -85,6 +86,75 @@ class Walls:
     upper: tuple[Wall | None, Wall | None, Wall | None]
 
 
+class Contact(enum.Enum):
+    """How several colliders act on one node."""
+
+    SEQUENTIAL = "sequential"
+    """One after the other, in the order of the scene: the last one wins where they overlap. The law of Rewarped."""
+    NEAREST = "nearest"
+    """Only the one whose surface is nearest (inside several: the one in which the node lies deepest): the colliders
+    act like the union of their shapes, in whichever order they are given. With many shapes it is also faster, as the
+    law is evaluated once per node."""
+
+
+class Motion(NamedTuple):
+    """Velocity of a rigid body's points: that of the point r [m] is ``turn @ r + shift`` [m/s]."""
+
+    turn: Array
+    """Shape (3, 3) [1/s]."""
+    shift: Array
+    """Shape (3,) [m/s]."""
+
+
+class Touch(NamedTuple):
+    """A collider at some nodes, arrays of shape (num_nodes,)."""
+
+    distance: Array
+    """Signed distance [m]."""
+    influence: Array
+    """How much the node obeys the collider, min(exp(-softness distance), 1) [-]."""
+    normal: Vec3
+    """Away from the collider, in the world's frame."""
+    friction: Scalar
+    """Coulomb coefficient [-], shape () or (num_nodes,)."""
+    velocity: Vec3
+    """Of the body's material point at the node [m/s]."""
+
+
+def apply_colliders(
+    colliders: tuple[Collider, ...],
+    position: Vec3,
+    velocity: Vec3,
+    before: Pose,
+    after: Pose,
+    dt: float,
+    *,
+    contact: Contact = Contact.SEQUENTIAL,
+) -> Vec3:
+    """Node velocities after contact with several moving shapes.
+
+    Args:
+      colliders: the shapes.
+      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      velocity: node velocities [m/s], components of shape (num_nodes,).
+      before, after: poses of all bodies at the beginning and end of the substep, (num_bodies, 3), (num_bodies, 3, 3).
+      dt: duration of the substep [s].
+      contact: how they act together (static).
+
+    Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, that of the first.
+    """
+    poses = [(body_pose(before, c.body), body_pose(after, c.body)) for c in colliders]
+    if contact is Contact.SEQUENTIAL or len(colliders) < 2:
+        for collider, (start, end) in zip(colliders, poses, strict=True):
+            velocity = apply_collider(collider, position, velocity, start, end, dt)
+        return velocity
+    touches = [
+        touch(collider, position, *_start_and_motion(collider, start, end, dt))
+        for collider, (start, end) in zip(colliders, poses, strict=True)
+    ]
+    return contact_velocity(nearest(touches)[0], velocity)
+
+
 def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: Pose, after: Pose, dt: float) -> Vec3:
     """Node velocities after contact with one moving shape.
 
@@ -103,24 +173,49 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
       at influence 0.1 is a step that no derivative sees.
     Source: Huang et al. 2021, PlasticineLab, appendix; the law used by Rewarped.
     """
-    start, end = _shape_pose(collider, before), _shape_pose(collider, after)
+    return contact_velocity(touch(collider, position, *_start_and_motion(collider, before, after, dt)), velocity)
+
+
+def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> Touch:
+    """A collider at the given nodes.
+
+    Args:
+      collider: the shape.
+      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      start: pose of the shape (not of its body), see ``shape_pose``, shapes (3,), (3, 3).
+      motion: of its body.
+
+    Gradient: exact.
+    """
     # Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
     to_local = -jnp.matmul(start.rotation.T, start.position, precision="highest")
-    turn = jnp.matmul((end.rotation - start.rotation) / dt, start.rotation.T, precision="highest")
-    shift = (end.position - start.position) / dt - jnp.matmul(turn, start.position, precision="highest")
-    maps = jnp.concatenate([start.rotation.T, turn]), jnp.concatenate([to_local, shift])
+    maps = jnp.concatenate([start.rotation.T, motion.turn]), jnp.concatenate([to_local, motion.shift])
     lx, ly, lz, bx, by, bz = materialize(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     influence = jnp.minimum(jnp.exp(-collider.softness * distance), 1.0)
     # Stored at each step: XLA would compute the whole chain, forward and backward, anew for every component.
     influence, local_normal = materialize((influence, local_normal))
-    body = (bx, by, bz)
-    normal, relative = materialize(
-        (cp.matvec(cp.split_matrix(start.rotation), local_normal), cp.subtract(velocity, body))
-    )
+    normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
+    return Touch(distance, influence, normal, collider.friction, (bx, by, bz))
+
+
+def nearest(touches: list[Touch]) -> tuple[Touch, Array]:
+    """For each node the touch of least distance, and its index in the list, (num_nodes,), int32."""
+    best, which = touches[0], jnp.zeros(touches[0].distance.shape, jnp.int32)
+    for i, other in enumerate(touches[1:], 1):
+        closer = other.distance < best.distance
+        best = jax.tree.map(lambda a, b, closer=closer: jnp.where(closer, a, b), other, best)
+        which = jnp.where(closer, i, which)
+    return materialize(best), which
+
+
+def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
+    """Node velocities after contact: the law of ``apply_collider``. Gradient: exact."""
+    influence, body = touch.influence, touch.velocity
+    normal, relative = materialize((touch.normal, cp.subtract(velocity, body)))
     approach = materialize(jnp.minimum(cp.dot(relative, normal), 0.0))
     tangential = materialize(cp.vector(lambda i: relative[i] - approach * normal[i]))
-    slipping = materialize(_friction_factor(tangential, approach, collider.friction))
+    slipping = materialize(friction_factor(tangential, approach, touch.friction))
     active = influence > MIN_INFLUENCE
 
     def after_contact(i: int) -> Array:
@@ -128,6 +223,36 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
         return jnp.where(active, body[i] + (1.0 - influence) * u + influence * u_t, velocity[i])
 
     return cp.vector(after_contact)
+
+
+def body_pose(poses: Pose, body: int) -> Pose:
+    """Pose of one body out of those of all, shapes (num_bodies, 3), (num_bodies, 3, 3)."""
+    return Pose(poses.position[body], poses.rotation[body])
+
+
+def shape_pose(collider: Collider, body: Pose) -> Pose:
+    """Pose of a collider's shape, given that of its body. Gradient: exact."""
+    return Pose(
+        body.position + jnp.matmul(body.rotation, collider.offset, precision="highest"),
+        jnp.matmul(body.rotation, collider.rotation, precision="highest"),
+    )
+
+
+def _start_and_motion(collider: Collider, before: Pose, after: Pose, dt: float) -> tuple[Pose, Motion]:
+    start = shape_pose(collider, before)
+    return start, chord_motion(start, shape_pose(collider, after), dt)
+
+
+def chord_motion(start: Pose, end: Pose, dt: float) -> Motion:
+    """The motion that takes each point of a body along a straight line from one pose to another. Gradient: exact."""
+    turn = jnp.matmul((end.rotation - start.rotation) / dt, start.rotation.T, precision="highest")
+    return Motion(turn, (end.position - start.position) / dt - jnp.matmul(turn, start.position, precision="highest"))
+
+
+def velocity_at(motion: Motion, position: Vec3) -> Vec3:
+    """Velocity of a body's points at the given nodes [m/s]. Gradient: exact with respect to the motion."""
+    x, y, z = linear_pass(_at_nodes, _at_nodes_transpose, None, position, tuple(motion))
+    return x, y, z
 
 
 def _at_nodes(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
@@ -150,19 +275,12 @@ def _at_nodes_transpose(static: None, residuals: Arrays, cotangents: Arrays) -> 
     return both[..., :3], both[..., 3]
 
 
-def _friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:
+def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:
     """What Coulomb friction leaves of the tangential velocity: max(0, |u_t| + mu u_n) / |u_t|; 1 without contact."""
     square = cp.dot(tangential, tangential)
     rubs = (approach < 0) & (square > 1e-30)
     length = jnp.sqrt(jnp.where(rubs, square, 1.0))
     return jnp.where(rubs, jnp.maximum(length + friction * approach, 0.0) / length, 1.0)
-
-
-def _shape_pose(collider: Collider, body: Pose) -> Pose:
-    return Pose(
-        body.position + jnp.matmul(body.rotation, collider.offset, precision="highest"),
-        jnp.matmul(body.rotation, collider.rotation, precision="highest"),
-    )
 
 
 def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], velocity: Vec3) -> Vec3:
@@ -206,5 +324,5 @@ def _apply_wall(wall: Wall, axis: int, inward: float, behind: Array, velocity: V
         return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]) if i == axis else velocity[i])
     zero = jnp.zeros_like(normal_velocity)
     tangential = cp.vector(lambda i: zero if i == axis else velocity[i])
-    factor = _friction_factor(tangential, jnp.minimum(normal_velocity, 0.0), wall.friction)
+    factor = friction_factor(tangential, jnp.minimum(normal_velocity, 0.0), wall.friction)
     return cp.vector(lambda i: jnp.where(approaches, 0.0 if i == axis else velocity[i] * factor, velocity[i]))

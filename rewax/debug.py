@@ -1,0 +1,79 @@
+"""For finding out where a simulation went wrong."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics import mpm
+from rewax.physics.colliders import Pose
+from rewax.physics.scene import MPMScene, MPMState
+
+FIELDS = ("x", "v", "C", "F", "plastic_volume")
+
+
+class NaNLocation(NamedTuple):
+    """The first number that is not finite."""
+
+    substep: int
+    """How many substeps went well before; -1: it was there at the start."""
+    field: str
+    """Of ``MPMState``; the first of x, v, C, F, plastic_volume in which there is one."""
+    particle: int
+    """The first particle that has one."""
+    before: dict[str, np.ndarray]
+    """What the particle was before that substep, by field; at the start what it is."""
+
+    def __str__(self) -> str:
+        when = "at the start" if self.substep < 0 else f"in substep {self.substep}"
+        values = "; ".join(
+            f"{name} {np.array2string(a, precision=4).replace(chr(10), '')}" for name, a in self.before.items()
+        )
+        return f"{self.field} of particle {self.particle} is not finite {when}; before: {values}"
+
+
+def locate_nan(scene: MPMScene, state: MPMState, poses: Pose) -> NaNLocation | None:
+    """The first substep, field and particle with a number that is not finite, or None.
+
+    Runs ``mpm.step`` again, substep by substep; not for use inside ``jit``.
+
+    Args:
+      scene: the scene.
+      state: particles at the start of the step, one environment.
+      poses: of its bodies at the boundaries of substeps, as for ``mpm.step``.
+
+    Example:
+      >>> if int(state.status) & Status.NAN:
+      ...     print(locate_nan(env.scene, previous.physics.dough, poses))
+    """
+    first = _first_bad(state)
+    if first is not None:
+        return NaNLocation(-1, *first, _particle(state, first[1]))
+    # Chosen once per step, as in mpm.step.
+    nodes = jax.jit(mpm.nodes_of_step)(scene, state.x)
+    one = jax.jit(lambda state, nodes, before, after: mpm.substep(scene, state, before, after, nodes=nodes))
+    for substep in range(poses.position.shape[0] - 1):
+        before, after = (jax.tree.map(lambda p, i=i: p[i], poses) for i in (substep, substep + 1))
+        new = one(state, nodes, before, after)
+        first = _first_bad(new)
+        if first is not None:
+            return NaNLocation(substep, *first, _particle(state, first[1]))
+        state = new
+    return None
+
+
+def _first_bad(state: MPMState) -> tuple[str, int] | None:
+    for name in FIELDS:
+        value = getattr(state, name)
+        if value is None:
+            continue
+        finite = np.asarray(jnp.isfinite(value)).reshape(len(value), -1).all(axis=-1)
+        if not finite.all():
+            return name, int(np.argmin(finite))
+    return None
+
+
+def _particle(state: MPMState, index: int) -> dict[str, np.ndarray]:
+    values = {name: getattr(state, name) for name in FIELDS}
+    return {name: np.asarray(value[index]) for name, value in values.items() if value is not None}

@@ -1,0 +1,49 @@
+"""Rotations as unit quaternions (w, x, y, z), MuJoCo's convention."""
+
+import jax.numpy as jnp
+
+from rewax.types import Array, Scalar
+
+
+def quaternion_to_matrix(q: Array) -> Array:
+    """Rotation matrix of a unit quaternion, (..., 4) -> (..., 3, 3). Gradient: exact."""
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_product(a: Array, b: Array) -> Array:
+    """The rotation b followed by a, (..., 4) each. Gradient: exact."""
+    w, v, u, r = a[..., :1], a[..., 1:], b[..., 1:], b[..., :1]
+    scalar = w * r - jnp.sum(v * u, axis=-1, keepdims=True)
+    return jnp.concatenate([scalar, w * u + r * v + jnp.cross(v, u)], axis=-1)
+
+
+def turn_quaternion(q: Array, angular_velocity: Array, dt: Scalar) -> Array:
+    """Orientation after a short time.
+
+    Args:
+      q: unit quaternion, shape (..., 4).
+      angular_velocity: in the world's frame [rad/s], shape (..., 3).
+      dt: duration [s]; the angle turned is right to third order in |angular_velocity| dt.
+
+    Returns:
+      Unit quaternion, shape (..., 4): q + dt/2 (0, angular_velocity) q, normalised.
+
+    Gradient: exact.
+    """
+    rate = jnp.concatenate([jnp.zeros_like(q[..., :1]), angular_velocity.astype(q.dtype)], axis=-1)
+    turned = q + 0.5 * dt * quaternion_product(rate, q)
+    return turned / jnp.sqrt(jnp.sum(turned * turned, axis=-1, keepdims=True))
+
+
+def skew(a: Array) -> Array:
+    """The matrix that takes b to the cross product of a and b, (..., 3) -> (..., 3, 3)."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    zero = jnp.zeros_like(x)
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)

@@ -1,0 +1,189 @@
+"""Particles and free bodies: what they exchange is conserved, what is light stays calm, derivatives are exact."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.physics import coupling, free_body, invariants, mpm
+from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
+from rewax.physics.grid import Grid
+from rewax.physics.materials import Material, Plasticity
+from rewax.physics.sampling import fill_box
+from rewax.physics.sdf import Box, Capsule, Cylinder, Sphere, signed_distance
+
+SPACING, GRAVITY = 0.02, 9.81
+BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
+
+
+def collider(shape, body=0, offset=(0.0, 0.0, 0.0), friction=0.4):
+    return Collider(shape=shape, offset=jnp.asarray(offset), rotation=jnp.eye(3), friction=jnp.asarray(friction), softness=jnp.asarray(200.0), body=body)
+
+
+@pytest.fixture(scope="module")
+def dough():
+    """A block of dough, a box over it: (scene, state); colliders 0 and 1 are the box and a ball fixed to it."""
+    x = fill_box((0.1, 0.08, 0.1), (0.08, 0.04, 0.08), 0.5 * SPACING)
+    scene = mpm.make_scene(
+        grid=Grid(shape=(11, 11, 11), spacing=SPACING), dt=4e-4, particle_volume=jnp.asarray(0.08 * 0.04 * 0.08 / len(x)),
+        material=Material(youngs_modulus=jnp.asarray(5e3), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1000.0), yield_stress=jnp.asarray(200.0), plasticity=Plasticity.VON_MISES),
+        gravity=(0.0, 0.0, 0.0), colliders=(collider(BOX), collider(Sphere(radius=jnp.asarray(0.015)), offset=(0.0, -0.02, 0.0))),
+    )  # fmt: skip
+    return scene, mpm.initial_state(jnp.asarray(x), scene)
+
+
+def falling(velocity=(0.02, -0.1, 0.01), spin=(1.0, 2.0, -3.0)):
+    return free_body.bodies_at_rest([[0.105, 0.13, 0.1]]).replace(
+        velocity=jnp.asarray([velocity]), angular_velocity=jnp.asarray([spin])
+    )
+
+
+@pytest.fixture(scope="module")
+def run():
+    """``run(scene, inertia, state, bodies)``: 100 substeps, compiled once for all scenes of the same form."""
+    floor = Wall(position=0.0601, kind=WallKind.GRIPPING)
+
+    @functools.partial(jax.jit, static_argnames="on_floor")
+    def hundred(scene, inertia, state, bodies, wrench=coupling.no_wrench(1), on_floor=False):
+        if on_floor:
+            scene = scene.replace(walls=Walls(lower=(None, floor, None), upper=(None, None, None)))
+        return coupling.step(scene, inertia, state, bodies, mpm.static_poses(100), wrench=wrench)
+
+    return hundred
+
+
+def inertia_of(mass):
+    moment = mass * jnp.diag(jnp.array([0.02**2 + 0.03**2, 2 * 0.03**2, 0.02**2 + 0.03**2])) / 3.0
+    return free_body.Inertia(mass=jnp.asarray([mass]), moment=moment[None])
+
+
+@pytest.mark.parametrize("mass", [0.3, 0.01], ids=["heavy", "light"])
+def test_momentum_of_particles_and_body_is_conserved_over_1000_substeps(dough, run, mass):
+    """The dough weighs 0.26 kg: a body that answered late would be thrown by it."""
+    scene, state = dough
+    inertia, bodies = inertia_of(mass), falling()
+
+    def total(state, bodies):
+        linear = invariants.momentum(scene, state) + free_body.momentum(bodies, inertia)
+        about = (0.1, 0.1, 0.1)
+        angular = invariants.angular_momentum(scene, state, about) + free_body.angular_momentum(bodies, inertia, about)
+        return np.asarray(linear, np.float64), np.asarray(angular, np.float64)
+
+    linear, angular = total(state, bodies)
+    energy = float(free_body.kinetic_energy(bodies, inertia))
+    received = 0.0
+    for _ in range(10):
+        state, bodies, wrench = run(scene, inertia, state, bodies)
+        received = received + np.asarray(wrench.force[0]) * 100 * scene.dt
+    linear_after, angular_after = total(state, bodies)
+    assert np.linalg.norm(linear_after - linear) < 1e-5 * np.linalg.norm(linear)
+    assert np.linalg.norm(angular_after - angular) < 1e-5 * np.linalg.norm(angular)
+    # Something happened, and what the body reports to have received is what changed its momentum.
+    change = np.asarray(mass * (bodies.velocity[0] - falling().velocity[0]))
+    assert np.linalg.norm(change) > 0.3 * np.linalg.norm(linear)
+    np.testing.assert_allclose(received, change, rtol=1e-3, atol=1e-4 * np.linalg.norm(linear))
+    assert float(free_body.kinetic_energy(bodies, inertia) + invariants.kinetic_energy(scene, state)) < energy
+    assert int(mpm.check_status(scene, state)) == 0
+
+
+def test_a_box_dropped_on_dough_comes_to_rest_on_it(dough, run):
+    """On a floor, under gravity: velocity goes to zero and the dough carries the weight."""
+    scene, state = dough
+    scene = scene.replace(gravity=jnp.array([0.0, -GRAVITY, 0.0]))
+    inertia, bodies = inertia_of(0.05), falling(velocity=(0.0, -0.2, 0.0), spin=(0.0, 0.0, 0.0))
+    forces = []
+    for _ in range(10):
+        state, bodies, wrench = run(scene, inertia, state, bodies, on_floor=True)
+        forces.append(np.asarray(wrench.force[0]))
+    weight = 0.05 * GRAVITY
+    np.testing.assert_allclose(np.mean(forces[-4:], axis=0), [0.0, weight, 0.0], atol=0.1 * weight)
+    assert float(jnp.linalg.norm(bodies.velocity)) < 0.02 and float(jnp.linalg.norm(bodies.angular_velocity)) < 0.2
+    bottom = float(bodies.position[0, 1]) - 0.035  # the ball below the box reaches 1.5 cm deeper
+    assert 0.06 < bottom < 0.1
+
+
+def test_a_free_body_falls_and_spins_as_alone(dough, run):
+    """No contact: free fall by symplectic Euler, angular momentum of an asymmetric body constant, wrench as given."""
+    scene, state = dough
+    scene = scene.replace(gravity=jnp.array([0.0, -GRAVITY, 0.0]))
+    inertia = free_body.Inertia(mass=jnp.array([0.5]), moment=jnp.diag(jnp.array([1.0, 2.0, 3.5]))[None] * 1e-4)
+    bodies = free_body.bodies_at_rest([[0.1, 0.5, 0.1]]).replace(angular_velocity=jnp.array([[3.0, 10.0, 0.2]]))
+    push = coupling.Wrench(jnp.array([[1.0, 0.0, 0.0]]), jnp.array([[0.0, 0.0, 2e-4]]))
+    after = run(scene, inertia, state, bodies, push)[1]
+    n, dt = 100, scene.dt
+    fallen = n * (n + 1) / 2 * dt**2
+    expected = np.array([0.1 + 2.0 * fallen, 0.5 - GRAVITY * fallen, 0.1])
+    np.testing.assert_allclose(after.position[0], expected, atol=2e-6)
+    spin = free_body.angular_momentum(after, inertia, after.position[0]) - free_body.angular_momentum(bodies, inertia, bodies.position[0])
+    np.testing.assert_allclose(spin, [0.0, 0.0, 2e-4 * n * dt], atol=2e-8)
+    np.testing.assert_allclose(jnp.linalg.norm(after.orientation), 1.0, atol=1e-6)
+
+
+def test_derivatives_equal_finite_differences_over_20_substeps(x64, dough, random_like, relative_error):
+    """Reverse = forward = difference with respect to particles, body, mass, shape, friction, material and a wrench.
+
+    A body that moves as prescribed pushes from the side.
+    """
+    scene, state = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), dough)
+    shapes = (collider(BOX), collider(Sphere(radius=jnp.asarray(0.02)), body=1))
+    scene = scene.replace(colliders=shapes, gravity=jnp.array([0.0, -1.0, 0.0]))
+    bodies = falling(velocity=(0.1, -0.5, 0.05)).replace(position=jnp.array([[0.105, 0.121, 0.1]]))
+    path = jnp.linspace(0.0, 1.0, 21)[:, None, None] * jnp.array([0.004, 0.0, 0.0]) + jnp.array([[0.045, 0.08, 0.1]])
+    poses = Pose(path, jnp.broadcast_to(jnp.eye(3), (21, 1, 3, 3)))
+    wrench = coupling.Wrench(jnp.array([[0.1, 0.2, 0.0]]), jnp.array([[0.0, 1e-3, 0.0]]))
+    arguments = (scene, inertia_of(0.05), state.replace(v=0.05 * random_like(0, state.v)), bodies, poses, wrench)
+    arguments = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), arguments)
+
+    def outcome(scene, inertia, state, bodies, poses, wrench):
+        state, bodies, reaction = coupling.step(scene, inertia, state, bodies, poses, wrench=wrench)
+        return state.x, state.F, bodies, reaction
+
+    @jax.jit
+    def derivatives(arguments, tangents):
+        value, forward = jax.jvp(outcome, arguments, tangents)
+        weights = random_like(2, forward)
+        return value, forward, weights, jax.vjp(outcome, *arguments)[1](weights)
+
+    tangents = jax.tree.map(lambda a, d: d * (1e-3 + jnp.mean(jnp.abs(a))), arguments, random_like(1, arguments))
+    _, forward, weights, gradient = derivatives(arguments, tangents)
+    # What no derivative sees, the onset of contact, must not be crossed by the difference: small steps.
+    ahead, behind = (derivatives(jax.tree.map(lambda a, d: a + h * d, arguments, tangents), tangents)[0] for h in (1e-7, -1e-7))
+    difference = jax.tree.map(lambda a, b: (a - b) / 2e-7, ahead, behind)
+    assert relative_error(forward, difference) < 1e-5
+
+    def inner(a, b):
+        return sum(float(jnp.vdot(x, y)) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+    assert abs(inner(gradient, tangents) - inner(weights, forward)) < 1e-9 * abs(inner(weights, forward))
+    for name, part in zip(("scene", "inertia", "state", "bodies", "poses", "wrench"), gradient, strict=True):
+        assert any(float(jnp.abs(leaf).max()) > 0 for leaf in jax.tree.leaves(part)), name
+
+
+@pytest.mark.parametrize("shape", [BOX, Sphere(radius=0.2), Cylinder(radius=0.1, half_length=0.3), Capsule(radius=0.1, half_length=0.2)], ids=lambda s: type(s).__name__)
+def test_mass_and_inertia_of_solids(shape):
+    """Against sums over many points inside."""
+    size = np.array({Box: (0.06, 0.04, 0.06), Sphere: (0.4, 0.4, 0.4)}.get(type(shape), (0.2, 0.62, 0.2)))
+    points = fill_box((0.0, 0.0, 0.0), size, size.min() / 60)
+    volume = np.prod(size) / len(points)
+    points = points[np.asarray(signed_distance(shape, jnp.asarray(points))[0]) < 0]
+    mass = 700.0 * volume * len(points)
+    square = np.einsum("ni,ni->n", points, points)
+    moment = mass * (np.mean(square) * np.eye(3) - points.T @ points / len(points))
+    got = free_body.solid(shape, 700.0)
+    np.testing.assert_allclose(got[0], mass, rtol=5e-3)
+    np.testing.assert_allclose(got[1], moment, atol=1e-2 * moment.max())
+
+
+def test_clear_errors(dough):
+    scene, state = dough
+    with pytest.raises(ValueError, match="inertia is of \\(1,\\) bodies, but there are 2 free ones"):
+        coupling.step(scene, inertia_of(0.1), state, free_body.bodies_at_rest(jnp.zeros((2, 3))), mpm.static_poses(2))
+    other = scene.replace(colliders=(collider(BOX, body=3),))
+    with pytest.raises(ValueError, match="collider 0 belongs to body 3, but there are 1"):
+        coupling.step(other, inertia_of(0.1), state, falling(), mpm.static_poses(2))
+    with pytest.raises(ValueError, match="give \\(num_bodies, 3\\)"):
+        free_body.bodies_at_rest([0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="density is -1.0, but must be positive"):
+        free_body.solid(BOX, -1.0)
