@@ -1,6 +1,7 @@
 """Moving rigid shapes and walls, as conditions on grid velocities."""
 
 import enum
+import functools
 import math
 from typing import NamedTuple
 
@@ -141,7 +142,7 @@ def apply_colliders(
       dt: duration of the substep [s].
       contact: how they act together (static).
 
-    Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, that of the first.
+    Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, the mean of theirs.
     """
     poses = [(body_pose(before, c.body), body_pose(after, c.body)) for c in colliders]
     if contact is Contact.SEQUENTIAL or len(colliders) < 2:
@@ -199,14 +200,18 @@ def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> To
     return Touch(distance, influence, normal, collider.friction, (bx, by, bz))
 
 
-def nearest(touches: list[Touch]) -> tuple[Touch, Array]:
-    """For each node the touch of least distance, and its index in the list, (num_nodes,), int32."""
-    best, which = touches[0], jnp.zeros(touches[0].distance.shape, jnp.int32)
-    for i, other in enumerate(touches[1:], 1):
-        closer = other.distance < best.distance
-        best = jax.tree.map(lambda a, b, closer=closer: jnp.where(closer, a, b), other, best)
-        which = jnp.where(closer, i, which)
-    return materialize(best), which
+def nearest(touches: list[Touch]) -> tuple[Touch, list[Array]]:
+    """The touch of least distance at each node, and the share that each of the given ones has in it, (num_nodes,).
+
+    Several that are equally near (boxes side by side) share the node: the result is their mean, whatever their order.
+    """
+    least = functools.reduce(jnp.minimum, [t.distance for t in touches])
+    equal = [t.distance == least for t in touches]
+    one = 1.0 / sum(e.astype(least.dtype) for e in equal)
+    shares = materialize([jnp.where(e, one, 0.0) for e in equal])
+    return materialize(
+        jax.tree.map(lambda *leaves: sum(s * leaf for s, leaf in zip(shares, leaves, strict=True)), *touches)
+    ), shares
 
 
 def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:

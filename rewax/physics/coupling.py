@@ -184,10 +184,10 @@ def _exchange(
             before, velocity = velocity, materialize(contact_velocity(t, velocity))
             give(collider.body, before, velocity, mass)
         return velocity, impulses, moments
-    best, which = nearest(touches)
+    best, shares = nearest(touches)
     after = materialize(contact_velocity(best, velocity))
-    for i, collider in enumerate(scene.colliders):
-        give(collider.body, velocity, after, jnp.where(which == i, mass, 0.0))
+    for collider, share in zip(scene.colliders, shares, strict=True):
+        give(collider.body, velocity, after, share * mass)
     return after, impulses, moments
 
 
@@ -205,16 +205,16 @@ def _predict(
     With J = (1, -r x) at each node, a touch takes the momentum m W (v - J V) with a symmetric W from a body of twist V:
     (M + sum m J^T W J) dV = sum m J^T W (v - J V).
     """
-    which = None if scene.contact is Contact.SEQUENTIAL or len(touches) < 2 else nearest(touches)[1]
+    alone = scene.contact is Contact.SEQUENTIAL or len(touches) < 2
+    masses = [mass] * len(touches) if alone else [share * mass for share in nearest(touches)[1]]
     moment = free_body.world_moment(bodies, inertia)
     linear, angular = [], []
     for b in range(bodies.position.shape[0]):
         eye = jnp.eye(3, dtype=moment.dtype)
         system = _System(inertia.mass[b] * eye, jnp.zeros_like(eye), moment[b], jnp.zeros(6, moment.dtype))
         arm = cp.vector(lambda i, b=b: position[i] - bodies.position[b, i])
-        for k, (collider, t) in enumerate(zip(scene.colliders, touches, strict=True)):
+        for collider, t, weight in zip(scene.colliders, touches, masses, strict=True):
             if collider.body == b:
-                weight = mass if which is None else jnp.where(which == k, mass, 0.0)
                 system = _add_touch(system, arm, weight, velocity, t)
         dv, dw = _solve(system)
         linear.append(bodies.velocity[b] + dv)

@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 from rewax.physics import components as cp
-from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls, apply_collider, apply_walls
+from rewax.physics.colliders import (
+    Collider,
+    Contact,
+    Pose,
+    Wall,
+    WallKind,
+    Walls,
+    apply_collider,
+    apply_colliders,
+    apply_walls,
+)
 from rewax.physics.grid import Grid
-from rewax.physics.sdf import Plane, Sphere
+from rewax.physics.sdf import Box, Plane, Sphere
 
 EYE, ORIGIN, DT = jnp.eye(3), jnp.zeros(3), 1e-3
 REST = Pose(ORIGIN, EYE)
@@ -114,6 +124,66 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
     reverse = sum(
         float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
     )
+    np.testing.assert_allclose(reverse, float(jnp.vdot(cotangent, tangent)), rtol=1e-11)
+
+
+# --- Several colliders -------------------------------------------------------------------------------------------------
+
+
+def several(colliders, nodes, velocity, before, after, contact):
+    """Velocities (N, 3) of nodes (N, 3) after contact with all of them."""
+    position, v = cp.split_vector(nodes), cp.split_vector(velocity)
+    return cp.join_vector(apply_colliders(colliders, position, v, before, after, DT, contact=contact))
+
+
+def two_boxes(half, apart, friction=0.3):
+    """A box on each of two bodies, side by side along x, and random nodes that cover them."""
+    boxes = tuple(
+        Collider(shape=Box(half_size=jnp.asarray(half)), offset=ORIGIN, rotation=EYE, friction=jnp.asarray(friction), softness=jnp.asarray(30.0), body=b)
+        for b in (0, 1)
+    )
+    rng = np.random.default_rng(3)
+    nodes = jnp.asarray(rng.uniform(-0.5, 0.5, (400, 3)))
+    velocity = jnp.asarray(rng.standard_normal((400, 3)))
+    before = Pose(jnp.array([[-apart, 0.0, 0.0], [apart, 0.0, 0.0]]), jnp.stack([EYE, EYE]))
+    return boxes, nodes, velocity, before
+
+
+def test_nearest_does_not_depend_on_the_order_and_sequential_does(x64):
+    boxes, nodes, velocity, before = two_boxes((0.2, 0.2, 0.2), 0.1)  # their tops are equally near inside both
+    after = before._replace(position=before.position + jnp.array([[1e-3, 0.0, 0.0], [0.0, -1e-3, 0.0]]))
+    results = {contact: [several(b, nodes, velocity, before, after, contact) for b in (boxes, boxes[::-1])] for contact in Contact}
+    np.testing.assert_allclose(*results[Contact.NEAREST], rtol=1e-13)
+    assert np.any(results[Contact.SEQUENTIAL][0] != results[Contact.SEQUENTIAL][1])
+
+
+def test_nearest_is_the_union_of_shapes(x64):
+    """Two halves of a box that move together act outside like the box."""
+    halves, nodes, velocity, before = two_boxes((0.1, 0.2, 0.2), 0.1)
+    whole = halves[0].replace(shape=Box(half_size=jnp.array([0.2, 0.2, 0.2])))
+    origin = Pose(jnp.zeros((1, 3)), EYE[None])
+    outside = np.any(np.abs(np.asarray(nodes)) > 0.2, axis=1)
+    one = several((whole,), nodes, velocity, origin, origin, Contact.NEAREST)[outside]
+    np.testing.assert_allclose(several(halves, nodes, velocity, before, before, Contact.NEAREST)[outside], one, atol=1e-14)
+    assert np.any(one != velocity[outside])
+
+
+def test_derivatives_of_nearest_equal_finite_differences(x64, random_like, central_difference, relative_error):
+    boxes, nodes, velocity, before = two_boxes((0.2, 0.2, 0.2), 0.15)
+    after = before._replace(position=before.position + jnp.array([[1e-3, 0.0, 0.0], [0.0, -1e-3, 0.0]]))
+    boxes = (boxes[0], boxes[1].replace(shape=Box(half_size=jnp.array([0.17, 0.26, 0.13]))))
+    args = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), (boxes, velocity, before, after))
+
+    def result(args):
+        boxes, velocity, before, after = args
+        return several(boxes, nodes, velocity, before, after, Contact.NEAREST)
+
+    direction = random_like(1, args)
+    _, tangent = jax.jvp(result, (args,), (direction,))
+    assert relative_error(tangent, central_difference(result, args, direction, 1e-8)) < 1e-6
+    cotangent = random_like(2, tangent)
+    (gradient,) = jax.vjp(result, args)[1](cotangent)
+    reverse = sum(float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True))
     np.testing.assert_allclose(reverse, float(jnp.vdot(cotangent, tangent)), rtol=1e-11)
 
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from rewax.physics import invariants, mpm
-from rewax.physics.colliders import Wall, WallKind, Walls
+from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
 from rewax.physics.grid import Grid
 from rewax.physics.laws import FLUIDS
 from rewax.physics.materials import Elasticity, Material, Plasticity, sound_speed
 from rewax.physics.sampling import fill_box, sample_box
+from rewax.physics.sdf import Sphere
 from rewax.status import Status
 
 DT, NUM_SUBSTEPS, NUM = 1e-4, 1000, 64
@@ -137,6 +138,19 @@ def test_impossible_scenes_are_refused_with_the_remedy(changes, message):
         mpm.make_scene(material=Material(**material), **scene)
 
 
+def test_particles_must_begin_inside_the_box_and_outside_the_colliders():
+    scene, state = cube()
+    for broken in (state.x.at[7, 1].set(2.0), state.x.at[7, 1].set(jnp.nan)):
+        with pytest.raises(ValueError, match=r"1 particles lie outside the box from \(-0.275, .* number 7, at .*: move them"):
+            mpm.initial_state(broken, scene)
+    collider = Collider(shape=Sphere(radius=0.04), offset=jnp.zeros(3), rotation=jnp.eye(3), friction=0.5)
+    scene = scene.replace(colliders=(collider,))
+    mpm.check_placement(scene, state, Pose(jnp.array([[0.1, 0.0, 0.0]]), jnp.eye(3)[None]))
+    with pytest.raises(ValueError, match=r"particles lie up to 0.0298 m inside collider 0 \(Sphere\): move it"):
+        mpm.check_placement(scene, state)
+    mpm.check_placement(scene, state, tolerance=0.04)
+
+
 def test_store_every_must_divide():
     scene, state = cube()
     with pytest.raises(ValueError, match="store_every is 3 with 4 substeps"):
@@ -213,6 +227,13 @@ def test_status_bits():
     assert status(x=state.x.at[5, 2].set(GRID.upper[2])) == Status.OUT_OF_DOMAIN
     assert status(v=state.v.at[7, 0].set(-1.01 * GRID.spacing / DT)) == Status.CFL
     assert status(v=state.v.at[7, 0].set(-0.99 * GRID.spacing / DT)) == Status.OK
+
+
+def test_flattened_and_inverted_particles_are_flagged():
+    scene, state = cube()
+    for value in (0.0, -0.3):
+        broken = state.replace(F=state.F.at[3, 1, 1].set(value))
+        assert int(mpm.check_status(scene, broken)) == Status.INVERTED
 
 
 def test_particles_that_leave_are_held_at_the_border_and_flagged():
