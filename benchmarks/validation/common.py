@@ -66,6 +66,7 @@ def record(
     observe: Callable[[MPMScene, MPMState], Any],
     poses: Pose | None = None,
     keep: Any = 1.0,
+    gravity: jax.Array | None = None,
 ) -> tuple[MPMState, Any]:
     """A simulation seen every ``every`` substeps.
 
@@ -74,7 +75,8 @@ def record(
       every, num_samples: substeps between observations and how many observations (static).
       observe: what to keep of scene and state (static).
       poses: of the bodies at the every * num_samples + 1 boundaries of substeps; None for a scene without bodies.
-      keep: factor on all velocities after every ``every`` substeps; below one it damps.
+      keep: factor on all velocities after every ``every`` substeps, shape () or (num_samples,); below one it damps.
+      gravity: in place of the scene's, for each sample, shape (num_samples, 3).
 
     Returns:
       The last state, and the observations with a first axis over samples.
@@ -82,10 +84,13 @@ def record(
     if poses is None:
         poses = mpm.static_poses(every * num_samples, dtype=state.x.dtype)
 
+    keep = jnp.broadcast_to(jnp.asarray(keep, state.x.dtype), (num_samples,))
+
     def sample(state: MPMState, k: jax.Array) -> tuple[MPMState, Any]:
+        now = scene if gravity is None else scene.replace(gravity=gravity[k])
         part = jax.tree.map(lambda p: jax.lax.dynamic_slice_in_dim(p, k * every, every + 1), poses)
-        state = mpm.step(scene, state, part, store_every=None)
-        state = state.replace(v=keep * state.v, C=keep * state.C)
+        state = mpm.step(now, state, part, store_every=None)
+        state = state.replace(v=keep[k] * state.v, C=keep[k] * state.C)
         return state, observe(scene, state)
 
     return jax.lax.scan(sample, state, jnp.arange(num_samples))
@@ -101,6 +106,12 @@ def fill(lower: tuple[float, ...], upper: tuple[float, ...], spacing: float) -> 
     center = [(a + b) / 2 for a, b in zip(lower, upper, strict=True)] + missing * [0.0]
     size = [b - a for a, b in zip(lower, upper, strict=True)] + missing * [h]
     return fill_box(center, size, h)
+
+
+def foremost(state: MPMState) -> jax.Array:
+    """Largest x of the particles, but for the one in a thousand that may have come off [m]."""
+    x = jnp.sort(state.x[:, 0])
+    return x[-max(1, x.shape[0] // 1000)]
 
 
 def held(spacing: float) -> Wall:

@@ -1,8 +1,9 @@
 """A column of water collapses: its front on the floor against Martin and Moyce (1952).
 
 Their column twice as high as its width a (n^2 = 2): Z = front / a over T = t sqrt(2 g / a). Tait's law, frictionless
-walls, plane strain. They drew aside a dam that takes time to go, and say that the origin of time is uncertain; so the
-front is compared as it is, and shifted along T by the one number that fits best, which is reported.
+walls, plane strain. A dam takes time to go, which delays the experiment: the front is compared as it is, and with a
+clock shifted by the one number that fits best. Other runs of the experiment lie up to 2.8 % (theirs) and 10 %
+(Koshizuka and Oka 1996) from the table.
 """
 
 from pathlib import Path
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.validation.common import Check, fill, held, record, save
+from benchmarks.validation.common import Check, fill, foremost, held, record, relative, save
 from rewax.physics import mpm
 from rewax.physics.colliders import Wall, Walls
 from rewax.physics.grid import Grid
@@ -25,16 +26,33 @@ TABLE = np.array([
 ])  # fmt: skip
 """(T, Z) of their table 2: n^2 = 2, a = 2.25 in."""
 OTHERS = {
-    "a = 1.125 in, figure 3": np.array([(0.849, 1.245), (1.212, 1.443), (1.602, 1.884), (2.283, 2.689), (2.950, 3.728)]),
+    "a = 1.125 in, figure 3": np.array(
+        [(0.849, 1.245), (1.212, 1.443), (1.602, 1.884), (2.283, 2.689), (2.950, 3.728)]
+    ),
     "a = 2.25 in, figure 3": np.array([(0.832, 1.217), (1.219, 1.474), (1.997, 2.292), (2.547, 2.995), (3.345, 4.134)]),
+    "Koshizuka & Oka 1996": np.array(
+        [
+            (0.381, 1.111),
+            (0.769, 1.252),
+            (1.153, 1.505),
+            (1.537, 1.892),
+            (1.935, 2.241),
+            (2.323, 2.615),
+            (2.719, 3.003),
+            (3.096, 3.624),
+        ]
+    ),
 }
-"""(T, Z) read off their figure 3, n^2 = 2: what a repetition and another size of the column give."""
-CELLS = {"tiny": 6, "small": 16, "full": 40}
+"""(T, Z) of n^2 = 2, read off figures: how far other runs of the experiment scatter around the table."""
+FROM = 0.8
+"""Before this T the dam still counts: the experiment starts early and slowly, whatever the clock's origin."""
+CELLS = {"tiny": 8, "small": 16, "full": 40}
 """Over the width a."""
 WIDTH, GRAVITY, DENSITY, LAST = 0.05715, 9.81, 1000.0, 3.4
 SPEED = 12.0 * float(np.sqrt(2 * GRAVITY * WIDTH))
 """Speed of sound [m/s]: twelve times sqrt(g height)."""
 EVERY = 10
+BARS = {"tiny": 0.08, "small": 0.05, "full": 0.05}
 
 
 def column(cells: int) -> tuple[mpm.MPMScene, mpm.MPMState]:
@@ -52,10 +70,9 @@ def column(cells: int) -> tuple[mpm.MPMScene, mpm.MPMState]:
     return scene, mpm.initial_state(x)
 
 
-def observe(scene: mpm.MPMScene, state: mpm.MPMState) -> dict[str, Any]:
-    """The front: the foremost half percent of the particles, on average, and half a particle's width."""
-    foremost = jnp.sort(state.x[:, 0])[-max(1, state.x.shape[0] // 200) :]
-    return {"front": jnp.mean(foremost) + scene.grid.spacing / 4, "first": jnp.max(state.x[:, 0])}
+def observe(scene: mpm.MPMScene, state: mpm.MPMState) -> Any:
+    """The front: the foremost particle's, and half its width."""
+    return foremost(state) + scene.grid.spacing / 4
 
 
 def shift_that_fits(T: np.ndarray, Z: np.ndarray) -> float:
@@ -63,12 +80,6 @@ def shift_that_fits(T: np.ndarray, Z: np.ndarray) -> float:
     shifts = np.linspace(-0.5, 0.5, 201)
     misfit = [np.sum((np.interp(TABLE[:, 0] - s, T, Z) - TABLE[:, 1]) ** 2) for s in shifts]
     return float(shifts[int(np.argmin(misfit))])
-
-
-def scatter() -> float:
-    """Largest relative distance of the published points of other runs from the table, where it has points."""
-    off = [np.abs(np.interp(p[:, 0], *TABLE.T) / p[:, 1] - 1).max() for p in OTHERS.values()]
-    return float(max(off))
 
 
 def run(scale: str = "small") -> dict[str, Any]:
@@ -80,21 +91,25 @@ def run(scale: str = "small") -> dict[str, Any]:
     if int(mpm.check_status(scene, end)) & ~Status.OUT_OF_DOMAIN:
         raise RuntimeError(f"the simulation failed: status {int(mpm.check_status(scene, end))}")
     T = np.concatenate([[0.0], scene.dt * EVERY * np.arange(1, num_samples + 1) / unit])
-    Z = np.concatenate([[1.0], np.asarray(seen["front"]) / WIDTH])
+    Z = np.concatenate([[1.0], np.asarray(seen) / WIDTH])
     shift = shift_that_fits(T, Z)
     as_it_is = np.interp(TABLE[:, 0], T, Z) / TABLE[:, 1] - 1
     shifted = np.interp(TABLE[:, 0] - shift, T, Z) / TABLE[:, 1] - 1
-    k, j = int(np.argmax(np.abs(shifted))), int(np.argmax(np.abs(as_it_is)))
-    speed, theirs = (np.polyfit(a[late], b[late], 1)[0] for a, b, late in (
-        (T + shift, Z, (T + shift > 1.9) & (T + shift < 3.34)), (*TABLE.T, TABLE[:, 0] > 1.9)))  # fmt: skip
+    late = T + shift > 1.9
+    speed = np.polyfit(T[late], Z[late], 1)[0]
+    theirs = np.polyfit(*TABLE[TABLE[:, 0] > 1.9].T, 1)[0]
+    compared = TABLE[:, 0] > FROM
+
+    def check(what: str, off: np.ndarray, bar: float) -> Check:
+        k = int(np.argmax(np.abs(off) * compared))
+        return Check(what=f"front at T = {TABLE[k, 0]:g}, {what}", measured=float((1 + off[k]) * TABLE[k, 1]),
+                     theory=float(TABLE[k, 1]), unit="a", error=float(np.abs(off[k])), bar=bar)  # fmt: skip
+
     checks = [
-        Check(what=f"front at T = {TABLE[k, 0]:g}, clock shifted by {shift:.2f}", measured=float((1 + shifted[k]) * TABLE[k, 1]),
-              theory=float(TABLE[k, 1]), unit="a", error=float(np.abs(shifted[k])), bar=scatter()),
-        Check(what=f"front at T = {TABLE[j, 0]:g}, clock as it is", measured=float((1 + as_it_is[j]) * TABLE[j, 1]),
-              theory=float(TABLE[j, 1]), unit="a", error=float(np.abs(as_it_is[j])), bar=scatter()),
-        Check(what="late speed of the front", measured=float(speed), theory=float(theirs), unit="dZ/dT",
-              error=abs(float(speed / theirs) - 1), bar=0.1),
-    ]  # fmt: skip
+        check(f"worst, clock shifted by {shift:.2f}", shifted, BARS[scale]),
+        check("worst, clock as it is", as_it_is, 0.15),
+        relative("late speed of the front", speed, theirs, 2 * BARS[scale], "dZ/dT"),
+    ]
     return {"checks": checks, "T": T, "Z": Z, "shift": shift, "x": np.asarray(end.x) / WIDTH, "cells": CELLS[scale]}
 
 
@@ -104,7 +119,7 @@ def plot(results: dict[str, Any], path: Path | str) -> None:
     left.plot(T + shift, Z, "C0-", label=f"simulation, clock shifted by {shift:.2f}")
     left.plot(T, Z, "C0:", label="simulation")
     left.plot(*TABLE.T, "ko", ms=4, label="Martin & Moyce, table 2")
-    for (name, points), mark in zip(OTHERS.items(), "^s", strict=True):
+    for (name, points), mark in zip(OTHERS.items(), "^sv", strict=True):
         left.plot(*points.T, "k" + mark, ms=4, mfc="none", label=name)
     left.set(xlabel="T = t sqrt(2 g / a) [-]", ylabel="front / a [-]", xlim=(0, LAST), ylim=(0.9, 4.6))
     left.legend(frameon=False, fontsize=7)

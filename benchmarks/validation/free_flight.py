@@ -84,8 +84,8 @@ def plot(results: dict[str, Any], path: Path | str) -> None:
     left.plot(*results["middle"][::every, :2].T, "o", ms=4, label="centre of mass")
     for k, corners in enumerate(results["corners"][::every]):
         left.plot(*corners[:, :2].T, "C0-", lw=1, alpha=0.5, label=None if k else "a diagonal of the block")
-    left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    left.legend(frameon=False, fontsize=8)
+    left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", ylim=(0.0, 0.95))
+    left.legend(frameon=False, fontsize=8, loc="lower center")
     for name, label in (("off_path", "trajectory"), ("off_spin", "angular momentum")):
         right.semilogy(results["t"], np.maximum(results[name], 1e-17), label=label)
     right.axhline(1e-10, color="k", ls=":", label="bar")

@@ -68,15 +68,25 @@ def run(scale: str = "small") -> dict[str, Any]:
 
     def check(what: str, k: int, error: float, bar: float) -> Check:
         theory = DENSITY * GRAVITY * (DEPTH - middle[k])
-        return Check(what=what, measured=mean[k], theory=theory, unit="Pa", error=float(error), bar=bar, error_unit="rho g H")
+        return Check(
+            what=what, measured=mean[k], theory=theory, unit="Pa", error=float(error), bar=bar, error_unit="rho g H"
+        )
 
     checks = [
         check("pressure of the worst layer of cells above the lowest", worst, abs(off[worst]), 0.03),
         check("all layers, root mean square (middle one shown)", cells // 2, np.sqrt(np.mean(off**2)), 0.03),
-        # The nodes behind the floor stand still instead of mirroring the water: this layer pays for it at any resolution.
+        # Nodes behind the floor stand still instead of mirroring the water: this layer pays for it at any resolution.
         check("the lowest layer, on the floor", 0, abs(off[0]), 0.1),
     ]
-    return {"checks": checks, "p": p, "y": y, "mean": mean, "middle": middle, "off": off, "heights": np.asarray(heights)}
+    return {
+        "checks": checks,
+        "p": p,
+        "y": y,
+        "mean": mean,
+        "middle": middle,
+        "off": off,
+        "heights": np.asarray(heights),
+    }
 
 
 def plot(results: dict[str, Any], path: Path | str) -> None:

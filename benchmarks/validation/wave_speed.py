@@ -32,7 +32,11 @@ def free_bar(cells: int, across: int | None, dt: float | None = None) -> tuple[m
     spacing = LENGTH / cells
     if across is None:
         x = fill((0.0,), (LENGTH,), spacing)
-        shape, origin, walls = (4, 4), -spacing, Walls(lower=(None, *2 * (held(spacing),)), upper=(None, *2 * (held(spacing),)))
+        shape, origin, walls = (
+            (4, 4),
+            -spacing,
+            Walls(lower=(None, *2 * (held(spacing),)), upper=(None, *2 * (held(spacing),))),
+        )
         speed = float(sound_speed(MATERIAL))
     else:
         half = across * spacing / 2
@@ -74,7 +78,11 @@ def run(scale: str = "small") -> dict[str, Any]:
         fit = fit_oscillation(t, a, np.pi * theory / LENGTH)
         speed = fit["omega"] * LENGTH / np.pi
         results["checks"].append(relative(f"{name} bar: speed of the wave", speed, theory, 0.03, "m/s"))
-        results[name] = {"t": t * theory / (2 * LENGTH), "a": a / (STRAIN * theory), "decay": fit["decay"] / fit["omega"]}
+        results[name] = {
+            "t": t * theory / (2 * LENGTH),
+            "a": a / (STRAIN * theory),
+            "decay": fit["decay"] / fit["omega"],
+        }
     return results
 
 
