@@ -30,7 +30,7 @@ class Check:
     unit: str = ""
     error: float
     bar: float
-    """Largest error that passes."""
+    """Largest error that passes; infinite for a number that is only reported."""
     error_unit: str = ""
     """Empty: the error is relative."""
 

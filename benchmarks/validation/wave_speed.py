@@ -22,7 +22,7 @@ from rewax.physics.materials import Material, sound_speed
 
 SIZES = {"tiny": (16, 10, 1), "small": (40, 20, 2), "full": (80, 40, 4)}
 """Cells along the confined bar, along the slender bar, across the slender bar."""
-LENGTH, STRAIN, PERIODS = 1.0, 1e-5, 2.0
+LENGTH, STRAIN, PERIODS = 1.0, 1e-7, 2.0
 MATERIAL = Material(youngs_modulus=1e6, poissons_ratio=0.3, density=1000.0)
 BAR_SPEED = float(np.sqrt(MATERIAL.youngs_modulus / MATERIAL.density))
 
