@@ -29,7 +29,7 @@ class Args:
 def print_row(case: str, check: Check) -> None:
     verdict = "" if check.passed else "  FAILS"
     print(
-        f"{case:14s} {check.what:52s} {check.measured:12.5g} {check.theory:12.5g} {check.unit:6s}"
+        f"{case:14s} {check.what:58s} {check.measured:12.5g} {check.theory:12.5g} {check.unit:6s}"
         f" {check.error:9.2g} {check.bar:7.2g} {check.error_unit}{verdict}",
         flush=True,
     )
@@ -43,7 +43,7 @@ def main(args: Args) -> int:
         raise SystemExit(f"scale is {args.scale}: choose from {', '.join(SCALES)}")
     matplotlib.use("Agg")
     enable_compilation_cache()
-    print(f"{'case':14s} {'quantity':52s} {'measured':>12s} {'theory':>12s} {'unit':6s} {'error':>9s} {'bar':>7s}")
+    print(f"{'case':14s} {'quantity':58s} {'measured':>12s} {'theory':>12s} {'unit':6s} {'error':>9s} {'bar':>7s}")
     failed = False
     for name in args.names or tuple(CASES):
         began = time.perf_counter()

@@ -19,7 +19,7 @@ from rewax.physics.colliders import Wall, WallKind, Walls
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Material, sound_speed
 
-DEPTHS = {"tiny": (2, 4), "small": (2, 4, 6), "full": (4, 8, 12)}
+DEPTHS = {"tiny": (2, 4), "small": (3, 5), "full": (4, 8, 12)}
 """Cells over the height of the beam, one simulation each."""
 HEIGHT, LENGTH, SAG = 0.1, 1.0, 0.01
 RADIANS = 10.0
