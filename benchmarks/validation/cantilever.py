@@ -106,6 +106,8 @@ def plot(results: dict[str, Any], path: Path | str) -> None:
         right.semilogy(depths, [100 * abs(sag / theory - 1) for sag in sags], style, label=f"against {name}")
     right.axhline(100 * SHEAR_SAG / SAG, color="k", ls=":", label="difference of the theories")
     right.set(xlabel="height of the beam [cells]", ylabel="error of the tip's sag [%]", xticks=depths)
+    right.set_yticks([0.2, 0.5, 1.0, 2.0, 5.0], labels=["0.2", "0.5", "1", "2", "5"])
+    right.tick_params(axis="y", which="minor", labelleft=False)
     for panel in (left, right):
         panel.legend(frameon=False, fontsize=8)
     save(figure, path)
