@@ -10,11 +10,13 @@ the error and the largest error that passes; and with ``plot(results, path)``.
 from types import ModuleType
 
 from benchmarks.validation import (
+    archimedes,
     cantilever,
     convergence,
     dam_break,
     free_flight,
     hydrostatic,
+    identification,
     incline,
     sand_column,
     wave_speed,
@@ -30,9 +32,10 @@ CASES: dict[str, ModuleType] = {
     "yielding_bar": yielding_bar,
     "incline": incline,
     "hydrostatic": hydrostatic,
+    "archimedes": archimedes,
     "dam_break": dam_break,
     "sand_column": sand_column,
+    "identification": identification,
 }
-"""Further cases: add the module here."""
 
 __all__ = ["CASES", "Check"]
