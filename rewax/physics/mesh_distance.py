@@ -1,6 +1,7 @@
 """Distance and winding number of triangles at the nodes of a grid, in numpy."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 
@@ -44,10 +45,12 @@ def distance_on_grid(triangles: np.ndarray, axes: list[np.ndarray]) -> np.ndarra
 
 def _square_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Squares of the distances of points (3, m, 1) to triangles (k, 3, 3), shape (m, k)."""
-    corners = [tuple(triangles[:, c, i] for i in range(3)) for c in range(3)]
-    p = tuple(points)
+    # numpy arrays where the annotations of these functions say jax ones.
+    corners: list[Any] = [tuple(triangles[:, c, i] for i in range(3)) for c in range(3)]
+    p: Any = tuple(points)
     normal = cp.cross(cp.subtract(corners[1], corners[0]), cp.subtract(corners[2], corners[0]))
-    normal = cp.scale(1.0 / np.sqrt(cp.dot(normal, normal)), normal)
+    length: Any = np.sqrt(cp.dot(normal, normal))
+    normal = cp.scale(1.0 / length, normal)
     square, above = np.inf, True
     for c in range(3):
         edge = cp.subtract(corners[(c + 1) % 3], corners[c])

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax.physics.poisson_disk import maximal_poisson_disk
 from rewax.physics.sdf import Box, Shape, signed_distance
@@ -93,7 +94,7 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
     _check_length("spacing", spacing, "distance of neighbours")
     lower, upper = bounding_box(shape)
     if isinstance(shape, Box):
-        return fill_box((0.0, 0.0, 0.0), upper - lower, spacing)
+        return fill_box((0.0, 0.0, 0.0), tuple(upper - lower), spacing)
     counts = np.maximum(1, np.round((upper - lower) / spacing)).astype(int)
     axes = [m + spacing * (np.arange(n) - 0.5 * (n - 1)) for m, n in zip(0.5 * (lower + upper), counts, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -131,7 +132,7 @@ def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
         num_drawn += CHUNK
         if num_found == 0 and num_drawn >= 1000 * CHUNK:
             raise ValueError(
-                f"shape fills less than 1e-6 of its bounding box, its volume is {volume(shape):.3g} m^3: check its sizes"
+                f"shape fills less than 1e-6 of its bounding box (volume {volume(shape):.3g} m^3): check its sizes"
             )
     return np.concatenate(found)[:num]
 
@@ -187,7 +188,7 @@ def _distance(shape: Shape) -> Distance:
 
 
 def _generator(key: Key) -> np.random.Generator:
-    if isinstance(key, jax.core.Tracer):
+    if isinstance(key, Tracer):
         raise ValueError("key is traced: draw these points before jit, or use sample_box, which can be traced")
     return np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
 

@@ -82,15 +82,15 @@ def _box_below_zero(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray]:
 def _volume_below_zero(values: Array) -> Array:
     """Volume where the interpolant is negative, in cells."""
     size = [n - 1 for n in values.shape]
-    corner = {
+    corner: dict[tuple[int, ...], Array] = {
         c: values[c[0] : c[0] + size[0], c[1] : c[1] + size[1], c[2] : c[2] + size[2]]
         for c in itertools.product((0, 1), repeat=3)
     }
     total = jnp.zeros((), values.dtype)
     for order in itertools.permutations(range(3)):
         # From corner 000 to 111, one axis after the other.
-        path = [tuple(int(axis in order[:k]) for axis in range(3)) for k in range(4)]
-        total += jnp.sum(_fraction_below_zero(jnp.sort(jnp.stack([corner[c] for c in path]), axis=0))) / 6.0
+        path = [corner[int(0 in order[:k]), int(1 in order[:k]), int(2 in order[:k])] for k in range(4)]
+        total += jnp.sum(_fraction_below_zero(jnp.sort(jnp.stack(path), axis=0))) / 6.0
     return total
 
 
