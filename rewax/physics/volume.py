@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -79,6 +80,7 @@ def _box_below_zero(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
+@jax.jit
 def _volume_below_zero(values: Array) -> Array:
     """Volume where the interpolant is negative, in cells."""
     size = [n - 1 for n in values.shape]

@@ -145,7 +145,7 @@ def test_a_round_ellipsoid_is_a_sphere():
     ball = sdf.Ellipsoid(semi_axes=jnp.full(3, R))
     for got, expected in zip(evaluate(ball, p), evaluate(SHAPES["sphere"], p), strict=True):
         np.testing.assert_allclose(got, expected, atol=1e-6)
-    ones = jnp.ones(NUM), jnp.ones((NUM, 3))
+    ones = jnp.ones(NUM, float), jnp.ones((NUM, 3), float)
     for leaf in jax.tree.leaves(derivatives((ball, p.at[0].set(0.0)), (ball, p), ones)):
         assert np.isfinite(leaf).all()
 
@@ -163,7 +163,7 @@ def inner(a, b) -> float:
 @pytest.mark.parametrize("name", ALL)
 def test_derivatives_of_distance_and_normal(x64, random_like, central_difference, relative_error, name):
     """With respect to points and sizes, values, heights: reverse = forward = finite difference; normal = gradient."""
-    args = jax.tree.map(jnp.asarray, (ALL[name], points(1)))
+    args = jax.tree.map(lambda a: jnp.asarray(a, float), (ALL[name], points(1)))
     tangents = random_like(2, args)
     cotangents = random_like(3, (jnp.zeros(NUM), jnp.zeros((NUM, 3))))
     forward, reverse = derivatives(args, tangents, cotangents)
@@ -182,7 +182,7 @@ def test_everything_is_finite_in_the_middle_and_on_edges(x64, name):
     p[:11] = [[0.0, 0, 0], [0, 0.2, 0], [0, H, 0], [0, 5, 0], [0.3, 0.5, 0.8], [R, H, 0], [0.3, 0.3, 0.3], [R, -H, 0],
               [0, -H, 0], [-0.6, -0.5, -0.7], [-0.8, 0, -0.5]]  # fmt: skip
     args = jax.tree.map(lambda a: jnp.asarray(a, float), (ALL[name], p))
-    ones = jnp.ones(NUM), jnp.ones((NUM, 3))
+    ones = jnp.ones(NUM, float), jnp.ones((NUM, 3), float)
     for leaf in jax.tree.leaves((evaluate(*args), derivatives(args, jax.tree.map(jnp.ones_like, args), ones))):
         assert np.isfinite(leaf).all()
 
