@@ -88,12 +88,12 @@ def _volume_below_zero(values: Array) -> Array:
         c: values[c[0] : c[0] + size[0], c[1] : c[1] + size[1], c[2] : c[2] + size[2]]
         for c in itertools.product((0, 1), repeat=3)
     }
-    total = jnp.zeros((), values.dtype)
-    for order in itertools.permutations(range(3)):
-        # From corner 000 to 111, one axis after the other.
-        path = [corner[int(0 in order[:k]), int(1 in order[:k]), int(2 in order[:k])] for k in range(4)]
-        total += jnp.sum(_fraction_below_zero(jnp.sort(jnp.stack(path), axis=0))) / 6.0
-    return total
+    # Corners of each tetrahedron: from 000 to 111, one axis after the other.
+    orders = list(itertools.permutations(range(3)))
+    tetrahedra = jnp.stack(
+        [jnp.stack([corner[tuple(int(a in o[:k]) for a in range(3))] for o in orders]) for k in range(4)]
+    )
+    return jnp.sum(_fraction_below_zero(jnp.sort(tetrahedra, axis=0))) / 6.0
 
 
 def _fraction_below_zero(v: Array) -> Array:
