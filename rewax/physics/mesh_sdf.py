@@ -53,8 +53,7 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
         )
     triangles = check_mesh(mesh)
     lower, upper = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    # One cell more than needed, half of it on each side.
-    counts = np.ceil((upper - lower + 2.0 * margin) / spacing).astype(int) + 1
+    counts = np.ceil((upper - lower + 2.0 * margin) / spacing - 1e-9).astype(int) + 1
     if math.prod(int(n) for n in counts) > MAX_VALUES:
         raise ValueError(
             f"spacing is {spacing:g}, which makes a grid of {' x '.join(map(str, counts))} nodes for a mesh of "

@@ -140,7 +140,7 @@ def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
 def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
     """Random points in a shape that are nowhere closer than a radius and leave no gap: blue noise.
 
-    Every point of the shape has a sample within two radii (nearly always within 1.2). About 0.75 volume / radius^3
+    Every point of the shape has a sample within two radii (nearly always within 1.1). About 0.72 volume / radius^3
     points fit into a large shape.
 
     Args:

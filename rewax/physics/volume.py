@@ -67,7 +67,7 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unbounded(shape: Shape) -> str:
-    return f"shape is {shape!r}, which has no volume of its own: use a bounded one, such as Box"
+    return f"shape is a {type(shape).__name__}, which has no bounds: use one that has, such as Box"
 
 
 def _box_below_zero(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray]:
@@ -104,8 +104,8 @@ def _fraction_below_zero(v: Array) -> Array:
     """
 
     def cut(i: int, j: int) -> Array:
-        """How far along the edge from a negative corner i to a positive corner j the zero is."""
-        crosses = (v[i] < 0) & (v[j] > 0)
+        """How far along the edge from a negative corner i to one that is not, j, the zero is."""
+        crosses = (v[i] < 0) & (v[j] >= 0)
         return jnp.where(crosses, v[i] / jnp.where(crosses, v[i] - v[j], 1.0), 0.0)
 
     one = cut(0, 1) * cut(0, 2) * cut(0, 3)

@@ -176,11 +176,15 @@ def test_derivatives_of_distance_and_normal(x64, random_like, central_difference
         np.testing.assert_allclose(slope, np.sum(normal * tangents[1], axis=1), atol=1e-8)
 
 
+SPECIAL = [0.0, -0.0, 1e-20, R, -R, H, -H, 0.3, 0.5, 0.8, -0.8, -0.6, -0.5, -0.7, -0.15, 1.1, 5.0]
+
+
 @pytest.mark.parametrize("name", ALL)
-def test_everything_is_finite_in_the_middle_and_on_edges(x64, name):
-    p = np.zeros((NUM, 3))
-    p[:11] = [[0.0, 0, 0], [0, 0.2, 0], [0, H, 0], [0, 5, 0], [0.3, 0.5, 0.8], [R, H, 0], [0.3, 0.3, 0.3], [R, -H, 0],
-              [0, -H, 0], [-0.6, -0.5, -0.7], [-0.8, 0, -0.5]]  # fmt: skip
+@given(seed=hs.integers(0, 10_000))
+def test_everything_is_finite_in_the_middle_and_on_edges(x64, name, seed):
+    """Centres, axes, corners, tips, nodes and borders of grids: values, forward and reverse derivatives."""
+    p = np.random.default_rng(seed).choice(SPECIAL, (NUM, 3))
+    p[0], p[1] = 0.0, [0.0, H, 0.0]
     args = jax.tree.map(lambda a: jnp.asarray(a, float), (ALL[name], p))
     ones = jnp.ones(NUM, float), jnp.ones((NUM, 3), float)
     for leaf in jax.tree.leaves((evaluate(*args), derivatives(args, jax.tree.map(jnp.ones_like, args), ones))):
