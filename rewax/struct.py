@@ -5,10 +5,11 @@ State and parameters of rewax are frozen, keyword-only dataclasses registered as
 structure (hashed and compared, a change recompiles).
 """
 
+import dataclasses
 from typing import TYPE_CHECKING, Any, Self, TypeVar, dataclass_transform
 
-import flax.struct
 from flax.struct import field
+from jax.tree_util import GetAttrKey, register_pytree_with_keys
 
 T = TypeVar("T")
 
@@ -20,8 +21,31 @@ def static_field(**kwargs: Any) -> Any:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field, static_field))
 def dataclass(cls: type[T]) -> type[T]:
-    """Decorator: a frozen, keyword-only dataclass that is a JAX pytree and has ``.replace(**changes)``."""
-    return flax.struct.dataclass(cls, kw_only=True)
+    """Decorator: a frozen, keyword-only dataclass that is a JAX pytree and has ``.replace(**changes)``.
+
+    Not ``jax.tree_util.register_dataclass`` (nor flax's, which calls it): with jaxlib 0.10.1 the tree structures of two
+    classes compare equal if their fields have the same names, and ``jit`` now and then runs what it compiled for a
+    capsule when it is given a cylinder.
+    """
+    made: Any = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+    fields = dataclasses.fields(made)
+    leaves = tuple(f.name for f in fields if f.metadata.get("pytree_node", True))
+    static = tuple(f.name for f in fields if not f.metadata.get("pytree_node", True))
+    keys = tuple(GetAttrKey(name) for name in leaves)
+
+    def flatten(tree: Any) -> tuple[tuple, tuple]:
+        return tuple(getattr(tree, name) for name in leaves), tuple(getattr(tree, name) for name in static)
+
+    def flatten_with_keys(tree: Any) -> tuple[tuple, tuple]:
+        children, values = flatten(tree)
+        return tuple(zip(keys, children, strict=True)), values
+
+    def unflatten(values: tuple, children: Any) -> Any:
+        return made(**dict(zip(leaves, children, strict=True)), **dict(zip(static, values, strict=True)))
+
+    register_pytree_with_keys(made, flatten_with_keys, unflatten, flatten)
+    made.replace = dataclasses.replace
+    return made
 
 
 class Replaceable:

@@ -10,6 +10,7 @@ All functions broadcast over the components' shape. Gradient: exact, except wher
 
 from typing import TypeAlias
 
+import jax
 import jax.numpy as jnp
 
 from rewax.types import Array, Scalar
@@ -76,9 +77,22 @@ def safe_sqrt(a: Array) -> Array:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, a, 1.0)), 0.0)
 
 
+def safe_rsqrt(a: Array) -> Array:
+    """1 / sqrt(a); zero, with derivative zero, where a is not positive."""
+    positive = a > 0
+    return jnp.where(positive, jax.lax.rsqrt(jnp.where(positive, a, 1.0)), 0.0)
+
+
 def norm(a: Vec3) -> Array:
     """Euclidean length. Gradient: exact, zero at the zero vector."""
     return safe_sqrt(dot(a, a))
+
+
+def unit(a: Vec3) -> tuple[Array, Vec3]:
+    """Length and direction; the zero vector has direction zero. Gradient: exact, zero at the zero vector."""
+    square = dot(a, a)
+    inverse = safe_rsqrt(square)
+    return square * inverse, scale(inverse, a)
 
 
 def add_matrices(a: Mat3, b: Mat3) -> Mat3:

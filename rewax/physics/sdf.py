@@ -1,17 +1,19 @@
-"""Signed distances of primitive shapes, with exact normals.
+"""Signed distances of shapes, with their normals.
 
-Each shape lives in its own frame, axis along y where it has one. Distances are exact Euclidean ones, negative inside;
-normals are their gradients, unit length, pointing out.
+Each shape lives in its own frame, axis along y where it has one. Distances of primitive shapes are exact Euclidean
+ones, negative inside; normals are their gradients, unit length, pointing out. ``SampledDistance`` (a mesh baked to a
+grid) and ``HeightField`` approximate both as their docstrings say.
 """
 
 from typing import TypeAlias
 
-import jax
 import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics import components as cp
 from rewax.physics.components import Vec3
+from rewax.physics.ellipsoid import ellipsoid_distance
+from rewax.physics.sampled_distance import HeightField, SampledDistance, height_distance, sampled_distance
 from rewax.types import Array, Scalar
 
 
@@ -46,11 +48,26 @@ class Cylinder:
 
 
 @struct.dataclass
+class Cone:
+    """A solid cone around y: base of ``radius`` at y = -half_length, apex at y = +half_length [m]."""
+
+    radius: Scalar
+    half_length: Scalar
+
+
+@struct.dataclass
+class Ellipsoid:
+    """An ellipsoid around the origin. ``semi_axes``: half its extents along x, y, z [m], shape (3,), > 0."""
+
+    semi_axes: Array
+
+
+@struct.dataclass
 class Plane:
     """The half-space y < 0; its surface is y = 0 and its normal (0, 1, 0)."""
 
 
-Shape: TypeAlias = Sphere | Capsule | Box | Cylinder | Plane
+Shape: TypeAlias = Sphere | Capsule | Box | Cylinder | Cone | Ellipsoid | Plane | SampledDistance | HeightField
 
 
 def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
@@ -64,7 +81,8 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
       Signed distance [m], shape (...), negative inside; unit normal, shape (..., 3).
 
     Gradient: exact with respect to points and the shape's sizes, finite everywhere. On the medial axis (the middle of
-      a ball, the axis of a capsule), where the normal is not defined, it is zero; edges take one side's.
+      a ball, the axis of a capsule), where the normal is not defined, it is zero or the mean of those around it (on the
+      axis of a cone), except in an ellipsoid, which takes one of the nearest points; edges take one side's.
     """
     d, n = signed_distance_components(shape, cp.split_vector(points))
     return d, cp.join_vector(n)
@@ -82,27 +100,25 @@ def signed_distance_components(shape: Shape, p: Vec3) -> tuple[Array, Vec3]:
             return _box(p, (shape.half_size[..., 0], shape.half_size[..., 1], shape.half_size[..., 2]))
         case Cylinder():
             return _cylinder(p, shape.radius, shape.half_length)
+        case Cone():
+            return _cone(p, shape.radius, shape.half_length)
+        case Ellipsoid():
+            return ellipsoid_distance((shape.semi_axes[..., 0], shape.semi_axes[..., 1], shape.semi_axes[..., 2]), p)
+        case SampledDistance():
+            return sampled_distance(shape, p)
+        case HeightField():
+            return height_distance(shape, p)
         case Plane():
             zero = jnp.zeros_like(p[1])
             return p[1], (zero, jnp.ones_like(p[1]), zero)
-    raise ValueError(f"shape is {shape!r}: use Sphere, Capsule, Box, Cylinder or Plane from rewax.physics.sdf")
-
-
-def _unit(a: Vec3) -> tuple[Array, Vec3]:
-    """Length and direction; the zero vector has direction zero."""
-    square = cp.dot(a, a)
-    inverse = _safe_rsqrt(square)
-    return square * inverse, cp.scale(inverse, a)
-
-
-def _safe_rsqrt(square: Array) -> Array:
-    """1 / sqrt, zero at zero. Stored once: everything that depends on it is cheap to recompute."""
-    positive = square > 0
-    return jnp.where(positive, jax.lax.rsqrt(jnp.where(positive, square, 1.0)), 0.0)
+    raise ValueError(
+        f"shape is {shape!r}: use Sphere, Capsule, Box, Cylinder, Cone, Ellipsoid, Plane, SampledDistance or "
+        "HeightField from rewax.physics.sdf"
+    )
 
 
 def _round(p: Vec3, radius: Scalar) -> tuple[Array, Vec3]:
-    length, n = _unit(p)
+    length, n = cp.unit(p)
     return length - radius, n
 
 
@@ -113,7 +129,7 @@ def _sign(a: Array) -> Array:
 def _box(p: Vec3, half: Vec3) -> tuple[Array, Vec3]:
     q = cp.vector(lambda i: jnp.abs(p[i]) - half[i])
     deepest = jnp.maximum(jnp.maximum(q[0], q[1]), q[2])
-    outside, corner = _unit(cp.vector(lambda i: jnp.maximum(q[i], 0.0)))
+    outside, corner = cp.unit(cp.vector(lambda i: jnp.maximum(q[i], 0.0)))
     is_x = q[0] >= deepest
     is_y = ~is_x & (q[1] >= deepest)
     face = (is_x, is_y, ~is_x & ~is_y)
@@ -124,11 +140,11 @@ def _box(p: Vec3, half: Vec3) -> tuple[Array, Vec3]:
 
 def _cylinder(p: Vec3, radius: Scalar, half_length: Scalar) -> tuple[Array, Vec3]:
     square = p[0] * p[0] + p[2] * p[2]
-    inverse = _safe_rsqrt(square)
+    inverse = cp.safe_rsqrt(square)
     r = square * inverse
     side, cap = r - radius, jnp.abs(p[1]) - half_length
     a, b = jnp.maximum(side, 0.0), jnp.maximum(cap, 0.0)
-    scale = _safe_rsqrt(a * a + b * b)
+    scale = cp.safe_rsqrt(a * a + b * b)
     outside = (a * a + b * b) * scale
     inside = jnp.maximum(side, cap) <= 0
     on_side = side >= cap
@@ -136,3 +152,45 @@ def _cylinder(p: Vec3, radius: Scalar, half_length: Scalar) -> tuple[Array, Vec3
     axial = jnp.where(inside, jnp.where(on_side, 0.0, 1.0), b * scale)
     distance = jnp.where(inside, jnp.maximum(side, cap), outside)
     return distance, (radial * p[0] * inverse, axial * _sign(p[1]), radial * p[2] * inverse)
+
+
+def _cone(p: Vec3, radius: Scalar, half_length: Scalar) -> tuple[Array, Vec3]:
+    """In the half-plane (r, y) the cone is the triangle of the axis, the base and the slant."""
+    square = p[0] * p[0] + p[2] * p[2]
+    inverse = cp.safe_rsqrt(square)
+    r = square * inverse
+    height = 2.0 * half_length
+    shrink = cp.safe_rsqrt(jnp.asarray(radius * radius + height * height))
+    slant_r, slant_y = height * shrink, radius * shrink  # normal of the slant
+    from_edge_r, from_edge_y = r - radius, p[1] + half_length
+    slant, base = from_edge_r * slant_r + from_edge_y * slant_y, -from_edge_y
+    inside = jnp.maximum(slant, base) <= 0
+    # How far along the slant, from the edge of the base (0) to the apex (1).
+    along = (from_edge_y * slant_r - from_edge_r * slant_y) * shrink
+    to_slant = jnp.where(inside, slant >= base, (slant > 0) & (along > 0) & (along < 1))
+    to_base = jnp.where(inside, slant < base, (slant <= 0) & (from_edge_r < 0))
+    to_apex = (slant > 0) & (along >= 1)
+    corner_r = jnp.where(to_apex, r, from_edge_r)
+    corner_y = jnp.where(to_apex, p[1] - half_length, from_edge_y)
+    from_corner = corner_r * corner_r + corner_y * corner_y
+    scale = cp.safe_rsqrt(from_corner)
+    distance = jnp.where(to_slant, slant, jnp.where(to_base, base, from_corner * scale))
+    radial = jnp.where(to_slant, slant_r, jnp.where(to_base, 0.0, corner_r * scale))
+    axial = jnp.where(to_slant, slant_y, jnp.where(to_base, -1.0, corner_y * scale))
+    return distance, (radial * p[0] * inverse, axial, radial * p[2] * inverse)
+
+
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cone",
+    "Cylinder",
+    "Ellipsoid",
+    "HeightField",
+    "Plane",
+    "SampledDistance",
+    "Shape",
+    "Sphere",
+    "signed_distance",
+    "signed_distance_components",
+]
