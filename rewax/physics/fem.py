@@ -355,7 +355,8 @@ def _internal_force(scene: FEMScene, rest: _Rest, x: Vec3, v: Vec3) -> Vec3:
         damping=scene.damping,
         damping_law=scene.damping_law,
     )
-    columns = cp.matmul(stress, cp.transpose(rest.inverse_edges))
+    stress = materialize(stress)
+    columns = materialize(cp.matmul(stress, cp.transpose(rest.inverse_edges)))
     return gather_forces(scene.topology, cp.matrix(lambda i, k: -rest.volume * columns[i][k]))
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from rewax.physics import components as cp
 from rewax.physics.components import Mat3
+from rewax.physics.materialize import materialize
 from rewax.physics.materials import lame_parameters
 from rewax.types import Array, Scalar
 
@@ -112,13 +113,14 @@ def first_piola_stress(
       velocities against a fixed origin, so that mere translation makes a force. Here it is the rate of J.
     """
     square = sum(cp.dot(row, row) for row in F)
-    cofactor = cp.cofactor(F)
+    cofactor = materialize(cp.cofactor(F))
     volume_ratio = cp.dot(F[0], cofactor[0])
     deviatoric = mu * (1.0 - 1.0 / (square + 1.0))
     pressure = lam * (volume_ratio - 1.0 + activation) - 0.75 * mu
     if rate is None:
         return cp.matrix(lambda i, j: deviatoric * F[i][j] + pressure * cofactor[i][j])
     pressure = pressure + damping * sum(cp.dot(c, r) for c, r in zip(cofactor, rate, strict=True))
+    deviatoric, pressure = materialize((deviatoric, pressure))
     damped = rate
     if damping_law is DampingLaw.STRAIN_RATE:
         product = cp.matmul(cp.transpose(F), rate)
