@@ -119,8 +119,8 @@ def first_piola_stress(
     pressure = lam * (volume_ratio - 1.0 + activation) - 0.75 * mu
     if rate is None:
         return cp.matrix(lambda i, j: deviatoric * F[i][j] + pressure * cofactor[i][j])
-    pressure = pressure + damping * sum(cp.dot(c, r) for c, r in zip(cofactor, rate, strict=True))
-    deviatoric, pressure = materialize((deviatoric, pressure))
+    volume_rate = materialize(sum(cp.dot(c, r) for c, r in zip(cofactor, rate, strict=True)))
+    deviatoric, pressure = materialize((deviatoric, pressure + damping * volume_rate))
     damped = rate
     if damping_law is DampingLaw.STRAIN_RATE:
         product = cp.matmul(cp.transpose(F), rate)
