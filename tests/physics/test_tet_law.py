@@ -124,6 +124,7 @@ def test_derivatives_of_damped_stress(x64, random_like, central_difference, rela
     )
     for law in DampingLaw:
 
+        @jax.jit
         def damped(args, law=law):
             F, rate, mu, lam, activation, damping = args
             return stress(F, rate, damping, law, mu, lam, activation)
