@@ -22,7 +22,7 @@ from rewax.physics.tet_law import stable_parameters
 LENGTH, HEIGHT, WIDTH = 2.0, 0.25, 0.0625
 """[m], along x, y, z."""
 YOUNGS_MODULUS, POISSONS_RATIO, DENSITY, GRAVITY = 4e8, 0.3, 1000.0, 9.81
-CELLS = {"tiny": (1, 2), "small": (2, 4, 8), "full": (2, 4, 8, 16)}
+CELLS = {"tiny": (2, 4), "small": (2, 4, 8), "full": (2, 4, 8, 16)}
 """Cells over the height, of each refinement; along the beam they are cubes."""
 
 
@@ -47,7 +47,7 @@ def beam(cells_over_height: int) -> tuple[fem.FEMScene, fem.FEMState]:
         (LENGTH, HEIGHT, WIDTH),
         (along, cells_over_height, 1),
         center=(LENGTH / 2, 0.0, 0.0),
-        tets_per_cell=TETS_PER_CELL,
+        tets_per_cell=5,
     )
     mu, lam = stable_parameters(YOUNGS_MODULUS, POISSONS_RATIO)
     speed = np.sqrt(YOUNGS_MODULUS / DENSITY)
@@ -61,9 +61,6 @@ def beam(cells_over_height: int) -> tuple[fem.FEMScene, fem.FEMState]:
         held=np.flatnonzero(mesh.vertices[:, 0] < 1e-9),
     )
     return scene, fem.initial_state(mesh.vertices)
-
-
-TETS_PER_CELL = 5
 
 
 @jax.jit
@@ -86,7 +83,7 @@ def equilibrium(scene: fem.FEMScene, x: jax.Array) -> tuple[jax.Array, jax.Array
         dx, _ = jax.scipy.sparse.linalg.cg(stiffness, force(x), tol=1e-7, maxiter=20000)
         return x + dx, None
 
-    x, _ = jax.lax.scan(newton, x, length=3)
+    x, _ = jax.lax.scan(newton, x, length=2)
     return x, jnp.max(jnp.abs(force(x)))
 
 
@@ -105,13 +102,14 @@ def run(scale: str = "small") -> dict[str, Any]:
 
     Returns:
       Arrays over refinements: ``cells`` over the height, ``num_tets``, ``sag`` [m], relative ``error`` against
-      Euler-Bernoulli and ``error_timoshenko``, ``drift`` of the simulation from the shape found over its sag,
-      ``residual`` force over the beam's weight; and ``euler_bernoulli``, ``timoshenko`` [m].
+      Euler-Bernoulli and ``error_timoshenko``, ``residual`` force over the beam's weight. Numbers: ``euler_bernoulli``
+      and ``timoshenko`` [m], and ``drift`` of the finest beam in 200 substeps, over its sag.
     """
     if scale not in CELLS:
         raise ValueError(f"scale is {scale!r}: give one of {', '.join(CELLS)}")
     expected = theory()
-    columns: dict[str, list[float]] = {name: [] for name in ("cells", "num_tets", "sag", "drift", "residual")}
+    columns: dict[str, list[float]] = {name: [] for name in ("cells", "num_tets", "sag", "residual")}
+    moved = np.nan
     with jax.enable_x64(True):
         for cells in CELLS[scale]:
             scene, rest = beam(cells)
@@ -121,13 +119,13 @@ def run(scale: str = "small") -> dict[str, Any]:
             columns["cells"].append(cells)
             columns["num_tets"].append(len(scene.tets))
             columns["sag"].append(sag)
-            columns["drift"].append(float(drift(scene, rest.replace(x=x))) / sag)
             columns["residual"].append(float(residual) / (float(jnp.sum(scene.mass)) * GRAVITY))
+        moved = float(drift(scene, rest.replace(x=x))) / sag
     results: dict[str, Any] = {name: np.asarray(column) for name, column in columns.items()}
     for name, key in (("euler_bernoulli", "error"), ("timoshenko", "error_timoshenko")):
         results[name] = expected[name]
         results[key] = results["sag"] / expected[name] - 1.0
-    return results
+    return results | {"drift": moved}
 
 
 def plot(results: dict[str, Any], path: str | Path) -> None:

@@ -117,22 +117,21 @@ def test_only_damping_of_strain_rates_leaves_rotation_alone(x64, rotations):
 
 
 def test_derivatives_of_damped_stress(x64, random_like, central_difference, relative_error):
-    """With respect to F, its rate and all parameters, of both laws."""
+    """With respect to F, its rate and all parameters."""
     rng = np.random.default_rng(1)
     args = tuple(
         jnp.asarray(a) for a in (rng.standard_normal((3, 3)), rng.standard_normal((3, 3)), 800.0, 1300.0, 0.2, 30.0)
     )
-    for law in DampingLaw:
 
-        @jax.jit
-        def damped(args, law=law):
-            F, rate, mu, lam, activation, damping = args
-            return stress(F, rate, damping, law, mu, lam, activation)
+    @jax.jit
+    def damped(args):
+        F, rate, mu, lam, activation, damping = args
+        return stress(F, rate, damping, DampingLaw.STRAIN_RATE, mu, lam, activation)
 
-        move = random_like(2, args)
-        _, tangent = jax.jvp(damped, (args,), (move,))
-        assert relative_error(tangent, central_difference(damped, args, move)) < 1e-7
-        cotangent = random_like(3, tangent)
-        (gradient,) = jax.vjp(damped, args)[1](cotangent)
-        reverse = sum(float(jnp.vdot(g, m)) for g, m in zip(gradient, move, strict=True))
-        assert reverse == pytest.approx(float(jnp.vdot(cotangent, tangent)), rel=1e-10)
+    move = random_like(2, args)
+    tangent = jax.jit(lambda a, m: jax.jvp(damped, (a,), (m,))[1])(args, move)
+    assert relative_error(tangent, central_difference(damped, args, move)) < 1e-7
+    cotangent = random_like(3, tangent)
+    (gradient,) = jax.jit(lambda a, c: jax.vjp(damped, a)[1](c))(args, cotangent)
+    reverse = sum(float(jnp.vdot(g, m)) for g, m in zip(gradient, move, strict=True))
+    assert reverse == pytest.approx(float(jnp.vdot(cotangent, tangent)), rel=1e-10)
