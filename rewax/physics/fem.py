@@ -249,7 +249,7 @@ def contact_force(scene: FEMScene, state: FEMState, before: Pose, after: Pose) -
 
 
 def deformation_gradient(scene: FEMScene, x: Array) -> Array:
-    """Of each tet [-], shape (num_tets, 3, 3); its determinant is below 0 where the tet is inverted. Gradient: exact."""
+    """Of each tet [-], shape (num_tets, 3, 3); its determinant is negative where a tet is inverted. Gradient: exact."""
     return cp.join_matrix(_deformation(scene, _rest(scene), cp.split_vector(x)))
 
 
@@ -408,8 +408,8 @@ def _check_moduli(mu: Any, lam: Any) -> None:
         return
     if not np.all(np.asarray(lam) > np.asarray(mu) / 8):
         raise ValueError(
-            f"lam is {np.min(lam):g} with mu {np.max(mu):g}, but must be above mu / 8, where the bulk modulus is 0: take "
-            "both from tet_law.stable_parameters(youngs_modulus, poissons_ratio)"
+            f"lam is {np.min(lam):g} with mu {np.max(mu):g}, but must be above mu / 8, where the bulk modulus is 0: "
+            "take both from tet_law.stable_parameters(youngs_modulus, poissons_ratio)"
         )
 
 

@@ -118,11 +118,13 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
     """
     occupied = np.asarray(occupied, bool)
     if occupied.ndim != 3 or not occupied.any():
-        raise ValueError(f"occupied has shape {occupied.shape} and {occupied.sum()} cells: give (nx, ny, nz), not empty")
+        raise ValueError(
+            f"occupied has shape {occupied.shape} and {occupied.sum()} cells: give (nx, ny, nz), not empty"
+        )
     lines = [np.asarray(line, np.float64) for line in lines]
     if [len(line) for line in lines] != [n + 1 for n in occupied.shape]:
         raise ValueError(
-            f"lines have {[len(line) for line in lines]} coordinates for {occupied.shape} cells: give one more than cells"
+            f"lines have {[len(line) for line in lines]} coordinates for {occupied.shape} cells: give one more of each"
         )
     if not all(np.all(np.diff(line) > 0) for line in lines):
         raise ValueError("lines do not increase: sort the coordinates along each axis, each of them once")

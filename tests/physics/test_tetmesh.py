@@ -73,7 +73,7 @@ def test_split_edges():
     np.testing.assert_array_equal(split.vertices[-1], 0.0)
     with pytest.raises(ValueError, match=r"\[0, 99\] is no edge of the mesh"):
         tetmesh.split_edges(mesh, np.array([[0, 99]]))
-    with pytest.raises(ValueError, match="two edges of the tet .* are to be split: split one, then the other"):
+    with pytest.raises(ValueError, match=r"two edges of the tet .* are to be split: split one, then the other"):
         tetmesh.split_edges(mesh, mesh.tets[0][[[0, 1], [1, 2]]])
 
 
