@@ -13,7 +13,7 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics import components as cp
-from rewax.physics.colliders import Collider, Pose
+from rewax.physics.colliders import Collider, Pose, body_pose
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.materialize import materialize
 from rewax.physics.penalty import Ground, PenaltyContact, collider_force, ground_force
@@ -21,6 +21,7 @@ from rewax.physics.recompute import recomputed
 from rewax.physics.tet_edges import Topology, edges, gather_forces
 from rewax.physics.tet_law import DampingLaw, energy_density, first_piola_stress, wave_modulus
 from rewax.physics.tetmesh import TetMesh, check_tetmesh
+from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
 STABLE_FRACTION = 0.8
@@ -253,6 +254,17 @@ def deformation_gradient(scene: FEMScene, x: Array) -> Array:
     return cp.join_matrix(_deformation(scene, _rest(scene), cp.split_vector(x)))
 
 
+def check_status(scene: FEMScene, state: FEMState) -> Array:
+    """Status bits of a state: non-finite numbers, tets that are flat or inside out.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
+    state = jax.lax.stop_gradient(state)
+    inverted = jnp.any(cp.det(_deformation(scene, _rest(scene), cp.split_vector(state.x))) <= 0)
+    return flag(~all_finite(state), Status.NAN) | flag(inverted, Status.INVERTED)
+
+
 # --- What is conserved ------------------------------------------------------------------------------------------------
 
 
@@ -370,7 +382,7 @@ def _contact_force(scene: FEMScene, x: Vec3, v: Vec3, before: Pose, after: Pose)
     if scene.ground is not None:
         total = cp.add(total, ground_force(scene.ground, scene.contact, x, v))
     for collider in scene.colliders:
-        start, end = (Pose(p.position[collider.body], p.rotation[collider.body]) for p in (before, after))
+        start, end = body_pose(before, collider.body), body_pose(after, collider.body)
         total = cp.add(total, collider_force(collider, scene.contact, x, v, start, end, scene.dt))
     return total
 
@@ -434,6 +446,7 @@ __all__ = [
     "FEMScene",
     "FEMState",
     "angular_momentum",
+    "check_status",
     "contact_force",
     "deformation_gradient",
     "elastic_energy",

@@ -12,6 +12,7 @@ from rewax.physics.mpm import static_poses
 from rewax.physics.penalty import Ground, PenaltyContact
 from rewax.physics.sdf import Plane, Sphere
 from rewax.physics.tet_law import DampingLaw, stable_parameters
+from rewax.status import Status
 
 MESH = tetmesh.box((0.4, 0.2, 0.2), (2, 1, 1), tets_per_cell=5)
 NUM_TETS, NUM_VERTICES = 10, 12
@@ -321,6 +322,15 @@ def test_float32_stays_float32_and_nothing_is_promoted_in_silence():
     with jax.enable_x64(True), jax.numpy_dtype_promotion("strict"):
         out = jax.eval_shape(fem.step, scene, state, static_poses(2, dtype=jnp.float32))
     assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(out))
+
+
+def test_status_bits():
+    scene, state = body()
+    status = jax.jit(fem.check_status)
+    assert status(scene, state) == Status.OK
+    assert status(scene, state.replace(x=state.x * jnp.array([1.0, -1.0, 1.0]))) == Status.INVERTED
+    assert status(scene, state.replace(v=state.v.at[3, 1].set(jnp.nan))) == Status.NAN
+    assert status(scene, state.replace(x=state.x.at[3, 1].set(jnp.inf))) & Status.NAN
 
 
 # --- Stability and errors ---------------------------------------------------------------------------------------------
