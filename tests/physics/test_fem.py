@@ -359,6 +359,7 @@ def test_stable_at_the_limit_and_not_far_above_it(x64, damping):
     ("changes", "message"),
     [
         ({"dt": 0.1}, "dt is 0.1 s, above the largest stable .* take more substeps"),
+        ({"contact": CONTACT.replace(stiffness=1e8)}, "dt is 0.0005 s, above the largest stable .* softer contact"),
         ({"dt": 0.0}, "dt is 0.0, but must be positive: give the duration"),
         ({"density": -1.0}, "density is -1.0, but must be positive: give the rest density"),
         ({"mu": 0.0}, "mu is 0.0, but must be positive"),

@@ -79,6 +79,8 @@ def test_friction_counts_from_the_surface_that_moves(x64):
     ahead = Pose(jnp.asarray(speed * DT), EYE)
     np.testing.assert_allclose(on_collider(belt, x, [speed], REST, ahead)[0], [0, 20, 0], atol=1e-9)
     np.testing.assert_allclose(on_collider(belt, x, [[0, 0, 0]], REST, ahead)[0], [5, 20, -2], atol=1e-9)
+    slippery = collider(Plane(), friction=0.1)  # its own, not the ground's
+    np.testing.assert_allclose(on_collider(slippery, x, [[3.0, 0, -4.0]])[0], [-1.2, 20, 1.6], atol=1e-9)
     rising = Pose(jnp.array([0.0, 2.0 * DT, 0.0]), EYE)
     np.testing.assert_allclose(on_collider(belt, x, [[0, 0, 0]], REST, rising)[0], [0, 26, 0], atol=1e-9)
     omega = 2.0
