@@ -1,15 +1,11 @@
 """Sag of a cantilever of tetrahedra under its own weight, against beam theory, over refinements.
 
-    python benchmarks/validation/cantilever_fem.py                  # seconds: 3 refinements
-    python benchmarks/validation/cantilever_fem.py --scale full     # a finer fourth
-
 A narrow beam is held at one end. Its shape at rest is found by Newton's method on ``fem.internal_force``, and is then
 handed to ``fem.step``, which must leave it where it is. Linear tetrahedra are too stiff in bending: the sag approaches
 theory from below, with the square of the cell's height. What is left with Poisson's ratio 0.3, some 1 %, is the clamped
 end, whose section cannot contract as beam theory has it; with Poisson's ratio 0 the limit is Timoshenko's.
 """
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.validation.common import Check, in_float64, relative
 from rewax.physics import fem, mpm, tetmesh
 from rewax.physics.tet_law import stable_parameters
 
@@ -105,6 +102,7 @@ def settle(cells: int, poissons_ratio: float) -> dict[str, float]:
     return {"num_tets": len(scene.tets), "sag": sag, "residual": float(residual) / weight, "drift": moved / sag}
 
 
+@in_float64
 def run(scale: str = "small") -> dict[str, Any]:
     """Sag over refinements.
 
@@ -112,25 +110,38 @@ def run(scale: str = "small") -> dict[str, Any]:
       scale: "tiny", "small" or "full".
 
     Returns:
-      Arrays over refinements: ``cells`` over the height, ``num_tets``, ``sag`` [m], its relative ``error`` against
-      Euler-Bernoulli and ``error_timoshenko``, ``residual`` force over the beam's weight, ``drift`` of the simulation
-      from the shape found, over its sag; ``error_without_clamp``: against Timoshenko, with Poisson's ratio 0. Numbers:
-      ``euler_bernoulli``, ``timoshenko`` [m].
+      ``checks``. Arrays over refinements: ``cells`` over the height, ``num_tets``, ``sag`` [m], its relative ``error``
+      against Euler-Bernoulli and ``error_timoshenko``, ``residual`` force over the beam's weight, ``drift`` of the
+      simulation from the shape found, over its sag; ``error_without_clamp``: size of the error against Timoshenko with
+      Poisson's ratio 0. Numbers: ``euler_bernoulli``, ``timoshenko`` [m].
     """
     if scale not in CELLS:
         raise ValueError(f"scale is {scale!r}: give one of {', '.join(CELLS)}")
-    with jax.enable_x64(True):
-        beams = [settle(cells, POISSONS_RATIO) for cells in CELLS[scale]]
-        unclamped = [settle(cells, 0.0)["sag"] for cells in CELLS[scale]]
+    beams = [settle(cells, POISSONS_RATIO) for cells in CELLS[scale]]
+    unclamped = [settle(cells, 0.0)["sag"] for cells in CELLS[scale]]
     columns = {name: np.asarray([one[name] for one in beams]) for name in beams[0]}
     expected = theory()
+    without = np.abs(np.asarray(unclamped) / theory(0.0)["timoshenko"] - 1.0)
+    height, sag, moved = CELLS[scale][-1], columns["sag"][-1], columns["drift"].max()
+    bar = 0.13 if scale == "tiny" else 0.05
+    falling = (without[1:] / without[:-1]).max()
+    checks = [
+        relative(f"tip sag against Euler-Bernoulli, {height} cells high", sag, expected["euler_bernoulli"], bar, "m"),
+        relative("the same against Timoshenko", sag, expected["timoshenko"], bar, "m"),
+        Check(
+            what="largest ratio of errors from a mesh to the next, nu = 0",
+            measured=falling, theory=0.25, error=falling, bar=0.3, error_unit="ratio",
+        ),
+        Check(what="drift in 200 substeps", measured=moved, theory=0.0, error=moved, bar=1e-6, error_unit="of sag"),
+    ]  # fmt: skip
     return {
+        "checks": checks,
         "cells": np.asarray(CELLS[scale]),
         **columns,
         **expected,
         "error": columns["sag"] / expected["euler_bernoulli"] - 1.0,
         "error_timoshenko": columns["sag"] / expected["timoshenko"] - 1.0,
-        "error_without_clamp": np.asarray(unclamped) / theory(0.0)["timoshenko"] - 1.0,
+        "error_without_clamp": without,
     }
 
 
@@ -148,7 +159,7 @@ def plot(results: dict[str, Any], path: str | Path) -> None:
     left.set(ylabel="sag of the tip [mm]")
     left.minorticks_off()
     left.legend(frameon=False)
-    error = 100 * np.abs(results["error_without_clamp"])
+    error = 100 * results["error_without_clamp"]
     right.loglog(cells, 100 * np.abs(results["error"]), "s:", color="#dd8452", label="against Euler-Bernoulli")
     right.loglog(cells, 100 * np.abs(results["error_timoshenko"]), "o-", color="#4c72b0", label="against Timoshenko")
     right.loglog(cells, error, "^--", color="#2a7f4f", label="the same, Poisson's ratio 0")
@@ -159,11 +170,3 @@ def plot(results: dict[str, Any], path: str | Path) -> None:
     right.yaxis.set_major_formatter("{x:g}")
     right.legend(frameon=False)
     figure.savefig(path)
-
-
-if __name__ == "__main__":
-    chosen = sys.argv[sys.argv.index("--scale") + 1] if "--scale" in sys.argv else "small"
-    outcome = run(chosen)
-    for key, value in outcome.items():
-        print(f"{key:18} {value}")
-    plot(outcome, "cantilever_fem.png")
