@@ -12,6 +12,7 @@ from types import ModuleType
 from benchmarks.validation import (
     archimedes,
     cantilever,
+    cantilever_fem,
     convergence,
     dam_break,
     free_flight,
@@ -29,6 +30,7 @@ CASES: dict[str, ModuleType] = {
     "wave_speed": wave_speed,
     "convergence": convergence,
     "cantilever": cantilever,
+    "cantilever_fem": cantilever_fem,
     "yielding_bar": yielding_bar,
     "incline": incline,
     "hydrostatic": hydrostatic,
