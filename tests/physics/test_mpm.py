@@ -8,9 +8,10 @@ import pytest
 from rewax.physics import invariants, mpm
 from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
 from rewax.physics.grid import Grid
-from rewax.physics.laws import FLUIDS
+from rewax.physics.laws import FLUIDS, MAX_HARDENING
 from rewax.physics.materials import Elasticity, Material, Plasticity, sound_speed
 from rewax.physics.sampling import fill_box, sample_box
+from rewax.physics.scene import STABLE_DIFFUSION_NUMBER
 from rewax.physics.sdf import Sphere
 from rewax.status import Status
 
@@ -107,11 +108,30 @@ def test_stable_at_the_limit_and_not_far_above_it(elasticity):
     assert not growth[1] < 10.0
 
 
+def test_viscosity_is_stable_at_its_limit_and_not_far_above_it():
+    """The same for a viscous fluid at the largest dt that sound allows; at three times what viscosity allows it explodes."""
+    growth = []
+    speed = mpm.STABLE_COURANT_NUMBER * GRID.spacing / DT
+    for number in (STABLE_DIFFUSION_NUMBER, 3 * STABLE_DIFFUSION_NUMBER):
+        scene, state = cube()
+        viscosity = number * 1000.0 * GRID.spacing**2 / DT
+        material = Material(density=1000.0, speed_of_sound=speed, viscosity=viscosity, elasticity=Elasticity.TAIT)
+        limit = float(mpm.largest_stable_dt(material, GRID))
+        assert limit == pytest.approx(DT * STABLE_DIFFUSION_NUMBER / number, rel=1e-5)
+        scene = scene.replace(material=jax.tree.map(lambda a: jnp.asarray(a, float), material))
+        state = state.replace(v=1e-3 * speed * jax.random.normal(jax.random.key(3), state.x.shape))
+        growth.append(float(jnp.sqrt(jnp.mean(run(scene, state).v ** 2) / jnp.mean(state.v**2))))
+    assert growth[0] < 0.6
+    assert not growth[1] < 10.0
+
+
 def test_largest_stable_dt_is_the_number_used():
     material = Material(youngs_modulus=modulus_at(mpm.STABLE_COURANT_NUMBER), poissons_ratio=0.3, density=1000.0)
     assert float(mpm.largest_stable_dt(material, GRID)) == pytest.approx(DT, rel=1e-5)
     c = float(sound_speed(material))
     assert float(mpm.largest_stable_dt(material, GRID, max_speed=c)) == pytest.approx(DT / 2, rel=1e-5)
+    snow = material.replace(plasticity=Plasticity.SNOW)
+    assert float(mpm.largest_stable_dt(snow, GRID)) == pytest.approx(DT / MAX_HARDENING**0.5, rel=1e-5)
 
 
 @pytest.mark.parametrize(
