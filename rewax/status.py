@@ -28,6 +28,9 @@ class Status(enum.IntFlag):
     INVERTED = 16
     """A particle is flattened or turned inside out (det F <= 0): the time step is too long for what happens to it, or
     something crushes it. Not fatal."""
+    FAR_COLLIDERS = 32
+    """More colliders were near than the scene's ``max_near_colliders``: some may have been left out. Give a larger
+    number. Not fatal."""
 
 
 FATAL = Status.NAN

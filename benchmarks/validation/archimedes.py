@@ -16,12 +16,13 @@ import numpy as np
 
 from benchmarks.validation.common import fill, fit_oscillation, held, relative, save
 from rewax.physics import coupling, free_body, mpm
-from rewax.physics.colliders import Collider, Wall, Walls
+from rewax.physics.colliders import Collider
 from rewax.physics.free_body import FreeBodies
 from rewax.physics.grid import Grid
 from rewax.physics.laws import TAIT_EXPONENT
 from rewax.physics.materials import Elasticity, Material
 from rewax.physics.sdf import Box
+from rewax.physics.walls import Wall, Walls
 
 CELLS = {"tiny": 20, "small": 32, "full": 48}
 """Over the depth of the water."""
@@ -49,9 +50,7 @@ def tank(cells: int, density: float) -> tuple[mpm.MPMScene, free_body.Inertia, m
     box = Box(half_size=jnp.asarray([HALF_WIDTH, HALF_HEIGHT, 1.0]))
     x = x[(np.abs(x - center) > [HALF_WIDTH, HALF_HEIGHT, 1.0]).any(axis=1)]
     # Contact begins half a cell away: on average that is where nodes on both sides of a face put the water's border.
-    collider = Collider(
-        shape=box, offset=jnp.zeros(3), rotation=jnp.eye(3), friction=NO_SLIP, softness=np.log(10.0) / (0.5 * spacing)
-    )
+    collider = Collider(shape=box, friction=NO_SLIP, softness=np.log(10.0) / (0.5 * spacing))
     near, far = Wall(position=0.01 * spacing), Wall(position=WIDTH - 0.01 * spacing)
     scene = mpm.make_scene(
         grid=Grid(

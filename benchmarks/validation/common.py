@@ -13,9 +13,10 @@ import numpy as np
 import scipy.optimize
 
 from rewax.physics import mpm
-from rewax.physics.colliders import Pose, Wall, WallKind
+from rewax.physics.colliders import Pose
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.sampling import fill_box
+from rewax.physics.walls import Wall, WallKind
 
 SCALES = ("tiny", "small", "full")
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from benchmarks.validation.common import fill, held, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.colliders import Wall, WallKind, Walls
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Elasticity, Material, Plasticity
+from rewax.physics.walls import Wall, WallKind, Walls
 
 CELLS = {"tiny": 6, "small": 8, "full": 16}
 """Over the width of the block; it is twice as high."""
@@ -129,9 +129,10 @@ def identify(scene: mpm.MPMScene, state: mpm.MPMState, unknown: Unknown, seed: i
 
 
 def run(scale: str = "small") -> dict[str, Any]:
-    """The way from the guess to the true value for every unknown."""
+    """The way from the guess to the true value for every unknown (for dough and sand at the scale of the tests)."""
     checks, paths = [], {}
-    for name, unknown in UNKNOWNS.items():
+    for name in list(UNKNOWNS)[1::2] if scale == "tiny" else UNKNOWNS:
+        unknown = UNKNOWNS[name]
         scene, state = block(CELLS[scale], unknown.material)
         paths[name] = identify(scene, state, unknown)
         what = f"{unknown.field} of {name}, guessed {unknown.guess:.3g}"

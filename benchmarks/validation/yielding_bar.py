@@ -15,10 +15,11 @@ import numpy as np
 
 from benchmarks.validation.common import fill, in_float64, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.colliders import Collider, Pose, Wall, Walls
+from rewax.physics.colliders import Collider, Pose
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Material, Plasticity, sound_speed
 from rewax.physics.sdf import Plane
+from rewax.physics.walls import Wall, Walls
 
 SIZES = {"tiny": (12, 3), "small": (12, 4), "full": (24, 6)}
 """Cells along and across the bar."""

@@ -14,11 +14,12 @@ import numpy as np
 from rewax import struct
 from rewax.envs.base import Box, State, first_state, next_state
 from rewax.physics import mpm
-from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
+from rewax.physics.colliders import Collider, Pose
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Elasticity, Material, Plasticity
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.sdf import Capsule
+from rewax.physics.walls import Wall, WallKind, Walls
 from rewax.types import Array, Key, Observation
 
 _Y_TO_Z = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))

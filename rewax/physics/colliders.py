@@ -2,7 +2,7 @@
 
 import enum
 import functools
-import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.physics import components as cp
 from rewax.physics.components import Vec3
-from rewax.physics.grid import Grid
 from rewax.physics.linear_pass import Arrays, linear_pass
 from rewax.physics.materialize import materialize
 from rewax.physics.sdf import Shape, signed_distance_components
@@ -31,60 +30,24 @@ class Pose(NamedTuple):
 
 
 @struct.dataclass
-class Collider:
+class Collider(struct.Replaceable):
     """A rigid shape fixed to a body that moves as prescribed (kinematic).
 
     Attributes:
       shape: its signed distance, in its own frame.
-      offset: origin of the shape's frame in the body's frame [m], shape (3,).
-      rotation: from the shape's frame to the body's, shape (3, 3).
+      offset: origin of the shape's frame in the body's frame [m], shape (3,); by default zero.
+      rotation: from the shape's frame to the body's, shape (3, 3); by default not turned.
       friction: Coulomb coefficient [-].
       softness: decay of the influence with distance [1/m]; influence = min(exp(-softness * distance), 1).
       body: index of the body that carries it (static).
     """
 
     shape: Shape
-    offset: Array
-    rotation: Array
+    offset: Array = struct.field(default_factory=lambda: jnp.zeros(3))
+    rotation: Array = struct.field(default_factory=lambda: jnp.eye(3))
     friction: Scalar
     softness: Scalar = 666.0
     body: int = struct.static_field(default=0)
-
-
-class WallKind(enum.Enum):
-    """What a wall does to the velocity of the nodes behind it."""
-
-    STICKY = "sticky"
-    """Velocity is zero."""
-    SLIP = "slip"
-    """The component along the normal is zero, in both directions."""
-    SEPARATING = "separating"
-    """Only motion into the wall is stopped, with Coulomb friction; nodes may leave freely."""
-    GRIPPING = "gripping"
-    """Nodes that move into the wall stop altogether, others may leave: separating with unlimited friction."""
-
-
-@struct.dataclass
-class Wall:
-    """A plane of the grid's box, in metres: nodes beyond ``position`` obey the wall.
-
-    Attributes:
-      position: coordinate of the wall along its axis [m] (static).
-      kind: what it does (static).
-      friction: Coulomb coefficient [-], used by ``SEPARATING`` walls.
-    """
-
-    position: float = struct.static_field()
-    kind: WallKind = struct.static_field(default=WallKind.SEPARATING)
-    friction: Scalar = 0.0
-
-
-@struct.dataclass
-class Walls:
-    """The six sides of the box; None leaves a side open."""
-
-    lower: tuple[Wall | None, Wall | None, Wall | None]
-    upper: tuple[Wall | None, Wall | None, Wall | None]
 
 
 class Contact(enum.Enum):
@@ -123,11 +86,9 @@ class Touch(NamedTuple):
 
 
 def apply_colliders(
-    colliders: tuple[Collider, ...],
+    colliders: Sequence[tuple[Collider, Pose, Pose]],
     position: Vec3,
     velocity: Vec3,
-    before: Pose,
-    after: Pose,
     dt: float,
     *,
     contact: Contact = Contact.SEQUENTIAL,
@@ -135,23 +96,21 @@ def apply_colliders(
     """Node velocities after contact with several moving shapes.
 
     Args:
-      colliders: the shapes.
+      colliders: the shapes, each with the poses of its body at the beginning and end of the substep, (3,), (3, 3).
       position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
       velocity: node velocities [m/s], components of shape (num_nodes,).
-      before, after: poses of all bodies at the beginning and end of the substep, (num_bodies, 3), (num_bodies, 3, 3).
       dt: duration of the substep [s].
       contact: how they act together (static).
 
     Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, the mean of theirs.
     """
-    poses = [(body_pose(before, c.body), body_pose(after, c.body)) for c in colliders]
     if contact is Contact.SEQUENTIAL or len(colliders) < 2:
-        for collider, (start, end) in zip(colliders, poses, strict=True):
-            velocity = apply_collider(collider, position, velocity, start, end, dt)
+        for collider, before, after in colliders:
+            velocity = apply_collider(collider, position, velocity, before, after, dt)
         return velocity
     touches = [
-        touch(collider, position, *_start_and_motion(collider, start, end, dt))
-        for collider, (start, end) in zip(colliders, poses, strict=True)
+        touch(collider, position, *_start_and_motion(collider, before, after, dt))
+        for collider, before, after in colliders
     ]
     return contact_velocity(nearest(touches)[0], velocity)
 
@@ -286,48 +245,3 @@ def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Arra
     rubs = (approach < 0) & (square > 1e-30)
     length = jnp.sqrt(jnp.where(rubs, square, 1.0))
     return jnp.where(rubs, jnp.maximum(length + friction * approach, 0.0) / length, 1.0)
-
-
-def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], velocity: Vec3) -> Vec3:
-    """Node velocities after all walls, in the order x, y, z, at each axis the lower one first.
-
-    Args:
-      walls: the six sides.
-      grid: the grid; nodes strictly beyond a wall obey it.
-      index: index of each node in the grid along x, y, z, int32, shapes (num_nodes,).
-      velocity: node velocities [m/s], components of shape (num_nodes,).
-
-    Gradient: exact with respect to velocities and friction.
-    """
-    for axis in cp.AXES:
-        for wall, inward in ((walls.lower[axis], 1.0), (walls.upper[axis], -1.0)):
-            if wall is not None:
-                behind = _behind(grid, wall, axis, inward, index[axis])
-                velocity = _apply_wall(wall, axis, inward, behind, velocity)
-    return velocity
-
-
-def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Array) -> Array:
-    """Which of the nodes with the given indices along an axis lie strictly beyond the wall."""
-    cells = (wall.position - grid.origin[axis]) / grid.spacing
-    if inward > 0:
-        return index < math.ceil(cells - 1e-6)
-    return index > math.floor(cells + 1e-6)
-
-
-def _apply_wall(wall: Wall, axis: int, inward: float, behind: Array, velocity: Vec3) -> Vec3:
-    normal_velocity = inward * velocity[axis]
-    approaches = behind & (normal_velocity < 0)
-    if wall.kind is WallKind.STICKY:
-        return cp.vector(lambda i: jnp.where(behind, 0.0, velocity[i]))
-    if wall.kind is WallKind.GRIPPING:
-        return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]))
-    if wall.kind is WallKind.SLIP:
-        return cp.vector(lambda i: jnp.where(behind, 0.0, velocity[i]) if i == axis else velocity[i])
-    frictionless = isinstance(wall.friction, (int, float)) and wall.friction == 0
-    if frictionless:
-        return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]) if i == axis else velocity[i])
-    zero = jnp.zeros_like(normal_velocity)
-    tangential = cp.vector(lambda i: zero if i == axis else velocity[i])
-    factor = friction_factor(tangential, jnp.minimum(normal_velocity, 0.0), wall.friction)
-    return cp.vector(lambda i: jnp.where(approaches, 0.0 if i == axis else velocity[i] * factor, velocity[i]))

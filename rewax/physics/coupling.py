@@ -24,7 +24,6 @@ from rewax.physics.colliders import (
     Motion,
     Pose,
     Touch,
-    apply_walls,
     body_pose,
     chord_motion,
     contact_velocity,
@@ -37,9 +36,10 @@ from rewax.physics.colliders import (
 from rewax.physics.components import Vec3
 from rewax.physics.free_body import FreeBodies, Inertia, solve3
 from rewax.physics.materialize import materialize
-from rewax.physics.recompute import recomputed
+from rewax.physics.recompute import recomputed, scan_substeps
 from rewax.physics.rotations import skew
 from rewax.physics.scene import MPMScene, MPMState
+from rewax.physics.walls import apply_walls
 from rewax.types import Array
 
 
@@ -105,7 +105,7 @@ def step(
         return one(scene, inertia, wrench, nodes, carry, interval)
 
     start = _Carry(mpm.split(state), bodies, no_wrench(num_bodies, state.x.dtype))
-    end = mpm.scan_substeps(body, start, poses, store_every)
+    end = scan_substeps(body, start, poses, store_every)
     mean = jax.tree.map(lambda a: a / (num_substeps * scene.dt), end.received)
     return mpm.join(end.particles), end.bodies, mean
 

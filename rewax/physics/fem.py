@@ -17,7 +17,7 @@ from rewax.physics.colliders import Collider, Pose, body_pose
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.materialize import materialize
 from rewax.physics.penalty import Ground, PenaltyContact, collider_force, ground_force
-from rewax.physics.recompute import recomputed
+from rewax.physics.recompute import recomputed, scan_substeps
 from rewax.physics.tet_edges import Topology, edges, gather_forces
 from rewax.physics.tet_law import DampingLaw, energy_density, first_piola_stress, wave_modulus
 from rewax.physics.tetmesh import TetMesh, check_tetmesh
@@ -215,25 +215,13 @@ def step(scene: FEMScene, state: FEMState, poses: Pose, *, store_every: int | No
 
     Gradient: exact, as for ``substep``.
     """
-    num_substeps = poses.position.shape[0] - 1
-    if store_every is not None and (store_every < 1 or num_substeps % store_every):
-        raise ValueError(
-            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
-        )
     rest = _rest(scene)
-    intervals = (jax.tree.map(lambda p: p[:-1], poses), jax.tree.map(lambda p: p[1:], poses))
     one = _substep if store_every is None else _recomputed_substep
 
-    def body(vertices: _Vertices, interval: tuple[Pose, Pose]) -> tuple[_Vertices, None]:
-        return one(scene, rest, vertices, interval), None
+    def body(vertices: _Vertices, interval: tuple[Pose, Pose]) -> _Vertices:
+        return one(scene, rest, vertices, interval)
 
-    def chunk(vertices: _Vertices, intervals: tuple[Pose, Pose]) -> tuple[_Vertices, None]:
-        return jax.lax.scan(body, vertices, intervals)
-
-    if store_every is None or store_every == 1:
-        return _join(chunk(_split(state), intervals)[0])
-    chunks = jax.tree.map(lambda p: p.reshape(num_substeps // store_every, store_every, *p.shape[1:]), intervals)
-    return _join(jax.lax.scan(jax.checkpoint(chunk), _split(state), chunks)[0])
+    return _join(scan_substeps(body, _split(state), poses, store_every))
 
 
 def internal_force(scene: FEMScene, state: FEMState) -> Array:

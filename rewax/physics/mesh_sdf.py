@@ -42,7 +42,7 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
 
     Example:
       >>> shape = bake_mesh("bunny.stl", spacing=0.01)  # doctest: +SKIP
-      >>> collider = Collider(shape=shape, offset=jnp.zeros(3), rotation=jnp.eye(3), friction=0.5)  # doctest: +SKIP
+      >>> collider = Collider(shape=shape, friction=0.5)  # doctest: +SKIP
     """
     if not (math.isfinite(spacing) and spacing > 0):
         raise ValueError(f"spacing is {spacing}, but must be positive: give the distance of grid nodes in metres")

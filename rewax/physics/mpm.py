@@ -5,20 +5,20 @@ One substep: return map and stress, particle to grid, gravity and contact on the
 stored substeps and not with their grids.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rewax.physics import components as cp
 from rewax.physics.active_nodes import REACH, ActiveNodes, all_nodes, count_nodes, list_nodes
-from rewax.physics.colliders import Pose, apply_colliders, apply_walls
+from rewax.physics.broad_phase import count_excess, near_colliders
+from rewax.physics.colliders import Collider, Pose, apply_colliders, body_pose
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
 from rewax.physics.materialize import materialize
 from rewax.physics.materials import Material, Response, respond
-from rewax.physics.recompute import recomputed
+from rewax.physics.recompute import recomputed, scan_substeps
 from rewax.physics.scene import (
     STABLE_COURANT_NUMBER,
     MPMScene,
@@ -31,13 +31,12 @@ from rewax.physics.scene import (
     per_material,
 )
 from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
+from rewax.physics.walls import apply_walls
 from rewax.status import Status, flag
 from rewax.types import Array
 
 MIN_NODE_MASS = 1e-15
 """Nodes with less mass than this [kg] have velocity zero."""
-
-T = TypeVar("T")
 
 
 class Particles(NamedTuple):
@@ -91,44 +90,22 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
     return join(scan_substeps(body, split(state), poses, store_every))
 
 
-def scan_substeps(body: Callable[[T, tuple[Pose, Pose]], T], carry: T, poses: Pose, store_every: int | None) -> T:
-    """``carry = body(carry, (before, after))`` over the intervals between poses, storing as ``step`` says.
-
-    Args:
-      body: one substep; already recomputed in the backward pass, unless ``store_every`` is None.
-      carry: what it passes on.
-      poses: leading axis num_substeps + 1.
-      store_every: see ``step``.
-    """
-    num_substeps = poses.position.shape[0] - 1
-    if store_every is not None and (store_every < 1 or num_substeps % store_every):
-        raise ValueError(
-            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
-        )
-    intervals = (jax.tree.map(lambda p: p[:-1], poses), jax.tree.map(lambda p: p[1:], poses))
-
-    def chunk(carry: T, intervals: tuple[Pose, Pose]) -> tuple[T, None]:
-        return jax.lax.scan(lambda c, interval: (body(c, interval), None), carry, intervals)
-
-    if store_every is None or store_every == 1:
-        return chunk(carry, intervals)[0]
-    chunks = jax.tree.map(lambda p: p.reshape(num_substeps // store_every, store_every, *p.shape[1:]), intervals)
-    return jax.lax.scan(jax.checkpoint(chunk), carry, chunks)[0]
-
-
 def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
     """Poses of bodies that stay at the origin for all boundaries of substeps."""
     shape = (num_substeps + 1, num_bodies)
     return Pose(jnp.zeros((*shape, 3), dtype), jnp.broadcast_to(jnp.eye(3, dtype=dtype), (*shape, 3, 3)))
 
 
-def check_status(scene: MPMScene, state: MPMState, *, start: MPMState | None = None) -> Array:
+def check_status(
+    scene: MPMScene, state: MPMState, *, start: MPMState | None = None, poses: Pose | None = None
+) -> Array:
     """Status bits of a state: non-finite numbers, particles at the box's border, inverted, or too fast.
 
     Args:
       scene: the scene.
       state: particles at the end of a step.
       start: particles at its beginning, to also tell whether the scene's ``max_active_nodes`` sufficed.
+      poses: of its bodies, as for ``step``, to also tell whether its ``max_near_colliders`` sufficed.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
@@ -145,12 +122,21 @@ def check_status(scene: MPMScene, state: MPMState, *, start: MPMState | None = N
         | flag(too_fast, Status.CFL)
         | flag(inverted, Status.INVERTED)
     )
-    if start is None or scene.max_active_nodes is None:
-        return status
-    before = jax.lax.stop_gradient(start).x
-    too_few = count_nodes(scene.grid, before) > scene.max_active_nodes
-    too_far = jnp.any(jnp.abs(state.x - before) > REACH * scene.grid.spacing)
-    return status | flag(too_few | too_far, Status.INACTIVE_NODES)
+    before = state.x if start is None else jax.lax.stop_gradient(start).x
+    if poses is not None and scene.max_near_colliders is not None:
+        both = jnp.concatenate([state.x, before])
+        # Nodes with mass are at most 1.5 cells away from a particle.
+        lower, upper = (
+            jnp.min(both, axis=0) - 1.5 * scene.grid.spacing,
+            jnp.max(both, axis=0) + 1.5 * scene.grid.spacing,
+        )
+        excess = count_excess(scene.colliders, poses, lower, upper, scene.max_near_colliders)
+        status = status | flag(excess > 0, Status.FAR_COLLIDERS)
+    if start is not None and scene.max_active_nodes is not None:
+        too_few = count_nodes(scene.grid, before) > scene.max_active_nodes
+        too_far = jnp.any(jnp.abs(state.x - before) > REACH * scene.grid.spacing)
+        status = status | flag(too_few | too_far, Status.INACTIVE_NODES)
+    return status
 
 
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
@@ -212,10 +198,23 @@ def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, befor
     """
     has_mass, velocity = free_velocity(scene, fields)
     velocity = apply_colliders(
-        scene.colliders, nodes.position, velocity, before, after, scene.dt, contact=scene.contact
+        _colliders(scene, nodes, has_mass, before, after), nodes.position, velocity, scene.dt, contact=scene.contact
     )
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
+
+
+def _colliders(
+    scene: MPMScene, nodes: ActiveNodes, has_mass: Array, before: Pose, after: Pose
+) -> list[tuple[Collider, Pose, Pose]]:
+    """The colliders that are evaluated, with their bodies' poses."""
+    if scene.max_near_colliders is None or len(scene.colliders) <= scene.max_near_colliders:
+        return [(c, body_pose(before, c.body), body_pose(after, c.body)) for c in scene.colliders]
+    lower, upper = (
+        jnp.stack([reduce(jnp.where(has_mass, a, far)) for a in nodes.position])
+        for reduce, far in ((jnp.min, jnp.inf), (jnp.max, -jnp.inf))
+    )
+    return near_colliders(scene.colliders, before, after, lower, upper, scene.max_near_colliders)
 
 
 def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
@@ -298,7 +297,6 @@ __all__ = [
     "nodes_of_step",
     "particle_mass",
     "per_material",
-    "scan_substeps",
     "split",
     "static_poses",
     "step",

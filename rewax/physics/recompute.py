@@ -39,6 +39,34 @@ def recomputed(function: Callable[..., T]) -> Callable[..., T]:
     return call
 
 
+def scan_substeps(body: Callable[[T, Any], T], carry: T, boundaries: Any, store_every: int | None) -> T:
+    """``carry = body(carry, (before, after))`` for each interval between consecutive boundaries.
+
+    Args:
+      body: one substep, ``recomputed`` unless ``store_every`` is None.
+      carry: what one substep passes to the next.
+      boundaries: pytree of arrays with a first axis of num_substeps + 1: bodies' poses.
+      store_every: what the backward pass keeps: the carry every so many substeps, a number that divides theirs; None:
+        everything.
+
+    Gradient: exact.
+    """
+    num_substeps = jax.tree.leaves(boundaries)[0].shape[0] - 1
+    if store_every is not None and (store_every < 1 or num_substeps % store_every):
+        raise ValueError(
+            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
+        )
+    intervals = (jax.tree.map(lambda b: b[:-1], boundaries), jax.tree.map(lambda b: b[1:], boundaries))
+
+    def chunk(carry: T, intervals: Any) -> tuple[T, None]:
+        return jax.lax.scan(lambda c, interval: (body(c, interval), None), carry, intervals)
+
+    if store_every is None or store_every == 1:
+        return chunk(carry, intervals)[0]
+    chunks = jax.tree.map(lambda b: b.reshape(num_substeps // store_every, store_every, *b.shape[1:]), intervals)
+    return jax.lax.scan(jax.checkpoint(chunk), carry, chunks)[0]
+
+
 class _Program(NamedTuple):
     """A function of flat arrays, under any number of ``vmap``."""
 

@@ -8,9 +8,9 @@ import pytest
 import rewax
 from rewax.envs.rolling_flat import RollingFlat, RollingFlatPhysics, paper, small
 from rewax.physics import mpm
-from rewax.physics.colliders import WallKind
 from rewax.physics.materials import Elasticity, Plasticity
 from rewax.physics.sdf import Capsule
+from rewax.physics.walls import WallKind
 from rewax.status import Status
 
 PAPER, SMALL = paper(), small()

@@ -1,5 +1,7 @@
 """Helpers of the physics tests, as fixtures."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -73,3 +75,32 @@ def stretched(rotations):
         return np.einsum("nij,nj,nkj->nik", u, s, v)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def inner():
+    """``inner(a, b)``: the scalar product of two trees of one structure."""
+
+    def product(a, b) -> float:
+        return sum(float(jnp.vdot(x, y)) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+    return product
+
+
+@pytest.fixture(scope="session")
+def derivatives():
+    """``derivatives(f)(x, dx, weights)``: f(x), its forward derivative along dx, its reverse derivative of weights.
+
+    One compiled program; ``weights`` is a function of f(x) that is called while tracing.
+    """
+
+    def of(f):
+        @functools.partial(jax.jit, static_argnames="weights")
+        def all_three(x, dx, weights):
+            value, forward = jax.linearize(f, x)
+            chosen = weights(value)
+            return value, forward(dx), chosen, jax.linear_transpose(forward, x)(chosen)[0]
+
+        return all_three
+
+    return of

@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 from rewax.physics import components as cp
-from rewax.physics.colliders import (
-    Collider,
-    Contact,
-    Pose,
-    Wall,
-    WallKind,
-    Walls,
-    apply_collider,
-    apply_colliders,
-    apply_walls,
-)
+from rewax.physics.colliders import Collider, Contact, Pose, apply_collider, apply_colliders
 from rewax.physics.grid import Grid
 from rewax.physics.sdf import Box, Plane, Sphere
+from rewax.physics.walls import Wall, WallKind, Walls, apply_walls
 
 EYE, ORIGIN, DT = jnp.eye(3), jnp.zeros(3), 1e-3
 REST = Pose(ORIGIN, EYE)
@@ -133,7 +124,8 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
 def several(colliders, nodes, velocity, before, after, contact):
     """Velocities (N, 3) of nodes (N, 3) after contact with all of them."""
     position, v = cp.split_vector(nodes), cp.split_vector(velocity)
-    return cp.join_vector(apply_colliders(colliders, position, v, before, after, DT, contact=contact))
+    moving = [(c, *(Pose(p.position[c.body], p.rotation[c.body]) for p in (before, after))) for c in colliders]
+    return cp.join_vector(apply_colliders(moving, position, v, DT, contact=contact))
 
 
 def two_boxes(half, apart, friction=0.3):

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from rewax.physics import invariants, mpm
-from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
+from rewax.physics.colliders import Collider, Pose
 from rewax.physics.grid import Grid
 from rewax.physics.laws import FLUIDS, MAX_HARDENING
 from rewax.physics.materials import Elasticity, Material, Plasticity, sound_speed
 from rewax.physics.sampling import fill_box, sample_box
 from rewax.physics.scene import STABLE_DIFFUSION_NUMBER
 from rewax.physics.sdf import Sphere
+from rewax.physics.walls import Wall, WallKind, Walls
 from rewax.status import Status
 
 DT, NUM_SUBSTEPS, NUM = 1e-4, 1000, 64

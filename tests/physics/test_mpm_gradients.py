@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from rewax.physics import mpm, sdf
-from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
+from rewax.physics.colliders import Collider, Pose
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Elasticity, Material, Plasticity
+from rewax.physics.walls import Wall, WallKind, Walls
 
 NUM, DT = 27, 1e-3
 GRID = Grid(shape=(9, 8, 9), spacing=0.05)
@@ -69,9 +70,10 @@ def assert_active(scene, state, poses):
     flows = np.any(np.abs(F - state.F) > 1e-6, axis=(1, 2))
     assert flows.any() or scene.material.plasticity is Plasticity.NONE
     v = np.asarray(one_substep((scene, state, poses)).v)
-    for removed in ({"colliders": ()}, {"walls": Walls(lower=(None,) * 3, upper=(None,) * 3)}):
-        without = np.asarray(one_substep((scene.replace(**removed), state, poses)).v)
-        assert np.abs(without - v).max() > 1e-3, removed
+    far = poses._replace(position=poses.position + 10.0)
+    assert np.abs(np.asarray(one_substep((scene, state, far)).v) - v).max() > 1e-3
+    falls_on_wall = (state.x[:, 1] < FLOOR + 0.5 * GRID.spacing) & (state.v[:, 1] < 0)
+    assert scene.walls.lower[1] is None or falls_on_wall.any()
     return flows
 
 
@@ -79,10 +81,6 @@ def output_weights(random_like, seed, out):
     """A random cotangent in which x, v, C and F count alike."""
     noise = random_like(seed, out)
     return jax.tree.map(lambda n, o: n / (jnp.sqrt(jnp.mean(o**2)) + 1e-12), noise, out)
-
-
-def inner(a, b) -> float:
-    return sum(float(jnp.vdot(x, y)) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
 
 
 def moves_of_each_leaf(random_like, args):
@@ -100,12 +98,15 @@ def moves_of_each_leaf(random_like, args):
 LAWS = [
     (Elasticity.HENCKY, Plasticity.VON_MISES, "capsule", Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.3)),
     (Elasticity.FIXED_COROTATED, Plasticity.NONE, "box", Wall(position=FLOOR, kind=WallKind.GRIPPING)),
-    (Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, "cylinder", Wall(position=FLOOR, kind=WallKind.SLIP)),
-]
+    pytest.param(
+        (Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, "cylinder", Wall(position=FLOOR, kind=WallKind.SLIP)),
+        marks=pytest.mark.slow, id="neo_hookean",
+    ),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", LAWS, ids=lambda case: case[0].value)
-def test_one_substep_reverse_forward_and_finite_difference_agree(x64, random_like, central_difference, case):
+@pytest.mark.parametrize("case", LAWS, ids=lambda case: case[0].value if isinstance(case, tuple) else None)
+def test_one_substep_reverse_forward_and_finite_difference_agree(x64, random_like, central_difference, inner, case):
     """With respect to every leaf: particles, material, gravity, poses of the body, friction, softness, sizes."""
     args = squeezed(*case)
     flows = assert_active(*args)
@@ -134,22 +135,17 @@ def test_one_substep_reverse_forward_and_finite_difference_agree(x64, random_lik
 MANY = 50
 
 
-def value_and_gradient(args, cotangent):
-    out, back = jax.vjp(lambda a: mpm.step(*a), args)
-    return out, back(cotangent)[0]
-
-
-VALUE_AND_GRADIENT = jax.jit(value_and_gradient)
-VALUE_AND_TANGENT = jax.jit(lambda args, move: jax.jvp(lambda a: mpm.step(*a), (args,), (move,)))
-
-
-def test_fifty_substeps_with_plastic_flow_and_contact(x64, random_like, central_difference):
+def test_fifty_substeps_with_plastic_flow_and_contact(x64, random_like, central_difference, derivatives, inner):
     """Reverse = forward = finite difference within 1e-4 for each leaf; jit = eager; repeats are bit-identical."""
     args = squeezed(*LAWS[0], num_substeps=MANY)
     zero = jax.tree.map(jnp.zeros_like, args)
+    program = derivatives(lambda a: mpm.step(*a))
+
+    def weights(end):
+        return output_weights(random_like, 1, end)
 
     def simulate(args):
-        return VALUE_AND_TANGENT(args, zero)[0]
+        return program(args, zero, weights=weights)[0]
 
     end = simulate(args)
     last = jax.tree.map(lambda p: p[-2:], args[2])
@@ -161,12 +157,12 @@ def test_fifty_substeps_with_plastic_flow_and_contact(x64, random_like, central_
         eager = one_substep((args[0], eager, jax.tree.map(lambda p, t=t: p[t : t + 2], args[2])))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10), end, eager)
 
-    cotangent = output_weights(random_like, 1, end)
-    out, gradient = VALUE_AND_GRADIENT(args, cotangent)
-    jax.tree.map(np.testing.assert_array_equal, (out, gradient), VALUE_AND_GRADIENT(args, cotangent))
+    first, again = (program(args, zero, weights=weights) for _ in range(2))
+    jax.tree.map(np.testing.assert_array_equal, first, again)
+    _, _, cotangent, gradient = first
     errors, modes = {}, {}
     for name, move in moves_of_each_leaf(random_like, args):
-        _, tangent = VALUE_AND_TANGENT(args, move)
+        tangent = program(args, move, weights=weights)[1]
         forward, reverse = inner(cotangent, tangent), inner(gradient, move)
         # The best of four steps: contact sets in abruptly at single nodes, which spoils a difference across it, and
         # 50 substeps amplify rounding, which spoils a short one. A wrong derivative disagrees with all.
@@ -197,8 +193,8 @@ def test_store_every_changes_memory_and_not_results(x64, random_like):
     assert float(jnp.abs(every_two[1][1].F).max()) > 0
 
 
-def test_vmap_equals_a_loop_and_nan_stays_in_its_environment(x64, random_like):
-    """Values and gradients of env i are those of env i alone, and do not change by a bit when env 1 is NaN."""
+def test_environments_do_not_see_each_other(x64, random_like):
+    """Values and gradients of an env depend neither on its place in the batch nor, by a bit, on env 1 being NaN."""
     scene, state, poses = squeezed(*LAWS[1])
     scene = scene.replace(colliders=())
     num_envs = 3
@@ -212,11 +208,8 @@ def test_vmap_equals_a_loop_and_nan_stays_in_its_environment(x64, random_like):
 
     together = jax.vmap(back)
     fine = together(states, cotangents)
-    for env in range(num_envs):
-        alone = back(*jax.tree.map(lambda a, e=env: a[e], (states, cotangents)))
-        jax.tree.map(
-            lambda a, b, e=env: np.testing.assert_allclose(a[e], b, rtol=1e-9, atol=1e-9 * np.abs(b).max()), fine, alone
-        )
+    turned = together(*jax.tree.map(lambda a: jnp.roll(a, 1, axis=0), (states, cotangents)))
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(jnp.roll(a, 1, axis=0), b), fine, turned)
     poisoned = together(states.replace(x=states.x.at[1, 3].set(jnp.nan), F=states.F.at[1].set(jnp.nan)), cotangents)
     assert np.isnan(poisoned[0].v[1]).any() and np.isnan(poisoned[1][1].v[1]).any()
     for env in (0, 2):

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rewax.physics import mpm
-from rewax.physics.colliders import Collider, Pose, Wall, WallKind, Walls
+from rewax.physics.colliders import Collider, Pose
 from rewax.physics.grid import Grid
 from rewax.physics.materials import Elasticity, Material, Plasticity
 from rewax.physics.sdf import Sphere
+from rewax.physics.walls import Wall, WallKind, Walls
 
 GRID = Grid(shape=(10, 9, 8), spacing=0.1, origin=(0.0, -0.1, 0.2))
 NUM, FLOOR = 10, 0.12
@@ -139,7 +140,7 @@ RUN = jax.jit(value_and_gradient, static_argnums=0)
         (Elasticity.HENCKY, Plasticity.VON_MISES, {"max_active_nodes": 600}, np.float32),
         (Elasticity.HENCKY, Plasticity.VON_MISES, {"max_active_nodes": 600}, np.float64),
         (Elasticity.FIXED_COROTATED, Plasticity.NONE, {}, np.float64),
-        (Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, {}, np.float64),
+        pytest.param(Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, {}, np.float64, marks=pytest.mark.slow),
     ],
 )
 @settings(max_examples=6, deadline=None)

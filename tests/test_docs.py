@@ -1,0 +1,29 @@
+"""The documentation's code runs, from top to bottom of each page."""
+
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def code(page: str) -> str:
+    """All Python blocks of a page, one after the other."""
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), flags=re.MULTILINE | re.DOTALL))
+
+
+@pytest.fixture(scope="module")
+def physics():
+    names = {}
+    exec(compile(code("docs/physics.md"), "docs/physics.md", "exec"), names)
+    return names
+
+
+def test_physics_page_runs_and_does_what_it_says(physics):
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((physics["pressed"], physics["state"], physics["jumper"])))
+    assert float(physics["bodies"].velocity[0, 1]) < -0.05  # the block falls
+    assert float(physics["jumper"].v[:, 1].max()) > 0.0  # the muscles move the table
+    assert len(physics["x"]) + len(physics["pool"]) == sum(physics["two"].particle_counts)
