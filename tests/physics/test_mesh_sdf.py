@@ -112,6 +112,38 @@ def test_dough_under_a_mesh_moves_as_under_the_box_it_is_of(x64):
     assert np.linalg.norm(end(mesh, poses) - expected) < 0.005 * np.linalg.norm(expected - untouched)
 
 
+@pytest.mark.slow
+def test_twenty_substeps_against_a_mesh_reverse_forward_and_finite_difference(x64, random_like, derivatives, inner):
+    """By particles, the baked values, their grid, and the poses of the mesh."""
+    x = fill_box((0.325, 0.2, 0.325), (0.2, 0.1, 0.2), 0.05)
+    material = Material(youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0, plasticity=Plasticity.VON_MISES)
+    turn = np.linalg.qr(np.eye(3) + 0.3 * np.random.default_rng(0).standard_normal((3, 3)))[0]
+    brick = Collider(shape=bake_mesh(BRICK, 0.04, margin=0.1), rotation=jnp.asarray(turn), friction=0.5, softness=50.0)
+    scene = mpm.make_scene(grid=Grid(shape=(14, 12, 14), spacing=0.05), dt=1e-3, material=material, particle_volume=0.004 / len(x), colliders=(brick,))
+    t = np.arange(21)[:, None, None]
+    poses = Pose(jnp.array([0.325, 0.45, 0.325]) + t * np.array([1e-3, -2e-3, 0.0]), jnp.broadcast_to(jnp.eye(3), (21, 1, 3, 3)))
+    args = jax.tree.map(lambda a: jnp.asarray(a, float), (scene, mpm.initial_state(jnp.asarray(x)), poses))
+    program = derivatives(lambda a: mpm.step(*a))
+    sizes = jax.tree.map(lambda a: 1e-3 + 0.1 * jnp.sqrt(jnp.mean(jnp.where(jnp.isfinite(a), a, 0.0) ** 2)), args)
+    move = jax.tree.map(lambda size, noise: size * noise, sizes, random_like(1, args))
+    move = (move[0], move[1], jax.tree.map(lambda a: 0.01 * a, move[2]))
+    still = jax.tree.map(jnp.zeros_like, move)
+    shape_only = (still[0].replace(colliders=move[0].colliders), still[1], still[2])
+
+    def weights(end):
+        return random_like(2, end)
+
+    for direction in (move, shape_only):
+        _, tangent, cotangent, gradient = program(args, direction, weights=weights)
+        reverse, forward = inner(gradient, direction), inner(cotangent, tangent)
+        assert abs(forward) > 1e-3 and abs(reverse - forward) < 1e-9 * abs(forward)
+        differences = []
+        for h in (1e-6, 1e-7, 1e-8):
+            ahead, behind = (program(jax.tree.map(lambda a, d: a + k * d, args, direction), direction, weights=weights)[0] for k in (h, -h))
+            differences.append((inner(ahead, cotangent) - inner(behind, cotangent)) / (2 * h))
+        assert min(abs(reverse - d) for d in differences) < 1e-5 * abs(forward), (reverse, differences)
+
+
 # --- What is wrong with a mesh ----------------------------------------------------------------------------------------
 
 
