@@ -6,7 +6,7 @@ frictional floor. Columns of all aspect ratios hold about the same number of par
 program; exponents are fitted on both sides of the transition.
 
 ``Material.friction_angle`` is that of triaxial compression. Where sand flows without change of volume in plane strain,
-the same cone gives sin(angle) = 2 sqrt(3) sin(phi) / (3 - sin(phi)), 30 degrees from phi = 21.8.
+the same cone gives sin(angle) = 2 sqrt(3) sin(phi) / (3 - sin(phi)), 30 degrees from phi = 22.2.
 """
 
 import math
@@ -36,7 +36,7 @@ SIZES = {
 SINE, FLOOR_FRICTION = math.sin(math.radians(30.0)), 1.0
 """Sine of the friction angle that acts in plane strain; quartz sand's angle of repose is 29.5 degrees."""
 FRICTION_ANGLE = math.asin(3 * SINE / (2 * math.sqrt(3) + SINE))
-"""The material's own [rad], 21.8 degrees: a cone for triaxial compression allows more in plane strain."""
+"""The material's own [rad], 22.2 degrees: a cone for triaxial compression allows more in plane strain."""
 GRAVITY, DENSITY, SPACING = 9.81, 1500.0, 0.01
 EVERY = 10
 BAR_RUN_OUT = {"tiny": 0.3, "small": 0.3, "full": 0.2}

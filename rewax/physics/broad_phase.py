@@ -2,7 +2,9 @@
 
 Skipping a collider by a condition saves nothing under ``vmap``, where both branches run. So of each run of colliders of
 one kind a fixed number is evaluated, the nearest ones. What is left out would not have changed a node, as long as no
-more than that number are near; ``count_excess`` tells.
+more than that number are near; ``count_excess`` tells. (Under
+``Contact.NEAREST`` a stiff collider that is too far to act can be nearer to a node than a softer one that acts: there
+leaving it out makes a difference.)
 """
 
 import itertools

@@ -1,4 +1,4 @@
-"""Moving rigid shapes and walls, as conditions on grid velocities."""
+"""Moving rigid shapes, as conditions on grid velocities."""
 
 import enum
 import functools
@@ -31,7 +31,7 @@ class Pose(NamedTuple):
 
 @struct.dataclass
 class Collider(struct.Replaceable):
-    """A rigid shape fixed to a body that moves as prescribed (kinematic).
+    """A rigid shape fixed to a body, which moves as prescribed (``mpm``) or as forces move it (``coupling``).
 
     Attributes:
       shape: its signed distance, in its own frame.
@@ -152,7 +152,8 @@ def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> To
     maps = jnp.concatenate([start.rotation.T, motion.turn]), jnp.concatenate([to_local, motion.shift])
     lx, ly, lz, bx, by, bz = materialize(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
-    influence = jnp.minimum(jnp.exp(-collider.softness * distance), 1.0)
+    # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
+    influence = jnp.exp(-jnp.maximum(collider.softness * distance, 0.0))
     # Stored at each step: XLA would compute the whole chain, forward and backward, anew for every component.
     influence, local_normal = materialize((influence, local_normal))
     normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
@@ -164,8 +165,10 @@ def nearest(touches: list[Touch]) -> tuple[Touch, list[Array]]:
 
     Several that are equally near (boxes side by side) share the node: the result is their mean, whatever their order.
     """
-    least = functools.reduce(jnp.minimum, [t.distance for t in touches])
-    equal = [t.distance == least for t in touches]
+    # Stored: computed anew where they are compared, equal distances could differ by rounding.
+    distances = materialize([t.distance for t in touches])
+    least = functools.reduce(jnp.minimum, distances)
+    equal = [d == least for d in distances]
     one = 1.0 / sum(e.astype(least.dtype) for e in equal)
     shares = materialize([jnp.where(e, one, 0.0) for e in equal])
     return materialize(
@@ -187,6 +190,16 @@ def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
         return jnp.where(active, body[i] + (1.0 - influence) * u + influence * u_t, velocity[i])
 
     return cp.vector(after_contact)
+
+
+def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
+    """Raises ValueError if a collider belongs to a body that has no pose (an index would be clamped in silence)."""
+    for i, collider in enumerate(colliders):
+        if not 0 <= collider.body < num_bodies:
+            raise ValueError(
+                f"collider {i} belongs to body {collider.body}, but there are poses of {num_bodies} bodies: give "
+                "poses to all bodies, or the collider another body (they count from 0)"
+            )
 
 
 def body_pose(poses: Pose, body: int) -> Pose:

@@ -6,7 +6,8 @@ as prescribed.
 
 The contact of light bodies with heavy particles is stiff: a body that answered only after it took the particles'
 momentum would be thrown back and forth. So the velocity that nodes are given is that which the body will have: one
-linear system of six unknowns per body and substep, formed from all nodes it touches.
+linear system of six unknowns per body and substep, formed from all nodes it touches. (Nodes that only the new velocity
+runs into are not in it: a light body squeezed between heavy ones from two sides is the hard case.)
 """
 
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from rewax.physics.colliders import (
     Pose,
     Touch,
     body_pose,
+    check_bodies,
     chord_motion,
     contact_velocity,
     friction_factor,
@@ -119,7 +121,7 @@ def _substep(
     has_mass, velocity = mpm.free_velocity(scene, fields)
     mass = jnp.where(has_mass, fields.mass, 0.0)
     forced = Wrench(dt * (wrench.force + inertia.mass[:, None] * scene.gravity), dt * wrench.torque)
-    pushed = free_body.advance(bodies, inertia, *forced, 0.0)
+    pushed = free_body.push(bodies, inertia, *forced)
 
     starts = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), free_body.poses(pushed), interval[0])
     touches = _touches(scene, nodes.position, starts, pushed, interval)
@@ -128,7 +130,7 @@ def _substep(
     velocity, impulse, moment = _exchange(scene, nodes.position, mass, velocity, touches, starts.position)
 
     num_free = bodies.position.shape[0]
-    bodies = free_body.advance(pushed, inertia, impulse[:num_free], moment[:num_free], dt)
+    bodies = free_body.move(free_body.push(pushed, inertia, impulse[:num_free], moment[:num_free]), inertia, dt)
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
     velocity = cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
     particles = mpm.from_nodes(scene, nodes, particles.x, response, velocity)
@@ -219,6 +221,8 @@ def _predict(
         dv, dw = _solve(system)
         linear.append(bodies.velocity[b] + dv)
         angular.append(bodies.angular_velocity[b] + dw)
+    if not linear:
+        return bodies
     return bodies.replace(velocity=jnp.stack(linear), angular_velocity=jnp.stack(angular))
 
 
@@ -271,10 +275,4 @@ def _check(scene: MPMScene, inertia: Inertia, num_free: int, num_bodies: int) ->
         raise ValueError(
             f"inertia is of {inertia.mass.shape} bodies, but there are {num_free} free ones: make both agree"
         )
-    for i, collider in enumerate(scene.colliders):
-        if not 0 <= collider.body < num_bodies:
-            raise ValueError(
-                f"collider {i} belongs to body {collider.body}, but there are {num_bodies} "
-                f"({num_free} free ones, then {num_bodies - num_free} that move as prescribed): give it another body, "
-                "or poses to more bodies"
-            )
+    check_bodies(scene.colliders, num_bodies)

@@ -13,7 +13,7 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics import components as cp
-from rewax.physics.colliders import Collider, Pose, body_pose
+from rewax.physics.colliders import Collider, Pose, body_pose, check_bodies
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.materialize import materialize
 from rewax.physics.penalty import Ground, PenaltyContact, collider_force, ground_force
@@ -134,7 +134,7 @@ def make_scene(
     Args:
       mesh: vertices at rest and tets.
       density: [kg/m^3], shape () or (num_tets,).
-      held: indices of vertices that keep their velocity (0 if they start at rest).
+      held: vertices that keep their velocity (0 if they start at rest): indices, or a mask of shape (num_vertices,).
       others: the fields of ``FEMScene``.
 
     Raises:
@@ -153,7 +153,7 @@ def make_scene(
     _check("dt", dt, None, positive, "give the duration of a substep in seconds")
     _check_moduli(mu, lam)
     _check_contact(contact, ground, colliders, num_vertices)
-    held = np.asarray(held, int)
+    held = _indices(held, num_vertices)
     if held.size and (held.min() < 0 or held.max() >= num_vertices):
         raise ValueError(
             f"held has vertices from {held.min()} to {held.max()}, but there are {num_vertices}: count from 0"
@@ -199,6 +199,7 @@ def substep(scene: FEMScene, state: FEMState, before: Pose, after: Pose) -> FEMS
       of contact and at Coulomb's limit one-sided, see ``penalty.penalty_force``.
     Source: the soft meshes of NVIDIA Warp's semi-implicit integrator; deviation: damping, see ``tet_law``.
     """
+    check_bodies(scene.colliders, before.position.shape[0])
     return _join(_recomputed_substep(scene, _rest(scene), _split(state), (before, after)))
 
 
@@ -215,6 +216,7 @@ def step(scene: FEMScene, state: FEMState, poses: Pose, *, store_every: int | No
 
     Gradient: exact, as for ``substep``.
     """
+    check_bodies(scene.colliders, poses.position.shape[1])
     rest = _rest(scene)
     one = _substep if store_every is None else _recomputed_substep
 
@@ -301,7 +303,8 @@ def largest_stable_dt(scene: FEMScene) -> Scalar:
     The factor is measured: boxes of 5 and 6 tets per cell, long and distorted ones and the soft jumper's table, nu 0 to
     0.45, whose vertices start moved at random by 1 or 10 % of a tet's smallest size, blow up within 2000 substeps
     between 1.1 (nu 0.45, 10 %) and 1.6 of the smallest without damping, between 1.6 and 2.7 with strong damping; linear
-    theory says 1.3 to 1.6. Stronger compression needs a margin of its own; friction damping does not count here.
+    theory says 1.3 to 1.6. Stronger compression needs a margin of its own; friction damping does not count here, and
+    contact only once, although several things can push one vertex.
 
     Gradient: exact.
     """
@@ -403,13 +406,29 @@ def _check(name: str, value: Any, length: int | None, lowest: float, remedy: str
         raise ValueError(f"{name} is {bad}, but must be {wanted}: {remedy}")
 
 
+def _indices(held: Any, num_vertices: int) -> np.ndarray:
+    held = np.asarray(held)
+    if held.size == 0:
+        return np.zeros(0, int)
+    if held.dtype == bool and held.shape == (num_vertices,):
+        return np.flatnonzero(held)
+    if held.dtype == bool or not np.issubdtype(held.dtype, np.integer):
+        raise ValueError(
+            f"held is an array of {held.dtype} of shape {held.shape}: give indices of vertices, or a mask of shape "
+            f"({num_vertices},)"
+        )
+    return held
+
+
 def _check_moduli(mu: Any, lam: Any) -> None:
     if isinstance(mu, Tracer) or isinstance(lam, Tracer):
         return
-    if not np.all(np.asarray(lam) > np.asarray(mu) / 8):
+    mu, lam = np.broadcast_arrays(mu, lam)
+    if not np.all(lam > mu / 8):
+        worst = np.argmin(lam - mu / 8)
         raise ValueError(
-            f"lam is {np.min(lam):g} with mu {np.max(mu):g}, but must be above mu / 8, where the bulk modulus is 0: "
-            "take both from tet_law.stable_parameters(youngs_modulus, poissons_ratio)"
+            f"lam is {lam.flat[worst]:g} with mu {mu.flat[worst]:g}, but must be above mu / 8, where the bulk modulus "
+            "is 0: take both from tet_law.stable_parameters(youngs_modulus, poissons_ratio)"
         )
 
 

@@ -56,13 +56,16 @@ def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBod
     Raises:
       ValueError: a position that is not of this shape (one body needs its axis too).
     """
-    position = jnp.asarray(position, dtype=jnp.result_type(float) if orientation is None else None)
+    position = jnp.asarray(position)
+    position = position.astype(jnp.result_type(float, position))
     if position.ndim != 2 or position.shape[-1] != 3:
         raise ValueError(f"position has shape {position.shape}: give (num_bodies, 3), also for one body, [[x, y, z]]")
     zeros = jnp.zeros_like(position)
     if orientation is None:
         orientation = jnp.concatenate([jnp.ones_like(zeros[:, :1]), zeros], axis=-1)
-    return FreeBodies(position=position, orientation=jnp.asarray(orientation), velocity=zeros, angular_velocity=zeros)
+    return FreeBodies(
+        position=position, orientation=jnp.asarray(orientation, position.dtype), velocity=zeros, angular_velocity=zeros
+    )
 
 
 def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
@@ -131,28 +134,36 @@ def world_moment(bodies: FreeBodies, inertia: Inertia) -> Array:
     return jnp.einsum("bij,bjk,blk->bil", R, inertia.moment, R, precision="highest")
 
 
-def advance(bodies: FreeBodies, inertia: Inertia, impulse: Array, angular_impulse: Array, dt: Scalar) -> FreeBodies:
-    """Bodies after an impulse and a time dt with the velocity that it leaves (symplectic Euler).
+def push(bodies: FreeBodies, inertia: Inertia, impulse: Array, angular_impulse: Array) -> FreeBodies:
+    """Bodies after an impulse.
 
     Args:
-      bodies: at the beginning.
+      bodies: before.
       inertia: their mass properties.
       impulse: [kg m/s], shape (num_bodies, 3).
       angular_impulse: about the centre of mass [kg m^2/s], shape (num_bodies, 3).
-      dt: [s].
 
-    Linear and angular momentum change by exactly what is given. Gradient: exact.
+    Linear and angular momentum change by what is given. Gradient: exact.
     """
-    velocity = bodies.velocity + impulse / inertia.mass[:, None]
-    moment = world_moment(bodies, inertia)
-    spin = _matvec(moment, bodies.angular_velocity) + angular_impulse
-    turning = solve3(moment, spin)
-    turned = bodies.replace(
-        position=bodies.position + dt * velocity,
-        orientation=turn_quaternion(bodies.orientation, turning, dt),
-        velocity=velocity,
+    return bodies.replace(
+        velocity=bodies.velocity + impulse / inertia.mass[:, None],
+        angular_velocity=bodies.angular_velocity + solve3(world_moment(bodies, inertia), angular_impulse),
     )
-    return turned.replace(angular_velocity=solve3(world_moment(turned, inertia), spin))
+
+
+def move(bodies: FreeBodies, inertia: Inertia, dt: Scalar) -> FreeBodies:
+    """Bodies after a time dt [s] without forces; linear and angular momentum stay. Gradient: exact.
+
+    The angular velocity changes as the moments of inertia turn with the body: I' w' = I w.
+    """
+    moved = bodies.replace(
+        position=bodies.position + dt * bodies.velocity,
+        orientation=turn_quaternion(bodies.orientation, bodies.angular_velocity, dt),
+    )
+    moment = world_moment(moved, inertia)
+    # As a change: the spin of a body that hardly turns does not pass through a solution of equations.
+    lost = _matvec(world_moment(bodies, inertia) - moment, bodies.angular_velocity)
+    return moved.replace(angular_velocity=bodies.angular_velocity + solve3(moment, lost))
 
 
 def momentum(bodies: FreeBodies, inertia: Inertia) -> Array:
@@ -179,14 +190,22 @@ def kinetic_energy(bodies: FreeBodies, inertia: Inertia) -> Array:
 def solve3(a: Array, b: Array) -> Array:
     """a^-1 b for symmetric positive definite matrices (..., 3, 3) and vectors (..., 3) or matrices (..., 3, k).
 
-    By cofactors: a batch of LAPACK calls costs more than the arithmetic. Gradient: exact.
+    L D L^T written out: a batch of LAPACK calls costs more than the arithmetic, and cofactors lose all digits of badly
+    conditioned matrices. Gradient: exact.
     """
-    rows = jnp.stack([jnp.cross(a[..., (i + 1) % 3, :], a[..., (i + 2) % 3, :]) for i in range(3)], axis=-2)
-    det = jnp.sum(rows[..., 0, :] * a[..., 0, :], axis=-1)
-    # The matrix of cofactors of a symmetric matrix is symmetric.
     if b.ndim == a.ndim:
-        return jnp.einsum("...ij,...jk->...ik", rows, b, precision="highest") / det[..., None, None]
-    return _matvec(rows, b) / det[..., None]
+        return jnp.moveaxis(solve3(a[..., None, :, :], jnp.moveaxis(b, -1, -2)), -2, -1)
+    d0 = a[..., 0, 0]
+    l1, l2 = a[..., 1, 0] / d0, a[..., 2, 0] / d0
+    d1 = a[..., 1, 1] - l1 * a[..., 1, 0]
+    m = a[..., 2, 1] - l2 * a[..., 1, 0]
+    l3 = m / d1
+    d2 = a[..., 2, 2] - l2 * a[..., 2, 0] - l3 * m
+    y0 = b[..., 0]
+    y1 = b[..., 1] - l1 * y0
+    z = (b[..., 2] - l2 * y0 - l3 * y1) / d2
+    y = y1 / d1 - l3 * z
+    return jnp.stack([y0 / d0 - l1 * y - l2 * z, y, z], axis=-1)
 
 
 def _matvec(a: Array, b: Array) -> Array:

@@ -18,8 +18,8 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
     """The signed distance of a closed triangle mesh at the nodes of a regular grid around it.
 
     Distances at the nodes are exact. Which of them are inside is told by counting, with their orientation, the faces
-    that lines along each axis cross (the winding number), by majority of the three: parts of the mesh may overlap, and
-    shells that point inwards are cavities.
+    that lines along each axis cross (the winding number), by majority of the three: parts of the mesh may overlap
+    (there distances are those to the nearest face, also an internal one), and shells that point inwards are cavities.
 
     Args:
       mesh: path of a file that trimesh reads (STL, OBJ, PLY, ...), a ``trimesh.Trimesh``, or anything else with

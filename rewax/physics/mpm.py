@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from rewax.physics import components as cp
 from rewax.physics.active_nodes import REACH, ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.broad_phase import count_excess, near_colliders
-from rewax.physics.colliders import Collider, Pose, apply_colliders, body_pose
+from rewax.physics.colliders import Collider, Pose, apply_colliders, body_pose, check_bodies
 from rewax.physics.components import Mat3, Vec3
 from rewax.physics.grid import Grid
 from rewax.physics.materialize import materialize
@@ -32,7 +32,7 @@ from rewax.physics.scene import (
 )
 from rewax.physics.transfer import GridFields, grid_to_particle, particle_to_grid
 from rewax.physics.walls import apply_walls
-from rewax.status import Status, flag
+from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
 MIN_NODE_MASS = 1e-15
@@ -63,6 +63,7 @@ def substep(
     Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
     Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
     """
+    check_bodies(scene.colliders, before.position.shape[0])
     nodes = nodes_of_step(scene, state.x) if nodes is None else nodes
     return join(_recomputed_substep(scene, nodes, split(state), (before, after)))
 
@@ -81,6 +82,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
 
     Gradient: exact, as for ``substep``.
     """
+    check_bodies(scene.colliders, poses.position.shape[1])
     nodes = nodes_of_step(scene, state.x)
     one = _substep if store_every is None else _recomputed_substep
 
@@ -105,30 +107,32 @@ def check_status(
       scene: the scene.
       state: particles at the end of a step.
       start: particles at its beginning, to also tell whether the scene's ``max_active_nodes`` sufficed.
-      poses: of its bodies, as for ``step``, to also tell whether its ``max_near_colliders`` sufficed.
+      poses: of its bodies, as for ``step``, to also tell whether its ``max_near_colliders`` sufficed; needs ``start``.
+        Not for coupled scenes, which evaluate all colliders.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
     state = jax.lax.stop_gradient(state)
     lower, upper = _bounds(scene.grid, state.x.dtype)
-    finite = jnp.all(jnp.isfinite(state.x)) & jnp.all(jnp.isfinite(state.v)) & jnp.all(jnp.isfinite(state.F))
     at_border = jnp.any((state.x <= lower) | (state.x >= upper))
     too_fast = jnp.any(jnp.abs(state.v) * scene.dt > scene.grid.spacing)
     inverted = jnp.any(cp.det(cp.split_matrix(state.F)) <= 0.0)
     status = (
-        flag(~finite, Status.NAN)
+        flag(~all_finite(state), Status.NAN)
         | flag(at_border, Status.OUT_OF_DOMAIN)
         | flag(too_fast, Status.CFL)
         | flag(inverted, Status.INVERTED)
     )
     before = state.x if start is None else jax.lax.stop_gradient(start).x
     if poses is not None and scene.max_near_colliders is not None:
+        if start is None:
+            raise ValueError("start is None: give the particles at the beginning of the step that poses belong to")
         both = jnp.concatenate([state.x, before])
-        # Nodes with mass are at most 1.5 cells away from a particle.
+        # Nodes with mass are at most 1.5 cells away from a particle, which may have been a cell further in between.
         lower, upper = (
-            jnp.min(both, axis=0) - 1.5 * scene.grid.spacing,
-            jnp.max(both, axis=0) + 1.5 * scene.grid.spacing,
+            jnp.min(both, axis=0) - 2.5 * scene.grid.spacing,
+            jnp.max(both, axis=0) + 2.5 * scene.grid.spacing,
         )
         excess = count_excess(scene.colliders, poses, lower, upper, scene.max_near_colliders)
         status = status | flag(excess > 0, Status.FAR_COLLIDERS)

@@ -77,8 +77,10 @@ def collider_force(
     local = cp.matvec(cp.transpose(own), cp.vector(lambda i: in_body[i] - collider.offset[i]))
     distance, normal = signed_distance_components(collider.shape, local)
     normal = cp.matvec(rotation, cp.matvec(own, normal))
-    moved = cp.matvec(cp.split_matrix(after.rotation), in_body)
-    relative = cp.vector(lambda i: v[i] - (moved[i] + after.position[i] - x[i]) / dt)
+    # Differences of poses, not of places: the surface of a body at rest is at rest, to the last digit.
+    turned = cp.matvec(cp.split_matrix((after.rotation - before.rotation) / dt), in_body)
+    shift = (after.position - before.position) / dt
+    relative = cp.vector(lambda i: v[i] - turned[i] - shift[i])
     return penalty_force(contact, distance, normal, relative, collider.friction)
 
 

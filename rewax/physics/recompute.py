@@ -31,7 +31,8 @@ def recomputed(function: Callable[..., T]) -> Callable[..., T]:
     def call(*args: Any) -> T:
         leaves, treedef = jax.tree.flatten(args)
         # Python numbers stay what they are: as arrays they would take part in the promotion of types.
-        constants = tuple(leaf if isinstance(leaf, (bool, int, float)) else None for leaf in leaves)
+        # With their types: 1, 1.0 and True are equal, but make different programs.
+        constants = tuple((type(leaf), leaf) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves)
         arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
         program = _Program(function, treedef, constants, (), ())
         return jax.tree.unflatten(program.out_tree(arrays), _call(program, *arrays))
@@ -73,7 +74,7 @@ class _Program(NamedTuple):
     function: Callable[..., Any]
     treedef: Any
     constants: tuple[Any, ...]
-    """For each leaf of the arguments: its value if it is a Python number, None if it is an array."""
+    """For each leaf of the arguments: type and value if it is a Python number, None if it is an array."""
     perturbed: tuple[bool, ...]
     """Which of the arrays have a derivative."""
     batches: tuple[tuple[bool, ...], ...]
@@ -84,7 +85,7 @@ class _Program(NamedTuple):
 
     def apply(self, arrays: Arrays) -> Any:
         rest = iter(arrays)
-        leaves = [next(rest) if c is None else c for c in self.constants]
+        leaves = [next(rest) if c is None else c[1] for c in self.constants]
         return self.function(*jax.tree.unflatten(self.treedef, leaves))
 
     def out_tree(self, arrays: list[Array]) -> Any:
@@ -108,7 +109,7 @@ class _Program(NamedTuple):
         return function, tuple(a for a, p in zip(arrays, self.perturbed, strict=True) if p)
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1024)
 def _out_tree(program: _Program, shapes: tuple) -> Any:
     arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
     return jax.tree.structure(jax.eval_shape(program.apply, arrays))

@@ -10,7 +10,7 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.checks import check_positive
-from rewax.physics.colliders import Collider, Contact, Pose, body_pose, shape_pose
+from rewax.physics.colliders import Collider, Contact, Pose, body_pose, check_bodies, shape_pose
 from rewax.physics.grid import Grid
 from rewax.physics.laws import MAX_HARDENING, Plasticity
 from rewax.physics.materials import Material, check_material, sound_speed
@@ -156,10 +156,10 @@ def make_scene(
             )
     return MPMScene(
         grid=grid,
-        dt=dt,
+        dt=float(dt),
         material=material,
         particle_volume=particle_volume,
-        particle_counts=particle_counts,
+        particle_counts=None if particle_counts is None else tuple(int(n) for n in particle_counts),
         gravity=jnp.asarray(gravity),
         colliders=colliders,
         walls=walls,
@@ -250,6 +250,8 @@ def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None
     """
     _check_box(scene.grid, state.x)
     _check_counts(scene, state.x.shape[0])
+    if bodies is not None:
+        check_bodies(scene.colliders, len(bodies.position))
     tolerance = 0.5 * scene.grid.spacing if tolerance is None else tolerance
     for i, collider in enumerate(scene.colliders):
         body = Pose(jnp.zeros(3), jnp.eye(3)) if bodies is None else body_pose(bodies, collider.body)

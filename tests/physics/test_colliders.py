@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rewax.physics import components as cp
-from rewax.physics.colliders import Collider, Contact, Pose, apply_collider, apply_colliders
+from rewax.physics.colliders import Collider, Contact, Pose, apply_collider, apply_colliders, check_bodies
 from rewax.physics.grid import Grid
 from rewax.physics.sdf import Box, Plane, Sphere
 from rewax.physics.walls import Wall, WallKind, Walls, apply_walls
@@ -116,6 +116,23 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
         float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
     )
     np.testing.assert_allclose(reverse, float(jnp.vdot(cotangent, tangent)), rtol=1e-11)
+
+
+def test_derivatives_are_finite_deep_inside_in_float32():
+    """exp(softness depth) would overflow at 0.13 m with the default softness."""
+
+    def after(height):
+        floor = Collider(shape=Plane(), offset=jnp.array([0.0, 1.0, 0.0]) * height, friction=0.5)
+        nodes = jnp.array([[0.0, -0.5, 0.0], [0.0, -0.001, 0.0], [0.0, 0.001, 0.0], [0.0, 0.9, 0.0]])
+        return jnp.sum(after_contact(floor, nodes, jnp.full((4, 3), -1.0), REST, REST))
+
+    slope = jax.grad(after)(jnp.float32(0.0))
+    assert np.isfinite(slope) and float(slope) > 1.0
+
+
+def test_a_collider_of_a_body_without_pose_is_refused():
+    with pytest.raises(ValueError, match="collider 1 belongs to body 2, but there are poses of 2 bodies: give"):
+        check_bodies((ground(), ground().replace(body=2)), 2)
 
 
 # --- Several colliders -------------------------------------------------------------------------------------------------

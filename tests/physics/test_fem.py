@@ -155,6 +155,8 @@ def test_held_vertices_keep_their_velocity(x64):
     state = state.replace(v=state.v.at[held[0]].set(jnp.array([0.1, 0.0, 0.0])))
     end = fem.substep(scene, state, *at_rest())
     np.testing.assert_array_equal(end.v[held], state.v[held])
+    by_mask, _ = body(gravity=(0.0, -9.81, 0.0), held=MESH.vertices[:, 0] < -0.19)
+    np.testing.assert_array_equal(by_mask.mobility, scene.mobility)
     free = np.setdiff1d(np.arange(NUM_VERTICES), held)
     np.testing.assert_allclose(end.v[free], np.broadcast_to([0, -9.81 * scene.dt, 0], (len(free), 3)), atol=1e-12)
 
@@ -372,6 +374,7 @@ def test_stable_at_the_limit_and_not_far_above_it(x64, damping):
         ({"contact": CONTACT.replace(stiffness=0.0)}, "contact.stiffness is 0.0, but must be positive"),
         ({"contact": CONTACT.replace(friction=-0.1)}, "contact.friction is -0.1, but must be 0 or more"),
         ({"contact": CONTACT, "ground": FLOOR.replace(normal=np.array([0.0, 2.0, 0.0]))}, "ground.normal has length 2: give a unit vector"),
+        ({"held": [0.5]}, "held is an array of float64 of shape .*: give indices of vertices, or a mask"),
         ({"held": [12]}, "held has vertices from 12 to 12, but there are 12: count from 0"),
         ({"mesh": tetmesh.TetMesh(MESH.vertices, MESH.tets[:, [1, 0, 2, 3]])}, "tets has 10 of 10 inverted"),
     ],

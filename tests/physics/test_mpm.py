@@ -241,13 +241,20 @@ def test_status_bits():
         return int(mpm.check_status(scene, state.replace(**changes)))
 
     assert status() == Status.OK
-    for name in ("x", "v", "F"):
+    for name in ("x", "v", "C", "F"):
         broken = getattr(state, name).at[(3, *[0] * (getattr(state, name).ndim - 1))].set(jnp.nan)
         assert status(**{name: broken}) & Status.NAN, name
     assert status(x=state.x.at[5, 1].set(GRID.lower[1])) == Status.OUT_OF_DOMAIN
     assert status(x=state.x.at[5, 2].set(GRID.upper[2])) == Status.OUT_OF_DOMAIN
     assert status(v=state.v.at[7, 0].set(-1.01 * GRID.spacing / DT)) == Status.CFL
     assert status(v=state.v.at[7, 0].set(-0.99 * GRID.spacing / DT)) == Status.OK
+
+
+def test_a_collider_without_pose_is_refused():
+    scene, state = cube()
+    scene = scene.replace(colliders=(Collider(shape=Sphere(radius=0.04), friction=0.5),))
+    with pytest.raises(ValueError, match="collider 0 belongs to body 0, but there are poses of 0 bodies"):
+        mpm.step(scene, state, mpm.static_poses(2))
 
 
 def test_flattened_and_inverted_particles_are_flagged():

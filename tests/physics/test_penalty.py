@@ -126,3 +126,14 @@ def test_derivatives_at_rest_are_finite(x64):
     x = jnp.array([[0.0, 0.04, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.0], [0.35, 0.0, 0.0]])
     for gradient in jax.jit(jax.grad(total, argnums=(0, 1)))(x, jnp.zeros_like(x)):
         assert np.isfinite(gradient).all()
+
+
+def test_a_body_at_rest_does_not_rub_what_is_at_rest():
+    """In float32, far from the origin and with a short substep: no velocity comes from rounding."""
+    still = Pose(jnp.array([1.3, 0.7, -2.1]), jnp.eye(3))
+    block = Collider(shape=Box(half_size=jnp.array([0.5, 0.1, 0.5])), friction=0.7)
+    x = jnp.array([[1.37, 0.79, -2.03], [1.11, 0.795, -1.97]], jnp.float32)
+    law = PenaltyContact(stiffness=2e3, damping=100.0, friction_damping=10.0)
+    force = collider_force(block, law, cp.split_vector(x), cp.split_vector(jnp.zeros_like(x)), still, still, 1e-5)
+    np.testing.assert_array_equal(np.stack([force[0], force[2]]), 0.0)
+    assert float(force[1].min()) > 0.0
