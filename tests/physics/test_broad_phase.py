@@ -18,7 +18,7 @@ from rewax.physics.sdf import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sp
 from rewax.status import Status
 
 NUM_SUBSTEPS = 4
-BODIES = jnp.array([[0.25, 0.41, 0.3], [0.6, 0.6, 0.6], [0.35, 0.41, 0.3], [0.6, 0.1, 0.6], [0.3, 0.41, 0.35], [0.1, 0.6, 0.6]])
+BODIES = jnp.array([[0.25, 0.41, 0.3], [0.8, 0.9, 0.8], [0.35, 0.41, 0.3], [0.8, 0.1, 0.8], [0.3, 0.41, 0.35], [0.1, 0.9, 0.8]])
 
 
 def collider(shape, body):
