@@ -122,7 +122,7 @@ def make_scene(
     place only where particles can be while none moves by more than a cell within a step (not substep). It pays where
     a body fills little of its box; ``check_status`` tells when it was chosen too small.
 
-    ``max_near_colliders`` pays with many colliders (20 capsules of which 3 are near: twice as fast): of neighbours in
+    ``max_near_colliders`` pays with many colliders (20 capsules, 3 of them near: 1.5 times as fast): of neighbours in
     the tuple with shapes of one kind only so many are evaluated, those nearest to the particles. With
     the step's poses ``check_status`` tells when more were near. The two-way ``coupling`` evaluates all.
 
