@@ -59,9 +59,10 @@ def on_plane(cells: int) -> tuple[mpm.MPMScene, np.ndarray]:
 def _scene(
     spacing: float, shape: tuple[int, int, int], origin: tuple[float, float], colliders: Any, floor: Any
 ) -> mpm.MPMScene:
+    grid = Grid(shape=shape, spacing=spacing, origin=(origin[0] * spacing, origin[1] * spacing, -spacing))
+    dt = min(0.3 * spacing / float(sound_speed(MATERIAL) + 1.0), 0.9 * float(mpm.largest_stable_dt(MATERIAL, grid)))
     return mpm.make_scene(
-        grid=Grid(shape=shape, spacing=spacing, origin=(origin[0] * spacing, origin[1] * spacing, -spacing)),
-        dt=0.3 * spacing / float(sound_speed(MATERIAL) + 1.0), material=MATERIAL, particle_volume=(spacing / 2) ** 3,
+        grid=grid, dt=dt, material=MATERIAL, particle_volume=(spacing / 2) ** 3,
         colliders=colliders, walls=Walls(lower=(None, floor, held(spacing)), upper=(None, None, held(spacing))),
     )  # fmt: skip
 
