@@ -110,6 +110,12 @@ def test_numbers_do_not_promote():
     assert out.dtype == jnp.float16
 
 
+def test_equal_numbers_of_different_types_are_different_programs():
+    """1, 1.0 and True are equal and hash alike."""
+    which = recomputed(lambda x, number: x * {int: 2.0, float: 3.0, bool: 5.0}[type(number)])
+    assert [float(which(jnp.float32(1.0), number)) for number in (1, 1.0, True)] == [2.0, 3.0, 5.0]
+
+
 def test_second_derivatives_are_refused_with_the_reason():
     f = recomputed(jnp.sin)
     with pytest.raises(NotImplementedError, match="second derivatives"):
