@@ -2,7 +2,9 @@
 
 import dataclasses
 import functools
+import types
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +16,7 @@ from rewax import struct
 from rewax.agents import sapo
 from rewax.agents.returns import td_lambda
 from rewax.agents.sapo import SAPOConfig, make_sapo
-from rewax.envs.base import next_state
+from rewax.envs.base import Box, next_state
 
 HEALTHY, NAN_VALUE, NAN_GRADIENT, ENDING = range(4)
 LENGTH = 5
@@ -340,6 +342,22 @@ def test_more_passes_fit_better(start, data):
     assert loss[1] < 0.5 * loss[0]
 
 
+@pytest.mark.parametrize("chunk", [1, 4])
+def test_chunks_of_a_minibatch_add_up_to_its_update(start, data, chunk):
+    whole = CONFIG.num_envs * CONFIG.horizon // CONFIG.critic_minibatches
+    assert sapo._make_parts(ENV, CONFIG).critic_chunk == whole > chunk
+    expected, chunked = (
+        critic_update(critic_chunk=n)(start, data, jnp.float32(0.1))[::2] for n in (None, chunk)
+    )
+    chex.assert_trees_all_close(chunked, expected, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("num_points", "chunk"), [(2048, 2), (250, 16), (10, 256), (5000, 1)])
+def test_point_clouds_are_differentiated_as_many_at_a_time_as_fit_the_cache(num_points, chunk):
+    env = types.SimpleNamespace(observation_spec={"points": Box((num_points, 3)), "x": Box((7,))})
+    assert sapo._critic_chunk(SAPOConfig(), env) == chunk
+
+
 # --- Optimizers ------------------------------------------------------------------------------------------------------
 
 
@@ -389,6 +407,11 @@ def test_temperature_moves_entropy_towards_its_target(agent, start):
         ({"td_lambda": -0.1}, "td_lambda is -0.1: give a number between 0 and 1"),
         ({"actor_learning_rate": 0.0}, "actor_learning_rate is 0.0: give a positive number"),
         ({"initial_temperature": float("nan")}, "initial_temperature is nan: give a positive number"),
+        (
+            {"critic_chunk": 3},
+            "critic_chunk is 3, which does not divide a minibatch of 256 samples "
+            "\\(num_envs \\* horizon / critic_minibatches\\): choose a divisor, or None",
+        ),
         (
             {"num_envs": 3, "horizon": 5},
             "critic_minibatches is 4, which does not divide num_envs \\* horizon = 15: choose a divisor",
