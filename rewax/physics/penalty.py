@@ -21,6 +21,7 @@ class PenaltyContact(struct.Replaceable):
         integration follows it up to about one vertex mass per dt; far above, sliding reverses at Coulomb's limit.
       friction: Coulomb coefficient [-] of the ground, >= 0; colliders bring their own.
       radius: a vertex touches when its distance is below this [m], >= 0.
+      onset: depth over which both dampings rise to their full value [m]; 0: at once.
     """
 
     stiffness: Scalar
@@ -28,6 +29,7 @@ class PenaltyContact(struct.Replaceable):
     friction_damping: Scalar = 0.0
     friction: Scalar = 0.0
     radius: Scalar = 0.0
+    onset: Scalar = 0.0
 
 
 @struct.dataclass
@@ -88,7 +90,8 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
     """Force on vertices near a surface [N], components.
 
     With c = distance - radius < 0, v_n the normal and v_t the tangential velocity:
-    f = n f_n - v_t/|v_t| min(friction_damping |v_t|, friction |f_n|), f_n = -stiffness c - damping min(v_n, 0).
+    f = n f_n - v_t/|v_t| min(friction_damping |v_t|, friction |f_n|), f_n = -stiffness c - damping min(v_n, 0),
+    where both dampings are multiplied by min(-c / onset, 1).
 
     Args:
       contact: the law.
@@ -97,19 +100,22 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
       velocity: of vertices relative to the surface [m/s], components.
       friction: Coulomb coefficient [-].
 
-    Gradient: exact, zero-safe at rest. Damping and friction set in where the vertex touches: a step of height
-      damping |v_n| that no derivative sees; at Coulomb's limit the derivative is that of sticking.
+    Gradient: exact, zero-safe at rest. Without an onset, damping and friction set in where the vertex touches: a step of
+      height damping |v_n| that no derivative sees. At Coulomb's limit the derivative is that of sticking.
     Source: NVIDIA Warp's contact of particles with the ground.
     """
     c = distance - contact.radius
     v_n = cp.dot(normal, velocity)
-    push = jnp.where(c < 0, -contact.stiffness * c - contact.damping * jnp.minimum(v_n, 0.0), 0.0)
+    gradual = jnp.asarray(contact.onset) > 0
+    share = jnp.where(gradual, jnp.clip(-c / jnp.where(gradual, contact.onset, 1.0), 0.0, 1.0), 1.0)
+    push = jnp.where(c < 0, -contact.stiffness * c - share * contact.damping * jnp.minimum(v_n, 0.0), 0.0)
     v_t = cp.vector(lambda i: velocity[i] - v_n * normal[i])
     limit = friction * push
     square = cp.dot(v_t, v_t)
-    slides = contact.friction_damping * cp.safe_sqrt(square) > limit
+    friction_damping = share * contact.friction_damping
+    slides = friction_damping * cp.safe_sqrt(square) > limit
     speed = jnp.sqrt(jnp.where(slides, square, 1.0))
-    drag = jnp.where(slides, limit / speed, jnp.where(c < 0, contact.friction_damping, 0.0))
+    drag = jnp.where(slides, limit / speed, jnp.where(c < 0, friction_damping, 0.0))
     return cp.vector(lambda i: push * normal[i] - drag * v_t[i])
 
 

@@ -14,7 +14,7 @@ from rewax.types import Array
 T = TypeVar("T")
 
 
-def recomputed(function: Callable[..., T]) -> Callable[..., T]:
+def recomputed(function: Callable[..., T], surrogate: Callable[..., T] | None = None) -> Callable[..., T]:
     """``function`` with its forward and reverse derivative as one operation each that evaluates it again.
 
     What ``jax.checkpoint`` does for memory this does too. In addition the function is traced once for its value and
@@ -23,6 +23,9 @@ def recomputed(function: Callable[..., T]) -> Callable[..., T]:
 
     Args:
       function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument.
+      surrogate: what to differentiate instead, called as ``surrogate(result, *args)`` with what ``function(*args)``
+        returned. Its derivative by ``args`` must be that of ``function``: for the result of an iteration, which need not
+        be run again, as the implicit function theorem gives it. None: ``function`` itself.
 
     Gradient: exact, forward and reverse, once (no second derivatives).
     """
@@ -34,7 +37,7 @@ def recomputed(function: Callable[..., T]) -> Callable[..., T]:
         # With their types: 1, 1.0 and True are equal, but make different programs.
         constants = tuple((type(leaf), leaf) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves)
         arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
-        program = _Program(function, treedef, constants, (), ())
+        program = _Program(function, surrogate, treedef, constants, (), ())
         return jax.tree.unflatten(program.out_tree(arrays), _call(program, *arrays))
 
     return call
@@ -72,6 +75,7 @@ class _Program(NamedTuple):
     """A function of flat arrays, under any number of ``vmap``."""
 
     function: Callable[..., Any]
+    surrogate: Callable[..., Any] | None
     treedef: Any
     constants: tuple[Any, ...]
     """For each leaf of the arguments: type and value if it is a Python number, None if it is an array."""
@@ -83,10 +87,12 @@ class _Program(NamedTuple):
     def batched(self, which: tuple[bool, ...]) -> "_Program":
         return self._replace(batches=(*self.batches, which))
 
-    def apply(self, arrays: Arrays) -> Any:
+    def arguments(self, arrays: Arrays) -> Any:
         rest = iter(arrays)
-        leaves = [next(rest) if c is None else c[1] for c in self.constants]
-        return self.function(*jax.tree.unflatten(self.treedef, leaves))
+        return jax.tree.unflatten(self.treedef, [next(rest) if c is None else c[1] for c in self.constants])
+
+    def apply(self, arrays: Arrays) -> Any:
+        return self.function(*self.arguments(arrays))
 
     def out_tree(self, arrays: list[Array]) -> Any:
         shapes = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, arrays))
@@ -99,12 +105,17 @@ class _Program(NamedTuple):
         return function
 
     def of_perturbed(self, arrays: Arrays) -> tuple[Callable[..., Arrays], Arrays]:
-        """The function of the perturbed arrays alone, and their values."""
+        """What to differentiate, as a function of the perturbed arrays alone, and their values."""
+        count = len(self.perturbed)
+        arrays, result = arrays[:count], arrays[count:]
 
         def function(*values: Array) -> Arrays:
             rest = iter(values)
             merged = tuple(next(rest) if p else a for a, p in zip(arrays, self.perturbed, strict=True))
-            return tuple(jax.tree.leaves(self.apply(merged)))
+            if self.surrogate is None:
+                return tuple(jax.tree.leaves(self.apply(merged)))
+            known = jax.tree.unflatten(self.out_tree(list(merged)), result)
+            return tuple(jax.tree.leaves(self.surrogate(known, *self.arguments(merged))))
 
         return function, tuple(a for a, p in zip(arrays, self.perturbed, strict=True) if p)
 
@@ -125,7 +136,8 @@ def _call_jvp(program: _Program, arrays: Arrays, tangents: Arrays) -> tuple[Arra
     program = program._replace(perturbed=perturbed)
     linear = [t for t, p in zip(tangents, perturbed, strict=True) if p]
     out = _call(program._replace(perturbed=()), *arrays)
-    return out, linear_pass(_tangent, _cotangent, program, arrays, linear, like=out)
+    known = () if program.surrogate is None else tuple(out)
+    return out, linear_pass(_tangent, _cotangent, program, (*arrays, *known), linear, like=out)
 
 
 _call.defjvp(_call_jvp, symbolic_zeros=True)

@@ -1,0 +1,179 @@
+"""Constraint forces of articulated bodies: a convex problem in the joint accelerations, and its derivative.
+
+Each row of the constraints answers the acceleration J a of its contact, limit or friction with the force of a spring
+that is bounded from both sides, f = clip(-D (J a - a_ref), lower, upper): without bounds for an equality, between minus and
+plus the dry friction of a joint, and never negative for a contact or a limit. Accelerations are where all forces balance,
+
+    M a = force + J^T f(a),
+
+the minimum of a strictly convex, piecewise quadratic function. Newton's method with an exact line search finds it in a
+few steps and knows when it is there: a full step that clips the same rows as before is exact.
+
+Source: Todorov 2014, Convex and analytically-invertible dynamics with contacts and constraints, section IV (primal form,
+pyramidal cones), as in MuJoCo's Newton solver; the line search over the kinks is our own.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.types import Array
+
+
+class Rows(NamedTuple):
+    """Constraints, one per row."""
+
+    jacobian: Array
+    """J, shape (num_rows, num_dofs)."""
+    stiffness: Array
+    """D > 0: force per unit of missed acceleration, shape (num_rows,)."""
+    target: Array
+    """a_ref: acceleration at which the force is zero, shape (num_rows,)."""
+    lower: Array
+    """Smallest force, -inf where there is none, shape (num_rows,)."""
+    upper: Array
+    """Largest force, inf where there is none, shape (num_rows,)."""
+
+
+def row_forces(rows: Rows, qacc: Array) -> Array:
+    """Force of each constraint at given accelerations, shape (num_rows,). Gradient: exact, zero where clipped."""
+    return _forces(rows, _dot(rows.jacobian, qacc) - rows.target)
+
+
+def curvature(mass: Array, rows: Rows, qacc: Array) -> Array:
+    """M + J^T D J over the rows that are not clipped, shape (num_dofs, num_dofs): symmetric, positive definite."""
+    return _curvature(mass, rows, _free(rows, _dot(rows.jacobian, qacc) - rows.target))
+
+
+def solve_accelerations(
+    mass: Array, force: Array, rows: Rows, start: Array, *, max_iterations: int, num_bounded: int
+) -> Array:
+    """Joint accelerations a with M a = force + J^T f(a), shape (num_dofs,).
+
+    Args:
+      mass: M, symmetric, positive definite, shape (num_dofs, num_dofs).
+      force: generalized forces without those of the constraints, shape (num_dofs,).
+      rows: the constraints.
+      start: first guess, shape (num_dofs,); only the number of iterations depends on it.
+      max_iterations: bound on Newton's steps.
+      num_bounded: so many of the first rows can have a finite upper bound.
+
+    Gradient: none; see ``implicit_correction``.
+    """
+    if rows.jacobian.shape[0] == 0:
+        return solve_spd(mass, force)
+
+    class Iterate(NamedTuple):
+        qacc: Array
+        missed: Array
+        free: Array
+        count: Array
+        done: Array
+
+    def step(at: Iterate) -> Iterate:
+        gradient = _dot(mass, at.qacc) - force - _dot(rows.jacobian.T, _forces(rows, at.missed))
+        direction = -solve_spd(_curvature(mass, rows, at.free), gradient)
+        change = _dot(rows.jacobian, direction)
+        slope, curve = jnp.sum(direction * gradient), jnp.sum(direction * _dot(mass, direction))
+        length = _exact_line_search(rows, at.missed, change, slope, curve, num_bounded)
+        qacc = at.qacc + length * direction
+        missed = _dot(rows.jacobian, qacc) - rows.target
+        free = _free(rows, missed)
+        small = jnp.max(jnp.abs(direction)) <= 4 * jnp.finfo(qacc.dtype).eps * (1.0 + jnp.max(jnp.abs(qacc)))
+        return Iterate(qacc, missed, free, at.count + 1, small | jnp.all(free == at.free))
+
+    missed = _dot(rows.jacobian, start) - rows.target
+    begin = Iterate(start, missed, _free(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+    return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
+
+
+def implicit_correction(matrix: Array, residual: Array) -> Array:
+    """matrix^-1 residual, shape (n,), for a residual that is zero and whose derivative is not.
+
+    ``a - implicit_correction(curvature, M a - force - J^T f(a))``, with a and the matrix held fixed, has the value of a
+    and, by the implicit function theorem, the derivative of the solution.
+
+    Args:
+      matrix: symmetric, positive definite, shape (n, n); no derivative is taken of it.
+      residual: shape (n,).
+
+    Gradient: forward and reverse, with respect to the residual.
+    """
+    matrix = jax.lax.stop_gradient(matrix)
+    return jax.lax.custom_linear_solve(
+        lambda x: _dot(matrix, x), residual, lambda _, b: solve_spd(matrix, b), symmetric=True
+    )
+
+
+def solve_spd(matrix: Array, vector: Array) -> Array:
+    """x with matrix x = vector, for a symmetric, positive definite matrix, shape (n,).
+
+    Gauss-Jordan elimination, which needs no pivots here, in one small loop: batches of LAPACK's Cholesky can wait for
+    each other for ever on a CPU (jaxlib 0.10). Gradient: none.
+    """
+    table = jnp.concatenate([matrix, vector[:, None]], axis=1)
+    index = np.arange(len(vector))
+
+    def eliminate(k: Array, table: Array) -> Array:
+        column = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=1)
+        pivot_row = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=0)
+        pivot = jax.lax.dynamic_slice(pivot_row, (0, k), (1, 1))
+        return table - (column - (index == k)[:, None]) * (pivot_row / pivot)
+
+    return jax.lax.fori_loop(0, len(vector), eliminate, table)[:, -1]
+
+
+def _forces(rows: Rows, missed: Array) -> Array:
+    return jnp.clip(-rows.stiffness * missed, rows.lower, rows.upper)
+
+
+def _free(rows: Rows, missed: Array) -> Array:
+    """Rows whose force is not clipped."""
+    force = -rows.stiffness * missed
+    return (force > rows.lower) & (force < rows.upper)
+
+
+def _curvature(mass: Array, rows: Rows, free: Array) -> Array:
+    return mass + _dot(rows.jacobian.T, jnp.where(free, rows.stiffness, 0.0)[:, None] * rows.jacobian)
+
+
+def _exact_line_search(rows: Rows, missed: Array, change: Array, slope: Array, curve: Array, num_bounded: int) -> Array:
+    """Step length at which the cost along a direction is least, shape ().
+
+    Args:
+      rows: the constraints.
+      missed: J a - a_ref, and its change per unit of length, shape (num_rows,).
+      change: J times the direction.
+      slope: derivative of the whole cost at length 0, negative.
+      curve: curvature of its quadratic part without the constraints.
+      num_bounded: so many of the first rows can have a finite upper bound.
+
+    The derivative grows piecewise linearly, with kinks where a row begins or ceases to be clipped. It is evaluated at all
+    kinks; between the last where it is negative and the first where it is not it is a line.
+    """
+    begin = _forces(rows, missed)
+
+    def derivative(lengths: Array) -> Array:
+        forces = _forces(rows, missed + lengths[:, None] * change)
+        return slope + lengths * curve - jnp.sum(change * (forces - begin), axis=-1)
+
+    def kinks(bound: Array) -> Array:
+        count = len(bound)
+        finite = (change[:count] != 0) & jnp.isfinite(bound)
+        at = -jnp.where(finite, bound, 0.0) / rows.stiffness[:count] - missed[:count]
+        return jnp.maximum(jnp.where(finite, at / jnp.where(finite, change[:count], 1.0), 0.0), 0.0)
+
+    lengths = jnp.concatenate([kinks(rows.lower), kinks(rows.upper[:num_bounded])])
+    rising = derivative(lengths) > 0
+    low = jnp.max(jnp.where(rising, 0.0, lengths))
+    high = jnp.min(jnp.where(rising, lengths, jnp.inf))
+    inside = jnp.where(jnp.isfinite(high), 0.5 * (low + high), low + 1.0)
+    free = _free(rows, missed + inside * change)
+    steepness = curve + jnp.sum(jnp.where(free, rows.stiffness * change * change, 0.0))
+    return jnp.clip(low - derivative(low[None])[0] / steepness, low, high)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
