@@ -1,16 +1,17 @@
 """Constraint forces of articulated bodies: a convex problem in the joint accelerations, and its derivative.
 
 Each row of the constraints answers the acceleration J a of its contact, limit or friction with the force of a spring
-that is bounded from both sides, f = clip(-D (J a - a_ref), lower, upper): without bounds for an equality, between minus and
-plus the dry friction of a joint, and never negative for a contact or a limit. Accelerations are where all forces balance,
+that is bounded from both sides, f = clip(-D (J a - a_ref), lower, upper): without bounds for an equality, between
+minus and plus the dry friction of a joint, and never negative for a contact or a limit. Accelerations are where all
+forces balance,
 
     M a = force + J^T f(a),
 
 the minimum of a strictly convex, piecewise quadratic function. Newton's method with an exact line search finds it in a
 few steps and knows when it is there: a full step that clips the same rows as before is exact.
 
-Source: Todorov 2014, Convex and analytically-invertible dynamics with contacts and constraints, section IV (primal form,
-pyramidal cones), as in MuJoCo's Newton solver; the line search over the kinks is our own.
+Source: Todorov 2014, Convex and analytically-invertible dynamics with contacts and constraints, section IV (primal
+form, pyramidal cones), as in MuJoCo's Newton solver; the line search over the kinks is our own.
 """
 
 from typing import NamedTuple
@@ -150,8 +151,8 @@ def _exact_line_search(rows: Rows, missed: Array, change: Array, slope: Array, c
       curve: curvature of its quadratic part without the constraints.
       num_bounded: so many of the first rows can have a finite upper bound.
 
-    The derivative grows piecewise linearly, with kinks where a row begins or ceases to be clipped. It is evaluated at all
-    kinks; between the last where it is negative and the first where it is not it is a line.
+    The derivative grows piecewise linearly, with kinks where a row begins or ceases to be clipped. It is evaluated at
+    all kinks; between the last where it is negative and the first where it is not it is a line.
     """
     begin = _forces(rows, missed)
 

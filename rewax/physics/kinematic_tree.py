@@ -7,7 +7,7 @@ Conventions are MuJoCo's: free and ball joints are unit quaternions (w, x, y, z)
 joints are in the body's frame, spatial vectors are [angular, linear] in world axes about the centre of mass of the
 body's whole tree, which keeps rounding small far from the origin.
 
-Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5 and 6; the layout is that of MuJoCo's documentation.
+Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5 and 6; layout as in MuJoCo's documentation.
 """
 
 import dataclasses
@@ -45,7 +45,7 @@ class Topology:
       ancestors: links 2^k steps towards the world, one array of shape (num_links,) per round.
       body_link: last link of each body, whose frame is the body's, shape (num_bodies,).
       body_root: the outermost moving ancestor of each body, shape (num_bodies,).
-      dof_body, dof_link: body and link of each degree of freedom; of a translation of a free joint the link is the world.
+      dof_body, dof_link: body and link of each degree of freedom; the link of a free joint's translation is the world.
       dof_axis: local axis where no joint axis gives it (free and ball joints), shape (num_dofs, 3).
       dof_joint: joint of each degree of freedom.
       dof_turns: whether it turns or slides, shape (num_dofs,).
@@ -319,7 +319,7 @@ def mass_matrix(topology: Topology, parameters: TreeParameters, kin: Kinematics)
     composite = _dot(topology.subtree, spatial.reshape(num_bodies, 36)).reshape(num_bodies, 6, 6)
     force = rotate(select(topology.dof_body, composite), kin.axes)
     carries = topology.moves[topology.dof_body] * np.tri(num_dofs, k=-1)  # earlier dofs that move another's body
-    lower = carries * _dot(force, kin.axes.T)
+    lower = _dot(force, kin.axes.T) * carries
     return lower + lower.T + jnp.diag(jnp.sum(force * kin.axes, axis=-1) + parameters.dof_armature)
 
 

@@ -100,8 +100,8 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
       velocity: of vertices relative to the surface [m/s], components.
       friction: Coulomb coefficient [-].
 
-    Gradient: exact, zero-safe at rest. Without an onset, damping and friction set in where the vertex touches: a step of
-      height damping |v_n| that no derivative sees. At Coulomb's limit the derivative is that of sticking.
+    Gradient: exact, zero-safe at rest. Without an onset, damping and friction set in where the vertex touches: a step
+      of height damping |v_n| that no derivative sees. At Coulomb's limit the derivative is that of sticking.
     Source: NVIDIA Warp's contact of particles with the ground.
     """
     c = distance - contact.radius

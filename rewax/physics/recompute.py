@@ -24,8 +24,8 @@ def recomputed(function: Callable[..., T], surrogate: Callable[..., T] | None = 
     Args:
       function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument.
       surrogate: what to differentiate instead, called as ``surrogate(result, *args)`` with what ``function(*args)``
-        returned. Its derivative by ``args`` must be that of ``function``: for the result of an iteration, which need not
-        be run again, as the implicit function theorem gives it. None: ``function`` itself.
+        returned. Its derivative by ``args`` must be that of ``function``: for the result of an iteration, which need
+        not be run again, as the implicit function theorem gives it. None: ``function`` itself.
 
     Gradient: exact, forward and reverse, once (no second derivatives).
     """

@@ -1,18 +1,20 @@
 """Articulated rigid bodies from MJCF models: load, step, poses, velocities, wrenches.
 
-The only file that imports MuJoCo and MJX. MJX reads the model and does collision detection, the rows of the constraints,
-actuators and passive forces; kinematics and dynamics (``kinematic_tree``) and the solve (``constraint_solver``) are ours,
-with a derivative by the implicit function theorem: the backward pass neither repeats nor differentiates the solver.
+The only file that imports MJX. MJX reads the model and does collision detection, the rows of the constraints,
+actuators and passive forces; kinematics and dynamics (``kinematic_tree``) and the solve (``constraint_solver``) are
+ours, with a derivative by the implicit function theorem: the backward pass neither repeats nor differentiates the
+solver.
 
 Contact follows one of two laws: MuJoCo's soft constraints, or springs and dampers with regularised Coulomb friction
 (``Penalty``), as the simulators have it that first-order reinforcement learning began with.
 """
 
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
 import contextlib
 import hashlib
 import io
 import logging
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,13 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.physics import constraint_solver, kinematic_tree
+from rewax.physics import constraint_solver, kinematic_tree, mjcf
 from rewax.physics.colliders import Pose
-from rewax.physics.components import join_vector, split_vector
 from rewax.physics.constraint_solver import Rows
 from rewax.physics.kinematic_tree import Kinematics, Topology, TreeParameters
-from rewax.physics.penalty import PenaltyContact, penalty_force
 from rewax.physics.recompute import recomputed
+from rewax.physics.rigid_penalty import Penalty, contact_wrenches, limit_forces
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
@@ -50,29 +51,6 @@ PARAMETERS = (
 """Fields of MuJoCo's model that are leaves of ``RigidModel``; everything else about a model is static."""
 
 
-@struct.dataclass
-class Penalty(struct.Replaceable):
-    """Contact and joint limits as springs and dampers, explicit in time.
-
-    Friction coefficients are the geoms' own. Explicit integration bounds stiffness and damping: roughly
-    stiffness dt^2 < mass and damping dt < mass.
-
-    Attributes:
-      stiffness: normal force per penetration [N/m].
-      damping: normal force per approaching speed [N s/m].
-      friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m].
-      onset: depth over which both dampings rise to their full value [m]; 0: at once, a step in time that no gradient sees.
-      limit_stiffness, limit_damping: of joint limits, per angle or distance beyond them and per rate [N m/rad, N m s/rad].
-    """
-
-    stiffness: Array | float
-    damping: Array | float = 0.0
-    friction_damping: Array | float = 0.0
-    onset: Array | float = 0.0
-    limit_stiffness: Array | float = 1e3
-    limit_damping: Array | float = 10.0
-
-
 class _Model:
     """The static part of a ``RigidModel``: two of the same MJCF are equal."""
 
@@ -88,8 +66,8 @@ class _Model:
             self.mjx = mjx.put_model(compiled, impl="jax")
             self.data = mjx.make_data(compiled, impl="jax")
         self.has_contacts = self.data._impl.ncon > 0
-        self.has_damping = bool(np.any(compiled.dof_damping)) and not _disabled(compiled, "EULERDAMP")
-        self.num_bounded = self.data._impl.ne + self.data._impl.nf
+        self.has_damping = bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
+        self.num_bounded = int(self.data._impl.ne + self.data._impl.nf)
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -103,8 +81,8 @@ class RigidModel(struct.Replaceable):
     """A tree of rigid bodies; build it with ``load``.
 
     Attributes:
-      parameters: MuJoCo's fields named in ``PARAMETERS``, as leaves: differentiate with respect to them, vmap over them,
-        change them without compiling again. What MuJoCo derives from them (inverse weights, subtree masses) stays.
+      parameters: MuJoCo's fields named in ``PARAMETERS``, as leaves: differentiate with respect to them, vmap over
+        them, change them without compiling again. What MuJoCo derives from them (inverse weights) stays as it is.
       gravity: [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
       static: everything else.
@@ -154,7 +132,7 @@ class RigidModel(struct.Replaceable):
                 raise ValueError(f"a rigid model has no parameter {name!r}: known are {', '.join(self.parameters)}")
             if jnp.shape(value) != self.parameters[name].shape:
                 raise ValueError(
-                    f"{name} has shape {jnp.shape(value)}: give one of shape {self.parameters[name].shape}, as in the model"
+                    f"{name} has shape {jnp.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
                 )
         return self.replace(parameters={**self.parameters, **changes})
 
@@ -180,7 +158,8 @@ class RigidState(struct.Replaceable):
       qpos: joint positions [m, rad, unit quaternions (w, x, y, z)], shape (num_positions,).
       qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
       act: activations of actuators that have a state, shape (num_activations,).
-      qacc: accelerations of the last substep [m/s^2, rad/s^2], shape (num_dofs,): where the next solve begins. No gradient.
+      qacc: accelerations of the last substep [m/s^2, rad/s^2], shape (num_dofs,): where the next solve begins. No
+        gradient.
     """
 
     qpos: Array
@@ -201,8 +180,8 @@ def load(source: Any, *, penalty: Penalty | None = None) -> RigidModel:
     Raises:
       ValueError: it cannot be read, or uses something that is not supported; the message says what and where.
     """
-    compiled = _compile(source)
-    _check(compiled, penalty)
+    compiled = mjcf.compile_model(source)
+    mjcf.check_model(compiled, penalty=penalty is not None)
     try:
         static = _Model(compiled)
     except (NotImplementedError, AssertionError) as error:
@@ -289,7 +268,7 @@ def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]
     """
     kin = _kinematics(model, state.qpos)
     twist = kinematic_tree.body_velocities(model.static.topology, kin, state.qvel)
-    return kinematic_tree.point_velocities(kin, twist, np.arange(model.num_bodies), kin.position), twist[:, :3]
+    return kinematic_tree.point_velocities(kin, twist, jnp.arange(model.num_bodies), kin.position), twist[:, :3]
 
 
 def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
@@ -304,7 +283,7 @@ def contact_distances(model: RigidModel, state: RigidState) -> Array:
 
 
 def check_status(state: RigidState, max_speed: float = 1e3) -> Array:
-    """Bits of ``Status``: NAN where a number is not finite, CFL where a velocity exceeds ``max_speed``; shape (), int32."""
+    """Bits of ``Status``, int32: NAN for a number that is not finite, CFL for a velocity above ``max_speed``."""
     fast = jnp.any(jnp.abs(state.qvel) > max_speed)
     return flag(~all_finite((state.qpos, state.qvel)), Status.NAN) | flag(fast, Status.CFL)
 
@@ -367,7 +346,7 @@ def _applied_forces(
     if model.static.mj.ntendon:
         d = mjx.tendon(m, d)
     d = mjx.transmission(m, d)
-    d = d.tree_replace(
+    d: Any = d.tree_replace(
         {
             "_impl.actuator_velocity": d._impl.actuator_moment @ d.qvel,
             "_impl.ten_velocity": d._impl.ten_J @ d.qvel,
@@ -378,48 +357,34 @@ def _applied_forces(
     torque = wrenches[:, 3:] + kinematic_tree.cross(arm, wrenches[:, :3])
     external = jnp.concatenate([torque, wrenches[:, :3]], axis=-1)
     if model.penalty is not None:
-        external = external + _penalty_wrenches(model, model.penalty, kin, m, d, twist)
+        external = external + _contact_wrenches(model, model.penalty, kin, m, d, twist)
     force = d.qfrc_passive + d.qfrc_actuator + kinematic_tree.generalized_forces(topology, kin, external)
     if model.penalty is not None:
-        force = force + _limit_forces(model, model.penalty, d.qpos, d.qvel)
+        mj = model.static.mj
+        joint = np.flatnonzero(mj.jnt_limited)
+        position, dof = mj.jnt_qposadr[joint], mj.jnt_dofadr[joint]
+        limits = limit_forces(model.penalty, model.parameters["jnt_range"][joint], d.qpos[position], d.qvel[dof])
+        force = force.at[dof].add(limits)
     return force, d.act_dot
 
 
-def _penalty_wrenches(
+def _contact_wrenches(
     model: RigidModel, penalty: Penalty, kin: Kinematics, m: mjx.Model, d: mjx.Data, twist: Array
 ) -> Array:
-    """Wrenches of all contacts on all bodies, shape (num_bodies, 6)."""
+    """Wrenches of all contacts on all bodies under the penalty law, shape (num_bodies, 6)."""
     if not model.static.has_contacts:
         return jnp.zeros_like(twist)
     contact = mjx.collision(m, d)._impl.contact
-    first, second = (jnp.asarray(model.static.mj.geom_bodyid)[contact.geom[:, i]] for i in (0, 1))
-    sliding = kinematic_tree.point_velocities(kin, twist, second, contact.pos)
-    sliding = sliding - kinematic_tree.point_velocities(kin, twist, first, contact.pos)
-    law = PenaltyContact(
-        stiffness=penalty.stiffness,
-        damping=penalty.damping,
-        friction_damping=penalty.friction_damping,
-        onset=penalty.onset,
+    return contact_wrenches(
+        penalty,
+        kin,
+        twist,
+        distance=contact.dist - contact.includemargin,
+        point=contact.pos,
+        normal=contact.frame[:, 0],
+        friction=jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0),
+        bodies=jnp.asarray(model.static.mj.geom_bodyid)[contact.geom],
     )
-    friction = jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0)
-    normal = split_vector(contact.frame[:, 0])
-    force = penalty_force(law, contact.dist - contact.includemargin, normal, split_vector(sliding), friction)
-    force = join_vector(force)
-    body, place = jnp.concatenate([second, first]), jnp.concatenate([contact.pos, contact.pos])
-    return kinematic_tree.wrenches_at(kin, body, place, jnp.concatenate([force, -force]), model.num_bodies)
-
-
-def _limit_forces(model: RigidModel, penalty: Penalty, qpos: Array, qvel: Array) -> Array:
-    """Forces of joint limits, shape (num_dofs,)."""
-    mj = model.static.mj
-    joints = np.flatnonzero(mj.jnt_limited)
-    if len(joints) == 0:
-        return jnp.zeros_like(qvel)
-    lower, upper = model.parameters["jnt_range"][joints].T
-    q, v = qpos[mj.jnt_qposadr[joints]], qvel[mj.jnt_dofadr[joints]]
-    beyond = jnp.minimum(q - lower, 0.0) + jnp.maximum(q - upper, 0.0)
-    force = jnp.where(beyond != 0, -penalty.limit_stiffness * beyond - penalty.limit_damping * v, 0.0)
-    return jnp.zeros_like(qvel).at[mj.jnt_dofadr[joints]].set(force)
 
 
 def _rows(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Rows:
@@ -525,97 +490,7 @@ def _next_activations(model: RigidModel, act: Array, act_dot: Array) -> Array:
     return jnp.clip(act + jnp.asarray(span, act.dtype) * act_dot, low, high).astype(act.dtype)
 
 
-# --- Reading and checking models --------------------------------------------------------------------------------------
-
-
-def _compile(source: Any) -> mujoco.MjModel:
-    try:
-        if isinstance(source, mujoco.MjModel):
-            return source
-        if isinstance(source, mujoco.MjSpec):
-            return source.compile()
-        if isinstance(source, str) and source.lstrip().startswith("<"):
-            return mujoco.MjModel.from_xml_string(source)
-        if isinstance(source, (str, Path)):
-            if not Path(source).is_file():
-                raise ValueError(
-                    f"there is no MJCF file {str(source)!r}: give a path, MJCF text, an MjSpec or an MjModel"
-                )
-            return mujoco.MjModel.from_xml_path(str(source))
-    except ValueError as error:
-        raise ValueError(f"the model cannot be read: {error}") from error
-    raise ValueError(f"a {type(source).__name__} is not a model: give a path, MJCF text, an MjSpec or an MjModel")
-
-
-def _disabled(mj: mujoco.MjModel, name: str) -> bool:
-    return bool(mj.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
-
-
-def _check(mj: mujoco.MjModel, penalty: Penalty | None) -> None:
-    """Raise a ValueError that names what this core, or MJX, would get wrong or ignore in silence."""
-    equality, transmission = mujoco.mjtEq, mujoco.mjtTrn
-    dynamics, gain, bias = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
-
-    def named(kind: str, wrong: Any) -> str:
-        number = int(np.flatnonzero(wrong)[0])
-        name = mujoco.mj_id2name(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number)
-        return f"{kind} {name!r}" if name else f"{kind} number {number}"
-
-    def polynomial(name: str) -> Any:
-        value = getattr(mj, name, None)
-        return np.zeros(1, bool) if value is None else np.any(np.asarray(value) != 0, axis=tuple(range(1, np.ndim(value))))
-
-    def outside(kinds: np.ndarray, *allowed: int) -> Any:
-        return ~np.isin(kinds, [int(a) for a in allowed])
-
-    joint_of_dof = np.zeros(mj.njnt, bool)
-    joint_of_dof[mj.dof_jntid[np.flatnonzero(polynomial("dof_dampingpoly"))]] = True
-    wrong_actuators = (
-        (outside(mj.actuator_trntype, transmission.mjTRN_JOINT, transmission.mjTRN_JOINTINPARENT, transmission.mjTRN_SITE, transmission.mjTRN_TENDON), "transmission", "drive a joint, a site or a tendon"),
-        (outside(mj.actuator_dyntype, dynamics.mjDYN_NONE, dynamics.mjDYN_INTEGRATOR, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT, dynamics.mjDYN_MUSCLE), "dynamics", "use none, integrator, filter, filterexact or muscle"),
-        (outside(mj.actuator_gaintype, gain.mjGAIN_FIXED, gain.mjGAIN_AFFINE, gain.mjGAIN_MUSCLE), "gain", "use fixed, affine or muscle"),
-        (outside(mj.actuator_biastype, bias.mjBIAS_NONE, bias.mjBIAS_AFFINE, bias.mjBIAS_MUSCLE), "bias", "use none, affine or muscle"),
-        (mj.actuator_actearly != 0, "actearly", "remove it"),
-    )  # fmt: skip
-    if mj.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
-        name = mujoco.mjtIntegrator(mj.opt.integrator).name.removeprefix("mjINT_")
-        raise ValueError(f'the model\'s integrator is {name}: write <option integrator="Euler"/>')
-    if penalty is None and mj.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
-        raise ValueError(
-            "the model's friction cone is elliptic, for which gradients are not finite: write "
-            '<option cone="pyramidal"/>, or load it with a Penalty'
-        )
-    if mj.nmocap:
-        raise ValueError(
-            f"{named('body', mj.body_mocapid >= 0)} is a mocap body, which is not supported: give it a joint and an actuator"
-        )
-    if mj.nflex or mj.nplugin:
-        raise ValueError("the model has flexes or plugins, which are not supported: remove them")
-    for wrong, what, remedy in wrong_actuators:
-        if np.any(wrong):
-            raise ValueError(f"{named('actuator', wrong)} has a {what} that is not supported: {remedy}")
-    for wrong, kind, what in (
-        (polynomial("jnt_stiffnesspoly"), "joint", "a nonlinear stiffness"),
-        (joint_of_dof, "joint", "a nonlinear damping"),
-        (polynomial("tendon_stiffnesspoly"), "tendon", "a nonlinear stiffness"),
-        (polynomial("tendon_dampingpoly"), "tendon", "a nonlinear damping"),
-        (mj.tendon_armature != 0, "tendon", "an armature"),
-    ):
-        if np.any(wrong):
-            raise ValueError(f"{named(kind, wrong)} has {what}, which is not supported: remove it")
-    wrong = outside(mj.eq_type, equality.mjEQ_CONNECT, equality.mjEQ_JOINT, equality.mjEQ_TENDON)
-    if np.any(wrong):
-        raise ValueError(
-            f"{named('equality', wrong)} is of a kind that is not supported: use connect, joint or tendon constraints"
-        )
-    if penalty is not None:
-        if np.any(mj.jnt_limited & (mj.jnt_type == mujoco.mjtJoint.mjJNT_BALL)):
-            raise ValueError("a ball joint has a limit, which the penalty law does not know: remove it")
-        if mj.neq or np.any(mj.dof_frictionloss) or np.any(mj.tendon_limited) or np.any(mj.tendon_frictionloss):
-            raise ValueError(
-                "the model has equality constraints, dry friction or tendon limits, which the penalty law does not know: "
-                "remove them, or load it without a Penalty"
-            )
+# --- Arguments --------------------------------------------------------------------------------------------------------
 
 
 def _check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:

@@ -1,0 +1,133 @@
+"""MJCF models: read them, and say clearly what is not supported."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+
+def compile_model(source: Any) -> mujoco.MjModel:
+    """MuJoCo's model of an MJCF file's path, of MJCF text or of a ``mujoco.MjSpec``; a ``mujoco.MjModel`` as it is.
+
+    Raises:
+      ValueError: it is none of these, or cannot be read.
+    """
+    try:
+        if isinstance(source, mujoco.MjModel):
+            return source
+        if isinstance(source, mujoco.MjSpec):
+            return source.compile()
+        if isinstance(source, str) and source.lstrip().startswith("<"):
+            return mujoco.MjModel.from_xml_string(source)
+        if isinstance(source, (str, Path)):
+            if not Path(source).is_file():
+                raise ValueError(
+                    f"there is no MJCF file {str(source)!r}: give a path, MJCF text, an MjSpec or an MjModel"
+                )
+            return mujoco.MjModel.from_xml_path(str(source))
+    except ValueError as error:
+        raise ValueError(f"the model cannot be read: {error}") from error
+    raise ValueError(f"a {type(source).__name__} is not a model: give a path, MJCF text, an MjSpec or an MjModel")
+
+
+def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
+    """Whether the model disables what MuJoCo's flag ``mjDSBL_<name>`` stands for."""
+    return bool(mj.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
+
+
+def check_model(mj: mujoco.MjModel, *, penalty: bool) -> None:
+    """Raise a ValueError that names what would be computed wrongly, or ignored in silence.
+
+    Args:
+      mj: the model.
+      penalty: whether contacts and limits are springs and dampers instead of MuJoCo's constraints.
+    """
+    _check_options(mj, penalty)
+    _check_actuators(mj)
+    _check_joints_and_tendons(mj)
+    _check_constraints(mj, penalty)
+
+
+def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
+    if mj.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+        name = mujoco.mjtIntegrator(mj.opt.integrator).name.removeprefix("mjINT_")
+        raise ValueError(f"the model's integrator is {name}: write <option integrator='Euler'/>")
+    if not penalty and mj.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
+        raise ValueError(
+            "the model's friction cone is elliptic, for which gradients are not finite: write "
+            "<option cone='pyramidal'/>, or load it with a Penalty"
+        )
+    if mj.nmocap:
+        body = _named(mj, "body", mj.body_mocapid >= 0)
+        raise ValueError(f"{body} is a mocap body, which is not supported: give it a joint and an actuator")
+    if mj.nflex or mj.nplugin:
+        raise ValueError("the model has flexes or plugins, which are not supported: remove them")
+
+
+def _check_actuators(mj: mujoco.MjModel) -> None:
+    for field, prefix, kinds in (
+        ("actuator_trntype", "mjTRN", ("JOINT", "JOINTINPARENT", "SITE", "TENDON")),
+        ("actuator_dyntype", "mjDYN", ("NONE", "INTEGRATOR", "FILTER", "FILTEREXACT", "MUSCLE")),
+        ("actuator_gaintype", "mjGAIN", ("FIXED", "AFFINE", "MUSCLE")),
+        ("actuator_biastype", "mjBIAS", ("NONE", "AFFINE", "MUSCLE")),
+    ):
+        enum = getattr(mujoco, f"mjt{prefix.removeprefix('mj').capitalize()}")
+        wrong = ~np.isin(getattr(mj, field), [int(getattr(enum, f"{prefix}_{kind}")) for kind in kinds])
+        if np.any(wrong):
+            actuator, what = _named(mj, "actuator", wrong), field.removeprefix("actuator_")
+            raise ValueError(
+                f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
+            )
+    if np.any(mj.actuator_actearly):
+        raise ValueError(
+            f"{_named(mj, 'actuator', mj.actuator_actearly)} has actearly, which is not supported: remove it"
+        )
+
+
+def _check_joints_and_tendons(mj: mujoco.MjModel) -> None:
+    def nonzero(name: str) -> np.ndarray:
+        value = np.asarray(getattr(mj, name, np.zeros((1, 1))))
+        return np.any(value.reshape(len(value), -1) != 0, axis=1) if value.size else np.zeros(0, bool)
+
+    joints = np.isin(np.arange(mj.njnt), mj.dof_jntid[np.flatnonzero(nonzero("dof_dampingpoly"))])
+    for wrong, kind, what in (
+        (nonzero("jnt_stiffnesspoly"), "joint", "a nonlinear stiffness"),
+        (joints, "joint", "a nonlinear damping"),
+        (nonzero("tendon_stiffnesspoly"), "tendon", "a nonlinear stiffness"),
+        (nonzero("tendon_dampingpoly"), "tendon", "a nonlinear damping"),
+        (nonzero("tendon_armature"), "tendon", "an armature"),
+    ):
+        if np.any(wrong):
+            raise ValueError(f"{_named(mj, kind, wrong)} has {what}, which is not supported: remove it")
+
+
+def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
+    kinds = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON)
+    wrong = ~np.isin(mj.eq_type, [int(kind) for kind in kinds])
+    if np.any(wrong):
+        name = _named(mj, "equality", wrong)
+        raise ValueError(f"{name} is of a kind that is not supported: use connect, joint or tendon constraints")
+    if not penalty:
+        return
+    ball = (mj.jnt_limited != 0) & (mj.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
+    if np.any(ball):
+        raise ValueError(
+            f"{_named(mj, 'joint', ball)} is a ball with a limit, which a Penalty cannot hold: remove the limit"
+        )
+    if mj.neq or np.any(mj.dof_frictionloss) or np.any(mj.tendon_limited) or np.any(mj.tendon_frictionloss):
+        raise ValueError(
+            "the model has equality constraints, dry friction or tendon limits, which a Penalty cannot hold: remove "
+            "them, or load it without a Penalty"
+        )
+
+
+def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
+    number = int(np.flatnonzero(wrong)[0])
+    name = mujoco.mj_id2name(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number)
+    return f"{kind} {name!r}" if name else f"{kind} number {number}"
+
+
+__all__ = ["check_model", "compile_model", "is_disabled"]

@@ -1,0 +1,89 @@
+"""Contacts and joint limits of articulated bodies as springs and dampers."""
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics import kinematic_tree
+from rewax.physics.components import join_vector, split_vector
+from rewax.physics.kinematic_tree import Kinematics
+from rewax.physics.penalty import PenaltyContact, penalty_force
+from rewax.types import Array
+
+
+@struct.dataclass
+class Penalty(struct.Replaceable):
+    """Contact and joint limits as springs and dampers, explicit in time.
+
+    Friction coefficients are the geoms' own. Explicit integration bounds stiffness and damping: roughly
+    stiffness dt^2 < mass and damping dt < mass.
+
+    Attributes:
+      stiffness: normal force per penetration [N/m].
+      damping: normal force per approaching speed [N s/m].
+      friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m].
+      onset: depth over which both dampings rise to their full value [m]; 0: at once, a step in time that no gradient
+        sees.
+      limit_stiffness, limit_damping: of joint limits, per angle or distance beyond them and per rate [N m/rad,
+        N m s/rad].
+    """
+
+    stiffness: Array | float
+    damping: Array | float = 0.0
+    friction_damping: Array | float = 0.0
+    onset: Array | float = 0.0
+    limit_stiffness: Array | float = 1e3
+    limit_damping: Array | float = 10.0
+
+
+def contact_wrenches(
+    penalty: Penalty,
+    kin: Kinematics,
+    velocities: Array,
+    *,
+    distance: Array,
+    point: Array,
+    normal: Array,
+    friction: Array,
+    bodies: Array,
+) -> Array:
+    """Wrenches of contacts on all bodies, as ``kinematic_tree.generalized_forces`` takes them, shape (num_bodies, 6).
+
+    Args:
+      penalty: the law.
+      kin, velocities: where the bodies are, and their spatial velocities, shape (num_bodies, 6).
+      distance: between the surfaces [m], negative inside, shape (n,).
+      point, normal: of contact, in the world; the normal points from the first body to the second, shape (n, 3).
+      friction: Coulomb coefficients [-], shape (n,).
+      bodies: first and second body of each contact, shape (n, 2), int.
+
+    Gradient: exact; see ``penalty.penalty_force``.
+    """
+    first, second = bodies[:, 0], bodies[:, 1]
+    sliding = kinematic_tree.point_velocities(kin, velocities, second, point)
+    sliding = sliding - kinematic_tree.point_velocities(kin, velocities, first, point)
+    law = PenaltyContact(
+        stiffness=penalty.stiffness,
+        damping=penalty.damping,
+        friction_damping=penalty.friction_damping,
+        onset=penalty.onset,
+    )
+    force = join_vector(penalty_force(law, distance, split_vector(normal), split_vector(sliding), friction))
+    body, place = jnp.concatenate([second, first]), jnp.concatenate([point, point])
+    return kinematic_tree.wrenches_at(kin, body, place, jnp.concatenate([force, -force]), len(velocities))
+
+
+def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) -> Array:
+    """Forces of joints' limits [N m, or N for slides], shape (n,).
+
+    Args:
+      penalty: the law.
+      limits: lower and upper, shape (n, 2).
+      position, rate: of each joint, shape (n,).
+
+    Gradient: exact; the damping sets in at the limit, a step that no derivative sees.
+    """
+    beyond = jnp.minimum(position - limits[:, 0], 0.0) + jnp.maximum(position - limits[:, 1], 0.0)
+    return jnp.where(beyond != 0, -penalty.limit_stiffness * beyond - penalty.limit_damping * rate, 0.0)
+
+
+__all__ = ["Penalty", "contact_wrenches", "limit_forces"]
