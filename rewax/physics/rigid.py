@@ -12,6 +12,7 @@ Contact follows one of two laws: MuJoCo's soft constraints, or springs and dampe
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 import contextlib
+import copy
 import hashlib
 import io
 import logging
@@ -168,11 +169,12 @@ class RigidState(struct.Replaceable):
     qacc: Array
 
 
-def load(source: Any, *, penalty: Penalty | None = None) -> RigidModel:
+def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None) -> RigidModel:
     """A model from MJCF.
 
     Args:
       source: path of an MJCF file, its text, a ``mujoco.MjSpec`` or a ``mujoco.MjModel``.
+      dt: duration of a substep [s]; None: the model's own timestep.
       penalty: contact by springs and dampers with these numbers; None: MuJoCo's soft constraints. For gradients of use
         give these an impedance that begins at zero (``solimp="0.0001 0.95 0.02"``, and dt of at most 1/240 s): by
         default it jumps to 0.9 on contact, and the derivative of that jump's time is missing from every gradient.
@@ -181,6 +183,11 @@ def load(source: Any, *, penalty: Penalty | None = None) -> RigidModel:
       ValueError: it cannot be read, or uses something that is not supported; the message says what and where.
     """
     compiled = mjcf.compile_model(source)
+    if dt is not None:
+        if not dt > 0.0:
+            raise ValueError(f"dt is {dt}: give the duration of a substep in seconds, above 0")
+        compiled = copy.copy(compiled)
+        compiled.opt.timestep = dt
     mjcf.check_model(compiled, penalty=penalty is not None)
     try:
         static = _Model(compiled)
@@ -195,7 +202,9 @@ def load(source: Any, *, penalty: Penalty | None = None) -> RigidModel:
     )
 
 
-def initial_state(model: RigidModel, qpos: Array | None = None, qvel: Array | None = None) -> RigidState:
+def initial_state(
+    model: RigidModel, qpos: Array | np.ndarray | None = None, qvel: Array | np.ndarray | None = None
+) -> RigidState:
     """A state in given positions and velocities, by default the model's home, at rest.
 
     Raises:
@@ -274,6 +283,28 @@ def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]
 def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
     """Of each body together with all that hangs on it [m], shape (num_bodies, 3); row 0: of everything."""
     return _kinematics(model, state.qpos).subtree_com
+
+
+def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
+    """Geoms for pictures: kind, centre [m], and radius, half_length and direction, or rotation and half_sizes [m].
+
+    Kinds are plane, sphere, capsule, cylinder and box; others are left out.
+    """
+    mj, pose = model.static.mj, geom_poses(model, state)
+    found = []
+    for geom in range(mj.ngeom):
+        kind = mujoco.mjtGeom(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+        size, rotation = model.parameters["geom_size"][geom], pose.rotation[geom]
+        shape = {"kind": kind, "centre": pose.position[geom]}
+        if kind == "plane":
+            found.append({**shape, "direction": rotation[:, 2]})
+        elif kind == "sphere":
+            found.append({**shape, "radius": size[0]})
+        elif kind in ("capsule", "cylinder"):
+            found.append({**shape, "radius": size[0], "half_length": size[1], "direction": rotation[:, 2]})
+        elif kind == "box":
+            found.append({**shape, "rotation": rotation, "half_sizes": size})
+    return found
 
 
 def contact_distances(model: RigidModel, state: RigidState) -> Array:
