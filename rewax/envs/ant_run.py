@@ -4,7 +4,6 @@ The world's y axis points up; the ant runs along x. Scale ``paper`` has the refe
 substeps and shorter episodes.
 """
 
-
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -27,6 +27,7 @@ from rewax.physics import constraint_solver, kinematic_tree, mjcf
 from rewax.physics.colliders import Pose
 from rewax.physics.constraint_solver import Rows
 from rewax.physics.kinematic_tree import Kinematics, Topology, TreeParameters
+from rewax.physics.plane_box import plane_box
 from rewax.physics.recompute import recomputed
 from rewax.physics.rigid_penalty import Penalty, contact_wrenches, limit_forces
 from rewax.status import Status, all_finite, flag
@@ -67,6 +68,7 @@ class _Model:
             self.mjx = mjx.put_model(compiled, impl="jax")
             self.data = mjx.make_data(compiled, impl="jax")
         self.has_contacts = self.data._impl.ncon > 0
+        self.plane_boxes = _plane_boxes(compiled, self.mjx, self.data)
         self.has_damping = bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
         self.num_bounded = int(self.data._impl.ne + self.data._impl.nf)
 
@@ -310,7 +312,7 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
 def contact_distances(model: RigidModel, state: RigidState) -> Array:
     """Signed distance of every pair that may touch [m], negative inside, shape (num_contacts,); 1 for unused slots."""
     m, d = _mjx(model, _kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))
-    return mjx.collision(m, d)._impl.contact.dist
+    return _collide(model, m, d)._impl.contact.dist
 
 
 def check_status(state: RigidState) -> Array:
@@ -398,13 +400,45 @@ def _applied_forces(
     return force, d.act_dot
 
 
+def _collide(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
+    """Contacts of all pairs."""
+    d = mjx.collision(m, d)
+    slots, plane, box = model.static.plane_boxes
+    if len(slots) == 0:
+        return d
+    distance, point = jax.vmap(plane_box)(
+        d.geom_xpos[plane], d.geom_xmat[plane][:, :, 2], d.geom_xpos[box], d.geom_xmat[box], m.geom_size[box]
+    )
+    contact = d._impl.contact
+    contact = contact.replace(
+        dist=contact.dist.at[slots].set(distance.reshape(-1)),
+        pos=contact.pos.at[slots].set(point.reshape(-1, 3)),
+    )
+    return d.tree_replace({"_impl.contact": contact})  # pyright: ignore[reportReturnType]
+
+
+def _plane_boxes(compiled: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slots of the contacts of boxes with planes, four for each, and planes and boxes of these."""
+    limited = any(
+        compiled.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(compiled.nnumeric)
+    )
+    if d._impl.ncon == 0 or limited:
+        none = np.zeros(0, int)
+        return none, none, none
+    with jax.ensure_compile_time_eval():
+        geoms = np.asarray(mjx.collision(m, mjx.kinematics(m, d))._impl.contact.geom)
+    kinds = compiled.geom_type[geoms]
+    slots = np.flatnonzero((kinds == (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX)).all(axis=1))
+    return slots, geoms[slots[::4], 0], geoms[slots[::4], 1]
+
+
 def _contact_wrenches(
     model: RigidModel, penalty: Penalty, kin: Kinematics, m: mjx.Model, d: mjx.Data, twist: Array
 ) -> Array:
     """Wrenches of all contacts on all bodies under the penalty law, shape (num_bodies, 6)."""
     if not model.static.has_contacts:
         return jnp.zeros_like(twist)
-    contact = mjx.collision(m, d)._impl.contact
+    contact = _collide(model, m, d)._impl.contact
     return contact_wrenches(
         penalty,
         kin,
@@ -421,7 +455,7 @@ def _rows(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Rows:
     """Constraints of limits, contacts, dry friction and equalities; none under the penalty law."""
     if model.penalty is None:
         if model.static.has_contacts:
-            d = mjx.collision(m, d)
+            d = _collide(model, m, d)
         if model.static.mj.ntendon:
             d = mjx.tendon(m, d)
         d = mjx.make_constraint(m, d)

@@ -47,9 +47,9 @@ class Hopper(RigidTask):
         return physics.rigid.qpos[1] < self.fallen_height
 
 
-def make_hopper(*, scale: str) -> Hopper:
+def make_hopper(*, scale: str, onset: float = 0.0) -> Hopper:
     """Factory for the registry: 16 substeps and 1000 steps of 1/60 s; ``small``: 300 steps."""
-    penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3)
+    penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3, onset=onset)
     model = load_asset("hopper.xml", dt=1.0 / 960, penalty=penalty)
     max_steps = {"paper": 1000, "small": 300}[scale]
     return Hopper(model=model, num_substeps=16, max_steps=max_steps, fallen_height=jnp.asarray(-0.45))
