@@ -414,7 +414,7 @@ def _collide(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
         dist=contact.dist.at[slots].set(distance.reshape(-1)),
         pos=contact.pos.at[slots].set(point.reshape(-1, 3)),
     )
-    return d.tree_replace({"_impl.contact": contact})  # pyright: ignore[reportReturnType]
+    return d.tree_replace({"_impl.contact": contact})  # pyright: ignore[reportReturnType, reportArgumentType]
 
 
 def _plane_boxes(compiled: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
