@@ -45,7 +45,7 @@ def row_forces(rows: Rows, qacc: Array) -> Array:
 
 def curvature(mass: Array, rows: Rows, qacc: Array) -> Array:
     """M + J^T D J over the rows that are not clipped, shape (num_dofs, num_dofs): symmetric, positive definite."""
-    return _curvature(mass, rows, _free(rows, _dot(rows.jacobian, qacc) - rows.target))
+    return _curvature(mass, rows, _side(rows, _dot(rows.jacobian, qacc) - rows.target))
 
 
 def solve_accelerations(
@@ -69,24 +69,24 @@ def solve_accelerations(
     class Iterate(NamedTuple):
         qacc: Array
         missed: Array
-        free: Array
+        side: Array
         count: Array
         done: Array
 
     def step(at: Iterate) -> Iterate:
         gradient = _dot(mass, at.qacc) - force - _dot(rows.jacobian.T, _forces(rows, at.missed))
-        direction = -solve_spd(_curvature(mass, rows, at.free), gradient)
+        direction = -solve_spd(_curvature(mass, rows, at.side), gradient)
         change = _dot(rows.jacobian, direction)
         slope, curve = jnp.sum(direction * gradient), jnp.sum(direction * _dot(mass, direction))
         length = _exact_line_search(rows, at.missed, change, slope, curve, num_bounded)
         qacc = at.qacc + length * direction
         missed = _dot(rows.jacobian, qacc) - rows.target
-        free = _free(rows, missed)
+        side = _side(rows, missed)
         small = jnp.max(jnp.abs(direction)) <= 4 * jnp.finfo(qacc.dtype).eps * (1.0 + jnp.max(jnp.abs(qacc)))
-        return Iterate(qacc, missed, free, at.count + 1, small | jnp.all(free == at.free))
+        return Iterate(qacc, missed, side, at.count + 1, small | jnp.all(side == at.side))
 
     missed = _dot(rows.jacobian, start) - rows.target
-    begin = Iterate(start, missed, _free(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+    begin = Iterate(start, missed, _side(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
     return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
 
 
@@ -130,14 +130,14 @@ def _forces(rows: Rows, missed: Array) -> Array:
     return jnp.clip(-rows.stiffness * missed, rows.lower, rows.upper)
 
 
-def _free(rows: Rows, missed: Array) -> Array:
-    """Rows whose force is not clipped."""
+def _side(rows: Rows, missed: Array) -> Array:
+    """0 for rows whose force is not clipped, -1 and 1 for those at their lower and upper bound."""
     force = -rows.stiffness * missed
-    return (force > rows.lower) & (force < rows.upper)
+    return jnp.where(force <= rows.lower, -1, jnp.where(force >= rows.upper, 1, 0))
 
 
-def _curvature(mass: Array, rows: Rows, free: Array) -> Array:
-    return mass + _dot(rows.jacobian.T, jnp.where(free, rows.stiffness, 0.0)[:, None] * rows.jacobian)
+def _curvature(mass: Array, rows: Rows, side: Array) -> Array:
+    return mass + _dot(rows.jacobian.T, jnp.where(side == 0, rows.stiffness, 0.0)[:, None] * rows.jacobian)
 
 
 def _exact_line_search(rows: Rows, missed: Array, change: Array, slope: Array, curve: Array, num_bounded: int) -> Array:
@@ -171,8 +171,8 @@ def _exact_line_search(rows: Rows, missed: Array, change: Array, slope: Array, c
     low = jnp.max(jnp.where(rising, 0.0, lengths))
     high = jnp.min(jnp.where(rising, lengths, jnp.inf))
     inside = jnp.where(jnp.isfinite(high), 0.5 * (low + high), low + 1.0)
-    free = _free(rows, missed + inside * change)
-    steepness = curve + jnp.sum(jnp.where(free, rows.stiffness * change * change, 0.0))
+    side = _side(rows, missed + inside * change)
+    steepness = curve + jnp.sum(jnp.where(side == 0, rows.stiffness * change * change, 0.0))
     return jnp.clip(low - derivative(low[None])[0] / steepness, low, high)
 
 
