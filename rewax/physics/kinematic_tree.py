@@ -406,7 +406,8 @@ def _dof_axes(topology: Topology, parameters: TreeParameters) -> tuple[Array, Ar
     """Axis and anchor of each degree of freedom in its link's frame, shape (num_dofs, 3) each."""
     given = ~_is_ball(topology.joint_type[topology.dof_joint])[:, None]
     free = (topology.joint_type[topology.dof_joint] == JointType.FREE)[:, None]
-    axis = jnp.where(given, select(topology.dof_joint, parameters.jnt_axis), topology.dof_axis)
+    axis = select(topology.dof_joint, parameters.jnt_axis)
+    axis = jnp.where(given, axis, jnp.asarray(topology.dof_axis, axis.dtype))
     return axis, jnp.where(free, 0.0, select(topology.dof_joint, parameters.jnt_pos))
 
 
