@@ -173,6 +173,7 @@ def _exact_line_search(rows: Rows, missed: Array, change: Array, slope: Array, c
     inside = jnp.where(jnp.isfinite(high), 0.5 * (low + high), low + 1.0)
     side = _side(rows, missed + inside * change)
     steepness = curve + jnp.sum(jnp.where(side == 0, rows.stiffness * change * change, 0.0))
+    steepness = jnp.where(steepness > 0, steepness, 1.0)  # zero for a direction of zero: already at the minimum
     return jnp.clip(low - derivative(low[None])[0] / steepness, low, high)
 
 
