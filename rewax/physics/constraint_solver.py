@@ -108,20 +108,36 @@ def implicit_correction(matrix: Array, residual: Array) -> Array:
     )
 
 
+@jax.custom_batching.custom_vmap
 def solve_spd(matrix: Array, vector: Array) -> Array:
     """x with matrix x = vector, for a symmetric, positive definite matrix, shape (n,).
 
     Gauss-Jordan elimination, which needs no pivots here, in one small loop: batches of LAPACK's Cholesky can wait for
     each other for ever on a CPU (jaxlib 0.10). Gradient: none.
     """
+    return _eliminate(matrix[..., None], vector[..., None])[..., 0]
+
+
+@solve_spd.def_vmap
+def _solve_batch(axis_size: int, batched: list[bool], matrix: Array, vector: Array) -> tuple[Array, bool]:
+    """The batch becomes the innermost axis, along which processors work on many numbers at once."""
+    matrix, vector = (
+        jnp.moveaxis(a, 0, -1) if b else jnp.broadcast_to(a[..., None], (*a.shape, axis_size))
+        for a, b in zip((matrix, vector), batched, strict=True)
+    )
+    return jnp.moveaxis(_eliminate(matrix, vector), -1, 0), True
+
+
+def _eliminate(matrix: Array, vector: Array) -> Array:
+    """Solutions of a batch of systems, shapes (n, n, batch) and (n, batch)."""
     table = jnp.concatenate([matrix, vector[:, None]], axis=1)
-    index = np.arange(len(vector))
+    index = np.arange(len(vector))[:, None, None]
 
     def eliminate(k: Array, table: Array) -> Array:
         column = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=1)
         pivot_row = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=0)
-        pivot = jax.lax.dynamic_slice(pivot_row, (0, k), (1, 1))
-        return table - (column - (index == k)[:, None]) * (pivot_row / pivot)
+        pivot = jax.lax.dynamic_slice_in_dim(pivot_row, k, 1, axis=1)
+        return table - (column - (index == k)) * (pivot_row / pivot)
 
     return jax.lax.fori_loop(0, len(vector), eliminate, table)[:, -1]
 
