@@ -22,6 +22,8 @@ class PenaltyContact(struct.Replaceable):
       friction: Coulomb coefficient [-] of the ground, >= 0; colliders bring their own.
       radius: a vertex touches when its distance is below this [m], >= 0.
       onset: depth over which both dampings rise to their full value [m]; 0: at once.
+      depth_damping: normal force per depth and approaching speed, in addition [N s/m^2], >= 0 (Hunt and Crossley's
+        law: nothing sets in at a step).
     """
 
     stiffness: Scalar
@@ -30,6 +32,7 @@ class PenaltyContact(struct.Replaceable):
     friction: Scalar = 0.0
     radius: Scalar = 0.0
     onset: Scalar = 0.0
+    depth_damping: Scalar = 0.0
 
 
 @struct.dataclass
@@ -90,8 +93,9 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
     """Force on vertices near a surface [N], components.
 
     With c = distance - radius < 0, v_n the normal and v_t the tangential velocity:
-    f = n f_n - v_t/|v_t| min(friction_damping |v_t|, friction |f_n|), f_n = -stiffness c - damping min(v_n, 0),
-    where both dampings are multiplied by min(-c / onset, 1).
+    f = n f_n - v_t/|v_t| min(friction_damping |v_t|, friction |f_n|),
+    f_n = -stiffness c - (damping - depth_damping c) min(v_n, 0),
+    where damping and friction_damping are multiplied by min(-c / onset, 1).
 
     Args:
       contact: the law.
@@ -102,13 +106,14 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
 
     Gradient: exact, zero-safe at rest. Without an onset, damping and friction set in where the vertex touches: a step
       of height damping |v_n| that no derivative sees. At Coulomb's limit the derivative is that of sticking.
-    Source: NVIDIA Warp's contact of particles with the ground.
+    Source: NVIDIA Warp's contact of particles with the ground; damping by depth as in DiffRL's dflex.
     """
     c = distance - contact.radius
     v_n = cp.dot(normal, velocity)
     gradual = jnp.asarray(contact.onset) > 0
     share = jnp.where(gradual, jnp.clip(-c / jnp.where(gradual, contact.onset, 1.0), 0.0, 1.0), 1.0)
-    push = jnp.where(c < 0, -contact.stiffness * c - share * contact.damping * jnp.minimum(v_n, 0.0), 0.0)
+    damping = share * contact.damping - contact.depth_damping * c
+    push = jnp.where(c < 0, -contact.stiffness * c - damping * jnp.minimum(v_n, 0.0), 0.0)
     v_t = cp.vector(lambda i: velocity[i] - v_n * normal[i])
     limit = friction * push
     square = cp.dot(v_t, v_t)

@@ -23,6 +23,7 @@ class Penalty(struct.Replaceable):
       friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m].
       onset: depth over which both dampings rise to their full value [m]; 0: at once, a step in time that no gradient
         sees.
+      depth_damping: normal force per depth and approaching speed, in addition [N s/m^2].
       limit_stiffness, limit_damping: of joint limits, per angle or distance beyond them and per rate [N m/rad,
         N m s/rad].
     """
@@ -31,6 +32,7 @@ class Penalty(struct.Replaceable):
     damping: Array | float = 0.0
     friction_damping: Array | float = 0.0
     onset: Array | float = 0.0
+    depth_damping: Array | float = 0.0
     limit_stiffness: Array | float = 1e3
     limit_damping: Array | float = 10.0
 
@@ -66,6 +68,7 @@ def contact_wrenches(
         damping=penalty.damping,
         friction_damping=penalty.friction_damping,
         onset=penalty.onset,
+        depth_damping=penalty.depth_damping,
     )
     force = join_vector(penalty_force(law, distance, split_vector(normal), split_vector(sliding), friction))
     body, place = jnp.concatenate([second, first]), jnp.concatenate([point, point])

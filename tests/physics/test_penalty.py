@@ -47,6 +47,16 @@ def test_each_case_of_the_law(x64, y, v, force):
     np.testing.assert_allclose(on_collider(ground, [[7.0, y, -3.0]], [v])[0], force, atol=1e-11)
 
 
+def test_damping_by_depth(x64):
+    """Per depth and speed, in addition to the other damping, which alone has an onset; friction's limit counts it."""
+    law = LAW.replace(depth_damping=150.0)
+    x = [[0.0, 0.04, 0.0], [0.0, 0.03, 0.0], [0.0, 0.04, 0.0], [0.0, 0.04, 0.0]]
+    v = [[0.0, -2.0, 0.0], [0.0, -2.0, 0.0], [0.0, 2.0, 0.0], [9.0, -2.0, 0.0]]
+    expected = [[0, 20 + 6 + 3, 0], [0, 40 + 6 + 6, 0], [0, 20, 0], [-14.5, 29, 0]]
+    np.testing.assert_allclose(on_ground(x, v, law), expected, atol=1e-11)
+    np.testing.assert_allclose(on_ground(x, v, law.replace(onset=0.02))[0], [0, 20 + 3 + 3, 0], atol=1e-11)
+
+
 def test_grounds_of_any_direction_and_height(x64):
     """The same in a frame that is turned and shifted."""
     q, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
