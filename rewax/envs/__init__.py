@@ -2,7 +2,10 @@
 
 from rewax.envs.ant_run import make_ant, make_ant_run
 from rewax.envs.dflex.cartpole import make_cartpole_swing_up
+from rewax.envs.dflex.half_cheetah import make_half_cheetah
 from rewax.envs.dflex.hopper import make_hopper
+from rewax.envs.dflex.humanoid import make_humanoid
+from rewax.envs.quadruped import make_quadruped
 from rewax.envs.registry import list_envs, make, register
 from rewax.envs.rolling_flat import make_rolling_flat
 
@@ -11,5 +14,8 @@ register("AntRun", make_ant_run)
 register("Ant", make_ant)
 register("CartpoleSwingUp", make_cartpole_swing_up)
 register("Hopper", make_hopper)
+register("HalfCheetah", make_half_cheetah)
+register("Humanoid", make_humanoid)
+register("Quadruped", make_quadruped)
 
 __all__ = ["list_envs", "make", "register"]
