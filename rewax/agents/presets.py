@@ -44,7 +44,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("Ant", "paper"): _RUNNER,
     ("Ant", "small"): _small(_RUNNER),
     ("CartpoleSwingUp", "paper"): _CARTPOLE,
-    ("CartpoleSwingUp", "small"): _small(_CARTPOLE),
+    ("CartpoleSwingUp", "small"): _small(_CARTPOLE, num_iterations=600),
     ("HalfCheetah", "paper"): _RUNNER,
     ("HalfCheetah", "small"): _small(_RUNNER),
     ("Hopper", "paper"): _RUNNER,
