@@ -7,12 +7,12 @@ SOFT = 'solref="0.02 1" solimp="0.0001 0.95 0.02 0.5 2"'
 
 
 def mjcf(
-    world: str, *, extra: str = "", dt: float = 1 / 240, contact: str = SOFT, option: str = "", gravity: str = "0 0 -9.81"
+    world: str, *, extra: str = "", dt: float = 1 / 240, contact: str = SOFT, medium: str = "", gravity: str = "0 0 -9.81"
 ) -> str:
     """A model with the solver of C MuJoCo run to convergence, so that its result can be compared with."""
     return f"""<mujoco><compiler angle="radian" autolimits="true"/>
     <option timestep="{dt!r}" gravity="{gravity}" solver="Newton" cone="pyramidal" integrator="Euler" iterations="50"
-      ls_iterations="50" tolerance="1e-14" ls_tolerance="1e-10">{option}</option>
+      ls_iterations="50" tolerance="1e-14" ls_tolerance="1e-10" {medium}/>
     <default><geom contype="0" conaffinity="0" friction="0.8 0.005 0.0001" {contact}/>
       <pair friction="0.8 0.8 0.005 0.0001 0.0001" {contact}/></default>
     <worldbody>{world}</worldbody>{extra}</mujoco>"""
@@ -110,7 +110,7 @@ def hand(**options: str) -> str:
         finger = f'<geom name="tip{i}" pos="0 0 .03" size=".012" density="600"/>'
         for j in range(4):
             joint = f'name="j{i}{3 - j}" type="hinge" axis="{around if j == 3 else inward}" range="-0.6 1.4"'
-            bone = f'<geom type="capsule" fromto="0 0 0 0 0 .03" size=".01" density="800"/>'
+            bone = '<geom type="capsule" fromto="0 0 0 0 0 .03" size=".01" density="800"/>'
             place = f"{0.07 * x} {0.07 * y} 0" if j == 3 else "0 0 .03"
             finger = f'<body pos="{place}"><joint {joint} armature="0.002" damping="0.03"/>{bone}{finger}</body>'
             servos += f'<position joint="j{i}{j}" kp="2" kv="0.05" ctrlrange="-1.4 1.4" forcerange="-0.8 0.8"/>'
@@ -126,44 +126,54 @@ def contraption(**options: str) -> str:
 
     Kinds of joints, springs, dampers, dry friction, limits, equalities, tendons, kinds of actuators and of activations,
     weights held up, a medium that drags; contacts of several shapes, frictions, condim and margins, by pairs and not.
+    In its keyframe springs are strained and limits passed, and all but bulb and stone touch.
     """
-    world = f"""<geom name="floor" type="plane" size="9 9 1" contype="1" conaffinity="1"/><site name="hook" pos="0 .4 1"/>
-    <body name="cart" pos="0 0 .5"><joint name="x" type="slide" axis="1 .2 0" damping="2" frictionloss="1.5" armature=".1"/>
+    world = """<geom name="floor" type="plane" size="9 9 1" contype="1" conaffinity="1"/>
+    <geom name="shelf" type="box" pos=".7 .5 .3" size=".1 .1 .05" quat="1 .05 .02 0"/>
+    <site name="hook" pos="0 .4 1"/>
+    <body name="cart" pos="0 0 .5">
+      <joint name="x" type="slide" axis="1 .2 0" damping="2" frictionloss="1.5" armature=".1"/>
       <geom type="box" size=".1 .08 .06"/><site name="eye" pos=".05 0 .05"/>
       <body name="arm" pos="0 0 .1" quat="1 .1 .2 .3" gravcomp=".4">
         <joint name="h" type="hinge" axis="0 1 .1" pos="0 0 -.02" stiffness="3" springref=".4" damping=".3" range="-1.5 .35"
           margin=".05" ref=".2" solimplimit=".5 .9 .1 .5 2"/>
         <geom type="capsule" fromto="0 0 0 .1 0 .3" size=".03"/>
-        <body pos=".1 0 .3"><joint name="k" type="hinge" axis="0 1 0" frictionloss=".1" damping=".05" actuatorfrcrange="-3 3"/>
+        <body pos=".1 0 .3">
+          <joint name="k" type="hinge" axis="0 1 0" frictionloss=".1" damping=".05" actuatorfrcrange="-3 3"/>
           <geom type="capsule" fromto="0 0 0 .25 0 0" size=".025"/><site name="tip" pos=".25 0 0"/>
-          <body pos=".25 0 0"><joint name="w" type="hinge" axis="1 0 1" damping=".02"/><geom size=".04 .05 .06" type="box"/></body>
-        </body></body></body>
-    <body name="lamp" pos="-.6 0 1"><joint name="swing" type="ball" pos="0 0 .3" damping=".05" stiffness=".4" range="0 .6"/>
-      <geom type="capsule" fromto="0 0 .3 0 0 0" size=".02"/><geom name="bulb" size=".08" contype="1" conaffinity="1"/></body>
-    <body name="stone" pos="-.55 .1 .1"><freejoint/>
-      <geom name="stone" type="capsule" size=".09 .07" contype="1" conaffinity="1" condim="4" margin=".01" friction=".6 .02 .01"/></body>
-    <body name="puck" pos=".7 0 .06"><freejoint/><geom name="puck" size=".08" condim="1"/>
-      <geom name="chip" type="box" size=".05 .04 .03" pos="0 .15 .1"/></body>
-    <body name="chain" pos=".7 .3 .4"><freejoint/><geom name="link" size=".05"/></body>"""
-    extra = f"""<tendon>
-      <fixed name="coupling" stiffness="2" damping=".1" range="-2 .25" frictionloss=".02">
+          <body pos=".25 0 0"><joint name="w" type="hinge" axis="1 0 1" damping=".1" armature=".01"/>
+            <geom size=".04 .05 .06" type="box"/></body></body></body></body>
+    <body name="lamp" pos="-.6 0 .395">
+      <joint name="swing" type="ball" pos="0 0 .3" damping=".05" stiffness=".4" range="0 .6" solimplimit=".5 .9 .1 .5 2"/>
+      <geom type="capsule" fromto="0 0 .3 0 0 0" size=".02"/>
+      <geom name="bulb" size=".08" contype="1" conaffinity="1"/></body>
+    <body name="stone" pos="-.55 .1 .155"><freejoint/>
+      <geom name="stone" type="capsule" size=".09 .07" contype="1" conaffinity="1" condim="4" margin=".01"
+        friction=".6 .02 .01" solmix="2"/></body>
+    <body name="puck" pos=".7 -.2 .078"><freejoint/><geom name="puck" size=".08"/></body>
+    <body name="bead" pos=".7 .5 .395"><freejoint/><geom name="bead" size=".05" condim="1"/></body>
+    <body name="rod" pos="0 .4 .9"><freejoint/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>"""
+    extra = """<tendon>
+      <fixed name="coupling" stiffness="2" damping=".1" range="-2 .1" frictionloss=".02">
         <joint joint="h" coef="1"/><joint joint="k" coef="-.6"/></fixed>
-      <spatial name="rope" stiffness="30" damping="1" springlength=".3 .6"><site site="hook"/><site site="eye"/></spatial>
+      <spatial name="rope" stiffness="30" damping="1" springlength=".3 .5"><site site="hook"/><site site="eye"/></spatial>
     </tendon>
     <equality><joint joint1="w" joint2="k" polycoef=".1 .5 .2 0 0"/>
-      <connect body1="chain" body2="puck" anchor="0 -.1 -.1"/></equality>
+      <connect body1="rod" body2="world" anchor="0 0 .1"/></equality>
     <actuator><motor name="drive" joint="x" gear="5" ctrlrange="-1 1"/>
       <position name="servo" joint="h" kp="6" kv=".3" forcerange="-1.5 1.5" ctrlrange="-.5 .5"/>
       <velocity name="brake" joint="k" kv=".2" ctrlrange="-2 2"/>
       <general name="slow" joint="k" dyntype="filter" dynprm=".08" gainprm="2" ctrlrange="-1 1"/>
       <general name="exact" joint="swing" gear=".3 .1 .2" dyntype="filterexact" dynprm=".05" ctrlrange="-1 1"/>
-      <intvelocity name="turn" joint="w" kp=".5" actrange="-.2 .2" ctrlrange="-3 3"/>
+      <intvelocity name="turn" joint="w" kp=".5" actrange="-.02 .02" ctrlrange="-3 3"/>
       <motor name="winch" tendon="coupling" gear=".4" ctrlrange="-1 1"/>
       <motor name="jet" site="tip" gear="0 0 1 .1 0 0" ctrlrange="-1 1"/>
       <muscle name="muscle" joint="h" lengthrange="-.6 .8" force="3" ctrlrange="0 1"/></actuator>
     <contact><pair geom1="floor" geom2="puck" condim="3" friction=".3 .5 .01 .01 .01" margin=".005"/>
-      <pair geom1="link" geom2="chip"/></contact>"""
-    return mjcf(world, extra=extra, option="", **options)
+      <pair geom1="shelf" geom2="bead" condim="1"/></contact>
+    <keyframe><key qpos=".05 .34 .1 -.2  .94 .1 .32 .02  -.55 .1 .155 1 .02 .01 0  .7 -.2 .078 1 0 0 0
+      .7 .5 .395 1 0 0 0  0 .4 .9 1 .1 0 0"/></keyframe>"""
+    return mjcf(world, extra=extra, medium='density="1.2" viscosity="0.3" wind=".5 0 0"', **options)
 
 
 __all__ = [name for name in dir() if not name.startswith("_") and name != "math"]

@@ -308,6 +308,21 @@ def point_velocities(kin: Kinematics, velocities: Array, body: Array, point: Arr
     return velocity[:, 3:] + cross(velocity[:, :3], point - _dot(onehot, kin.tree_com))
 
 
+def point_drifts(topology: Topology, kin: Kinematics, qvel: Array, body: Array, point: Array) -> Array:
+    """Acceleration of points that move with bodies while all joints keep their rates [m/s^2], shape (n, 3).
+
+    Args:
+      topology, kin: the tree and where it is.
+      qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
+      body: which body each point belongs to, shape (n,), int.
+      point: in the world [m], shape (n, 3).
+    """
+    velocity = body_velocities(topology, kin, qvel)
+    drift = point_velocities(kin, _dot(topology.moves, _axis_drifts(topology, kin, qvel)), body, point)
+    turning = _dot(jax.nn.one_hot(body, velocity.shape[0], dtype=point.dtype), velocity[:, :3])
+    return drift + cross(turning, point_velocities(kin, velocity, body, point))
+
+
 def mass_matrix(topology: Topology, parameters: TreeParameters, kin: Kinematics) -> Array:
     """Joint-space inertia, symmetric and positive definite, shape (num_dofs, num_dofs)."""
     num_bodies, num_dofs = topology.moves.shape
@@ -342,10 +357,8 @@ def inverse_dynamics(
     Source: recursive Newton-Euler, Featherstone 2008, table 5.1, with sums over chains for its recursions.
     """
     velocity = body_velocities(topology, kin, qvel)
-    # What moves an axis turns it: its rate of change, times its own rate, is the velocity-product acceleration.
-    carried = _dot(topology.before, kin.axes * qvel[:, None])
-    drift = _motion_cross(carried, kin.axes) * qvel[:, None] + kin.axes * qacc[:, None]
-    acceleration = _dot(topology.moves, drift) - jnp.concatenate([jnp.zeros(3, gravity.dtype), gravity])
+    change = _axis_drifts(topology, kin, qvel) + kin.axes * qacc[:, None]
+    acceleration = _dot(topology.moves, change) - jnp.concatenate([jnp.zeros(3, gravity.dtype), gravity])
     inertia = _rotational_inertia(parameters, kin)
     arm, mass = kin.com - kin.tree_com, parameters.body_mass[:, None]
 
@@ -415,6 +428,12 @@ def _rotational_inertia(parameters: TreeParameters, kin: Kinematics) -> Array:
     """About each body's centre of mass, in world axes [kg m^2], shape (num_bodies, 3, 3)."""
     axes = kin.inertia_rotation
     return compose(axes * parameters.body_inertia[:, None, :], jnp.swapaxes(axes, -1, -2))
+
+
+def _axis_drifts(topology: Topology, kin: Kinematics, qvel: Array) -> Array:
+    """Rate of change of each joint's axis, times its rate: velocity-product accelerations, shape (num_dofs, 6)."""
+    carried = _dot(topology.before, kin.axes * qvel[:, None])  # what moves an axis turns it
+    return _motion_cross(carried, kin.axes) * qvel[:, None]
 
 
 def _motion_cross(a: Array, b: Array) -> Array:

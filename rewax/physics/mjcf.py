@@ -47,7 +47,7 @@ def check_model(mj: mujoco.MjModel, *, penalty: bool) -> None:
     """
     _check_options(mj, penalty)
     _check_actuators(mj)
-    _check_joints_and_tendons(mj)
+    _check_fields(mj)
     _check_constraints(mj, penalty)
 
 
@@ -65,6 +65,18 @@ def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
         raise ValueError(f"{body} is a mocap body, which is not supported: give it a joint and an actuator")
     if mj.nflex or mj.nplugin:
         raise ValueError("the model has flexes or plugins, which are not supported: remove them")
+    if not mj.nv:
+        raise ValueError("no body of the model has a joint, so nothing can move: give one a joint")
+    for flag, what in (("SPRING", "stiffness"), ("DAMPER", "damping")):
+        if is_disabled(mj, flag):
+            raise ValueError(
+                f"the model disables its {flag.lower()}s, which is not supported: remove the flag and set {what} to "
+                "zero"
+            )
+    if mj.opt.noslip_iterations:
+        raise ValueError("the model has noslip_iterations, which are not supported: remove them")
+    if mj.opt.disableactuator:
+        raise ValueError("the model has an actuatorgroupdisable, which is not supported: remove it, or the actuators")
 
 
 def _check_actuators(mj: mujoco.MjModel) -> None:
@@ -81,27 +93,39 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
             raise ValueError(
                 f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
             )
-    if np.any(mj.actuator_actearly):
-        raise ValueError(
-            f"{_named(mj, 'actuator', mj.actuator_actearly)} has actearly, which is not supported: remove it"
-        )
 
 
-def _check_joints_and_tendons(mj: mujoco.MjModel) -> None:
-    def nonzero(name: str) -> np.ndarray:
-        value = np.asarray(getattr(mj, name, np.zeros((1, 1))))
-        return np.any(value.reshape(len(value), -1) != 0, axis=1) if value.size else np.zeros(0, bool)
+_UNSUPPORTED = (
+    ("actuator_actearly", "actearly"),
+    ("actuator_delay", "a delay"),
+    ("actuator_armature", "an armature"),
+    ("actuator_damping", "a damping"),
+    ("actuator_dampingpoly", "a nonlinear damping"),
+    ("jnt_stiffnesspoly", "a nonlinear stiffness"),
+    ("dof_dampingpoly", "a nonlinear damping"),
+    ("jnt_springyield", "a springyield"),
+    ("tendon_stiffnesspoly", "a nonlinear stiffness"),
+    ("tendon_dampingpoly", "a nonlinear damping"),
+    ("tendon_springyield", "a springyield"),
+    ("tendon_armature", "an armature"),
+    ("geom_adhesion", "an adhesion"),
+    ("pair_adhesion", "an adhesion"),
+    ("geom_surfacevel", "a surfacevel"),
+    ("geom_fluid", "a fluidshape"),
+)
+"""Fields of MuJoCo's model that must be zero, because MJX ignores them; older versions have fewer."""
 
-    joints = np.isin(np.arange(mj.njnt), mj.dof_jntid[np.flatnonzero(nonzero("dof_dampingpoly"))])
-    for wrong, kind, what in (
-        (nonzero("jnt_stiffnesspoly"), "joint", "a nonlinear stiffness"),
-        (joints, "joint", "a nonlinear damping"),
-        (nonzero("tendon_stiffnesspoly"), "tendon", "a nonlinear stiffness"),
-        (nonzero("tendon_dampingpoly"), "tendon", "a nonlinear damping"),
-        (nonzero("tendon_armature"), "tendon", "an armature"),
-    ):
+
+def _check_fields(mj: mujoco.MjModel) -> None:
+    for field, what in _UNSUPPORTED:
+        value = np.asarray(getattr(mj, field, np.zeros((0, 1))))
+        wrong = np.any(value.reshape(len(value), -1) != 0, axis=1) if value.size else np.zeros(0, bool)
         if np.any(wrong):
-            raise ValueError(f"{_named(mj, kind, wrong)} has {what}, which is not supported: remove it")
+            kind = field.split("_")[0]
+            if kind == "dof":
+                wrong = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong])
+            name = _named(mj, {"dof": "joint", "jnt": "joint"}.get(kind, kind), wrong)
+            raise ValueError(f"{name} has {what}, which is not supported: remove it")
 
 
 def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
@@ -112,6 +136,11 @@ def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
         raise ValueError(f"{name} is of a kind that is not supported: use connect, joint or tendon constraints")
     if not penalty:
         return
+    if is_disabled(mj, "LIMIT") or is_disabled(mj, "CONSTRAINT"):
+        raise ValueError(
+            "the model disables limits or all constraints, which a Penalty does not: remove the flag, and ranges and "
+            "contacts that are not wanted"
+        )
     ball = (mj.jnt_limited != 0) & (mj.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
     if np.any(ball):
         raise ValueError(

@@ -29,6 +29,7 @@ from rewax.physics.constraint_solver import Rows
 from rewax.physics.kinematic_tree import Kinematics, Topology, TreeParameters
 from rewax.physics.plane_box import plane_box
 from rewax.physics.recompute import recomputed
+from rewax.physics.rigid_connect import connect_drifts
 from rewax.physics.rigid_penalty import Penalty, contact_wrenches, limit_forces
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array
@@ -194,11 +195,14 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
     try:
         static = _Model(compiled)
     except (NotImplementedError, AssertionError) as error:
-        raise ValueError(f"MJX does not support this model: {error}") from error
+        raise ValueError(
+            f"MJX does not support this model ({error}): remove that, or let such geoms not touch"
+        ) from error
+    gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
     parameters = {name: jnp.asarray(getattr(compiled, name), jnp.zeros(()).dtype) for name in PARAMETERS}
     return RigidModel(
         parameters=parameters,
-        gravity=jnp.asarray(compiled.opt.gravity, jnp.zeros(()).dtype),
+        gravity=jnp.asarray(gravity, jnp.zeros(()).dtype),
         penalty=penalty if penalty is None else jax.tree.map(jnp.asarray, penalty),
         static=static,
     )
@@ -395,8 +399,8 @@ def _applied_forces(
         mj = model.static.mj
         joint = np.flatnonzero(mj.jnt_limited)
         position, dof = mj.jnt_qposadr[joint], mj.jnt_dofadr[joint]
-        limits = limit_forces(model.penalty, model.parameters["jnt_range"][joint], d.qpos[position], d.qvel[dof])
-        force = force.at[dof].add(limits)
+        limits = model.parameters["jnt_range"][joint] + model.parameters["jnt_margin"][joint, None] * np.array([1, -1])
+        force = force.at[dof].add(limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof]))
     return force, d.act_dot
 
 
@@ -451,7 +455,7 @@ def _contact_wrenches(
     )
 
 
-def _rows(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Rows:
+def _rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data) -> Rows:
     """Constraints of limits, contacts, dry friction and equalities; none under the penalty law."""
     if model.penalty is None:
         if model.static.has_contacts:
@@ -465,7 +469,10 @@ def _rows(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Rows:
         equality, dry = index < impl.ne, (index >= impl.ne) & (index < impl.ne + impl.nf)
         lower = jnp.where(equality, -infinite, jnp.where(dry, -loss, 0.0))
         upper = jnp.where(dry, loss, infinite)
-        return Rows(impl.efc_J, impl.efc_D, impl.efc_aref, lower, upper)
+        sites = d.site_xpos if model.static.mj.nsite else None
+        drifts = connect_drifts(model.static.mj, model.static.topology, kin, d.qvel, m.eq_data, d.eq_active, sites)
+        target = impl.efc_aref.at[: len(drifts)].add(-drifts)
+        return Rows(impl.efc_J, impl.efc_D, target, lower, upper)
     none = jnp.zeros(0, d.qpos.dtype)
     return Rows(jnp.zeros((0, model.num_dofs), d.qpos.dtype), none, none, none, none)
 
@@ -477,7 +484,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
         kin = _kinematics(model, state.qpos)
         m, d = _mjx(model, kin, state, ctrl)
         applied, act_dot = _applied_forces(model, kin, m, d, wrenches)
-        rows = _rows(model, m, d)
+        rows = _rows(model, kin, m, d)
         still = jnp.zeros_like(state.qvel)
         force = applied - kinematic_tree.inverse_dynamics(topology, parameters, kin, state.qvel, still, model.gravity)
         mass = kinematic_tree.mass_matrix(topology, parameters, kin)
@@ -506,7 +513,7 @@ def _acceleration_derivative(
         kin = _kinematics(model, state.qpos)
         m, d = _mjx(model, kin, state, ctrl)
         applied, act_dot = _applied_forces(model, kin, m, d, wrenches)
-        rows = _rows(model, m, d)
+        rows = _rows(model, kin, m, d)
         mass = kinematic_tree.mass_matrix(topology, *jax.lax.stop_gradient((parameters, kin)))
 
         def unbalanced(acceleration: Array, forces: Array) -> Array:
