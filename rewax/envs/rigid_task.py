@@ -125,6 +125,13 @@ class RigidTask(struct.Replaceable):
             status=rigid.check_status(bodies),
         )
 
+    @property
+    def up(self) -> np.ndarray:
+        """Unit vector against gravity, for pictures, shape (3,); z without gravity."""
+        gravity = np.asarray(self.model.gravity, float)
+        strength = np.linalg.norm(gravity)
+        return -gravity / strength if strength > 0.0 else np.array([0.0, 0.0, 1.0])
+
     def render_shapes(self, physics: RigidPhysics) -> list[dict[str, Any]]:
         """Geoms for pictures, see ``rigid.shapes``."""
         return rigid.shapes(self.model, physics.rigid)

@@ -14,7 +14,7 @@ class ReportConfig:
       checkpoint_every: iterations between checkpoints, 0 for one at the end only; each evaluation is preceded by one.
       keep_checkpoints: number of checkpoints that stay.
       baselines: also evaluate no action and random actions, once, for comparison.
-      plots: draw the learning curve and an episode's particles at the end.
+      plots: draw the learning curve and an episode's particles or bodies at the end.
       num_frames: moments of the episode in the latter.
       tensorboard: write event files beside the CSV.
     """

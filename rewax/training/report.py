@@ -1,7 +1,7 @@
 """Evaluations and pictures of a run, and the files that hold them."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
-from rewax.training.evaluate import Policy, make_evaluate, record_episode, uniform_policy
+from rewax.training.evaluate import Frame, Policy, make_evaluate, record_episode, uniform_policy
 from rewax.training.metrics import CsvWriter, read_csv
 from rewax.types import Key
 
@@ -68,23 +68,17 @@ class Evaluator:
         return result
 
     def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[Path]:
-        """Draw the learning curve and, where the environment offers ``particles``, one deterministic episode."""
+        """Draw the learning curve and, where the environment offers ``particles`` or ``render_shapes``, one
+        deterministic episode."""
         from rewax.viz import plots  # matplotlib is slow to import
 
         metrics, evaluation = read_csv(self._run_dir / "metrics.csv"), read_csv(self._run_dir / "eval.csv")
         curve = self._run_dir / "learning_curve.png"
         written = [plots.learning_curve(metrics, curve, evaluation=evaluation, baselines=baselines)]
         env: Any = getattr(self._env, "unwrapped", self._env)
-        if hasattr(env, "particles"):
+        if hasattr(env, "particles") or hasattr(env, "render_shapes"):
             frames = record_episode(env, self._policy, train_state, self._key, num_frames=self._config.num_frames)
-            written.append(
-                plots.particle_strip(
-                    [env.particles(frame.physics) for frame in frames],
-                    self._run_dir / "episode.png",
-                    labels=[f"step {frame.step}, return {frame.total:.3g}" for frame in frames],
-                    shapes=[getattr(env, "render_shapes", lambda _: [])(frame.physics) for frame in frames],
-                )
-            )
+            written.append(_draw_episode(env, frames, self._run_dir / "episode.png"))
         return written
 
     def close(self) -> None:
@@ -93,6 +87,19 @@ class Evaluator:
 
 
 _MODES = ("sampled", "deterministic", "no action", "random actions")
+
+
+def _draw_episode(env: Any, frames: Sequence[Frame], out_png: Path) -> Path:
+    """Particles with what moves among them, or rigid bodies alone, up to the episode's end."""
+    from rewax.viz import bodies, plots
+
+    frames = [frame for i, frame in enumerate(frames) if i == 0 or frame.step > frames[i - 1].step]
+    labels = [f"step {frame.step}, return {frame.total:.3g}" for frame in frames]
+    shapes = [env.render_shapes(frame.physics) if hasattr(env, "render_shapes") else [] for frame in frames]
+    if hasattr(env, "particles"):
+        clouds = [env.particles(frame.physics) for frame in frames]
+        return plots.particle_strip(clouds, out_png, labels=labels, shapes=shapes)
+    return bodies.body_strip(shapes, out_png, labels=labels, up=getattr(env, "up", (0.0, 1.0, 0.0)))
 
 
 def _any_of(env: Env, policy: Policy) -> Policy:

@@ -10,16 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Polygon
 from matplotlib.ticker import EngFormatter
+
+from rewax.viz.shapes import Shape, View, bounds, outline
 
 Columns: TypeAlias = Mapping[str, np.ndarray]
 """Columns of a table by name, as ``rewax.training.metrics.read_csv`` reads them."""
-Shape: TypeAlias = Mapping[str, Any]
-"""A kinematic shape: ``kind``, ``centre`` (3,), ``radius``, and for capsules ``half_length`` and ``direction`` (3,); in
-metres. Kind ``"sphere"``, or ``"capsule"``: a cylinder of that half length along direction, with round ends."""
 
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -30,6 +29,7 @@ _STYLE: dict[Any, Any] = {
     "legend.edgecolor": "none",
     "figure.dpi": 150,
 }
+_GLASS = (0.55, 0.55, 0.6, 0.35)
 _TRAINING, _SAMPLED, _DETERMINISTIC = "#4c72b0", "#dd8452", "#2a7f4f"
 
 
@@ -52,7 +52,7 @@ def learning_curve(
     Returns:
       The path written.
     """
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 5.4), layout="constrained")
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.6, 1))
         _draw_returns(top, metrics, evaluation or {}, baselines or {})
@@ -130,7 +130,7 @@ def particle_strip(
       frames: particle positions [m] of each frame, shape (num_particles, 3), y up.
       out_png: picture to write.
       labels: one for each frame, e.g. its time.
-      shapes: kinematic shapes of each frame.
+      shapes: rigid shapes of each frame; planes are left out.
       diameter: of a drawn particle [m]; by default one that fills the first frame's volume.
       title: of the picture.
 
@@ -148,7 +148,7 @@ def particle_strip(
     width = 11.0 if len(clouds) > 3 else 3.2 * len(clouds)
     scale = width / (len(clouds) * extent[0])
     size = (width + 1.2, scale * (extent[1] + extent[2]) + 0.9)
-    with mpl.rc_context({**_STYLE, "axes.grid": False, "font.size": 8}):
+    with mpl.rc_context({**STYLE, "axes.grid": False, "font.size": 8}):
         figure = Figure(figsize=size, layout="constrained")
         panels = figure.subplots(
             2, len(clouds), squeeze=False, sharex=True, sharey="row", height_ratios=(extent[1], extent[2])
@@ -181,42 +181,17 @@ def _draw_cloud(
     )
     particles.set(array=cloud[:, 1], cmap="viridis", norm=normalize)
     axes.add_collection(particles)
+    view = View(np.eye(3)[0], np.eye(3)[up])
     for shape in shapes:
-        axes.add_patch(_outline(shape, up))
+        if shape["kind"] != "plane":
+            axes.add_patch(Polygon(outline(shape, view), closed=True, facecolor=_GLASS, edgecolor="0.25", lw=1.0))
     return particles
-
-
-def _outline(shape: Shape, up: int) -> Circle | Polygon:
-    """The projection of a shape along the axis that is not drawn."""
-    kind, centre, radius = shape["kind"], shape["centre"], shape["radius"]
-    look = {"facecolor": (0.55, 0.55, 0.6, 0.35), "edgecolor": "0.25", "lw": 1.0}
-    centre, radius = np.asarray(centre, float)[[0, up]], float(radius)
-    if kind == "sphere":
-        return Circle((centre[0], centre[1]), radius, **look)
-    if kind != "capsule":
-        raise ValueError(f"cannot draw a shape of kind {kind!r}: use 'sphere' or 'capsule'")
-    along = _half_axis(shape)[[0, up]]
-    turn = np.arctan2(along[1], along[0]) + np.linspace(-np.pi / 2, np.pi / 2, 33)
-    arc = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return Polygon(np.concatenate([centre + along + arc, centre - along - arc]), closed=True, **look)
-
-
-def _half_axis(shape: Shape) -> np.ndarray:
-    """From a shape's centre to one end of its axis, shape (3,)."""
-    if shape["kind"] == "sphere":
-        return np.zeros(3)
-    direction = np.asarray(shape["direction"], float)
-    return float(shape["half_length"]) * direction / np.linalg.norm(direction)
 
 
 def _bounds(clouds: Sequence[np.ndarray], shapes: Sequence[Sequence[Shape]]) -> tuple[np.ndarray, np.ndarray]:
     """A box around everything drawn, with a margin."""
-    points = np.concatenate(clouds)
-    low, high = points.min(axis=0), points.max(axis=0)
-    for shape in (shape for frame in shapes for shape in frame):
-        reach = float(shape["radius"]) + np.abs(_half_axis(shape))
-        low = np.minimum(low, np.asarray(shape["centre"], float) - reach)
-        high = np.maximum(high, np.asarray(shape["centre"], float) + reach)
+    points, drawn = np.concatenate(clouds), bounds([shape for frame in shapes for shape in frame])
+    low, high = np.minimum(points.min(axis=0), drawn[0]), np.maximum(points.max(axis=0), drawn[1])
     margin = 0.04 * (high - low).max() + 1e-9
     return low - margin, high + margin
 

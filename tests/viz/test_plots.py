@@ -1,7 +1,6 @@
 """Pictures have the size and the ink they should, and draw shapes where they are."""
 
 import matplotlib.image
-import matplotlib.patches
 import numpy as np
 import pytest
 
@@ -52,20 +51,17 @@ def test_particle_strip_has_a_column_for_each_frame(tmp_path, num_frames):
     assert min(inked) > 0.1 and max(inked) < 2.5 * min(inked)
 
 
-def test_capsule_outline_projects_along_the_hidden_axis():
-    side, top = plots._outline(capsule(), 1), plots._outline(capsule(), 2)
-    assert isinstance(side, matplotlib.patches.Polygon) and isinstance(top, matplotlib.patches.Polygon)
-    for patch, centre, reach in ((side, (0.5, 0.2), (0.05, 0.05)), (top, (0.5, 0.5), (0.05, 0.25))):
-        corners = patch.get_xy()
-        np.testing.assert_allclose(corners.max(axis=0), np.add(centre, reach), atol=1e-3)
-        np.testing.assert_allclose(corners.min(axis=0), np.subtract(centre, reach), atol=1e-3)
-
-
 def test_bounds_hold_every_shape():
     low, high = plots._bounds([np.zeros((1, 3))], [[capsule(direction=(2.0, 0.0, 0.0))]])
     assert low[0] < 0.0 and high[0] > 0.75 and high[2] > 0.55
 
 
+def test_a_ground_is_no_reason_to_zoom_out():
+    ground = {"kind": "plane", "centre": (9.0, 0.0, 0.0), "direction": (0.0, 1.0, 0.0)}
+    low, high = plots._bounds([np.eye(3)], [[ground]])
+    np.testing.assert_allclose([low, high], [[-0.04] * 3, [1.04] * 3], atol=1e-6)
+
+
 def test_unknown_shapes_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="cannot draw a shape of kind 'cone': use 'sphere' or 'capsule'"):
+    with pytest.raises(ValueError, match="cannot draw a shape of kind 'cone': use one of 'sphere', 'capsule'"):
         plots.particle_strip([np.eye(3)], tmp_path / "a.png", shapes=[[{**capsule(), "kind": "cone"}]])
