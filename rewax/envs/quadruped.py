@@ -20,8 +20,8 @@ from rewax.physics.rotations import quaternion_to_matrix
 from rewax.types import Array, Key, Observation, PyTree
 
 _WEIGHTS = {
-    "velocity": 1.0,
-    "yaw": 0.3,
+    "velocity": 2.0,
+    "yaw": 0.2,
     "vertical": -0.5,
     "rocking": -0.05,
     "tilt": -1.0,
@@ -37,7 +37,7 @@ class Quadruped(RigidTask):
     Observation ``state``, 45 numbers: in the trunk's frame velocity (3), angular velocity (3) and the direction of
     gravity (3); joint angles from the stance (12), 0.1 joint rates (12), last action (12). Per leg (left front, right
     front, left hind, right hind) the joints spread, swing and knee. An action times ``reach``, added to the stance, is
-    the angles that the joints' controllers aim at, 80 N m/rad and 2 N m s/rad, at most 50 N m.
+    the angles that the joints' controllers aim at, 80 N m/rad and 3 N m s/rad, at most 50 N m.
 
     Attributes:
       stance: joint angles of action 0 [rad], shape (12,).
@@ -70,7 +70,7 @@ class Quadruped(RigidTask):
         return {"state": jnp.concatenate([*trunk, q[7:] - self.stance, 0.1 * v[6:], physics.action])}
 
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
-        """Weighted sum of: following the command (velocity) and not turning (yaw), between 0 and 1 each; squares of
+        """Weighted sum of: following the command (velocity) and not turning (yaw), each between 0 and 1; squares of
         vertical velocity, rocking, tilt, torques and change of the action."""
         q, v = physics.rigid.qpos, physics.rigid.qvel
         rotation = quaternion_to_matrix(q[3:7])
@@ -116,14 +116,14 @@ def make_quadruped(*, scale: str) -> Quadruped:
       scale: ``"paper"``: 20 substeps of 1 ms and 1000 steps; ``"small"``: 8 substeps of 2.5 ms and 300 steps.
     """
     num_substeps, max_steps = {"paper": (20, 1000), "small": (8, 300)}[scale]
-    penalty = Penalty(stiffness=2e4, damping=200.0, friction_damping=200.0, onset=2e-3)
+    penalty = Penalty(stiffness=1e4, damping=200.0, friction_damping=200.0, onset=0.01)
     model = load_asset("quadruped.xml", dt=0.02 / num_substeps, penalty=penalty)
     return Quadruped(
         model=model,
         num_substeps=num_substeps,
         max_steps=max_steps,
         stance=model.home[7:],
-        reach=jnp.asarray(0.5),
+        reach=jnp.asarray(0.35),
         command=jnp.asarray([1.0, 0.0]),
         fallen_height=jnp.asarray(0.25),
         fallen_upright=jnp.asarray(0.5),
