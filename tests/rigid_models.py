@@ -85,14 +85,14 @@ def hopper(**options: str) -> str:
 
 
 def ant(**options: str) -> str:
-    """A trunk with four legs of two hinges."""
+    """A trunk with four legs of two hinges, whose shins never stand upright: then MJX turns the directions of friction."""
     legs, gears, pairs = "", {}, [("floor", "trunk")]
     for i in range(4):
         x, y = math.cos(math.pi * (i + 0.5) / 2), math.sin(math.pi * (i + 0.5) / 2)
         joint = 'type="hinge" armature="0.04" damping="0.8"'
         legs += f"""<body pos="{0.2 * x} {0.2 * y} 0"><joint name="hip{i}" {joint} axis="0 0 1" range="-0.6 0.6"/>
           <geom type="capsule" fromto="0 0 0 {0.2 * x} {0.2 * y} 0" size=".07" density="400"/>
-          <body pos="{0.2 * x} {0.2 * y} 0"><joint name="knee{i}" {joint} axis="{-y} {x} 0" range="0.2 1.5"/>
+          <body pos="{0.2 * x} {0.2 * y} 0"><joint name="knee{i}" {joint} axis="{-y} {x} 0" range="0.2 0.9"/>
             <geom name="shin{i}" type="capsule" fromto="0 0 0 {0.4 * x} {0.4 * y} 0" size=".07" density="400"/></body></body>"""
         gears |= {f"hip{i}": 90, f"knee{i}": 90}
         pairs.append(("floor", f"shin{i}"))
@@ -126,7 +126,8 @@ def contraption(**options: str) -> str:
 
     Kinds of joints, springs, dampers, dry friction, limits, equalities, tendons, kinds of actuators and of activations,
     weights held up, a medium that drags; contacts of several shapes, frictions, condim and margins, by pairs and not.
-    In its keyframe springs are strained and limits passed, and all but bulb and stone touch.
+    In its keyframe springs are strained and limits passed, and all but bulb and stone touch. Masses of free bodies lie
+    beside their frames, and the capsule on the floor lies: of one that stands MJX turns the two directions of friction.
     """
     world = """<geom name="floor" type="plane" size="9 9 1" contype="1" conaffinity="1"/>
     <geom name="shelf" type="box" pos=".7 .5 .3" size=".1 .1 .05" quat="1 .05 .02 0"/>
@@ -143,15 +144,16 @@ def contraption(**options: str) -> str:
           <geom type="capsule" fromto="0 0 0 .25 0 0" size=".025"/><site name="tip" pos=".25 0 0"/>
           <body pos=".25 0 0"><joint name="w" type="hinge" axis="1 0 1" damping=".1" armature=".01"/>
             <geom size=".04 .05 .06" type="box"/></body></body></body></body>
-    <body name="lamp" pos="-.6 0 .395">
-      <joint name="swing" type="ball" pos="0 0 .3" damping=".05" stiffness=".4" range="0 .6" solimplimit=".5 .9 .1 .5 2"/>
+    <body name="lamp" pos="-.6 0 .253">
+      <joint name="swing" type="ball" pos="0 0 .3" damping=".05" stiffness=".4" range="0 .6" margin=".02"
+        solimplimit=".5 .9 .1 .5 2"/>
       <geom type="capsule" fromto="0 0 .3 0 0 0" size=".02"/>
       <geom name="bulb" size=".08" contype="1" conaffinity="1"/></body>
-    <body name="stone" pos="-.55 .1 .155"><freejoint/>
-      <geom name="stone" type="capsule" size=".09 .07" contype="1" conaffinity="1" condim="4" margin=".01"
+    <body name="stone" pos="-.55 .1 .085"><freejoint/>
+      <geom name="stone" type="capsule" pos="0 .006 .01" size=".09 .07" contype="1" conaffinity="1" condim="4" margin=".01"
         friction=".6 .02 .01" solmix="2"/></body>
-    <body name="puck" pos=".7 -.2 .078"><freejoint/><geom name="puck" size=".08"/></body>
-    <body name="bead" pos=".7 .5 .395"><freejoint/><geom name="bead" size=".05" condim="1"/></body>
+    <body name="puck" pos=".7 -.2 .078"><freejoint/><geom name="puck" pos=".005 0 .004" size=".08"/></body>
+    <body name="bead" pos=".7 .5 .395"><freejoint/><geom name="bead" pos="0 .004 .002" size=".05"/></body>
     <body name="rod" pos="0 .4 .9"><freejoint/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>"""
     extra = """<tendon>
       <fixed name="coupling" stiffness="2" damping=".1" range="-2 .1" frictionloss=".02">
@@ -171,7 +173,7 @@ def contraption(**options: str) -> str:
       <muscle name="muscle" joint="h" lengthrange="-.6 .8" force="3" ctrlrange="0 1"/></actuator>
     <contact><pair geom1="floor" geom2="puck" condim="3" friction=".3 .5 .01 .01 .01" margin=".005"/>
       <pair geom1="shelf" geom2="bead" condim="1"/></contact>
-    <keyframe><key qpos=".05 .34 .1 -.2  .94 .1 .32 .02  -.55 .1 .155 1 .02 .01 0  .7 -.2 .078 1 0 0 0
+    <keyframe><key qpos=".05 .34 .1 -.2  .94 .1 .32 .02  -.55 .1 .085 .72 .02 .69 0  .7 -.2 .078 1 0 0 0
       .7 .5 .395 1 0 0 0  0 .4 .9 1 .1 0 0"/></keyframe>"""
     return mjcf(world, extra=extra, medium='density="1.2" viscosity="0.3" wind=".5 0 0"', **options)
 
