@@ -21,9 +21,10 @@ STEPS, CALLS = 20, 5
 
 @functools.cache
 def loaded(name: str):
-    """MuJoCo's model and ours."""
+    """MuJoCo's model and ours, in double precision."""
     text = getattr(rigid_models, name)()
-    return mujoco.MjModel.from_xml_string(text), rigid.load(text)
+    with jax.enable_x64(True):
+        return mujoco.MjModel.from_xml_string(text), rigid.load(text)
 
 
 @jax.jit
@@ -145,7 +146,7 @@ def plain_contraption():
 
 @pytest.mark.parametrize("name", rigid.PARAMETERS)
 def test_other_parameters_do_what_they_do_in_mujoco(x64, name):
-    """Each of them is heeded, at the first step already, and none needs another program."""
+    """Each of them is heeded, and none needs another program."""
     mj, model = plain_contraption()
     qpos, (qvel, ctrl, wrenches) = home(mj), draw(mj, speed=1.0)
     before, value = simulate_in_c(mj, qpos, qvel, ctrl, wrenches, STEPS)[0], np.array(getattr(mj, name))
@@ -155,8 +156,345 @@ def test_other_parameters_do_what_they_do_in_mujoco(x64, name):
         after = simulate_in_c(mj, qpos, qvel, ctrl, wrenches, STEPS)[0]
     finally:
         getattr(mj, name)[:] = value
-    with jax.log_compiles():
-        state = advance(model.with_parameters(**{name: new}), rigid.initial_state(model, qpos, qvel), ctrl, wrenches)
+    start = rigid.initial_state(model, qpos, qvel)
+    unchanged = advance(model, start, ctrl, wrenches)
+    np.testing.assert_allclose(unchanged.qpos, before.qpos, atol=1e-7)
+    programs = advance._cache_size()
+    state = advance(model.with_parameters(**{name: new}), start, ctrl, wrenches)
+    assert advance._cache_size() == programs
     print(name, np.abs(state.qpos - after.qpos).max(), np.abs(after.qpos - before.qpos).max())
     np.testing.assert_allclose(state.qpos, after.qpos, atol=1e-7)  # as well as MuJoCo's solver converges
     assert np.abs(after.qpos - before.qpos).max() > 1e-7
+
+
+@pytest.mark.parametrize("gravity", ["enable", "disable"])
+def test_gravity_is_a_leaf_and_can_be_switched_off(x64, gravity):
+    mj = mujoco.MjModel.from_xml_string(rigid_models.pendulum(1))
+    mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY * (gravity == "disable")
+    model = rigid.load(mj)
+    expected = [0.0, 0.0, -9.81] if gravity == "enable" else [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(model.gravity, expected)
+
+
+@functools.cache
+def measuring():
+    """All that can be asked about a state, as one program."""
+
+    @jax.jit
+    def measure(model, state):
+        return (
+            rigid.body_poses(model, state),
+            rigid.geom_poses(model, state),
+            rigid.body_velocities(model, state),
+            rigid.centers_of_mass(model, state),
+            rigid.contact_distances(model, state),
+            rigid.check_status(state),
+        )
+
+    return measure
+
+
+def test_what_is_measured_agrees_with_mujoco(x64):
+    """Poses of bodies and geoms, velocities of origins, centres of mass, distances, at the state and not before it."""
+    mj, model = loaded("contraption")
+    qpos, (qvel, *_) = home(mj), draw(mj, speed=1.0)
+    bodies, geoms, (velocity, turning), centers, distances, status = measuring()(model, rigid.initial_state(model, qpos, qvel))
+    data = mujoco.MjData(mj)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_forward(mj, data)
+    np.testing.assert_allclose(bodies.position, data.xpos, atol=1e-14)
+    np.testing.assert_allclose(bodies.rotation, data.xmat.reshape(-1, 3, 3), atol=1e-14)
+    np.testing.assert_allclose(geoms.position, data.geom_xpos, atol=1e-14)
+    np.testing.assert_allclose(geoms.rotation, data.geom_xmat.reshape(-1, 3, 3), atol=1e-14)
+    np.testing.assert_allclose(centers, data.subtree_com, atol=1e-14)
+    both = np.zeros((mj.nbody, 6))
+    for body in range(mj.nbody):
+        mujoco.mj_objectVelocity(mj, data, mujoco.mjtObj.mjOBJ_XBODY, body, both[body], 0)
+    np.testing.assert_allclose(np.concatenate([turning, velocity], axis=1), both, atol=1e-13)
+    # Of pairs that touch; sorted, as the order of contacts is MJX's own.
+    near = np.sort([contact.dist for contact in data.contact])
+    np.testing.assert_allclose(np.sort(np.asarray(distances))[: len(near)], near, atol=1e-14)
+    assert int(status) == Status.OK
+    assert (model.num_positions, model.num_dofs, model.num_actuators, model.num_bodies) == (mj.nq, mj.nv, mj.nu, mj.nbody)
+    assert model.dt == mj.opt.timestep
+    np.testing.assert_array_equal(model.home, mj.key_qpos[0])
+    np.testing.assert_array_equal(loaded("ball")[1].home, loaded("ball")[0].qpos0)
+
+
+def test_names(x64):
+    mj, model = loaded("contraption")
+    for body in ("world", "cart", "stone"):
+        assert model.body(body) == mj.body(body).id
+    assert model.geom("bulb") == mj.geom("bulb").id
+    assert model.joint("swing") == (mj.joint("swing").qposadr[0], mj.joint("swing").dofadr[0])
+    known = ", ".join(mj.body(i).name for i in range(mj.nbody) if mj.body(i).name)
+    with pytest.raises(ValueError, match=f"^the model has no body 'moon': known are {known}$"):
+        model.body("moon")
+    with pytest.raises(ValueError, match="^the model has no geom 'cart': known are floor, shelf, bulb, stone, puck, bead$"):
+        model.geom("cart")
+    with pytest.raises(ValueError, match="^the model has no joint 'y': known are x, h, k, w, swing$"):
+        model.joint("y")
+
+
+# --- Arguments --------------------------------------------------------------------------------------------------------
+
+
+def test_wrong_arguments_are_named():
+    model = rigid.load(rigid_models.hopper())
+    state = rigid.initial_state(model)
+    for call, sentence in (
+        (lambda: rigid.initial_state(model, np.zeros(5)), "qpos has shape (5,): give shape (6,)"),
+        (lambda: rigid.initial_state(model, qvel=np.zeros((6, 1))), "qvel has shape (6, 1): give shape (6,)"),
+        (
+            lambda: rigid.initial_state(model, np.full(6, np.nan)),
+            "qpos holds a number that is not finite ([nan nan nan nan nan nan]): give a finite start",
+        ),
+        (
+            lambda: rigid.initial_state(model, qvel=np.array([0, 0, 0, np.inf, 0, 0.0])),
+            "qvel holds a number that is not finite ([ 0.  0.  0. inf  0.  0.]): give a finite start",
+        ),
+        (
+            lambda: rigid.step(model, state, np.zeros(2)),
+            "ctrl has shape (2,): give shape (3,) (one number per actuator of the model)",
+        ),
+        (
+            lambda: rigid.step(model, state, wrenches=np.zeros((6, 5))),
+            "wrenches has shape (6, 5): give shape (5, 6) (force and torque per body, the world included)",
+        ),
+        (lambda: rigid.step(model, state, num_substeps=0), "num_substeps is 0: give at least 1"),
+        (
+            lambda: model.with_parameters(body_mass=np.ones(3)),
+            "body_mass has shape (3,): give shape (5,), as in the model",
+        ),
+        (
+            lambda: model.with_parameters(mass=np.ones(5)),
+            "a rigid model has no parameter 'mass': known are qpos0, body_pos,",
+        ),
+    ):
+        with pytest.raises(ValueError, match="^" + re.escape(sentence)):
+            call()
+
+
+def test_status_flags_what_is_not_finite():
+    model = rigid.load(rigid_models.ball())
+    state = rigid.initial_state(model)
+    assert int(rigid.check_status(state)) == Status.OK
+    for broken in (state.replace(qpos=state.qpos.at[1].set(jnp.nan)), state.replace(qvel=state.qvel.at[5].set(jnp.inf))):
+        assert int(rigid.check_status(broken)) == Status.NAN
+
+
+# --- One program ------------------------------------------------------------------------------------------------------
+
+
+@jax.jit
+def hop(model, state, ctrl):
+    return rigid.step(model, state, ctrl, num_substeps=2)
+
+
+def test_a_model_is_compiled_once(x64):
+    """Other numbers, other states and the same MJCF read again are the same program; another model is another one."""
+    text = rigid_models.ball()
+    first, again = rigid.load(text), rigid.load(mujoco.MjSpec.from_string(text))
+    assert first.static == again.static and hash(first.static) == hash(again.static)
+    assert jax.tree.structure(first) == jax.tree.structure(again)
+    state, before = rigid.initial_state(first), hop._cache_size()
+    ends = [hop(first, state, jnp.zeros(0)), hop(again, state, jnp.zeros(0))]
+    assert hop._cache_size() == before + 1
+    np.testing.assert_array_equal(ends[0].qvel, ends[1].qvel)
+    for name in ("body_mass", "pair_friction", "pair_solref", "pair_solimp", "geom_size"):
+        other = again.with_parameters(**{name: 1.01 * again.parameters[name]})
+        ends.append(hop(other, ends[-1], jnp.zeros(0)))
+    ends.append(hop(first.replace(gravity=jnp.array([0.0, 1.0, -3.0])), state.replace(qvel=state.qvel + 1.0), jnp.zeros(0)))
+    assert hop._cache_size() == before + 1
+    for other in (
+        rigid_models.ball(dt=0.001),
+        rigid_models.ball(gravity="0 0 -1"),
+        text.replace('condim="3"', "").replace("<pair ", '<pair condim="1" ', 1),
+        rigid_models.capsule(),
+    ):
+        assert rigid.load(other).static != first.static
+    assert first.static != "a model"
+    with_penalty = rigid.load(text, penalty=Penalty(stiffness=1e4))
+    assert jax.tree.structure(with_penalty) != jax.tree.structure(first)
+    with jax.enable_x64(False):
+        single = rigid.load(text)
+    assert single.static != first.static and single.home.dtype == np.float32
+
+
+def test_substeps_are_steps(x64):
+    """Twenty at once or two after two: the same. Again: the same to the bit."""
+    _, model = loaded("ball")
+    start = rigid.initial_state(model, model.home.at[2].set(0.09), jnp.arange(6) * 0.3)
+    nothing = jnp.zeros(0)
+    at_once, state = (advance(model, start, nothing, jnp.zeros((model.num_bodies, 6))), start)
+    for _ in range(STEPS // 2):
+        state = hop(model, state, nothing)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11), at_once, state)
+    jax.tree.map(np.testing.assert_array_equal, hop(model, state, nothing), hop(model, state, nothing))
+
+
+def test_environments_do_not_see_each_other(x64):
+    """vmap = loop; what is NaN in one env stays there; each env may have its own masses."""
+    _, model = loaded("ball")
+    rng = np.random.default_rng(0)
+    qpos = np.tile(np.asarray(model.home), (4, 1))
+    qpos[:, 2] = [0.08, 0.095, 0.12, 0.0999]
+    states = jax.vmap(lambda q, v: rigid.initial_state(model, q, v))(qpos, rng.standard_normal((4, 6)))
+    masses = model.parameters["body_mass"] * jnp.asarray(rng.uniform(0.5, 2.0, (4, 1)))
+
+    @jax.jit
+    @jax.vmap
+    def advance_all(mass, state):
+        return rigid.step(model.with_parameters(body_mass=mass), state, num_substeps=2)
+
+    together = advance_all(masses, states)
+    for env in range(4):
+        alone = hop(model.with_parameters(body_mass=masses[env]), jax.tree.map(lambda x: x[env], states), jnp.zeros(0))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a[env], b, rtol=1e-10, atol=1e-12), together, alone)
+    poisoned = advance_all(masses, states.replace(qvel=jnp.asarray(states.qvel).at[1, 2].set(jnp.nan)))
+    assert np.isnan(poisoned.qpos[1]).any()
+    for env in (0, 2, 3):
+        jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[env], b[env]), poisoned, together)
+
+
+# --- Physics ----------------------------------------------------------------------------------------------------------
+
+
+def two_balls(penalty: Penalty | None):
+    """Two balls of different mass that meet off centre, spinning, without gravity."""
+    bodies = "".join(
+        f'<body name="b{i}" pos="{x} {0.05 * i} 0"><freejoint/><geom name="b{i}" size="{r}" density="500"/></body>'
+        for i, (x, r) in enumerate(((0, 0.1), (0.17, 0.08)))
+    )
+    text = rigid_models.mjcf(bodies, extra=rigid_models.touching(("b0", "b1")), gravity="0 0 0")
+    return rigid.load(text, penalty=penalty)
+
+
+@pytest.mark.parametrize("penalty", [None, Penalty(stiffness=2e3, damping=5.0, friction_damping=5.0)], ids=["soft", "penalty"])
+def test_contact_forces_are_equal_and_opposite(x64, penalty):
+    """Momentum and angular momentum stay to the last digits while both balls are turned round by a collision."""
+    model = two_balls(penalty)
+    mass, inertia = np.asarray(model.parameters["body_mass"])[1:], np.asarray(model.parameters["body_inertia"])[1:]
+    qvel = jnp.array([1.0, 0.2, -0.1, 3.0, 5.0, -2.0, -2.0, 0.0, 0.3, -4.0, 0.5, 6.0])
+    state = rigid.initial_state(model, qvel=qvel)
+
+    def momenta(state):
+        x, v = np.asarray(state.qpos).reshape(2, 7)[:, :3], np.asarray(state.qvel).reshape(2, 6)
+        turn = np.asarray(rigid.body_poses(model, state).rotation)[1:]
+        spin = np.einsum("bij,bj->bi", turn, inertia * v[:, 3:])
+        linear = mass[:, None] * v[:, :3]
+        return linear, np.cross(x, linear) + spin
+
+    before, largest = momenta(state), 0.0
+    for _ in range(10):
+        state = hop(model, state, jnp.zeros(0))
+        after = momenta(state)
+        largest = max(largest, np.abs(after[0][0] - before[0][0]).max())
+        np.testing.assert_allclose(after[0].sum(axis=0), before[0].sum(axis=0), atol=1e-13)
+        np.testing.assert_allclose(after[1].sum(axis=0), before[1].sum(axis=0), atol=1e-13)
+    assert largest > mass.min()  # [kg m/s]: they did collide,
+    assert np.abs(after[1] - before[1]).max() > 1e-3  # and rub
+    assert float(rigid.contact_distances(model, state)[0]) > 0
+
+
+def test_a_pendulum_keeps_its_energy_and_its_period(x64):
+    """A rod on a hinge: no drift in 20 swings from 1.2 rad, and the period of theory at a small angle."""
+    model = rigid.load(rigid_models.pendulum(1))
+    parameters = model.parameters
+    mass, length = float(parameters["body_mass"][1]), float(-parameters["body_ipos"][1, 2])
+    inertia = float(parameters["body_inertia"][1].max()) + mass * length**2
+    assert length == pytest.approx(0.5)
+
+    @jax.jit
+    def swing(model, angle):
+        def body(state, _):
+            state = rigid.step(model, state)
+            return state, (state.qpos[0], state.qvel[0])
+
+        return jax.lax.scan(body, rigid.initial_state(model, angle[None]), None, length=8000)[1]
+
+    angle, rate = (np.asarray(a) for a in swing(model, jnp.array(1.2)))
+    # Rates are those of half a step earlier.
+    middle = 0.5 * (rate[1:] + rate[:-1])
+    energy = 0.5 * inertia * middle**2 + mass * 9.81 * length * (1 - np.cos(angle[:-1]))
+    start = mass * 9.81 * length * (1 - np.cos(1.2))
+    np.testing.assert_allclose(energy, start, rtol=1e-3)
+    assert energy[-500:].max() == pytest.approx(energy[:500].max(), rel=1e-4)
+    angle = np.asarray(swing(model, jnp.array(0.01))[0])
+    down = np.flatnonzero((angle[1:] <= 0) & (angle[:-1] > 0))
+    crossings = down + angle[down] / (angle[down] - angle[down + 1])
+    period = np.diff(crossings).mean() * model.dt
+    assert period == pytest.approx(2 * np.pi * np.sqrt(inertia / (mass * 9.81 * length)), rel=1e-4)
+
+
+# --- What is used of MJX ----------------------------------------------------------------------------------------------
+
+VERSIONS = (
+    f"mujoco {mujoco.__version__} with mujoco-mjx {importlib.metadata.version('mujoco-mjx')} is not what rewax was written "
+    "for (rewax/physics/rigid.py):"
+)
+FUNCTIONS = (
+    "collision", "make_constraint", "passive", "transmission", "fwd_actuation", "tendon", "put_model", "make_data",
+)  # fmt: skip
+READ_AND_WRITTEN = (
+    "qpos", "qvel", "act", "ctrl", "xpos", "xmat", "xipos", "ximat", "subtree_com", "cdof", "cvel", "geom_xpos", "geom_xmat",
+    "site_xpos", "site_xmat", "qfrc_passive", "qfrc_actuator", "act_dot", "eq_active",
+)  # fmt: skip
+OF_THE_IMPLEMENTATION = (
+    "ne", "nf", "ncon", "contact", "actuator_moment", "actuator_velocity", "ten_J", "ten_velocity", "efc_J", "efc_D",
+    "efc_aref", "efc_frictionloss",
+)  # fmt: skip
+OF_A_CONTACT = ("dist", "pos", "frame", "includemargin", "friction", "dim", "geom")
+
+
+def test_mjx_has_what_is_used_of_it():
+    mj, model = loaded("contraption")
+    data = model.static.data
+    missing = [f"mjx.{name}" for name in FUNCTIONS if not callable(getattr(mjx, name, None))]
+    for what, holder, fields in (
+        ("mjx.Model", model.static.mjx, (*rigid.PARAMETERS, "opt", "site_pos", "site_quat", "eq_data")),
+        ("mjx.Data", data, READ_AND_WRITTEN),
+        ("mjx.Data._impl", data._impl, OF_THE_IMPLEMENTATION),
+        ("Contact", data._impl.contact, OF_A_CONTACT),
+    ):
+        missing += [f"{what}.{name}" for name in fields if not hasattr(holder, name)]
+    assert not missing, f"{VERSIONS} {', '.join(missing)} are gone"
+    for name in rigid.PARAMETERS:
+        ours, theirs = getattr(mj, name).shape, getattr(model.static.mjx, name).shape
+        assert ours == theirs, f"{VERSIONS} {name} has shape {theirs} in MJX and {ours} in MuJoCo"
+
+
+def test_rows_of_constraints_are_those_of_mujoco(x64):
+    """Jacobian, stiffness, target and bounds of every row that acts, in a model with every kind of row."""
+    mj, model = loaded("contraption")
+    qpos, (qvel, *_) = home(mj), draw(mj, speed=2.0)
+    data = mujoco.MjData(mj)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    mujoco.mj_forward(mj, data)
+    jacobian = np.zeros((data.nefc, mj.nv))
+    if mujoco.mj_isSparse(mj):
+        mujoco.mju_sparse2dense(jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    else:
+        jacobian[:] = data.efc_J.reshape(jacobian.shape)
+
+    @jax.jit
+    def rows_of(model, state):
+        kin = rigid._kinematics(model, state.qpos)
+        return rigid._rows(model, kin, *rigid._mjx(model, kin, state, jnp.zeros(model.num_actuators)))
+
+    rows = rows_of(model, rigid.initial_state(model, qpos, qvel))
+    acts = np.abs(np.asarray(rows.jacobian)).sum(axis=1) > 0
+    kinds = np.array([mujoco.mjtConstraint(k).name.removeprefix("mjCNSTR_") for k in data.efc_type])
+    equality, dry = kinds == "EQUALITY", np.char.startswith(kinds, "FRICTION")
+    lower = np.where(equality, -np.inf, np.where(dry, -data.efc_frictionloss, 0.0))
+    upper = np.where(dry, data.efc_frictionloss, np.inf)
+    ours = np.column_stack([np.asarray(x)[acts] for x in (rows.stiffness, rows.target, rows.lower, rows.upper, rows.jacobian)])
+    theirs = np.column_stack([data.efc_D, data.efc_aref, lower, upper, jacobian])
+    assert len(ours) == len(theirs), f"{VERSIONS} {len(ours)} rows of constraints act in MJX, {len(theirs)} in MuJoCo"
+
+    def in_order(table):
+        return table[np.lexsort(np.round(table, 6).T)]
+
+    for name, columns in (("D", 0), ("aref", 1), ("bounds", slice(2, 4)), ("J", slice(4, None))):
+        message = f"{VERSIONS} efc_{name} differs"
+        np.testing.assert_allclose(in_order(ours)[:, columns], in_order(theirs)[:, columns], atol=1e-9, err_msg=message)
