@@ -409,9 +409,10 @@ def _link_frames(topology: Topology, parameters: TreeParameters, qpos: Array) ->
     offset = (topology.link_first & ~free)[:, None]
     frame = jnp.where(offset[:, :, None], quaternion_to_matrix(select(topology.link_body, parameters.body_quat)), eye)
     origin = jnp.where(offset, select(topology.link_body, parameters.body_pos), 0.0)
-    links = _homogeneous(compose(frame, rotation), origin + rotate(frame, shift))
+    links = jnp.concatenate([compose(frame, rotation), (origin + rotate(frame, shift))[:, :, None]], axis=-1)
     for ancestor in topology.ancestors:
-        links = compose(select(ancestor, links), links)
+        before = select(ancestor, links)
+        links = compose(before[:, :, :3], links) + before * np.array([0.0, 0.0, 0.0, 1.0])
     return links
 
 
@@ -492,9 +493,3 @@ def compose(a: Array, b: Array) -> Array:
 def rotate(a: Array, v: Array) -> Array:
     """Products of small matrices and vectors, (..., n, n) and (..., n)."""
     return jnp.sum(a * v[..., None, :], axis=-1)
-
-
-def _homogeneous(rotation: Array, origin: Array) -> Array:
-    top = jnp.concatenate([rotation, origin[:, :, None]], axis=-1)
-    bottom = jnp.broadcast_to(jnp.array([0.0, 0.0, 0.0, 1.0], top.dtype), (len(top), 1, 4))
-    return jnp.concatenate([top, bottom], axis=-2)
