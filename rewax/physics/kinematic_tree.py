@@ -471,7 +471,7 @@ for _i in range(3):
 
 def cross(a: Array, b: Array) -> Array:
     """Cross products along the last axis, of length 3."""
-    return jnp.cross(a, b)
+    return jnp.sum(skew(a) * b[..., None, :], axis=-1)
 
 
 def _dot(a: np.ndarray | Array, b: Array) -> Array:
