@@ -426,13 +426,13 @@ def _plane_boxes(compiled: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> tuple[n
     limited = any(
         compiled.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(compiled.nnumeric)
     )
-    if d._impl.ncon == 0 or limited:
+    both = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX)
+    if d._impl.ncon == 0 or limited or not np.isin(both, compiled.geom_type).all():
         none = np.zeros(0, int)
         return none, none, none
-    with jax.ensure_compile_time_eval():
-        geoms = np.asarray(mjx.collision(m, mjx.kinematics(m, d))._impl.contact.geom)
-    kinds = compiled.geom_type[geoms]
-    slots = np.flatnonzero((kinds == (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX)).all(axis=1))
+    # Constants of the program: of the collisions nothing is left to compile.
+    geoms = np.asarray(jax.jit(lambda: mjx.collision(m, d)._impl.contact.geom).lower().compile()())
+    slots = np.flatnonzero((compiled.geom_type[geoms] == both).all(axis=1))
     return slots, geoms[slots[::4], 0], geoms[slots[::4], 1]
 
 
