@@ -138,7 +138,8 @@ class RigidModel(struct.Replaceable):
                 raise ValueError(
                     f"{name} has shape {jnp.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
                 )
-        return self.replace(parameters={**self.parameters, **changes})
+        given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
+        return self.replace(parameters={**self.parameters, **given})
 
     def body(self, name: str) -> int:
         """Number of a body."""
