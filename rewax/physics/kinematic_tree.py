@@ -326,13 +326,16 @@ def point_drifts(topology: Topology, kin: Kinematics, qvel: Array, body: Array, 
 def mass_matrix(topology: Topology, parameters: TreeParameters, kin: Kinematics) -> Array:
     """Joint-space inertia, symmetric and positive definite, shape (num_dofs, num_dofs)."""
     num_bodies, num_dofs = topology.moves.shape
-    inertia, mass = _rotational_inertia(parameters, kin), parameters.body_mass[:, None, None]
-    arm = skew(kin.com - kin.tree_com)
-    linear = jnp.broadcast_to(jnp.eye(3), (num_bodies, 3, 3)) * mass
-    rows = [[inertia - mass * compose(arm, arm), mass * arm], [-mass * arm, linear]]
-    spatial = jnp.concatenate([jnp.concatenate(row, axis=-1) for row in rows], axis=-2)
-    composite = _dot(topology.subtree, spatial.reshape(num_bodies, 36)).reshape(num_bodies, 6, 6)
-    force = rotate(select(topology.dof_body, composite), kin.axes)
+    mass, arm = parameters.body_mass[:, None], kin.com - kin.tree_com
+    turned = skew(arm)
+    inertia = _rotational_inertia(parameters, kin) - mass[:, :, None] * compose(turned, turned)
+    # Inertia about the tree's centre of mass, first moment and mass of all that a degree of freedom carries.
+    moments = jnp.concatenate([inertia.reshape(num_bodies, 9), mass * arm, mass], axis=-1)
+    carried = _dot(topology.subtree[topology.dof_body], moments)
+    inertia, moment, mass = carried[:, :9].reshape(num_dofs, 3, 3), carried[:, 9:12], carried[:, 12:]
+    angular, linear = kin.axes[:, :3], kin.axes[:, 3:]
+    torque = rotate(inertia, angular) + cross(moment, linear)
+    force = jnp.concatenate([torque, mass * linear - cross(moment, angular)], axis=-1)
     carries = topology.moves[topology.dof_body] * np.tri(num_dofs, k=-1)  # earlier dofs that move another's body
     lower = _dot(force, kin.axes.T) * carries
     return lower + lower.T + jnp.diag(jnp.sum(force * kin.axes, axis=-1) + parameters.dof_armature)
@@ -461,12 +464,6 @@ def _turn(q: Array, angle: Array) -> Array:
 
 def _unit(q: Array) -> Array:
     return q / jnp.sqrt(jnp.sum(q * q))
-
-
-_LEVI_CIVITA = np.zeros((3, 3, 3))
-for _i in range(3):
-    _j, _k = (_i + 1) % 3, (_i + 2) % 3
-    _LEVI_CIVITA[_j, _k, _i], _LEVI_CIVITA[_k, _j, _i] = 1.0, -1.0
 
 
 def cross(a: Array, b: Array) -> Array:
