@@ -36,7 +36,7 @@ def start(name):
 
 def starts(name, num=4096):
     """Positions and velocities of many first states, shapes (num, num_positions) and (num, num_dofs)."""
-    bodies, _ = jax.vmap(make(name).start)(jax.random.split(jax.random.key(1), num))
+    bodies, _ = jax.jit(jax.vmap(make(name).start))(jax.random.split(jax.random.key(1), num))
     return np.asarray(bodies.qpos), np.asarray(bodies.qvel)
 
 
@@ -49,11 +49,20 @@ def assert_uniform(values, middle, bound):
     np.testing.assert_allclose((unit**2).mean(axis=0), 1.0 / 3.0, atol=0.04)
 
 
-def random_physics(name, seed, num=6):
-    """States anywhere, with an action each and a task of random numbers: as the task sees them, and as numpy does."""
+def random_physics(name, seed, num=6, columns=None):
+    """States anywhere, with an action each and a task of random numbers: as the task sees them, and as numpy does.
+
+    Args:
+      name: of the environment.
+      seed: of the numbers.
+      num: of states.
+      columns: positions that are given, by their number.
+    """
     env, rng = make(name), np.random.default_rng(seed)
     q = rng.uniform(-1.0, 1.0, (num, env.model.num_positions))
     v = rng.uniform(-2.0, 2.0, (num, env.model.num_dofs))
+    for column, values in (columns or {}).items():
+        q[:, column] = values
     if env.model.num_positions > env.model.num_dofs:
         q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
     action, task = rng.uniform(-1.0, 1.0, (2, num, env.model.num_actuators))
@@ -67,13 +76,13 @@ def rotations(q):
 
 
 def observed(name, physics):
-    obs = jax.vmap(make(name).observe)(physics)
+    obs = jax.jit(jax.vmap(make(name).observe))(physics)
     assert list(obs) == ["state"]
     return np.asarray(obs["state"])
 
 
 def rewarded(name, physics):
-    return np.asarray(jax.vmap(make(name).reward)(physics)[0])
+    return np.asarray(jax.jit(jax.vmap(make(name).reward))(physics)[0])
 
 
 def terminated(name, physics):
@@ -104,29 +113,28 @@ def masses(name):
     return {mj.body(i).name: float(mj.body_mass[i]) for i in range(1, mj.nbody)}
 
 
-def step_in_the_air(name, scale_of_action=0.3):
-    """A control step of this library and of MuJoCo, far above the ground and within all limits, with random actions.
+def step_in_the_air(name):
+    """A control step of this library and of MuJoCo, above the ground and within all limits, with random actions.
 
     Returns:
-      Positions and velocities afterwards of either, and MuJoCo's without any action, shapes (num_envs, ...).
+      Positions and velocities afterwards of either, and MuJoCo's without any action, shapes (NUM_ENVS, ...).
     """
-    env, rng = make(name), np.random.default_rng(3)
-    first = start(name)
-    q, v = np.array(first.physics.rigid.qpos), np.array(first.physics.rigid.qvel)
-    up = int(np.argmax(env.up))
-    q[:, up if env.model.num_positions > env.model.num_dofs else 1] += 3.0
-    middle = env.model.static.mj.qpos0[-env.model.num_actuators :].copy()
-    low, high = ranges(name).T
-    limited = high > low
-    middle[limited] = 0.5 * (low + high)[limited]
-    q[:, -env.model.num_actuators :] = middle
-    action = rng.uniform(-scale_of_action, scale_of_action, (NUM_ENVS, env.model.num_actuators)).astype(np.float32)
-    bodies = first.physics.rigid.replace(qpos=jnp.asarray(q), qvel=jnp.asarray(v))
-    after = step(name)(first.replace(physics=first.physics.replace(rigid=bodies)), action).physics.rigid
-    c = [_mujoco_step(env, q[i], v[i], np.asarray(env.control(jnp.asarray(action[i])))) for i in range(NUM_ENVS)]
-    rest = [_mujoco_step(env, q[i], v[i], np.asarray(env.control(jnp.zeros_like(action[i])))) for i in range(NUM_ENVS)]
-    ours = np.concatenate([after.qpos, after.qvel], axis=1)
-    return ours, np.stack(c), np.stack(rest)
+    env, first = make(name), start(name)
+    mj, bodies = env.model.static.mj, first.physics.rigid
+    q = np.array(bodies.qpos)
+    if mj.ngeom and mj.geom_type[0] == mujoco.mjtGeom.mjGEOM_PLANE:
+        free = mj.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
+        q[:, int(np.argmax(env.up)) if free else joint_names(name).index("root_z")] += 3.0
+    q[:, mj.jnt_qposadr[mj.actuator_trnid[:, 0]]] = ranges(name).mean(axis=1)
+    size = (NUM_ENVS, env.model.num_actuators)
+    action = np.random.default_rng(3).uniform(-0.3, 0.3, size).astype(np.float32)
+    lifted = first.replace(physics=first.physics.replace(rigid=bodies.replace(qpos=jnp.asarray(q))))
+    after = step(name)(lifted, action).physics.rigid
+    theirs, rest = (
+        np.stack([_mujoco_step(env, q[i], bodies.qvel[i], np.asarray(env.control(jnp.asarray(a[i])))) for i in range(NUM_ENVS)])
+        for a in (action, np.zeros_like(action))
+    )
+    return np.concatenate([after.qpos, after.qvel], axis=1), theirs, rest
 
 
 def _mujoco_step(env, q, v, ctrl):
@@ -139,22 +147,30 @@ def _mujoco_step(env, q, v, ctrl):
     return np.concatenate([data.qpos, data.qvel])
 
 
-def drop(name, max_steps=600):
-    """Final states without action, once nothing moves faster than 0.1 m/s or rad/s."""
+def capsule(radius, half_length):
+    """Mass of a capsule of density 1000 [kg]."""
+    return 1000.0 * np.pi * radius**2 * (2.0 * half_length + 4.0 / 3.0 * radius)
+
+
+def resting_depths(name, *, num=2, max_steps=800):
+    """How deep bodies sink into the ground once they rest [m]: of ``num`` environments, after steps without action.
+
+    They rest below 0.1 m/s and rad/s; two of the eight may still creep or slip (friction holds like a damper).
+    """
     env, state = make(name), start(name)
     nothing = jnp.zeros((NUM_ENVS, env.model.num_actuators))
-    for count in range(max_steps):
+    for count in range(1, max_steps + 1):
         state = step(name)(state, nothing)
-        if count % 20 == 19 and float(jnp.abs(state.physics.rigid.qvel).max()) < 0.1:
-            break
-    return state
+        if count % 20 == 0:
+            resting = np.flatnonzero(np.abs(state.physics.rigid.qvel).max(axis=1) < 0.1)
+            if len(resting) >= NUM_ENVS - 2:
+                return [-_lowest(env, jax.tree.map(lambda leaf: leaf[i], state.physics)) for i in resting[:num]]
+    raise AssertionError(f"after {max_steps} steps without action only {len(resting)} of {NUM_ENVS} rest")
 
 
-def lowest(name, state, number):
-    """Height of the lowest point of the bodies of one environment [m]."""
-    env = make(name)
-    shapes = env.render_shapes(jax.tree.map(lambda leaf: leaf[number], state.physics))
-    solid = [shape for shape in shapes if shape["kind"] != "plane"]
+def _lowest(env, physics):
+    """Height of the lowest point of all bodies [m]."""
+    solid = [shape for shape in env.render_shapes(physics) if shape["kind"] != "plane"]
     return min(float(support(shape, -env.up) @ env.up) for shape in solid)
 
 

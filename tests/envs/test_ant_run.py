@@ -121,27 +121,23 @@ def test_a_step_in_the_air_is_mujocos():
     ours, mujocos, rest = tasks.step_in_the_air("AntRun")
     np.testing.assert_allclose(ours, mujocos, atol=2e-4)
     assert np.abs(mujocos - rest)[:, -8:].max() > 0.1
-    q, v = ours[:, :15], ours[:, 15:]
-    assert np.isfinite(q).all() and np.isfinite(v).all()
 
 
 def test_without_action_it_comes_to_rest_on_the_ground():
-    state = tasks.drop("AntRun")
-    assert float(np.abs(state.physics.rigid.qvel).max()) < 0.1
-    for number in (0, 5):
-        assert -0.015 < tasks.lowest("AntRun", state, number) < 0.0
+    depths = np.array(tasks.resting_depths("AntRun"))
+    assert np.all((depths > 0.0) & (depths < 0.015))
 
 
 def test_it_is_over_once_the_torso_is_low():
-    """In the air it is not; sunk to below 27 cm it is, and the time limit no longer counts."""
+    """On its back at 26 cm, not at 75 cm; where it is over, the time limit no longer counts."""
     state = tasks.start("AntRun")
-    bodies = state.physics.rigid
-    low = bodies.replace(qpos=bodies.qpos.at[:4, 1].set(0.2), qvel=0.0 * bodies.qvel)
-    late = state.replace(physics=state.physics.replace(rigid=low), step_count=state.step_count + 299)
+    bodies, back = state.physics.rigid, np.sqrt(0.5) * np.array([1.0, 1.0, 0.0, 0.0])
+    qpos = bodies.qpos.at[:4, 1].set(0.26).at[4:, 1].set(0.75).at[:, 3:7].set(back)
+    physics = state.physics.replace(rigid=bodies.replace(qpos=qpos, qvel=0.0 * bodies.qvel))
+    late = state.replace(physics=physics, step_count=state.step_count + 299)
     after = tasks.step("AntRun")(late, np.zeros((tasks.NUM_ENVS, 8), np.float32))
-    np.testing.assert_array_equal(after.terminated, np.asarray(after.physics.rigid.qpos[:, 1] < 0.27))
-    np.testing.assert_array_equal(after.truncated, ~np.asarray(after.terminated))
-    assert after.terminated[:4].all() and not after.terminated[4:].any()
+    np.testing.assert_array_equal(after.terminated, np.arange(8) < 4)
+    np.testing.assert_array_equal(after.truncated, np.arange(8) >= 4)
 
 
 @pytest.mark.parametrize("name", ANTS)
