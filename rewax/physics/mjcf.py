@@ -38,6 +38,16 @@ def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
     return bool(mj.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
 
 
+def sphere_box_pairs(mj: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of the explicit pairs of a sphere and a box, unless contacts are disabled or limited; their geoms."""
+    limited = any(mj.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(mj.nnumeric))
+    geoms = np.stack([mj.pair_geom1, mj.pair_geom2], axis=1)
+    is_sphere, is_box = (mj.geom_type[geoms] == int(getattr(mujoco.mjtGeom, f"mjGEOM_{k}")) for k in ("SPHERE", "BOX"))
+    chosen = is_sphere.any(axis=1) & is_box.any(axis=1)
+    pairs = np.flatnonzero(chosen & (not limited and not is_disabled(mj, "CONTACT")))
+    return pairs, geoms[pairs][is_sphere[pairs]], geoms[pairs][is_box[pairs]]
+
+
 def check_model(mj: mujoco.MjModel, *, penalty: bool) -> None:
     """Raise a ValueError that names what would be computed wrongly, or ignored in silence.
 
@@ -159,4 +169,4 @@ def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
     return f"{kind} {name!r}" if name else f"{kind} number {number}"
 
 
-__all__ = ["check_model", "compile_model", "is_disabled"]
+__all__ = ["check_model", "compile_model", "is_disabled", "sphere_box_pairs"]

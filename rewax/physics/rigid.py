@@ -16,7 +16,7 @@ import copy
 import hashlib
 import io
 import logging
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from rewax.physics.plane_box import plane_box
 from rewax.physics.recompute import recomputed
 from rewax.physics.rigid_connect import connect_drifts
 from rewax.physics.rigid_penalty import Penalty, contact_wrenches, limit_forces
+from rewax.physics.sphere_box import sphere_box
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
@@ -55,20 +56,29 @@ PARAMETERS = (
 
 
 class _Model:
-    """The static part of a ``RigidModel``: two of the same MJCF are equal."""
+    """The static part of a ``RigidModel``: two of the same MJCF are equal.
 
-    def __init__(self, compiled: mujoco.MjModel) -> None:
+    Under a penalty law the model's pairs of a sphere and a box are not MJX's, but ours.
+    """
+
+    def __init__(self, compiled: mujoco.MjModel, *, penalty: bool) -> None:
         buffer = np.empty(mujoco.mj_sizeModel(compiled), np.uint8)
         mujoco.mj_saveModel(compiled, None, buffer)
-        self.key = hashlib.sha256(buffer.tobytes()).hexdigest() + str(jnp.zeros(()).dtype)
+        self.key = hashlib.sha256(buffer.tobytes()).hexdigest() + f"{jnp.zeros(()).dtype} {penalty}"
         self.mj = compiled
         self.topology: Topology = kinematic_tree.make_topology(
             compiled.body_parentid, compiled.jnt_bodyid, compiled.jnt_type
         )
         with jax.ensure_compile_time_eval():
             self.mjx = mjx.put_model(compiled, impl="jax")
-            self.data = mjx.make_data(compiled, impl="jax")
-        self.has_contacts = self.data._impl.ncon > 0
+            self.sphere_boxes = mjcf.sphere_box_pairs(compiled) if penalty else (np.zeros(0, int),) * 3
+            self.mjx_pairs = np.setdiff1d(np.arange(compiled.npair), self.sphere_boxes[0])
+            if len(self.mjx_pairs) < compiled.npair:
+                fields = [name for name in vars(self.mjx) if name.startswith("pair_")]
+                kept = {name: getattr(self.mjx, name)[self.mjx_pairs] for name in fields}
+                self.mjx = self.mjx.replace(npair=len(self.mjx_pairs), **kept)
+            self.data = mjx.make_data(self.mjx, impl="jax")
+        self.has_contacts = self.data._impl.ncon + len(self.sphere_boxes[0]) > 0
         self.plane_boxes = _plane_boxes(compiled, self.mjx, self.data)
         self.has_damping = bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
         self.num_bounded = int(self.data._impl.ne + self.data._impl.nf)
@@ -194,7 +204,7 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
         compiled.opt.timestep = dt
     mjcf.check_model(compiled, penalty=penalty is not None)
     try:
-        static = _Model(compiled)
+        static = _Model(compiled, penalty=penalty is not None)
     except (NotImplementedError, AssertionError) as error:
         raise ValueError(
             f"MJX does not support this model ({error}): remove that, or let such geoms not touch"
@@ -317,7 +327,7 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
 def contact_distances(model: RigidModel, state: RigidState) -> Array:
     """Signed distance of every pair that may touch [m], negative inside, shape (num_contacts,); 1 for unused slots."""
     m, d = _mjx(model, _kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))
-    return _collide(model, m, d)._impl.contact.dist
+    return _contacts(model, m, d).distance
 
 
 def check_status(state: RigidState) -> Array:
@@ -351,6 +361,8 @@ def _mjx(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array) -> 
         # The exponent of the impedance has a derivative with log(0) in it; the rest may be differentiated.
         value = parameters[name]
         parameters[name] = jnp.concatenate([value[:, :4], jax.lax.stop_gradient(value[:, 4:])], axis=1)
+    if len(static.mjx_pairs) < static.mj.npair:
+        parameters.update((name, parameters[name][static.mjx_pairs]) for name in parameters if name.startswith("pair_"))
     m = static.mjx.replace(**parameters, opt=static.mjx.opt.replace(gravity=model.gravity))
     d = static.data.replace(
         qpos=state.qpos,
@@ -437,22 +449,51 @@ def _plane_boxes(compiled: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> tuple[n
     return slots, geoms[slots[::4], 0], geoms[slots[::4], 1]
 
 
+class _Contacts(NamedTuple):
+    """What the penalty law needs to know of all pairs that may touch, see ``rigid_penalty.contact_wrenches``."""
+
+    distance: Array
+    margin: Array
+    point: Array
+    normal: Array
+    friction: Array
+    geoms: Array
+
+
+def _contacts(model: RigidModel, m: mjx.Model, d: mjx.Data) -> _Contacts:
+    """Those that MJX finds, then those of spheres with boxes that are ours."""
+    contact = _collide(model, m, d)._impl.contact
+    friction = jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0)
+    found = _Contacts(
+        contact.dist, contact.includemargin, contact.pos, contact.frame[:, 0], friction, jnp.asarray(contact.geom)
+    )
+    mj, (own, sphere, box) = model.static.mj, model.static.sphere_boxes
+    if len(own) == 0:
+        return found
+    size, xpos = m.geom_size, d.geom_xpos
+    distance, point, normal = sphere_box(xpos[sphere], size[sphere, 0], xpos[box], d.geom_xmat[box], size[box])
+    margin, friction = (model.parameters[f"pair_{name}"][own] for name in ("margin", "friction"))
+    friction = jnp.where(mj.pair_dim[own] > 1, friction[:, 0], 0.0)
+    ours = _Contacts(distance, margin, point, normal, friction, jnp.asarray(np.stack([sphere, box], axis=1)))
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), found, ours)
+
+
 def _contact_wrenches(
     model: RigidModel, penalty: Penalty, kin: Kinematics, m: mjx.Model, d: mjx.Data, twist: Array
 ) -> Array:
     """Wrenches of all contacts on all bodies under the penalty law, shape (num_bodies, 6)."""
     if not model.static.has_contacts:
         return jnp.zeros_like(twist)
-    contact = _collide(model, m, d)._impl.contact
+    found = _contacts(model, m, d)
     return contact_wrenches(
         penalty,
         kin,
         twist,
-        distance=contact.dist - contact.includemargin,
-        point=contact.pos,
-        normal=contact.frame[:, 0],
-        friction=jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0),
-        bodies=jnp.asarray(model.static.mj.geom_bodyid)[contact.geom],
+        distance=found.distance - found.margin,
+        point=found.point,
+        normal=found.normal,
+        friction=found.friction,
+        bodies=jnp.asarray(model.static.mj.geom_bodyid)[found.geoms],
     )
 
 

@@ -1,0 +1,49 @@
+"""Contact of spheres with boxes."""
+
+import jax.numpy as jnp
+
+from rewax.types import Array
+
+
+def sphere_box(
+    center: Array, radius: Array, box: Array, rotation: Array, half_sizes: Array
+) -> tuple[Array, Array, Array]:
+    """Distances, points and normals of contact of spheres with boxes, n pairs.
+
+    Args:
+      center: of the spheres [m], shape (n, 3).
+      radius: of the spheres [m], shape (n,).
+      box: centres of the boxes [m], shape (n, 3).
+      rotation: from each box's frame to the world's, shape (n, 3, 3).
+      half_sizes: of the boxes [m], shape (n, 3).
+
+    Returns:
+      Signed distances between the surfaces [m], shape (n,); points halfway between them [m], shape (n, 3); unit
+      normals from sphere to box, shape (n, 3).
+
+    Gradient: exact, finite everywhere. While the sphere's centre is inside the box the nearest face counts; where two
+      are equally near the normal jumps.
+    Source: what touches, touches as in MJX, which looks for faces and edges in tables and takes twice the time. MJX
+      returns 1 for the distance of all that does not touch.
+    """
+    # Sums over axes of length 3 instead of ``components``: there are too few pairs for these to pay.
+    place = jnp.sum(rotation * (center - box)[:, :, None], axis=-2)
+    beyond = place - jnp.clip(place, -half_sizes, half_sizes)
+    square = jnp.sum(beyond * beyond, axis=-1)
+    outside = square > 0.0
+    length = jnp.sqrt(jnp.where(outside, square, 1.0))
+    depth = half_sizes - jnp.abs(place)
+    nearest = depth <= jnp.min(depth, axis=-1, keepdims=True)
+    inward = jnp.where(nearest & _first(nearest), jnp.where(place < 0.0, 1.0, -1.0), 0.0)
+    inward = jnp.where(outside[:, None], -beyond / length[:, None], inward)
+    distance = jnp.where(outside, length, -jnp.min(depth, axis=-1)) - radius
+    normal = jnp.sum(rotation * inward[:, None, :], axis=-1)
+    return distance, center + normal * (radius + 0.5 * distance)[:, None], normal
+
+
+def _first(flags: Array) -> Array:
+    """Whether no earlier one is set, along the last axis."""
+    return jnp.cumsum(flags, axis=-1) <= 1
+
+
+__all__ = ["sphere_box"]
