@@ -66,7 +66,9 @@ def test_masses():
     expected["torso"] = capsule(0.046, 0.5) + capsule(0.046, 0.15)
     assert tasks.masses("HalfCheetah") == pytest.approx(expected)
 
-    ball = lambda radius: capsule(radius, 0.0)
+    def ball(radius):
+        return capsule(radius, 0.0)
+
     expected = {
         "torso": capsule(0.07, 0.07) + capsule(0.06, 0.06) + ball(0.09),
         "lower_waist": capsule(0.06, 0.06),

@@ -12,7 +12,7 @@ import pytest
 import rigid_models
 from mujoco import mjx
 
-from rewax.physics import rigid
+from rewax.physics import rigid, rigid_forces
 from rewax.physics.rigid_penalty import Penalty
 from rewax.status import Status
 
@@ -230,9 +230,9 @@ def test_names(x64):
     known = ", ".join(mj.body(i).name for i in range(mj.nbody) if mj.body(i).name)
     with pytest.raises(ValueError, match=f"^the model has no body 'moon': known are {known}$"):
         model.body("moon")
-    with pytest.raises(ValueError, match="^the model has no geom 'cart': known are floor, shelf, bulb, stone, puck, bead$"):
+    with pytest.raises(ValueError, match=r"^the model has no geom 'cart': known are floor, shelf, bulb, stone, puck, bead$"):
         model.geom("cart")
-    with pytest.raises(ValueError, match="^the model has no joint 'y': known are x, h, k, w, swing$"):
+    with pytest.raises(ValueError, match=r"^the model has no joint 'y': known are x, h, k, w, swing$"):
         model.joint("y")
 
 
@@ -479,8 +479,9 @@ def test_rows_of_constraints_are_those_of_mujoco(x64):
 
     @jax.jit
     def rows_of(model, state):
-        kin = rigid._kinematics(model, state.qpos)
-        return rigid._rows(model, kin, *rigid._mjx(model, kin, state, jnp.zeros(model.num_actuators)))
+        kin = rigid_forces.kinematics(model, state.qpos)
+        ctrl = jnp.zeros(model.num_actuators)
+        return rigid_forces.constraint_rows(model, kin, *rigid_forces.mjx_data(model, kin, state, ctrl))
 
     rows = rows_of(model, rigid.initial_state(model, qpos, qvel))
     acts = np.abs(np.asarray(rows.jacobian)).sum(axis=1) > 0
