@@ -1,5 +1,6 @@
 """The dflex suite: DiffRL's observations, rewards and ends in numpy, models against the tables, MuJoCo and falls."""
 
+import mujoco
 import numpy as np
 import pytest
 import rigid_tasks as tasks
@@ -66,11 +67,15 @@ def test_masses():
     expected["torso"] = capsule(0.046, 0.5) + capsule(0.046, 0.15)
     assert tasks.masses("HalfCheetah") == pytest.approx(expected)
 
+<<<<<<< HEAD
     def ball(radius):
         return capsule(radius, 0.0)
 
+=======
+    head, hand = capsule(0.09, 0.0), capsule(0.04, 0.0)
+>>>>>>> 7711c98 (Tests of what rigid tasks share; an example of a task of one's own)
     expected = {
-        "torso": capsule(0.07, 0.07) + capsule(0.06, 0.06) + ball(0.09),
+        "torso": capsule(0.07, 0.07) + capsule(0.06, 0.06) + head,
         "lower_waist": capsule(0.06, 0.06),
         "pelvis": capsule(0.09, 0.07),
     }
@@ -79,7 +84,7 @@ def test_masses():
         expected[f"{side}_shin"] = capsule(0.049, 0.15)
         expected[f"{side}_foot"] = 2.0 * capsule(0.027, 0.5 * np.hypot(0.21, 0.02))
         expected[f"{side}_upper_arm"] = capsule(0.04, 0.08 * np.sqrt(3.0))
-        expected[f"{side}_lower_arm"] = capsule(0.031, 0.08 * np.sqrt(3.0)) + ball(0.04)
+        expected[f"{side}_lower_arm"] = capsule(0.031, 0.08 * np.sqrt(3.0)) + hand
     assert tasks.masses("Humanoid") == pytest.approx(expected)
 
 
@@ -114,15 +119,11 @@ def test_joints_of_the_humanoid():
 
 def test_the_humanoid_is_its_own_mirror_image():
     """Mirrored angles, which are those of the other side (abdomen z and x change sign), mirror every body."""
-    import mujoco
-
     mj = tasks.make("Humanoid").model.static.mj
     angles = np.random.default_rng(0).uniform(-0.4, 0.4, 21)
     order = [HUMANOID.index(n.replace("right", "?").replace("left", "right").replace("?", "left")) for n in HUMANOID]
     mirrored = angles[order] * np.where(np.isin(HUMANOID, ["abdomen_z", "abdomen_x"]), -1, 1)
-    # Ankle x and shoulder joints are the same on both sides in name, not in sense.
-    flip = {"right_ankle_x": -1, "left_ankle_x": -1}
-    mirrored *= [flip.get(name, 1) for name in HUMANOID]
+    mirrored *= np.where(np.isin(HUMANOID, ["right_ankle_x", "left_ankle_x"]), -1, 1)  # the same sense on both sides
     places = []
     for joints in (angles, mirrored):
         data = mujoco.MjData(mj)

@@ -30,6 +30,10 @@ def torques(q, v, action):
     return np.clip(80.0 * (STANCE + 0.35 * action - q[:, 7:]) - 3.0 * v[:, 6:], -50.0, 50.0)
 
 
+def square(vectors):
+    return np.sum(np.square(vectors), axis=1)
+
+
 def test_the_formulas():
     heights = np.array([0.2, 0.24, 0.26, 0.4, 0.5, 0.6])
     physics, q, v, action, previous = tasks.random_physics("Quadruped", 0, columns={2: heights})
@@ -43,9 +47,12 @@ def test_the_formulas():
     expected = np.concatenate(columns, axis=1)
     assert expected.shape[1] == 45
     np.testing.assert_allclose(tasks.observed("Quadruped", physics), expected, atol=2e-6)
+<<<<<<< HEAD
     def square(a):
         return np.sum(np.square(a), axis=1)
 
+=======
+>>>>>>> 7711c98 (Tests of what rigid tasks share; an example of a task of one's own)
     reward = 2.0 * np.exp(-2.0 * square(velocity[:, :2] - [1.0, 0.0])) + 0.2 * np.exp(-4.0 * v[:, 5] ** 2)
     reward += -0.5 * v[:, 2] ** 2 - 0.05 * square(v[:, 3:5]) - square(gravity[:, :2])
     reward += -2e-5 * square(torques(q, v, action)) - 0.01 * square(action - previous)
