@@ -67,13 +67,7 @@ def test_masses():
     expected["torso"] = capsule(0.046, 0.5) + capsule(0.046, 0.15)
     assert tasks.masses("HalfCheetah") == pytest.approx(expected)
 
-<<<<<<< HEAD
-    def ball(radius):
-        return capsule(radius, 0.0)
-
-=======
     head, hand = capsule(0.09, 0.0), capsule(0.04, 0.0)
->>>>>>> 7711c98 (Tests of what rigid tasks share; an example of a task of one's own)
     expected = {
         "torso": capsule(0.07, 0.07) + capsule(0.06, 0.06) + head,
         "lower_waist": capsule(0.06, 0.06),

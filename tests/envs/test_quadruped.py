@@ -47,12 +47,6 @@ def test_the_formulas():
     expected = np.concatenate(columns, axis=1)
     assert expected.shape[1] == 45
     np.testing.assert_allclose(tasks.observed("Quadruped", physics), expected, atol=2e-6)
-<<<<<<< HEAD
-    def square(a):
-        return np.sum(np.square(a), axis=1)
-
-=======
->>>>>>> 7711c98 (Tests of what rigid tasks share; an example of a task of one's own)
     reward = 2.0 * np.exp(-2.0 * square(velocity[:, :2] - [1.0, 0.0])) + 0.2 * np.exp(-4.0 * v[:, 5] ** 2)
     reward += -0.5 * v[:, 2] ** 2 - 0.05 * square(v[:, 3:5]) - square(gravity[:, :2])
     reward += -2e-5 * square(torques(q, v, action)) - 0.01 * square(action - previous)
