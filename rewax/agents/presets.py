@@ -48,7 +48,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("HalfCheetah", "paper"): _RUNNER,
     ("HalfCheetah", "small"): _small(_RUNNER),
     ("Hopper", "paper"): _RUNNER,
-    ("Hopper", "small"): _small(_RUNNER),
+    ("Hopper", "small"): _small(_RUNNER, num_iterations=400),
     ("Humanoid", "paper"): _HUMANOID,
     ("Humanoid", "small"): _small(_HUMANOID),
     ("Quadruped", "paper"): _HUMANOID,

@@ -47,7 +47,7 @@ class Hopper(RigidTask):
         return physics.rigid.qpos[1] < self.fallen_height
 
 
-def make_hopper(*, scale: str, onset: float = 0.0) -> Hopper:
+def make_hopper(*, scale: str, onset: float = 0.01) -> Hopper:
     """Factory for the registry: 16 substeps and 1000 steps of 1/60 s; ``small``: 300 steps."""
     penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3, onset=onset)
     model = load_asset("hopper.xml", dt=1.0 / 960, penalty=penalty)
