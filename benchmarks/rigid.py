@@ -85,7 +85,8 @@ def measure(args: Args, model: rigid.RigidModel, *, gradient: bool) -> str:
         cpu.append(time.process_time() - begin)
     steps = args.num_envs * args.num_steps
     memory = compiled.memory_analysis().temp_size_in_bytes
-    return f"{trace:.1f} | {cold:.1f} | {warm:.1f} | {steps / min(wall):,.0f} | {steps / min(cpu):,.0f} | {memory / 1e6:.1f} MB"
+    seconds = f"{trace:.1f} | {cold:.1f} | {warm:.1f}"
+    return f"{seconds} | {steps / min(wall):,.0f} | {steps / min(cpu):,.0f} | {memory / 1e6:.1f} MB"
 
 
 if __name__ == "__main__":

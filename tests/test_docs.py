@@ -27,3 +27,11 @@ def test_physics_page_runs_and_does_what_it_says(physics):
     assert float(physics["bodies"].velocity[0, 1]) < -0.05  # the block falls
     assert float(physics["jumper"].v[:, 1].max()) > 0.0  # the muscles move the table
     assert len(physics["x"]) + len(physics["pool"]) == sum(physics["two"].particle_counts)
+
+
+def test_rigid_page_runs_and_does_what_it_says():
+    names = {}
+    exec(compile(code("docs/rigid.md"), "docs/rigid.md", "exec"), names)
+    assert 0.1 < float(names["by_velocity"][0]) < 0.3  # it slides for about 0.2 s
+    assert float(np.abs(names["by_model"]).max()) > 0.0 and np.isfinite(names["by_model"]).all()
+    assert names["distance"]._cache_size() == 1

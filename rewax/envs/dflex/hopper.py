@@ -48,7 +48,13 @@ class Hopper(RigidTask):
 
 
 def make_hopper(*, scale: str, onset: float = 0.01) -> Hopper:
-    """Factory for the registry: 16 substeps and 1000 steps of 1/60 s; ``small``: 300 steps."""
+    """Factory for the registry.
+
+    Args:
+      scale: ``"paper"``: 16 substeps and 1000 steps of 1/60 s; ``"small"``: 300 steps.
+      onset: depth over which the contacts' damping sets in [m]; with 0, at once, policies hardly learn
+        (``docs/rigid.md``).
+    """
     penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3, onset=onset)
     model = load_asset("hopper.xml", dt=1.0 / 960, penalty=penalty)
     max_steps = {"paper": 1000, "small": 300}[scale]
