@@ -48,6 +48,20 @@ def sphere_box_pairs(mj: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.nda
     return pairs, geoms[pairs][is_sphere[pairs]], geoms[pairs][is_box[pairs]]
 
 
+def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
+    """Of a body, geom or joint with this name.
+
+    Raises:
+      ValueError: there is none; the message says which there are.
+    """
+    found = mujoco.mj_name2id(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
+    if found < 0:
+        count = {"body": mj.nbody, "geom": mj.ngeom, "joint": mj.njnt}[kind]
+        known = [mujoco.mj_id2name(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), i) for i in range(count)]
+        raise ValueError(f"the model has no {kind} {name!r}: known are {', '.join(n for n in known if n)}")
+    return found
+
+
 def check_model(mj: mujoco.MjModel, *, penalty: bool) -> None:
     """Raise a ValueError that names what would be computed wrongly, or ignored in silence.
 
@@ -169,4 +183,4 @@ def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
     return f"{kind} {name!r}" if name else f"{kind} number {number}"
 
 
-__all__ = ["check_model", "compile_model", "is_disabled", "sphere_box_pairs"]
+__all__ = ["check_model", "compile_model", "is_disabled", "number", "sphere_box_pairs"]

@@ -43,8 +43,9 @@ def initial_state(
     Raises:
       ValueError: a shape does not fit, or a number is not finite.
     """
-    qpos = model.home if qpos is None else jnp.asarray(qpos)
-    qvel = jnp.zeros(model.num_dofs, qpos.dtype) if qvel is None else jnp.asarray(qvel)
+    dtype = model.parameters["qpos0"].dtype
+    qpos = model.home if qpos is None else jnp.asarray(qpos, dtype)
+    qvel = jnp.zeros(model.num_dofs, dtype) if qvel is None else jnp.asarray(qvel, dtype)
     for name, value, size in (("qpos", qpos, model.num_positions), ("qvel", qvel, model.num_dofs)):
         check_shape(name, value, (size,))
         if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(jnp.isfinite(value))):
@@ -193,17 +194,20 @@ def _acceleration_derivative(
         rows = constraint_rows(model, kin, m, d)
         mass = kinematic_tree.mass_matrix(topology, *jax.lax.stop_gradient((parameters, kin)))
 
-        def unbalanced(acceleration: Array, forces: Array) -> Array:
-            needed = kinematic_tree.inverse_dynamics(topology, parameters, kin, state.qvel, acceleration, model.gravity)
-            return needed - applied - rows.jacobian.T @ forces
+        accelerations = jnp.stack([qacc, rate] if model.static.has_damping else [qacc])
+        needed = jax.vmap(
+            lambda a: kinematic_tree.inverse_dynamics(topology, parameters, kin, state.qvel, a, model.gravity)
+        )(accelerations)
+
+        def correction(matrix: Array, needed: Array, forces: Array) -> Array:
+            return constraint_solver.implicit_correction(matrix, needed - applied - rows.jacobian.T @ forces)
 
         matrix = constraint_solver.curvature(mass, jax.lax.stop_gradient(rows), qacc)
-        residual = unbalanced(qacc, constraint_solver.row_forces(rows, qacc))
-        solved = qacc - constraint_solver.implicit_correction(matrix, residual)
+        solved = qacc - correction(matrix, needed[0], constraint_solver.row_forces(rows, qacc))
         if model.static.has_damping:
-            residual = unbalanced(rate, constraint_solver.row_forces(rows, solved))
-            residual = residual + model.dt * model.parameters["dof_damping"] * rate
-            solved = rate - constraint_solver.implicit_correction(_damped(model, mass), residual)
+            held = constraint_solver.row_forces(rows, solved)
+            damping = model.dt * model.parameters["dof_damping"] * rate
+            solved = rate - correction(_damped(model, mass), needed[1] + damping, held)
         return _advance(model, state, act_dot, qacc, solved), solved
 
 

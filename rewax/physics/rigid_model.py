@@ -7,6 +7,7 @@ The one place that imports MJX, quietly, for this and for ``rigid_forces``.
 
 import contextlib
 import copy
+import functools
 import hashlib
 import io
 import logging
@@ -140,15 +141,15 @@ class RigidModel(struct.Replaceable):
 
     def body(self, name: str) -> int:
         """Number of a body."""
-        return _number(self.static.mj, "body", name)
+        return mjcf.number(self.static.mj, "body", name)
 
     def geom(self, name: str) -> int:
         """Number of a geom."""
-        return _number(self.static.mj, "geom", name)
+        return mjcf.number(self.static.mj, "geom", name)
 
     def joint(self, name: str) -> tuple[int, int]:
         """Where a joint's coordinates begin in positions and in velocities."""
-        joint = _number(self.static.mj, "joint", name)
+        joint = mjcf.number(self.static.mj, "joint", name)
         return int(self.static.mj.jnt_qposadr[joint]), int(self.static.mj.jnt_dofadr[joint])
 
 
@@ -197,11 +198,11 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
             f"MJX does not support this model ({error}): remove that, or let such geoms not touch"
         ) from error
     gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
-    parameters = {name: jnp.asarray(getattr(compiled, name), jnp.zeros(()).dtype) for name in PARAMETERS}
+    real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)
     return RigidModel(
-        parameters=parameters,
-        gravity=jnp.asarray(gravity, jnp.zeros(()).dtype),
-        penalty=penalty if penalty is None else jax.tree.map(jnp.asarray, penalty),
+        parameters={name: real(getattr(compiled, name)) for name in PARAMETERS},
+        gravity=real(gravity),
+        penalty=jax.tree.map(real, penalty),
         static=static,
     )
 
@@ -219,15 +220,6 @@ def _plane_boxes(compiled: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> tuple[n
     geoms = np.asarray(jax.jit(lambda: mjx.collision(m, d)._impl.contact.geom).lower().compile()())
     slots = np.flatnonzero((compiled.geom_type[geoms] == both).all(axis=1))
     return slots, geoms[slots[::4], 0], geoms[slots[::4], 1]
-
-
-def _number(mj: mujoco.MjModel, kind: str, name: str) -> int:
-    number = mujoco.mj_name2id(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
-    if number < 0:
-        count = {"body": mj.nbody, "geom": mj.ngeom, "joint": mj.njnt}[kind]
-        known = [mujoco.mj_id2name(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), i) for i in range(count)]
-        raise ValueError(f"the model has no {kind} {name!r}: known are {', '.join(n for n in known if n)}")
-    return number
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:
