@@ -90,8 +90,9 @@ def solve_accelerations(
     return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
 
 
+@jax.custom_jvp
 def implicit_correction(matrix: Array, residual: Array) -> Array:
-    """matrix^-1 residual, shape (n,), for a residual that is zero and whose derivative is not.
+    """Zero, with the derivative of matrix^-1 residual, for a residual that is zero and whose derivative is not.
 
     ``a - implicit_correction(curvature, M a - force - J^T f(a))``, with a and the matrix held fixed, has the value of a
     and, by the implicit function theorem, the derivative of the solution.
@@ -102,10 +103,17 @@ def implicit_correction(matrix: Array, residual: Array) -> Array:
 
     Gradient: forward and reverse, with respect to the residual.
     """
-    matrix = jax.lax.stop_gradient(matrix)
-    return jax.lax.custom_linear_solve(
-        lambda x: _dot(matrix, x), residual, lambda _, b: solve_spd(matrix, b), symmetric=True
+    del matrix
+    return jnp.zeros_like(residual)
+
+
+@implicit_correction.defjvp
+def _implicit_correction_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    matrix, residual = primals
+    solution = jax.lax.custom_linear_solve(
+        lambda x: _dot(matrix, x), tangents[1], lambda _, b: solve_spd(matrix, b), symmetric=True
     )
+    return jnp.zeros_like(residual), solution
 
 
 @jax.custom_batching.custom_vmap
