@@ -91,11 +91,12 @@ def inner():
 def derivatives():
     """``derivatives(f)(x, dx, weights)``: f(x), its forward derivative along dx, its reverse derivative of weights.
 
-    One compiled program; ``weights`` is a function of f(x) that is called while tracing.
+    One compiled program; ``weights`` is a function of f(x) that is called while tracing. Further arguments of
+    ``derivatives`` are ``jax.jit``'s.
     """
 
-    def of(f):
-        @functools.partial(jax.jit, static_argnames="weights")
+    def of(f, **options):
+        @functools.partial(jax.jit, static_argnames="weights", **options)
         def all_three(x, dx, weights):
             value, forward = jax.linearize(f, x)
             chosen = weights(value)

@@ -79,7 +79,7 @@ def cached_program(name, derivatives, penalty, everything):
         state = rigid.step(other, state, ctrl, wrenches=wrenches, num_substeps=HORIZON)
         return state.qpos, state.qvel
 
-    return derivatives(jax.vmap(simulate))
+    return derivatives(jax.vmap(simulate), compiler_options=rigid_models.QUICK_TO_COMPILE)
 
 
 def with_everything(name: str, inputs, penalty: Penalty | None = None):
@@ -252,7 +252,7 @@ def test_with_respect_to_every_parameter(x64, derivatives, inner):
         end = rigid.step(changed, start, x["ctrl"], wrenches=x["wrenches"], num_substeps=HORIZON)
         return end.qpos, end.qvel, end.act
 
-    run = derivatives(simulate)
+    run = derivatives(simulate, compiler_options=rigid_models.QUICK_TO_COMPILE)
 
     def value(x):
         return run(x, still, weights=weights)[0]
