@@ -120,3 +120,65 @@ def test_second_derivatives_are_refused_with_the_reason():
     f = recomputed(jnp.sin)
     with pytest.raises(NotImplementedError, match="second derivatives"):
         jax.grad(jax.grad(f))(1.0 * jnp.ones(()))
+
+
+def iterated(a, b):
+    """The cube root of a, times b, by an iteration whose derivative nobody should take."""
+    x = jax.lax.while_loop(lambda x: jnp.any(jnp.abs(x**3 - a) > 1e-14 * a), lambda x: x - (x**3 - a) / (3 * x**2), 2.0 + a)
+    return {"root": x, "product": x * b}
+
+
+def implicit(known, a, b):
+    """The same, with the derivative of what solves x^3 = a."""
+    x = jax.lax.stop_gradient(known["root"])
+    x = x - (x**3 - a) / (3 * x**2)
+    return {"root": x, "product": x * b}
+
+
+def closed(a, b):
+    return {"root": jnp.cbrt(a), "product": jnp.cbrt(a) * b}
+
+
+SURROGATED = recomputed(iterated, surrogate=implicit)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_surrogate_is_differentiated_instead(x64, random_like, relative_error, compiled):
+    """Value of the function, derivatives of the surrogate, forward and reverse, also under two vmaps."""
+    rng = np.random.default_rng(0)
+    real = tuple(jnp.asarray(rng.uniform(0.5, 9.0, (3, 4, 5))) for _ in range(2))
+    tangents, cotangent = random_like(0, real), random_like(1, jax.eval_shape(closed, *real))
+    run = jax.jit(everything, static_argnums=0) if compiled else everything
+    want = run(closed, real, tangents, cotangent)
+    assert relative_error(run(SURROGATED, real, tangents, cotangent), want) < 1e-13
+    assert relative_error(run(jax.vmap(jax.vmap(SURROGATED)), real, tangents, cotangent), want) < 1e-13
+    shared = run(jax.vmap(jax.vmap(SURROGATED, (0, None)), (0, None)), (real[0], real[1][0, 0]), (tangents[0], tangents[1][0, 0]), cotangent)
+    want = run(lambda a, b: closed(a, b), (real[0], real[1][0, 0]), (tangents[0], tangents[1][0, 0]), cotangent)
+    assert relative_error(shared, want) < 1e-13
+
+
+def test_the_function_runs_once_and_its_derivative_never(x64):
+    """The iteration is in the program of a gradient once; without a surrogate it could not be differentiated at all."""
+
+    def loss(function, a):
+        def body(a, _):
+            return function(a, 0.5 * a)["product"], None
+
+        return jnp.sum(jax.lax.scan(body, a, length=4)[0])
+
+    a = jnp.array([2.0, 3.0])
+    gradient = jax.jit(jax.grad(loss, argnums=1), static_argnums=0)
+    want = jax.grad(loss, argnums=1)(closed, a)
+    np.testing.assert_allclose(gradient(SURROGATED, a), want, rtol=1e-12)
+    text = gradient.lower(SURROGATED, a).as_text()
+    # Two scans (forward and back) and the iteration.
+    assert text.count("stablehlo.while") == 3
+    with pytest.raises(ValueError, match="while_loop"):
+        gradient(recomputed(iterated), a)
+
+
+def test_a_surrogate_sees_the_result_and_all_arguments(x64):
+    """Wrong on purpose, to tell which is which: with derivatives of 3 x the result by a and none by b."""
+    wrong = recomputed(lambda a, b: a * b, surrogate=lambda known, a, b: 3.0 * jax.lax.stop_gradient(known) * a)
+    value, (by_a, by_b) = jax.value_and_grad(wrong, argnums=(0, 1))(jnp.array(2.0), jnp.array(5.0))
+    assert (float(value), float(by_a), float(by_b)) == (10.0, 30.0, 0.0)
