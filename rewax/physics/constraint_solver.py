@@ -90,7 +90,6 @@ def solve_accelerations(
     return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
 
 
-@jax.custom_jvp
 def implicit_correction(matrix: Array, residual: Array) -> Array:
     """Zero, with the derivative of matrix^-1 residual, for a residual that is zero and whose derivative is not.
 
@@ -103,11 +102,16 @@ def implicit_correction(matrix: Array, residual: Array) -> Array:
 
     Gradient: forward and reverse, with respect to the residual.
     """
+    return _implicit_correction(jax.lax.stop_gradient(matrix), residual)
+
+
+@jax.custom_jvp
+def _implicit_correction(matrix: Array, residual: Array) -> Array:
     del matrix
     return jnp.zeros_like(residual)
 
 
-@implicit_correction.defjvp
+@_implicit_correction.defjvp
 def _implicit_correction_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     matrix, residual = primals
     solution = jax.lax.custom_linear_solve(
