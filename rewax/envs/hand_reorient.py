@@ -144,10 +144,10 @@ def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReo
 
 
 _FIRM = Penalty(
-    stiffness=2000.0, damping=100.0, friction_damping=100.0, onset=1e-3, limit_stiffness=100.0, limit_damping=10.0
+    stiffness=5000.0, damping=100.0, friction_damping=100.0, onset=1e-3, limit_stiffness=100.0, limit_damping=10.0
 )
 _SCALES = {
     "paper": (64, 600, _FIRM),
-    "small": (16, 150, _FIRM.replace(damping=20.0, friction_damping=30.0, limit_stiffness=50.0, limit_damping=2.5)),
+    "small": (8, 150, _FIRM.replace(damping=40.0, friction_damping=60.0, limit_stiffness=40.0, limit_damping=1.2)),
 }
 """Substeps, steps of an episode, contact."""

@@ -34,16 +34,12 @@ def sphere_box(
     length = jnp.sqrt(jnp.where(outside, square, 1.0))
     depth = half_sizes - jnp.abs(place)
     nearest = depth <= jnp.min(depth, axis=-1, keepdims=True)
-    inward = jnp.where(nearest & _first(nearest), jnp.where(place < 0.0, 1.0, -1.0), 0.0)
+    nearest &= jnp.cumsum(nearest, axis=-1) <= 1  # one face, where several are equally near
+    inward = jnp.where(nearest, jnp.where(place < 0.0, 1.0, -1.0), 0.0)
     inward = jnp.where(outside[:, None], -beyond / length[:, None], inward)
-    distance = jnp.where(outside, length, -jnp.min(depth, axis=-1)) - radius
+    distance = jnp.where(outside, length, -jnp.sum(jnp.where(nearest, depth, 0.0), axis=-1)) - radius
     normal = jnp.sum(rotation * inward[:, None, :], axis=-1)
     return distance, center + normal * (radius + 0.5 * distance)[:, None], normal
-
-
-def _first(flags: Array) -> Array:
-    """Whether no earlier one is set, along the last axis."""
-    return jnp.cumsum(flags, axis=-1) <= 1
 
 
 __all__ = ["sphere_box"]
