@@ -113,8 +113,12 @@ def masses(name):
     return {mj.body(i).name: float(mj.body_mass[i]) for i in range(1, mj.nbody)}
 
 
-def step_in_the_air(name):
+def step_in_the_air(name, columns=None):
     """A control step of this library and of MuJoCo, above the ground and within all limits, with random actions.
+
+    Args:
+      name: of the environment.
+      columns: positions that are given, by their number.
 
     Returns:
       Positions and velocities afterwards of either, and MuJoCo's without any action, shapes (NUM_ENVS, ...).
@@ -126,6 +130,8 @@ def step_in_the_air(name):
         free = mj.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
         q[:, int(np.argmax(env.up)) if free else joint_names(name).index("root_z")] += 3.0
     q[:, mj.jnt_qposadr[mj.actuator_trnid[:, 0]]] = ranges(name).mean(axis=1)
+    for column, values in (columns or {}).items():
+        q[:, column] = values
     size = (NUM_ENVS, env.model.num_actuators)
     action = np.random.default_rng(3).uniform(-0.3, 0.3, size).astype(np.float32)
     lifted = first.replace(physics=first.physics.replace(rigid=bodies.replace(qpos=jnp.asarray(q))))
