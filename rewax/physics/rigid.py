@@ -31,7 +31,7 @@ from rewax.physics.rigid_forces import (
 )
 from rewax.physics.rigid_model import PARAMETERS, RigidModel, RigidState, check_shape, load, mujoco
 from rewax.physics.rigid_penalty import Penalty
-from rewax.status import Status, all_finite, flag
+from rewax.status import Status, flag
 from rewax.types import Array
 
 
@@ -148,8 +148,9 @@ def contact_distances(model: RigidModel, state: RigidState) -> Array:
 
 
 def check_status(state: RigidState) -> Array:
-    """Bits of ``Status``, shape (), int32: NAN where a number is not finite."""
-    return flag(~all_finite((state.qpos, state.qvel)), Status.NAN)
+    """Bits of ``Status``, shape (), int32: NAN where a number is not finite, or beyond a million: it soon will be."""
+    largest = jnp.max(jnp.abs(jnp.concatenate([state.qpos, state.qvel])), initial=0.0)
+    return flag(~(largest < 1e6), Status.NAN)
 
 
 # --- One substep ------------------------------------------------------------------------------------------------------

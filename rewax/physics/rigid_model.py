@@ -84,7 +84,8 @@ class RigidModel(struct.Replaceable):
 
     Attributes:
       parameters: MuJoCo's fields named in ``PARAMETERS``, as leaves: differentiate with respect to them, vmap over
-        them, change them without compiling again. What MuJoCo derives from them (inverse weights) stays as it is.
+        them, change them without compiling again. What MuJoCo derives from them (inverse weights) stays as it is, and
+        where the model has no dry friction there stays none.
       gravity: [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
       static: everything else.

@@ -131,10 +131,11 @@ def test_forces_balance_with_many_rows(x64, seed):
 
 def test_a_row_that_goes_from_one_bound_to_the_other(x64):
     """Dry friction that turns around within one Newton step is clipped before and after, but is not solved yet."""
-    rows = Rows(*(np.array(x) for x in ([[1.0]], [1000.0], [0.0], [-1.0], [1.0])))
-    for start in (-5.0, 5.0):
-        got = accelerations(np.eye(1), np.array([10.0]), rows, np.array([start]), num_bounded=1)
-        np.testing.assert_allclose(got, [9.0], rtol=1e-14)
+    rows = Rows(*(np.array(x) for x in ([[1.0, 1.0]], [100.0], [0.0], [-1.0], [1.0])))
+    mass, force = np.diag([1.0, 4.0]), np.array([-3.0, 0.0])
+    for start in ([-2.0, 3.0], [1.0, 3.0], [4.0, -1.0], [4.0, 3.0]):
+        got = accelerations(mass, force, rows, np.array(start), num_bounded=1)
+        np.testing.assert_allclose(got, [-2.0, 0.25], rtol=1e-14)
 
 
 def test_friction_that_holds_and_friction_that_is_none(x64):

@@ -108,6 +108,39 @@ def test_a_hundred_steps_agree_with_mujoco(x64, name, kind, shifts, scales):
     assert np.abs(data.qpos - qpos).max() > 0.01
 
 
+def test_joint_damping_is_implicit_unless_the_model_says_no(x64):
+    text = rigid_models.pendulum(1).replace("<joint ", '<joint damping="4" armature="0.01" ')
+    implicit, explicit = (mujoco.MjModel.from_xml_string(text) for _ in range(2))
+    explicit.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+    ends = [simulate_in_c(mj, [1.0], [20.0], steps=STEPS)[0].qpos for mj in (implicit, explicit)]
+    assert np.abs(ends[0] - ends[1]).max() > 1e-4
+    for mj, end in zip((implicit, explicit), ends, strict=True):
+        model = rigid.load(mj)
+        state = advance(model, rigid.initial_state(model, [1.0], [20.0]), np.zeros(0), np.zeros((mj.nbody, 6)))
+        np.testing.assert_allclose(state.qpos, end, atol=1e-13)
+
+
+ARM_ON_THE_FLOOR = rigid_models.mjcf(
+    rigid_models.FLOOR
+    + """<body pos="0 0 .3"><joint name="a" axis="0 1 0" range="0.1 2" frictionloss=".2"/><geom size=".05" fromto="0 0 0 .3 0 0" type="capsule"/>
+      <body name="fore" pos=".3 0 0"><joint name="b" axis="0 1 .2"/><geom name="tip" size=".06" pos=".2 0 -.25"/>
+      <body name="last" pos=".1 0 0"><joint name="c" axis="1 0 0"/><geom size=".05" pos="0 .1 0"/></body></body></body>""",
+    extra='<equality><connect body1="fore" body2="world" anchor=".3 0 0"/><joint joint1="b" joint2="c" polycoef="0 .3 .4 0 0"/></equality>'
+    + '<actuator><general joint="a" dyntype="filter" dynprm=".1" gainprm="2"/></actuator>'
+    + rigid_models.touching(("floor", "tip")),
+)
+
+
+def test_single_precision_stays_single():
+    """Of every leaf, with an activation and several kinds of rows; integers are taken as reals."""
+    with jax.enable_x64(False):
+        model = rigid.load(ARM_ON_THE_FLOOR)
+        state = rigid.initial_state(model, [0, 0, 1], [0] * model.num_dofs)
+        end = jax.eval_shape(lambda m, s: rigid.step(m, s, [0] * m.num_actuators, num_substeps=2), model, state)
+    assert {leaf.dtype for leaf in jax.tree.leaves((model, state, end))} == {np.dtype(np.float32)}
+    jax.tree.map(lambda a, b: (a.shape, a.weak_type) == (b.shape, b.weak_type) or pytest.fail(f"{a} {b}"), state, end)
+
+
 def test_the_contraption_has_all_kinds_of_rows():
     """Of equalities, of dry friction of joints and tendons, of their limits, with friction in contact and without."""
     mj, _ = loaded("contraption")
@@ -276,10 +309,12 @@ def test_wrong_arguments_are_named():
             call()
 
 
-def test_status_flags_what_is_not_finite():
+def test_status_flags_what_is_not_finite_or_soon_will_be():
     model = rigid.load(rigid_models.ball())
     state = rigid.initial_state(model)
     assert int(rigid.check_status(state)) == Status.OK
+    assert int(rigid.check_status(state.replace(qpos=state.qpos.at[1].set(-9e5)))) == Status.OK
+    assert int(rigid.check_status(state.replace(qpos=state.qpos.at[1].set(-2e6)))) == Status.NAN
     for broken in (state.replace(qpos=state.qpos.at[1].set(jnp.nan)), state.replace(qvel=state.qvel.at[5].set(jnp.inf))):
         assert int(rigid.check_status(broken)) == Status.NAN
 
@@ -463,16 +498,6 @@ def test_mjx_has_what_is_used_of_it():
     for name in rigid.PARAMETERS:
         ours, theirs = getattr(mj, name).shape, getattr(model.static.mjx, name).shape
         assert ours == theirs, f"{VERSIONS} {name} has shape {theirs} in MJX and {ours} in MuJoCo"
-
-
-ARM_ON_THE_FLOOR = rigid_models.mjcf(
-    rigid_models.FLOOR
-    + """<body pos="0 0 .3"><joint name="a" axis="0 1 0" range="0.1 2" frictionloss=".2"/><geom size=".05" fromto="0 0 0 .3 0 0" type="capsule"/>
-      <body name="fore" pos=".3 0 0"><joint name="b" axis="0 1 .2"/><geom name="tip" size=".06" pos=".2 0 -.25"/>
-      <body name="last" pos=".1 0 0"><joint name="c" axis="1 0 0"/><geom size=".05" pos="0 .1 0"/></body></body></body>""",
-    extra='<equality><connect body1="fore" body2="world" anchor=".3 0 0"/><joint joint1="b" joint2="c" polycoef="0 .3 .4 0 0"/></equality>'
-    + rigid_models.touching(("floor", "tip")),
-)
 
 
 def test_rows_of_constraints_are_those_of_mujoco(x64):

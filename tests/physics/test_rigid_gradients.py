@@ -31,15 +31,16 @@ def spread(name: str, near: bool, seed: int = 0):
     qvel, ctrl = 0.5 * rng.standard_normal((NUM, mj.nv)), rng.uniform(-0.9, 0.9, (NUM, mj.nu))
     height, fall = {
         "ball": (2, 0.095), "capsule": (2, 0.05), "pushed_box": (2, 0.095), "box_on_box": (2, 0.195), "hopper": (1, -0.06),
-        "ant": (2, 0.36), "hand": (18, 0.1),
+        "ant": (2, 0.28), "hand": (18, 0.1),
     }[name]  # fmt: skip
     qpos[:, height] = fall + 0.01 * rng.standard_normal(NUM) + (0.0 if near else 2.0)
     if name == "capsule":
         qpos[:, 3:7] = [0.7, 0.1, 0.7, 0.0] + 0.05 * rng.standard_normal((NUM, 4))
     if name == "ant":
-        qpos[:, 7:] += 0.3
+        qpos[:, 8::2] += 0.6
     if name == "hand":
-        qpos[:, 1:16:4] += 0.35
+        qpos[:, 1:16:4] += 0.3
+        qpos[:, 16:18] *= 0.1
     if name == "pushed_box":
         qpos[:, 7] = 0.005 + 0.01 * rng.standard_normal(NUM)
         qvel[:, 6] += 0.5
