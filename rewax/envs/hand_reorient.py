@@ -128,7 +128,7 @@ def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReo
     """Factory for the registry.
 
     Args:
-      scale: ``"paper"``: 64 substeps per control step of 1/120 s and 600 steps; ``"small"``: 16 and 150.
+      scale: ``"paper"``: 64 substeps per control step of 1/120 s and 600 steps; ``"small"``: 8 and 150.
       contact: contacts and joint limits other than the scale's own, ``REFERENCE_CONTACT`` for example.
     """
     num_substeps, max_steps, own = _SCALES[scale]
@@ -144,10 +144,14 @@ def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReo
 
 
 _FIRM = Penalty(
-    stiffness=5000.0, damping=100.0, friction_damping=100.0, onset=1e-3, limit_stiffness=100.0, limit_damping=10.0
+    stiffness=8000.0, damping=100.0, friction_damping=100.0, onset=1e-3, limit_stiffness=100.0, limit_damping=10.0
 )
 _SCALES = {
     "paper": (64, 600, _FIRM),
-    "small": (8, 150, _FIRM.replace(damping=40.0, friction_damping=60.0, limit_stiffness=40.0, limit_damping=1.2)),
+    "small": (
+        8,
+        150,
+        _FIRM.replace(stiffness=5000.0, damping=40.0, friction_damping=60.0, limit_stiffness=40.0, limit_damping=1.2),
+    ),
 }
 """Substeps, steps of an episode, contact."""
