@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import rewax
 from rewax import struct
+from rewax.agents import sapo
 from rewax.agents.presets import sapo_preset
 from rewax.envs.rigid_task import RigidTask, random_turn, uniform, xyzw
 from rewax.envs.wrappers import AutoReset
@@ -189,3 +190,22 @@ def test_every_rigid_task_is_registered_with_a_preset_of_its_own(name, scale):
         assert (preset.num_envs, preset.horizon) == (64, 32)
         steps = preset.num_iterations * preset.num_envs * preset.horizon
         assert steps == pytest.approx(4.1e6 if name == "AntRun" else 10e6, rel=0.03)
+
+
+def test_the_second_train_step_compiles_nothing():
+    """Of SAPO on a rigid task: neither the step again nor an operation on the way to it."""
+    small = {"actor_widths": (8,), "critic_widths": (8,), "vector_features": 8, "critic_passes": 1, "critic_minibatches": 1}
+    agent = sapo.make_sapo(ENV, sapo.SAPOConfig(num_envs=2, horizon=3, num_iterations=9, **small))
+    state, _ = agent.train_step(agent.init(jax.random.key(0)))
+    events = []
+    jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: events.append(name))
+    try:
+        jax.jit(lambda x: x + 1.0)(jnp.zeros(7))
+        assert any("compile" in name or "trace" in name for name in events)  # compiling is heard
+        events.clear()
+        state, _ = agent.train_step(state)
+        jax.block_until_ready(state)
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert events == [] and int(state.iteration) == 2
+    assert agent.train_step._cache_size() == 1
