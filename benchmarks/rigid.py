@@ -23,7 +23,7 @@ from collections.abc import Callable
 from typing import Any
 
 import tyro
-from rigid_models import MODELS, Contact
+from rigid_models import MODELS, Contact, penalty_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +55,7 @@ def make_rollout(name: str, kind: str) -> tuple[Callable[..., Any], Any]:
     from rewax.physics import rigid
 
     mjcf = MODELS[name](Contact())
-    penalty = rigid.Penalty(stiffness=5e4, damping=1e3, friction_damping=600.0) if kind == "penalty" else None
+    penalty = penalty_of(name) if kind == "penalty" else None
     model = rigid.load(mjcf, penalty=penalty)
     if kind == "stock":
         import rigid_stock
@@ -201,7 +201,7 @@ def main(args: Args) -> None:
                     total = sum(other[k] for k in ("trace_cpu_s", "compile_cpu_s"))
                     total /= sum(rows[key][k] for k in ("trace_cpu_s", "compile_cpu_s"))
                     speed = rows[key]["steps_per_cpu_s"] / other["steps_per_cpu_s"]
-                    print(f"{'':34s}{what}: trace + compile {total:.2f}, time of a step {speed:.2f}", flush=True)
+                    print(f"{'':34s}{what}: trace + compile {total:.2f}, CPU time of a step {speed:.2f}", flush=True)
     if args.out:
         with open(args.out, "w") as file:
             json.dump(rows, file, indent=2)

@@ -18,7 +18,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import tyro
-from rigid_models import MODELS, Contact
+from rigid_models import MODELS, Contact, penalty_of
 
 from rewax.physics import rigid
 from rewax.status import all_finite
@@ -26,8 +26,6 @@ from rewax.training.cache import enable_compilation_cache
 
 HORIZONS = (1, 4, 8, 16, 32)
 SOFT = (1e-4, 0.95, 0.02, 0.5, 2.0)
-RESTING = {"ant": 10.0, "hopper": 3.0, "hand": 0.1, "humanoid": 10.0}
-"""Mass that rests on a contact [kg], to which its spring is fitted."""
 SUBSTEPS = 8
 DT = 1 / 60 / SUBSTEPS
 
@@ -43,19 +41,6 @@ class Args:
     settle: int = 60
     """Control steps before the gradient begins."""
     out: str = "rigid_gradients.png"
-
-
-def penalty_of(name: str) -> rigid.Penalty:
-    """Springs and dampers for a model's weight: 5 mm deep at rest."""
-    mass = RESTING[name]
-    return rigid.Penalty(
-        stiffness=1800.0 * mass,
-        damping=34.0 * mass,
-        friction_damping=22.0 * mass,
-        onset=0.01,
-        limit_stiffness=25.0 * mass,
-        limit_damping=0.5 * mass,
-    )
 
 
 def variants(name: str) -> dict[str, rigid.RigidModel]:

@@ -13,6 +13,8 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+from rewax.physics.rigid_penalty import Penalty
+
 
 @dataclasses.dataclass(frozen=True)
 class Contact:
@@ -142,3 +144,19 @@ def humanoid(contact: Contact) -> str:
 
 
 MODELS: dict[str, Callable[[Contact], str]] = {"ant": ant, "hopper": hopper, "hand": hand, "humanoid": humanoid}
+
+RESTING = {"ant": 10.0, "hopper": 3.0, "hand": 0.1, "humanoid": 10.0}
+"""Mass that rests on a contact [kg], to which its spring is fitted."""
+
+
+def penalty_of(name: str) -> Penalty:
+    """Springs and dampers for a model's weight: 5 mm deep at rest."""
+    mass = RESTING[name]
+    return Penalty(
+        stiffness=1800.0 * mass,
+        damping=34.0 * mass,
+        friction_damping=22.0 * mass,
+        onset=0.01,
+        limit_stiffness=25.0 * mass,
+        limit_damping=0.5 * mass,
+    )

@@ -94,7 +94,7 @@ def _draw_episode(env: Any, frames: Sequence[Frame], out_png: Path) -> Path:
     from rewax.viz import bodies, plots
 
     frames = [frame for i, frame in enumerate(frames) if i == 0 or frame.step > frames[i - 1].step]
-    labels = [f"step {frame.step}, return {frame.total:.3g}" for frame in frames]
+    labels = [f"step {f.step}\nreturn {f.total:{'.0f' if abs(f.total) >= 100 else '.3g'}}" for f in frames]
     shapes = [env.render_shapes(frame.physics) if hasattr(env, "render_shapes") else [] for frame in frames]
     if hasattr(env, "particles"):
         clouds = [env.particles(frame.physics) for frame in frames]

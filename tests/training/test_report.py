@@ -43,7 +43,7 @@ def test_bodies_with_their_own_vertical(tmp_path, drawn):
     env = types.SimpleNamespace(render_shapes=shapes, up=np.array([0.0, 0.0, 1.0]))
     path = _draw_episode(env, frames(0, 10, 20), tmp_path / "episode.png")
     assert list(drawn) == ["body_strip"]
-    assert drawn["body_strip"]["labels"] == ["step 0, return 0", "step 10, return 1", "step 20, return 2"]
+    assert drawn["body_strip"]["labels"] == ["step 0\nreturn 0", "step 10\nreturn 1", "step 20\nreturn 2"]
     np.testing.assert_array_equal(drawn["body_strip"]["up"], [0.0, 0.0, 1.0])
     assert matplotlib.image.imread(path).shape[1] > 900
 
@@ -51,7 +51,7 @@ def test_bodies_with_their_own_vertical(tmp_path, drawn):
 def test_nothing_is_drawn_after_the_end(tmp_path, drawn):
     env = types.SimpleNamespace(render_shapes=shapes, up=np.array([0.0, 0.0, 1.0]))
     _draw_episode(env, frames(0, 10, 14, 14, 14), tmp_path / "episode.png")
-    assert drawn["body_strip"]["count"] == 3 and drawn["body_strip"]["labels"][-1] == "step 14, return 1.4"
+    assert drawn["body_strip"]["count"] == 3 and drawn["body_strip"]["labels"][-1] == "step 14\nreturn 1.4"
 
 
 def test_particles_among_bodies(tmp_path, drawn):
