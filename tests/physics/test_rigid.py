@@ -82,7 +82,7 @@ CASES = [
     ("hand", FAR, {"cube": 1.0}, {"push": 0.001}),
     ("hand", NEAR, dict.fromkeys(("j01", "j11", "j21", "j31"), 0.3), {"push": 0.001}),
 ]
-CASES = [pytest.param(*c, id=f"{c[0]}-{c[1]}", marks=[pytest.mark.slow] * (c[0] == "hand")) for c in CASES]
+CASES = [pytest.param(*c, id=f"{c[0]}-{c[1]}") for c in CASES]
 
 
 @pytest.mark.parametrize(("name", "kind", "shifts", "scales"), CASES)
