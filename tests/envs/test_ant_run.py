@@ -29,7 +29,8 @@ def test_the_suites_ant_differs_in_contacts_and_armature():
     env = tasks.make("Ant", "paper")
     assert (env.num_substeps, env.max_steps) == (16, 1000)
     penalty = env.model.penalty
-    np.testing.assert_allclose([penalty.stiffness, penalty.damping, penalty.friction_damping], [4e4, 1e4, 3e3])
+    law = [penalty.stiffness, penalty.damping, penalty.depth_damping, penalty.friction_damping]
+    np.testing.assert_allclose(law, [4e4, 0.0, 1e4, 3e3])
     np.testing.assert_allclose(env.model.parameters["pair_friction"][:, :2], 0.75)
     np.testing.assert_allclose(env.model.parameters["dof_armature"], [0.0] * 6 + [0.05] * 8, rtol=1e-6)
 

@@ -40,6 +40,8 @@ def test_constants(name, substeps, steps, contact, friction):
     for env in (paper, small):
         assert env.control_dt == pytest.approx(1 / 60)
         law = {"damping": 0.0, "depth_damping": 0.0, "limit_stiffness": 1e3, "limit_damping": 10.0, **contact}
+        if name == "Humanoid" and env is small:
+            law["friction_damping"] = 3e2  # what its substep can follow
         for key, value in law.items():
             assert float(getattr(env.model.penalty, key)) == pytest.approx(value), key
         np.testing.assert_allclose(env.model.parameters["pair_friction"][:, :2], friction, rtol=1e-6)
