@@ -47,6 +47,8 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("CartpoleSwingUp", "small"): _small(_CARTPOLE, num_iterations=600),
     ("HalfCheetah", "paper"): _RUNNER,
     ("HalfCheetah", "small"): _small(_RUNNER),
+    ("HandReorient", "paper"): SAPOConfig(num_envs=64, num_iterations=2000),
+    ("HandReorient", "small"): _small(_HUMANOID),
     ("Hopper", "paper"): _RUNNER,
     ("Hopper", "small"): _small(_RUNNER, num_iterations=400),
     ("Humanoid", "paper"): _HUMANOID,
