@@ -1,0 +1,72 @@
+"""Trained policies from their run directories."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+
+from rewax.agents.base import Agent
+from rewax.agents.sapo import SAPOConfig, make_sapo
+from rewax.envs import registry
+from rewax.envs.base import Env
+from rewax.training import checkpoint
+
+_AGENTS: dict[str, tuple[Callable[[Any, Any], Agent], type]] = {"sapo": (make_sapo, SAPOConfig)}
+
+
+class SavedRun(NamedTuple):
+    """What a run directory holds.
+
+    Attributes:
+      env: the environment trained in, unbatched.
+      agent: the algorithm, bound to it; ``agent.policy(train_state, obs, key, deterministic=True)`` is the action for
+        one environment.
+      train_state: of the checkpoint.
+      config: the contents of ``config.json``.
+    """
+
+    env: Env
+    agent: Agent
+    train_state: Any
+    config: dict[str, Any]
+
+
+def load_run(run_dir: str | Path, *, step: int | None = None) -> SavedRun:
+    """Build environment and agent as a run of the command line had them, and read its training state back.
+
+    Args:
+      run_dir: directory of the run.
+      step: iteration of the checkpoint, the newest by default.
+
+    Raises:
+      ValueError: there is no such run or checkpoint, or it was not trained by name from the command line.
+    """
+    if checkpoint.latest_step(run_dir) is None:
+        raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
+    config = checkpoint.read_config(run_dir)
+    name = config.get("agent")
+    if name not in _AGENTS or not isinstance(config.get(name), Mapping) or "env" not in config:
+        raise ValueError(
+            f"{run_dir}/config.json names no environment and agent to build: build them as for training, and use "
+            "checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
+        )
+    make_agent, config_type = _AGENTS[name]
+    env = registry.make(config["env"], scale=config["scale"])
+    agent = make_agent(env, _agent_config(config_type, config[name]))
+    train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
+    return SavedRun(env, agent, train_state, config)
+
+
+def _agent_config(config_type: type, stored: Mapping[str, Any]) -> Any:
+    """The agent's configuration from JSON; what a newer version has more keeps its default."""
+    known = {field.name for field in dataclasses.fields(config_type)}
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise ValueError(f"this version has no option {', '.join(unknown)}: use the version that the run was made with")
+    return config_type(**values)
+
+
+__all__ = ["SavedRun", "load_run"]
