@@ -1,7 +1,6 @@
-"""Your own robot as a task: a model in MJCF, a reward, and SAPO trained on them. `--mjcf path` takes any model."""
+"""Your own robot as a task: a model in MJCF, a reward, SAPO. `--mjcf` takes any with a free or slide joint first."""
 
 import jax.numpy as jnp
-import numpy as np
 import tyro
 
 from rewax import struct
@@ -26,25 +25,22 @@ CRAWLER = """<mujoco><option timestep="0.004"/><default><geom type="capsule" siz
 class Run(RigidTask):
     """Move along x: the reward is that velocity less 0.01 |action|^2; where it is along x is not observed."""
 
-    forward: int = struct.static_field()
-
     def start(self, key):
         return rigid.initial_state(self.model, qvel=uniform(key, self.model.num_dofs, 0.1)), None
 
     def observe(self, physics):
-        return {"state": jnp.concatenate([jnp.delete(physics.rigid.qpos, self.forward), 0.1 * physics.rigid.qvel])}
+        return {"state": jnp.concatenate([physics.rigid.qpos[1:], 0.1 * physics.rigid.qvel])}
 
     def reward(self, physics):
-        velocity = physics.rigid.qvel[self.forward]
+        velocity = physics.rigid.qvel[0]
         return velocity - 0.01 * jnp.sum(physics.action**2), {"velocity": velocity}
 
 
 def main(mjcf: str = CRAWLER, substeps: int = 5, iterations: int = 150, seed: int = 0) -> tuple[float, float]:
     limits = {"limit_stiffness": 50.0, "limit_damping": 0.5}  # soft: within a substep no damper may stop a limb
-    contacts = Penalty(stiffness=1e4, damping=50.0, friction_damping=50.0, onset=0.005, **limits)
-    model = rigid.load(mjcf, penalty=contacts)
-    forward = int(model.static.mj.jnt_dofadr[np.isin(model.static.mj.jnt_type, (0, 2))][0])  # first free or slide
-    env = Run(model=model, num_substeps=substeps, max_steps=200, forward=forward)
+    model = rigid.load(mjcf, penalty=Penalty(stiffness=1e4, damping=50.0, friction_damping=50.0, onset=0.005, **limits))
+    assert model.static.mj.jnt_type[0] in (0, 2), "the first joint is not free or a slide: write another reward for it"
+    env = Run(model=model, num_substeps=substeps, max_steps=200)
     check_env(env, check_full_episode=False)
     networks = {"actor_widths": (64, 64), "critic_widths": (64, 64), "vector_features": 64, "differentiate": "full"}
     agent = make_sapo(env, SAPOConfig(num_envs=32, num_iterations=iterations, initial_temperature=0.1, **networks))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.envs.base import Box, Env, State
+from rewax.status import Status
 from rewax.types import Array, Key, PyTree
 
 _JIT_TOLERANCE = 1e-4  # relative; a compiled program may fuse and reorder single-precision sums
@@ -139,14 +140,19 @@ def _check_gradient(env: Env, state: State, key: Key, num_steps: int = 3) -> Non
     """Reward after a few steps with respect to their actions; an action may act late, so zeros in some are fine."""
     actions = 0.9 * jax.vmap(lambda k: _random_action(env, k))(jax.random.split(key, num_steps))
 
-    def total(actions: Array) -> Array:
+    def total(actions: Array) -> tuple[Array, Array]:
         def body(state: State, action: Array) -> tuple[State, Array]:
             state = env.step(state, action)
             return state, state.reward
 
-        return jnp.sum(jax.lax.scan(body, state, actions)[1])
+        last, rewards = jax.lax.scan(body, state, actions)
+        return jnp.sum(rewards), last.status
 
-    gradient = jax.jit(jax.grad(total))(actions)
+    gradient, status = jax.jit(jax.grad(total, has_aux=True))(actions)
+    failed = Status(int(status))
+    assert failed == Status.OK, (
+        f"{num_steps} steps of random actions fail numerically ({failed!r}): shorter substeps or softer contacts help"
+    )
     assert _finite(gradient), "the gradient of the reward with respect to the actions holds a number that is not finite"
     moved = bool(jnp.any(gradient != 0))
     assert moved, f"the reward of {num_steps} steps has a zero gradient with respect to their actions"

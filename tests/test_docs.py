@@ -1,6 +1,7 @@
 """The documentation's code runs, from top to bottom of each page."""
 
 import re
+import runpy
 from pathlib import Path
 
 import jax
@@ -35,3 +36,15 @@ def test_rigid_page_runs_and_does_what_it_says():
     assert 0.1 < float(names["by_velocity"][0]) < 0.3  # it slides for about 0.2 s
     assert float(np.abs(names["by_model"]).max()) > 0.0 and np.isfinite(names["by_model"]).all()
     assert names["distance"]._cache_size() == 1
+
+
+def test_the_example_of_a_rigid_task_trains(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main = runpy.run_path(str(ROOT / "examples" / "custom_rigid_task.py"))["main"]
+    before, after = main(iterations=2)
+    assert np.isfinite([before, after]).all() and before != after
+    assert (tmp_path / "runs" / "custom-0" / "episode.png").stat().st_size > 10_000
+    assert len((ROOT / "examples" / "custom_rigid_task.py").read_text().splitlines()) < 60
+    arm = '<mujoco><worldbody><body><joint/><geom size="0.1"/></body></worldbody></mujoco>'
+    with pytest.raises(AssertionError, match="the first joint is not free or a slide"):
+        main(mjcf=arm)

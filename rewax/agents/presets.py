@@ -59,5 +59,11 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
 
 
 def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
-    """Hyper-parameters of SAPO for a registered environment; for one without tuned values those of its scale."""
+    """Hyper-parameters of SAPO for a registered environment; for one without tuned values those of its scale.
+
+    Raises:
+      ValueError: there is no such scale.
+    """
+    if scale not in ("paper", "small"):
+        raise ValueError(f"there is no scale {scale!r}: use paper or small")
     return _SAPO.get((env_name, scale), SMALL if scale == "small" else SAPOConfig())

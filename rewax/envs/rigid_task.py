@@ -14,7 +14,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.base import Box, State, first_state, next_state
 from rewax.physics import rigid
-from rewax.physics.rigid import RigidModel, RigidState
+from rewax.physics.rigid import RigidModel, RigidState, check_shape
 from rewax.types import Array, Key, Observation, PyTree
 
 ASSETS = Path(__file__).parent / "assets"
@@ -50,19 +50,25 @@ class RigidTask(struct.Replaceable):
     num_substeps: int = struct.static_field()
     max_steps: int = struct.static_field()
 
+    def __post_init__(self) -> None:
+        for name in ("num_substeps", "max_steps"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or value < 1:
+                raise ValueError(f"{name} is {value}: give a whole number, at least 1")
+
     # --- What a task defines ---
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         """Bodies at the beginning of an episode, and what else the task keeps (None for nothing)."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no start(key): define it")
 
     def observe(self, physics: RigidPhysics) -> Observation:
         """Named observations of a state."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no observe(physics): define it")
 
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
         """Reward of the step that led to a state, shape (), and named scalars to log."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no reward(physics): define it")
 
     def terminated(self, physics: RigidPhysics) -> Array:
         """Whether the episode ends for good, shape (), bool."""
@@ -70,8 +76,10 @@ class RigidTask(struct.Replaceable):
         return jnp.zeros((), bool)
 
     def control(self, action: Array) -> Array:
-        """Controls of the model's actuators for an action within [-1, 1]."""
-        return action
+        """Controls of the model's actuators for an action within [-1, 1]: from end to end of limited ones' range."""
+        limited = self.model.static.mj.actuator_ctrllimited.astype(bool)
+        low, high = jnp.moveaxis(self.model.parameters["actuator_ctrlrange"], -1, 0)
+        return jnp.where(limited, 0.5 * (low + high) + 0.5 * (high - low) * action, action)
 
     def next_task(self, physics: RigidPhysics, key: Key) -> PyTree:
         """What the task keeps, after a step."""
@@ -105,7 +113,12 @@ class RigidTask(struct.Replaceable):
         return first_state(physics=physics, obs=self.observe(physics), metrics=self.reward(physics)[1], key=key)
 
     def step(self, state: State, action: Array) -> State:
-        """One control step. Gradient: exact, through contacts; zero by components of the action beyond [-1, 1]."""
+        """One control step. Gradient: exact, through contacts; zero by components of the action beyond [-1, 1].
+
+        Raises:
+          ValueError: the action has another shape than ``action_spec``.
+        """
+        check_shape("the action", action, self.action_spec.shape)
         action = jnp.clip(action, -1.0, 1.0)
         bodies = rigid.step(self.model, state.physics.rigid, self.control(action), num_substeps=self.num_substeps)
         physics = state.physics.replace(rigid=bodies, action=action.astype(bodies.qpos.dtype))

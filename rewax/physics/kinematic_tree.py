@@ -240,7 +240,8 @@ def kinematics(topology: Topology, parameters: TreeParameters, qpos: Array) -> K
     position, rotation = bodies[:, :3, 3], bodies[:, :3, :3]
     com = position + rotate(rotation, parameters.body_ipos)
     mass = parameters.body_mass[:, None]
-    subtree_mass = jnp.maximum(_dot(topology.subtree, mass), jnp.finfo(mass.dtype).tiny)
+    subtree_mass = _dot(topology.subtree, mass)
+    subtree_mass = jnp.where(subtree_mass > 0, subtree_mass, 1.0)  # of what has no mass, the place is not used
     subtree_com = _dot(topology.subtree, mass * com) / subtree_mass
     tree_com = select(topology.body_root, subtree_com)
     dof_frame = select(topology.dof_link, links)

@@ -39,11 +39,16 @@ def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
 
 
 def sphere_box_pairs(mj: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the explicit pairs of a sphere and a box, unless contacts are disabled or limited; their geoms."""
+    """Numbers of the explicit pairs of a sphere and a box, unless contacts are disabled or limited; their geoms.
+
+    Not of pairs that could also touch without being listed: MJX leaves those out because they are.
+    """
     limited = any(mj.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(mj.nnumeric))
     geoms = np.stack([mj.pair_geom1, mj.pair_geom2], axis=1)
     is_sphere, is_box = (mj.geom_type[geoms] == int(getattr(mujoco.mjtGeom, f"mjGEOM_{k}")) for k in ("SPHERE", "BOX"))
     chosen = is_sphere.any(axis=1) & is_box.any(axis=1)
+    by_type, by_affinity = mj.geom_contype[geoms], mj.geom_conaffinity[geoms]
+    chosen &= np.all(by_type & by_affinity[:, ::-1] == 0, axis=1)
     pairs = np.flatnonzero(chosen & (not limited and not is_disabled(mj, "CONTACT")))
     return pairs, geoms[pairs][is_sphere[pairs]], geoms[pairs][is_box[pairs]]
 
@@ -99,6 +104,8 @@ def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
             )
     if mj.opt.noslip_iterations:
         raise ValueError("the model has noslip_iterations, which are not supported: remove them")
+    if mj.opt.enableflags & getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0):
+        raise ValueError("the model lets bodies sleep, which is not supported: remove the sleep flag")
     if mj.opt.disableactuator:
         raise ValueError("the model has an actuatorgroupdisable, which is not supported: remove it, or the actuators")
 
@@ -117,6 +124,14 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
             raise ValueError(
                 f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
             )
+
+    turning = (mj.actuator_trnid[:, 1] >= 0) & np.any(mj.actuator_gear[:, 3:] != 0, axis=1)
+    turning &= mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)
+    if np.any(turning):
+        raise ValueError(
+            f"{_named(mj, 'actuator', turning)} turns a site against its refsite, which is not supported: set the last "
+            "three numbers of its gear to zero, or remove the refsite"
+        )
 
 
 _UNSUPPORTED = (
@@ -160,6 +175,19 @@ def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
         raise ValueError(f"{name} is of a kind that is not supported: use connect, joint or tendon constraints")
     if not penalty:
         return
+    uneven = mj.pair_friction[:, 0] != mj.pair_friction[:, 1]
+    if np.any(uneven):
+        raise ValueError(
+            f"{_named(mj, 'pair', uneven)} has two coefficients of sliding friction, of which a Penalty knows one: "
+            "make them equal"
+        )
+    touches = (mj.geom_contype | mj.geom_conaffinity) != 0
+    for kind, wrong in (("pair", mj.pair_dim > 3), ("geom", (mj.geom_condim > 3) & touches)):
+        if np.any(wrong):
+            raise ValueError(
+                f"{_named(mj, kind, wrong)} has a condim above 3, but a Penalty knows no torsional or rolling "
+                f"friction: give that {kind} condim 3"
+            )
     if is_disabled(mj, "LIMIT") or is_disabled(mj, "CONSTRAINT"):
         raise ValueError(
             "the model disables limits or all constraints, which a Penalty does not: remove the flag, and ranges and "

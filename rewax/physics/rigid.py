@@ -34,11 +34,14 @@ from rewax.physics.rigid_penalty import Penalty
 from rewax.status import Status, flag
 from rewax.types import Array
 
+_MIN_ITERATIONS = 4
+"""Of the solver, whatever the model says: the derivative is that of a balance that has been reached."""
+
 
 def initial_state(
     model: RigidModel, qpos: Array | np.ndarray | None = None, qvel: Array | np.ndarray | None = None
 ) -> RigidState:
-    """A state in given positions and velocities, by default the model's home, at rest.
+    """A state in given positions and velocities, by default the model's home, at rest; activations are zero.
 
     Raises:
       ValueError: a shape does not fit, or a number is not finite.
@@ -73,7 +76,8 @@ def step(
       num_substeps: at least 1.
 
     Gradient: exact for the discrete map, forward and reverse, with respect to state, controls, wrenches and parameters;
-      the backward pass keeps a state per substep. Zero through ``qacc`` and saturated controls.
+      the backward pass keeps a state per substep. Zero through ``qacc`` and saturated controls. The solver takes the
+      model's ``iterations``, but at least 4: forces that do not balance yet have another derivative.
 
     Raises:
       ValueError: a shape does not fit.
@@ -83,8 +87,8 @@ def step(
     wrenches = jnp.zeros((model.num_bodies, 6), dtype) if wrenches is None else jnp.asarray(wrenches, dtype)
     check_shape("ctrl", ctrl, (model.num_actuators,), " (one number per actuator of the model)")
     check_shape("wrenches", wrenches, (model.num_bodies, 6), " (force and torque per body, the world included)")
-    if num_substeps < 1:
-        raise ValueError(f"num_substeps is {num_substeps}: give at least 1")
+    if not isinstance(num_substeps, (int, np.integer)) or num_substeps < 1:
+        raise ValueError(f"num_substeps is {num_substeps}: give a whole number, at least 1")
 
     def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
         return _substep(model, state, ctrl, wrenches)[0], None
@@ -172,7 +176,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
             force,
             rows,
             state.qacc,
-            max_iterations=model.static.mj.opt.iterations,
+            max_iterations=max(model.static.mj.opt.iterations, _MIN_ITERATIONS),
             num_bounded=model.static.num_bounded,
         )
         rate = qacc
@@ -251,6 +255,7 @@ __all__ = [
     "body_poses",
     "body_velocities",
     "centers_of_mass",
+    "check_shape",
     "check_status",
     "contact_distances",
     "geom_poses",

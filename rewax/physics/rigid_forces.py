@@ -14,8 +14,9 @@ from rewax.physics.constraint_solver import Rows
 from rewax.physics.kinematic_tree import Kinematics, TreeParameters
 from rewax.physics.plane_box import plane_box
 from rewax.physics.rigid_connect import connect_drifts
-from rewax.physics.rigid_model import RigidModel, RigidState, mjx
+from rewax.physics.rigid_model import RigidModel, RigidState, mjx, mujoco
 from rewax.physics.rigid_penalty import Penalty, contact_wrenches, limit_forces
+from rewax.physics.rotations import quaternion_product, rotation_vector
 from rewax.physics.sphere_box import sphere_box
 from rewax.types import Array
 
@@ -77,19 +78,21 @@ def applied_forces(
     if model.static.mj.ntendon:
         d = mjx.tendon(m, d)
     d = mjx.transmission(m, d)
+    d = d.replace(actuator_length=_actuator_lengths(model, m, d))
     d = d.tree_replace(  # pyright: ignore[reportAssignmentType]
         {
             "_impl.actuator_velocity": d._impl.actuator_moment @ d.qvel,
             "_impl.ten_velocity": d._impl.ten_J @ d.qvel,
         }
     )
-    d = mjx.fwd_actuation(m, mjx.passive(m, d))
+    d = mjx.fwd_actuation(m, mjx.passive(m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness)), d))
     arm = kin.com - kin.tree_com
     torque = wrenches[:, 3:] + kinematic_tree.cross(arm, wrenches[:, :3])
     external = jnp.concatenate([torque, wrenches[:, :3]], axis=-1)
     if model.penalty is not None:
         external = external + _contact_wrenches(model, model.penalty, kin, m, d, twist)
-    force = d.qfrc_passive + d.qfrc_actuator + kinematic_tree.generalized_forces(topology, kin, external)
+    force = _spring_forces(model, d.qpos) + d.qfrc_passive + d.qfrc_actuator
+    force = force + kinematic_tree.generalized_forces(topology, kin, external)
     if model.penalty is not None:
         mj = model.static.mj
         joint = np.flatnonzero(mj.jnt_limited)
@@ -97,6 +100,38 @@ def applied_forces(
         limits = model.parameters["jnt_range"][joint] + model.parameters["jnt_margin"][joint, None] * np.array([1, -1])
         force = force.at[dof].add(limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof]))
     return force, d.act_dot
+
+
+def _spring_forces(model: RigidModel, qpos: Array) -> Array:
+    """Of the joints' springs, shape (num_dofs,); MJX's have no derivative where a ball joint is at rest."""
+    mj, rest = model.static.mj, model.parameters["qpos_spring"]
+    free, ball = (mj.jnt_type == int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL"))
+    simple = ~free & ~ball
+
+    def joined(simple_start: np.ndarray, free_start: np.ndarray) -> np.ndarray:
+        return np.concatenate([simple_start, (free_start[:, None] + np.arange(3)).ravel()])
+
+    place = joined(mj.jnt_qposadr[simple], mj.jnt_qposadr[free])
+    dof = joined(mj.jnt_dofadr[simple], mj.jnt_dofadr[free])
+    stretch = jnp.zeros(model.num_dofs, qpos.dtype).at[dof].set(qpos[place] - rest[place])
+    if np.any(free | ball):
+        place = np.concatenate([mj.jnt_qposadr[free] + 3, mj.jnt_qposadr[ball]])[:, None] + np.arange(4)
+        dof = np.concatenate([mj.jnt_dofadr[free] + 3, mj.jnt_dofadr[ball]])[:, None] + np.arange(3)
+        back = rest[place] * np.array([1.0, -1.0, -1.0, -1.0])
+        stretch = stretch.at[dof].set(rotation_vector(quaternion_product(back, qpos[place])))
+    return -model.parameters["jnt_stiffness"][mj.dof_jntid] * stretch
+
+
+def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
+    """As MJX has them, but for turns of ball joints, where those have no derivative at rest, shape (num_actuators,)."""
+    mj = model.static.mj
+    on_joint = np.isin(mj.actuator_trntype, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)))
+    joint = np.where(on_joint, mj.actuator_trnid[:, 0], 0)
+    own = np.flatnonzero(on_joint & (mj.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_BALL)))
+    if len(own) == 0:
+        return d.actuator_length
+    turn = rotation_vector(d.qpos[mj.jnt_qposadr[joint[own]][:, None] + np.arange(4)])
+    return d.actuator_length.at[own].set(jnp.sum(turn * m.actuator_gear[own, :3], axis=-1))
 
 
 def _collide(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:

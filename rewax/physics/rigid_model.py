@@ -20,7 +20,7 @@ import numpy as np
 from rewax import struct
 from rewax.physics import kinematic_tree, mjcf
 from rewax.physics.kinematic_tree import Topology, TreeParameters
-from rewax.physics.rigid_penalty import Penalty
+from rewax.physics.rigid_penalty import Penalty, check_penalty
 from rewax.types import Array
 
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -85,7 +85,9 @@ class RigidModel(struct.Replaceable):
     Attributes:
       parameters: MuJoCo's fields named in ``PARAMETERS``, as leaves: differentiate with respect to them, vmap over
         them, change them without compiling again. What MuJoCo derives from them (inverse weights) stays as it is, and
-        where the model has no dry friction there stays none.
+        where the model has no dry friction there stays none; damping that it had none of is explicit in time; ranges
+        of what is unlimited have no effect. Masses and inertias are numbers of their own: change both. Quaternions and
+        axes must stay of length 1.
       gravity: [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
       static: everything else.
@@ -128,7 +130,8 @@ class RigidModel(struct.Replaceable):
         """A copy with other numbers.
 
         Raises:
-          ValueError: there is no such parameter, or its shape differs.
+          ValueError: there is no such parameter, its shape differs, or the model has no damping or dry friction to
+            change.
         """
         for name, value in changes.items():
             if name not in self.parameters:
@@ -137,6 +140,9 @@ class RigidModel(struct.Replaceable):
                 raise ValueError(
                     f"{name} has shape {jnp.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
                 )
+            absent = name in ("dof_damping", "dof_frictionloss") and not np.any(getattr(self.static.mj, name))
+            if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
+                raise ValueError(f"the model was loaded without {name}, so it takes none: give its MJCF a little of it")
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **given})
 
@@ -192,6 +198,8 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
         compiled = copy.copy(compiled)
         compiled.opt.timestep = dt
     mjcf.check_model(compiled, penalty=penalty is not None)
+    if penalty is not None:
+        check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
     try:
         static = _Model(compiled, penalty=penalty is not None)
     except (NotImplementedError, AssertionError) as error:

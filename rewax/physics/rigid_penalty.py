@@ -1,6 +1,10 @@
 """Contacts and joint limits of articulated bodies as springs and dampers."""
 
+import dataclasses
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax import struct
 from rewax.physics import kinematic_tree
@@ -35,6 +39,29 @@ class Penalty(struct.Replaceable):
     depth_damping: Array | float = 0.0
     limit_stiffness: Array | float = 1e3
     limit_damping: Array | float = 10.0
+
+
+def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
+    """Raise a ValueError for numbers that cannot be, or that are unstable whatever touches.
+
+    Args:
+      penalty: the law.
+      mass: of the heaviest tree of bodies [kg].
+      dt: duration of a substep [s].
+    """
+    if not isinstance(penalty, Penalty):
+        raise ValueError(f"penalty is {penalty!r}: give a Penalty(stiffness=...)")
+    for field in dataclasses.fields(penalty):
+        value = getattr(penalty, field.name)
+        if not isinstance(value, jax.core.Tracer) and not bool(np.all(np.asarray(value) >= 0.0)):
+            raise ValueError(f"the penalty's {field.name} is {value}: give 0 or more")
+    for name, unit, bound in (("stiffness", "N/m", 4.0 * mass / dt**2), ("damping", "N s/m", 2.0 * mass / dt)):
+        value = getattr(penalty, name)
+        if not isinstance(value, jax.core.Tracer) and np.max(value) > bound:
+            raise ValueError(
+                f"the penalty's {name} is {np.max(value):g} {unit}, unstable with a substep of {dt:g} s even for all "
+                f"{mass:g} kg at once (at most {bound:.3g}, far less for light links): make it softer or dt shorter"
+            )
 
 
 def contact_wrenches(
@@ -89,4 +116,4 @@ def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) 
     return jnp.where(beyond != 0, -penalty.limit_stiffness * beyond - penalty.limit_damping * rate, 0.0)
 
 
-__all__ = ["Penalty", "contact_wrenches", "limit_forces"]
+__all__ = ["Penalty", "check_penalty", "contact_wrenches", "limit_forces"]

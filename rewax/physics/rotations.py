@@ -23,6 +23,21 @@ def quaternion_product(a: Array, b: Array) -> Array:
     return jnp.concatenate([scalar, w * u + r * v + jnp.cross(v, u)], axis=-1)
 
 
+def rotation_vector(q: Array) -> Array:
+    """Axis times angle, the latter within [-pi, pi], of a unit quaternion, (..., 4) -> (..., 3).
+
+    Gradient: exact, also at no turn at all.
+    """
+    w, v = q[..., :1], q[..., 1:]
+    square = jnp.sum(v * v, axis=-1, keepdims=True)
+    small = square < 1e-8
+    sine = jnp.sqrt(jnp.where(small, 1.0, square))
+    angle = 2.0 * jnp.arctan2(sine, jnp.where(small, 0.0, w))
+    angle = jnp.where(angle > jnp.pi, angle - 2.0 * jnp.pi, angle)
+    near = jnp.where(small, w, 1.0)
+    return v * jnp.where(small, 2.0 / near - 2.0 / 3.0 * square / near**3, angle / sine)
+
+
 def turn_quaternion(q: Array, angular_velocity: Array, dt: Scalar) -> Array:
     """Orientation after a short time.
 

@@ -149,6 +149,14 @@ class _Run:
             f"evaluation after {self.env_steps:,} steps: return {row['sampled_mean']:.4g} +- {row['sampled_std']:.2g} "
             f"sampled, {row['deterministic_mean']:.4g} +- {row['deterministic_std']:.2g} deterministic",
         )
+        failed = int(row["sampled_failed"]) + int(row["deterministic_failed"])
+        if failed:
+            episodes = 2 * self.config.num_eval_episodes
+            say(
+                self.console,
+                f"warning: {failed} of {episodes} episodes failed numerically and ended there: state.status says why; "
+                "shorter substeps or softer contacts and materials help",
+            )
         return row
 
     def finish(self, stop: Stop) -> TrainResult:
@@ -165,7 +173,8 @@ class _Run:
                 say(self.console, f"wrote {path}")
         if stop.requested:
             done = f"stopped after iteration {self.iteration} of {self.config.num_iterations}"
-            say(self.console, f"{done}: the same command with --resume continues from {self.run_dir}")
+            rest = "continues" if self.iteration < self.config.num_iterations else "does the final evaluation"
+            say(self.console, f"{done}: the same command with --resume {rest}, from {self.run_dir}")
         return TrainResult(self.train_state, row, stop.signum)
 
     def close(self) -> None:

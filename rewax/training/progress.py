@@ -12,7 +12,7 @@ _SECONDS_BETWEEN_LINES = 5.0
 
 
 class ProgressReport:
-    """Shows return, entropy, speed and time left.
+    """Shows return, entropy, speed and time left, and how many episodes have failed, if any.
 
     Args:
       console: where to.
@@ -23,6 +23,7 @@ class ProgressReport:
     def __init__(self, console: Console, num_iterations: int, start: int) -> None:
         self._console, self._num_iterations, self._start = console, num_iterations, start
         self._shown: dict[str, float] = {"return": math.nan, "entropy": math.nan}
+        self._failed = 0
         self._began = time.perf_counter()
         self._last_line = -math.inf
         self._bar: Progress | None = None
@@ -38,9 +39,11 @@ class ProgressReport:
         for name in self._shown:
             if math.isfinite(value := float(metrics.get(name, math.nan))):
                 self._shown[name] = value
+        self._failed += int(metrics.get("failed_episodes", 0))
         elapsed = time.perf_counter() - self._began
         left = elapsed / (iteration - self._start) * (self._num_iterations - iteration)
         parts = [f"{name} {value:.3g}" for name, value in self._shown.items() if math.isfinite(value)]
+        parts += [f"{self._failed} episodes failed"] * (self._failed > 0)
         text = "  ".join([*parts, f"{steps_per_second:,.0f} steps/s", f"{duration(left)} left"])
         if self._bar is not None:
             self._bar.update(self._task, completed=iteration, description=text)

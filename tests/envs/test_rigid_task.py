@@ -209,3 +209,27 @@ def test_the_second_train_step_compiles_nothing():
         jax.monitoring.clear_event_listeners()
     assert events == [] and int(state.iteration) == 2
     assert agent.train_step._cache_size() == 1
+
+
+def test_what_a_task_lacks_is_named():
+    with pytest.raises(ValueError, match=r"num_substeps is 0: give a whole number, at least 1"):
+        ENV.replace(num_substeps=0)
+    with pytest.raises(ValueError, match=r"max_steps is 2\.5: give a whole number"):
+        ENV.replace(max_steps=2.5)
+    with pytest.raises(NotImplementedError, match=r"RigidTask has no start\(key\): define it"):
+        RigidTask(model=ENV.model, num_substeps=1, max_steps=1).reset(jax.random.key(0))
+    with pytest.raises(ValueError, match=r"the action has shape \(2,\): give shape \(1,\)"):
+        ENV.step(ENV.reset(jax.random.key(0)), jnp.zeros(2))
+
+
+def test_numerical_failure_is_what_the_check_names():
+    stiff = rigid.load(RAIL.replace("<joint ", '<joint range="-0.1 0.1" '), dt=DT, penalty=Penalty(stiffness=1e3, limit_stiffness=1e12))
+    with pytest.raises(AssertionError, match=r"steps of random actions fail numerically .*NAN.*: shorter substeps"):
+        check_env(Rail(model=stiff, num_substeps=NUM_SUBSTEPS, max_steps=MAX_STEPS), check_full_episode=False)
+
+
+def test_actions_span_the_range_of_limited_controls():
+    text = RAIL.replace("</actuator>", '<motor joint="x" ctrlrange="0 3"/></actuator>')
+    env = Rail(model=rigid.load(text), num_substeps=1, max_steps=1)
+    control = jax.vmap(lambda action: RigidTask.control(env, action))(jnp.array([[-1.0, -1.0], [0.0, 0.0], [0.7, 1.0]]))
+    np.testing.assert_allclose(control, [[-1.0, 0.0], [0.0, 1.5], [0.7, 3.0]], rtol=1e-6)

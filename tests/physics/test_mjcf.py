@@ -43,6 +43,15 @@ REFUSED = {
         tiny(option='actuatorgroupdisable="1"'),
         "the model has an actuatorgroupdisable, which is not supported: remove it, or the actuators",
     ),
+    "sleeping": (
+        tiny(flag='sleep="enable"'),
+        "the model lets bodies sleep, which is not supported: remove the sleep flag",
+    ),
+    "turned_site": (
+        tiny(body='<site name="root"/>', actuator='<motor name="twist" site="tip" refsite="root" gear="0 0 0 1 0 0"/>'),
+        "actuator 'twist' turns a site against its refsite, which is not supported: set the last three numbers of its gear "
+        "to zero, or remove the refsite",
+    ),
     "springs": (
         tiny(flag='spring="disable"'),
         "the model disables its springs, which is not supported: remove the flag and set stiffness to zero",
@@ -149,6 +158,18 @@ CANNOT_HOLD = (
     "it without a Penalty"
 )
 REFUSED_WITH_PENALTY = {
+    "uneven": (
+        tiny(extra='<contact><pair name="skate" geom1="floor" geom2="rod" friction=".1 .9"/></contact>'),
+        "pair 'skate' has two coefficients of sliding friction, of which a Penalty knows one: make them equal",
+    ),
+    "rolling_pair": (
+        tiny(extra='<contact><pair name="skate" geom1="floor" geom2="rod" condim="6"/></contact>'),
+        "pair 'skate' has a condim above 3, but a Penalty knows no torsional or rolling friction: give that pair condim 3",
+    ),
+    "rolling_geom": (
+        tiny(geom='condim="4"'),
+        "geom 'rod' has a condim above 3, but a Penalty knows no torsional or rolling friction: give that geom condim 3",
+    ),
     "ball": (
         rigid_models.mjcf('<body><joint name="neck" type="ball" range="0 1"/><geom size=".1"/></body>'),
         "joint 'neck' is a ball with a limit, which a Penalty cannot hold: remove the limit",

@@ -268,3 +268,57 @@ def test_with_respect_to_every_parameter(x64, derivatives, inner):
     print({name: f"{error:.0e}" for name, error in errors.items()})
     assert max(modes.values()) < 1e-9, modes
     assert max(errors.values()) < 1e-4, errors
+
+
+def worst_of_gradient(outcome, x: jax.Array) -> float:
+    """Largest difference of a gradient from central differences, relative to its largest component."""
+    reverse = jax.grad(outcome)(x)
+    outcome = jax.jit(outcome)
+    moves = STEP * jnp.eye(len(x))
+    difference = jnp.stack([(outcome(x + move) - outcome(x - move)) / (2 * STEP) for move in moves])
+    return float(jnp.abs(reverse - difference).max() / jnp.abs(difference).max())
+
+
+BALL_JOINT = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="neck" type="ball" {joint}/>
+<geom size=".1" pos=".02 0 .1"/></body></worldbody><actuator>{actuator}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("joint", "actuator"), [('stiffness="50"', ""), ("", '<position joint="neck" gear="1 .3 2" kp="40"/>')], ids=["spring", "servo"]
+)
+def test_turns_of_a_ball_joint_that_is_at_rest(x64, joint, actuator):
+    """The force is zero there, its derivative is not."""
+    model = rigid.load(BALL_JOINT.format(joint=joint, actuator=actuator))
+    weight = jnp.asarray(np.random.default_rng(0).standard_normal(3))
+
+    def outcome(turn):
+        state = rigid.initial_state(model, jnp.concatenate([jnp.ones(1), 0.5 * turn]))
+        return rigid.step(model, state, num_substeps=3).qvel @ weight
+
+    assert worst_of_gradient(outcome, jnp.zeros(3)) < 1e-6
+    assert worst_of_gradient(outcome, jnp.asarray([1e-5, -2e-5, 1e-5])) < 1e-6  # the series, and where it ends
+    assert worst_of_gradient(outcome, jnp.asarray([0.3, -0.5, 0.4])) < 1e-6
+
+
+def test_bodies_without_mass_and_models_with_few_iterations(x64):
+    """A marker on the world without a mass; a model that asks for one iteration of the solver, on the floor."""
+    marked = rigid_models.mjcf(
+        rigid_models.FLOOR + '<body name="mark"><site/></body><body pos="0 0 .099"><freejoint/><geom name="a" size=".1"/>'
+        '<body pos=".2 0 0"><joint axis="0 1 0"/><geom name="b" size=".1"/></body></body>',
+        extra=rigid_models.touching(("floor", "a"), ("floor", "b")),
+    )
+    mj = mujoco.MjModel.from_xml_string(marked)
+    mj.opt.iterations = 1
+    model = rigid.load(mj)
+    state = rigid.initial_state(model, qvel=jnp.asarray([1.0, 0.2, -0.3, 0.4, 0.5, 0.6, 0.7]))
+
+    def by_mass(mass):
+        return rigid.step(model.with_parameters(body_mass=mass), state, num_substeps=HORIZON).qpos[2]
+
+    gradient = jax.grad(by_mass)(model.parameters["body_mass"])
+    assert np.isfinite(gradient).all() and gradient[-1] != 0
+
+    def by_velocity(qvel):
+        return rigid.step(model, state.replace(qvel=qvel), num_substeps=HORIZON).qvel.sum()
+
+    assert worst_of_gradient(by_velocity, state.qvel) < 1e-5

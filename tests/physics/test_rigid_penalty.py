@@ -171,3 +171,20 @@ def test_a_joint_leans_on_its_limit(x64):
     angle = float(state.qpos[0])
     np.testing.assert_allclose(state.qvel, 0.0, atol=1e-9)
     assert -400.0 * (angle + 1.2 + 0.05) == pytest.approx(9.81 * mass * length * np.sin(angle), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("penalty", "sentence"),
+    [
+        (1e4, r"penalty is 10000.0: give a Penalty"),
+        (Penalty(stiffness=-1.0), "the penalty's stiffness is -1.0: give 0 or more"),
+        (Penalty(stiffness=1e3, onset=np.nan), "the penalty's onset is nan: give 0 or more"),
+        (Penalty(stiffness=5e4), r"stiffness is 50000 N/m, unstable with a substep of 0.01 s .* all 1 kg at once \(at most 4e\+04"),
+        (Penalty(stiffness=1e3, damping=300.0), r"damping is 300 N s/m, unstable with a substep of 0.01 s .*: make it softer or dt shorter"),
+    ],
+)  # fmt: skip
+def test_numbers_that_cannot_be_are_named(penalty, sentence):
+    text = '<mujoco><worldbody><body><freejoint/><geom size="0.1" mass="1"/></body></worldbody></mujoco>'
+    with pytest.raises(ValueError, match=sentence):
+        rigid.load(text, dt=0.01, penalty=penalty)
+    rigid.load(text, dt=0.01, penalty=Penalty(stiffness=3e4, damping=100.0))

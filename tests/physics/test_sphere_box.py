@@ -161,3 +161,17 @@ def test_numbers_of_pairs_may_be_changed_and_disabled_contacts_are_none(x64):
     none = rigid.load(free, penalty=LAW)
     assert rigid.contact_distances(none, state).shape == (0,)
     np.testing.assert_allclose(step(none, state).qvel[6], 9.0)
+
+
+def test_a_listed_pair_that_could_touch_anyway_counts_once():
+    """As in MuJoCo, where listing a pair replaces what its geoms' types say."""
+    body = '<body pos="0 0 .199"><freejoint/><geom name="ball" size=".1" mass="1"/></body>'
+    text = '<mujoco><worldbody><geom name="box" type="box" size=".1 .1 .1"/>{}</worldbody>{}</mujoco>'
+    pair = '<contact><pair geom1="ball" geom2="box"/></contact>'
+    ends = []
+    for extra in ("", pair):
+        model = rigid.load(text.format(body, extra), penalty=Penalty(stiffness=1e4))
+        distances = rigid.contact_distances(model, rigid.initial_state(model))
+        np.testing.assert_allclose(distances[distances < 0.5], [-1e-3], rtol=1e-4)
+        ends.append(rigid.step(model, rigid.initial_state(model)).qvel[2])
+    np.testing.assert_allclose(*ends, rtol=1e-5)
