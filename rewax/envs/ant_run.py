@@ -1,6 +1,6 @@
 """AntRun: a four-legged ant runs as fast as it can (DiffRL's ant, as Rewarped simulates it), and DiffRL's own Ant.
 
-Scale ``paper`` has the reference's numbers; ``small`` has longer substeps and shorter episodes.
+Scale ``paper`` has the reference's numbers; ``small`` has shorter episodes and, in AntRun, longer substeps.
 """
 
 import jax.numpy as jnp

@@ -173,8 +173,8 @@ class _Run:
                 say(self.console, f"wrote {path}")
         if stop.requested:
             done = f"stopped after iteration {self.iteration} of {self.config.num_iterations}"
-            rest = "continues" if self.iteration < self.config.num_iterations else "does the final evaluation"
-            say(self.console, f"{done}: the same command with --resume {rest}, from {self.run_dir}")
+            rest = "continues from" if self.iteration < self.config.num_iterations else "does the final evaluation of"
+            say(self.console, f"{done}: the same command with --resume {rest} {self.run_dir}")
         return TrainResult(self.train_state, row, stop.signum)
 
     def close(self) -> None:

@@ -1,20 +1,25 @@
 """Runs: the same bytes for one seed, the same state after a resume, nothing lost when something fails."""
 
+import dataclasses
 import io
 import json
 import os
 import signal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys
 from rich.console import Console
 
+from rewax import struct
+from rewax.status import Status
 from rewax.training import checkpoint, report
 from rewax.training.config import TrainConfig
 from rewax.training.loop import train
 from rewax.training.metrics import read_csv
+from rewax.training.progress import ProgressReport
 
 ENV = toys.point_mass()
 AGENT = toys.make_toy(ENV)
@@ -194,3 +199,26 @@ def test_baselines_and_pictures(tmp_path):
     for name in ("learning_curve.png", "episode.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert list((tmp_path / "tensorboard").glob("events*"))
+
+
+@struct.dataclass
+class Fragile(toys.PointMass):
+    """A point mass that fails numerically at its third step."""
+
+    def step(self, state, action):
+        status = jnp.where(state.step_count == 2, int(Status.NAN), int(Status.OK))
+        return self.after(state, state.physics, status=status)
+
+
+def test_failures_are_said(tmp_path):
+    env, console = Fragile(**{f.name: getattr(ENV, f.name) for f in dataclasses.fields(ENV)}), Console(file=io.StringIO(), width=200)
+    config = TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run"), **QUIET)
+    train(toys.make_toy(env), env, config, console=console)
+    text = console.file.getvalue()
+    assert "warning: 4 of 4 episodes failed numerically and ended there: state.status says why; shorter substeps" in text
+    _, healthy = run(tmp_path / "healthy", num_iterations=1)
+    assert "failed" not in healthy
+    progress = ProgressReport(console, 9, 0)
+    for iteration in (1, 9):
+        progress.update(iteration, 5, {"failed_episodes": 2}, 1.0)
+    assert "4 episodes failed" in console.file.getvalue()
