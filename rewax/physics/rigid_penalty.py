@@ -1,5 +1,7 @@
 """Contacts and joint limits of articulated bodies as springs and dampers."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import dataclasses
 
 import jax

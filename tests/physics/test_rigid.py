@@ -478,7 +478,7 @@ FUNCTIONS = (
 )  # fmt: skip
 READ_AND_WRITTEN = (
     "qpos", "qvel", "act", "ctrl", "xpos", "xmat", "xipos", "ximat", "subtree_com", "cdof", "cvel", "geom_xpos", "geom_xmat",
-    "site_xpos", "site_xmat", "qfrc_passive", "qfrc_actuator", "act_dot", "eq_active",
+    "site_xpos", "site_xmat", "qfrc_passive", "qfrc_actuator", "act_dot", "actuator_length", "eq_active",
 )  # fmt: skip
 OF_THE_IMPLEMENTATION = (
     "ne", "nf", "ncon", "contact", "actuator_moment", "actuator_velocity", "ten_J", "ten_velocity", "efc_J", "efc_D",
