@@ -73,7 +73,7 @@ def measure(args: Args, what: str, task: str, scale: str) -> dict[str, float]:
     run()
     seconds = min((timed(run) for _ in range(args.repeats)), default=math.inf)
     numbers = {"compile_s": compile_s, "run_ms": 1e3 * seconds, "peak_gb": peak_gb()}
-    if hasattr(env, "num_substeps"):
+    if hasattr(env, "num_substeps") and hasattr(env, "particles"):
         num_particles = env.particles(jax.tree.map(lambda a: a[0], state.physics)).shape[0]
         numbers["particle_substeps_per_s"] = args.num_envs * env.num_substeps * num_particles / seconds
     return numbers
