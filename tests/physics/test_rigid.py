@@ -471,7 +471,7 @@ def test_a_pendulum_keeps_its_energy_and_its_period(x64):
 
 VERSIONS = (
     f"mujoco {mujoco.__version__} with mujoco-mjx {importlib.metadata.version('mujoco-mjx')} is not what rewax was written "
-    "for (rewax/physics/rigid.py):"
+    "for (rewax/physics/rigid_model.py, rigid_forces.py):"
 )
 FUNCTIONS = (
     "collision", "make_constraint", "passive", "transmission", "fwd_actuation", "tendon", "put_model", "make_data",
