@@ -10,7 +10,13 @@ QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}
 
 
 def mjcf(
-    world: str, *, extra: str = "", dt: float = 1 / 240, contact: str = SOFT, medium: str = "", gravity: str = "0 0 -9.81"
+    world: str,
+    *,
+    extra: str = "",
+    dt: float = 1 / 240,
+    contact: str = SOFT,
+    medium: str = "",
+    gravity: str = "0 0 -9.81",
 ) -> str:
     """A model with the solver of C MuJoCo run to convergence, so that its result can be compared with."""
     return f"""<mujoco><compiler angle="radian" autolimits="true"/>

@@ -137,7 +137,12 @@ def step_in_the_air(name, columns=None):
     lifted = first.replace(physics=first.physics.replace(rigid=bodies.replace(qpos=jnp.asarray(q))))
     after = step(name)(lifted, action).physics.rigid
     theirs, rest = (
-        np.stack([_mujoco_step(env, q[i], bodies.qvel[i], np.asarray(env.control(jnp.asarray(a[i])))) for i in range(NUM_ENVS)])
+        np.stack(
+            [
+                _mujoco_step(env, q[i], bodies.qvel[i], np.asarray(env.control(jnp.asarray(a[i]))))
+                for i in range(NUM_ENVS)
+            ]
+        )
         for a in (action, np.zeros_like(action))
     )
     return np.concatenate([after.qpos, after.qvel], axis=1), theirs, rest

@@ -24,7 +24,9 @@ def physics():
 
 
 def test_physics_page_runs_and_does_what_it_says(physics):
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((physics["pressed"], physics["state"], physics["jumper"])))
+    assert all(
+        np.isfinite(leaf).all() for leaf in jax.tree.leaves((physics["pressed"], physics["state"], physics["jumper"]))
+    )
     assert float(physics["bodies"].velocity[0, 1]) < -0.05  # the block falls
     assert float(physics["jumper"].v[:, 1].max()) > 0.0  # the muscles move the table
     assert len(physics["x"]) + len(physics["pool"]) == sum(physics["two"].particle_counts)

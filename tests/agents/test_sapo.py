@@ -346,9 +346,7 @@ def test_more_passes_fit_better(start, data):
 def test_chunks_of_a_minibatch_add_up_to_its_update(start, data, chunk):
     whole = CONFIG.num_envs * CONFIG.horizon // CONFIG.critic_minibatches
     assert sapo._make_parts(ENV, CONFIG).critic_chunk == whole > chunk
-    expected, chunked = (
-        critic_update(critic_chunk=n)(start, data, jnp.float32(0.1))[::2] for n in (None, chunk)
-    )
+    expected, chunked = (critic_update(critic_chunk=n)(start, data, jnp.float32(0.1))[::2] for n in (None, chunk))
     chex.assert_trees_all_close(chunked, expected, rtol=1e-4, atol=1e-6)
 
 

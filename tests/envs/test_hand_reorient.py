@@ -24,7 +24,14 @@ GOAL = np.array([0.0, -0.1, 0.56])
 
 # Origin in the parent, axis, limits, full sizes and centre of the box, mass.
 THUMB = [
-    ((-0.0182, 0.019333, -0.045987), (-1, 0, 0), (0.263, 1.396), (0.0358, 0.034, 0.0455), (-0.0179, 0.009, 0.0145), 0.0176),
+    (
+        (-0.0182, 0.019333, -0.045987),
+        (-1, 0, 0),
+        (0.263, 1.396),
+        (0.0358, 0.034, 0.0455),
+        (-0.0179, 0.009, 0.0145),
+        0.0176,
+    ),
     ((-0.027, 0.005, 0.0399), (0, 0, 1), (-0.105, 1.163), (0.0196, 0.0275, 0.0177), (0, 0, 0.00885), 0.0119),
     ((0, 0, 0.0177), (0, 1, 0), (-0.189, 1.644), (0.0196, 0.0275, 0.0514), (0, 0, 0.0257), 0.038),
     ((0, 0, 0.0514), (0, 1, 0), (-0.162, 1.719), (0.0196, 0.0275, 0.0423), (0, 0, 0.02115), 0.0724),
@@ -78,11 +85,15 @@ def test_hand_and_cube_are_those_of_the_table():
         np.testing.assert_allclose(2 * geom.size, size, atol=1e-9)
         np.testing.assert_allclose(geom.pos, center, atol=1e-9)
         assert float(body.mass[0]) == pytest.approx(mass)
-        np.testing.assert_allclose(body.ipos, (0, 0, CENTER_OF_MASS[name]) if name in CENTER_OF_MASS else center, atol=1e-9)
+        np.testing.assert_allclose(
+            body.ipos, (0, 0, CENTER_OF_MASS[name]) if name in CENTER_OF_MASS else center, atol=1e-9
+        )
         squares = np.square(size)
         np.testing.assert_allclose(body.inertia, mass / 12 * (squares.sum() - squares), rtol=1e-5)
     cube, palm = mj.body("cube"), mj.body("palm")
-    assert float(cube.mass[0]) == pytest.approx(1820.67 * 0.065**3, rel=1e-4) and float(palm.mass[0]) == pytest.approx(0.4154)
+    assert float(cube.mass[0]) == pytest.approx(1820.67 * 0.065**3, rel=1e-4) and float(palm.mass[0]) == pytest.approx(
+        0.4154
+    )
     np.testing.assert_allclose(cube.inertia, 0.5 * 0.065**2 / 6, rtol=1e-6)
     np.testing.assert_allclose(palm.pos, [0, 0, 0.5])
     assert (rotation(palm.quat).inv() * Rotation.from_euler("xyz", [0, -0.53 * np.pi, 0.5 * np.pi])).magnitude() < 1e-6
@@ -317,7 +328,9 @@ def placed(local, turn, joints):
 def test_the_cube_rests_on_the_palm():
     """Flat on four corners: 0.5 kg on as many springs, and nowhere deeper than 2 mm."""
     rng = np.random.default_rng(7)
-    local = np.array([0.0111 + 0.0325, -0.015, -0.043]) + np.concatenate([np.zeros((8, 1)), rng.uniform(-3e-3, 3e-3, (8, 2))], axis=1)
+    local = np.array([0.0111 + 0.0325, -0.015, -0.043]) + np.concatenate(
+        [np.zeros((8, 1)), rng.uniform(-3e-3, 3e-3, (8, 2))], axis=1
+    )
     joints = np.zeros(16)
     joints[0] = 0.3
     state = placed(local, Rotation.from_euler("x", rng.uniform(-0.05, 0.05, (8, 1))), joints)

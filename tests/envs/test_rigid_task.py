@@ -47,7 +47,9 @@ class Rail(RigidTask):
         return physics.rigid.qpos + uniform(key, 1, 1.0)
 
 
-ENV = Rail(model=rigid.load(RAIL, dt=DT, penalty=Penalty(stiffness=1e3)), num_substeps=NUM_SUBSTEPS, max_steps=MAX_STEPS)
+ENV = Rail(
+    model=rigid.load(RAIL, dt=DT, penalty=Penalty(stiffness=1e3)), num_substeps=NUM_SUBSTEPS, max_steps=MAX_STEPS
+)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +145,8 @@ def test_a_reset_cuts_the_gradient_of_the_episode_that_ended_and_of_no_other():
 
 
 @pytest.mark.parametrize(
-    ("gravity", "up"), [("0 0 -9.81", (0, 0, 1)), ("0 -3 0", (0, 1, 0)), ("-3 0 4", (0.6, 0, -0.8)), ("0 0 0", (0, 0, 1))]
+    ("gravity", "up"),
+    [("0 0 -9.81", (0, 0, 1)), ("0 -3 0", (0, 1, 0)), ("-3 0 4", (0.6, 0, -0.8)), ("0 0 0", (0, 0, 1))],
 )
 def test_up_is_against_gravity(gravity, up):
     model = rigid.load(RAIL.replace('gravity="0 0 0"', f'gravity="{gravity}"'))
@@ -178,9 +181,7 @@ def _share_of_sphere(bound):
 
 
 @pytest.mark.parametrize("scale", ["paper", "small"])
-@pytest.mark.parametrize(
-    "name", ["Ant", "AntRun", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped"]
-)
+@pytest.mark.parametrize("name", ["Ant", "AntRun", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped"])
 def test_every_rigid_task_is_registered_with_a_preset_of_its_own(name, scale):
     env, preset = rewax.make(name, scale=scale), sapo_preset(name, scale)
     assert isinstance(env, RigidTask) and name in rewax.list_envs()
@@ -194,7 +195,13 @@ def test_every_rigid_task_is_registered_with_a_preset_of_its_own(name, scale):
 
 def test_the_second_train_step_compiles_nothing():
     """Of SAPO on a rigid task: neither the step again nor an operation on the way to it."""
-    small = {"actor_widths": (8,), "critic_widths": (8,), "vector_features": 8, "critic_passes": 1, "critic_minibatches": 1}
+    small = {
+        "actor_widths": (8,),
+        "critic_widths": (8,),
+        "vector_features": 8,
+        "critic_passes": 1,
+        "critic_minibatches": 1,
+    }
     agent = sapo.make_sapo(ENV, sapo.SAPOConfig(num_envs=2, horizon=3, num_iterations=9, **small))
     state, _ = agent.train_step(agent.init(jax.random.key(0)))
     events = []
@@ -223,7 +230,9 @@ def test_what_a_task_lacks_is_named():
 
 
 def test_numerical_failure_is_what_the_check_names():
-    stiff = rigid.load(RAIL.replace("<joint ", '<joint range="-0.1 0.1" '), dt=DT, penalty=Penalty(stiffness=1e3, limit_stiffness=1e12))
+    stiff = rigid.load(
+        RAIL.replace("<joint ", '<joint range="-0.1 0.1" '), dt=DT, penalty=Penalty(stiffness=1e3, limit_stiffness=1e12)
+    )
     with pytest.raises(AssertionError, match=r"steps of random actions fail numerically .*NAN.*: shorter substeps"):
         check_env(Rail(model=stiff, num_substeps=NUM_SUBSTEPS, max_steps=MAX_STEPS), check_full_episode=False)
 

@@ -18,11 +18,20 @@ from rewax.physics.sdf import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sp
 from rewax.status import Status
 
 NUM_SUBSTEPS = 4
-BODIES = jnp.array([[0.25, 0.41, 0.3], [0.8, 0.9, 0.8], [0.35, 0.41, 0.3], [0.8, 0.1, 0.8], [0.3, 0.41, 0.35], [0.1, 0.9, 0.8]])
+BODIES = jnp.array(
+    [[0.25, 0.41, 0.3], [0.8, 0.9, 0.8], [0.35, 0.41, 0.3], [0.8, 0.1, 0.8], [0.3, 0.41, 0.35], [0.1, 0.9, 0.8]]
+)
 
 
 def collider(shape, body):
-    return Collider(shape=shape, offset=jnp.zeros(3), rotation=jnp.eye(3), friction=jnp.asarray(0.4), softness=jnp.asarray(60.0), body=body)
+    return Collider(
+        shape=shape,
+        offset=jnp.zeros(3),
+        rotation=jnp.eye(3),
+        friction=jnp.asarray(0.4),
+        softness=jnp.asarray(60.0),
+        body=body,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +92,18 @@ def test_a_step_uses_the_nearest_and_tells_when_more_are_near(scene_and_state):
     assert int(mpm.check_status(one, end, start=state, poses=poses())) == Status.FAR_COLLIDERS
 
 
-@pytest.mark.parametrize("shape", [Sphere(radius=0.3), Capsule(radius=0.1, half_length=0.2), Box(half_size=np.array([0.1, 0.2, 0.3])), Cylinder(radius=0.2, half_length=0.1), Cone(radius=0.2, half_length=0.3), Ellipsoid(semi_axes=np.array([0.1, 0.3, 0.2]))], ids=lambda s: type(s).__name__)
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Sphere(radius=0.3),
+        Capsule(radius=0.1, half_length=0.2),
+        Box(half_size=np.array([0.1, 0.2, 0.3])),
+        Cylinder(radius=0.2, half_length=0.1),
+        Cone(radius=0.2, half_length=0.3),
+        Ellipsoid(semi_axes=np.array([0.1, 0.3, 0.2])),
+    ],
+    ids=lambda s: type(s).__name__,
+)
 def test_bounding_radius_holds_the_shape_tightly(shape):
     farthest = np.linalg.norm(fill(shape, 0.01), axis=1).max()
     radius = float(bounding_radius(shape))

@@ -145,7 +145,14 @@ def several(colliders, nodes, velocity, before, after, contact):
 def two_boxes(half, apart, friction=0.3):
     """A box on each of two bodies, side by side along x, and random nodes that cover them."""
     boxes = tuple(
-        Collider(shape=Box(half_size=jnp.asarray(half)), offset=ORIGIN, rotation=EYE, friction=jnp.asarray(friction), softness=jnp.asarray(30.0), body=b)
+        Collider(
+            shape=Box(half_size=jnp.asarray(half)),
+            offset=ORIGIN,
+            rotation=EYE,
+            friction=jnp.asarray(friction),
+            softness=jnp.asarray(30.0),
+            body=b,
+        )
         for b in (0, 1)
     )
     rng = np.random.default_rng(3)
@@ -158,7 +165,10 @@ def two_boxes(half, apart, friction=0.3):
 def test_nearest_does_not_depend_on_the_order_and_sequential_does(x64):
     boxes, nodes, velocity, before = two_boxes((0.2, 0.2, 0.2), 0.1)  # their tops are equally near inside both
     after = before._replace(position=before.position + jnp.array([[1e-3, 0.0, 0.0], [0.0, -1e-3, 0.0]]))
-    results = {contact: [several(b, nodes, velocity, before, after, contact) for b in (boxes, boxes[::-1])] for contact in Contact}
+    results = {
+        contact: [several(b, nodes, velocity, before, after, contact) for b in (boxes, boxes[::-1])]
+        for contact in Contact
+    }
     np.testing.assert_allclose(*results[Contact.NEAREST], rtol=1e-13)
     assert np.any(results[Contact.SEQUENTIAL][0] != results[Contact.SEQUENTIAL][1])
 
@@ -170,7 +180,9 @@ def test_nearest_is_the_union_of_shapes(x64):
     origin = Pose(jnp.zeros((1, 3)), EYE[None])
     outside = np.any(np.abs(np.asarray(nodes)) > 0.2, axis=1)
     one = several((whole,), nodes, velocity, origin, origin, Contact.NEAREST)[outside]
-    np.testing.assert_allclose(several(halves, nodes, velocity, before, before, Contact.NEAREST)[outside], one, atol=1e-14)
+    np.testing.assert_allclose(
+        several(halves, nodes, velocity, before, before, Contact.NEAREST)[outside], one, atol=1e-14
+    )
     assert np.any(one != velocity[outside])
 
 

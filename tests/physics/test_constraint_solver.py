@@ -80,7 +80,10 @@ def cost(mass, force, rows, a):
 def brute_force(mass, force, rows):
     """The one way to have each row at its lower bound, at its upper or between them that is consistent."""
     found = []
-    choices = [[0] + [-1] * int(np.isfinite(lo)) + [1] * int(np.isfinite(up)) for lo, up in zip(rows.lower, rows.upper, strict=True)]
+    choices = [
+        [0] + [-1] * int(np.isfinite(lo)) + [1] * int(np.isfinite(up))
+        for lo, up in zip(rows.lower, rows.upper, strict=True)
+    ]
     for side in map(np.array, itertools.product(*choices)):
         fixed = np.where(side < 0, rows.lower, np.where(side > 0, rows.upper, 0.0))
         D = np.where(side == 0, rows.stiffness, 0.0)
@@ -187,7 +190,9 @@ def test_the_line_search_finds_the_least_cost(x64, seed, size):
     missed = rows.jacobian @ start - rows.target
     gradient = mass @ start - force - rows.jacobian.T @ np.clip(-rows.stiffness * missed, rows.lower, rows.upper)
     direction = -size * spd(rng, 4) @ gradient  # downhill
-    length = float(line_search(rows, missed, rows.jacobian @ direction, direction @ gradient, direction @ mass @ direction))
+    length = float(
+        line_search(rows, missed, rows.jacobian @ direction, direction @ gradient, direction @ mass @ direction)
+    )
     low, high = 0.0, 1.0
     while cost(mass, force, rows, start + high * direction) < cost(mass, force, rows, start + 0.5 * high * direction):
         high *= 2.0

@@ -22,7 +22,14 @@ BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
 
 
 def collider(shape, body=0, offset=(0.0, 0.0, 0.0), friction=0.4):
-    return Collider(shape=shape, offset=jnp.asarray(offset), rotation=jnp.eye(3), friction=jnp.asarray(friction), softness=jnp.asarray(200.0), body=body)
+    return Collider(
+        shape=shape,
+        offset=jnp.asarray(offset),
+        rotation=jnp.eye(3),
+        friction=jnp.asarray(friction),
+        softness=jnp.asarray(200.0),
+        body=body,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +130,9 @@ def test_a_free_body_falls_and_spins_as_alone(dough, run):
     fallen = n * (n + 1) / 2 * dt**2
     expected = np.array([0.1 + 2.0 * fallen, 0.5 - GRAVITY * fallen, 0.1])
     np.testing.assert_allclose(after.position[0], expected, atol=2e-6)
-    spin = free_body.angular_momentum(after, inertia, after.position[0]) - free_body.angular_momentum(bodies, inertia, bodies.position[0])
+    spin = free_body.angular_momentum(after, inertia, after.position[0]) - free_body.angular_momentum(
+        bodies, inertia, bodies.position[0]
+    )
     np.testing.assert_allclose(spin, [0.0, 0.0, 2e-4 * n * dt], atol=2e-8)
     np.testing.assert_allclose(jnp.linalg.norm(after.orientation), 1.0, atol=1e-6)
 
@@ -149,7 +158,9 @@ def pushed_from_two_sides(scene, state):
     shapes = (collider(BOX), collider(Sphere(radius=jnp.asarray(0.02)), body=1))
     scene = scene.replace(colliders=shapes, gravity=jnp.array([0.0, -1.0, 0.0]))
     bodies = falling(velocity=(0.1, -0.5, 0.05)).replace(position=jnp.array([[0.105, ABOVE_FLOOR + 0.121, 0.1]]))
-    path = jnp.linspace(0.0, 1.0, 21)[:, None, None] * jnp.array([0.004, 0.0, 0.0]) + jnp.array([[0.045, ABOVE_FLOOR + 0.08, 0.1]])
+    path = jnp.linspace(0.0, 1.0, 21)[:, None, None] * jnp.array([0.004, 0.0, 0.0]) + jnp.array(
+        [[0.045, ABOVE_FLOOR + 0.08, 0.1]]
+    )
     poses = Pose(path, jnp.broadcast_to(jnp.eye(3), (21, 1, 3, 3)))
     wrench = coupling.Wrench(jnp.array([[0.1, 0.2, 0.0]]), jnp.array([[0.0, 1e-3, 0.0]]))
     arguments = (scene, inertia_of(0.05), state, bodies, poses, wrench)
@@ -168,7 +179,9 @@ def test_derivatives_equal_finite_differences_over_20_substeps(x64, dough, twent
     tangents = directions(arguments, random_like)
     _, forward, weights, gradient = twenty(arguments, tangents)
     # What no derivative sees, the onset of contact, must not be crossed by the difference: small steps.
-    ahead, behind = (twenty(jax.tree.map(lambda a, d: a + h * d, arguments, tangents), tangents)[0] for h in (1e-7, -1e-7))
+    ahead, behind = (
+        twenty(jax.tree.map(lambda a, d: a + h * d, arguments, tangents), tangents)[0] for h in (1e-7, -1e-7)
+    )
     difference = jax.tree.map(lambda a, b: (a - b) / 2e-7, ahead, behind)
     assert relative_error(forward, difference) < 1e-5
     assert abs(inner(gradient, tangents) - inner(weights, forward)) < 1e-9 * abs(inner(weights, forward))
@@ -198,7 +211,9 @@ def test_derivatives_are_finite_and_reverse_equals_forward_at_special_states(
     arguments = list(pushed_from_two_sides(scene, state))
     spin = 0.0 if not turned else 0.3
     arguments[3] = arguments[3].replace(
-        position=jnp.array([[0.11, ABOVE_FLOOR + height, 0.1]]), angular_velocity=jnp.array([[0.0, 0.0, spin]]), velocity=jnp.array([[0.0, -0.5, 0.0]])
+        position=jnp.array([[0.11, ABOVE_FLOOR + height, 0.1]]),
+        angular_velocity=jnp.array([[0.0, 0.0, spin]]),
+        velocity=jnp.array([[0.0, -0.5, 0.0]]),
     )
     arguments = tuple(arguments)
     tangents = directions(arguments, random_like, seed)

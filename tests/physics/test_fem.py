@@ -28,7 +28,9 @@ def body(mesh=MESH, **changes):
         damping_law=DampingLaw.STRAIN_RATE,
     )  # fmt: skip
     scene = jax.tree.map(lambda a: jnp.asarray(a, float), fem.make_scene(**(settings | changes)))
-    per_tet = {name: jnp.broadcast_to(getattr(scene, name), NUM_TETS) for name in ("mu", "lam", "damping", "activation")}
+    per_tet = {
+        name: jnp.broadcast_to(getattr(scene, name), NUM_TETS) for name in ("mu", "lam", "damping", "activation")
+    }
     return scene.replace(**per_tet), fem.initial_state(mesh.vertices)
 
 
@@ -112,7 +114,10 @@ def test_damping_does_not_see_where_the_body_drifts(x64):
 def test_the_references_damping_brakes_rotation_by_this_torque(x64):
     """-2 damping volume omega for a block at rest shape; damping of strain rates leaves it alone."""
     omega = np.array([1.0, -2.0, 3.0])
-    for law, torque in ((DampingLaw.VELOCITY_GRADIENT, -2 * 30.0 * MESH.volume * omega), (DampingLaw.STRAIN_RATE, 0 * omega)):
+    for law, torque in (
+        (DampingLaw.VELOCITY_GRADIENT, -2 * 30.0 * MESH.volume * omega),
+        (DampingLaw.STRAIN_RATE, 0 * omega),
+    ):
         scene, state = body(damping=30.0, damping_law=law)
         force = fem.internal_force(scene, state.replace(v=state.x @ spin_matrix(omega).T))
         np.testing.assert_allclose(np.cross(state.x, force).sum(axis=0), torque, atol=1e-12)
@@ -146,7 +151,9 @@ def test_free_fall_is_symplectic_euler():
     end = run(scene, state)
     assert end.x.dtype == jnp.float32
     np.testing.assert_allclose(end.v, np.broadcast_to(n * scene.dt * g, end.v.shape), atol=2e-4)
-    np.testing.assert_allclose(end.x - state.x, np.broadcast_to(g * scene.dt**2 * n * (n + 1) / 2, end.x.shape), atol=1e-4)
+    np.testing.assert_allclose(
+        end.x - state.x, np.broadcast_to(g * scene.dt**2 * n * (n + 1) / 2, end.x.shape), atol=1e-4
+    )
 
 
 def test_held_vertices_keep_their_velocity(x64):
@@ -175,7 +182,9 @@ FLOOR = Ground(normal=np.array([0.0, 1.0, 0.0]), height=-0.12)
 def on_slope(angle, substeps, **changes):
     """A block on a plane that is tilted about z by an angle; returns its velocity down the plane over time."""
     g = 9.81 * np.array([np.sin(angle), -np.cos(angle), 0.0])
-    scene, state = body(gravity=tuple(g), damping=20.0, damping_law=DampingLaw.VELOCITY_GRADIENT, contact=CONTACT, **changes)
+    scene, state = body(
+        gravity=tuple(g), damping=20.0, damping_law=DampingLaw.VELOCITY_GRADIENT, contact=CONTACT, **changes
+    )
     speeds = []
     for _ in range(substeps // MANY):
         state = run(scene, state)
@@ -222,12 +231,17 @@ def squeezed():
     )  # fmt: skip
     t = scene.dt * np.arange(FEW + 1)
     turn = np.stack([np.eye(3) + np.sin(2 * a) * spin_matrix([0.3, 1.0, 0.2]) for a in t])
-    poses = Pose(jnp.asarray((np.array([0.03, 0.108, 0.02]) + t[:, None] * [0.3, -0.6, 0.1])[:, None]), jnp.asarray(turn[:, None]))
+    poses = Pose(
+        jnp.asarray((np.array([0.03, 0.108, 0.02]) + t[:, None] * [0.3, -0.6, 0.1])[:, None]),
+        jnp.asarray(turn[:, None]),
+    )
     return scene, shaken(state, 0.01, 1.0), poses
 
 
 VALUE_AND_TANGENT = jax.jit(lambda args, move: jax.jvp(lambda a: fem.step(*a), (args,), (move,)))
-VALUE_AND_GRADIENT = jax.jit(lambda args, ct: (lambda out, back: (out, back(ct)[0]))(*jax.vjp(lambda a: fem.step(*a), args)))
+VALUE_AND_GRADIENT = jax.jit(
+    lambda args, ct: (lambda out, back: (out, back(ct)[0]))(*jax.vjp(lambda a: fem.step(*a), args))
+)
 
 
 def value(args):
@@ -264,7 +278,9 @@ def test_twenty_substeps_reverse_forward_and_finite_difference_agree(x64, random
     modes, errors, idle = {}, {}, set()
     for name, move in moves_of_each_leaf(random_like, args):
         forward, reverse = inner(cotangent, VALUE_AND_TANGENT(args, move)[1]), inner(gradient, move)
-        differences = [inner(cotangent, central_difference(value, args, move, step)) for step in (1e-5, 1e-6, 1e-7, 1e-8)]
+        differences = [
+            inner(cotangent, central_difference(value, args, move, step)) for step in (1e-5, 1e-6, 1e-7, 1e-8)
+        ]
         modes[name] = abs(reverse - forward) / max(abs(forward), 1e-3)
         errors[name] = min(abs(reverse - d) / max(abs(d), 1e-3) for d in differences)
         idle |= {name} if reverse == 0 else set()
@@ -295,12 +311,16 @@ def test_environments_do_not_mix_and_storing_changes_nothing(x64, random_like):
     """vmap = loop, NaN stays in its environment; store_every 2 or None is store_every 1."""
     scene, state = body()
     scene, state = scene.replace(damping=0.0), shaken(state)
-    states = jax.tree.map(lambda a, n: a + 0.01 * n, state, random_like(0, jax.tree.map(lambda a: jnp.zeros((3, *a.shape)), state)))
+    states = jax.tree.map(
+        lambda a, n: a + 0.01 * n, state, random_like(0, jax.tree.map(lambda a: jnp.zeros((3, *a.shape)), state))
+    )
     poses = static_poses(4, dtype=jnp.float64)
     cotangent = random_like(1, state)
 
     def gradient(activation, state, store_every=1):
-        out, back = jax.vjp(lambda a, s: fem.step(scene.replace(activation=a), s, poses, store_every=store_every), activation, state)
+        out, back = jax.vjp(
+            lambda a, s: fem.step(scene.replace(activation=a), s, poses, store_every=store_every), activation, state
+        )
         return out, back(cotangent)
 
     activation = 0.1 * jnp.ones((3, NUM_TETS))

@@ -12,7 +12,11 @@ from rewax.physics.sdf import Box, Capsule, Cylinder, Sphere, signed_distance
 BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
 
 
-@pytest.mark.parametrize("shape", [BOX, Sphere(radius=0.2), Cylinder(radius=0.1, half_length=0.3), Capsule(radius=0.1, half_length=0.2)], ids=lambda s: type(s).__name__)
+@pytest.mark.parametrize(
+    "shape",
+    [BOX, Sphere(radius=0.2), Cylinder(radius=0.1, half_length=0.3), Capsule(radius=0.1, half_length=0.2)],
+    ids=lambda s: type(s).__name__,
+)
 def test_mass_and_inertia_of_solids(shape):
     """Against sums over many points inside."""
     size = np.array({Box: (0.06, 0.04, 0.06), Sphere: (0.4, 0.4, 0.4)}.get(type(shape), (0.2, 0.62, 0.2)))
@@ -31,7 +35,9 @@ def test_mass_and_inertia_of_solids(shape):
 def test_a_body_without_forces_keeps_its_angular_momentum(rotations, moments):
     """Over 1000 times dt, in float32, also a slender one whose moments differ by 1700."""
     turn = rotations(0, 1)[0]
-    inertia = free_body.Inertia(mass=jnp.ones(1), moment=jnp.asarray(turn @ np.diag(moments) @ turn.T, jnp.float32)[None])
+    inertia = free_body.Inertia(
+        mass=jnp.ones(1), moment=jnp.asarray(turn @ np.diag(moments) @ turn.T, jnp.float32)[None]
+    )
     bodies = free_body.bodies_at_rest([[1.0, 2.0, 3.0]]).replace(angular_velocity=jnp.array([[1.0, -2.0, 0.5]]))
 
     @jax.jit

@@ -72,7 +72,10 @@ def test_energies_of_a_rigid_motion_and_of_a_stretch(x64):
 def test_elastic_energy_is_the_one_after_plastic_flow(x64):
     """Isochoric strain (a, -a, 0) far beyond yield keeps deviatoric energy yield^2 / (4 mu) per volume."""
     scene, state = block(
-        np.diag([np.e, 1 / np.e, 1.0]), yield_stress=200.0, plasticity=Plasticity.VON_MISES, elasticity=Elasticity.HENCKY
+        np.diag([np.e, 1 / np.e, 1.0]),
+        yield_stress=200.0,
+        plasticity=Plasticity.VON_MISES,
+        elasticity=Elasticity.HENCKY,
     )
     mu = 1e4 / 2.6
     np.testing.assert_allclose(invariants.elastic_energy(scene, state), 0.016 * 200.0**2 / (4 * mu), rtol=1e-10)

@@ -244,7 +244,9 @@ def test_derivatives_with_respect_to_every_parameter(x64, random_like, central_d
     for i in range(len(leaves)):
         move = treedef.unflatten([noise[i] if i == j else jnp.zeros_like(x) for j, x in enumerate(leaves)])
         forward = inner(program(arguments, move, weights=weights)[1], cotangent)
-        difference = inner(central_difference(lambda x: program(x, zero, weights=weights)[0], arguments, move), cotangent)
+        difference = inner(
+            central_difference(lambda x: program(x, zero, weights=weights)[0], arguments, move), cotangent
+        )
         assert forward == pytest.approx(inner(gradient, move), rel=1e-10)
         assert forward == pytest.approx(difference, rel=1e-6)
         assert forward != 0.0

@@ -86,7 +86,10 @@ def test_eigh_agrees_with_lapack(x64, seed):
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_polar_is_the_nearest_rotation(x64, rotations, dtype):
     rotation, q = rotations(3, 6), rotations(5, 6)
-    stretch = q * np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 0.5], [1.5, 1.0, 0.2], [1, 1, 1.0001], [4, 1, 1], [9, 2, 0.1]])[:, None]
+    stretch = (
+        q
+        * np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 0.5], [1.5, 1.0, 0.2], [1, 1, 1.0001], [4, 1, 1], [9, 2, 0.1]])[:, None]
+    )
     stretch = stretch @ np.swapaxes(q, -1, -2)
     r = polar((stretch @ rotation).astype(dtype))
     np.testing.assert_allclose(r, rotation, atol=1e-4 if dtype == np.float32 else 1e-11)
@@ -140,7 +143,9 @@ def test_derivatives_equal_finite_differences(x64, stretched, random_like, centr
     assert relative_error(tangent, central_difference(decompose, a, da, 1e-6)) < 1e-8
     cotangent = random_like(2, tangent)
     (gradient,) = jax.vjp(decompose, a)[1](cotangent)
-    forward = sum(float(jnp.vdot(t, c)) for t, c in zip(jax.tree.leaves(tangent), jax.tree.leaves(cotangent), strict=True))
+    forward = sum(
+        float(jnp.vdot(t, c)) for t, c in zip(jax.tree.leaves(tangent), jax.tree.leaves(cotangent), strict=True)
+    )
     np.testing.assert_allclose(float(jnp.vdot(gradient, da)), forward, rtol=1e-11)
 
 

@@ -95,7 +95,9 @@ def test_twenty_substeps_reverse_forward_and_finite_difference(x64, random_like,
         assert abs(reverse - forward) < 1e-9 * abs(forward)
         differences = []
         for h in (1e-6, 1e-7, 1e-8):
-            ahead, behind = (program(jax.tree.map(lambda a, d: a + k * d, args, move), move, weights=weights)[0] for k in (h, -h))
+            ahead, behind = (
+                program(jax.tree.map(lambda a, d: a + k * d, args, move), move, weights=weights)[0] for k in (h, -h)
+            )
             differences.append((inner(ahead, cotangent) - inner(behind, cotangent)) / (2 * h))
         assert min(abs(reverse - d) for d in differences) < 1e-5 * abs(forward), (reverse, differences)
 
@@ -105,7 +107,9 @@ def test_viscous_stress_is_newtons(x64):
     shear[0, 1] = 3.0
     C = cp.split_matrix(jnp.asarray(shear + 0.7 * np.eye(3))[None])
     F = cp.split_matrix(1.1 * jnp.eye(3)[None])
-    still, flowing = (cp.join_matrix(respond(m, F, velocity_gradient=C).stress)[0] for m in (WATER.replace(viscosity=None), WATER))
+    still, flowing = (
+        cp.join_matrix(respond(m, F, velocity_gradient=C).stress)[0] for m in (WATER.replace(viscosity=None), WATER)
+    )
     np.testing.assert_allclose(flowing - still, 1.1**3 * 0.5 * (shear + shear.T), atol=1e-12)
 
 
@@ -129,7 +133,9 @@ def test_scenes_that_do_not_fit_together_are_refused():
     scene = make((SOLID, WATER), particle_counts=(5, 7))
     with pytest.raises(ValueError, match=r"in sum 12, but there are \d+ particles: make both agree"):
         mpm.step(scene, mpm.initial_state(jnp.asarray(BLOCK)), STILL)
-    with pytest.raises(ValueError, match=r"snow remembers its plastic volume, which is missing: begin with mpm\.initial"):
+    with pytest.raises(
+        ValueError, match=r"snow remembers its plastic volume, which is missing: begin with mpm\.initial"
+    ):
         mpm.step(make(SNOW), mpm.initial_state(jnp.asarray(BLOCK)), STILL)
     with pytest.raises(ValueError, match=r"friction_angle is 25\.0: give an angle in radians"):
         make(SAND.replace(friction_angle=25.0))

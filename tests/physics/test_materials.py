@@ -216,7 +216,9 @@ def test_derivatives_equal_finite_differences(
     for leaf in (*moduli, *USED[plasticity]):
         moves[leaf] = (still[0].replace(**{leaf: getattr(direction[0], leaf)}), still[1])
     for leaf, move in moves.items():
-        reverse = sum(float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(move), strict=True))
+        reverse = sum(
+            float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(move), strict=True)
+        )
         assert relative_error(reverse, central_difference(objective, (m, F), move, 1e-6)) < 1e-6, leaf
 
 
@@ -241,4 +243,6 @@ def test_values_and_derivatives_are_finite_for_any_deformation(x64, stretched, d
 def test_sound_speed_and_lame_parameters(x64):
     lame = materials.lame_parameters(2.5, 0.25)
     assert lame.shear == pytest.approx(1.0) and lame.first == pytest.approx(1.0)
-    assert float(materials.sound_speed(material(youngs_modulus=2.5, poissons_ratio=0.25, density=3.0))) == pytest.approx(1.0)
+    assert float(
+        materials.sound_speed(material(youngs_modulus=2.5, poissons_ratio=0.25, density=3.0))
+    ) == pytest.approx(1.0)

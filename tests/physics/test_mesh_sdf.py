@@ -49,7 +49,12 @@ def test_a_baked_ball_becomes_a_sphere_with_its_spacing(x64):
     errors = []
     for spacing in (0.1, 0.05):
         distance, normal = evaluate(bake_mesh(BALL, spacing, margin=0.1), p)
-        errors.append([np.abs(distance - np.linalg.norm(p, axis=1) + RADIUS).max() - SAG, np.linalg.norm(normal - direction, axis=1).max()])
+        errors.append(
+            [
+                np.abs(distance - np.linalg.norm(p, axis=1) + RADIUS).max() - SAG,
+                np.linalg.norm(normal - direction, axis=1).max(),
+            ]
+        )
         # The interpolant of a function with curvatures up to 1 / 0.35 between these nodes.
         assert errors[-1][0] < 2 * spacing**2 / 8 / 0.35
     (distance_1, normal_1), (distance_2, normal_2) = errors
@@ -73,6 +78,7 @@ def test_distance_of_random_triangles_is_the_nearest_of_all():
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_winding_counts_overlaps_and_cavities(axis):
     """A block with a cavity in which there is a block: 1, 0, 1; where two blocks overlap: 2."""
+
     def block(half, at=(0.0, 0.0, 0.0), sign=1):
         box = trimesh.creation.box(2 * np.array([half] * 3)).apply_translation(at)
         return np.asarray(box.triangles)[:, ::sign]
@@ -95,15 +101,21 @@ def test_dough_under_a_mesh_moves_as_under_the_box_it_is_of(x64):
     """Ten substeps of dough that a brick presses and drags; its grid's nodes lie in its faces, so only edges differ."""
     grid = Grid(shape=(14, 12, 14), spacing=0.05)
     x = fill_box((0.325, 0.2, 0.325), (0.2, 0.1, 0.2), 0.025)
-    material = Material(youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0, plasticity=Plasticity.VON_MISES)
+    material = Material(
+        youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0, plasticity=Plasticity.VON_MISES
+    )
     mesh = bake_mesh(BRICK, 0.01, margin=0.1)
     t = np.arange(11)[:, None, None]
-    poses = Pose(jnp.array([0.325, 0.46, 0.325]) + t * np.array([1e-3, -2e-3, 0.0]), jnp.broadcast_to(jnp.eye(3), (11, 1, 3, 3)))
+    poses = Pose(
+        jnp.array([0.325, 0.46, 0.325]) + t * np.array([1e-3, -2e-3, 0.0]), jnp.broadcast_to(jnp.eye(3), (11, 1, 3, 3))
+    )
     step, state = jax.jit(mpm.step), mpm.initial_state(jnp.asarray(x))
 
     def end(shape, poses):
         brick = Collider(shape=shape, offset=jnp.zeros(3), rotation=jnp.eye(3), friction=0.5, softness=50.0)
-        scene = mpm.make_scene(grid=grid, dt=1e-3, material=material, particle_volume=0.004 / len(x), colliders=(brick,))
+        scene = mpm.make_scene(
+            grid=grid, dt=1e-3, material=material, particle_volume=0.004 / len(x), colliders=(brick,)
+        )
         return step(scene, state, poses).v
 
     box = sdf.Box(half_size=HALF)
@@ -116,12 +128,22 @@ def test_dough_under_a_mesh_moves_as_under_the_box_it_is_of(x64):
 def test_twenty_substeps_against_a_mesh_reverse_forward_and_finite_difference(x64, random_like, derivatives, inner):
     """By particles, the baked values, their grid, and the poses of the mesh."""
     x = fill_box((0.325, 0.2, 0.325), (0.2, 0.1, 0.2), 0.05)
-    material = Material(youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0, plasticity=Plasticity.VON_MISES)
+    material = Material(
+        youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0, plasticity=Plasticity.VON_MISES
+    )
     turn = np.linalg.qr(np.eye(3) + 0.3 * np.random.default_rng(0).standard_normal((3, 3)))[0]
     brick = Collider(shape=bake_mesh(BRICK, 0.04, margin=0.1), rotation=jnp.asarray(turn), friction=0.5, softness=50.0)
-    scene = mpm.make_scene(grid=Grid(shape=(14, 12, 14), spacing=0.05), dt=1e-3, material=material, particle_volume=0.004 / len(x), colliders=(brick,))
+    scene = mpm.make_scene(
+        grid=Grid(shape=(14, 12, 14), spacing=0.05),
+        dt=1e-3,
+        material=material,
+        particle_volume=0.004 / len(x),
+        colliders=(brick,),
+    )
     t = np.arange(21)[:, None, None]
-    poses = Pose(jnp.array([0.325, 0.45, 0.325]) + t * np.array([1e-3, -2e-3, 0.0]), jnp.broadcast_to(jnp.eye(3), (21, 1, 3, 3)))
+    poses = Pose(
+        jnp.array([0.325, 0.45, 0.325]) + t * np.array([1e-3, -2e-3, 0.0]), jnp.broadcast_to(jnp.eye(3), (21, 1, 3, 3))
+    )
     args = jax.tree.map(lambda a: jnp.asarray(a, float), (scene, mpm.initial_state(jnp.asarray(x)), poses))
     program = derivatives(lambda a: mpm.step(*a))
     sizes = jax.tree.map(lambda a: 1e-3 + 0.1 * jnp.sqrt(jnp.mean(jnp.where(jnp.isfinite(a), a, 0.0) ** 2)), args)
@@ -139,7 +161,10 @@ def test_twenty_substeps_against_a_mesh_reverse_forward_and_finite_difference(x6
         assert abs(forward) > 1e-3 and abs(reverse - forward) < 1e-9 * abs(forward)
         differences = []
         for h in (1e-6, 1e-7, 1e-8):
-            ahead, behind = (program(jax.tree.map(lambda a, d: a + k * d, args, direction), direction, weights=weights)[0] for k in (h, -h))
+            ahead, behind = (
+                program(jax.tree.map(lambda a, d: a + k * d, args, direction), direction, weights=weights)[0]
+                for k in (h, -h)
+            )
             differences.append((inner(ahead, cotangent) - inner(behind, cotangent)) / (2 * h))
         assert min(abs(reverse - d) for d in differences) < 1e-5 * abs(forward), (reverse, differences)
 
@@ -179,7 +204,10 @@ def test_a_bad_mesh_gets_one_sentence(mesh, message):
     [
         ({"spacing": 0.0}, "spacing is 0.0, but must be positive"),
         ({"spacing": 0.1, "margin": -1.0}, "margin is -1.0, but must be positive"),
-        ({"spacing": 1e-4}, "spacing is 0.0001, which makes a grid of 3005 x 4005 x 2005 nodes .* give a larger spacing"),
+        (
+            {"spacing": 1e-4},
+            "spacing is 0.0001, which makes a grid of 3005 x 4005 x 2005 nodes .* give a larger spacing",
+        ),
     ],
 )
 def test_a_bad_grid_gets_one_sentence(options, message):

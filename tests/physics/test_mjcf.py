@@ -14,8 +14,15 @@ PENALTY = Penalty(stiffness=1e4)
 
 
 def tiny(
-    option: str = "", flag: str = "", joint: str = "", body: str = "", geom: str = "", tendon: str = "", motor: str = "",
-    actuator: str = "", extra: str = "",
+    option: str = "",
+    flag: str = "",
+    joint: str = "",
+    body: str = "",
+    geom: str = "",
+    tendon: str = "",
+    motor: str = "",
+    actuator: str = "",
+    extra: str = "",
 ) -> str:
     """A pendulum over a floor with a tendon and a motor."""
     return f"""<mujoco><compiler autolimits="true"/><option {option}><flag {flag}/></option><worldbody>
@@ -217,7 +224,14 @@ def test_every_way_to_give_a_model(tmp_path):
     text = tiny()
     path = tmp_path / "model.xml"
     path.write_text(text)
-    sources = (text, "\n  " + text, path, str(path), mujoco.MjSpec.from_string(text), mujoco.MjModel.from_xml_string(text))
+    sources = (
+        text,
+        "\n  " + text,
+        path,
+        str(path),
+        mujoco.MjSpec.from_string(text),
+        mujoco.MjModel.from_xml_string(text),
+    )
     first, *others = (mjcf.compile_model(source) for source in sources)
     for other in others:
         np.testing.assert_array_equal(other.body_mass, first.body_mass)

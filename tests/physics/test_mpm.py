@@ -29,7 +29,14 @@ def modulus_at(courant_number: float, density: float = 1000.0, nu: float = 0.3) 
     return (courant_number * GRID.spacing / (DT * unit)) ** 2
 
 
-def cube(courant_number=0.05, gravity=(0.0, 0.0, 0.0), seed=0, elasticity=Elasticity.HENCKY, plasticity=Plasticity.NONE, **changes):
+def cube(
+    courant_number=0.05,
+    gravity=(0.0, 0.0, 0.0),
+    seed=0,
+    elasticity=Elasticity.HENCKY,
+    plasticity=Plasticity.NONE,
+    **changes,
+):
     """A cube of random particles in the middle of the grid, away from its border, and its scene."""
     material = Material(
         youngs_modulus=modulus_at(courant_number), poissons_ratio=0.3, density=1000.0, yield_stress=1e3,
@@ -37,7 +44,12 @@ def cube(courant_number=0.05, gravity=(0.0, 0.0, 0.0), seed=0, elasticity=Elasti
     )  # fmt: skip
     material = jax.tree.map(lambda a: jnp.asarray(a, float), material)
     scene = mpm.MPMScene(
-        grid=GRID, dt=DT, material=material, particle_volume=jnp.asarray(SIDE**3 / NUM), gravity=jnp.asarray(gravity), **changes
+        grid=GRID,
+        dt=DT,
+        material=material,
+        particle_volume=jnp.asarray(SIDE**3 / NUM),
+        gravity=jnp.asarray(gravity),
+        **changes,
     )
     state = mpm.initial_state(sample_box(jax.random.key(seed), (0.0, 0.0, 0.0), (SIDE,) * 3, NUM))
     return scene, state
@@ -162,7 +174,9 @@ def test_impossible_scenes_are_refused_with_the_remedy(changes, message):
 def test_particles_must_begin_inside_the_box_and_outside_the_colliders():
     scene, state = cube()
     for broken in (state.x.at[7, 1].set(2.0), state.x.at[7, 1].set(jnp.nan)):
-        with pytest.raises(ValueError, match=r"1 particles lie outside the box from \(-0.275, .* number 7, at .*: move them"):
+        with pytest.raises(
+            ValueError, match=r"1 particles lie outside the box from \(-0.275, .* number 7, at .*: move them"
+        ):
             mpm.initial_state(broken, scene)
     collider = Collider(shape=Sphere(radius=0.04), offset=jnp.zeros(3), rotation=jnp.eye(3), friction=0.5)
     scene = scene.replace(colliders=(collider,))

@@ -38,7 +38,9 @@ def squeezed(elasticity, plasticity, shape: str, wall: Wall, num_substeps: int =
         F=np.einsum("nij,nj,nkj->nik", q, np.exp(logs), q) + 0.002 * rng.standard_normal((NUM, 3, 3)),
     )
     tilt, _ = np.linalg.qr(np.eye(3) + 0.3 * rng.standard_normal((3, 3)))
-    collider = Collider(shape=SHAPES[shape], offset=np.array([0.0, 0.01, 0.0]), rotation=tilt, friction=0.4, softness=30.0)
+    collider = Collider(
+        shape=SHAPES[shape], offset=np.array([0.0, 0.01, 0.0]), rotation=tilt, friction=0.4, softness=30.0
+    )
     scene = mpm.MPMScene(
         grid=GRID,
         dt=DT,

@@ -105,7 +105,9 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
     rng = np.random.default_rng(0)
     q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     poses = Pose(jnp.array([[0.0, 0.0, 0.0], [1e-3, -2e-3, 0.0]]), jnp.asarray(np.stack([q, q + 1e-3])))
-    block = collider(Box(half_size=jnp.array([0.3, 0.2, 0.25])), friction=jnp.array(0.4), rotation=q, offset=[0.1, 0.0, 0.2])
+    block = collider(
+        Box(half_size=jnp.array([0.3, 0.2, 0.25])), friction=jnp.array(0.4), rotation=q, offset=[0.1, 0.0, 0.2]
+    )
     ground = Ground(normal=jnp.array([0.0, 1.0, 0.0]), height=jnp.array(-0.2))
     x, v = jnp.asarray(rng.uniform(-0.4, 0.4, (64, 3))), jnp.asarray(3.0 * rng.standard_normal((64, 3)))
     law = jax.tree.map(jnp.asarray, LAW)

@@ -124,7 +124,9 @@ def test_second_derivatives_are_refused_with_the_reason():
 
 def iterated(a, b):
     """The cube root of a, times b, by an iteration whose derivative nobody should take."""
-    x = jax.lax.while_loop(lambda x: jnp.any(jnp.abs(x**3 - a) > 1e-14 * a), lambda x: x - (x**3 - a) / (3 * x**2), 2.0 + a)
+    x = jax.lax.while_loop(
+        lambda x: jnp.any(jnp.abs(x**3 - a) > 1e-14 * a), lambda x: x - (x**3 - a) / (3 * x**2), 2.0 + a
+    )
     return {"root": x, "product": x * b}
 
 
@@ -152,7 +154,12 @@ def test_a_surrogate_is_differentiated_instead(x64, random_like, relative_error,
     want = run(closed, real, tangents, cotangent)
     assert relative_error(run(SURROGATED, real, tangents, cotangent), want) < 1e-13
     assert relative_error(run(jax.vmap(jax.vmap(SURROGATED)), real, tangents, cotangent), want) < 1e-13
-    shared = run(jax.vmap(jax.vmap(SURROGATED, (0, None)), (0, None)), (real[0], real[1][0, 0]), (tangents[0], tangents[1][0, 0]), cotangent)
+    shared = run(
+        jax.vmap(jax.vmap(SURROGATED, (0, None)), (0, None)),
+        (real[0], real[1][0, 0]),
+        (tangents[0], tangents[1][0, 0]),
+        cotangent,
+    )
     want = run(lambda a, b: closed(a, b), (real[0], real[1][0, 0]), (tangents[0], tangents[1][0, 0]), cotangent)
     assert relative_error(shared, want) < 1e-13
 

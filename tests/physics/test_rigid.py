@@ -146,17 +146,39 @@ def test_the_contraption_has_all_kinds_of_rows():
     mj, _ = loaded("contraption")
     kinds = mujoco.mjtConstraint
     data = simulate_in_c(mj, home(mj), np.zeros(mj.nv), steps=1)[0]
-    limited = ("FRICTION_DOF", "FRICTION_TENDON", "LIMIT_JOINT", "LIMIT_TENDON", "CONTACT_FRICTIONLESS", "CONTACT_PYRAMIDAL")
+    limited = (
+        "FRICTION_DOF",
+        "FRICTION_TENDON",
+        "LIMIT_JOINT",
+        "LIMIT_TENDON",
+        "CONTACT_FRICTIONLESS",
+        "CONTACT_PYRAMIDAL",
+    )
     assert {"EQUALITY", *limited} == {kinds(k).name.removeprefix("mjCNSTR_") for k in data.efc_type}
 
 
-ADDED = {"qpos0", "qpos_spring", "body_pos", "body_quat", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis", "geom_pos", "geom_quat"}
+ADDED = {
+    "qpos0",
+    "qpos_spring",
+    "body_pos",
+    "body_quat",
+    "body_ipos",
+    "body_iquat",
+    "jnt_pos",
+    "jnt_axis",
+    "geom_pos",
+    "geom_quat",
+}
 
 
 def changed(mj, name: str) -> np.ndarray:
     """Other numbers for a parameter: all factors a few per cent different, places a centimetre, turns a degree."""
     value, rng = np.array(getattr(mj, name)), np.random.default_rng(len(name))
-    new = value + 0.02 * rng.standard_normal(value.shape) if name in ADDED else value * rng.uniform(1.02, 1.1, value.shape)
+    new = (
+        value + 0.02 * rng.standard_normal(value.shape)
+        if name in ADDED
+        else value * rng.uniform(1.02, 1.1, value.shape)
+    )
     if name.endswith(("quat", "axis")):
         new /= np.linalg.norm(new, axis=1, keepdims=True)
     free = mj.jnt_type == mujoco.mjtJoint.mjJNT_FREE
@@ -232,7 +254,9 @@ def test_what_is_measured_agrees_with_mujoco(x64):
     """Poses of bodies and geoms, velocities of origins, centres of mass, distances, at the state and not before it."""
     mj, model = loaded("contraption")
     qpos, (qvel, *_) = home(mj), draw(mj, speed=1.0)
-    bodies, geoms, (velocity, turning), centers, distances, status = measuring()(model, rigid.initial_state(model, qpos, qvel))
+    bodies, geoms, (velocity, turning), centers, distances, status = measuring()(
+        model, rigid.initial_state(model, qpos, qvel)
+    )
     data = mujoco.MjData(mj)
     data.qpos[:], data.qvel[:] = qpos, qvel
     mujoco.mj_forward(mj, data)
@@ -249,7 +273,12 @@ def test_what_is_measured_agrees_with_mujoco(x64):
     near = np.sort([contact.dist for contact in data.contact])
     np.testing.assert_allclose(np.sort(np.asarray(distances))[: len(near)], near, atol=1e-14)
     assert int(status) == Status.OK
-    assert (model.num_positions, model.num_dofs, model.num_actuators, model.num_bodies) == (mj.nq, mj.nv, mj.nu, mj.nbody)
+    assert (model.num_positions, model.num_dofs, model.num_actuators, model.num_bodies) == (
+        mj.nq,
+        mj.nv,
+        mj.nu,
+        mj.nbody,
+    )
     assert model.dt == mj.opt.timestep
     np.testing.assert_array_equal(model.home, mj.key_qpos[0])
     np.testing.assert_array_equal(loaded("ball")[1].home, loaded("ball")[0].qpos0)
@@ -264,7 +293,9 @@ def test_names(x64):
     known = ", ".join(mj.body(i).name for i in range(mj.nbody) if mj.body(i).name)
     with pytest.raises(ValueError, match=f"^the model has no body 'moon': known are {known}$"):
         model.body("moon")
-    with pytest.raises(ValueError, match=r"^the model has no geom 'cart': known are floor, shelf, bulb, stone, puck, bead$"):
+    with pytest.raises(
+        ValueError, match=r"^the model has no geom 'cart': known are floor, shelf, bulb, stone, puck, bead$"
+    ):
         model.geom("cart")
     with pytest.raises(ValueError, match=r"^the model has no joint 'y': known are x, h, k, w, swing$"):
         model.joint("y")
@@ -319,7 +350,10 @@ def test_status_flags_what_is_not_finite_or_soon_will_be():
     assert int(rigid.check_status(state)) == Status.OK
     assert int(rigid.check_status(state.replace(qpos=state.qpos.at[1].set(-9e5)))) == Status.OK
     assert int(rigid.check_status(state.replace(qpos=state.qpos.at[1].set(-2e6)))) == Status.NAN
-    for broken in (state.replace(qpos=state.qpos.at[1].set(jnp.nan)), state.replace(qvel=state.qvel.at[5].set(jnp.inf))):
+    for broken in (
+        state.replace(qpos=state.qpos.at[1].set(jnp.nan)),
+        state.replace(qvel=state.qvel.at[5].set(jnp.inf)),
+    ):
         assert int(rigid.check_status(broken)) == Status.NAN
 
 
@@ -344,7 +378,9 @@ def test_a_model_is_compiled_once(x64):
     for name in ("body_mass", "pair_friction", "pair_solref", "pair_solimp", "geom_size"):
         other = again.with_parameters(**{name: 1.01 * again.parameters[name]})
         ends.append(hop(other, ends[-1], jnp.zeros(0)))
-    ends.append(hop(first.replace(gravity=jnp.array([0.0, 1.0, -3.0])), state.replace(qvel=state.qvel + 1.0), jnp.zeros(0)))
+    ends.append(
+        hop(first.replace(gravity=jnp.array([0.0, 1.0, -3.0])), state.replace(qvel=state.qvel + 1.0), jnp.zeros(0))
+    )
     assert hop._cache_size() == before + 1
     for other in (
         rigid_models.ball(dt=0.001),
@@ -410,7 +446,9 @@ def two_balls(penalty: Penalty | None):
     return rigid.load(text, penalty=penalty)
 
 
-@pytest.mark.parametrize("penalty", [None, Penalty(stiffness=2e3, damping=5.0, friction_damping=5.0)], ids=["soft", "penalty"])
+@pytest.mark.parametrize(
+    "penalty", [None, Penalty(stiffness=2e3, damping=5.0, friction_damping=5.0)], ids=["soft", "penalty"]
+)
 def test_contact_forces_are_equal_and_opposite(x64, penalty):
     """Momentum and angular momentum stay to the last digits while both balls are turned round by a collision."""
     model = two_balls(penalty)
@@ -531,7 +569,9 @@ def test_rows_of_constraints_are_those_of_mujoco(x64):
     equality, dry = kinds == "EQUALITY", np.char.startswith(kinds, "FRICTION")
     lower = np.where(equality, -np.inf, np.where(dry, -data.efc_frictionloss, 0.0))
     upper = np.where(dry, data.efc_frictionloss, np.inf)
-    ours = np.column_stack([np.asarray(x)[acts] for x in (rows.stiffness, rows.target, rows.lower, rows.upper, rows.jacobian)])
+    ours = np.column_stack(
+        [np.asarray(x)[acts] for x in (rows.stiffness, rows.target, rows.lower, rows.upper, rows.jacobian)]
+    )
     theirs = np.column_stack([data.efc_D, data.efc_aref, lower, upper, jacobian])
     assert len(ours) == len(theirs), f"{VERSIONS} {len(ours)} rows of constraints act in MJX, {len(theirs)} in MuJoCo"
 

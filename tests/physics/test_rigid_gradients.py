@@ -122,10 +122,14 @@ def compared(run, inputs, seed: int = 7, rest: bool = False):
     state = jax.tree.map(lambda a: jnp.asarray((not rest) * rng.standard_normal(a.shape)), inputs[:3])
     move = (*state, *jax.tree.map(jnp.zeros_like, inputs[3:]))
     if rest:
-        named = jax.tree_util.tree_map_with_path(lambda path, a: direction(path[-1].__str__().strip("[].'"), a, rng), inputs[3])
+        named = jax.tree_util.tree_map_with_path(
+            lambda path, a: direction(path[-1].__str__().strip("[].'"), a, rng), inputs[3]
+        )
         move = (*state, named, jnp.asarray(rng.standard_normal(inputs[4].shape)))
     _, tangent, cotangent, gradient = run(inputs, move, weights=weights)
-    ahead, behind = (run(jax.tree.map(lambda a, m: a + s * m, inputs, move), move, weights=weights)[0] for s in (STEP, -STEP))
+    ahead, behind = (
+        run(jax.tree.map(lambda a, m: a + s * m, inputs, move), move, weights=weights)[0] for s in (STEP, -STEP)
+    )
     difference = (per_state(cotangent, ahead) - per_state(cotangent, behind)) / (2 * STEP)
     return per_state(gradient, move), per_state(cotangent, tangent), difference
 
@@ -284,7 +288,9 @@ BALL_JOINT = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="n
 
 
 @pytest.mark.parametrize(
-    ("joint", "actuator"), [('stiffness="50"', ""), ("", '<position joint="neck" gear="1 .3 2" kp="40"/>')], ids=["spring", "servo"]
+    ("joint", "actuator"),
+    [('stiffness="50"', ""), ("", '<position joint="neck" gear="1 .3 2" kp="40"/>')],
+    ids=["spring", "servo"],
 )
 def test_turns_of_a_ball_joint_that_is_at_rest(x64, joint, actuator):
     """The force is zero there, its derivative is not."""
@@ -303,7 +309,8 @@ def test_turns_of_a_ball_joint_that_is_at_rest(x64, joint, actuator):
 def test_bodies_without_mass_and_models_with_few_iterations(x64):
     """A marker on the world without a mass; a model that asks for one iteration of the solver, on the floor."""
     marked = rigid_models.mjcf(
-        rigid_models.FLOOR + '<body name="mark"><site/></body><body pos="0 0 .099"><freejoint/><geom name="a" size=".1"/>'
+        rigid_models.FLOOR
+        + '<body name="mark"><site/></body><body pos="0 0 .099"><freejoint/><geom name="a" size=".1"/>'
         '<body pos=".2 0 0"><joint axis="0 1 0"/><geom name="b" size=".1"/></body></body>',
         extra=rigid_models.touching(("floor", "a"), ("floor", "b")),
     )

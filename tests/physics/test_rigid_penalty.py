@@ -107,7 +107,13 @@ def test_with_an_onset_nothing_sets_in_at_once(x64):
     mj = tree()[0]
     v = np.zeros(mj.nv)
     v[-6:-3] = [3.0, 0.0, -5.0]
-    args = (np.array([-1e-9]), np.array([[1.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([0.9]), np.array([[0, 3]]))
+    args = (
+        np.array([-1e-9]),
+        np.array([[1.0, 0.0, 1.0]]),
+        np.array([[0.0, 0.0, 1.0]]),
+        np.array([0.9]),
+        np.array([[0, 3]]),
+    )
     gradual, at_once = (np.asarray(wrenches(LAW.replace(onset=o), mj.qpos0, v, *args)[2])[3, 3:] for o in (0.004, 0.0))
     assert np.abs(gradual).max() < 1e-3
     np.testing.assert_allclose(at_once, [-36.0, 0.0, 150.0], rtol=1e-6)

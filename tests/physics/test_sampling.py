@@ -58,7 +58,9 @@ def test_lattice_is_symmetric_regular_and_fills_the_box(center, size, spacing):
         np.testing.assert_allclose(levels[0] - (center[axis] - size[axis] / 2), pitch / 2, atol=1e-11)
 
 
-@pytest.mark.parametrize(("size", "spacing", "name"), [(SIZE, 0.0, "spacing"), (SIZE, -1.0, "spacing"), ((1, 0, 1), 0.1, "size")])
+@pytest.mark.parametrize(
+    ("size", "spacing", "name"), [(SIZE, 0.0, "spacing"), (SIZE, -1.0, "spacing"), ((1, 0, 1), 0.1, "size")]
+)
 def test_what_is_not_positive_is_refused(size, spacing, name):
     with pytest.raises(ValueError, match=f"{name} is .* must be positive"):
         fill_box(CENTER, size, spacing)
@@ -174,7 +176,10 @@ def test_volume_is_differentiable(x64):
         (lambda: fill(SHAPES["sphere"], 0.0), "spacing is 0.0, but must be positive"),
         (lambda: fill(SHAPES["sphere"].replace(radius=-0.1), 0.2), "no point of such a lattice lies in the shape"),
         (lambda: sample(jax.random.key(0), SHAPES["sphere"], 0), "num is 0, but must be positive"),
-        (lambda: sample_poisson_disk(jax.random.key(0), SHAPES["sphere"], -1.0), "radius is -1.0, but must be positive"),
+        (
+            lambda: sample_poisson_disk(jax.random.key(0), SHAPES["sphere"], -1.0),
+            "radius is -1.0, but must be positive",
+        ),
         (lambda: sample(jax.random.key(0), sdf.Plane(), 3), "shape is a Plane, which has no bounds"),
         (lambda: volume(sdf.Plane()), "shape is a Plane, which has no bounds"),
         (lambda: bounding_box(SHAPES["baked"].replace(values=np.ones((3, 3, 3)))), "nowhere negative"),

@@ -49,7 +49,9 @@ def project(name: str, p: np.ndarray) -> np.ndarray:
     if name == "cone":
         inside = (np.abs(p[:, 1]) <= H) & (radial(p) <= R * (H - p[:, 1]) / (2 * H))
         outline = cone_outline(p)
-        nearest = outline[np.arange(len(p)), np.argmin(np.linalg.norm(outline - half_plane(p)[:, None], axis=2), axis=1)]
+        nearest = outline[
+            np.arange(len(p)), np.argmin(np.linalg.norm(outline - half_plane(p)[:, None], axis=2), axis=1)
+        ]
         turned = p * (nearest[:, 0] / radial(p))[:, None]
         turned[:, 1] = nearest[:, 1]
         return np.where(inside[:, None], p, turned)
@@ -225,7 +227,9 @@ def test_height_of_a_slope_is_the_distance_to_its_plane(x64):
     p = np.random.default_rng(9).uniform([-0.8, -1, -0.5], [0.8, 1, 0.7], (NUM, 3))
     distance, normal = evaluate(slope, p)
     np.testing.assert_allclose(distance, (p @ [-0.3, 1.0, 0.4] - 0.1) / np.sqrt(1.25), atol=1e-13)
-    np.testing.assert_allclose(normal, np.broadcast_to(np.array([-0.3, 1.0, 0.4]) / np.sqrt(1.25), (NUM, 3)), atol=1e-12)
+    np.testing.assert_allclose(
+        normal, np.broadcast_to(np.array([-0.3, 1.0, 0.4]) / np.sqrt(1.25), (NUM, 3)), atol=1e-12
+    )
     p[:] = [9.0, 0.0, 9.0]
     p[0] = [-0.6, 0.0, -0.5]
     distance, normal = evaluate(TERRAIN, p)

@@ -36,7 +36,11 @@ def places(rotations):
 def contacts(center, box, rotation, half=HALF, radius=RADIUS):
     n = len(center)
     return jax.jit(sphere_box)(
-        center, jnp.full(n, radius), jnp.asarray(box), jnp.asarray(rotation), jnp.broadcast_to(jnp.asarray(half), (n, 3))
+        center,
+        jnp.full(n, radius),
+        jnp.asarray(box),
+        jnp.asarray(rotation),
+        jnp.broadcast_to(jnp.asarray(half), (n, 3)),
     )
 
 
@@ -83,7 +87,12 @@ def test_derivatives_are_finite_and_normals_of_unit_length_everywhere(precision)
     with jax.enable_x64(precision):
         center = jnp.array(list(SPECIAL.values()))
         n = len(center)
-        rest = (jnp.full(n, RADIUS), jnp.zeros((n, 3)), jnp.tile(jnp.eye(3), (n, 1, 1)), jnp.tile(jnp.asarray(HALF), (n, 1)))
+        rest = (
+            jnp.full(n, RADIUS),
+            jnp.zeros((n, 3)),
+            jnp.tile(jnp.eye(3), (n, 1, 1)),
+            jnp.tile(jnp.asarray(HALF), (n, 1)),
+        )
         slopes = jax.jit(jax.jacrev(sphere_box, argnums=range(5)))(center, *rest)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
         by_center = np.asarray(slopes[0][0])[np.arange(n), np.arange(n)]

@@ -54,7 +54,9 @@ def test_stress_is_the_derivative_of_energy(x64, rotations, stretches, seed, act
     np.testing.assert_allclose(forward, reverse, atol=1e-9 * scale)
     np.testing.assert_allclose(forward, np.transpose(forward, (2, 3, 0, 1)), atol=1e-9 * scale)  # a Hessian
     # Objectivity: turning the deformed body turns the stress.
-    np.testing.assert_allclose(stress(u @ F), u @ np.asarray(stress(F)), atol=1e-11 * scale * (1 + np.abs(F).max() ** 4))
+    np.testing.assert_allclose(
+        stress(u @ F), u @ np.asarray(stress(F)), atol=1e-11 * scale * (1 + np.abs(F).max() ** 4)
+    )
 
 
 def test_at_rest_there_is_neither_stress_nor_energy_and_rotations_change_nothing(x64, rotations):

@@ -42,7 +42,9 @@ def test_any_assembly_of_cubes_is_conforming(tets_per_cell, occupied):
 def test_box():
     mesh = tetmesh.box((3.0, 1.0, 2.0), (3, 2, 4), center=(1.0, 2.0, 3.0))
     assert (len(mesh.vertices), len(mesh.tets)) == (4 * 3 * 5, 3 * 2 * 4 * 6)
-    np.testing.assert_allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[-0.5, 1.5, 2.0], [2.5, 2.5, 4.0]])
+    np.testing.assert_allclose(
+        [mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[-0.5, 1.5, 2.0], [2.5, 2.5, 4.0]]
+    )
     np.testing.assert_allclose(surface(mesh), [22.0, 6.0])
     check_tetmesh(mesh)
 

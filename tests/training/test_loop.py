@@ -211,11 +211,16 @@ class Fragile(toys.PointMass):
 
 
 def test_failures_are_said(tmp_path):
-    env, console = Fragile(**{f.name: getattr(ENV, f.name) for f in dataclasses.fields(ENV)}), Console(file=io.StringIO(), width=200)
+    env, console = (
+        Fragile(**{f.name: getattr(ENV, f.name) for f in dataclasses.fields(ENV)}),
+        Console(file=io.StringIO(), width=200),
+    )
     config = TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run"), **QUIET)
     train(toys.make_toy(env), env, config, console=console)
     text = console.file.getvalue()
-    assert "warning: 4 of 4 episodes failed numerically and ended there: state.status says why; shorter substeps" in text
+    assert (
+        "warning: 4 of 4 episodes failed numerically and ended there: state.status says why; shorter substeps" in text
+    )
     _, healthy = run(tmp_path / "healthy", num_iterations=1)
     assert "failed" not in healthy
     progress = ProgressReport(console, 9, 0)

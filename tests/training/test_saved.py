@@ -38,7 +38,10 @@ def test_the_policy_is_the_one_that_was_trained(run):
     assert saved.env.episode_length == 7 and saved.config["sapo"]["horizon"] == 3
     obs, key = saved.env.reset(jax.random.key(1)).obs, jax.random.key(2)
     for deterministic in (True, False):
-        actions = [saved.agent.policy(state, obs, key, deterministic=deterministic) for state in (saved.train_state, train_state)]
+        actions = [
+            saved.agent.policy(state, obs, key, deterministic=deterministic)
+            for state in (saved.train_state, train_state)
+        ]
         np.testing.assert_array_equal(*actions)
     assert [int(load_run(run_dir, step=step).train_state.iteration) for step in (1, 2)] == [1, 2]
 
@@ -52,7 +55,9 @@ def test_what_cannot_be_built_is_said(run, tmp_path):
     kept = (run_dir / "config.json").read_text()
     try:
         write_config(run_dir, {**json.loads(kept), "sapo": {"horizon": 3, "patience": 2}})
-        with pytest.raises(ValueError, match="this version has no option patience: use the version that the run was made with"):
+        with pytest.raises(
+            ValueError, match="this version has no option patience: use the version that the run was made with"
+        ):
             load_run(run_dir)
         write_config(run_dir, {"train": {}})
         with pytest.raises(ValueError, match="names no environment and agent to build: build them as for training"):

@@ -57,6 +57,7 @@ def test_a_capsule_seen_along_its_axis_and_across():
 
 def test_outlines_go_around_once():
     """Shoelace areas: a disc, and the hexagon that a cube on its corner shows, sqrt(3) times its face."""
+
     def area(points):
         x, y = points.T
         return 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
@@ -92,4 +93,6 @@ def test_bounds_hold_every_shape_but_planes():
 def test_side_views_keep_up_up(up, right, towards):
     view = shapes.side_view(up)
     np.testing.assert_allclose([view.right, view.up, view.towards], [right, up, towards], atol=1e-12)
-    np.testing.assert_allclose(view.project(np.array([[1.0, 2.0, 3.0]])), [[np.dot(right, [1, 2, 3]), np.dot(up, [1, 2, 3])]])
+    np.testing.assert_allclose(
+        view.project(np.array([[1.0, 2.0, 3.0]])), [[np.dot(right, [1, 2, 3]), np.dot(up, [1, 2, 3])]]
+    )
