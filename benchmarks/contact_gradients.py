@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from rewax.physics import rigid
-from rewax.physics.rigid_penalty import Penalty
+from rewax.physics.rigid import Penalty
 from rewax.training.cache import enable_compilation_cache
 
 DURATION = 0.5

@@ -17,15 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from rewax.physics import coupling, fem, free_body, mpm, tetmesh
-from rewax.physics.active_nodes import count_nodes
-from rewax.physics.colliders import Collider, Contact, Pose
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material, Plasticity
-from rewax.physics.penalty import Ground, PenaltyContact
-from rewax.physics.sampling import fill_box
-from rewax.physics.sdf import Box, Capsule
-from rewax.physics.walls import Wall, Walls
+from rewax.physics import coupling, mpm, tets
+from rewax.physics.contact import Collider, Ground, Overlap, PenaltyContact
+from rewax.physics.coupling import free_body
+from rewax.physics.mpm import Grid, Material, Plasticity, Wall, Walls, count_nodes
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import Box, Capsule, fill_box
+from rewax.physics.tets import tetmesh
 
 Simulation = Callable[[Any], Any]
 
@@ -71,7 +69,7 @@ def measure(name: str, simulate: Simulation, start: Any, num_substeps: int, args
 def tetrahedra(args: Args) -> None:
     """The soft jumper's table: 204 vertices, 444 tets, on the ground."""
     table, num_substeps = tetmesh.soft_jumper_table(), 80
-    scene = fem.make_scene(
+    scene = tets.make_scene(
         mesh=table,
         density=1.0,
         mu=1000.0,
@@ -82,8 +80,8 @@ def tetrahedra(args: Args) -> None:
         contact=PenaltyContact(stiffness=2e3, damping=0.1, friction_damping=10.0, friction=0.7, radius=0.05),
     )
     poses = mpm.static_poses(num_substeps)
-    start = fem.initial_state(table.vertices + np.array([0.0, 0.05, 0.0]))
-    measure("tetrahedra", lambda state: fem.step(scene, state, poses), start, num_substeps, args)
+    start = tets.initial_state(table.vertices + np.array([0.0, 0.05, 0.0]))
+    measure("tetrahedra", lambda state: tets.step(scene, state, poses), start, num_substeps, args)
 
 
 def colliders(args: Args) -> None:
@@ -99,7 +97,7 @@ def colliders(args: Args) -> None:
     grid = Grid(shape=(48, 32, 48), spacing=spacing)
     for name, changes in (
         ("20 colliders, all", {}),
-        ("20 colliders, as a union", {"contact": Contact.NEAREST}),
+        ("20 colliders, as a union", {"contact": Overlap.NEAREST}),
         ("20 colliders, the 4 nearest", {"max_near_colliders": 4}),
     ):
         scene = mpm.make_scene(

@@ -15,7 +15,7 @@ import numpy as np
 import rewax
 from rewax.envs.hand_reorient import REFERENCE_CONTACT, HandReorient
 from rewax.physics import rigid
-from rewax.physics.rotations import quaternion_to_matrix
+from rewax.physics.numerics import quaternion_to_matrix
 from rewax.training.cache import enable_compilation_cache
 from rewax.types import Array
 

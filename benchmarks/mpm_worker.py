@@ -15,9 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics import mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Elasticity, Material
-from rewax.physics.walls import Wall, Walls
+from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls
 from rewax.status import describe
 from rewax.training.cache import enable_compilation_cache
 

@@ -13,7 +13,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
-from rewax.physics.rigid_penalty import Penalty
+from rewax.physics.rigid import Penalty
 
 
 @dataclasses.dataclass(frozen=True)

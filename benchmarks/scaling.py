@@ -24,11 +24,8 @@ import numpy as np
 import tyro
 
 from rewax.physics import mpm
-from rewax.physics.active_nodes import count_nodes
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Elasticity, Material
-from rewax.physics.sampling import fill_box
-from rewax.physics.walls import Wall, Walls
+from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls, count_nodes
+from rewax.physics.shapes import fill_box
 from rewax.training.cache import enable_compilation_cache
 
 FLOATS_PER_PARTICLE = 24

@@ -7,7 +7,7 @@ from rewax import struct
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs.rigid_task import RigidTask, uniform
 from rewax.physics import rigid
-from rewax.physics.rigid_penalty import Penalty
+from rewax.physics.rigid import Penalty
 from rewax.testing import check_env
 from rewax.training.loop import TrainConfig, train
 from rewax.training.metrics import read_csv

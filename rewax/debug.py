@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics import mpm
-from rewax.physics.colliders import Pose
-from rewax.physics.scene import MPMScene, MPMState
+from rewax.physics.mpm import MPMScene, MPMState
+from rewax.physics.numerics import Pose
 
 FIELDS = ("x", "v", "C", "F", "plastic_volume")
 

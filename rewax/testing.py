@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.envs.base import Box, Env, State
+from rewax.envs.base import ArraySpec, Env, State
 from rewax.status import Status
 from rewax.types import Array, Key, PyTree
 
@@ -53,9 +53,9 @@ def check_env(env: Env, *, seed: int = 0, tolerance: float = _JIT_TOLERANCE, che
 
 def _check_specs(env: Env) -> None:
     specs, action, length = env.observation_spec, env.action_spec, env.episode_length
-    assert isinstance(specs, dict) and specs, f"observation_spec is {specs!r}: use a non-empty dict of Box"
+    assert isinstance(specs, dict) and specs, f"observation_spec is {specs!r}: use a non-empty dict of ArraySpec"
     for name, spec in [*specs.items(), ("action_spec", action)]:
-        assert isinstance(spec, Box), f"the spec of {name} is {spec!r}: use rewax.envs.base.Box"
+        assert isinstance(spec, ArraySpec), f"the spec of {name} is {spec!r}: use rewax.envs.base.ArraySpec"
         assert spec.low < spec.high, f"the spec of {name} has bounds [{spec.low}, {spec.high}]: low must be below high"
     finite = math.isfinite(action.low) and math.isfinite(action.high)
     assert finite, f"action_spec is unbounded ({action.low}, {action.high}): give finite bounds, by convention -1 and 1"

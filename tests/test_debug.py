@@ -7,11 +7,11 @@ import pytest
 
 from rewax.debug import locate_nan
 from rewax.physics import mpm
-from rewax.physics.colliders import Collider
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material
-from rewax.physics.sampling import fill_box
-from rewax.physics.sdf import Sphere
+from rewax.physics.contact.colliders import Collider
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.materials import Material
+from rewax.physics.shapes.primitives import Sphere
+from rewax.physics.shapes.sampling import fill_box
 
 NUM_SUBSTEPS = 6
 

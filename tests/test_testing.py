@@ -6,7 +6,7 @@ import pytest
 import toys
 
 from rewax import struct
-from rewax.envs.base import Box
+from rewax.envs.base import ArraySpec
 from rewax.envs.wrappers import AutoReset
 from rewax.testing import check_env
 
@@ -46,12 +46,12 @@ def eager_only(new, old, action):
 
 
 BROKEN = {
-    "obs 'x' of reset has shape": {"observation_spec": property(lambda self: {"x": Box((2,))})},
-    r"differ in \['y'\]": {"observation_spec": property(lambda self: {"x": Box((1,)), "y": Box((1,))})},
-    "leaves the bounds of its spec": {"observation_spec": property(lambda self: {"x": Box((1,), -0.1, 0.1)})},
+    "obs 'x' of reset has shape": {"observation_spec": property(lambda self: {"x": ArraySpec((2,))})},
+    r"differ in \['y'\]": {"observation_spec": property(lambda self: {"x": ArraySpec((1,)), "y": ArraySpec((1,))})},
+    "leaves the bounds of its spec": {"observation_spec": property(lambda self: {"x": ArraySpec((1,), -0.1, 0.1)})},
     "observation_spec is": {"observation_spec": property(lambda self: {})},
-    "action_spec is unbounded": {"action_spec": property(lambda self: Box((1,)))},
-    "low must be below high": {"action_spec": property(lambda self: Box((1,), 1.0, -1.0))},
+    "action_spec is unbounded": {"action_spec": property(lambda self: ArraySpec((1,)))},
+    "low must be below high": {"action_spec": property(lambda self: ArraySpec((1,), 1.0, -1.0))},
     "episode_length is 5.0": {"episode_length": property(lambda self: 5.0)},
     "has dtype int32: use a float": {"reset": reset_with(lambda s: s.replace(obs={"x": jnp.zeros(1, jnp.int32)}))},
     "begin with both false": {"reset": reset_with(lambda s: s.replace(terminated=jnp.bool_(True)))},

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.agents.base import Agent
-from rewax.envs.base import Box, State, first_state, next_state
+from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key
 
@@ -22,12 +22,12 @@ class PointMass:
     length: int = struct.static_field(default=5)
 
     @property
-    def observation_spec(self) -> dict[str, Box]:
-        return {"x": Box((1,))}
+    def observation_spec(self) -> dict[str, ArraySpec]:
+        return {"x": ArraySpec((1,))}
 
     @property
-    def action_spec(self) -> Box:
-        return Box((1,), -1.0, 1.0)
+    def action_spec(self) -> ArraySpec:
+        return ArraySpec((1,), -1.0, 1.0)
 
     @property
     def episode_length(self) -> int:

@@ -15,14 +15,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.validation.common import fill, fit_oscillation, held, relative, save
-from rewax.physics import coupling, free_body, mpm
-from rewax.physics.colliders import Collider
-from rewax.physics.free_body import FreeBodies
-from rewax.physics.grid import Grid
-from rewax.physics.laws import TAIT_EXPONENT
-from rewax.physics.materials import Elasticity, Material
-from rewax.physics.sdf import Box
-from rewax.physics.walls import Wall, Walls
+from rewax.physics import coupling, mpm
+from rewax.physics.contact import Collider
+from rewax.physics.coupling import FreeBodies, free_body
+from rewax.physics.mpm import TAIT_EXPONENT, Elasticity, Grid, Material, Wall, Walls
+from rewax.physics.shapes import Box
 
 CELLS = {"tiny": 20, "small": 32, "full": 48}
 """Over the depth of the water."""

@@ -15,9 +15,7 @@ import numpy as np
 
 from benchmarks.validation.common import Check, fill, held, in_float64, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material, sound_speed
-from rewax.physics.walls import Wall, WallKind, Walls
+from rewax.physics.mpm import Grid, Material, Wall, WallKind, Walls, sound_speed
 
 DEPTHS = {"tiny": (2, 4), "small": (3, 5), "full": (4, 8, 12)}
 """Cells over the height of the beam, one simulation each."""

@@ -1,7 +1,7 @@
 """Sag of a cantilever of tetrahedra under its own weight, against beam theory, over refinements.
 
-A narrow beam is held at one end. Its shape at rest is found by Newton's method on ``fem.internal_force``, and is then
-handed to ``fem.step``, which must leave it where it is. Linear tetrahedra are too stiff in bending: the sag approaches
+A narrow beam is held at one end. Its shape at rest is found by Newton's method on ``tets.internal_force``, and is then
+handed to ``tets.step``, which must leave it where it is. Linear tetrahedra are too stiff in bending: the sag approaches
 theory from below, with the square of the cell's height. What is left with Poisson's ratio 0.3, some 1 %, is the clamped
 end, whose section cannot contract as beam theory has it; with Poisson's ratio 0 the limit is Timoshenko's.
 """
@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.validation.common import Check, in_float64, relative
-from rewax.physics import fem, mpm, tetmesh
-from rewax.physics.tet_law import stable_parameters
+from rewax.physics import mpm, tets
+from rewax.physics.tets import stable_parameters, tetmesh
 
 LENGTH, HEIGHT, WIDTH = 2.0, 0.25, 0.0625
 """[m], along x, y, z."""
@@ -38,7 +38,7 @@ def theory(poissons_ratio: float = POISSONS_RATIO) -> dict[str, float]:
     return {"euler_bernoulli": bending, "timoshenko": bending + load * LENGTH**2 / (2 * k * shear_modulus * area)}
 
 
-def beam(cells_over_height: int, poissons_ratio: float = POISSONS_RATIO) -> tuple[fem.FEMScene, fem.FEMState]:
+def beam(cells_over_height: int, poissons_ratio: float = POISSONS_RATIO) -> tuple[tets.TetScene, tets.TetState]:
     """The undeformed beam, from x = 0, where it is held."""
     along = round(LENGTH / HEIGHT * cells_over_height)
     mesh = tetmesh.box(
@@ -49,7 +49,7 @@ def beam(cells_over_height: int, poissons_ratio: float = POISSONS_RATIO) -> tupl
     )
     mu, lam = stable_parameters(YOUNGS_MODULUS, poissons_ratio)
     speed = np.sqrt(YOUNGS_MODULUS / DENSITY)
-    scene = fem.make_scene(
+    scene = tets.make_scene(
         mesh=mesh,
         density=DENSITY,
         mu=mu,
@@ -58,11 +58,11 @@ def beam(cells_over_height: int, poissons_ratio: float = POISSONS_RATIO) -> tupl
         gravity=(0.0, -GRAVITY, 0.0),
         held=np.flatnonzero(mesh.vertices[:, 0] < 1e-9),
     )
-    return scene, fem.initial_state(mesh.vertices)
+    return scene, tets.initial_state(mesh.vertices)
 
 
 @jax.jit
-def equilibrium(scene: fem.FEMScene, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+def equilibrium(scene: tets.TetScene, x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Positions at which internal forces balance gravity [m], and the largest force left [N].
 
     Newton's method with conjugate gradients on the force's derivative.
@@ -71,8 +71,8 @@ def equilibrium(scene: fem.FEMScene, x: jax.Array) -> tuple[jax.Array, jax.Array
     free = scene.mobility[:, None]
 
     def force(x: jax.Array) -> jax.Array:
-        state = fem.FEMState(x=x, v=jnp.zeros_like(x))
-        return free * (fem.internal_force(scene, state) + scene.mass[:, None] * scene.gravity)
+        state = tets.TetState(x=x, v=jnp.zeros_like(x))
+        return free * (tets.internal_force(scene, state) + scene.mass[:, None] * scene.gravity)
 
     def newton(x: jax.Array, _: None) -> tuple[jax.Array, None]:
         def stiffness(dx: jax.Array) -> jax.Array:
@@ -86,9 +86,9 @@ def equilibrium(scene: fem.FEMScene, x: jax.Array) -> tuple[jax.Array, jax.Array
 
 
 @jax.jit
-def drift(scene: fem.FEMScene, state: fem.FEMState) -> jax.Array:
+def drift(scene: tets.TetScene, state: tets.TetState) -> jax.Array:
     """How far the furthest vertex goes in 200 substeps [m]."""
-    after = fem.step(scene, state, mpm.static_poses(200, dtype=state.x.dtype))
+    after = tets.step(scene, state, mpm.static_poses(200, dtype=state.x.dtype))
     return jnp.max(jnp.abs(after.x - state.x))
 
 

@@ -13,10 +13,9 @@ import numpy as np
 import scipy.optimize
 
 from rewax.physics import mpm
-from rewax.physics.colliders import Pose
-from rewax.physics.mpm import MPMScene, MPMState
-from rewax.physics.sampling import fill_box
-from rewax.physics.walls import Wall, WallKind
+from rewax.physics.mpm import MPMScene, MPMState, Wall, WallKind
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import fill_box
 
 SCALES = ("tiny", "small", "full")
 

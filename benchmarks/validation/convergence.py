@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.validation.common import Check, in_float64, record, save
 from benchmarks.validation.wave_speed import LENGTH, MATERIAL, STRAIN, free_bar
 from rewax.physics import mpm
-from rewax.physics.materials import sound_speed
+from rewax.physics.mpm import sound_speed
 
 CELLS = {"tiny": (8, 16), "small": (8, 16, 32), "full": (8, 16, 32, 64, 128, 256)}
 TIME = 0.35

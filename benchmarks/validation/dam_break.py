@@ -16,9 +16,7 @@ import numpy as np
 
 from benchmarks.validation.common import Check, fill, foremost, held, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Elasticity, Material
-from rewax.physics.walls import Wall, Walls
+from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls
 from rewax.status import Status
 
 TABLE = np.array([

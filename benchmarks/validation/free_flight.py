@@ -12,9 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.validation.common import Check, fill, in_float64, record, save
-from rewax.physics import invariants, mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material
+from rewax.physics import mpm
+from rewax.physics.mpm import Grid, Material, invariants
 
 SPACING = {"tiny": 0.1, "small": 0.05, "full": 0.025}
 SIZE = (0.4, 0.2, 0.2)

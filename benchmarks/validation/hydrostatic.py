@@ -12,11 +12,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.validation.common import Check, fill, held, in_float64, record, save
-from rewax.physics import components as cp
 from rewax.physics import mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Elasticity, Material
-from rewax.physics.walls import Wall, Walls
+from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls
+from rewax.physics.numerics import components as cp
 
 CELLS = {"tiny": 12, "small": 20, "full": 40}
 """Over the depth of the water."""

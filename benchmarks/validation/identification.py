@@ -16,9 +16,7 @@ import numpy as np
 
 from benchmarks.validation.common import fill, held, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Elasticity, Material, Plasticity
-from rewax.physics.walls import Wall, WallKind, Walls
+from rewax.physics.mpm import Elasticity, Grid, Material, Plasticity, Wall, WallKind, Walls
 
 CELLS = {"tiny": 6, "small": 8, "full": 16}
 """Over the width of the block; it is twice as high."""

@@ -16,11 +16,9 @@ import numpy as np
 
 from benchmarks.validation.common import Check, fill, held, in_float64, record, save
 from rewax.physics import mpm
-from rewax.physics.colliders import Collider
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material, sound_speed
-from rewax.physics.sdf import Plane
-from rewax.physics.walls import Wall, Walls
+from rewax.physics.contact import Collider
+from rewax.physics.mpm import Grid, Material, Wall, Walls, sound_speed
+from rewax.physics.shapes import Plane
 
 FRICTION_ANGLE, GRAVITY = 30.0, 9.81
 SIZES = {

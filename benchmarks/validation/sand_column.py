@@ -20,9 +20,7 @@ import numpy as np
 
 from benchmarks.validation.common import Check, foremost, held, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material, Plasticity, sound_speed
-from rewax.physics.walls import Wall, Walls
+from rewax.physics.mpm import Grid, Material, Plasticity, Wall, Walls, sound_speed
 from rewax.status import Status
 
 LOW, HIGH = 1.8, 2.8

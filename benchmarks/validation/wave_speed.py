@@ -16,9 +16,7 @@ import numpy as np
 
 from benchmarks.validation.common import fill, fit_oscillation, held, in_float64, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material, sound_speed
-from rewax.physics.walls import Walls
+from rewax.physics.mpm import Grid, Material, Walls, sound_speed
 
 SIZES = {"tiny": (16, 10, 1), "small": (40, 20, 2), "full": (80, 40, 4)}
 """Cells along the confined bar, along the slender bar, across the slender bar."""

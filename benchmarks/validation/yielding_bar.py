@@ -15,11 +15,10 @@ import numpy as np
 
 from benchmarks.validation.common import fill, in_float64, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.colliders import Collider, Pose
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Material, Plasticity, sound_speed
-from rewax.physics.sdf import Plane
-from rewax.physics.walls import Wall, Walls
+from rewax.physics.contact import Collider
+from rewax.physics.mpm import Grid, Material, Plasticity, Wall, Walls, sound_speed
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import Plane
 
 SIZES = {"tiny": (12, 3), "small": (12, 4), "full": (24, 6)}
 """Cells along and across the bar."""

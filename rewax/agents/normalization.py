@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.envs.base import Box
+from rewax.envs.base import ArraySpec
 from rewax.types import Array, Observation
 
 EPSILON = 1e-5
@@ -24,12 +24,12 @@ class RunningStatistics:
     variance: dict[str, Array]
 
 
-def is_vector(spec: Box) -> bool:
+def is_vector(spec: ArraySpec) -> bool:
     """Vectors are normalised, point clouds (two axes) are not."""
     return len(spec.shape) < 2
 
 
-def init_statistics(spec: dict[str, Box]) -> RunningStatistics:
+def init_statistics(spec: dict[str, ArraySpec]) -> RunningStatistics:
     """Statistics of nothing: mean 0, variance 1."""
     shapes = {name: s.shape for name, s in spec.items() if is_vector(s)}
     return RunningStatistics(

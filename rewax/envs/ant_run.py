@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.envs.rigid_task import RigidPhysics, load_asset
 from rewax.envs.runner import Runner
-from rewax.physics.rigid_penalty import Penalty
+from rewax.physics.rigid import Penalty
 from rewax.types import Array
 
 _START_JOINTS = (0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)

@@ -48,7 +48,7 @@ class State(struct.Replaceable):
 
 
 @dataclasses.dataclass(frozen=True)
-class Box:
+class ArraySpec:
     """Arrays of one shape with bounds, the same for all components.
 
     Attributes:
@@ -61,7 +61,7 @@ class Box:
     high: float = math.inf
 
 
-Spec: TypeAlias = Box | dict[str, Box]
+Spec: TypeAlias = ArraySpec | dict[str, ArraySpec]
 
 
 class Env(Protocol):
@@ -72,12 +72,12 @@ class Env(Protocol):
     """
 
     @property
-    def observation_spec(self) -> dict[str, Box]:
+    def observation_spec(self) -> dict[str, ArraySpec]:
         """Shapes and bounds of the observations."""
         ...
 
     @property
-    def action_spec(self) -> Box:
+    def action_spec(self) -> ArraySpec:
         """Shape and bounds of an action: by convention within [-1, 1]; ``step`` clips."""
         ...
 

@@ -11,9 +11,8 @@ import numpy as np
 from rewax import struct
 from rewax.envs.rigid_task import RigidPhysics, RigidTask, load_asset, uniform, xyzw
 from rewax.physics import rigid
-from rewax.physics.rigid import RigidState
-from rewax.physics.rigid_penalty import Penalty
-from rewax.physics.rotations import quaternion_product, quaternion_to_matrix
+from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
+from rewax.physics.rigid import Penalty, RigidState
 from rewax.types import Array, Key, Observation, PyTree
 
 REFERENCE_CONTACT = Penalty(

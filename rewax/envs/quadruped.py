@@ -14,9 +14,8 @@ import numpy as np
 from rewax import struct
 from rewax.envs.rigid_task import RigidPhysics, RigidTask, load_asset, random_turn, uniform
 from rewax.physics import rigid
-from rewax.physics.rigid import RigidState
-from rewax.physics.rigid_penalty import Penalty
-from rewax.physics.rotations import quaternion_to_matrix
+from rewax.physics.numerics import quaternion_to_matrix
+from rewax.physics.rigid import Penalty, RigidState
 from rewax.types import Array, Key, Observation, PyTree
 
 _WEIGHTS = {

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.base import Box, State, first_state, next_state
+from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.physics import rigid
 from rewax.physics.rigid import RigidModel, RigidState, check_shape
 from rewax.types import Array, Key, Observation, PyTree
@@ -89,13 +89,13 @@ class RigidTask(struct.Replaceable):
     # --- The environment ---
 
     @property
-    def observation_spec(self) -> dict[str, Box]:
+    def observation_spec(self) -> dict[str, ArraySpec]:
         state = jax.eval_shape(self.reset, jax.random.key(0))
-        return {name: Box(tuple(value.shape)) for name, value in state.obs.items()}
+        return {name: ArraySpec(tuple(value.shape)) for name, value in state.obs.items()}
 
     @property
-    def action_spec(self) -> Box:
-        return Box((self.model.num_actuators,), -1.0, 1.0)
+    def action_spec(self) -> ArraySpec:
+        return ArraySpec((self.model.num_actuators,), -1.0, 1.0)
 
     @property
     def episode_length(self) -> int:

@@ -12,14 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.base import Box, State, first_state, next_state
+from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.physics import mpm
-from rewax.physics.colliders import Collider, Pose
-from rewax.physics.grid import Grid
-from rewax.physics.materials import Elasticity, Material, Plasticity
-from rewax.physics.mpm import MPMScene, MPMState
-from rewax.physics.sdf import Capsule
-from rewax.physics.walls import Wall, WallKind, Walls
+from rewax.physics.contact import Collider
+from rewax.physics.mpm import Elasticity, Grid, Material, MPMScene, MPMState, Plasticity, Wall, WallKind, Walls
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import Capsule
 from rewax.types import Array, Key, Observation
 
 _Y_TO_Z = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
@@ -84,14 +82,14 @@ class RollingFlat(struct.Replaceable):
     observe_velocity: bool = struct.static_field(default=False)
 
     @property
-    def observation_spec(self) -> dict[str, Box]:
-        spec = {"particle_q": Box((self.num_observed, 3)), "com_q": Box((3,)), "joint_q": Box((3,))}
-        return {**spec, "joint_qd": Box((3,))} if self.observe_velocity else spec
+    def observation_spec(self) -> dict[str, ArraySpec]:
+        spec = {"particle_q": ArraySpec((self.num_observed, 3)), "com_q": ArraySpec((3,)), "joint_q": ArraySpec((3,))}
+        return {**spec, "joint_qd": ArraySpec((3,))} if self.observe_velocity else spec
 
     @property
-    def action_spec(self) -> Box:
+    def action_spec(self) -> ArraySpec:
         """Pin motion along x, along y and in yaw, as fractions of ``joint_step``."""
-        return Box((3,), -1.0, 1.0)
+        return ArraySpec((3,), -1.0, 1.0)
 
     @property
     def episode_length(self) -> int:

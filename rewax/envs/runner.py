@@ -7,8 +7,8 @@ import numpy as np
 from rewax import struct
 from rewax.envs.rigid_task import RigidPhysics, RigidTask, random_turn, uniform, xyzw
 from rewax.physics import rigid
+from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
 from rewax.physics.rigid import RigidState
-from rewax.physics.rotations import quaternion_product, quaternion_to_matrix
 from rewax.types import Array, Key, Observation, PyTree
 
 _FORWARD, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])

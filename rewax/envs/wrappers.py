@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.envs.base import Box, Env, State
+from rewax.envs.base import ArraySpec, Env, State
 from rewax.types import Array, Key, PyTree
 
 
@@ -29,11 +29,11 @@ class _Wrapper:
     env: Any
 
     @property
-    def observation_spec(self) -> dict[str, Box]:
+    def observation_spec(self) -> dict[str, ArraySpec]:
         return self.env.observation_spec
 
     @property
-    def action_spec(self) -> Box:
+    def action_spec(self) -> ArraySpec:
         return self.env.action_spec
 
     @property

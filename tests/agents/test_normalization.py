@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rewax.agents.normalization import EPSILON, init_statistics, normalize, update_statistics
-from rewax.envs.base import Box
+from rewax.envs.base import ArraySpec
 
-SPEC = {"points": Box((5, 3)), "q": Box((4,)), "height": Box(())}
+SPEC = {"points": ArraySpec((5, 3)), "q": ArraySpec((4,)), "height": ArraySpec(())}
 
 
 def observations(num):

@@ -16,7 +16,7 @@ from rewax import struct
 from rewax.agents import sapo
 from rewax.agents.returns import td_lambda
 from rewax.agents.sapo import SAPOConfig, make_sapo
-from rewax.envs.base import Box, next_state
+from rewax.envs.base import ArraySpec, next_state
 
 HEALTHY, NAN_VALUE, NAN_GRADIENT, ENDING = range(4)
 LENGTH = 5
@@ -352,7 +352,7 @@ def test_chunks_of_a_minibatch_add_up_to_its_update(start, data, chunk):
 
 @pytest.mark.parametrize(("num_points", "chunk"), [(2048, 2), (250, 16), (10, 256), (5000, 1)])
 def test_point_clouds_are_differentiated_as_many_at_a_time_as_fit_the_cache(num_points, chunk):
-    env = types.SimpleNamespace(observation_spec={"points": Box((num_points, 3)), "x": Box((7,))})
+    env = types.SimpleNamespace(observation_spec={"points": ArraySpec((num_points, 3)), "x": ArraySpec((7,))})
     assert sapo._critic_chunk(SAPOConfig(), env) == chunk
 
 

@@ -13,7 +13,7 @@ from rewax.agents.presets import sapo_preset
 from rewax.envs.rigid_task import RigidTask, random_turn, uniform, xyzw
 from rewax.envs.wrappers import AutoReset
 from rewax.physics import rigid
-from rewax.physics.rigid_penalty import Penalty
+from rewax.physics.rigid.penalty import Penalty
 from rewax.status import Status
 from rewax.testing import check_env
 
@@ -80,8 +80,8 @@ def test_it_is_an_environment():
 
 
 def test_specs_come_from_model_and_observation():
-    assert ENV.observation_spec == {"x": rewax.envs.base.Box((1,)), "goal": rewax.envs.base.Box((1,))}
-    assert ENV.action_spec == rewax.envs.base.Box((1,), -1.0, 1.0)
+    assert ENV.observation_spec == {"x": rewax.envs.base.ArraySpec((1,)), "goal": rewax.envs.base.ArraySpec((1,))}
+    assert ENV.action_spec == rewax.envs.base.ArraySpec((1,), -1.0, 1.0)
     assert ENV.episode_length == MAX_STEPS and ENV.control_dt == pytest.approx(NUM_SUBSTEPS * DT)
 
 

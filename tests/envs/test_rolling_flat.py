@@ -8,9 +8,9 @@ import pytest
 import rewax
 from rewax.envs.rolling_flat import RollingFlat, RollingFlatPhysics, paper, small
 from rewax.physics import mpm
-from rewax.physics.materials import Elasticity, Plasticity
-from rewax.physics.sdf import Capsule
-from rewax.physics.walls import WallKind
+from rewax.physics.mpm.materials import Elasticity, Plasticity
+from rewax.physics.mpm.walls import WallKind
+from rewax.physics.shapes.primitives import Capsule
 from rewax.status import Status
 
 PAPER, SMALL = paper(), small()

@@ -7,8 +7,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.rigid_task import RigidPhysics, RigidTask, load_asset, uniform
 from rewax.physics import rigid
-from rewax.physics.rigid import RigidState
-from rewax.physics.rigid_penalty import Penalty
+from rewax.physics.rigid import Penalty, RigidState
 from rewax.types import Array, Key, Observation, PyTree
 
 _START = np.array([0.0, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -1,0 +1,247 @@
+"""Moving rigid shapes, as conditions on grid velocities."""
+
+import enum
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.linear_pass import Arrays, linear_pass
+from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes.primitives import Shape, signed_distance_components
+from rewax.types import Array, Scalar
+
+MIN_INFLUENCE = 0.1
+"""A collider acts where its influence exceeds this: within log(10) / softness of its surface."""
+
+
+@struct.dataclass
+class Collider(struct.Replaceable):
+    """A rigid shape fixed to a body, which moves as prescribed (``mpm``) or as forces move it (``coupling``).
+
+    Attributes:
+      shape: its signed distance, in its own frame.
+      offset: origin of the shape's frame in the body's frame [m], shape (3,); by default zero.
+      rotation: from the shape's frame to the body's, shape (3, 3); by default not turned.
+      friction: Coulomb coefficient [-].
+      softness: decay of the influence with distance [1/m]; influence = min(exp(-softness * distance), 1).
+      body: index of the body that carries it (static).
+    """
+
+    shape: Shape
+    offset: Array = struct.field(default_factory=lambda: jnp.zeros(3))
+    rotation: Array = struct.field(default_factory=lambda: jnp.eye(3))
+    friction: Scalar
+    softness: Scalar = 666.0
+    body: int = struct.static_field(default=0)
+
+
+class Overlap(enum.Enum):
+    """How several colliders act on one node."""
+
+    SEQUENTIAL = "sequential"
+    """One after the other, in the order of the scene: the last one wins where they overlap. The law of Rewarped."""
+    NEAREST = "nearest"
+    """Only the one whose surface is nearest (inside several: the one in which the node lies deepest): the colliders
+    act like the union of their shapes, in whichever order they are given. With many shapes it is also faster, as the
+    law is evaluated once per node."""
+
+
+class Motion(NamedTuple):
+    """Velocity of a rigid body's points: that of the point r [m] is ``turn @ r + shift`` [m/s]."""
+
+    turn: Array
+    """Shape (3, 3) [1/s]."""
+    shift: Array
+    """Shape (3,) [m/s]."""
+
+
+class Touch(NamedTuple):
+    """A collider at some nodes, arrays of shape (num_nodes,)."""
+
+    distance: Array
+    """Signed distance [m]."""
+    influence: Array
+    """How much the node obeys the collider, min(exp(-softness distance), 1) [-]."""
+    normal: Vec3
+    """Away from the collider, in the world's frame."""
+    friction: Scalar
+    """Coulomb coefficient [-], shape () or (num_nodes,)."""
+    velocity: Vec3
+    """Of the body's material point at the node [m/s]."""
+
+
+def apply_colliders(
+    colliders: Sequence[tuple[Collider, Pose, Pose]],
+    position: Vec3,
+    velocity: Vec3,
+    dt: float,
+    *,
+    overlap: Overlap = Overlap.SEQUENTIAL,
+) -> Vec3:
+    """Node velocities after contact with several moving shapes.
+
+    Args:
+      colliders: the shapes, each with the poses of its body at the beginning and end of the substep, (3,), (3, 3).
+      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      velocity: node velocities [m/s], components of shape (num_nodes,).
+      dt: duration of the substep [s].
+      overlap: how they act together (static).
+
+    Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, the mean of theirs.
+    """
+    if overlap is Overlap.SEQUENTIAL or len(colliders) < 2:
+        for collider, before, after in colliders:
+            velocity = apply_collider(collider, position, velocity, before, after, dt)
+        return velocity
+    touches = [
+        touch(collider, position, *_start_and_motion(collider, before, after, dt))
+        for collider, before, after in colliders
+    ]
+    return contact_velocity(nearest(touches)[0], velocity)
+
+
+def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: Pose, after: Pose, dt: float) -> Vec3:
+    """Node velocities after contact with one moving shape.
+
+    With d and n the signed distance and normal at a node, v_b the velocity of the body's material point there and
+    u = v - v_b: if w = min(exp(-softness d), 1) > 0.1 the velocity becomes v_b + (1 - w) u + w u_t, where
+    u_t is u without its approaching normal part, shortened by Coulomb friction.
+
+    Args:
+      collider: the shape.
+      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      velocity: node velocities [m/s], components of shape (num_nodes,).
+      before, after: pose of the collider's body at the beginning and end of the substep, shapes (3,), (3, 3).
+      dt: duration of the substep [s].
+
+    Gradient: exact with respect to velocities, poses, friction, softness and the shape's sizes; the onset of contact
+      at influence 0.1 is a step that no derivative sees.
+    Source: Huang et al. 2021, PlasticineLab, appendix; the law used by Rewarped.
+    """
+    return contact_velocity(touch(collider, position, *_start_and_motion(collider, before, after, dt)), velocity)
+
+
+def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> Touch:
+    """A collider at the given nodes.
+
+    Args:
+      collider: the shape.
+      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      start: pose of the shape (not of its body), see ``shape_pose``, shapes (3,), (3, 3).
+      motion: of its body.
+
+    Gradient: exact.
+    """
+    # Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
+    to_local = -jnp.matmul(start.rotation.T, start.position, precision="highest")
+    maps = jnp.concatenate([start.rotation.T, motion.turn]), jnp.concatenate([to_local, motion.shift])
+    lx, ly, lz, bx, by, bz = materialize(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
+    distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
+    # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
+    influence = jnp.exp(-jnp.maximum(collider.softness * distance, 0.0))
+    # Stored at each step: XLA would compute the whole chain, forward and backward, anew for every component.
+    influence, local_normal = materialize((influence, local_normal))
+    normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
+    return Touch(distance, influence, normal, collider.friction, (bx, by, bz))
+
+
+def nearest(touches: list[Touch]) -> tuple[Touch, list[Array]]:
+    """The touch of least distance at each node, and the share that each of the given ones has in it, (num_nodes,).
+
+    Several that are equally near (boxes side by side) share the node: the result is their mean, whatever their order.
+    """
+    # Stored: computed anew where they are compared, equal distances could differ by rounding.
+    distances = materialize([t.distance for t in touches])
+    least = functools.reduce(jnp.minimum, distances)
+    equal = [d == least for d in distances]
+    one = 1.0 / sum(e.astype(least.dtype) for e in equal)
+    shares = materialize([jnp.where(e, one, 0.0) for e in equal])
+    return materialize(
+        jax.tree.map(lambda *leaves: sum(s * leaf for s, leaf in zip(shares, leaves, strict=True)), *touches)
+    ), shares
+
+
+def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
+    """Node velocities after contact: the law of ``apply_collider``. Gradient: exact."""
+    influence, body = touch.influence, touch.velocity
+    normal, relative = materialize((touch.normal, cp.subtract(velocity, body)))
+    approach = materialize(jnp.minimum(cp.dot(relative, normal), 0.0))
+    tangential = materialize(cp.vector(lambda i: relative[i] - approach * normal[i]))
+    slipping = materialize(friction_factor(tangential, approach, touch.friction))
+    active = influence > MIN_INFLUENCE
+
+    def after_contact(i: int) -> Array:
+        u, u_t = relative[i], tangential[i] * slipping
+        return jnp.where(active, body[i] + (1.0 - influence) * u + influence * u_t, velocity[i])
+
+    return cp.vector(after_contact)
+
+
+def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
+    """Raises ValueError if a collider belongs to a body that has no pose (an index would be clamped in silence)."""
+    for i, collider in enumerate(colliders):
+        if not 0 <= collider.body < num_bodies:
+            raise ValueError(
+                f"collider {i} belongs to body {collider.body}, but there are poses of {num_bodies} bodies: give "
+                "poses to all bodies, or the collider another body (they count from 0)"
+            )
+
+
+def shape_pose(collider: Collider, body: Pose) -> Pose:
+    """Pose of a collider's shape, given that of its body. Gradient: exact."""
+    return Pose(
+        body.position + jnp.matmul(body.rotation, collider.offset, precision="highest"),
+        jnp.matmul(body.rotation, collider.rotation, precision="highest"),
+    )
+
+
+def _start_and_motion(collider: Collider, before: Pose, after: Pose, dt: float) -> tuple[Pose, Motion]:
+    start = shape_pose(collider, before)
+    return start, chord_motion(start, shape_pose(collider, after), dt)
+
+
+def chord_motion(start: Pose, end: Pose, dt: float) -> Motion:
+    """The motion that takes each point of a body along a straight line from one pose to another. Gradient: exact."""
+    turn = jnp.matmul((end.rotation - start.rotation) / dt, start.rotation.T, precision="highest")
+    return Motion(turn, (end.position - start.position) / dt - jnp.matmul(turn, start.position, precision="highest"))
+
+
+def velocity_at(motion: Motion, position: Vec3) -> Vec3:
+    """Velocity of a body's points at the given nodes [m/s]. Gradient: exact with respect to the motion."""
+    x, y, z = linear_pass(_at_nodes, _at_nodes_transpose, None, position, tuple(motion))
+    return x, y, z
+
+
+def _at_nodes(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Affine functions M (x, y, z) + m of positions (..., n): M (..., k, 3), m (..., k) -> k arrays (..., n)."""
+    del static
+    x, y, z = residuals
+    matrix, offset = (a[..., None] for a in linear)
+    return tuple(
+        matrix[..., c, 0, :] * x + matrix[..., c, 1, :] * y + matrix[..., c, 2, :] * z + offset[..., c, :]
+        for c in range(offset.shape[-2])
+    )
+
+
+def _at_nodes_transpose(static: None, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """Sums over the nodes of cotangent times (x, y, z, 1)."""
+    del static
+    # One product of matrices whose rows are contiguous: many small ones, or sums by component, cost four times as much.
+    rows = materialize(jnp.stack([*residuals, jnp.ones_like(residuals[0])], axis=-2))
+    both = jnp.einsum("...kn,...cn->...kc", jnp.stack(cotangents, axis=-2), rows, precision="highest")
+    return both[..., :3], both[..., 3]
+
+
+def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:
+    """What Coulomb friction leaves of the tangential velocity: max(0, |u_t| + mu u_n) / |u_t|; 1 without contact."""
+    square = cp.dot(tangential, tangential)
+    rubs = (approach < 0) & (square > 1e-30)
+    length = jnp.sqrt(jnp.where(rubs, square, 1.0))
+    return jnp.where(rubs, jnp.maximum(length + friction * approach, 0.0) / length, 1.0)

@@ -1,0 +1,128 @@
+"""Contact of vertices with the ground and with moving shapes by penalty forces."""
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics.contact.colliders import Collider
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes.primitives import signed_distance_components
+from rewax.types import Array, Scalar
+
+
+@struct.dataclass
+class PenaltyContact(struct.Replaceable):
+    """How vertices are pushed out. Parameters are numbers, or arrays of shape (num_vertices,).
+
+    Attributes:
+      stiffness: normal force per penetration [N/m], > 0.
+      damping: normal force per approaching speed [N s/m], >= 0.
+      friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m], >= 0. Explicit
+        integration follows it up to about one vertex mass per dt; far above, sliding reverses at Coulomb's limit.
+      friction: Coulomb coefficient [-] of the ground, >= 0; colliders bring their own.
+      radius: a vertex touches when its distance is below this [m], >= 0.
+      onset: depth over which both dampings rise to their full value [m]; 0: at once.
+      depth_damping: normal force per depth and approaching speed, in addition [N s/m^2], >= 0 (Hunt and Crossley's
+        law: nothing sets in at a step).
+    """
+
+    stiffness: Scalar
+    damping: Scalar = 0.0
+    friction_damping: Scalar = 0.0
+    friction: Scalar = 0.0
+    radius: Scalar = 0.0
+    onset: Scalar = 0.0
+    depth_damping: Scalar = 0.0
+
+
+@struct.dataclass
+class Ground(struct.Replaceable):
+    """The half-space normal . x < height, which nothing enters.
+
+    Attributes:
+      normal: unit vector pointing out [-], shape (3,).
+      height: distance of its surface from the origin along the normal [m].
+    """
+
+    normal: Array
+    height: Scalar = 0.0
+
+
+def ground_force(ground: Ground, contact: PenaltyContact, x: Vec3, v: Vec3) -> Vec3:
+    """Force of the ground on vertices [N], see ``penalty_force``.
+
+    Args:
+      ground: the plane.
+      contact: the law.
+      x, v: positions [m] and velocities [m/s], components of shape (num_vertices,).
+    """
+    n = (ground.normal[0], ground.normal[1], ground.normal[2])
+    return penalty_force(contact, cp.dot(n, x) - ground.height, n, v, contact.friction)
+
+
+def collider_force(
+    collider: Collider, contact: PenaltyContact, x: Vec3, v: Vec3, before: Pose, after: Pose, dt: float
+) -> Vec3:
+    """Force of a moving shape on vertices [N], see ``penalty_force``.
+
+    Args:
+      collider: the shape and its friction; its softness does not count here.
+      contact: the law.
+      x, v: positions [m] and velocities [m/s], components of shape (num_vertices,).
+      before, after: pose of its body at the beginning and end of the substep, shapes (3,), (3, 3). Distance and normal
+        are those of the beginning; the velocity of the surface is where its point goes until the end.
+      dt: duration of the substep [s].
+
+    Gradient: exact with respect to positions, velocities, poses, sizes and parameters; see ``penalty_force``.
+    """
+    rotation = cp.split_matrix(before.rotation)
+    # Place relative to the shape, in its body's frame and in its own.
+    in_body = cp.matvec(cp.transpose(rotation), cp.vector(lambda i: x[i] - before.position[i]))
+    own = cp.split_matrix(collider.rotation)
+    local = cp.matvec(cp.transpose(own), cp.vector(lambda i: in_body[i] - collider.offset[i]))
+    distance, normal = signed_distance_components(collider.shape, local)
+    normal = cp.matvec(rotation, cp.matvec(own, normal))
+    # Differences of poses, not of places: the surface of a body at rest is at rest, to the last digit.
+    turned = cp.matvec(cp.split_matrix((after.rotation - before.rotation) / dt), in_body)
+    shift = (after.position - before.position) / dt
+    relative = cp.vector(lambda i: v[i] - turned[i] - shift[i])
+    return penalty_force(contact, distance, normal, relative, collider.friction)
+
+
+def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, velocity: Vec3, friction: Scalar) -> Vec3:
+    """Force on vertices near a surface [N], components.
+
+    With c = distance - radius < 0, v_n the normal and v_t the tangential velocity:
+    f = n f_n - v_t/|v_t| min(friction_damping |v_t|, friction |f_n|),
+    f_n = -stiffness c - (damping - depth_damping c) min(v_n, 0),
+    where damping and friction_damping are multiplied by min(-c / onset, 1).
+
+    Args:
+      contact: the law.
+      distance: signed distance from the surface [m].
+      normal: unit vectors pointing out of it [-], components.
+      velocity: of vertices relative to the surface [m/s], components.
+      friction: Coulomb coefficient [-].
+
+    Gradient: exact, zero-safe at rest. Without an onset, damping and friction set in where the vertex touches: a step
+      of height damping |v_n| that no derivative sees. At Coulomb's limit the derivative is that of sticking.
+    Source: NVIDIA Warp's contact of particles with the ground; damping by depth as in DiffRL's dflex.
+    """
+    c = distance - contact.radius
+    v_n = cp.dot(normal, velocity)
+    gradual = jnp.asarray(contact.onset) > 0
+    share = jnp.where(gradual, jnp.clip(-c / jnp.where(gradual, contact.onset, 1.0), 0.0, 1.0), 1.0)
+    damping = share * contact.damping - contact.depth_damping * c
+    push = jnp.where(c < 0, -contact.stiffness * c - damping * jnp.minimum(v_n, 0.0), 0.0)
+    v_t = cp.vector(lambda i: velocity[i] - v_n * normal[i])
+    limit = friction * push
+    square = cp.dot(v_t, v_t)
+    friction_damping = share * contact.friction_damping
+    slides = friction_damping * cp.safe_sqrt(square) > limit
+    speed = jnp.sqrt(jnp.where(slides, square, 1.0))
+    drag = jnp.where(slides, limit / speed, jnp.where(c < 0, friction_damping, 0.0))
+    return cp.vector(lambda i: push * normal[i] - drag * v_t[i])
+
+
+__all__ = ["Ground", "PenaltyContact", "collider_force", "ground_force", "penalty_force"]

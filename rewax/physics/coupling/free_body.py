@@ -1,0 +1,213 @@
+"""Rigid bodies that nothing but forces holds: their mass, motion and what they conserve.
+
+For boxes in water and blocks on dough. Bodies here do not touch each other or the walls; robots and contact between
+rigid bodies are the business of MuJoCo MJX.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.physics.contact.colliders import Motion
+from rewax.physics.numerics.checks import check_positive
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.numerics.rotations import quaternion_to_matrix, skew, turn_quaternion
+from rewax.physics.shapes.primitives import Box, Capsule, Cylinder, Shape, Sphere
+from rewax.types import Array, Scalar
+
+
+@struct.dataclass
+class Inertia(struct.Replaceable):
+    """Mass properties of bodies.
+
+    Attributes:
+      mass: [kg], shape (num_bodies,), > 0.
+      moment: moments and products of inertia about the centre of mass, in the body's frame [kg m^2], shape
+        (num_bodies, 3, 3), symmetric and positive definite.
+    """
+
+    mass: Array
+    moment: Array
+
+
+@struct.dataclass
+class FreeBodies(struct.Replaceable):
+    """Motion of bodies. The origin of a body's frame is its centre of mass.
+
+    Attributes:
+      position: centre of mass [m], shape (num_bodies, 3).
+      orientation: unit quaternion (w, x, y, z) from the body's frame to the world's, shape (num_bodies, 4).
+      velocity: of the centre of mass [m/s], shape (num_bodies, 3).
+      angular_velocity: in the world's frame [rad/s], shape (num_bodies, 3).
+    """
+
+    position: Array
+    orientation: Array
+    velocity: Array
+    angular_velocity: Array
+
+
+def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBodies:
+    """Bodies that do not move.
+
+    Args:
+      position: centres of mass [m], shape (num_bodies, 3).
+      orientation: unit quaternions (num_bodies, 4); None: not turned.
+
+    Raises:
+      ValueError: a position that is not of this shape (one body needs its axis too).
+    """
+    position = jnp.asarray(position)
+    position = position.astype(jnp.result_type(float, position))
+    if position.ndim != 2 or position.shape[-1] != 3:
+        raise ValueError(f"position has shape {position.shape}: give (num_bodies, 3), also for one body, [[x, y, z]]")
+    zeros = jnp.zeros_like(position)
+    if orientation is None:
+        orientation = jnp.concatenate([jnp.ones_like(zeros[:, :1]), zeros], axis=-1)
+    return FreeBodies(
+        position=position, orientation=jnp.asarray(orientation, position.dtype), velocity=zeros, angular_velocity=zeros
+    )
+
+
+def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
+    """Mass [kg], shape (), and moments of inertia [kg m^2], shape (3, 3), of a homogeneous body.
+
+    Args:
+      shape: box, sphere, cylinder or capsule, in its own frame.
+      density: [kg/m^3], > 0.
+
+    Raises:
+      ValueError: another shape, or a density that is not positive.
+
+    Gradient: exact.
+    """
+    check_positive("density", density, "give the body's density in kg/m^3")
+    match shape:
+        case Box():
+            a, b, c = (2.0 * shape.half_size[..., i] for i in range(3))
+            mass = density * a * b * c
+            return mass, jnp.diag(jnp.stack([b * b + c * c, a * a + c * c, a * a + b * b])) * (mass / 12.0)
+        case Sphere():
+            mass = density * (4.0 / 3.0) * np.pi * shape.radius**3
+            return mass, jnp.eye(3) * (0.4 * mass * shape.radius**2)
+        case Cylinder():
+            mass, along, across = _cylinder(shape.radius, 2.0 * shape.half_length, density)
+            return mass, jnp.diag(jnp.stack([across, along, across]))
+        case Capsule():
+            r, h = shape.radius, shape.half_length
+            tube, along, across = _cylinder(r, 2.0 * h, density)
+            ball = density * (4.0 / 3.0) * np.pi * r**3
+            # Each cap's centre of mass lies 3/8 r beyond the tube's end.
+            across = across + ball * (0.4 * r * r + h * h + 0.75 * h * r)
+            along = along + 0.4 * ball * r * r
+            return tube + ball, jnp.diag(jnp.stack([across, along, across]))
+    raise ValueError(
+        f"shape is {shape!r}: mass and inertia are known of Box, Sphere, Cylinder and Capsule; give Inertia yourself"
+    )
+
+
+def _cylinder(radius: Scalar, length: Scalar, density: Scalar) -> tuple[Array, Array, Array]:
+    """Mass, and moments of inertia about the axis and across it."""
+    mass = jnp.asarray(density * np.pi * radius**2 * length)
+    return mass, 0.5 * mass * radius**2, mass * (3.0 * radius**2 + length**2) / 12.0
+
+
+def inertia_of(shapes: tuple[Shape, ...], density: Scalar) -> Inertia:
+    """``solid`` of several homogeneous bodies, one of each shape."""
+    masses, moments = zip(*(solid(shape, density) for shape in shapes), strict=True)
+    return Inertia(mass=jnp.stack([jnp.asarray(m) for m in masses]), moment=jnp.stack(moments))
+
+
+def poses(bodies: FreeBodies) -> Pose:
+    """Where the bodies are, shapes (num_bodies, 3), (num_bodies, 3, 3). Gradient: exact."""
+    return Pose(bodies.position, quaternion_to_matrix(bodies.orientation))
+
+
+def motions(bodies: FreeBodies) -> Motion:
+    """Velocity fields of the bodies, shapes (num_bodies, 3, 3), (num_bodies, 3). Gradient: exact."""
+    turn = skew(bodies.angular_velocity)
+    return Motion(turn, bodies.velocity - jnp.einsum("bij,bj->bi", turn, bodies.position, precision="highest"))
+
+
+def world_moment(bodies: FreeBodies, inertia: Inertia) -> Array:
+    """Moments of inertia along the world's axes [kg m^2], shape (num_bodies, 3, 3). Gradient: exact."""
+    R = quaternion_to_matrix(bodies.orientation)
+    return jnp.einsum("bij,bjk,blk->bil", R, inertia.moment, R, precision="highest")
+
+
+def push(bodies: FreeBodies, inertia: Inertia, impulse: Array, angular_impulse: Array) -> FreeBodies:
+    """Bodies after an impulse.
+
+    Args:
+      bodies: before.
+      inertia: their mass properties.
+      impulse: [kg m/s], shape (num_bodies, 3).
+      angular_impulse: about the centre of mass [kg m^2/s], shape (num_bodies, 3).
+
+    Linear and angular momentum change by what is given. Gradient: exact.
+    """
+    return bodies.replace(
+        velocity=bodies.velocity + impulse / inertia.mass[:, None],
+        angular_velocity=bodies.angular_velocity + solve3(world_moment(bodies, inertia), angular_impulse),
+    )
+
+
+def move(bodies: FreeBodies, inertia: Inertia, dt: Scalar) -> FreeBodies:
+    """Bodies after a time dt [s] without forces; linear and angular momentum stay. Gradient: exact.
+
+    The angular velocity changes as the moments of inertia turn with the body: I' w' = I w.
+    """
+    moved = bodies.replace(
+        position=bodies.position + dt * bodies.velocity,
+        orientation=turn_quaternion(bodies.orientation, bodies.angular_velocity, dt),
+    )
+    moment = world_moment(moved, inertia)
+    # As a change: the spin of a body that hardly turns does not pass through a solution of equations.
+    lost = _matvec(world_moment(bodies, inertia) - moment, bodies.angular_velocity)
+    return moved.replace(angular_velocity=bodies.angular_velocity + solve3(moment, lost))
+
+
+def momentum(bodies: FreeBodies, inertia: Inertia) -> Array:
+    """Linear momentum of all bodies [kg m/s], shape (3,). Gradient: exact."""
+    return jnp.sum(inertia.mass[:, None] * bodies.velocity, axis=0)
+
+
+def angular_momentum(
+    bodies: FreeBodies, inertia: Inertia, about: Array | tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Array:
+    """Angular momentum of all bodies about a point [kg m^2/s], shape (3,). Gradient: exact."""
+    arm = bodies.position - jnp.asarray(about, bodies.position.dtype)
+    orbital = inertia.mass[:, None] * jnp.cross(arm, bodies.velocity)
+    return jnp.sum(orbital + _matvec(world_moment(bodies, inertia), bodies.angular_velocity), axis=0)
+
+
+def kinetic_energy(bodies: FreeBodies, inertia: Inertia) -> Array:
+    """[J], shape (). Gradient: exact."""
+    spin = _matvec(world_moment(bodies, inertia), bodies.angular_velocity)
+    linear = jnp.sum(inertia.mass * jnp.sum(bodies.velocity**2, axis=-1))
+    return 0.5 * (linear + jnp.sum(bodies.angular_velocity * spin))
+
+
+def solve3(a: Array, b: Array) -> Array:
+    """a^-1 b for symmetric positive definite matrices (..., 3, 3) and vectors (..., 3) or matrices (..., 3, k).
+
+    L D L^T written out: a batch of LAPACK calls costs more than the arithmetic, and cofactors lose all digits of badly
+    conditioned matrices. Gradient: exact.
+    """
+    if b.ndim == a.ndim:
+        return jnp.moveaxis(solve3(a[..., None, :, :], jnp.moveaxis(b, -1, -2)), -2, -1)
+    d0 = a[..., 0, 0]
+    l1, l2 = a[..., 1, 0] / d0, a[..., 2, 0] / d0
+    d1 = a[..., 1, 1] - l1 * a[..., 1, 0]
+    m = a[..., 2, 1] - l2 * a[..., 1, 0]
+    l3 = m / d1
+    d2 = a[..., 2, 2] - l2 * a[..., 2, 0] - l3 * m
+    y0 = b[..., 0]
+    y1 = b[..., 1] - l1 * y0
+    z = (b[..., 2] - l2 * y0 - l3 * y1) / d2
+    y = y1 / d1 - l3 * z
+    return jnp.stack([y0 / d0 - l1 * y - l2 * z, y, z], axis=-1)
+
+
+def _matvec(a: Array, b: Array) -> Array:
+    return jnp.einsum("...ij,...j->...i", a, b, precision="highest")

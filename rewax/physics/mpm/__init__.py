@@ -1,0 +1,28 @@
+"""The moving least squares material point method."""
+
+from rewax.physics.mpm import invariants
+from rewax.physics.mpm.active_nodes import count_nodes
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.laws import TAIT_EXPONENT, Elasticity, Plasticity
+from rewax.physics.mpm.materials import Material, sound_speed
+from rewax.physics.mpm.memory import predict_peak_bytes
+from rewax.physics.mpm.scene import (
+    STABLE_COURANT_NUMBER,
+    MPMScene,
+    MPMState,
+    check_placement,
+    initial_state,
+    largest_stable_dt,
+    make_scene,
+    particle_mass,
+)
+from rewax.physics.mpm.step import check_status, deform, step, substep
+from rewax.physics.mpm.walls import Wall, WallKind, Walls
+from rewax.physics.numerics.pose import static_poses
+
+__all__ = [
+    "STABLE_COURANT_NUMBER", "TAIT_EXPONENT", "Elasticity", "Grid", "MPMScene", "MPMState", "Material",
+    "Plasticity", "Wall", "WallKind", "Walls", "check_placement", "check_status", "count_nodes", "deform",
+    "initial_state", "invariants", "largest_stable_dt", "make_scene", "particle_mass", "predict_peak_bytes",
+    "sound_speed", "static_poses", "step", "substep",
+]  # fmt: skip

@@ -1,0 +1,303 @@
+"""What a simulation is made of: particles, and the scene that does not change; checked when they are built."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from rewax import struct
+from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.laws import MAX_HARDENING, Plasticity
+from rewax.physics.mpm.materials import Material, check_material, sound_speed
+from rewax.physics.mpm.walls import Walls
+from rewax.physics.numerics.checks import check_positive
+from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.shapes.primitives import signed_distance
+from rewax.types import Array, Scalar
+
+STABLE_COURANT_NUMBER = 0.5
+"""Largest tested-stable ratio of substep to the time sound takes through a cell; see ``largest_stable_dt``."""
+STABLE_DIFFUSION_NUMBER = 0.2
+"""Largest tested-stable viscosity dt / (density spacing^2)."""
+
+
+@struct.dataclass
+class MPMState(struct.Replaceable):
+    """Particles.
+
+    Attributes:
+      x: position [m], shape (num_particles, 3).
+      v: velocity [m/s], shape (num_particles, 3).
+      C: affine velocity field around each particle [1/s], shape (num_particles, 3, 3).
+      F: trial elastic deformation gradient [-], shape (num_particles, 3, 3): the next substep's return map is still
+        to be applied.
+      plastic_volume: volume ratio of all plastic flow so far [-], shape (num_particles,), if a material of the scene
+        remembers it, else None.
+    """
+
+    x: Array
+    v: Array
+    C: Array
+    F: Array
+    plastic_volume: Array | None = None
+
+
+@struct.dataclass
+class MPMScene(struct.Replaceable):
+    """Everything of a simulation that does not change with time; build it with ``make_scene``, which checks it.
+
+    Attributes:
+      grid: the nodes (static).
+      dt: duration of a substep [s] (static).
+      material: what the particles are made of; several, if they are of different kinds.
+      particle_counts: with several materials, how many particles are of each, in their order (static).
+      particle_volume: rest volume of each particle [m^3], shape () or (num_particles,).
+      gravity: acceleration [m/s^2], shape (3,).
+      colliders: moving shapes.
+      overlap: how several colliders act on one node (static).
+      max_near_colliders: how many colliders of each run of one kind are evaluated, None for all (static).
+      walls: the sides of the box.
+      max_active_nodes: how many nodes can have a velocity in a step, None for all (static).
+    """
+
+    grid: Grid = struct.static_field()
+    dt: float = struct.static_field()
+    material: Material | tuple[Material, ...]
+    particle_volume: Scalar
+    gravity: Array
+    particle_counts: tuple[int, ...] | None = struct.static_field(default=None)
+    colliders: tuple[Collider, ...] = ()
+    walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))
+    max_active_nodes: int | None = struct.static_field(default=None)
+    overlap: Overlap = struct.static_field(default=Overlap.SEQUENTIAL)
+    max_near_colliders: int | None = struct.static_field(default=None)
+
+
+def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
+    """Undeformed particles at rest.
+
+    Args:
+      x: positions [m], shape (num_particles, 3).
+      scene: what they are made of and where; needed where a material remembers its plastic flow (snow).
+
+    Raises:
+      ValueError: particles outside the scene's box, or another number of them than its ``particle_counts`` say. Inside
+        ``jit`` (traced values) the box is not checked; ``check_status`` tells of it.
+    """
+    x = jnp.asarray(x)
+    if scene is not None:
+        _check_box(scene.grid, x)
+        _check_counts(scene, x.shape[0])
+    zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)
+    remembers = scene is not None and any(m.remembers for m in materials_of(scene))
+    return MPMState(
+        x=x,
+        v=jnp.zeros_like(x),
+        C=zeros,
+        F=zeros + jnp.eye(3, dtype=x.dtype),
+        plastic_volume=jnp.ones(x.shape[0], x.dtype) if remembers else None,
+    )
+
+
+def make_scene(
+    *,
+    grid: Grid,
+    dt: float,
+    material: Material | tuple[Material, ...],
+    particle_volume: Scalar,
+    particle_counts: tuple[int, ...] | None = None,
+    gravity: Any = (0.0, -9.81, 0.0),
+    colliders: tuple[Collider, ...] = (),
+    walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None)),
+    max_active_nodes: int | None = None,
+    overlap: Overlap = Overlap.SEQUENTIAL,
+    max_near_colliders: int | None = None,
+) -> MPMScene:
+    """A checked ``MPMScene``; arguments are its fields.
+
+    ``max_active_nodes`` makes memory and grid work of a step grow with the body instead of the box: nodes have a
+    place only where particles can be while none moves by more than a cell within a step (not substep). It pays where
+    a body fills little of its box; ``check_status`` tells when it was chosen too small.
+
+    ``max_near_colliders`` pays with many colliders (20 capsules, 3 of them near: 1.5 times as fast): of neighbours in
+    the tuple with shapes of one kind only so many are evaluated, those nearest to the particles. With
+    the step's poses ``check_status`` tells when more were near. The two-way ``coupling`` evaluates all.
+
+    Raises:
+      ValueError: a modulus, density, yield stress or volume that is not positive, a Poisson's ratio outside (-1, 0.5),
+        a dt that is not positive or above ``largest_stable_dt``. The message names field, value and remedy. Inside
+        ``jit`` (traced values) only static fields can be checked.
+    """
+    materials = material if isinstance(material, tuple) else (material,)
+    for one in materials:
+        check_material(one)
+    if (particle_counts is None) != isinstance(material, Material) or len(particle_counts or (0,)) != len(materials):
+        raise ValueError(
+            f"particle_counts is {particle_counts} with {len(materials)} materials: give a tuple of materials and how "
+            "many particles are of each, in their order; or one material and no particle_counts"
+        )
+    check_positive(
+        "particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3"
+    )
+    check_positive("dt", dt, "give the duration of a substep in seconds")
+    _check_max_active_nodes(max_active_nodes)
+    if max_near_colliders is not None and max_near_colliders < 1:
+        raise ValueError(f"max_near_colliders is {max_near_colliders}: give at least 1, or None for all")
+    for one in materials:
+        limit = largest_stable_dt(one, grid)
+        if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
+            raise ValueError(
+                f"dt is {dt:g} s, above the largest stable {float(np.min(limit)):.3g} s for this material on a grid of "
+                f"spacing {grid.spacing:g} m: take more substeps of smaller dt, a softer, denser or less viscous "
+                "material, or a coarser grid"
+            )
+    return MPMScene(
+        grid=grid,
+        dt=float(dt),
+        material=material,
+        particle_volume=particle_volume,
+        particle_counts=None if particle_counts is None else tuple(int(n) for n in particle_counts),
+        gravity=jnp.asarray(gravity),
+        colliders=colliders,
+        walls=walls,
+        max_active_nodes=max_active_nodes,
+        overlap=overlap,
+        max_near_colliders=max_near_colliders,
+    )
+
+
+def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -> Scalar:
+    """Largest substep [s] at which the explicit integration stays stable.
+
+    The smaller of 0.5 spacing / (sound speed + max_speed) and, if viscous, 0.2 density spacing^2 / viscosity.
+    Both factors are measured, over 2000 substeps of blocks at rest or with random velocities. Elastic ones of two to
+    eight particles per cell, random and regular, blow up between 0.7 of the time that sound takes through a cell (two
+    random particles per cell, nu 0.45, initial velocities of 5 % of the speed of sound) and 1.2 (eight regular ones, nu
+    0.2), nearly whatever the law; viscous ones, fluid or solid, of one to eight particles per cell at up to 0.5 of it,
+    between 0.25 and 0.6 of density spacing^2 / viscosity. Snow counts as hard as it can become. Strong compression
+    makes sound faster (in Tait's fluid by J^-4): it needs a margin of its own.
+
+    Args:
+      material: its stiffness, viscosity and density.
+      grid: its spacing.
+      max_speed: largest particle speed expected [m/s].
+
+    Gradient: exact.
+    """
+    speed = sound_speed(material)
+    if material.plasticity is Plasticity.SNOW:
+        speed = speed * MAX_HARDENING**0.5
+    limit = STABLE_COURANT_NUMBER * grid.spacing / (speed + max_speed)
+    if material.viscosity is None:
+        return limit
+    diffusivity = material.viscosity / (STABLE_DIFFUSION_NUMBER * material.density * grid.spacing**2)
+    return 1.0 / jnp.maximum(1.0 / limit, diffusivity)
+
+
+def materials_of(scene: MPMScene) -> tuple[Material, ...]:
+    return scene.material if isinstance(scene.material, tuple) else (scene.material,)
+
+
+def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], particles: Any) -> Any:
+    """``function(material, particles)``, for each material with its own part of the particles.
+
+    Args:
+      scene: its materials and ``particle_counts``.
+      function: from a material and a pytree of arrays of its particles to a pytree of arrays of these particles.
+      particles: pytree of arrays with a first axis over all particles.
+
+    Returns:
+      The results for all particles, in their order.
+    """
+    if isinstance(scene.material, Material):
+        return function(scene.material, particles)
+    counts = scene.particle_counts
+    assert counts is not None
+    _check_counts(scene, jax.tree.leaves(particles)[0].shape[0])
+    results, start = [], 0
+    for material, count in zip(scene.material, counts, strict=True):
+        part = slice(start, start + count)
+        results.append(function(material, jax.tree.map(lambda a, part=part: a[part], particles)))
+        start += count
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *results)
+
+
+def particle_mass(scene: MPMScene, x: Array) -> Array:
+    """Mass of each of the particles at x [kg], any array with one entry per particle; shape (num_particles,).
+
+    Gradient: exact with respect to volume and densities.
+    """
+    density = per_material(scene, lambda m, a: jnp.broadcast_to(m.density, a.shape[:1]).astype(a.dtype), x)
+    return jnp.broadcast_to(scene.particle_volume * density, x.shape[:1]).astype(x.dtype)
+
+
+def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None, *, tolerance: float | None = None):
+    """Whether particles begin where they can: inside the box, and not inside a collider.
+
+    Args:
+      scene: the scene.
+      state: particles at the start.
+      bodies: poses of the bodies that carry the colliders, (num_bodies, 3), (num_bodies, 3, 3); None: all unturned at
+        the origin.
+      tolerance: how deep particles may lie inside a collider [m]; None: half the grid's spacing. (Contact acts on
+        nodes: bodies that touch overlap by a fraction of a cell.)
+
+    Raises:
+      ValueError: otherwise, naming the collider and the depth. Not for use inside ``jit``.
+    """
+    _check_box(scene.grid, state.x)
+    _check_counts(scene, state.x.shape[0])
+    if bodies is not None:
+        check_bodies(scene.colliders, len(bodies.position))
+    tolerance = 0.5 * scene.grid.spacing if tolerance is None else tolerance
+    for i, collider in enumerate(scene.colliders):
+        body = Pose(jnp.zeros(3), jnp.eye(3)) if bodies is None else body_pose(bodies, collider.body)
+        pose = shape_pose(collider, body)
+        local = jnp.matmul(state.x - pose.position, pose.rotation, precision="highest")
+        depth = -np.asarray(signed_distance(collider.shape, local)[0])
+        if (depth > tolerance).any():
+            raise ValueError(
+                f"{int(np.sum(depth > tolerance))} particles lie up to {depth.max():.3g} m inside collider {i} "
+                f"({type(collider.shape).__name__}): move it or the particles apart, or allow a larger tolerance than "
+                f"{tolerance:.3g} m"
+            )
+
+
+def _check_box(grid: Grid, x: Array) -> None:
+    if isinstance(x, Tracer):
+        return
+    positions = np.asarray(x)
+    lower, upper = np.asarray(grid.lower), np.asarray(grid.upper)
+    slack = 1e-6 * grid.spacing * max(grid.shape)
+    outside = ~((positions >= lower - slack) & (positions <= upper + slack)).all(axis=-1)
+    if outside.any():
+        first = int(np.argmax(outside))
+        raise ValueError(
+            f"{int(outside.sum())} particles lie outside the box from {_vector(lower)} to {_vector(upper)} m that the "
+            f"grid leaves them, the first, number {first}, at {_vector(positions[first])}: move them, or give the "
+            "grid another origin or more nodes"
+        )
+
+
+def _check_counts(scene: MPMScene, num_particles: int) -> None:
+    counts = scene.particle_counts
+    if counts is not None and sum(counts) != num_particles:
+        raise ValueError(
+            f"particle_counts is {counts}, in sum {sum(counts)}, but there are {num_particles} particles: "
+            "make both agree"
+        )
+
+
+def _vector(a: np.ndarray) -> str:
+    return "(" + ", ".join(f"{float(c):.4g}" for c in a) + ")"
+
+
+def _check_max_active_nodes(max_active_nodes: int | None) -> None:
+    if max_active_nodes is not None and max_active_nodes < 27:
+        raise ValueError(
+            f"max_active_nodes is {max_active_nodes}: give at least the 27 that one particle touches, or None for all"
+        )

@@ -1,0 +1,49 @@
+"""Quadratic B-splines: the weights with which particles and grid nodes exchange mass and momentum."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from rewax.physics.numerics.materialize import materialize
+from rewax.types import Array
+
+
+class Stencil(NamedTuple):
+    """The three nodes along one axis that a particle touches."""
+
+    base: Array
+    """Index of the lowest node, int32."""
+    weights: tuple[Array, Array, Array]
+    """Weight of each node [-]; they sum to one."""
+    slopes: tuple[Array, Array, Array]
+    """Derivative of each weight by the particle's position [1/m]."""
+    offsets: tuple[Array, Array, Array]
+    """Node position minus particle position [m]."""
+
+
+def quadratic_bspline(x: Array, *, origin: float, spacing: float, num_nodes: int) -> Stencil:
+    """Quadratic B-spline stencil along one axis.
+
+    With f the distance to the lowest node in cells, in [0.5, 1.5): w0 = (1.5 - f)^2 / 2, w1 = 3/4 - (f - 1)^2,
+    w2 = (f - 0.5)^2 / 2. A particle outside the nodes keeps a stencil inside them (its weights are then meaningless
+    and ``Status.OUT_OF_DOMAIN`` is set by the step).
+
+    Args:
+      x: particle coordinate along this axis [m], any shape.
+      origin: coordinate of node 0 [m].
+      spacing: distance of neighbouring nodes [m].
+      num_nodes: nodes along this axis.
+
+    Gradient: none here; the transfers have theirs by hand.
+    Source: Jiang et al. 2016, MPM course notes, eq. 123.
+    """
+    cells = (x - origin) * (1.0 / spacing)
+    # Stored before its users: a compiler that computes it twice, once rounding otherwise, puts a particle midway
+    # between two nodes onto two different stencils.
+    base = materialize(jnp.clip(jnp.floor(cells - 0.5).astype(jnp.int32), 0, num_nodes - 3))
+    f = cells - base.astype(x.dtype)
+    weights = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)
+    inv = 1.0 / spacing
+    slopes = (-(1.5 - f) * inv, -2.0 * (f - 1.0) * inv, (f - 0.5) * inv)
+    offsets = (-f * spacing, (1.0 - f) * spacing, (2.0 - f) * spacing)
+    return Stencil(base, weights, slopes, offsets)

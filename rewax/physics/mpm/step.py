@@ -1,0 +1,303 @@
+"""The moving least squares material point method: substep, step, status.
+
+One substep: return map and stress, particle to grid, gravity and contact on the grid, grid to particle. A step is a
+``scan`` of substeps in which the backward pass recomputes instead of storing, so memory grows with the number of
+stored substeps and not with their grids.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax.physics.contact.broad_phase import count_excess, near_colliders
+from rewax.physics.contact.colliders import Collider, apply_colliders, check_bodies
+from rewax.physics.mpm.active_nodes import REACH, ActiveNodes, all_nodes, count_nodes, list_nodes
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.materials import Material, Response, respond
+from rewax.physics.mpm.scene import (
+    STABLE_COURANT_NUMBER,
+    MPMScene,
+    MPMState,
+    check_placement,
+    initial_state,
+    largest_stable_dt,
+    make_scene,
+    particle_mass,
+    per_material,
+)
+from rewax.physics.mpm.transfer import GridFields, grid_to_particle, particle_to_grid
+from rewax.physics.mpm.walls import apply_walls
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.numerics.recompute import recomputed, scan_substeps
+from rewax.status import Status, all_finite, flag
+from rewax.types import Array
+
+MIN_NODE_MASS = 1e-15
+"""Nodes with less mass than this [kg] have velocity zero."""
+
+
+class Particles(NamedTuple):
+    """``MPMState`` by components, as the inner loop wants it."""
+
+    x: Vec3
+    v: Vec3
+    C: Mat3
+    F: Mat3
+    plastic_volume: Array | None
+
+
+def substep(
+    scene: MPMScene, state: MPMState, before: Pose, after: Pose, *, nodes: ActiveNodes | None = None
+) -> MPMState:
+    """One substep of duration ``scene.dt``.
+
+    Args:
+      scene: the scene.
+      state: particles.
+      before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
+      nodes: those that take part, if they are known from the step's start (``nodes_of_step``); None: found here.
+
+    Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
+    Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
+    """
+    check_bodies(scene.colliders, before.position.shape[0])
+    nodes = nodes_of_step(scene, state.x) if nodes is None else nodes
+    return join(_recomputed_substep(scene, nodes, split(state), (before, after)))
+
+
+def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
+    """As many substeps as ``poses`` has intervals.
+
+    Args:
+      scene: the scene.
+      state: particles.
+      poses: poses of all bodies at the num_substeps + 1 boundaries of substeps, shapes (num_substeps + 1, num_bodies,
+        3) and (num_substeps + 1, num_bodies, 3, 3); see ``static_poses`` for a scene without bodies.
+      store_every: how the backward pass gets its intermediate values. A number k, which must divide the number of
+        substeps: particles are stored every k substeps and everything else is recomputed (k = 1 recomputes each
+        substep once; larger k stores less and recomputes twice). None: everything is stored, fastest and largest.
+
+    Gradient: exact, as for ``substep``.
+    """
+    check_bodies(scene.colliders, poses.position.shape[1])
+    nodes = nodes_of_step(scene, state.x)
+    one = _substep if store_every is None else _recomputed_substep
+
+    def body(particles: Particles, interval: tuple[Pose, Pose]) -> Particles:
+        return one(scene, nodes, particles, interval)
+
+    return join(scan_substeps(body, split(state), poses, store_every))
+
+
+def check_status(
+    scene: MPMScene, state: MPMState, *, start: MPMState | None = None, poses: Pose | None = None
+) -> Array:
+    """Status bits of a state: non-finite numbers, particles at the box's border, inverted, or too fast.
+
+    Args:
+      scene: the scene.
+      state: particles at the end of a step.
+      start: particles at its beginning, to also tell whether the scene's ``max_active_nodes`` sufficed.
+      poses: of its bodies, as for ``step``, to also tell whether its ``max_near_colliders`` sufficed; needs ``start``.
+        Not for coupled scenes, which evaluate all colliders.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
+    state = jax.lax.stop_gradient(state)
+    lower, upper = _bounds(scene.grid, state.x.dtype)
+    at_border = jnp.any((state.x <= lower) | (state.x >= upper))
+    too_fast = jnp.any(jnp.abs(state.v) * scene.dt > scene.grid.spacing)
+    inverted = jnp.any(cp.det(cp.split_matrix(state.F)) <= 0.0)
+    status = (
+        flag(~all_finite(state), Status.NAN)
+        | flag(at_border, Status.OUT_OF_DOMAIN)
+        | flag(too_fast, Status.CFL)
+        | flag(inverted, Status.INVERTED)
+    )
+    before = state.x if start is None else jax.lax.stop_gradient(start).x
+    if poses is not None and scene.max_near_colliders is not None:
+        if start is None:
+            raise ValueError("start is None: give the particles at the beginning of the step that poses belong to")
+        both = jnp.concatenate([state.x, before])
+        # Nodes with mass are at most 1.5 cells away from a particle, which may have been a cell further in between.
+        lower, upper = (
+            jnp.min(both, axis=0) - 2.5 * scene.grid.spacing,
+            jnp.max(both, axis=0) + 2.5 * scene.grid.spacing,
+        )
+        excess = count_excess(scene.colliders, poses, lower, upper, scene.max_near_colliders)
+        status = status | flag(excess > 0, Status.FAR_COLLIDERS)
+    if start is not None and scene.max_active_nodes is not None:
+        too_few = count_nodes(scene.grid, before) > scene.max_active_nodes
+        too_far = jnp.any(jnp.abs(state.x - before) > REACH * scene.grid.spacing)
+        status = status | flag(too_few | too_far, Status.INACTIVE_NODES)
+    return status
+
+
+def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
+    """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
+    response = _respond(scene, split(state))
+    return cp.join_matrix(response.F), cp.join_matrix(response.stress)
+
+
+# --- One substep, by components --------------------------------------------------------------------------------------
+
+
+def _substep(scene: MPMScene, nodes: ActiveNodes, particles: Particles, interval: tuple[Pose, Pose]) -> Particles:
+    # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
+    particles = materialize(particles)
+    response, fields = to_nodes(scene, nodes, particles)
+    with jax.named_scope("grid"):
+        velocity = grid_velocity(scene, nodes, fields, *interval)
+    return from_nodes(scene, nodes, particles.x, response, velocity)
+
+
+def to_nodes(scene: MPMScene, nodes: ActiveNodes, particles: Particles) -> tuple[Response, GridFields]:
+    """First half of a substep: what the material answers, and mass and momentum on the nodes.
+
+    Gradient: exact.
+    """
+    x, v, C, _, _ = particles
+    grid, dt = scene.grid, scene.dt
+    mass = particle_mass(scene, x[0])
+    impulse = -dt * _inertia(grid) * scene.particle_volume
+    with jax.named_scope("law"):
+        response = materialize(_respond(scene, particles))
+        affine = cp.matrix(lambda i, j: impulse * response.stress[i][j] + mass * C[i][j])
+    with jax.named_scope("particle_to_grid"):
+        momentum = cp.vector(lambda i: mass * v[i])
+        return response, particle_to_grid(grid, x, mass, momentum, affine, active=_active(scene, nodes))
+
+
+def from_nodes(scene: MPMScene, nodes: ActiveNodes, x: Vec3, response: Response, velocity: Vec3) -> Particles:
+    """Second half of a substep: particles moved and deformed by the velocities of the nodes [m/s].
+
+    Gradient: exact.
+    """
+    grid, dt, F = scene.grid, scene.dt, response.F
+    with jax.named_scope("grid_to_particle"):
+        v, moment = materialize(grid_to_particle(grid, x, velocity, active=_active(scene, nodes)))
+    with jax.named_scope("update"):
+        C = cp.matrix(lambda i, j: _inertia(grid) * moment[i][j])
+        CF = cp.matmul(C, F)
+        F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
+        lower, upper = grid.lower, grid.upper
+        x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
+    return Particles(x, v, C, F_trial, response.plastic_volume)
+
+
+def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, before: Pose, after: Pose) -> Vec3:
+    """Velocities of the given nodes [m/s] after gravity, colliders and walls, components of shape (num_nodes,).
+
+    Gradient: exact with respect to fields, poses and every leaf of the scene.
+    """
+    has_mass, velocity = free_velocity(scene, fields)
+    velocity = apply_colliders(
+        _colliders(scene, nodes, has_mass, before, after), nodes.position, velocity, scene.dt, overlap=scene.overlap
+    )
+    velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
+    return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
+
+
+def _colliders(
+    scene: MPMScene, nodes: ActiveNodes, has_mass: Array, before: Pose, after: Pose
+) -> list[tuple[Collider, Pose, Pose]]:
+    """The colliders that are evaluated, with their bodies' poses."""
+    if scene.max_near_colliders is None or len(scene.colliders) <= scene.max_near_colliders:
+        return [(c, body_pose(before, c.body), body_pose(after, c.body)) for c in scene.colliders]
+    lower, upper = (
+        jnp.stack([reduce(jnp.where(has_mass, a, far)) for a in nodes.position])
+        for reduce, far in ((jnp.min, jnp.inf), (jnp.max, -jnp.inf))
+    )
+    return near_colliders(scene.colliders, before, after, lower, upper, scene.max_near_colliders)
+
+
+def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
+    """Which nodes have mass, and the velocity of nodes [m/s] after gravity, before any contact. Gradient: exact."""
+    has_mass = fields.mass > MIN_NODE_MASS
+    inverse = jnp.where(has_mass, 1.0 / jnp.where(has_mass, fields.mass, 1.0), 0.0)
+    return has_mass, cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
+
+
+def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
+    """The nodes that take part in the step that starts at positions x (num_particles, 3)."""
+    if scene.max_active_nodes is None:
+        return all_nodes(scene.grid, x.dtype)
+    return list_nodes(scene.grid, x, scene.max_active_nodes)
+
+
+def split(state: MPMState) -> Particles:
+    """Components of a state."""
+    return Particles(
+        cp.split_vector(state.x),
+        cp.split_vector(state.v),
+        cp.split_matrix(state.C),
+        cp.split_matrix(state.F),
+        state.plastic_volume,
+    )
+
+
+def join(p: Particles) -> MPMState:
+    """Inverse of ``split``."""
+    return MPMState(
+        x=cp.join_vector(p.x),
+        v=cp.join_vector(p.v),
+        C=cp.join_matrix(p.C),
+        F=cp.join_matrix(p.F),
+        plastic_volume=p.plastic_volume,
+    )
+
+
+def _respond(scene: MPMScene, particles: Particles) -> Response:
+    def one(material: Material, p: Particles) -> Response:
+        response = respond(material, p.F, velocity_gradient=p.C, plastic_volume=p.plastic_volume)
+        # Beside snow, others keep the number that they do not use.
+        return response if material.remembers else response._replace(plastic_volume=p.plastic_volume)
+
+    return per_material(scene, one, particles)
+
+
+_recomputed_substep = recomputed(_substep)
+
+
+def _active(scene: MPMScene, nodes: ActiveNodes) -> ActiveNodes | None:
+    return None if scene.max_active_nodes is None else nodes
+
+
+def _inertia(grid: Grid) -> float:
+    """Inverse of the second moment of quadratic B-splines [1/m^2]."""
+    return 4.0 / grid.spacing**2
+
+
+def _bounds(grid: Grid, dtype: Any) -> tuple[Array, Array]:
+    return jnp.asarray(grid.lower, dtype), jnp.asarray(grid.upper, dtype)
+
+
+__all__ = [
+    "MIN_NODE_MASS",
+    "STABLE_COURANT_NUMBER",
+    "MPMScene",
+    "MPMState",
+    "Particles",
+    "check_placement",
+    "check_status",
+    "deform",
+    "free_velocity",
+    "from_nodes",
+    "grid_velocity",
+    "initial_state",
+    "join",
+    "largest_stable_dt",
+    "make_scene",
+    "nodes_of_step",
+    "particle_mass",
+    "per_material",
+    "split",
+    "step",
+    "substep",
+    "to_nodes",
+]

@@ -1,0 +1,94 @@
+"""The sides of the box, as conditions on grid velocities."""
+
+import enum
+import math
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics.contact.colliders import friction_factor
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.types import Array, Scalar
+
+
+class WallKind(enum.Enum):
+    """What a wall does to the velocity of the nodes behind it."""
+
+    STICKY = "sticky"
+    """Velocity is zero."""
+    SLIP = "slip"
+    """The component along the normal is zero, in both directions."""
+    SEPARATING = "separating"
+    """Only motion into the wall is stopped, with Coulomb friction; nodes may leave freely."""
+    GRIPPING = "gripping"
+    """Nodes that move into the wall stop altogether, others may leave: separating with unlimited friction."""
+
+
+@struct.dataclass
+class Wall:
+    """A plane of the grid's box, in metres: nodes beyond ``position`` obey the wall.
+
+    Attributes:
+      position: coordinate of the wall along its axis [m] (static).
+      kind: what it does (static).
+      friction: Coulomb coefficient [-], used by ``SEPARATING`` walls.
+    """
+
+    position: float = struct.static_field()
+    kind: WallKind = struct.static_field(default=WallKind.SEPARATING)
+    friction: Scalar = 0.0
+
+
+@struct.dataclass
+class Walls:
+    """The six sides of the box; None leaves a side open."""
+
+    lower: tuple[Wall | None, Wall | None, Wall | None]
+    upper: tuple[Wall | None, Wall | None, Wall | None]
+
+
+def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], velocity: Vec3) -> Vec3:
+    """Node velocities after all walls, in the order x, y, z, at each axis the lower one first.
+
+    Args:
+      walls: the six sides.
+      grid: the grid; nodes strictly beyond a wall obey it.
+      index: index of each node in the grid along x, y, z, int32, shapes (num_nodes,).
+      velocity: node velocities [m/s], components of shape (num_nodes,).
+
+    Gradient: exact with respect to velocities and friction.
+    """
+    for axis in cp.AXES:
+        for wall, inward in ((walls.lower[axis], 1.0), (walls.upper[axis], -1.0)):
+            if wall is not None:
+                behind = _behind(grid, wall, axis, inward, index[axis])
+                velocity = _apply_wall(wall, axis, inward, behind, velocity)
+    return velocity
+
+
+def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Array) -> Array:
+    """Which of the nodes with the given indices along an axis lie strictly beyond the wall."""
+    cells = (wall.position - grid.origin[axis]) / grid.spacing
+    if inward > 0:
+        return index < math.ceil(cells - 1e-6)
+    return index > math.floor(cells + 1e-6)
+
+
+def _apply_wall(wall: Wall, axis: int, inward: float, behind: Array, velocity: Vec3) -> Vec3:
+    normal_velocity = inward * velocity[axis]
+    approaches = behind & (normal_velocity < 0)
+    if wall.kind is WallKind.STICKY:
+        return cp.vector(lambda i: jnp.where(behind, 0.0, velocity[i]))
+    if wall.kind is WallKind.GRIPPING:
+        return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]))
+    if wall.kind is WallKind.SLIP:
+        return cp.vector(lambda i: jnp.where(behind, 0.0, velocity[i]) if i == axis else velocity[i])
+    frictionless = isinstance(wall.friction, (int, float)) and wall.friction == 0
+    if frictionless:
+        return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]) if i == axis else velocity[i])
+    zero = jnp.zeros_like(normal_velocity)
+    tangential = cp.vector(lambda i: zero if i == axis else velocity[i])
+    factor = friction_factor(tangential, jnp.minimum(normal_velocity, 0.0), wall.friction)
+    return cp.vector(lambda i: jnp.where(approaches, 0.0 if i == axis else velocity[i] * factor, velocity[i]))

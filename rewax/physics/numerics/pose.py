@@ -1,0 +1,27 @@
+"""Positions and orientations of rigid bodies."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from rewax.types import Array
+
+
+class Pose(NamedTuple):
+    """Where rigid bodies are. Leading axes (time, bodies) as the context says."""
+
+    position: Array
+    """Origin of the body's frame in the world [m], shape (..., 3)."""
+    rotation: Array
+    """Rotation matrix from the body's frame to the world's, shape (..., 3, 3)."""
+
+
+def body_pose(poses: Pose, body: int) -> Pose:
+    """Pose of one body out of those of all, shapes (num_bodies, 3), (num_bodies, 3, 3)."""
+    return Pose(poses.position[body], poses.rotation[body])
+
+
+def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
+    """Poses of bodies that stay at the origin for all boundaries of substeps."""
+    shape = (num_substeps + 1, num_bodies)
+    return Pose(jnp.zeros((*shape, 3), dtype), jnp.broadcast_to(jnp.eye(3, dtype=dtype), (*shape, 3, 3)))

@@ -1,0 +1,163 @@
+"""Functions whose derivatives keep nothing but the inputs, as single equations of a traced program."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+
+from rewax.physics.numerics.linear_pass import Arrays, linear_pass, no_transpose
+from rewax.types import Array
+
+T = TypeVar("T")
+
+
+def recomputed(function: Callable[..., T], surrogate: Callable[..., T] | None = None) -> Callable[..., T]:
+    """``function`` with its forward and reverse derivative as one operation each that evaluates it again.
+
+    What ``jax.checkpoint`` does for memory this does too. In addition the function is traced once for its value and
+    once for its derivative, where the program around it would be linearised, transposed and batched equation by
+    equation: for a simulation inside a policy gradient that is most of the time before compilation.
+
+    Args:
+      function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument.
+      surrogate: what to differentiate instead, called as ``surrogate(result, *args)`` with what ``function(*args)``
+        returned. Its derivative by ``args`` must be that of ``function``: for the result of an iteration, which need
+        not be run again, as the implicit function theorem gives it. None: ``function`` itself.
+
+    Gradient: exact, forward and reverse, once (no second derivatives).
+    """
+
+    @functools.wraps(function)
+    def call(*args: Any) -> T:
+        leaves, treedef = jax.tree.flatten(args)
+        # Python numbers stay what they are: as arrays they would take part in the promotion of types.
+        # With their types: 1, 1.0 and True are equal, but make different programs.
+        constants = tuple((type(leaf), leaf) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves)
+        arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
+        program = _Program(function, surrogate, treedef, constants, (), ())
+        return jax.tree.unflatten(program.out_tree(arrays), _call(program, *arrays))
+
+    return call
+
+
+def scan_substeps(body: Callable[[T, Any], T], carry: T, boundaries: Any, store_every: int | None) -> T:
+    """``carry = body(carry, (before, after))`` for each interval between consecutive boundaries.
+
+    Args:
+      body: one substep, ``recomputed`` unless ``store_every`` is None.
+      carry: what one substep passes to the next.
+      boundaries: pytree of arrays with a first axis of num_substeps + 1: bodies' poses.
+      store_every: what the backward pass keeps: the carry every so many substeps, a number that divides theirs; None:
+        everything.
+
+    Gradient: exact.
+    """
+    num_substeps = jax.tree.leaves(boundaries)[0].shape[0] - 1
+    if store_every is not None and (store_every < 1 or num_substeps % store_every):
+        raise ValueError(
+            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
+        )
+    intervals = (jax.tree.map(lambda b: b[:-1], boundaries), jax.tree.map(lambda b: b[1:], boundaries))
+
+    def chunk(carry: T, intervals: Any) -> tuple[T, None]:
+        return jax.lax.scan(lambda c, interval: (body(c, interval), None), carry, intervals)
+
+    if store_every is None or store_every == 1:
+        return chunk(carry, intervals)[0]
+    chunks = jax.tree.map(lambda b: b.reshape(num_substeps // store_every, store_every, *b.shape[1:]), intervals)
+    return jax.lax.scan(jax.checkpoint(chunk), carry, chunks)[0]
+
+
+class _Program(NamedTuple):
+    """A function of flat arrays, under any number of ``vmap``."""
+
+    function: Callable[..., Any]
+    surrogate: Callable[..., Any] | None
+    treedef: Any
+    constants: tuple[Any, ...]
+    """For each leaf of the arguments: type and value if it is a Python number, None if it is an array."""
+    perturbed: tuple[bool, ...]
+    """Which of the arrays have a derivative."""
+    batches: tuple[tuple[bool, ...], ...]
+    """For each vmap, innermost first: which of the arrays have its axis."""
+
+    def batched(self, which: tuple[bool, ...]) -> "_Program":
+        return self._replace(batches=(*self.batches, which))
+
+    def arguments(self, arrays: Arrays) -> Any:
+        rest = iter(arrays)
+        return jax.tree.unflatten(self.treedef, [next(rest) if c is None else c[1] for c in self.constants])
+
+    def apply(self, arrays: Arrays) -> Any:
+        return self.function(*self.arguments(arrays))
+
+    def out_tree(self, arrays: list[Array]) -> Any:
+        shapes = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, arrays))
+        return _out_tree(self, shapes)
+
+    def under_vmap(self, function: Callable[[Arrays, Arrays], Arrays]) -> Callable[[Arrays, Arrays], Arrays]:
+        """A function of (arrays, further arrays); the further ones have every batch axis."""
+        for which in self.batches:
+            function = jax.vmap(function, in_axes=(tuple(0 if b else None for b in which), 0))
+        return function
+
+    def of_perturbed(self, arrays: Arrays) -> tuple[Callable[..., Arrays], Arrays]:
+        """What to differentiate, as a function of the perturbed arrays alone, and their values."""
+        count = len(self.perturbed)
+        arrays, result = arrays[:count], arrays[count:]
+
+        def function(*values: Array) -> Arrays:
+            rest = iter(values)
+            merged = tuple(next(rest) if p else a for a, p in zip(arrays, self.perturbed, strict=True))
+            if self.surrogate is None:
+                return tuple(jax.tree.leaves(self.apply(merged)))
+            known = jax.tree.unflatten(self.out_tree(list(merged)), result)
+            return tuple(jax.tree.leaves(self.surrogate(known, *self.arguments(merged))))
+
+        return function, tuple(a for a, p in zip(arrays, self.perturbed, strict=True) if p)
+
+
+@functools.lru_cache(maxsize=1024)
+def _out_tree(program: _Program, shapes: tuple) -> Any:
+    arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
+    return jax.tree.structure(jax.eval_shape(program.apply, arrays))
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _call(program: _Program, *arrays: Array) -> Arrays:
+    return linear_pass(_value, no_transpose, program, arrays, ())
+
+
+def _call_jvp(program: _Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
+    perturbed = tuple(not isinstance(t, SymbolicZero) and t.dtype != jax.dtypes.float0 for t in tangents)
+    program = program._replace(perturbed=perturbed)
+    linear = [t for t, p in zip(tangents, perturbed, strict=True) if p]
+    out = _call(program._replace(perturbed=()), *arrays)
+    known = () if program.surrogate is None else tuple(out)
+    return out, linear_pass(_tangent, _cotangent, program, (*arrays, *known), linear, like=out)
+
+
+_call.defjvp(_call_jvp, symbolic_zeros=True)
+
+
+def _value(program: _Program, arrays: Arrays, nothing: Arrays) -> Arrays:
+    return program.under_vmap(lambda arrays, _: tuple(jax.tree.leaves(program.apply(arrays))))(arrays, nothing)
+
+
+def _tangent(program: _Program, arrays: Arrays, tangents: Arrays) -> Arrays:
+    def tangent(arrays: Arrays, tangents: Arrays) -> Arrays:
+        function, values = program.of_perturbed(arrays)
+        return jax.jvp(function, values, tangents)[1]
+
+    return program.under_vmap(tangent)(arrays, tangents)
+
+
+def _cotangent(program: _Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
+    def cotangent(arrays: Arrays, cotangents: Arrays) -> Arrays:
+        function, values = program.of_perturbed(arrays)
+        return jax.vjp(function, *values)[1](cotangents)
+
+    return program.under_vmap(cotangent)(arrays, cotangents)

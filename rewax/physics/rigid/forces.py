@@ -1,0 +1,223 @@
+"""Forces on articulated rigid bodies: contacts, limits, actuators, springs, as MJX and the penalty law give them."""
+
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.numerics.rotations import quaternion_product, quaternion_to_matrix, rotation_vector
+from rewax.physics.rigid.connect import connect_drifts
+from rewax.physics.rigid.kinematic_tree import TreeParameters
+from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces
+from rewax.physics.rigid.kinematics import kinematics as tree_kinematics
+from rewax.physics.rigid.model import RigidModel, RigidState, mjx, mujoco
+from rewax.physics.rigid.penalty import Penalty, contact_wrenches, limit_forces
+from rewax.physics.rigid.plane_box import plane_box
+from rewax.physics.rigid.small_products import compose, cross, rotate, select
+from rewax.physics.rigid.solver import Rows
+from rewax.physics.rigid.sphere_box import sphere_box
+from rewax.types import Array
+
+
+def kinematics(model: RigidModel, qpos: Array) -> Kinematics:
+    return tree_kinematics(model.static.topology, tree_parameters(model), qpos)
+
+
+def tree_parameters(model: RigidModel) -> TreeParameters:
+    return TreeParameters(**{name: model.parameters[name] for name in TreeParameters._fields})
+
+
+def attached(kin: Kinematics, body: np.ndarray, position: Array, quaternion: Array) -> Pose:
+    """World poses of what is fixed to bodies."""
+    frames = jnp.concatenate([kin.rotation, kin.position[:, :, None]], axis=-1)
+    frame = select(body, frames)
+    rotation = compose(frame[:, :, :3], quaternion_to_matrix(quaternion))
+    return Pose(frame[:, :, 3] + rotate(frame[:, :, :3], position), rotation)
+
+
+def mjx_data(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array) -> tuple[mjx.Model, mjx.Data]:
+    """MJX's model and data at a state, with all that its collision, constraints, actuators and passive forces read."""
+    static, parameters = model.static, dict(model.parameters)
+    for name in ("jnt_solimp", "geom_solimp", "pair_solimp"):
+        # The exponent of the impedance has a derivative with log(0) in it; the rest may be differentiated.
+        value = parameters[name]
+        parameters[name] = jnp.concatenate([value[:, :4], jax.lax.stop_gradient(value[:, 4:])], axis=1)
+    if len(static.mjx_pairs) < static.mj.npair:
+        parameters.update((name, parameters[name][static.mjx_pairs]) for name in parameters if name.startswith("pair_"))
+    m = static.mjx.replace(**parameters, opt=static.mjx.opt.replace(gravity=model.gravity))
+    d = static.data.replace(
+        qpos=state.qpos,
+        qvel=state.qvel,
+        act=state.act,
+        ctrl=ctrl,
+        xpos=kin.position,
+        xmat=kin.rotation,
+        xipos=kin.com,
+        ximat=kin.inertia_rotation,
+        subtree_com=kin.subtree_com,
+        cdof=kin.axes,
+    )
+    if static.mj.ngeom:
+        pose = attached(kin, static.mj.geom_bodyid, parameters["geom_pos"], parameters["geom_quat"])
+        d = d.replace(geom_xpos=pose.position, geom_xmat=pose.rotation)
+    if static.mj.nsite:
+        pose = attached(kin, static.mj.site_bodyid, m.site_pos, m.site_quat)
+        d = d.replace(site_xpos=pose.position, site_xmat=pose.rotation)
+    return m, d
+
+
+def applied_forces(
+    model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data, wrenches: Array
+) -> tuple[Array, Array]:
+    """Generalized forces of actuators, springs, dampers and wrenches, shape (num_dofs,); rates of the activations."""
+    topology = model.static.topology
+    twist = body_velocities(topology, kin, d.qvel)
+    d = d.replace(cvel=twist)
+    if model.static.mj.ntendon:
+        d = mjx.tendon(m, d)
+    d = mjx.transmission(m, d)
+    d = d.replace(actuator_length=_actuator_lengths(model, m, d))
+    d = d.tree_replace(  # pyright: ignore[reportAssignmentType]
+        {
+            "_impl.actuator_velocity": d._impl.actuator_moment @ d.qvel,
+            "_impl.ten_velocity": d._impl.ten_J @ d.qvel,
+        }
+    )
+    d = mjx.fwd_actuation(m, mjx.passive(m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness)), d))
+    arm = kin.com - kin.tree_com
+    torque = wrenches[:, 3:] + cross(arm, wrenches[:, :3])
+    external = jnp.concatenate([torque, wrenches[:, :3]], axis=-1)
+    if model.penalty is not None:
+        external = external + _contact_wrenches(model, model.penalty, kin, m, d, twist)
+    force = _spring_forces(model, d.qpos) + d.qfrc_passive + d.qfrc_actuator
+    force = force + generalized_forces(topology, kin, external)
+    if model.penalty is not None:
+        mj = model.static.mj
+        joint = np.flatnonzero(mj.jnt_limited)
+        position, dof = mj.jnt_qposadr[joint], mj.jnt_dofadr[joint]
+        limits = model.parameters["jnt_range"][joint] + model.parameters["jnt_margin"][joint, None] * np.array([1, -1])
+        force = force.at[dof].add(limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof]))
+    return force, d.act_dot
+
+
+def _spring_forces(model: RigidModel, qpos: Array) -> Array:
+    """Of the joints' springs, shape (num_dofs,); MJX's have no derivative where a ball joint is at rest."""
+    mj, rest = model.static.mj, model.parameters["qpos_spring"]
+    free, ball = (mj.jnt_type == int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL"))
+    simple = ~free & ~ball
+
+    def joined(simple_start: np.ndarray, free_start: np.ndarray) -> np.ndarray:
+        return np.concatenate([simple_start, (free_start[:, None] + np.arange(3)).ravel()])
+
+    place = joined(mj.jnt_qposadr[simple], mj.jnt_qposadr[free])
+    dof = joined(mj.jnt_dofadr[simple], mj.jnt_dofadr[free])
+    stretch = jnp.zeros(model.num_dofs, qpos.dtype).at[dof].set(qpos[place] - rest[place])
+    if np.any(free | ball):
+        place = np.concatenate([mj.jnt_qposadr[free] + 3, mj.jnt_qposadr[ball]])[:, None] + np.arange(4)
+        dof = np.concatenate([mj.jnt_dofadr[free] + 3, mj.jnt_dofadr[ball]])[:, None] + np.arange(3)
+        back = rest[place] * np.array([1.0, -1.0, -1.0, -1.0])
+        stretch = stretch.at[dof].set(rotation_vector(quaternion_product(back, qpos[place])))
+    return -model.parameters["jnt_stiffness"][mj.dof_jntid] * stretch
+
+
+def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
+    """As MJX has them, but for turns of ball joints, where those have no derivative at rest, shape (num_actuators,)."""
+    mj = model.static.mj
+    on_joint = np.isin(mj.actuator_trntype, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)))
+    joint = np.where(on_joint, mj.actuator_trnid[:, 0], 0)
+    own = np.flatnonzero(on_joint & (mj.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_BALL)))
+    if len(own) == 0:
+        return d.actuator_length
+    turn = rotation_vector(d.qpos[mj.jnt_qposadr[joint[own]][:, None] + np.arange(4)])
+    return d.actuator_length.at[own].set(jnp.sum(turn * m.actuator_gear[own, :3], axis=-1))
+
+
+def _collide(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
+    """Contacts of all pairs."""
+    d = mjx.collision(m, d)
+    slots, plane, box = model.static.plane_boxes
+    if len(slots) == 0:
+        return d
+    distance, point = jax.vmap(plane_box)(
+        d.geom_xpos[plane], d.geom_xmat[plane][:, :, 2], d.geom_xpos[box], d.geom_xmat[box], m.geom_size[box]
+    )
+    contact = d._impl.contact
+    contact = contact.replace(
+        dist=contact.dist.at[slots].set(distance.reshape(-1)),
+        pos=contact.pos.at[slots].set(point.reshape(-1, 3)),
+    )
+    return d.tree_replace({"_impl.contact": contact})  # pyright: ignore[reportReturnType, reportArgumentType]
+
+
+class _Contacts(NamedTuple):
+    """What the penalty law needs to know of all pairs that may touch, see ``rigid_penalty.contact_wrenches``."""
+
+    distance: Array
+    margin: Array
+    point: Array
+    normal: Array
+    friction: Array
+    geoms: Array
+
+
+def contacts(model: RigidModel, m: mjx.Model, d: mjx.Data) -> _Contacts:
+    """Those that MJX finds, then those of spheres with boxes that are ours."""
+    contact = _collide(model, m, d)._impl.contact
+    friction = jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0)
+    found = _Contacts(
+        contact.dist, contact.includemargin, contact.pos, contact.frame[:, 0], friction, jnp.asarray(contact.geom)
+    )
+    mj, (own, sphere, box) = model.static.mj, model.static.sphere_boxes
+    if len(own) == 0:
+        return found
+    size, xpos = m.geom_size, d.geom_xpos
+    distance, point, normal = sphere_box(xpos[sphere], size[sphere, 0], xpos[box], d.geom_xmat[box], size[box])
+    margin, friction = (model.parameters[f"pair_{name}"][own] for name in ("margin", "friction"))
+    friction = jnp.where(mj.pair_dim[own] > 1, friction[:, 0], 0.0)
+    ours = _Contacts(distance, margin, point, normal, friction, jnp.asarray(np.stack([sphere, box], axis=1)))
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), found, ours)
+
+
+def _contact_wrenches(
+    model: RigidModel, penalty: Penalty, kin: Kinematics, m: mjx.Model, d: mjx.Data, twist: Array
+) -> Array:
+    """Wrenches of all contacts on all bodies under the penalty law, shape (num_bodies, 6)."""
+    if not model.static.has_contacts:
+        return jnp.zeros_like(twist)
+    found = contacts(model, m, d)
+    return contact_wrenches(
+        penalty,
+        kin,
+        twist,
+        distance=found.distance - found.margin,
+        point=found.point,
+        normal=found.normal,
+        friction=found.friction,
+        bodies=jnp.asarray(model.static.mj.geom_bodyid)[found.geoms],
+    )
+
+
+def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data) -> Rows:
+    """Constraints of limits, contacts, dry friction and equalities; none under the penalty law."""
+    if model.penalty is None:
+        if model.static.has_contacts:
+            d = _collide(model, m, d)
+        if model.static.mj.ntendon:
+            d = mjx.tendon(m, d)
+        d = mjx.make_constraint(m, d)
+        impl = d._impl
+        loss, infinite = impl.efc_frictionloss, jnp.full_like(impl.efc_D, jnp.inf)
+        index = np.arange(len(loss))
+        equality, dry = index < impl.ne, (index >= impl.ne) & (index < impl.ne + impl.nf)
+        lower = jnp.where(equality, -infinite, jnp.where(dry, -loss, 0.0))
+        upper = jnp.where(dry, loss, infinite)
+        sites = d.site_xpos if model.static.mj.nsite else None
+        drifts = connect_drifts(model.static.mj, model.static.topology, kin, d.qvel, m.eq_data, d.eq_active, sites)
+        target = impl.efc_aref.at[: len(drifts)].add(-drifts)
+        return Rows(impl.efc_J, impl.efc_D, target, lower, upper)
+    none = jnp.zeros(0, d.qpos.dtype)
+    return Rows(jnp.zeros((0, model.num_dofs), d.qpos.dtype), none, none, none, none)

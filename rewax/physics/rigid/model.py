@@ -1,0 +1,234 @@
+"""Articulated rigid bodies: a model read from MJCF, its numbers, its state.
+
+The one place that imports MJX, quietly, for this and for ``rigid_forces``.
+"""
+
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
+import contextlib
+import copy
+import functools
+import hashlib
+import io
+import logging
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.physics.rigid import mjcf
+from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
+from rewax.physics.rigid.penalty import Penalty, check_penalty
+from rewax.types import Array
+
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    # Without the optional package warp MJX prints two warnings that mean nothing to its JAX implementation.
+    _level = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    import mujoco
+    from mujoco import mjx
+
+    logging.disable(_level)
+
+PARAMETERS = (
+    *TreeParameters._fields,
+    "jnt_range", "jnt_stiffness", "jnt_solref", "jnt_solimp", "jnt_margin", "qpos_spring",
+    "dof_damping", "dof_frictionloss", "dof_invweight0", "body_invweight0",
+    "geom_size", "geom_pos", "geom_quat", "geom_friction", "geom_solref", "geom_solimp", "geom_margin",
+    "pair_friction", "pair_solref", "pair_solimp", "pair_margin",
+    "actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange",
+)  # fmt: skip
+"""Fields of MuJoCo's model that are leaves of ``RigidModel``; everything else about a model is static."""
+
+
+class _Model:
+    """The static part of a ``RigidModel``: two of the same MJCF are equal.
+
+    Under a penalty law the model's pairs of a sphere and a box are not MJX's, but ours.
+    """
+
+    def __init__(self, compiled: mujoco.MjModel, *, penalty: bool) -> None:
+        buffer = np.empty(mujoco.mj_sizeModel(compiled), np.uint8)
+        mujoco.mj_saveModel(compiled, None, buffer)
+        self.key = hashlib.sha256(buffer.tobytes()).hexdigest() + f"{jnp.zeros(()).dtype} {penalty}"
+        self.mj = compiled
+        self.topology: TreeTopology = tree_topology(compiled.body_parentid, compiled.jnt_bodyid, compiled.jnt_type)
+        with jax.ensure_compile_time_eval():
+            self.mjx = mjx.put_model(compiled, impl="jax")
+            self.sphere_boxes = mjcf.sphere_box_pairs(compiled) if penalty else (np.zeros(0, int),) * 3
+            self.mjx_pairs = np.setdiff1d(np.arange(compiled.npair), self.sphere_boxes[0])
+            if len(self.mjx_pairs) < compiled.npair:
+                fields = [name for name in vars(self.mjx) if name.startswith("pair_")]
+                kept = {name: getattr(self.mjx, name)[self.mjx_pairs] for name in fields}
+                self.mjx = self.mjx.replace(npair=len(self.mjx_pairs), **kept)
+            self.data = mjx.make_data(self.mjx, impl="jax")
+        self.has_contacts = self.data._impl.ncon + len(self.sphere_boxes[0]) > 0
+        self.plane_boxes = _plane_boxes(compiled, self.mjx, self.data)
+        self.has_damping = bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
+        self.num_bounded = int(self.data._impl.ne + self.data._impl.nf)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Model) and self.key == other.key
+
+
+@struct.dataclass
+class RigidModel(struct.Replaceable):
+    """A tree of rigid bodies; build it with ``load``.
+
+    Attributes:
+      parameters: MuJoCo's fields named in ``PARAMETERS``, as leaves: differentiate with respect to them, vmap over
+        them, change them without compiling again. What MuJoCo derives from them (inverse weights) stays as it is, and
+        where the model has no dry friction there stays none; damping that it had none of is explicit in time; ranges
+        of what is unlimited have no effect. Masses and inertias are numbers of their own: change both. Quaternions and
+        axes must stay of length 1.
+      gravity: [m/s^2], shape (3,).
+      penalty: the contact law, or None for MuJoCo's soft constraints.
+      static: everything else.
+    """
+
+    parameters: dict[str, Array]
+    gravity: Array
+    penalty: Penalty | None
+    static: _Model = struct.static_field()
+
+    @property
+    def num_positions(self) -> int:
+        return self.static.mj.nq
+
+    @property
+    def num_dofs(self) -> int:
+        return self.static.mj.nv
+
+    @property
+    def num_actuators(self) -> int:
+        return self.static.mj.nu
+
+    @property
+    def num_bodies(self) -> int:
+        """The world, body 0, included."""
+        return self.static.mj.nbody
+
+    @property
+    def dt(self) -> float:
+        """Duration of a substep [s]."""
+        return float(self.static.mj.opt.timestep)
+
+    @property
+    def home(self) -> Array:
+        """Positions of the model as written: its first keyframe, or its reference pose, shape (num_positions,)."""
+        mj = self.static.mj
+        return jnp.asarray(mj.key_qpos[0] if mj.nkey else mj.qpos0, self.parameters["qpos0"].dtype)
+
+    def with_parameters(self, **changes: Array) -> "RigidModel":
+        """A copy with other numbers.
+
+        Raises:
+          ValueError: there is no such parameter, its shape differs, or the model has no damping or dry friction to
+            change.
+        """
+        for name, value in changes.items():
+            if name not in self.parameters:
+                raise ValueError(f"a rigid model has no parameter {name!r}: known are {', '.join(self.parameters)}")
+            if jnp.shape(value) != self.parameters[name].shape:
+                raise ValueError(
+                    f"{name} has shape {jnp.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
+                )
+            absent = name in ("dof_damping", "dof_frictionloss") and not np.any(getattr(self.static.mj, name))
+            if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
+                raise ValueError(f"the model was loaded without {name}, so it takes none: give its MJCF a little of it")
+        given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
+        return self.replace(parameters={**self.parameters, **given})
+
+    def body(self, name: str) -> int:
+        """Number of a body."""
+        return mjcf.number(self.static.mj, "body", name)
+
+    def geom(self, name: str) -> int:
+        """Number of a geom."""
+        return mjcf.number(self.static.mj, "geom", name)
+
+    def joint(self, name: str) -> tuple[int, int]:
+        """Where a joint's coordinates begin in positions and in velocities."""
+        joint = mjcf.number(self.static.mj, "joint", name)
+        return int(self.static.mj.jnt_qposadr[joint]), int(self.static.mj.jnt_dofadr[joint])
+
+
+@struct.dataclass
+class RigidState(struct.Replaceable):
+    """A tree of rigid bodies between two substeps.
+
+    Attributes:
+      qpos: joint positions [m, rad, unit quaternions (w, x, y, z)], shape (num_positions,).
+      qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
+      act: activations of actuators that have a state, shape (num_activations,).
+      qacc: accelerations of the last substep [m/s^2, rad/s^2], shape (num_dofs,): where the next solve begins. No
+        gradient.
+    """
+
+    qpos: Array
+    qvel: Array
+    act: Array
+    qacc: Array
+
+
+def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None) -> RigidModel:
+    """A model from MJCF.
+
+    Args:
+      source: path of an MJCF file, its text, a ``mujoco.MjSpec`` or a ``mujoco.MjModel``.
+      dt: duration of a substep [s]; None: the model's own timestep.
+      penalty: contact by springs and dampers with these numbers; None: MuJoCo's soft constraints. For gradients of use
+        give these an impedance that begins at zero (``solimp="0.0001 0.95 0.02"``, and dt of at most 1/240 s): by
+        default it jumps to 0.9 on contact, and the derivative of that jump's time is missing from every gradient.
+
+    Raises:
+      ValueError: it cannot be read, or uses something that is not supported; the message says what and where.
+    """
+    compiled = mjcf.compile_model(source)
+    if dt is not None:
+        if not dt > 0.0:
+            raise ValueError(f"dt is {dt}: give the duration of a substep in seconds, above 0")
+        compiled = copy.copy(compiled)
+        compiled.opt.timestep = dt
+    mjcf.check_model(compiled, penalty=penalty is not None)
+    if penalty is not None:
+        check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
+    try:
+        static = _Model(compiled, penalty=penalty is not None)
+    except (NotImplementedError, AssertionError) as error:
+        raise ValueError(
+            f"MJX does not support this model ({error}): remove that, or let such geoms not touch"
+        ) from error
+    gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
+    real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)
+    return RigidModel(
+        parameters={name: real(getattr(compiled, name)) for name in PARAMETERS},
+        gravity=real(gravity),
+        penalty=jax.tree.map(real, penalty),
+        static=static,
+    )
+
+
+def _plane_boxes(compiled: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slots of the contacts of boxes with planes, four for each, and planes and boxes of these."""
+    limited = any(
+        compiled.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(compiled.nnumeric)
+    )
+    both = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX)
+    if d._impl.ncon == 0 or limited or not np.isin(both, compiled.geom_type).all():
+        none = np.zeros(0, int)
+        return none, none, none
+    # Constants of the program: of the collisions nothing is left to compile.
+    geoms = np.asarray(jax.jit(lambda: mjx.collision(m, d)._impl.contact.geom).lower().compile()())
+    slots = np.flatnonzero((compiled.geom_type[geoms] == both).all(axis=1))
+    return slots, geoms[slots[::4], 0], geoms[slots[::4], 1]
+
+
+def check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:
+    if jnp.shape(value) != shape:
+        raise ValueError(f"{name} has shape {jnp.shape(value)}: give shape {shape}{what}")

@@ -1,0 +1,120 @@
+"""Contacts and joint limits of articulated bodies as springs and dampers."""
+
+# pyright: reportAttributeAccessIssue=false
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.physics.contact.penalty import PenaltyContact, penalty_force
+from rewax.physics.numerics.components import join_vector, split_vector
+from rewax.physics.rigid.kinematics import Kinematics, point_velocities, wrenches_at
+from rewax.types import Array
+
+
+@struct.dataclass
+class Penalty(struct.Replaceable):
+    """Contact and joint limits as springs and dampers, explicit in time.
+
+    Friction coefficients are the geoms' own. Explicit integration bounds stiffness and damping: roughly
+    stiffness dt^2 < mass and damping dt < mass.
+
+    Attributes:
+      stiffness: normal force per penetration [N/m].
+      damping: normal force per approaching speed [N s/m].
+      friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m].
+      onset: depth over which both dampings rise to their full value [m]; 0: at once, a step in time that no gradient
+        sees.
+      depth_damping: normal force per depth and approaching speed, in addition [N s/m^2].
+      limit_stiffness, limit_damping: of joint limits, per angle or distance beyond them and per rate [N m/rad,
+        N m s/rad].
+    """
+
+    stiffness: Array | float
+    damping: Array | float = 0.0
+    friction_damping: Array | float = 0.0
+    onset: Array | float = 0.0
+    depth_damping: Array | float = 0.0
+    limit_stiffness: Array | float = 1e3
+    limit_damping: Array | float = 10.0
+
+
+def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
+    """Raise a ValueError for numbers that cannot be, or that are unstable whatever touches.
+
+    Args:
+      penalty: the law.
+      mass: of the heaviest tree of bodies [kg].
+      dt: duration of a substep [s].
+    """
+    if not isinstance(penalty, Penalty):
+        raise ValueError(f"penalty is {penalty!r}: give a Penalty(stiffness=...)")
+    for field in dataclasses.fields(penalty):
+        value = getattr(penalty, field.name)
+        if not isinstance(value, jax.core.Tracer) and not bool(np.all(np.asarray(value) >= 0.0)):
+            raise ValueError(f"the penalty's {field.name} is {value}: give 0 or more")
+    for name, unit, bound in (("stiffness", "N/m", 4.0 * mass / dt**2), ("damping", "N s/m", 2.0 * mass / dt)):
+        value = getattr(penalty, name)
+        if not isinstance(value, jax.core.Tracer) and np.max(value) > bound:
+            raise ValueError(
+                f"the penalty's {name} is {np.max(value):g} {unit}, unstable with a substep of {dt:g} s even for all "
+                f"{mass:g} kg at once (at most {bound:.3g}, far less for light links): make it softer or dt shorter"
+            )
+
+
+def contact_wrenches(
+    penalty: Penalty,
+    kin: Kinematics,
+    velocities: Array,
+    *,
+    distance: Array,
+    point: Array,
+    normal: Array,
+    friction: Array,
+    bodies: Array,
+) -> Array:
+    """Wrenches of contacts on all bodies, as ``kinematics.generalized_forces`` takes them, shape (num_bodies, 6).
+
+    Args:
+      penalty: the law.
+      kin, velocities: where the bodies are, and their spatial velocities, shape (num_bodies, 6).
+      distance: between the surfaces [m], negative inside, shape (n,).
+      point, normal: of contact, in the world; the normal points from the first body to the second, shape (n, 3).
+      friction: Coulomb coefficients [-], shape (n,).
+      bodies: first and second body of each contact, shape (n, 2), int.
+
+    Gradient: exact; see ``penalty.penalty_force``.
+    """
+    first, second = bodies[:, 0], bodies[:, 1]
+    sliding = point_velocities(kin, velocities, second, point)
+    sliding = sliding - point_velocities(kin, velocities, first, point)
+    law = PenaltyContact(
+        stiffness=penalty.stiffness,
+        damping=penalty.damping,
+        friction_damping=penalty.friction_damping,
+        onset=penalty.onset,
+        depth_damping=penalty.depth_damping,
+    )
+    force = join_vector(penalty_force(law, distance, split_vector(normal), split_vector(sliding), friction))
+    body, place = jnp.concatenate([second, first]), jnp.concatenate([point, point])
+    return wrenches_at(kin, body, place, jnp.concatenate([force, -force]), len(velocities))
+
+
+def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) -> Array:
+    """Forces of joints' limits [N m, or N for slides], shape (n,).
+
+    Args:
+      penalty: the law.
+      limits: lower and upper, shape (n, 2).
+      position, rate: of each joint, shape (n,).
+
+    Gradient: exact; the damping sets in at the limit, a step that no derivative sees.
+    """
+    beyond = jnp.minimum(position - limits[:, 0], 0.0) + jnp.maximum(position - limits[:, 1], 0.0)
+    return jnp.where(beyond != 0, -penalty.limit_stiffness * beyond - penalty.limit_damping * rate, 0.0)
+
+
+__all__ = ["Penalty", "check_penalty", "contact_wrenches", "limit_forces"]

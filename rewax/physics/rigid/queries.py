@@ -1,0 +1,74 @@
+"""What can be asked of a state: poses, velocities, shapes for pictures, distances."""
+
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.rigid.forces import (
+    attached,
+    contacts,
+    kinematics,
+    mjx_data,
+)
+from rewax.physics.rigid.kinematics import body_velocities as spatial_velocities
+from rewax.physics.rigid.kinematics import point_velocities
+from rewax.physics.rigid.model import RigidModel, RigidState, mujoco
+from rewax.types import Array
+
+
+def body_poses(model: RigidModel, state: RigidState) -> Pose:
+    """Origin and orientation of every body's frame, shapes (num_bodies, 3) and (num_bodies, 3, 3). Gradient: exact."""
+    kin = kinematics(model, state.qpos)
+    return Pose(kin.position, kin.rotation)
+
+
+def geom_poses(model: RigidModel, state: RigidState) -> Pose:
+    """Centre and orientation of every geom, shapes (num_geoms, 3) and (num_geoms, 3, 3). Gradient: exact."""
+    kin = kinematics(model, state.qpos)
+    return attached(kin, model.static.mj.geom_bodyid, model.parameters["geom_pos"], model.parameters["geom_quat"])
+
+
+def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]:
+    """Velocity of each body's origin [m/s] and its angular velocity [rad/s], world axes, shape (num_bodies, 3) each.
+
+    Gradient: exact.
+    """
+    kin = kinematics(model, state.qpos)
+    twist = spatial_velocities(model.static.topology, kin, state.qvel)
+    return point_velocities(kin, twist, jnp.arange(model.num_bodies), kin.position), twist[:, :3]
+
+
+def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
+    """Of each body together with all that hangs on it [m], shape (num_bodies, 3); row 0: of everything."""
+    return kinematics(model, state.qpos).subtree_com
+
+
+def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
+    """Geoms for pictures: kind, centre [m], and radius, half_length and direction, or rotation and half_sizes [m].
+
+    Kinds are plane, sphere, capsule, cylinder and box; others are left out.
+    """
+    mj, pose = model.static.mj, geom_poses(model, state)
+    found = []
+    for geom in range(mj.ngeom):
+        kind = mujoco.mjtGeom(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+        size, rotation = model.parameters["geom_size"][geom], pose.rotation[geom]
+        shape = {"kind": kind, "centre": pose.position[geom]}
+        if kind == "plane":
+            found.append({**shape, "direction": rotation[:, 2]})
+        elif kind == "sphere":
+            found.append({**shape, "radius": size[0]})
+        elif kind in ("capsule", "cylinder"):
+            found.append({**shape, "radius": size[0], "half_length": size[1], "direction": rotation[:, 2]})
+        elif kind == "box":
+            found.append({**shape, "rotation": rotation, "half_sizes": size})
+    return found
+
+
+def contact_distances(model: RigidModel, state: RigidState) -> Array:
+    """Signed distance of every pair that may touch [m], negative inside, shape (num_contacts,); 1 for unused slots."""
+    m, d = mjx_data(model, kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))
+    return contacts(model, m, d).distance

@@ -1,0 +1,201 @@
+"""Where particles start: boxes and shapes filled regularly, at random, or at random with a smallest distance.
+
+Points of a shape are in its own frame, so turn and shift them as its body is. ``volume(shape) / len(points)`` is the
+volume of each.
+"""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from rewax.physics.shapes.poisson_disk import maximal_poisson_disk
+from rewax.physics.shapes.primitives import Box, Shape, signed_distance
+from rewax.physics.shapes.volume import bounding_box, volume
+from rewax.types import Array, Key
+
+CHUNK = 8192
+"""Points whose distance is evaluated at once, always as many: one compilation for each kind of shape."""
+
+
+def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence[float], num: int) -> Array:
+    """Uniformly random points in a box.
+
+    Args:
+      key: PRNG key.
+      center: middle of the box [m], shape (3,).
+      size: its edges along x, y, z [m], shape (3,).
+      num: number of points; each stands for the volume prod(size) / num.
+
+    Returns:
+      Positions [m], shape (num, 3).
+
+    Gradient: exact with respect to center and size, which move and stretch the points.
+
+    Example:
+      >>> x = sample_box(jax.random.key(0), (0.5, 0.1, 0.5), (0.2, 0.2, 0.2), 1000)
+    """
+    center, size = jnp.asarray(center), jnp.asarray(size)
+    dtype = jnp.result_type(center, size, float)
+    unit = jax.random.uniform(key, (num, 3), dtype, -0.5, 0.5)
+    return center[None].astype(dtype) + size[None].astype(dtype) * unit
+
+
+def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> np.ndarray:
+    """Points of a regular lattice that fills a box, symmetric about its centre.
+
+    Each edge is cut into the whole number of equal intervals that is closest to edge / spacing (at least one), with
+    a point in the middle of each: every point stands for the same volume, prod(size) / num_points.
+
+    Args:
+      center: middle of the box [m], shape (3,).
+      size: its edges along x, y, z [m], shape (3,), > 0.
+      spacing: wished distance of neighbouring points [m], > 0. Half the grid's spacing gives eight particles per cell.
+
+    Returns:
+      Positions [m], float64 of shape (num_points, 3), z varying fastest.
+
+    Raises:
+      ValueError: a spacing or an edge that is not positive.
+
+    Example:
+      >>> fill_box((0.5, 0.1, 0.5), (0.2, 0.2, 0.2), 0.1).shape
+      (8, 3)
+    """
+    _check_length("spacing", spacing, "distance of neighbours")
+    if not np.all(np.asarray(size) > 0):
+        raise ValueError(f"size is {tuple(size)}, but must be positive: give the three edges of the box in metres")
+    counts = [max(1, round(edge / spacing)) for edge in size]
+    axes = [
+        middle + edge * ((np.arange(n) + 0.5) / n - 0.5) for middle, edge, n in zip(center, size, counts, strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def fill(shape: Shape, spacing: float) -> np.ndarray:
+    """Points of a cubic lattice that lie in a shape, symmetric about the middle of its bounding box.
+
+    Args:
+      shape: one that is bounded. A ``Box`` is filled by ``fill_box``.
+      spacing: distance of neighbouring points [m], > 0.
+
+    Returns:
+      Positions in the shape's frame [m], float64 of shape (num_points, 3), z varying fastest.
+
+    Raises:
+      ValueError: a spacing that is not positive or leaves no point in the shape, or a shape without bounds.
+
+    Example:
+      >>> x = fill(Sphere(radius=0.1), 0.02)
+      >>> scene = make_scene(particle_volume=volume(Sphere(radius=0.1)) / len(x), ...)  # doctest: +SKIP
+    """
+    _check_length("spacing", spacing, "distance of neighbours")
+    lower, upper = bounding_box(shape)
+    if isinstance(shape, Box):
+        return fill_box((0.0, 0.0, 0.0), tuple(upper - lower), spacing)
+    counts = np.maximum(1, np.round((upper - lower) / spacing)).astype(int)
+    axes = [m + spacing * (np.arange(n) - 0.5 * (n - 1)) for m, n in zip(0.5 * (lower + upper), counts, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = points[_distance(shape)(points)[0] < 0]
+    if len(points) == 0:
+        raise ValueError(f"spacing is {spacing}, but no point of such a lattice lies in the shape: give a smaller one")
+    return points
+
+
+def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
+    """Uniformly random points in a shape.
+
+    Args:
+      key: PRNG key; not traced.
+      shape: one that is bounded.
+      num: number of points, >= 1; each stands for the volume volume(shape) / num.
+
+    Returns:
+      Positions in the shape's frame [m], float64 of shape (num, 3); the same for the same key.
+
+    Raises:
+      ValueError: a num that is not positive, a shape without bounds or volume, a traced key.
+
+    Gradient: none; see ``sample_box`` for boxes.
+    """
+    if num < 1:
+        raise ValueError(f"num is {num}, but must be positive: give the number of points")
+    rng, distance = _generator(key), _distance(shape)
+    lower, upper = bounding_box(shape)
+    found, num_found, num_drawn = [], 0, 0
+    while num_found < num:
+        points = rng.uniform(lower, upper, (CHUNK, 3))
+        found.append(points[distance(points)[0] < 0])
+        num_found += len(found[-1])
+        num_drawn += CHUNK
+        if num_found == 0 and num_drawn >= 1000 * CHUNK:
+            raise ValueError(
+                f"shape fills less than 1e-6 of its bounding box (volume {volume(shape):.3g} m^3): check its sizes"
+            )
+    return np.concatenate(found)[:num]
+
+
+def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
+    """Random points in a shape that are nowhere closer than a radius and leave no gap: blue noise.
+
+    Every point of the shape has a sample within two radii (nearly always within 1.1). About 0.72 volume / radius^3
+    points fit into a large shape.
+
+    Args:
+      key: PRNG key; not traced.
+      shape: one that is bounded.
+      radius: smallest distance of two points [m], > 0.
+
+    Returns:
+      Positions in the shape's frame [m], float64 of shape (num_points, 3); the same for the same key.
+
+    Raises:
+      ValueError: a radius that is not positive, a shape without bounds, a traced key.
+
+    Gradient: none.
+    Source: Ebeida et al. 2012, "A simple algorithm for maximal Poisson-disk sampling in high dimensions", with two
+      levels of cells instead of as many as it takes, and darts beside the shape pulled onto its surface.
+    """
+    _check_length("radius", radius, "smallest distance of two points")
+    return maximal_poisson_disk(_generator(key), _distance(shape), *bounding_box(shape), radius)
+
+
+Distance = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@jax.jit
+def _signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
+    return signed_distance(shape, points)
+
+
+def _distance(shape: Shape) -> Distance:
+    """Signed distance and normal of any number of points (n, 3), in float64 whatever jax's default type is."""
+    shape = jax.tree.map(lambda a: np.asarray(a, np.float64), shape)
+
+    def distance(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        distances, normals = [np.zeros(0)], [np.zeros((0, 3))]
+        with jax.enable_x64(True):
+            for start in range(0, len(points), CHUNK):
+                part = points[start : start + CHUNK]
+                d, n = _signed_distance(shape, np.pad(part, ((0, CHUNK - len(part)), (0, 0))))
+                distances.append(np.asarray(d)[: len(part)])
+                normals.append(np.asarray(n)[: len(part)])
+        return np.concatenate(distances), np.concatenate(normals)
+
+    return distance
+
+
+def _generator(key: Key) -> np.random.Generator:
+    if isinstance(key, Tracer):
+        raise ValueError("key is traced: draw these points before jit, or use sample_box, which can be traced")
+    return np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
+
+
+def _check_length(name: str, value: float, meaning: str) -> None:
+    if not value > 0:
+        raise ValueError(f"{name} is {value}, but must be positive: give the {meaning} in metres")
+
+
+__all__ = ["fill", "fill_box", "sample", "sample_box", "sample_poisson_disk", "volume"]

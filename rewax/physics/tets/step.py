@@ -1,0 +1,176 @@
+"""Deformable tetrahedra: state, scene, substep, step, largest stable substep, and what they conserve.
+
+Linear tetrahedra with masses lumped at the vertices. One substep: elastic, active and damping stress of each tet,
+summed over each vertex's tets; gravity; penalty contact with the ground and with moving shapes; symplectic Euler.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax.physics.contact.colliders import check_bodies
+from rewax.physics.contact.penalty import collider_force, ground_force
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.numerics.recompute import recomputed, scan_substeps
+from rewax.physics.tets.edges import edges, gather_forces
+from rewax.physics.tets.law import first_piola_stress
+from rewax.physics.tets.scene import TetScene, TetState
+from rewax.status import Status, all_finite, flag
+from rewax.types import Array
+
+
+class _Vertices(NamedTuple):
+    """``TetState`` by components, as the inner loop wants it."""
+
+    x: Vec3
+    v: Vec3
+
+
+class _Rest(NamedTuple):
+    """What a substep needs of the scene's arrays, by components, taken apart once per step."""
+
+    inverse_edges: Mat3
+    volume: Array
+    inverse_mass: Array
+
+
+def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetState:
+    """One substep of duration ``scene.dt``: v' = v + dt (f(x, v) / m + g), x' = x + dt v'.
+
+    Args:
+      scene: the scene.
+      state: vertices.
+      before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
+
+    Gradient: exact with respect to the state, the poses and every array of the scene, forward and reverse; at the onset
+      of contact and at Coulomb's limit one-sided, see ``penalty.penalty_force``.
+    Source: the soft meshes of NVIDIA Warp's semi-implicit integrator; deviation: damping, see ``tet_law``.
+    """
+    check_bodies(scene.colliders, before.position.shape[0])
+    return _join(_recomputed_substep(scene, rest(scene), _split(state), (before, after)))
+
+
+def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | None = 1) -> TetState:
+    """As many substeps as ``poses`` has intervals.
+
+    Args:
+      scene: the scene.
+      state: vertices.
+      poses: poses of all bodies at the num_substeps + 1 boundaries of substeps, shapes (num_substeps + 1, num_bodies,
+        3) and (num_substeps + 1, num_bodies, 3, 3); see ``mpm.static_poses`` for a scene without bodies.
+      store_every: as for ``mpm.step``: vertices are stored every so many substeps for the backward pass and the rest is
+        recomputed; None: everything is stored.
+
+    Gradient: exact, as for ``substep``.
+    """
+    check_bodies(scene.colliders, poses.position.shape[1])
+    constants = rest(scene)
+    one = _substep if store_every is None else _recomputed_substep
+
+    def body(vertices: _Vertices, interval: tuple[Pose, Pose]) -> _Vertices:
+        return one(scene, constants, vertices, interval)
+
+    return _join(scan_substeps(body, _split(state), poses, store_every))
+
+
+def internal_force(scene: TetScene, state: TetState) -> Array:
+    """Elastic, active and damping forces on the vertices [N], shape (num_vertices, 3); they sum to zero.
+
+    Gradient: exact. Without damping it is minus the gradient of ``elastic_energy``.
+    """
+    return cp.join_vector(_internal_force(scene, rest(scene), *_split(state)))
+
+
+def contact_force(scene: TetScene, state: TetState, before: Pose, after: Pose) -> Array:
+    """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``."""
+    return cp.join_vector(_contact_force(scene, *_split(state), before, after))
+
+
+def deformation_gradient(scene: TetScene, x: Array) -> Array:
+    """Of each tet [-], shape (num_tets, 3, 3); its determinant is negative where a tet is inverted. Gradient: exact."""
+    return cp.join_matrix(deformation(scene, rest(scene), cp.split_vector(x)))
+
+
+def check_status(scene: TetScene, state: TetState) -> Array:
+    """Status bits of a state: non-finite numbers, tets that are flat or inside out.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
+    state = jax.lax.stop_gradient(state)
+    inverted = jnp.any(cp.det(deformation(scene, rest(scene), cp.split_vector(state.x))) <= 0)
+    return flag(~all_finite(state), Status.NAN) | flag(inverted, Status.INVERTED)
+
+
+# --- One substep, by components ---------------------------------------------------------------------------------------
+
+
+def _substep(scene: TetScene, rest: _Rest, vertices: _Vertices, interval: tuple[Pose, Pose]) -> _Vertices:
+    vertices = materialize(vertices)
+    x, v = vertices
+    with jax.named_scope("tets"):
+        force = _internal_force(scene, rest, x, v)
+    with jax.named_scope("contact"):
+        contact = _contact_force(scene, x, v, *interval)
+    with jax.named_scope("update"):
+        g, dt = scene.gravity, scene.dt
+        gain = 1.0 if scene.mobility is None else scene.mobility
+        v = cp.vector(lambda i: v[i] + dt * gain * ((force[i] + contact[i]) * rest.inverse_mass + g[i]))
+        x = cp.vector(lambda i: x[i] + dt * v[i])
+    return _Vertices(x, v)
+
+
+_recomputed_substep = recomputed(_substep)
+
+
+def deformation(scene: TetScene, rest: _Rest, x: Vec3) -> Mat3:
+    return cp.matmul(edges(scene.topology, x), rest.inverse_edges)
+
+
+def _internal_force(scene: TetScene, rest: _Rest, x: Vec3, v: Vec3) -> Vec3:
+    damped = not (isinstance(scene.damping, (int, float)) and scene.damping == 0)
+    F = materialize(deformation(scene, rest, x))
+    rate = materialize(deformation(scene, rest, v)) if damped else None
+    stress = first_piola_stress(
+        F,
+        rate,
+        mu=scene.mu,
+        lam=scene.lam,
+        activation=scene.activation,
+        damping=scene.damping,
+        damping_law=scene.damping_law,
+    )
+    stress = materialize(stress)
+    columns = materialize(cp.matmul(stress, cp.transpose(rest.inverse_edges)))
+    return gather_forces(scene.topology, cp.matrix(lambda i, k: -rest.volume * columns[i][k]))
+
+
+def _contact_force(scene: TetScene, x: Vec3, v: Vec3, before: Pose, after: Pose) -> Vec3:
+    total = cp.vector(lambda i: jnp.zeros_like(x[i]))
+    if scene.contact is None:
+        return total
+    if scene.ground is not None:
+        total = cp.add(total, ground_force(scene.ground, scene.contact, x, v))
+    for collider in scene.colliders:
+        start, end = body_pose(before, collider.body), body_pose(after, collider.body)
+        total = cp.add(total, collider_force(collider, scene.contact, x, v, start, end, scene.dt))
+    return total
+
+
+def rest(scene: TetScene) -> _Rest:
+    return _Rest(cp.split_matrix(scene.inverse_rest_edges), scene.rest_volume, 1.0 / scene.mass)
+
+
+def _split(state: TetState) -> _Vertices:
+    return _Vertices(cp.split_vector(state.x), cp.split_vector(state.v))
+
+
+def _join(vertices: _Vertices) -> TetState:
+    return TetState(x=cp.join_vector(vertices.x), v=cp.join_vector(vertices.v))
+
+
+__all__ = ["check_status", "contact_force", "deformation_gradient", "internal_force", "step", "substep"]

@@ -1,0 +1,267 @@
+"""Contact on grid velocities: each case of the friction law by hand, moving bodies, walls in metres."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.physics.contact.colliders import Collider, Overlap, apply_collider, apply_colliders, check_bodies
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.walls import Wall, WallKind, Walls, apply_walls
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes.primitives import Box, Plane, Sphere
+
+EYE, ORIGIN, DT = jnp.eye(3), jnp.zeros(3), 1e-3
+REST = Pose(ORIGIN, EYE)
+
+
+def ground(friction=0.5, softness=100.0) -> Collider:
+    return Collider(shape=Plane(), offset=ORIGIN, rotation=EYE, friction=friction, softness=softness)
+
+
+def contact(collider, node, velocity, before=REST, after=REST):
+    """Velocity of one node after contact, shape (3,)."""
+    node, velocity = (jnp.asarray(a, float)[None] for a in (node, velocity))
+    return np.asarray(after_contact(collider, node, velocity, before, after))[0]
+
+
+def after_contact(collider, nodes, velocity, before, after):
+    """Velocities (N, 3) of nodes (N, 3) after contact."""
+    position = cp.split_vector(nodes)
+    return cp.join_vector(apply_collider(collider, position, cp.split_vector(velocity), before, after, DT))
+
+
+UNDER, AT = [0.3, -0.05, 0.1], [0.3, 0.0, 0.1]
+
+
+def test_sticking(x64):
+    """Coulomb's limit 0.5 * 2 exceeds the tangential speed 0.6."""
+    np.testing.assert_allclose(contact(ground(), UNDER, [0.6, -2.0, 0.0]), 0.0, atol=1e-14)
+
+
+def test_sliding_loses_friction_times_normal_impulse(x64):
+    np.testing.assert_allclose(contact(ground(), UNDER, [3.0, -2.0, 4.0]), [3.0 * 0.8, 0.0, 4.0 * 0.8], rtol=1e-12)
+    np.testing.assert_allclose(contact(ground(friction=0.0), AT, [3.0, -2.0, 4.0]), [3.0, 0.0, 4.0], atol=1e-12)
+
+
+def test_separating_is_untouched(x64):
+    np.testing.assert_array_equal(contact(ground(), UNDER, [3.0, 2.0, 4.0]), [3.0, 2.0, 4.0])
+
+
+def test_influence_fades_with_distance_and_ends(x64):
+    """At distance d the change is exp(-softness d) of the full one; beyond log(10) / softness there is none."""
+    v, full = np.array([0.6, -2.0, 0.0]), np.zeros(3)
+    near = contact(ground(), [0.0, 0.02, 0.0], v)
+    np.testing.assert_allclose(near - v, np.exp(-2.0) * (full - v), rtol=1e-12)
+    np.testing.assert_array_equal(contact(ground(), [0.0, 0.0231, 0.0], v), v)
+    assert np.abs(contact(ground(), [0.0, 0.0229, 0.0], v) - v).max() > 0.1
+
+
+def test_a_moving_body_drags_and_pushes(x64):
+    """In the frame of the body the law is the same: Galilean invariance, and a node at rest is pushed and dragged."""
+    shift, v = np.array([0.7, 1.5, -0.2]), np.array([1.0, -2.0, 0.5])
+    moved = Pose(jnp.asarray(shift * DT), EYE)
+    still = contact(ground(), UNDER, v)
+    np.testing.assert_allclose(contact(ground(), UNDER, v + shift, REST, moved), still + shift, rtol=1e-12)
+    np.testing.assert_allclose(contact(ground(friction=9.0), UNDER, [0.0, 0, 0], REST, moved), shift, rtol=1e-12)
+
+
+def test_a_rotating_body_has_the_velocity_of_its_points(x64):
+    """A sphere that turns about z by omega: a sticking node at its surface moves with omega x r, up to omega^2 dt."""
+    omega, radius = 2.0, 0.3
+    c, s = np.cos(omega * DT), np.sin(omega * DT)
+    turned = Pose(ORIGIN, jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+    ball = Collider(shape=Sphere(radius=radius), offset=ORIGIN, rotation=EYE, friction=100.0)
+    got = contact(ball, [radius, 0.0, 0.0], [-1.0, 0.0, 0.0], REST, turned)
+    np.testing.assert_allclose(got, [0.0, omega * radius, 0.0], atol=1.1 * 0.5 * omega**2 * DT * radius)
+
+
+def test_offset_and_rotation_of_the_shape_in_its_body(x64):
+    """A ground turned by 90 degrees about z is a wall whose normal is -x; it travels with offset and body."""
+    turn = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    wall = ground(friction=0.0).replace(rotation=turn, offset=jnp.array([0.2, 0.0, 0.0]))
+    body = Pose(jnp.array([1.0, 0.0, 0.0]), EYE)
+    np.testing.assert_allclose(contact(wall, [1.3, 5.0, 0.0], [2.0, 1.0, 0.0], body, body), [0.0, 1.0, 0.0], atol=1e-14)
+    np.testing.assert_array_equal(contact(wall, [1.1, 5.0, 0.0], [2.0, 1.0, 0.0], body, body), [2.0, 1.0, 0.0])
+    # The whole body turned back: the ground is a ground again, and its offset turns with it.
+    body = Pose(jnp.array([0.0, 0.5, 0.0]), turn.T)
+    np.testing.assert_allclose(
+        contact(wall, [0.0, 0.2, 0.0], [2.0, -1.0, 0.0], body, body), [2.0, 0.0, 0.0], atol=1e-14
+    )
+    np.testing.assert_array_equal(contact(wall, [0.0, 0.4, 0.0], [2.0, -1.0, 0.0], body, body), [2.0, -1.0, 0.0])
+
+
+def test_derivatives_equal_finite_differences(x64, random_like, central_difference, relative_error, inner):
+    """Of sliding, sticking, separating and fading nodes, with respect to everything at once."""
+    rng = np.random.default_rng(0)
+    q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    poses = Pose(jnp.array([[0.0, 0.0, 0.0], [1e-3, -2e-3, 0.0]]), jnp.asarray(np.stack([q, q + 1e-3])))
+    ball = Collider(shape=Sphere(radius=jnp.array(0.3)), offset=0.1 * jnp.ones(3), rotation=jnp.asarray(q), friction=jnp.array(0.4), softness=jnp.array(20.0))  # fmt: skip
+    nodes, velocity = jnp.asarray(rng.uniform(-0.4, 0.4, (64, 3))), jnp.asarray(rng.standard_normal((64, 3)))
+
+    def after(args):
+        ball, velocity, poses = args
+        before, behind = (jax.tree.map(lambda p, t=t: p[t], poses) for t in (0, 1))
+        return after_contact(ball, nodes, velocity, before, behind)
+
+    args = (ball, velocity, poses)
+    touched = np.any(after(args) != velocity, axis=1)
+    assert 8 < touched.sum() < 60
+    direction = random_like(1, args)
+    _, tangent = jax.jvp(after, (args,), (direction,))
+    assert relative_error(tangent, central_difference(after, args, direction, 1e-8)) < 1e-6
+    cotangent = random_like(2, tangent)
+    (gradient,) = jax.vjp(after, args)[1](cotangent)
+    np.testing.assert_allclose(inner(gradient, direction), inner(cotangent, tangent), rtol=1e-11)
+
+
+def test_derivatives_are_finite_deep_inside_in_float32():
+    """exp(softness depth) would overflow at 0.13 m with the default softness."""
+
+    def after(height):
+        floor = Collider(shape=Plane(), offset=jnp.array([0.0, 1.0, 0.0]) * height, friction=0.5)
+        nodes = jnp.array([[0.0, -0.5, 0.0], [0.0, -0.001, 0.0], [0.0, 0.001, 0.0], [0.0, 0.9, 0.0]])
+        return jnp.sum(after_contact(floor, nodes, jnp.full((4, 3), -1.0), REST, REST))
+
+    slope = jax.grad(after)(jnp.float32(0.0))
+    assert np.isfinite(slope) and float(slope) > 1.0
+
+
+def test_a_collider_of_a_body_without_pose_is_refused():
+    with pytest.raises(ValueError, match="collider 1 belongs to body 2, but there are poses of 2 bodies: give"):
+        check_bodies((ground(), ground().replace(body=2)), 2)
+
+
+# --- Several colliders -------------------------------------------------------------------------------------------------
+
+
+def several(colliders, nodes, velocity, before, after, overlap):
+    """Velocities (N, 3) of nodes (N, 3) after contact with all of them."""
+    position, v = cp.split_vector(nodes), cp.split_vector(velocity)
+    moving = [(c, *(Pose(p.position[c.body], p.rotation[c.body]) for p in (before, after))) for c in colliders]
+    return cp.join_vector(apply_colliders(moving, position, v, DT, overlap=overlap))
+
+
+def two_boxes(half, apart, friction=0.3):
+    """A box on each of two bodies, side by side along x, and random nodes that cover them."""
+    boxes = tuple(
+        Collider(
+            shape=Box(half_size=jnp.asarray(half)),
+            offset=ORIGIN,
+            rotation=EYE,
+            friction=jnp.asarray(friction),
+            softness=jnp.asarray(30.0),
+            body=b,
+        )
+        for b in (0, 1)
+    )
+    rng = np.random.default_rng(3)
+    nodes = jnp.asarray(rng.uniform(-0.5, 0.5, (400, 3)))
+    velocity = jnp.asarray(rng.standard_normal((400, 3)))
+    before = Pose(jnp.array([[-apart, 0.0, 0.0], [apart, 0.0, 0.0]]), jnp.stack([EYE, EYE]))
+    return boxes, nodes, velocity, before
+
+
+def test_nearest_does_not_depend_on_the_order_and_sequential_does(x64):
+    boxes, nodes, velocity, before = two_boxes((0.2, 0.2, 0.2), 0.1)  # their tops are equally near inside both
+    after = before._replace(position=before.position + jnp.array([[1e-3, 0.0, 0.0], [0.0, -1e-3, 0.0]]))
+    results = {
+        overlap: [several(b, nodes, velocity, before, after, contact) for b in (boxes, boxes[::-1])]
+        for overlap in Overlap
+    }
+    np.testing.assert_allclose(*results[Overlap.NEAREST], rtol=1e-13)
+    assert np.any(results[Overlap.SEQUENTIAL][0] != results[Overlap.SEQUENTIAL][1])
+
+
+def test_nearest_is_the_union_of_shapes(x64):
+    """Two halves of a box that move together act outside like the box."""
+    halves, nodes, velocity, before = two_boxes((0.1, 0.2, 0.2), 0.1)
+    whole = halves[0].replace(shape=Box(half_size=jnp.array([0.2, 0.2, 0.2])))
+    origin = Pose(jnp.zeros((1, 3)), EYE[None])
+    outside = np.any(np.abs(np.asarray(nodes)) > 0.2, axis=1)
+    one = several((whole,), nodes, velocity, origin, origin, Overlap.NEAREST)[outside]
+    np.testing.assert_allclose(
+        several(halves, nodes, velocity, before, before, Overlap.NEAREST)[outside], one, atol=1e-14
+    )
+    assert np.any(one != velocity[outside])
+
+
+def test_derivatives_of_nearest_equal_finite_differences(x64, random_like, central_difference, relative_error, inner):
+    boxes, nodes, velocity, before = two_boxes((0.2, 0.2, 0.2), 0.15)
+    after = before._replace(position=before.position + jnp.array([[1e-3, 0.0, 0.0], [0.0, -1e-3, 0.0]]))
+    boxes = (boxes[0], boxes[1].replace(shape=Box(half_size=jnp.array([0.17, 0.26, 0.13]))))
+    args = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), (boxes, velocity, before, after))
+
+    def result(args):
+        boxes, velocity, before, after = args
+        return several(boxes, nodes, velocity, before, after, Overlap.NEAREST)
+
+    direction = random_like(1, args)
+    _, tangent = jax.jvp(result, (args,), (direction,))
+    assert relative_error(tangent, central_difference(result, args, direction, 1e-8)) < 1e-6
+    cotangent = random_like(2, tangent)
+    (gradient,) = jax.vjp(result, args)[1](cotangent)
+    np.testing.assert_allclose(inner(gradient, direction), inner(cotangent, tangent), rtol=1e-11)
+
+
+# --- Walls ------------------------------------------------------------------------------------------------------------
+
+OPEN = (None, None, None)
+
+
+def after_walls(walls, velocity, num=6, spacing=0.1):
+    """All nodes start with the same velocity."""
+    grid = Grid(shape=(num, num, num), spacing=spacing)
+    v = tuple(jnp.full(grid.num_nodes, a) for a in velocity)
+    return np.stack(apply_walls(walls, grid, indices(grid), v), axis=-1).reshape(*grid.shape, 3)
+
+
+def indices(grid):
+    """Index of every node along x, y, z."""
+    return tuple(jnp.asarray(a.reshape(-1), jnp.int32) for a in np.indices(grid.shape))
+
+
+@pytest.mark.parametrize(
+    ("kind", "friction", "into", "away"),
+    [
+        (WallKind.STICKY, 0.0, [0, 0, 0], [0, 0, 0]),
+        (WallKind.SLIP, 0.0, [3, 0, 4], [3, 0, 4]),
+        (WallKind.SEPARATING, 0.0, [3, 0, 4], [3, 2, 4]),
+        (WallKind.SEPARATING, 0.5, [3 * 0.8, 0, 4 * 0.8], [3, 2, 4]),
+        (WallKind.SEPARATING, 5.0, [0, 0, 0], [3, 2, 4]),
+        (WallKind.GRIPPING, 0.0, [0, 0, 0], [3, 2, 4]),
+    ],
+)
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_each_kind_of_wall(x64, kind, friction, into, away, side):
+    wall = (None, Wall(position=0.25, kind=kind, friction=friction), None)
+    walls = Walls(**({"lower": OPEN, "upper": OPEN} | {side: wall}))
+    sign = 1.0 if side == "lower" else -1.0
+    behind = np.arange(6) * 0.1 < 0.25 if side == "lower" else np.arange(6) * 0.1 > 0.25
+    for v, expected in (([3.0, -2.0 * sign, 4.0], into), ([3.0, 2.0 * sign, 4.0], away)):
+        got = after_walls(walls, v)
+        expected = np.array(expected) * [1, sign, 1]
+        np.testing.assert_allclose(got[:, behind], np.broadcast_to(expected, got[:, behind].shape), atol=1e-14)
+        np.testing.assert_array_equal(got[:, ~behind], np.broadcast_to(v, got[:, ~behind].shape))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_walls_stand_where_their_metres_say_at_every_resolution(axis):
+    """Changing the grid moves no wall: nodes strictly below 0.2 m are held, also where 0.2 m is a node."""
+    lower = tuple(Wall(position=0.2, kind=WallKind.STICKY) if a == axis else None for a in range(3))
+    for num, spacing in ((6, 0.1), (11, 0.05), (8, 0.07), (21, 0.025)):
+        held = np.all(after_walls(Walls(lower=lower, upper=OPEN), (1.0, 1.0, 1.0), num, spacing) == 0, axis=-1)
+        expected = np.arange(num) * spacing < 0.2 - 1e-9
+        np.testing.assert_array_equal(np.moveaxis(held, axis, 0), np.broadcast_to(expected[:, None, None], held.shape))
+
+
+def test_friction_of_a_wall_is_differentiable(x64):
+    def speed(friction):
+        wall = (None, Wall(position=0.25, friction=friction), None)
+        return jnp.sum(apply_walls(Walls(lower=wall, upper=OPEN), grid, indices(grid), velocity)[0])
+
+    grid = Grid(shape=(4, 4, 4), spacing=0.1)
+    velocity = tuple(jnp.full(64, a) for a in (3.0, -2.0, 4.0))
+    # 16 nodes in each of the 3 layers behind: u_x = 3 (1 - 2 mu / 5).
+    np.testing.assert_allclose(jax.grad(speed)(0.5), 48 * 3 * -2 / 5, rtol=1e-12)

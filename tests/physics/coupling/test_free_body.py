@@ -1,0 +1,71 @@
+"""Free rigid bodies alone: what they conserve, and the mass of solids."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.physics.coupling import free_body
+from rewax.physics.shapes.primitives import Box, Capsule, Cylinder, Sphere, signed_distance
+from rewax.physics.shapes.sampling import fill_box
+
+BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [BOX, Sphere(radius=0.2), Cylinder(radius=0.1, half_length=0.3), Capsule(radius=0.1, half_length=0.2)],
+    ids=lambda s: type(s).__name__,
+)
+def test_mass_and_inertia_of_solids(shape):
+    """Against sums over many points inside."""
+    size = np.array({Box: (0.06, 0.04, 0.06), Sphere: (0.4, 0.4, 0.4)}.get(type(shape), (0.2, 0.62, 0.2)))
+    points = fill_box((0.0, 0.0, 0.0), size, size.min() / 60)
+    volume = np.prod(size) / len(points)
+    points = points[np.asarray(signed_distance(shape, jnp.asarray(points))[0]) < 0]
+    mass = 700.0 * volume * len(points)
+    square = np.einsum("ni,ni->n", points, points)
+    moment = mass * (np.mean(square) * np.eye(3) - points.T @ points / len(points))
+    got = free_body.solid(shape, 700.0)
+    np.testing.assert_allclose(got[0], mass, rtol=5e-3)
+    np.testing.assert_allclose(got[1], moment, atol=1e-2 * moment.max())
+
+
+@pytest.mark.parametrize("moments", [(1.0, 1.0, 1.0), (1.0, 2.0, 2.9), (1e-3, 1.7, 1.7)], ids=["cube", "brick", "rod"])
+def test_a_body_without_forces_keeps_its_angular_momentum(rotations, moments):
+    """Over 1000 times dt, in float32, also a slender one whose moments differ by 1700."""
+    turn = rotations(0, 1)[0]
+    inertia = free_body.Inertia(
+        mass=jnp.ones(1), moment=jnp.asarray(turn @ np.diag(moments) @ turn.T, jnp.float32)[None]
+    )
+    bodies = free_body.bodies_at_rest([[1.0, 2.0, 3.0]]).replace(angular_velocity=jnp.array([[1.0, -2.0, 0.5]]))
+
+    @jax.jit
+    def thousand(bodies):
+        return jax.lax.scan(lambda b, _: (free_body.move(b, inertia, 2e-4), None), bodies, length=1000)[0]
+
+    def spin(bodies):
+        return np.asarray(free_body.angular_momentum(bodies, inertia, bodies.position[0]), np.float64)
+
+    after = thousand(bodies)
+    assert np.linalg.norm(spin(after) - spin(bodies)) < 2e-5 * np.linalg.norm(spin(bodies))
+    assert np.linalg.norm(after.angular_velocity) > 0.5
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e3, 1e5])
+def test_equations_of_badly_conditioned_matrices(rotations, ratio):
+    """1 + ratio n n^T, as contact of a light body makes it: the error stays near rounding times the condition."""
+    n = rotations(1, 50)[:, 0]
+    a = np.eye(3) + ratio * n[:, :, None] * n[:, None, :]
+    x = np.random.default_rng(0).standard_normal((50, 3))
+    b = np.einsum("nij,nj->ni", a, x)
+    got = free_body.solve3(jnp.asarray(a, jnp.float32), jnp.asarray(b, jnp.float32))
+    assert np.abs(got - x).max() < 2e-6 * (1.0 + ratio)
+    many = free_body.solve3(jnp.asarray(a, jnp.float32), jnp.asarray(np.stack([b, 2 * b], -1), jnp.float32))
+    for column, factor in ((0, 1.0), (1, 2.0)):
+        assert np.abs(many[..., column] - factor * x).max() < 4e-6 * (1.0 + ratio)
+
+
+def test_whole_numbers_become_floats():
+    bodies = free_body.bodies_at_rest([[0, 1, 0]], jnp.array([[1, 0, 0, 0]]))
+    assert {leaf.dtype for leaf in jax.tree.leaves(bodies)} == {np.dtype(np.float32)}

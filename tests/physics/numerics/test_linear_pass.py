@@ -1,0 +1,72 @@
+"""The primitive behind hand-written transposes: both modes, batching of some arguments, and what it refuses."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.physics.numerics.linear_pass import linear_pass
+
+
+def _apply(power, residuals, linear):
+    (scale,), (a, b) = residuals, linear
+    return (scale**power * a + b, a[..., ::-1])
+
+
+def _transposed(power, residuals, cotangents):
+    (scale,), (p, q) = residuals, cotangents
+    return (scale**power * p + q[..., ::-1], p)
+
+
+def apply(scale, a, b):
+    return linear_pass(_apply, _transposed, 2, (scale,), (a, b))
+
+
+def plain(scale, a, b):
+    return (scale**2 * a + b, a[::-1])
+
+
+ARGS = tuple(jnp.asarray(np.random.default_rng(0).standard_normal((3, 4)), jnp.float32))
+
+
+def test_value_forward_and_reverse_equal_the_plain_function(random_like):
+    scale, a, b = ARGS
+    for mine, other in zip(apply(*ARGS), plain(*ARGS), strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-6)
+    tangents = random_like(1, (a, b))
+    for f in (jax.jit, lambda f: f):
+        got = f(lambda a, b, da, db: jax.jvp(lambda a, b: apply(scale, a, b), (a, b), (da, db)))(a, b, *tangents)
+        want = jax.jvp(lambda a, b: plain(scale, a, b), (a, b), tangents)
+        jax.tree.map(lambda g, w: np.testing.assert_allclose(g, w, rtol=1e-6), got, want)
+    cotangents = random_like(2, apply(*ARGS))
+    got = jax.vjp(lambda a, b: apply(scale, a, b), a, b)[1](cotangents)
+    want = jax.vjp(lambda a, b: plain(scale, a, b), a, b)[1](cotangents)
+    jax.tree.map(lambda g, w: np.testing.assert_allclose(g, w, rtol=1e-6), got, want)
+
+
+@pytest.mark.parametrize("axes", [(0, 0, 0), (None, 0, None), (0, None, 1), (1, None, None)])
+def test_vmap_of_any_arguments(random_like, axes):
+    def shape(axis):
+        return {None: (4,), 0: (5, 4), 1: (4, 5)}[axis]
+
+    args = random_like(3, tuple(jnp.zeros(shape(axis)) for axis in axes))
+    got, want = jax.vmap(apply, axes)(*args), jax.vmap(plain, axes)(*args)
+    jax.tree.map(lambda g, w: np.testing.assert_allclose(g, w, rtol=1e-6), got, want)
+
+    def loss(f):
+        return lambda a, b: sum(jnp.sum(jnp.sin(o)) for o in jax.vmap(f, axes)(args[0], a, b))
+
+    got, want = (jax.grad(loss(f), (0, 1))(*args[1:]) for f in (apply, plain))
+    jax.tree.map(lambda g, w: np.testing.assert_allclose(g, w, rtol=1e-5), got, want)
+
+
+def test_only_some_linear_arguments_are_differentiated():
+    scale, a, b = ARGS
+    got = jax.grad(lambda b: jnp.sum(jnp.sin(apply(scale, a, b)[0])))(b)
+    np.testing.assert_allclose(got, jnp.cos(plain(scale, a, b)[0]), rtol=1e-6)
+
+
+def test_derivative_by_a_residual_is_refused_with_the_reason():
+    scale, a, b = ARGS
+    with pytest.raises(NotImplementedError, match="second derivatives"):
+        jax.grad(lambda scale: jnp.sum(apply(scale, a, b)[0]))(scale)
