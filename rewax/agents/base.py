@@ -1,8 +1,12 @@
 """What an algorithm is to the training loop."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
+import jax
+
+from rewax.envs.leaves import EnvLeaves
 from rewax.types import Array, Key, PyTree
 
 TrainState: TypeAlias = PyTree
@@ -19,8 +23,41 @@ class Agent(NamedTuple):
       init: ``key -> TrainState``.
       train_step: ``TrainState -> (TrainState, Metrics)``; one iteration, jitted, the input stays usable.
       policy: ``(TrainState, obs, key, deterministic=False) -> action`` for one environment; ``vmap`` over obs and key.
+      name: of the algorithm in ``rewax.agents.registry``; empty for one that is not registered.
+      config: its frozen dataclass of hyper-parameters.
     """
 
     init: Callable[[Key], Any]
     train_step: Callable[[Any], tuple[Any, Metrics]]
     policy: Callable[..., Array]
+    name: str = ""
+    config: Any = None
+
+
+Init: TypeAlias = Callable[[Any, EnvLeaves, Key], TrainState]
+TrainStep: TypeAlias = Callable[[Any, TrainState], tuple[TrainState, Metrics]]
+
+
+def bind(
+    name: str, config: Any, leaves: EnvLeaves, *, init: Init, train_step: TrainStep, policy: Callable[..., Array]
+) -> Agent:
+    """An agent from pure functions of its configuration.
+
+    Agents of equal configurations share their compiled programs: environments whose leaves have other values compile
+    nothing.
+
+    Args:
+      name: of the algorithm.
+      config: hashable.
+      leaves: of the environment.
+      init: ``(config, leaves, key) -> TrainState``.
+      train_step: ``(config, TrainState) -> (TrainState, Metrics)``.
+      policy: as for ``Agent``.
+    """
+    start, step = _compiled(init, config), _compiled(train_step, config)
+    return Agent(init=lambda key: start(leaves, key), train_step=step, policy=policy, name=name, config=config)
+
+
+@functools.cache
+def _compiled(function: Callable[..., Any], config: Any) -> Any:
+    return jax.jit(functools.partial(function, config))

@@ -1,14 +1,29 @@
 """Networks: point-cloud and vector encoders, policy and value heads (flax linen)."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
-from rewax.types import Array, Observation
+from rewax.types import Array, Key, Observation
 
 Activation = Callable[[Array], Array]
+
+
+def orthogonal(gain: float) -> Any:
+    """flax's orthogonal initialiser, one matrix at a time under ``vmap``.
+
+    Several batched QR decompositions in one program can dead-lock the threads of XLA's CPU backend, so
+    ``vmap(agent.init)`` has to draw its matrices one after the other.
+    """
+    initialise = nn.initializers.orthogonal(gain)
+
+    def init(key: Key, shape: Sequence[int], dtype: Any = jnp.float32) -> Array:
+        return jax.custom_batching.sequential_vmap(lambda key: initialise(key, shape, dtype))(key)
+
+    return init
 
 
 class Layer(nn.Module):
@@ -20,7 +35,7 @@ class Layer(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array) -> Array:
-        x = nn.Dense(self.width, kernel_init=nn.initializers.orthogonal(self.gain))(x)
+        x = nn.Dense(self.width, kernel_init=orthogonal(self.gain))(x)
         return self.activation(nn.LayerNorm()(x))
 
 
@@ -84,7 +99,7 @@ class GaussianActor(nn.Module):
     @nn.compact
     def __call__(self, obs: Observation) -> tuple[Array, Array]:
         x = MLP(self.widths, self.activation, self.gain)(self.encoder(obs))
-        init = nn.initializers.orthogonal(self.gain)
+        init = orthogonal(self.gain)
         mean = nn.Dense(self.action_size, kernel_init=init, name="mean")(x)
         bias = nn.initializers.constant(self.initial_log_std)
         log_std = nn.Dense(self.action_size, kernel_init=init, bias_init=bias, name="log_std")(x)
@@ -103,7 +118,7 @@ class Critics(nn.Module):
     @nn.compact
     def __call__(self, obs: Observation) -> Array:
         features = self.encoder(obs)
-        init = nn.initializers.orthogonal(self.gain)
+        init = orthogonal(self.gain)
         values = [
             nn.Dense(1, kernel_init=init, name=f"value_{i}")(
                 MLP(self.widths, self.activation, self.gain, name=f"mlp_{i}")(features)

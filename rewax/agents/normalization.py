@@ -1,4 +1,4 @@
-"""Running mean and variance of observations, as a pytree."""
+"""Running mean and variance of observations, as a pytree; no single sample can spoil them."""
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +8,9 @@ from rewax.envs.base import ArraySpec
 from rewax.types import Array, Observation
 
 EPSILON = 1e-5
+WINSOR_WIDTH = 10.0
+"""Samples count as if they were at most so many standard deviations from the running mean, or so many interquartile
+ranges beyond the quartiles of their batch, whichever is wider."""
 
 
 @struct.dataclass
@@ -39,30 +42,74 @@ def init_statistics(spec: dict[str, ArraySpec]) -> RunningStatistics:
     )
 
 
-def update_statistics(statistics: RunningStatistics, obs: Observation) -> RunningStatistics:
-    """Add a batch of observations with any number of leading axes. Gradient: none.
+def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Array | None = None) -> RunningStatistics:
+    """Add a batch of observations. Gradient: none.
 
-    Source: Chan, Golub and LeVeque 1979, pairwise update of mean and variance.
+    Samples are winsorised (``WINSOR_WIDTH``): one that lies far from all others counts as one at the border, so that
+    neither 9e5 nor a finite 1e20 among ordinary numbers changes the statistics by more than a little. A sample with a
+    number that is not finite is left out.
+
+    Args:
+      statistics: so far.
+      obs: with any number of leading axes.
+      valid: samples that count, bool, of the shape of these axes; None: all.
+
+    Source: Chan, Golub and LeVeque 1979, pairwise update of mean and variance; winsorising is an addition.
     """
-    mean, variance, count, added = {}, {}, statistics.count, 0
-    for name, old_mean in statistics.mean.items():
-        batch = jax.lax.stop_gradient(obs[name]).reshape(-1, *old_mean.shape)
-        added = batch.shape[0]
-        total = count + added
-        delta = batch.mean(0) - old_mean
-        mean[name] = old_mean + delta * (added / total)
-        spread = statistics.variance[name] * count + batch.var(0) * added + delta**2 * (count * added / total)
-        variance[name] = spread / total
-    return RunningStatistics(count=count + added, mean=mean, variance=variance)
+    flat = {name: jax.lax.stop_gradient(obs[name]).reshape(-1, *mean.shape) for name, mean in statistics.mean.items()}
+    if not flat:
+        return statistics
+    keep = jnp.ones(len(next(iter(flat.values()))), bool) if valid is None else valid.reshape(-1)
+    for batch in flat.values():
+        keep = keep & jnp.all(jnp.isfinite(batch).reshape(len(keep), -1), axis=1)
+    added = jnp.sum(keep).astype(statistics.count.dtype)
+    total = statistics.count + added
+    mean, variance = {}, {}
+    for name, batch in flat.items():
+        old, spread = statistics.mean[name], statistics.variance[name]
+        batch = _winsorised(batch, keep, old, spread)
+        batch_mean, batch_variance = _moments(batch, keep, added)
+        delta = batch_mean - old
+        mean[name] = old + delta * (added / total)
+        variance[name] = (
+            spread * statistics.count + batch_variance * added + delta**2 * (statistics.count * added / total)
+        ) / total
+    return RunningStatistics(count=total, mean=mean, variance=variance)
 
 
-def normalize(statistics: RunningStatistics, obs: Observation) -> Observation:
-    """(obs - mean) / sqrt(variance + 1e-5) for vectors, others unchanged. Gradient: with respect to obs only."""
+def normalize(statistics: RunningStatistics, obs: Observation, *, clip: float | None = None) -> Observation:
+    """(obs - mean) / sqrt(variance + 1e-5) for vectors, others unchanged.
+
+    Args:
+      statistics: Gradient: none.
+      obs: Gradient: exact, zero where a component is clipped.
+      clip: normalised components stay between minus and plus this; None: no limit.
+    """
     statistics = jax.lax.stop_gradient(statistics)
 
     def one(name: str, a: Array) -> Array:
         if name not in statistics.mean:
             return a
-        return (a - statistics.mean[name]) * jax.lax.rsqrt(statistics.variance[name] + EPSILON)
+        z = (a - statistics.mean[name]) * jax.lax.rsqrt(statistics.variance[name] + EPSILON)
+        return z if clip is None else jnp.clip(z, -clip, clip)
 
     return {name: one(name, a) for name, a in obs.items()}
+
+
+def _winsorised(batch: Array, keep: Array, mean: Array, variance: Array) -> Array:
+    """Samples moved to the border of what is usual; those that do not count are zero."""
+    keep = keep.reshape(-1, *[1] * (batch.ndim - 1))
+    quartiles = jnp.nanquantile(jnp.where(keep, batch, jnp.nan), jnp.array([0.25, 0.75], batch.dtype), axis=0)
+    low, high = jnp.where(jnp.isfinite(quartiles), quartiles, mean)
+    deviation, between = jnp.sqrt(variance), high - low
+    low = jnp.minimum(mean - WINSOR_WIDTH * deviation, low - WINSOR_WIDTH * between)
+    high = jnp.maximum(mean + WINSOR_WIDTH * deviation, high + WINSOR_WIDTH * between)
+    return jnp.where(keep, jnp.clip(batch, low, high), 0.0)
+
+
+def _moments(batch: Array, keep: Array, count: Array) -> tuple[Array, Array]:
+    """Mean and variance of the samples that count."""
+    count = jnp.maximum(count, 1.0)
+    mean = jnp.sum(batch, axis=0) / count  # those that do not count are zero
+    off = jnp.where(keep.reshape(-1, *[1] * (batch.ndim - 1)), batch - mean, 0.0)
+    return mean, jnp.sum(off**2, axis=0) / count

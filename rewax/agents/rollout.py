@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 import jax
 
 from rewax.envs.base import Env, State
+from rewax.status import FATAL
 from rewax.types import Array, Key, Observation
 
 Differentiation = Literal["full", "checkpointed", "none"]
@@ -23,9 +24,21 @@ class Transition(NamedTuple):
     terminated: Array
     truncated: Array
     status: Array
+    failed_leaf: Array
+    """See ``State.failed_leaf``."""
     metrics: dict[str, Array]
     extras: dict[str, Array]
     """What the policy said beside its action, e.g. its entropy."""
+
+    @property
+    def done(self) -> Array:
+        """The episode ended, one way or the other."""
+        return self.terminated | self.truncated
+
+    @property
+    def valid(self) -> Array:
+        """The step did not fail numerically. Of a failed one nothing counts: it has no reward and no next value."""
+        return (self.status & int(FATAL)) == 0
 
 
 Policy = Callable[[Observation, Key], tuple[Array, dict[str, Array]]]
@@ -62,6 +75,7 @@ def rollout(
             terminated=new.terminated,
             truncated=new.truncated,
             status=new.status,
+            failed_leaf=new.failed_leaf,
             metrics=new.metrics,
             extras=extras,
         )

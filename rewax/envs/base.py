@@ -11,6 +11,9 @@ from rewax import struct
 from rewax.status import FATAL, Status, all_finite, flag
 from rewax.types import Array, Key, Observation, PyTree
 
+NO_LEAF = -1
+"""``State.failed_leaf`` of a step that did not fail."""
+
 
 @struct.dataclass
 class State(struct.Replaceable):
@@ -28,6 +31,10 @@ class State(struct.Replaceable):
       key: this environment's source of randomness.
       final_obs: None, except behind the auto-reset wrapper: observation before the reset at the end of an episode,
         equal to ``obs`` elsewhere.
+      drawn: leaves of the environment that belong to this episode, by name; None where nothing is randomised (see
+        ``rewax.envs.Randomized``).
+      failed_leaf: which array of the last step held a non-finite number, see ``failed_leaf_name``; -1: none, shape (),
+        int32.
     """
 
     physics: PyTree
@@ -40,6 +47,8 @@ class State(struct.Replaceable):
     status: Array
     key: Key
     final_obs: Observation | None = None
+    drawn: dict[str, Array] | None = None
+    failed_leaf: Array = struct.field(default_factory=lambda: jnp.full((), NO_LEAF, jnp.int32))
 
     @property
     def done(self) -> Array:
@@ -136,7 +145,10 @@ def next_state(
     Gradient: passes through unchanged, cut in a failed step. (A NaN in the derivative of a failed step itself cannot be
       removed here; agents drop such an environment's gradient and count it.)
     """
-    failed = ~all_finite((physics, obs, reward)) | ((jnp.asarray(status) & FATAL) != 0)
+    broken = [~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)]
+    failed = jnp.any(jnp.stack(broken)) | ((jnp.asarray(status) & FATAL) != 0)
+    # A fatal status without a non-finite number has the index after the last.
+    first = jnp.argmax(jnp.stack([*broken, failed])).astype(jnp.int32)
 
     def keep(new: PyTree, old: PyTree) -> PyTree:
         return jax.tree.map(lambda a, b: jnp.where(failed, jax.lax.stop_gradient(b), a), new, old)
@@ -152,4 +164,29 @@ def next_state(
         metrics=keep(metrics, state.metrics),
         step_count=step_count,
         status=jnp.asarray(status, jnp.int32) | flag(failed, Status.NAN),
+        failed_leaf=jnp.where(failed, first, NO_LEAF),
     )
+
+
+def failed_leaf_name(env: "Env", leaf: int) -> str:
+    """What ``State.failed_leaf`` stands for: ``"physics.rigid.qpos"``, ``"obs['state']"``, ``"reward"``.
+
+    Args:
+      env: the environment, unbatched.
+      leaf: the index; after the last array it stands for a fatal bit of ``status``, below 0 for nothing.
+    """
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    parts = {"physics": state.physics, "obs": dict(state.obs), "reward": state.reward}
+    names = [
+        name + jax.tree_util.keystr(path)
+        for name, tree in parts.items()
+        for path, value in jax.tree.leaves_with_path(tree)
+        if jnp.issubdtype(value.dtype, jnp.inexact)
+    ]
+    return "nothing" if leaf < 0 else names[leaf] if leaf < len(names) else "status"
+
+
+def _checked_leaves(physics: PyTree, obs: Observation, reward: Array) -> list[Array]:
+    """Arrays that must be finite, in the order that ``failed_leaf_name`` names."""
+    leaves = [*jax.tree.leaves(physics), *jax.tree.leaves(dict(obs)), reward]
+    return [leaf for leaf in leaves if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)]

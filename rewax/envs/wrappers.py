@@ -72,18 +72,59 @@ class AutoReset(_Wrapper):
         fresh = jax.lax.stop_gradient(self.env.reset(reset_key).replace(key=key))
         new = select(state.done, fresh, state)
         return state.replace(
-            physics=new.physics, obs=new.obs, step_count=new.step_count, key=new.key, final_obs=state.obs
+            physics=new.physics,
+            obs=new.obs,
+            step_count=new.step_count,
+            key=new.key,
+            drawn=new.drawn,
+            final_obs=state.obs,
         )
 
 
 @struct.dataclass
 class Vmap(_Wrapper):
-    """Many environments side by side: every argument and result has a leading axis of environments."""
+    """Many environments side by side: every argument and result has a leading axis of environments.
+
+    Attributes:
+      env: one environment that all share, or a batch: an environment whose array leaves have an axis of environments.
+      env_axis: 0 for a batch, None for one environment that all share (static).
+    """
+
+    env_axis: int | None = struct.static_field(default=None)
+
+    def __post_init__(self) -> None:
+        if self.env_axis not in (None, 0):
+            raise ValueError(f"env_axis is {self.env_axis}: give 0 for a batch of environments, None for one")
+
+    @property
+    def observation_spec(self) -> dict[str, ArraySpec]:
+        return self._first.observation_spec
+
+    @property
+    def action_spec(self) -> ArraySpec:
+        return self._first.action_spec
+
+    @property
+    def episode_length(self) -> int:
+        return self._first.episode_length
 
     def reset(self, key: Key) -> State:
         """key: shape (num_envs,)."""
-        return jax.vmap(self.env.reset)(key)
+        return jax.vmap(lambda env, key: env.reset(key), in_axes=(self._axes, 0))(self.env, key)
 
     def step(self, state: State, action: Array) -> State:
         """action: shape (num_envs, *action_shape)."""
-        return jax.vmap(self.env.step)(state, action)
+        return jax.vmap(lambda env, *args: env.step(*args), in_axes=(self._axes, 0, 0))(self.env, state, action)
+
+    @property
+    def _axes(self) -> Any:
+        """Of the environment's leaves; Python numbers are shared."""
+        if self.env_axis is None:
+            return None
+        return jax.tree.map(lambda a: None if isinstance(a, (bool, int, float)) else 0, self.env)
+
+    @property
+    def _first(self) -> Any:
+        if self.env_axis is None:
+            return self.env
+        return jax.tree.map(lambda a: a if isinstance(a, (bool, int, float)) else a[0], self.env)

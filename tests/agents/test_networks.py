@@ -107,3 +107,18 @@ def test_critics_share_an_encoder_and_nothing_else():
                 np.testing.assert_array_equal(moved, np.arange(3) == i)
     for leaf in jax.tree.leaves(slopes["encoder"]):
         assert (np.abs(np.asarray(leaf)).reshape(3, -1).max(axis=1) > 0).all()
+
+
+def test_initialisers_under_vmap_draw_what_each_key_draws_alone():
+    """Several batched QR decompositions in one program can dead-lock XLA's CPU threads: this returns at all."""
+    from rewax.agents.networks import orthogonal
+
+    def draw(key):
+        return [orthogonal(1.0)(k, (64, 32)) for k in jax.random.split(key, 12)]
+
+    keys = jax.random.split(jax.random.key(0), 3)
+    many = jax.jit(jax.vmap(draw))(keys)
+    alone = jax.jit(draw)(keys[1])
+    for a, b in zip(many, alone, strict=True):
+        np.testing.assert_array_equal(a[1], b)
+        np.testing.assert_allclose(b.T @ b, np.eye(32), atol=1e-5)

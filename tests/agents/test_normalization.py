@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.agents.normalization import EPSILON, init_statistics, normalize, update_statistics
+from rewax.agents.normalization import EPSILON, WINSOR_WIDTH, init_statistics, normalize, update_statistics
 from rewax.envs.base import ArraySpec
 
 SPEC = {"points": ArraySpec((5, 3)), "q": ArraySpec((4,)), "height": ArraySpec(())}
@@ -79,3 +79,65 @@ def test_no_gradient_into_the_statistics(name):
         return jnp.sum(statistics.mean[name]) + jnp.sum(statistics.variance[name])
 
     assert (np.asarray(jax.grad(mean)(observations(3)[name])) == 0.0).all()
+
+
+def learnt(batches, shape=(1,)):
+    """Statistics after some batches of one observation."""
+    statistics = init_statistics({"x": ArraySpec(shape)})
+    for batch in batches:
+        statistics = update_statistics(statistics, {"x": jnp.asarray(batch)})
+    return statistics
+
+
+@pytest.mark.parametrize("wild", [9e5, -1e20, 3e38])
+def test_one_wild_observation_hardly_moves_the_statistics(wild):
+    ordinary = [np.random.default_rng(i).normal(size=(128, 1)).astype(np.float32) for i in range(3)]
+    spoilt = [ordinary[0], ordinary[1].copy(), ordinary[2]]
+    spoilt[1][7] = wild
+    clean, got = learnt(ordinary), learnt(spoilt)
+    assert abs(got.mean["x"] - clean.mean["x"]) < WINSOR_WIDTH * 2 / 384
+    assert 0.9 < got.variance["x"] / clean.variance["x"] < 1 + 2 * WINSOR_WIDTH**2 / 384
+
+
+def test_a_wild_observation_in_the_first_batch_of_few_is_held_too():
+    batch = np.random.default_rng(0).normal(1000.0, 3.0, (8, 1)).astype(np.float32)
+    batch[3] = 1e20
+    got = learnt([batch])
+    assert got.mean["x"] < 1200.0 and np.isfinite(got.variance["x"])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_left_out_sample_by_sample(x64, bad):
+    batch = np.random.default_rng(0).normal(size=(16, 3))
+    spoilt = batch.copy()
+    spoilt[5, 1] = bad
+    got, expected = learnt([spoilt], (3,)), learnt([np.delete(batch, 5, axis=0)], (3,))
+    assert got.count == 16.0
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12), got, expected)
+
+
+def test_ordinary_numbers_are_never_moved(x64):
+    batches = [np.random.default_rng(i).normal(1e4 * i, 1.0 + i, (32, 1)) for i in range(4)]
+    got, samples = learnt(batches), np.concatenate([np.zeros((1, 1)), *batches])
+    mean = samples.mean()
+    np.testing.assert_allclose(got.mean["x"], [mean], rtol=1e-12)
+    np.testing.assert_allclose(got.variance["x"], [(1.0 + (samples**2).sum()) / 129 - mean**2], rtol=1e-9)
+
+
+def test_samples_that_do_not_count_change_nothing():
+    statistics = learnt([np.ones((4, 1), np.float32)])
+    none = update_statistics(statistics, {"x": jnp.full((8, 1), 5.0)}, jnp.zeros(8, bool))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), none, statistics)
+
+
+def test_normalized_observations_are_clipped_and_pass_no_gradient_there():
+    statistics = init_statistics({"x": ArraySpec((2,))})
+
+    def seen(x, clip):
+        return normalize(statistics, {"x": x}, clip=clip)["x"]
+
+    x = jnp.array([3.0, -9e5])
+    np.testing.assert_allclose(seen(x, 5.0), [3.0, -5.0], rtol=1e-4)
+    np.testing.assert_allclose(seen(x, None), x, rtol=1e-4)
+    slope = jax.grad(lambda x: seen(x, 5.0).sum())(x)
+    np.testing.assert_allclose(slope, [1.0, 0.0], rtol=1e-4)

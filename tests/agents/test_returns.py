@@ -106,3 +106,29 @@ def test_gradient_reaches_values_only_at_the_ends_of_stretches(end):
     np.testing.assert_allclose(slope_v, np.where(ends, 0.5 * weights, 0.0), rtol=1e-6)
     by_value = jax.jacobian(lambda v: td_lambda(r, v, done, discount=0.5, lambda_=1.0))(v)
     assert (np.asarray(by_value)[:, ~ends] == 0.0).all() and (np.diag(by_value)[ends] == 0.5).all()
+
+
+def test_a_failed_step_is_worth_the_value_before_it_not_nothing():
+    r, v = jnp.array([-1.0, -2.0, 0.0, -4.0]), jnp.array([-10.0, -20.0, 0.0, -40.0])
+    done, valid = jnp.array([False, False, True, False]), jnp.array([True, True, False, True])
+    got = td_lambda(r, v, done, valid, discount=0.5, lambda_=0.5)
+    # step 1 ends the stretch with V = -20: G1 = -2 - 10 = -12; G0 = -1 + 0.5 (-5 - 6) = -6.5; G3 = -4 - 20
+    np.testing.assert_allclose(got[np.array([0, 1, 3])], [-6.5, -12.0, -24.0])
+    # 1 * -1 + 0.5 (-2 + 0.5 * -20), nothing for step 2, then -4 + 0.5 * -40
+    got = short_horizon_return(r, v, done, valid, discount=0.5)
+    np.testing.assert_allclose(got, -1.0 + 0.5 * (-2.0 - 10.0) - 24.0)
+
+
+def test_a_failed_step_has_no_gradient():
+    done, valid = jnp.array([False, True, False]), jnp.array([True, False, True])
+    slope = jax.grad(lambda r: short_horizon_return(r, jnp.ones(3), done, valid, discount=0.5))(jnp.ones(3))
+    np.testing.assert_allclose(slope, [1.0, 0.0, 1.0])
+
+
+def test_steps_that_all_succeed_are_as_without_a_mask(x64):
+    reward, value, done, discount, lambda_ = draw(3)
+    valid = np.ones_like(done)
+    got = jax.vmap(lambda r, v, d, ok, g, k: td_lambda(r, v, d, ok, discount=g, lambda_=k))(
+        *map(jnp.asarray, (reward, value, done, valid, discount, lambda_))
+    )
+    np.testing.assert_array_equal(got, many_targets(reward, value, done, discount, lambda_))

@@ -1,10 +1,7 @@
 """SAPO on a point mass: the gradient it follows, that it learns, and what a broken environment may not do."""
 
 import dataclasses
-import functools
-import types
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,9 +11,10 @@ import toys
 
 from rewax import struct
 from rewax.agents import sapo
-from rewax.agents.returns import td_lambda
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.gradients import per_env_gradients as all_gradients
 from rewax.agents.sapo import SAPOConfig, make_sapo
-from rewax.envs.base import ArraySpec, next_state
+from rewax.envs.base import next_state
 
 HEALTHY, NAN_VALUE, NAN_GRADIENT, ENDING = range(4)
 LENGTH = 5
@@ -69,8 +67,10 @@ ENV = Faulty(gain=jnp.float32(0.5), length=LENGTH)
 
 def prepared(state, modes, counts=(0, 0, 0, 0)):
     """The same run with environments in these modes after these numbers of steps."""
-    physics = {**state.env_state.physics, "mode": jnp.array(modes, jnp.int32)}
-    return state.replace(env_state=state.env_state.replace(physics=physics, step_count=jnp.array(counts, jnp.int32)))
+    envs = state.environments
+    physics = {**envs.state.physics, "mode": jnp.array(modes, jnp.int32)}
+    env_state = envs.state.replace(physics=physics, step_count=jnp.array(counts, jnp.int32))
+    return state.replace(environments=envs.replace(state=env_state))
 
 
 def raw(leaf):
@@ -97,15 +97,17 @@ def start(agent):
 
 def per_env_gradients(config):
     """Loss, data and gradient of every environment, with the keys that ``train_step`` would use; jitted."""
-    parts = sapo._make_parts(ENV, config)
+    networks = make_actor_critic(ENV, config)
 
     @jax.jit
     def gradients(state):
-        keys = jax.random.split(jax.random.split(state.key)[1], config.num_envs)
-        f = jax.value_and_grad(sapo._actor_loss, argnums=1, has_aux=True)
-        return jax.vmap(lambda env_state, key: f(parts, state.actor_params, state, env_state, key))(
-            state.env_state, keys
+        def loss(params, env, env_state, key):
+            return sapo.actor_loss(networks, state, params, env, env_state, key)
+
+        losses, data, grads = all_gradients(
+            loss, state.actor_params, state.environments, jax.random.split(state.key)[1]
         )
+        return (losses, data), grads
 
     return gradients
 
@@ -134,14 +136,14 @@ def test_learns_and_compiles_once(agent, seed):
 
 def objective(params, state, i, data, config):
     """Minus the soft return per step of environment i, written out for actions without noise."""
-    parts = sapo._make_parts(ENV, config)
-    mean, var = state.statistics.mean["x"], state.statistics.variance["x"]
+    parts = make_actor_critic(ENV, config)
+    mean, var = state.environments.statistics.mean["x"], state.environments.statistics.variance["x"]
 
     def seen(x):
         return {"x": (x - mean) / jnp.sqrt(var + 1e-5)}
 
-    env = jax.tree.map(lambda a: a[i], state.env_state.physics)
-    x, mode, count = env["x"], env["mode"], state.env_state.step_count[i]
+    env = jax.tree.map(lambda a: a[i], state.environments.state.physics)
+    x, mode, count = env["x"], env["mode"], state.environments.state.step_count[i]
     total, weight = 0.0, 1.0
     for t in range(config.horizon):
         raw_action = parts.actor.apply(params, seen(x))[0]
@@ -194,22 +196,26 @@ def test_train_step_follows_the_mean_of_the_environments_gradients(agent, start,
     np.testing.assert_allclose(metrics["actor_grad_norm"], optax.global_norm(grad), rtol=1e-4)
     np.testing.assert_allclose(metrics["reward"], data.transitions.reward.mean(), rtol=1e-5)
     np.testing.assert_allclose(metrics["env/distance"], data.transitions.metrics["distance"].mean(), rtol=1e-5)
-    optimizer = sapo._make_parts(ENV, CONFIG).actor_optimizer
+    optimizer = make_actor_critic(ENV, CONFIG).actor_optimizer
     updates, _ = optimizer.update(grad, start.actor_opt, start.actor_params)
     expected = optax.apply_updates(start.actor_params, updates)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=2e-4), new.actor_params, expected)
     # statistics: everything that was seen
-    x = np.concatenate([raw(start.env_state.obs["x"]), raw(data.transitions.obs["x"]).reshape(-1, 1)])
-    np.testing.assert_allclose(new.statistics.mean["x"], x.sum(0) / (len(x) + 1), rtol=1e-5)
+    x = np.concatenate([raw(start.environments.state.obs["x"]), raw(data.transitions.obs["x"]).reshape(-1, 1)])
+    np.testing.assert_allclose(new.environments.statistics.mean["x"], x.sum(0) / (len(x) + 1), rtol=1e-5)
 
 
 def test_return_is_that_of_the_episodes_that_ended(agent, start):
-    state = prepared(start, [HEALTHY] * 4, [0, 0, 0, 2]).replace(episode_return=jnp.array([1.0, 2.0, 3.0, 4.0]))
+    state = prepared(start, [HEALTHY] * 4, [0, 0, 0, 2])
+    returns = jnp.array([1.0, 2.0, 3.0, 4.0])
+    state = state.replace(environments=state.environments.replace(episode_return=returns))
     (_, data), _ = per_env_gradients(CONFIG)(state)
     new, metrics = agent.train_step(state)
     reward = raw(data.transitions.reward)
     np.testing.assert_allclose(metrics["return"], 4.0 + reward[3, :3].sum(), rtol=1e-5)
-    np.testing.assert_allclose(new.episode_return, [*([1, 2, 3] + reward[:3].sum(1)), reward[3, 3]], rtol=1e-5)
+    np.testing.assert_allclose(
+        new.environments.episode_return, [*([1, 2, 3] + reward[:3].sum(1)), reward[3, 3]], rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize(("mode", "failures"), [(NAN_VALUE, 1), (NAN_GRADIENT, 0)])
@@ -223,13 +229,13 @@ def test_a_broken_environment_is_dropped_counted_and_touches_no_other(agent, sta
     assert_same_bits(keep(clean), keep(broke))  # losses, trajectories and gradients
     assert finite(broke[0]) and not finite(jax.tree.map(lambda g: g[2], broke[1]))  # only its gradient is bad
     (reference, good), (new, metrics) = agent.train_step(healthy), agent.train_step(broken)
-    assert_same_bits(keep(reference.env_state), keep(new.env_state))
+    assert_same_bits(keep(reference.environments.state), keep(new.environments.state))
     assert int(metrics["dropped_gradients"]) == 1 and int(good["dropped_gradients"]) == 0
     assert int(metrics["failed_episodes"]) == failures and int(good["failed_episodes"]) == 0
     mean = jax.tree.map(lambda g: g.mean(axis=0), keep(broke[1]))
     np.testing.assert_allclose(metrics["actor_grad_norm"], optax.global_norm(mean), rtol=1e-4)
     np.testing.assert_allclose(metrics["actor_loss"], broke[0][0][others].mean(), rtol=1e-5)
-    assert finite(new.actor_params) and finite(new.critic_params) and finite(new.statistics)
+    assert finite(new.actor_params) and finite(new.critic_params) and finite(new.environments.statistics)
     # A failure ends the episode at once; what is merely not differentiable goes on to the time limit.
     np.testing.assert_array_equal(broke[0][1].transitions.terminated[2], np.arange(4) == (0 if failures else -1))
     for _ in range(3):
@@ -255,11 +261,11 @@ def test_repeats_bit_for_bit(agent):
 
     once = run(5)
     assert_same_bits(once, run(5))
-    assert not np.array_equal(raw(once.env_state.obs["x"]), raw(run(6).env_state.obs["x"]))
+    assert not np.array_equal(raw(once.environments.state.obs["x"]), raw(run(6).environments.state.obs["x"]))
 
 
 def test_environments_start_apart_if_asked_to(agent):
-    counts = np.concatenate([raw(agent.init(jax.random.key(s)).env_state.step_count) for s in range(10)])
+    counts = np.concatenate([raw(agent.init(jax.random.key(s)).environments.state.step_count) for s in range(10)])
     np.testing.assert_array_equal(np.unique(counts), np.arange(LENGTH))
 
 
@@ -269,12 +275,12 @@ def test_switches_that_keep_temperature_statistics_and_starts():
     )
     agent = make_sapo(ENV, config)
     state = agent.init(jax.random.key(0))
-    np.testing.assert_array_equal(state.env_state.step_count, np.zeros(4))
+    np.testing.assert_array_equal(state.environments.state.step_count, np.zeros(4))
     new, metrics = agent.train_step(state)
     assert new.log_temperature == state.log_temperature
     np.testing.assert_allclose(metrics["temperature"], 0.3, rtol=1e-6)
-    assert_same_bits(new.statistics, state.statistics)
-    assert new.statistics.count == 1.0 and new.statistics.mean["x"] == 0.0
+    assert_same_bits(new.environments.statistics, state.environments.statistics)
+    assert new.environments.statistics.count == 1.0 and new.environments.statistics.mean["x"] == 0.0
 
 
 @pytest.mark.parametrize("differentiate", ["checkpointed", "none"])
@@ -286,148 +292,3 @@ def test_ways_of_differentiation(start, gradients, differentiate):
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5), other, grads)
     else:
         assert optax.global_norm(other) == 0.0 < optax.global_norm(grads)
-
-
-# --- Critics ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def data(start, gradients):
-    """A rollout with a truncated and a terminated episode."""
-    return jax.lax.stop_gradient(gradients(prepared(start, [0, 0, ENDING, 0], [0, 3, 0, 1]))[0][1])
-
-
-@functools.cache
-def critic_update(**changes):
-    parts = sapo._make_parts(ENV, dataclasses.replace(CONFIG, **changes))
-    return jax.jit(lambda state, data, temperature: sapo._update_critics(parts, state, data, temperature))
-
-
-@pytest.mark.parametrize("soft", [True, False])
-def test_critics_regress_onto_soft_targets_of_the_smaller_value(start, data, soft):
-    _, _, metrics = critic_update(entropy_in_targets=soft, critic_passes=1, critic_minibatches=1)(
-        start, data, jnp.float32(0.7)
-    )
-    t, parts = data.transitions, sapo._make_parts(ENV, CONFIG)
-    mean, var = start.statistics.mean["x"], start.statistics.variance["x"]
-
-    def values(obs):
-        return jax.vmap(
-            jax.vmap(lambda x: parts.critics.apply(start.critic_params, {"x": (x - mean) / jnp.sqrt(var + 1e-5)}))
-        )(obs["x"])
-
-    assert t.terminated.sum() == 1 and t.truncated.sum() >= 1
-    following = np.where(t.terminated, 0.0, values(t.next_obs).min(-1))
-    reward = t.reward + (0.7 * (t.extras["entropy"] + 0.5) if soft else 0.0)
-    targets = np.stack(
-        [
-            td_lambda(r, jnp.asarray(v), d, discount=0.99, lambda_=0.95)
-            for r, v, d in zip(reward, following, t.terminated | t.truncated, strict=True)
-        ]
-    )
-    error = np.asarray(values(t.obs)) - targets[..., None]
-    np.testing.assert_allclose(metrics["critic_loss"], np.mean(error**2), rtol=1e-4)
-    np.testing.assert_allclose(metrics["value"], following.mean(), rtol=1e-4)
-
-
-def test_entropy_in_targets_is_all_that_the_temperature_does_to_critics(start, data):
-    hot, cold = (critic_update()(start, data, jnp.float32(a))[0] for a in (1.0, 0.0))
-    assert max(jax.tree.leaves(jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), hot, cold))) > 1e-4
-    off = critic_update(entropy_in_targets=False)
-    assert_same_bits(off(start, data, jnp.float32(1.0))[0], off(start, data, jnp.float32(0.0))[0])
-
-
-def test_more_passes_fit_better(start, data):
-    loss = [float(critic_update(critic_passes=n)(start, data, jnp.float32(0.1))[2]["critic_loss"]) for n in (1, 40)]
-    assert loss[1] < 0.5 * loss[0]
-
-
-@pytest.mark.parametrize("chunk", [1, 4])
-def test_chunks_of_a_minibatch_add_up_to_its_update(start, data, chunk):
-    whole = CONFIG.num_envs * CONFIG.horizon // CONFIG.critic_minibatches
-    assert sapo._make_parts(ENV, CONFIG).critic_chunk == whole > chunk
-    expected, chunked = (critic_update(critic_chunk=n)(start, data, jnp.float32(0.1))[::2] for n in (None, chunk))
-    chex.assert_trees_all_close(chunked, expected, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize(("num_points", "chunk"), [(2048, 2), (250, 16), (10, 256), (5000, 1)])
-def test_point_clouds_are_differentiated_as_many_at_a_time_as_fit_the_cache(num_points, chunk):
-    env = types.SimpleNamespace(observation_spec={"points": ArraySpec((num_points, 3)), "x": ArraySpec((7,))})
-    assert sapo._critic_chunk(SAPOConfig(), env) == chunk
-
-
-# --- Optimizers ------------------------------------------------------------------------------------------------------
-
-
-def step_sizes(optimizer, num):
-    """Step sizes of Adam for a gradient that is always the same, without weights that decay."""
-    params, grad = jnp.zeros(2), jnp.ones(2)
-
-    def one(state, _):
-        update, state = optimizer.update(grad, state, params)
-        return state, -update[0]
-
-    return np.asarray(jax.lax.scan(one, optimizer.init(params), None, length=num)[1])
-
-
-def test_learning_rates_fall_linearly_and_then_stay():
-    config = dataclasses.replace(CONFIG, num_iterations=10, final_learning_rate=1e-3)
-    parts = sapo._make_parts(ENV, config)
-    done = np.minimum(np.arange(14) / 10, 1.0)
-    np.testing.assert_allclose(step_sizes(parts.actor_optimizer, 14), 1e-2 + (1e-3 - 1e-2) * done, rtol=1e-4)
-    critic = np.repeat(5e-3 + (1e-3 - 5e-3) * done, 2 * 2)  # passes * minibatches updates per iteration
-    np.testing.assert_allclose(step_sizes(parts.critic_optimizer, 14 * 4), critic, rtol=1e-4)
-    np.testing.assert_allclose(step_sizes(parts.temperature_optimizer, 14), 5e-3, rtol=1e-4)
-
-
-def test_temperature_moves_entropy_towards_its_target(agent, start):
-    parts = sapo._make_parts(ENV, CONFIG)
-    assert parts.target_entropy == -0.5
-    for entropy, sign in ((-2.0, 1), (-0.6, 1), (-0.4, -1), (1.0, -1)):
-        new, _ = sapo._update_temperature(parts, start, jnp.full(4, entropy))
-        assert np.sign(new - start.log_temperature) == sign
-        np.testing.assert_allclose(abs(new - start.log_temperature), 5e-3, rtol=0.05)  # the first step of Adam
-    new, metrics = agent.train_step(start)
-    assert (metrics["entropy"] < -0.5) == (new.log_temperature > start.log_temperature)
-    assert metrics["temperature"] == jnp.exp(new.log_temperature)
-
-
-# --- Configuration ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"num_envs": 0}, "num_envs is 0: give a number of at least 1"),
-        ({"horizon": -3}, "horizon is -3: give a number of at least 1"),
-        ({"num_critics": 0}, "num_critics is 0: give a number of at least 1"),
-        ({"discount": 1.01}, "discount is 1.01: give a number between 0 and 1"),
-        ({"td_lambda": -0.1}, "td_lambda is -0.1: give a number between 0 and 1"),
-        ({"actor_learning_rate": 0.0}, "actor_learning_rate is 0.0: give a positive number"),
-        ({"initial_temperature": float("nan")}, "initial_temperature is nan: give a positive number"),
-        (
-            {"critic_chunk": 3},
-            "critic_chunk is 3, which does not divide a minibatch of 256 samples "
-            "\\(num_envs \\* horizon / critic_minibatches\\): choose a divisor, or None",
-        ),
-        (
-            {"num_envs": 3, "horizon": 5},
-            "critic_minibatches is 4, which does not divide num_envs \\* horizon = 15: choose a divisor",
-        ),
-    ],
-)
-def test_impossible_configurations_say_what_to_do(changes, sentence):
-    with pytest.raises(ValueError, match=f"^{sentence}$"):
-        SAPOConfig(**changes)
-
-
-def test_defaults_are_the_papers():
-    config = SAPOConfig()
-    paper = (32, 32, 0.99, 0.95, 2e-3, 5e-4, 1e-5, 5e-3, 0.7, 0.95, 0.01, 0.5, 1.0, 0.5, 16, 4, 2)
-    assert dataclasses.astuple(config)[:2] + dataclasses.astuple(config)[3:14] == paper[:13]
-    assert (config.target_entropy_scale, config.critic_passes, config.critic_minibatches, config.num_critics) == paper[
-        13:
-    ]
-    assert (config.actor_widths, config.critic_widths) == ((512, 256), (256, 256))
-    assert (config.point_widths, config.point_features, config.vector_features) == ((64, 128, 256), 64, 128)
-    assert config.activation == "silu" and config.log_std_range == (-5.0, 2.0)

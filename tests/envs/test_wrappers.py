@@ -97,6 +97,29 @@ def test_gradient_with_respect_to_the_environment():
     np.testing.assert_allclose(jax.grad(total)(env).gain, expected, rtol=1e-5)
 
 
+@struct.dataclass
+class Starting(toys.PointMass):
+    """A point mass that starts at ``place``."""
+
+    place: jax.Array
+
+    def reset(self, key):
+        state = super().reset(key)
+        x = self.place * jnp.ones(1)
+        return state.replace(physics=x, obs={"x": x})
+
+
+def test_the_episode_that_a_reset_begins_has_no_gradient_by_the_environment_either():
+    def places(place):
+        env = AutoReset(env=Starting(gain=jnp.float32(0.5), place=place, length=LENGTH))
+        state = env.reset(jax.random.key(0))
+        ended = env.step(state.replace(step_count=jnp.int32(LENGTH - 1)), jnp.zeros(1))
+        return state.physics[0], ended.final_obs["x"][0], ended.physics[0], ended.obs["x"][0]
+
+    assert places(jnp.float32(0.7)) == (0.7, 0.7, 0.7, 0.7)
+    np.testing.assert_array_equal(jax.jacobian(places)(jnp.float32(0.7)), [1.0, 1.0, 0.0, 0.0])
+
+
 def test_a_failed_environment_ends_and_touches_no_other():
     env = Vmap(env=AutoReset(env=Fragile(gain=jnp.float32(0.5), limit=jnp.float32(1.4), length=LENGTH)))
     keys = jax.random.split(jax.random.key(3), 16)

@@ -1,0 +1,73 @@
+"""Gradients through rollouts: one per environment, so that no environment spoils another's."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from rewax.agents.environments import Environments
+from rewax.envs.wrappers import AutoReset
+from rewax.status import all_finite
+from rewax.types import Array, Key, PyTree
+
+Loss = Callable[[PyTree, AutoReset, Any, Key], tuple[Array, Any]]
+"""``(params, env, state, key) -> (loss, data)`` of one environment."""
+
+
+def per_env_gradients(loss: Loss, params: PyTree, environments: Environments, key: Key) -> tuple[Array, Any, PyTree]:
+    """Loss, data and gradient of every environment.
+
+    Args:
+      loss: of one environment behind ``AutoReset``, from its state.
+      params: what the gradient is taken with respect to.
+      environments: ``num_envs`` of them.
+      key: split into one key per environment.
+
+    Returns:
+      Losses, shape (num_envs,); data, no gradient flows out of it; gradients. All have a leading axis of environments.
+    """
+    value_and_grad = jax.value_and_grad(loss, has_aux=True)
+    (losses, data), grads = environments.map(
+        lambda env, state, key: value_and_grad(params, env, state, key), environments.split(key)
+    )
+    return losses, jax.lax.stop_gradient(data), grads
+
+
+def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
+    """Mean gradient over the environments whose loss and gradient are finite.
+
+    Args:
+      losses: shape (num_envs,).
+      grads: leaves with a leading axis of environments.
+
+    Returns:
+      The mean, zero if no environment is left, and which environments were kept, shape (num_envs,), bool.
+    """
+    kept = jax.vmap(all_finite)((losses, grads))
+    count = jnp.maximum(kept.sum(), 1)
+
+    def mean(g: Array) -> Array:
+        return jnp.sum(jnp.where(_expand(kept, g), g, 0.0), axis=0) / count
+
+    return jax.tree.map(mean, grads), kept
+
+
+def clip_per_env(grads: PyTree, max_norm: float) -> PyTree:
+    """Each environment's gradient, shortened to a global norm of ``max_norm`` where it is longer.
+
+    Environments whose gradient is not finite stay as they are; ``mean_of_finite`` leaves them out.
+    """
+    norms = jax.vmap(optax.tree.norm)(grads)
+    scale = jnp.minimum(1.0, max_norm / jnp.where(norms > 0, norms, 1.0))
+    return jax.tree.map(lambda g: g * _expand(scale, g), grads)
+
+
+def finite_or_zero(grad: PyTree) -> PyTree:
+    """The gradient with zeros where it is not finite."""
+    return jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), grad)
+
+
+def _expand(per_env: Array, like: Array) -> Array:
+    return per_env.reshape(-1, *[1] * (like.ndim - 1))

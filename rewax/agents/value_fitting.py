@@ -1,0 +1,102 @@
+"""Regression of critics onto targets."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from rewax.agents.base import Metrics
+from rewax.agents.gradients import finite_or_zero
+from rewax.agents.optimizers import apply
+from rewax.envs.base import ArraySpec
+from rewax.types import Array, Observation, PyTree
+
+Values = Callable[[PyTree, Observation], Array]
+"""``(params, obs) -> values`` of all critics for observations with one leading axis, shape (n, num_critics)."""
+
+_CACHED_POINTS = 4096
+"""Observed points whose activations stay in a CPU's cache; at 64,000 a critic's gradient takes twice as long each."""
+
+
+def fit_values(
+    values: Values,
+    params: PyTree,
+    opt_state: PyTree,
+    optimizer: optax.GradientTransformation,
+    obs: Observation,
+    targets: Array,
+    valid: Array,
+    *,
+    passes: int,
+    minibatches: int,
+    chunk: int,
+) -> tuple[PyTree, PyTree, Metrics]:
+    """Several passes over contiguous minibatches in order of time; the loss is the mean square error.
+
+    Args:
+      values: all critics.
+      params, opt_state, optimizer: what is fitted.
+      obs: what the critics see, leading axes (num_envs, horizon).
+      targets: shape (num_envs, horizon). Gradient: none.
+      valid: samples that count, shape (num_envs, horizon), bool; of the others even a NaN does no harm.
+      passes: over all data.
+      minibatches: contiguous parts of the data; a divisor of the number of samples.
+      chunk: samples that are differentiated at a time; a divisor of the minibatch. The update is the same but for
+        rounding.
+
+    Returns:
+      Parameters, optimizer state, and the metrics ``critic_loss`` (of the last pass) and ``critic_grad_norm``.
+    """
+    obs = jax.tree.map(lambda a: jnp.where(_expand(valid, a), a, 0.0), dict(obs))
+    targets = jnp.where(valid, targets, 0.0)
+
+    def parts(a: Array) -> Array:
+        by_time = jnp.swapaxes(a, 0, 1)
+        return by_time.reshape(minibatches, -1, chunk, *a.shape[2:])
+
+    weight = parts(valid.astype(targets.dtype))
+    share = weight.mean(axis=(1, 2), keepdims=True)
+    weight = weight / jnp.where(share > 0, share, 1.0)  # exactly 1 where all samples count
+    batches = (jax.tree.map(parts, obs), parts(targets), weight)
+
+    def loss(params: PyTree, obs: Observation, target: Array, weight: Array) -> Array:
+        return jnp.mean(weight[:, None] * (values(params, obs) - target[:, None]) ** 2)
+
+    def update(carry: tuple[PyTree, PyTree], batch: tuple[Observation, Array, Array]):
+        params, opt_state = carry
+        value, grad = mean_over_chunks(lambda *chunk: jax.value_and_grad(loss)(params, *chunk), batch)
+        grad = finite_or_zero(grad)
+        return apply(optimizer, grad, opt_state, params), (value, optax.tree.norm(grad))
+
+    def one_pass(carry: tuple[PyTree, PyTree], _: None):
+        return jax.lax.scan(update, carry, batches)
+
+    (params, opt_state), (losses, norms) = jax.lax.scan(one_pass, (params, opt_state), None, length=passes)
+    return params, opt_state, {"critic_loss": losses[-1].mean(), "critic_grad_norm": norms.mean()}
+
+
+def mean_over_chunks(function: Callable[..., PyTree], chunks: tuple[PyTree, ...]) -> PyTree:
+    """Mean of ``function(*chunk)`` over the leading axis of all arrays in ``chunks``, one chunk after the other."""
+    first = jax.tree.map(lambda a: a[0], chunks)
+    count = len(jax.tree.leaves(chunks)[0])
+
+    def add(total: PyTree, chunk: tuple[PyTree, ...]) -> tuple[PyTree, None]:
+        return jax.tree.map(jnp.add, total, function(*chunk)), None
+
+    if count == 1:
+        return function(*first)
+    zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(function, *first))
+    return jax.tree.map(lambda a: a / count, jax.lax.scan(add, zeros, chunks)[0])
+
+
+def chunk_size(minibatch: int, observation_spec: dict[str, ArraySpec]) -> int:
+    """How many samples to differentiate at a time: all on an accelerator, as many as fit the cache on a CPU."""
+    if jax.default_backend() != "cpu":
+        return minibatch
+    points = max((spec.shape[0] for spec in observation_spec.values() if len(spec.shape) == 2), default=1)
+    return max(n for n in range(1, minibatch + 1) if minibatch % n == 0 and (n == 1 or n * points <= _CACHED_POINTS))
+
+
+def _expand(mask: Array, like: Array) -> Array:
+    return mask.reshape(*mask.shape, *[1] * (like.ndim - mask.ndim))

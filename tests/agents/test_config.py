@@ -1,0 +1,51 @@
+"""Hyper-parameters: the paper's by default, impossible ones refused."""
+
+import dataclasses
+
+import pytest
+
+from rewax.agents.config import ActorCriticConfig
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"num_envs": 0}, "num_envs is 0: give a whole number of at least 1"),
+        ({"horizon": -3}, "horizon is -3: give a whole number of at least 1"),
+        ({"horizon": 2.5}, "horizon is 2.5: give a whole number of at least 1"),
+        ({"num_critics": 0}, "num_critics is 0: give a whole number of at least 1"),
+        ({"discount": 1.01}, "discount is 1.01: give a number between 0 and 1"),
+        ({"td_lambda": -0.1}, "td_lambda is -0.1: give a number between 0 and 1"),
+        ({"actor_learning_rate": 0.0}, "actor_learning_rate is 0.0: give a positive number"),
+        ({"max_grad_norm": float("nan")}, "max_grad_norm is nan: give a positive number"),
+        ({"observation_clip": 0.0}, "observation_clip is 0.0: give a positive number, or None for no limit"),
+        (
+            {"critic_chunk": 3},
+            "critic_chunk is 3, which does not divide a minibatch of 256 samples "
+            "\\(num_envs \\* horizon / critic_minibatches\\): choose a divisor, or None",
+        ),
+        (
+            {"num_envs": 3, "horizon": 5},
+            "critic_minibatches is 4, which does not divide num_envs \\* horizon = 15: choose a divisor",
+        ),
+    ],
+)
+def test_impossible_configurations_say_what_to_do(changes, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}$"):
+        ActorCriticConfig(**changes)
+
+
+def test_a_list_is_as_good_as_a_tuple():
+    config = ActorCriticConfig(actor_widths=[8, 4])
+    assert config.actor_widths == (8, 4) and hash(config) == hash(dataclasses.replace(config))
+
+
+def test_defaults_are_the_papers():
+    c = ActorCriticConfig()
+    assert (c.num_envs, c.horizon, c.discount, c.td_lambda) == (32, 32, 0.99, 0.95)
+    assert (c.actor_learning_rate, c.critic_learning_rate, c.final_learning_rate) == (2e-3, 5e-4, 1e-5)
+    assert (c.adam_b1, c.adam_b2, c.weight_decay, c.max_grad_norm) == (0.7, 0.95, 0.01, 0.5)
+    assert (c.critic_passes, c.critic_minibatches, c.num_critics) == (16, 4, 2)
+    assert (c.actor_widths, c.critic_widths) == ((512, 256), (256, 256))
+    assert (c.point_widths, c.point_features, c.vector_features) == ((64, 128, 256), 64, 128)
+    assert c.activation == "silu" and c.log_std_range == (-5.0, 2.0)

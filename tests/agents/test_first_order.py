@@ -1,0 +1,148 @@
+"""What the critics are fitted to, and which of the two temperatures they see."""
+
+import dataclasses
+import functools
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toys
+
+from rewax.agents import sapo
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.first_order import critic_update
+from rewax.agents.returns import td_lambda
+from rewax.agents.sapo import SAPOConfig, make_sapo
+from rewax.agents.temperature import normalized_entropy
+
+CONFIG = SAPOConfig(
+    num_envs=4,
+    horizon=4,
+    initial_temperature=0.5,
+    temperature_learning_rate=0.5,  # so large that before and after the update differ
+    critic_passes=1,
+    critic_minibatches=1,
+    critic_learning_rate=1e-2,
+    actor_widths=(8,),
+    critic_widths=(8,),
+    vector_features=8,
+    stagger_episodes=True,
+    differentiate="full",
+)
+ENV = toys.point_mass()
+
+
+@pytest.fixture(scope="module")
+def start():
+    return make_sapo(ENV, CONFIG).init(jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def data(start):
+    """Rollouts of all environments, as ``train_step`` makes them."""
+    networks = make_actor_critic(ENV, CONFIG)
+
+    @jax.jit
+    def collect(state):
+        key = jax.random.split(state.key)[1]
+        envs = state.environments
+        return envs.map(
+            lambda env, s, k: sapo.actor_loss(networks, state, state.actor_params, env, s, k)[1], envs.split(key)
+        )
+
+    return collect(start)
+
+
+@functools.cache
+def update(**changes):
+    networks = make_actor_critic(ENV, dataclasses.replace(CONFIG, **changes))
+    return jax.jit(lambda state, data, reward: critic_update(networks, state, data, reward))
+
+
+def values(start, obs):
+    networks, mean, var = (
+        make_actor_critic(ENV, CONFIG),
+        *(getattr(start.environments.statistics, name)["x"] for name in ("mean", "variance")),
+    )
+    one = lambda x: networks.critics.apply(start.critic_params, {"x": (x - mean) / jnp.sqrt(var + 1e-5)})  # noqa: E731
+    return jax.vmap(jax.vmap(one))(obs["x"])
+
+
+def expected_loss(start, data, reward, valid=None):
+    t = data.transitions
+    valid = np.ones(t.reward.shape, bool) if valid is None else valid
+    following = np.where(t.terminated, 0.0, values(start, t.next_obs).min(-1))
+    targets = np.stack(
+        [
+            td_lambda(*map(jnp.asarray, row), discount=0.99, lambda_=0.95)
+            for row in zip(reward, following, t.done, valid, strict=True)
+        ]
+    )
+    return np.mean(((np.asarray(values(start, t.obs)) - targets[..., None]) ** 2)[valid])
+
+
+def test_critics_regress_onto_targets_of_the_smaller_value(start, data):
+    reward = data.transitions.reward + 0.3
+    assert data.transitions.truncated.sum() >= 1
+    metrics = update()(start, data, reward)[2]
+    np.testing.assert_allclose(metrics["critic_loss"], expected_loss(start, data, reward), rtol=1e-4)
+
+
+def test_a_failed_step_is_no_sample_and_ends_the_stretch_before_it(start, data):
+    status = data.transitions.status.at[2, 1].set(1)
+    failed = data._replace(
+        transitions=data.transitions._replace(
+            status=status,
+            terminated=data.transitions.terminated.at[2, 1].set(True),
+            reward=data.transitions.reward.at[2, 1].set(0.0),
+            obs={"x": data.transitions.obs["x"].at[2, 1].set(jnp.nan)},
+        )
+    )
+    valid = np.asarray(status) == 0
+    whole = update()(start, failed, failed.transitions.reward)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(whole))
+    clean = failed._replace(transitions=failed.transitions._replace(obs=data.transitions.obs))
+    expected = expected_loss(start, clean, failed.transitions.reward, valid)
+    np.testing.assert_allclose(whole[2]["critic_loss"], expected, rtol=1e-4)
+    # what the failed step would have been paid does not matter
+    paid = update()(start, failed, failed.transitions.reward.at[2, 1].set(1e6))
+    chex.assert_trees_all_equal(whole, paid)
+
+
+def test_more_passes_fit_better(start, data):
+    reward = data.transitions.reward
+    loss = [float(update(critic_passes=n)(start, data, reward)[2]["critic_loss"]) for n in (1, 60)]
+    assert loss[1] < 0.5 * loss[0]
+
+
+def test_targets_take_the_temperature_after_its_update(start, data):
+    agent = make_sapo(ENV, CONFIG)
+    new, metrics = agent.train_step(start)
+    before, after = CONFIG.initial_temperature, float(metrics["temperature"])
+    assert abs(after - before) > 0.1
+    entropy = data.transitions.extras["entropy"]
+    loss = {
+        alpha: update()(start, data, data.transitions.reward + alpha * normalized_entropy(entropy, -0.5))[2]
+        for alpha in (before, after)
+    }
+    np.testing.assert_allclose(metrics["critic_loss"], loss[after]["critic_loss"], rtol=1e-4)
+    assert abs(float(loss[before]["critic_loss"] / loss[after]["critic_loss"]) - 1) > 1e-3
+    assert int(new.iteration) == 1
+
+
+def test_entropy_is_a_sample_of_its_own(start, data):
+    """Were it minus the log probability of the action taken, it would follow from the action."""
+    t = data.transitions
+    networks = make_actor_critic(ENV, CONFIG)
+    distribution = jax.vmap(
+        jax.vmap(
+            lambda obs: networks.action_distribution(start.actor_params, start.environments.statistics, {"x": obs})
+        )
+    )(t.obs["x"])
+    raw = np.arctanh(np.clip(np.asarray(t.action, np.float64), -1 + 1e-7, 1 - 1e-7))
+    std = np.exp(np.asarray(distribution.log_std))
+    log_prob = -0.5 * ((raw - distribution.mean) / std) ** 2 - np.log(std * np.sqrt(2 * np.pi))
+    of_the_action = -(log_prob - np.log1p(-(np.tanh(raw) ** 2))).sum(-1)
+    assert np.abs(of_the_action - np.asarray(t.extras["entropy"])).min() > 1e-4

@@ -1,0 +1,53 @@
+"""Gradients of many environments: which count, how long they may be, and that none touches another."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rewax.agents.gradients import clip_per_env, finite_or_zero, mean_of_finite
+
+GRADS = {"a": jnp.array([[3.0, 0.0], [0.0, 0.3], [jnp.nan, 1.0]]), "b": jnp.array([4.0, 0.4, 2.0])}
+
+
+def test_the_mean_leaves_out_what_is_not_finite():
+    losses = jnp.array([1.0, 2.0, 3.0])
+    mean, kept = mean_of_finite(losses, GRADS)
+    np.testing.assert_array_equal(kept, [True, True, False])
+    np.testing.assert_allclose(mean["a"], [1.5, 0.15])
+    np.testing.assert_allclose(mean["b"], 2.2)
+    mean, kept = mean_of_finite(losses.at[0].set(jnp.inf), GRADS)  # a loss counts too
+    np.testing.assert_array_equal(kept, [False, True, False])
+    np.testing.assert_allclose(mean["b"], 0.4, rtol=1e-6)
+
+
+def test_nothing_is_the_mean_of_nothing():
+    mean, kept = mean_of_finite(jnp.full(3, jnp.nan), GRADS)
+    assert not kept.any() and all((leaf == 0).all() for leaf in jax.tree.leaves(mean))
+
+
+def test_each_environment_is_clipped_by_its_own_norm():
+    clipped = clip_per_env(GRADS, 1.0)
+    np.testing.assert_allclose(clipped["a"][:2], [[0.6, 0.0], [0.0, 0.3]], rtol=1e-6)
+    np.testing.assert_allclose(clipped["b"][:2], [0.8, 0.4], rtol=1e-6)
+    assert not np.isfinite(clipped["a"][2]).all()
+    mean, kept = mean_of_finite(jnp.zeros(3), clipped)
+    np.testing.assert_array_equal(kept, [True, True, False])
+    np.testing.assert_allclose(mean["b"], 0.6, rtol=1e-6)
+
+
+@given(st.lists(st.floats(-1e6, 1e6, width=32), min_size=3, max_size=3), st.floats(0.125, 100.0, width=32))
+def test_a_clipped_gradient_points_the_same_way_and_is_short_enough(values, max_norm):
+    grads = jnp.array([values], jnp.float32)
+    clipped = np.asarray(clip_per_env(grads, max_norm), np.float64)[0]
+    assert np.linalg.norm(clipped) <= max_norm * (1 + 1e-5)
+    if np.linalg.norm(values) <= max_norm * (1 - 1e-5):
+        np.testing.assert_array_equal(clipped, np.float32(values))
+    assert np.all(np.abs(np.cross(clipped, values)) <= 1e-5 * max(1.0, np.linalg.norm(values)) * max_norm)
+
+
+@pytest.mark.parametrize("bad", [jnp.nan, jnp.inf, -jnp.inf])
+def test_single_numbers_that_are_not_finite_become_zero(bad):
+    np.testing.assert_array_equal(finite_or_zero(jnp.array([1.0, bad, -2.0])), [1.0, 0.0, -2.0])

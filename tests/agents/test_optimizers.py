@@ -1,0 +1,46 @@
+"""Learning rates and clipping."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.agents.optimizers import apply, clipped_adamw, linear_fall
+
+ADAM = {"b1": 0.7, "b2": 0.95, "weight_decay": 0.01, "max_grad_norm": 0.5}
+
+
+def step_sizes(optimizer, num):
+    """Step sizes of Adam for a gradient that is always the same, without weights that decay."""
+    params, grad = jnp.zeros(2), jnp.ones(2)
+
+    def one(state, _):
+        update, state = optimizer.update(grad, state, params)
+        return state, -update[0]
+
+    return np.asarray(jax.lax.scan(one, optimizer.init(params), None, length=num)[1])
+
+
+def test_learning_rates_fall_linearly_and_then_stay():
+    done = np.minimum(np.arange(14) / 10, 1.0)
+    falling = clipped_adamw(linear_fall(1e-2, 1e-3, 10), **ADAM)
+    np.testing.assert_allclose(step_sizes(falling, 14), 1e-2 + (1e-3 - 1e-2) * done, rtol=1e-4)
+    often = clipped_adamw(linear_fall(5e-3, 1e-3, 10, updates_per_iteration=4), **ADAM)
+    expected = np.repeat(5e-3 + (1e-3 - 5e-3) * done, 4)
+    np.testing.assert_allclose(step_sizes(often, 14 * 4), expected, rtol=1e-4)
+    np.testing.assert_allclose(step_sizes(clipped_adamw(5e-3, **ADAM), 14), 5e-3, rtol=1e-4)
+
+
+def test_the_norm_over_everything_is_clipped():
+    params = {"a": jnp.zeros(2), "b": jnp.zeros(1)}
+    optimizer = clipped_adamw(0.1, **{**ADAM, "max_grad_norm": 0.5})
+    grad = {"a": jnp.array([3.0, 0.0]), "b": jnp.array([4.0])}
+    _, state = apply(optimizer, grad, optimizer.init(params), params)
+    moment = state[1].mu  # (1 - b1) of the clipped gradient
+    np.testing.assert_allclose([moment["a"][0], moment["b"][0]], [0.3 * 0.3, 0.3 * 0.4], rtol=1e-5)
+
+
+def test_weights_decay_even_without_a_gradient():
+    optimizer = clipped_adamw(0.1, **ADAM)
+    params = jnp.array([2.0])
+    new, _ = apply(optimizer, jnp.zeros(1), optimizer.init(params), params)
+    np.testing.assert_allclose(new, 2.0 * (1 - 0.1 * 0.01), rtol=1e-6)

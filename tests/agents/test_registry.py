@@ -1,0 +1,34 @@
+"""Algorithms by name."""
+
+import pytest
+import toys
+
+from rewax.agents import registry
+from rewax.agents.registry import Algorithm, algorithm, list_algorithms, make_agent, register_algorithm
+from rewax.agents.sapo import SAPOConfig, make_sapo
+
+
+def test_sapo_is_known_by_name():
+    assert "sapo" in list_algorithms()
+    known = algorithm("sapo")
+    assert known.make is make_sapo and known.config_type is SAPOConfig
+    assert known.preset("RollingFlat", "small").num_envs == 8
+    agent = make_agent("sapo", toys.point_mass(), SAPOConfig(num_envs=2, horizon=2, critic_minibatches=1))
+    assert agent.name == "sapo" and agent.config.horizon == 2
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones():
+    with pytest.raises(
+        ValueError, match=r"^there is no algorithm named 'sapoo': did you mean 'sapo'\? known are .*sapo"
+    ):
+        algorithm("sapoo")
+
+
+def test_an_algorithm_of_ones_own(monkeypatch):
+    monkeypatch.setattr(registry, "_ALGORITHMS", dict(registry._ALGORITHMS))
+    mine = Algorithm(lambda env, config: toys.make_toy(env), dict, lambda name, scale: {})
+    register_algorithm("mine", mine)
+    register_algorithm("mine", mine)  # once more is no harm
+    assert make_agent("mine", toys.point_mass()).name == ""
+    with pytest.raises(ValueError, match="an algorithm named 'sapo' is registered already: choose another name"):
+        register_algorithm("sapo", mine)

@@ -1,0 +1,36 @@
+"""The temperature's loss, with its factor, and where it goes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from rewax.agents.temperature import normalized_entropy, temperature_loss, update_temperature
+
+
+def test_normalized_entropy_is_zero_at_the_target_and_one_at_its_opposite():
+    for size in (0.5, 3.0):
+        np.testing.assert_allclose(normalized_entropy(jnp.array([-size, 0.0, size]), -size), [0.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize("target", [-0.5, -8.0])
+def test_the_loss_has_the_factor_of_the_target(x64, target):
+    log_temperature, entropy = jnp.log(0.3), jnp.asarray(1.25)
+    slope = jax.grad(temperature_loss)(log_temperature, entropy, target)
+    np.testing.assert_allclose(slope, 0.3 * abs(target) * (1.25 - target), rtol=1e-12)
+    assert jax.grad(temperature_loss, argnums=1)(log_temperature, entropy, target) == 0.0
+
+
+@pytest.mark.parametrize(("entropy", "sign"), [(-2.0, 1), (-0.6, 1), (-0.4, -1), (1.0, -1)])
+def test_temperature_moves_entropy_towards_its_target(entropy, sign):
+    optimizer, start = optax.sgd(0.1), jnp.log(jnp.float32(0.7))
+    new, _ = update_temperature(start, jnp.float32(entropy), -0.5, optimizer, optimizer.init(start))
+    assert np.sign(new - start) == sign
+    np.testing.assert_allclose(new - start, -0.1 * 0.7 * 0.5 * (entropy + 0.5), rtol=1e-5)
+
+
+def test_an_entropy_that_is_not_a_number_changes_nothing():
+    optimizer, start = optax.sgd(0.1), jnp.float32(0.2)
+    new, _ = update_temperature(start, jnp.float32(jnp.nan), -0.5, optimizer, optimizer.init(start))
+    assert new == start

@@ -1,0 +1,77 @@
+"""Leaves drawn anew at each reset, and at no other time."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toys
+
+from rewax.envs.randomized import Randomized
+from rewax.envs.wrappers import AutoReset
+
+
+def draw(key, env):
+    return env.replace(gain=env.gain * jax.random.uniform(key, minval=0.5, maxval=2.0))
+
+
+ENV = AutoReset(env=Randomized(env=toys.point_mass(), randomize=draw))
+
+
+@pytest.fixture(scope="module")
+def states():
+    """A start and twelve steps of episodes of five, with actions of 0.1."""
+
+    @jax.jit
+    def run(env, key):
+        def step(state, _):
+            new = env.step(state, jnp.full(1, 0.1))
+            return new, new
+
+        start = env.reset(key)
+        return start, jax.lax.scan(step, start, None, length=12)[1]
+
+    start, after = run(ENV, jax.random.key(0))
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), *(jax.tree.map(_raw, s) for s in (start, after)))
+
+
+def _raw(a):
+    return jax.random.key_data(a) if jnp.issubdtype(a.dtype, jax.dtypes.prng_key) else a
+
+
+def test_leaves_change_with_each_episode_only(states):
+    gain = np.asarray(states.drawn[".gain"])
+    episode = np.arange(13) // 5  # the step that ends an episode returns the next one's beginning
+    assert set(states.drawn) == {".gain"}
+    for i in range(3):
+        assert len(set(gain[episode == i])) == 1
+    assert len(set(gain)) == 3 and (gain >= 0.25).all() and (gain <= 1.0).all()
+
+
+def test_the_drawn_leaves_are_those_that_act(states):
+    x, gain = np.asarray(states.physics)[:, 0], np.asarray(states.drawn[".gain"])
+    for t in (0, 1, 5, 6, 10):
+        np.testing.assert_allclose(x[t + 1] - x[t], 0.1 * gain[t], rtol=1e-4)
+
+
+def test_values_and_gradients_are_those_of_the_environment_with_these_leaves():
+    env = ENV.env
+    state = env.reset(jax.random.key(3))
+    plain = toys.point_mass().replace(gain=state.drawn[".gain"])
+
+    def reward(action, env):
+        return env.step(state, action).reward
+
+    for f in (reward, jax.grad(reward)):
+        np.testing.assert_array_equal(f(jnp.full(1, 0.3), env), f(jnp.full(1, 0.3), plain))
+
+
+@pytest.mark.parametrize(
+    ("hook", "sentence"),
+    [
+        (lambda key, env: env.replace(length=6), "randomize changed a static field"),
+        (lambda key, env: env.replace(gain=jnp.ones(3)), r"randomize gave .gain shape \(3,\) instead of \(\)"),
+    ],
+)
+def test_a_hook_may_draw_leaves_only(hook, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        Randomized(env=toys.point_mass(), randomize=hook).reset(jax.random.key(0))
