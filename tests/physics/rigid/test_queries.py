@@ -74,7 +74,13 @@ def test_pictures_of_every_kind_of_geom():
     """Of a body turned by half a turn about x; ellipsoids are left out."""
     model = rigid.load(ALL_KINDS)
     plane, sphere, capsule, cylinder, box = rigid.shapes(model, rigid.initial_state(model))
-    assert [s["kind"] for s in (plane, sphere, capsule, cylinder, box)] == "plane sphere capsule cylinder box".split()
+    assert [s["kind"] for s in (plane, sphere, capsule, cylinder, box)] == [
+        "plane",
+        "sphere",
+        "capsule",
+        "cylinder",
+        "box",
+    ]
     place = [next(value for key, value in s.items() if key.startswith("cent")) for s in (plane, sphere, cylinder)]
     np.testing.assert_allclose(place, [[0, 0, -1], [1.1, 2, 2.5], [1, 1, 3]], atol=1e-6)
     for shape, direction in ((plane, [0, -1, 0]), (capsule, [1, 0, 0]), (cylinder, [0, 0, -1])):
