@@ -29,14 +29,26 @@ def read(text: str, flag: int = 0):
     return mj, tree_topology(mj.body_parentid, mj.jnt_bodyid, mj.jnt_type), parameters_of(mj)
 
 
-def drifts(text: str, qpos, qvel, *, active=None, flag: int = 0):
+@functools.cache
+def program(text: str, flag: int):
+    """The drifts of a model by positions, velocities and which equalities hold, compiled."""
     mj, topology, parameters = read(text, flag)
-    kin = kinematics(topology, parameters, jnp.asarray(qpos, float))
-    sites = None
-    if mj.nsite:
-        sites = kin.position[mj.site_bodyid] + rotate(kin.rotation[mj.site_bodyid], jnp.asarray(mj.site_pos))
-    held = jnp.ones(mj.neq, bool) if active is None else jnp.asarray(active)
-    return connect_drifts(mj, topology, kin, jnp.asarray(qvel, float), jnp.asarray(mj.eq_data), held, sites)
+
+    @jax.jit
+    def evaluate(qpos, qvel, active):
+        kin = kinematics(topology, parameters, qpos)
+        sites = None
+        if mj.nsite:
+            sites = kin.position[mj.site_bodyid] + rotate(kin.rotation[mj.site_bodyid], jnp.asarray(mj.site_pos))
+        return connect_drifts(mj, topology, kin, qvel, jnp.asarray(mj.eq_data), active, sites)
+
+    return mj, evaluate
+
+
+def drifts(text: str, qpos, qvel, *, active=None, flag: int = 0):
+    mj, evaluate = program(text, flag)
+    held = np.ones(mj.neq, bool) if active is None else np.array(active)
+    return evaluate(jnp.asarray(qpos, float), jnp.asarray(qvel, float), held)
 
 
 def test_an_anchor_on_a_turning_arm_is_pulled_inward(x64):

@@ -75,11 +75,13 @@ def test_rows_of_constraints_are_those_of_mujoco(x64):
 # --- Springs, dampers, actuators, wrenches ----------------------------------------------------------------------------
 
 
-@functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
-def applied(model, state, ctrl, wrenches):
+def applied_forces(model, state, ctrl, wrenches):
     kin = rigid_forces.kinematics(model, state.qpos)
     m, d = rigid_forces.mjx_data(model, kin, state, ctrl)
     return rigid_forces.applied_forces(model, kin, m, d, wrenches)
+
+
+applied = jax.jit(applied_forces, compiler_options=rigid_models.QUICK_TO_COMPILE)
 
 
 def test_applied_forces_are_mujocos(x64):
@@ -135,13 +137,16 @@ def test_springs_pull_back_by_stiffness_times_stretch(x64, springs):
 def test_springs_have_a_derivative_at_rest(x64, springs):
     """-stiffness times half the vector part's: a turn by v is the quaternion (1, v / 2)."""
 
+    state, none = rigid.initial_state(springs, REST), jnp.zeros((springs.num_bodies, 6))
+
     def at(change):
-        return forces_at(springs, jnp.asarray(REST).at[1:5].add(change))
+        return applied_forces(springs, state.replace(qpos=state.qpos.at[1:5].add(change)), jnp.zeros(0), none)[0]
 
     expected = np.zeros((10, 4))
     expected[:3, :3], expected[3, 3] = -0.5 * 2.0 * np.eye(3), -20.0
-    np.testing.assert_allclose(jax.jacfwd(at)(jnp.zeros(4)), expected, atol=1e-12)
-    np.testing.assert_allclose(jax.jacrev(at)(jnp.zeros(4)), expected, atol=1e-12)
+    for jacobian in (jax.jacfwd(at), jax.jacrev(at)):
+        slopes = jax.jit(jacobian, compiler_options=rigid_models.QUICK_TO_COMPILE)(jnp.zeros(4))
+        np.testing.assert_allclose(slopes, expected, atol=1e-12)
 
 
 def test_wrenches_act_at_the_centre_of_mass_in_world_axes(x64, springs):
@@ -165,12 +170,13 @@ def test_a_force_beside_the_joint_turns_it(x64, springs):
 
 def test_poses_of_what_is_fixed_to_bodies(x64, springs):
     """Place and turn in the body's frame, carried by it; of the same body twice."""
-    kin = rigid_forces.kinematics(springs, jnp.asarray(REST))
+    kin = jax.jit(rigid_forces.kinematics)(springs, jnp.asarray(REST))
     rng = np.random.default_rng(0)
     position, quaternion = rng.standard_normal((3, 3)), rng.standard_normal((3, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     body = np.array([3, 1, 3])
-    pose = rigid_forces.attached(kin, body, jnp.asarray(position), jnp.asarray(quaternion))
+    attached = jax.jit(lambda kin, *place: rigid_forces.attached(kin, body, *place))
+    pose = attached(kin, jnp.asarray(position), jnp.asarray(quaternion))
     for i, b in enumerate(body):
         own = np.zeros(9)
         mujoco.mju_quat2Mat(own, quaternion[i])
