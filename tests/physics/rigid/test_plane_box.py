@@ -46,7 +46,7 @@ def test_contacts_are_mujocos(x64, rotations, floor):
         np.testing.assert_allclose(in_order(distance[i], point[i]), theirs, atol=1e-9)
 
 
-def test_a_box_that_stands_touches_with_its_four_lower_corners():
+def test_a_box_that_stands_touches_with_its_four_lower_corners(x64):
     """1 cm deep: points half a centimetre above the corners, on the corners' verticals."""
     distance, point = plane_box(jnp.zeros(3), jnp.array([0.0, 0, 1]), jnp.array([1.0, 2.0, 0.09]), jnp.eye(3), HALF)
     np.testing.assert_allclose(distance, -0.01, atol=1e-6)
@@ -55,7 +55,7 @@ def test_a_box_that_stands_touches_with_its_four_lower_corners():
     np.testing.assert_allclose(point[:, 2], -0.005, atol=1e-6)
 
 
-def test_a_tilted_box_keeps_corners_that_are_millimetres_shallower():
+def test_a_tilted_box_keeps_corners_that_are_millimetres_shallower(x64):
     """Tilted by 0.05 about y: the corners along x differ by 2 * 0.3 sin 0.05, which is 3 cm; all four are there."""
     c, s = np.cos(0.05), np.sin(0.05)
     turn = jnp.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
@@ -80,7 +80,7 @@ def test_derivatives_are_those_of_finite_differences(
     np.testing.assert_allclose(by_center, np.tile(normal, (4, 1)), atol=1e-12)
 
 
-def test_derivatives_are_finite_where_corners_are_equally_high():
-    flat = jnp.zeros(3), jnp.array([0.0, 0, 1]), jnp.array([0.0, 0, 0.1]), jnp.eye(3), jnp.asarray(HALF, jnp.float32)
+def test_derivatives_are_finite_where_corners_are_equally_high(x64):
+    flat = jnp.zeros(3), jnp.array([0.0, 0, 1]), jnp.array([0.0, 0, 0.1]), jnp.eye(3), jnp.asarray(HALF)
     slopes = jax.jit(jax.jacrev(plane_box, argnums=range(5)))(*flat)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
