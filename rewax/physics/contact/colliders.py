@@ -12,7 +12,7 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.linear_pass import Arrays, linear_pass
-from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.materialize import compute_once, materialize
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Shape, signed_distance_components
 from rewax.types import Array, Scalar
@@ -142,12 +142,15 @@ def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> To
     # Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
     to_local = -jnp.matmul(start.rotation.T, start.position, precision="highest")
     maps = jnp.concatenate([start.rotation.T, motion.turn]), jnp.concatenate([to_local, motion.shift])
-    lx, ly, lz, bx, by, bz = materialize(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
+    # Once: shapes compare places in their frame (faces of a box, cells of a grid), and all parts of distance and normal
+    # must come from one face or cell.
+    lx, ly, lz, bx, by, bz = compute_once(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
     influence = jnp.exp(-jnp.maximum(collider.softness * distance, 0.0))
-    # Stored at each step: XLA would compute the whole chain, forward and backward, anew for every component.
-    influence, local_normal = materialize((influence, local_normal))
+    # Once: each component of the velocity compares the influence with the least one that acts. It is faster too: XLA
+    # would compute the whole chain, forward and backward, anew for every component.
+    influence, local_normal = compute_once((influence, local_normal))
     normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
     return Touch(distance, influence, normal, collider.friction, (bx, by, bz))
 
@@ -157,13 +160,14 @@ def nearest(touches: list[Touch]) -> tuple[Touch, list[Array]]:
 
     Several that are equally near (boxes side by side) share the node: the result is their mean, whatever their order.
     """
-    # Stored: computed anew where they are compared, equal distances could differ by rounding.
-    distances = materialize([t.distance for t in touches])
+    # Once: computed anew where they are compared, equal distances could differ by rounding, and no collider be nearest.
+    distances = compute_once([t.distance for t in touches])
     least = functools.reduce(jnp.minimum, distances)
     equal = [d == least for d in distances]
     one = 1.0 / sum(e.astype(least.dtype) for e in equal)
     shares = materialize([jnp.where(e, one, 0.0) for e in equal])
-    return materialize(
+    # Once: its influence is compared as that of a single touch.
+    return compute_once(
         jax.tree.map(lambda *leaves: sum(s * leaf for s, leaf in zip(shares, leaves, strict=True)), *touches)
     ), shares
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.materialize import compute_once
 from rewax.types import Array
 
 
@@ -38,9 +38,8 @@ def quadratic_bspline(x: Array, *, origin: float, spacing: float, num_nodes: int
     Source: Jiang et al. 2016, MPM course notes, eq. 123.
     """
     cells = (x - origin) * (1.0 / spacing)
-    # Stored before its users: a compiler that computes it twice, once rounding otherwise, puts a particle midway
-    # between two nodes onto two different stencils.
-    base = materialize(jnp.clip(jnp.floor(cells - 0.5).astype(jnp.int32), 0, num_nodes - 3))
+    # Of a particle midway between two nodes the rounding decides: all must see the same lowest node.
+    base = compute_once(jnp.clip(jnp.floor(cells - 0.5).astype(jnp.int32), 0, num_nodes - 3))
     f = cells - base.astype(x.dtype)
     weights = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)
     inv = 1.0 / spacing

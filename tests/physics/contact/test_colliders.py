@@ -1,13 +1,20 @@
-"""Contact on grid velocities: each case of the friction law by hand, moving bodies, walls in metres."""
+"""Contact on grid velocities: each case of the friction law by hand, moving bodies, several colliders."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.contact.colliders import Collider, Overlap, apply_collider, apply_colliders, check_bodies
-from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.walls import Wall, WallKind, Walls, apply_walls
+from rewax.physics.contact.colliders import (
+    Collider,
+    Motion,
+    Overlap,
+    apply_collider,
+    apply_colliders,
+    check_bodies,
+    nearest,
+    touch,
+)
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Box, Plane, Sphere
@@ -167,7 +174,7 @@ def test_nearest_does_not_depend_on_the_order_and_sequential_does(x64):
     boxes, nodes, velocity, before = two_boxes((0.2, 0.2, 0.2), 0.1)  # their tops are equally near inside both
     after = before._replace(position=before.position + jnp.array([[1e-3, 0.0, 0.0], [0.0, -1e-3, 0.0]]))
     results = {
-        overlap: [several(b, nodes, velocity, before, after, contact) for b in (boxes, boxes[::-1])]
+        overlap: [several(b, nodes, velocity, before, after, overlap) for b in (boxes, boxes[::-1])]
         for overlap in Overlap
     }
     np.testing.assert_allclose(*results[Overlap.NEAREST], rtol=1e-13)
@@ -205,63 +212,18 @@ def test_derivatives_of_nearest_equal_finite_differences(x64, random_like, centr
     np.testing.assert_allclose(inner(gradient, direction), inner(cotangent, tangent), rtol=1e-11)
 
 
-# --- Walls ------------------------------------------------------------------------------------------------------------
+def test_shares_of_the_nearest_sum_to_one_in_a_compiled_program():
+    """Distances are compared for equality: rounded anew where they are compared, no collider would be nearest."""
+    boxes, nodes, _, before = two_boxes((0.2, 0.2, 0.2), 0.1)
+    turn = jnp.asarray(np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0], jnp.float32)
+    still = Motion(jnp.zeros((3, 3)), jnp.zeros(3))
 
-OPEN = (None, None, None)
+    @jax.jit
+    def shares_and_distance(boxes, nodes, before):
+        touches = [touch(box, cp.split_vector(nodes), Pose(before.position[box.body], turn), still) for box in boxes]
+        best, shares = nearest(touches)
+        return sum(shares), best.distance, jnp.minimum(*(t.distance for t in touches))
 
-
-def after_walls(walls, velocity, num=6, spacing=0.1):
-    """All nodes start with the same velocity."""
-    grid = Grid(shape=(num, num, num), spacing=spacing)
-    v = tuple(jnp.full(grid.num_nodes, a) for a in velocity)
-    return np.stack(apply_walls(walls, grid, indices(grid), v), axis=-1).reshape(*grid.shape, 3)
-
-
-def indices(grid):
-    """Index of every node along x, y, z."""
-    return tuple(jnp.asarray(a.reshape(-1), jnp.int32) for a in np.indices(grid.shape))
-
-
-@pytest.mark.parametrize(
-    ("kind", "friction", "into", "away"),
-    [
-        (WallKind.STICKY, 0.0, [0, 0, 0], [0, 0, 0]),
-        (WallKind.SLIP, 0.0, [3, 0, 4], [3, 0, 4]),
-        (WallKind.SEPARATING, 0.0, [3, 0, 4], [3, 2, 4]),
-        (WallKind.SEPARATING, 0.5, [3 * 0.8, 0, 4 * 0.8], [3, 2, 4]),
-        (WallKind.SEPARATING, 5.0, [0, 0, 0], [3, 2, 4]),
-        (WallKind.GRIPPING, 0.0, [0, 0, 0], [3, 2, 4]),
-    ],
-)
-@pytest.mark.parametrize("side", ["lower", "upper"])
-def test_each_kind_of_wall(x64, kind, friction, into, away, side):
-    wall = (None, Wall(position=0.25, kind=kind, friction=friction), None)
-    walls = Walls(**({"lower": OPEN, "upper": OPEN} | {side: wall}))
-    sign = 1.0 if side == "lower" else -1.0
-    behind = np.arange(6) * 0.1 < 0.25 if side == "lower" else np.arange(6) * 0.1 > 0.25
-    for v, expected in (([3.0, -2.0 * sign, 4.0], into), ([3.0, 2.0 * sign, 4.0], away)):
-        got = after_walls(walls, v)
-        expected = np.array(expected) * [1, sign, 1]
-        np.testing.assert_allclose(got[:, behind], np.broadcast_to(expected, got[:, behind].shape), atol=1e-14)
-        np.testing.assert_array_equal(got[:, ~behind], np.broadcast_to(v, got[:, ~behind].shape))
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_walls_stand_where_their_metres_say_at_every_resolution(axis):
-    """Changing the grid moves no wall: nodes strictly below 0.2 m are held, also where 0.2 m is a node."""
-    lower = tuple(Wall(position=0.2, kind=WallKind.STICKY) if a == axis else None for a in range(3))
-    for num, spacing in ((6, 0.1), (11, 0.05), (8, 0.07), (21, 0.025)):
-        held = np.all(after_walls(Walls(lower=lower, upper=OPEN), (1.0, 1.0, 1.0), num, spacing) == 0, axis=-1)
-        expected = np.arange(num) * spacing < 0.2 - 1e-9
-        np.testing.assert_array_equal(np.moveaxis(held, axis, 0), np.broadcast_to(expected[:, None, None], held.shape))
-
-
-def test_friction_of_a_wall_is_differentiable(x64):
-    def speed(friction):
-        wall = (None, Wall(position=0.25, friction=friction), None)
-        return jnp.sum(apply_walls(Walls(lower=wall, upper=OPEN), grid, indices(grid), velocity)[0])
-
-    grid = Grid(shape=(4, 4, 4), spacing=0.1)
-    velocity = tuple(jnp.full(64, a) for a in (3.0, -2.0, 4.0))
-    # 16 nodes in each of the 3 layers behind: u_x = 3 (1 - 2 mu / 5).
-    np.testing.assert_allclose(jax.grad(speed)(0.5), 48 * 3 * -2 / 5, rtol=1e-12)
+    total, distance, least = shares_and_distance(boxes, jnp.asarray(nodes, jnp.float32), before)
+    np.testing.assert_array_equal(total, 1.0)
+    np.testing.assert_allclose(distance, least, atol=1e-6)

@@ -55,3 +55,31 @@ def test_slopes_are_derivatives_of_the_weights(x64):
 def test_stencils_of_particles_outside_stay_on_the_grid():
     s = stencil(jnp.array([-1e9, -1.0, ORIGIN, 0.55, 5.0, 1e9, jnp.inf, jnp.nan]))
     assert np.all(s.base >= 0) and np.all(s.base <= NODES - 3)
+
+
+def test_particles_midway_between_nodes_have_one_stencil():
+    """Their lowest node hangs on the rounding of a position that the program computes: all users must see the same.
+
+    Linear fields are interpolated exactly. With the weights of one stencil on the nodes of the next one, the result would be
+    off by a whole cell.
+    """
+    rng = np.random.default_rng(0)
+    a, b = (jnp.asarray(rng.uniform(low, high, 4096), jnp.float32) for low, high in ((0.2, 0.8), (-1.0, 1.0)))
+    midway = 0.1 * (rng.integers(2, 10, 4096) + 0.5)
+    c = jnp.asarray(midway - np.float64(a) * np.float64(b), jnp.float32)
+    nodes = jnp.asarray(0.1 * np.arange(16), jnp.float32)
+
+    @jax.jit
+    def interpolate(a, b, c):
+        x = a * b + c
+        s = quadratic_bspline(x, origin=0.0, spacing=0.1, num_nodes=16)
+        total = jnp.zeros(16, jnp.float32)
+        for k in range(3):
+            total = total.at[s.base + k].add(s.weights[k])
+        values = sum(s.weights[k] * nodes[s.base + k] for k in range(3))
+        return x, values, nodes[s.base] - s.offsets[0], jnp.vdot(total, nodes)
+
+    x, values, from_offset, moment = interpolate(a, b, c)
+    np.testing.assert_allclose(values, midway, atol=1e-6)
+    np.testing.assert_allclose(from_offset, x, atol=1e-6)
+    np.testing.assert_allclose(moment, midway.sum(), rtol=1e-5)

@@ -1,76 +1,20 @@
-"""The simulation as a whole: conservation, analytic solutions, stability, and how it composes with jit, vmap and NaN."""
+"""The simulation as a whole: conservation, analytic solutions, and how it composes with jit, vmap and NaN."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mpm_bodies import DT, GRID, NUM, NUM_SUBSTEPS, STEP, cube, relative, run, spinning
 
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.mpm import invariants
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.laws import FLUIDS, MAX_HARDENING
-from rewax.physics.mpm.materials import Elasticity, Material, Plasticity, sound_speed
-from rewax.physics.mpm.scene import STABLE_DIFFUSION_NUMBER
+from rewax.physics.mpm.materials import Material, Plasticity
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
-from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Sphere
-from rewax.physics.shapes.sampling import fill_box, sample_box
+from rewax.physics.shapes.sampling import fill_box
 from rewax.status import Status
-
-DT, NUM_SUBSTEPS, NUM = 1e-4, 1000, 64
-GRID = Grid(shape=(12, 14, 12), spacing=0.05, origin=(-0.3, -0.35, -0.3))
-SIDE = 0.1
-STEP = jax.jit(mpm.step, static_argnames="store_every")
-"""Compiled once for each grid, law, number of particles and of substeps: tests share these."""
-
-
-def modulus_at(courant_number: float, density: float = 1000.0, nu: float = 0.3) -> float:
-    """Young's modulus with which DT is this multiple of the time that sound takes through a cell."""
-    unit = float(sound_speed(Material(youngs_modulus=1.0, poissons_ratio=nu, density=density)))
-    return (courant_number * GRID.spacing / (DT * unit)) ** 2
-
-
-def cube(
-    courant_number=0.05,
-    gravity=(0.0, 0.0, 0.0),
-    seed=0,
-    elasticity=Elasticity.HENCKY,
-    plasticity=Plasticity.NONE,
-    **changes,
-):
-    """A cube of random particles in the middle of the grid, away from its border, and its scene."""
-    material = Material(
-        youngs_modulus=modulus_at(courant_number), poissons_ratio=0.3, density=1000.0, yield_stress=1e3,
-        elasticity=elasticity, plasticity=plasticity,
-    )  # fmt: skip
-    material = jax.tree.map(lambda a: jnp.asarray(a, float), material)
-    scene = mpm.MPMScene(
-        grid=GRID,
-        dt=DT,
-        material=material,
-        particle_volume=jnp.asarray(SIDE**3 / NUM),
-        gravity=jnp.asarray(gravity),
-        **changes,
-    )
-    state = mpm.initial_state(sample_box(jax.random.key(seed), (0.0, 0.0, 0.0), (SIDE,) * 3, NUM))
-    return scene, state
-
-
-def run(scene, state, num_substeps=NUM_SUBSTEPS):
-    return STEP(scene, state, mpm.static_poses(num_substeps))
-
-
-def spinning(state, omega=(1.0, -2.0, 3.0), noise=0.0, seed=1):
-    w = np.asarray(omega)
-    spin = jnp.asarray([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]], state.x.dtype)
-    v = state.x @ spin.T + noise * jax.random.normal(jax.random.key(seed), state.x.shape)
-    return state.replace(v=v, C=jnp.broadcast_to(spin, state.C.shape))
-
-
-def relative(a, b) -> float:
-    return float(np.linalg.norm(np.asarray(a, np.float64) - np.asarray(b, np.float64)) / np.linalg.norm(np.asarray(b)))
-
 
 # --- Conservation -----------------------------------------------------------------------------------------------------
 
@@ -106,86 +50,7 @@ def test_repeats_are_bit_identical():
     jax.tree.map(np.testing.assert_array_equal, run(scene, state), run(scene, state))
 
 
-# --- Stability --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("elasticity", [e for e in Elasticity if e not in FLUIDS])
-def test_stable_at_the_limit_and_not_far_above_it(elasticity):
-    """A perturbed cube at the largest stable dt calms down; at 1.4 times the sound's time through a cell it explodes."""
-    growth = []
-    for courant_number in (mpm.STABLE_COURANT_NUMBER, 1.4):
-        scene, state = cube(courant_number, elasticity=elasticity)
-        speed = 1e-3 * float(sound_speed(scene.material))
-        state = state.replace(v=speed * jax.random.normal(jax.random.key(3), state.x.shape))
-        end = run(scene, state)
-        growth.append(float(jnp.sqrt(jnp.mean(end.v**2) / jnp.mean(state.v**2))))
-    assert growth[0] < 0.6
-    assert not growth[1] < 10.0
-
-
-def test_viscosity_is_stable_at_its_limit_and_not_far_above_it():
-    """The same for a viscous fluid at the largest dt that sound allows; at three times what viscosity allows it explodes."""
-    growth = []
-    speed = mpm.STABLE_COURANT_NUMBER * GRID.spacing / DT
-    for number in (STABLE_DIFFUSION_NUMBER, 3 * STABLE_DIFFUSION_NUMBER):
-        scene, state = cube()
-        viscosity = number * 1000.0 * GRID.spacing**2 / DT
-        material = Material(density=1000.0, speed_of_sound=speed, viscosity=viscosity, elasticity=Elasticity.TAIT)
-        limit = float(mpm.largest_stable_dt(material, GRID))
-        assert limit == pytest.approx(DT * STABLE_DIFFUSION_NUMBER / number, rel=1e-5)
-        scene = scene.replace(material=jax.tree.map(lambda a: jnp.asarray(a, float), material))
-        state = state.replace(v=1e-3 * speed * jax.random.normal(jax.random.key(3), state.x.shape))
-        growth.append(float(jnp.sqrt(jnp.mean(run(scene, state).v ** 2) / jnp.mean(state.v**2))))
-    assert growth[0] < 0.6
-    assert not growth[1] < 10.0
-
-
-def test_largest_stable_dt_is_the_number_used():
-    material = Material(youngs_modulus=modulus_at(mpm.STABLE_COURANT_NUMBER), poissons_ratio=0.3, density=1000.0)
-    assert float(mpm.largest_stable_dt(material, GRID)) == pytest.approx(DT, rel=1e-5)
-    c = float(sound_speed(material))
-    assert float(mpm.largest_stable_dt(material, GRID, max_speed=c)) == pytest.approx(DT / 2, rel=1e-5)
-    snow = material.replace(plasticity=Plasticity.SNOW)
-    assert float(mpm.largest_stable_dt(snow, GRID)) == pytest.approx(DT / MAX_HARDENING**0.5, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"dt": 1.01e-4}, "dt is 0.000101 s, above the largest stable 0.0001 s .* smaller dt"),
-        ({"dt": 0.0}, "dt is 0.0, but must be positive"),
-        ({"youngs_modulus": -1.0}, "youngs_modulus is -1.0, but must be positive: give"),
-        ({"youngs_modulus": float("nan")}, "youngs_modulus is nan, but must be positive"),
-        ({"density": 0.0}, "density is 0.0, but must be positive"),
-        ({"poissons_ratio": 0.5}, "poissons_ratio is 0.5: give a value above -1 and below 0.5"),
-        ({"poissons_ratio": -1.0}, "poissons_ratio is -1.0: give"),
-        ({"yield_stress": 0.0, "plasticity": Plasticity.VON_MISES}, "yield_stress is 0.0, but must be positive"),
-        ({"particle_volume": -1e-6}, "particle_volume is -1e-06, but must be positive"),
-    ],
-)
-def test_impossible_scenes_are_refused_with_the_remedy(changes, message):
-    material = dict(youngs_modulus=modulus_at(mpm.STABLE_COURANT_NUMBER), poissons_ratio=0.3, density=1000.0)
-    scene = dict(grid=GRID, dt=0.999e-4, particle_volume=1e-6)
-    mpm.make_scene(material=Material(**material), **scene)
-    for name, value in changes.items():
-        (scene if name in scene else material)[name] = value
-    with pytest.raises(ValueError, match=message):
-        mpm.make_scene(material=Material(**material), **scene)
-
-
-def test_particles_must_begin_inside_the_box_and_outside_the_colliders():
-    scene, state = cube()
-    for broken in (state.x.at[7, 1].set(2.0), state.x.at[7, 1].set(jnp.nan)):
-        with pytest.raises(
-            ValueError, match=r"1 particles lie outside the box from \(-0.275, .* number 7, at .*: move them"
-        ):
-            mpm.initial_state(broken, scene)
-    collider = Collider(shape=Sphere(radius=0.04), offset=jnp.zeros(3), rotation=jnp.eye(3), friction=0.5)
-    scene = scene.replace(colliders=(collider,))
-    mpm.check_placement(scene, state, Pose(jnp.array([[0.1, 0.0, 0.0]]), jnp.eye(3)[None]))
-    with pytest.raises(ValueError, match=r"particles lie up to 0.0298 m inside collider 0 \(Sphere\): move it"):
-        mpm.check_placement(scene, state)
-    mpm.check_placement(scene, state, tolerance=0.04)
+# --- Storing ----------------------------------------------------------------------------------------------------------
 
 
 def test_store_every_must_divide():

@@ -6,29 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as hs
+from shape_cases import ALL, HALF, NUM, SAMPLED, SHAPES, TERRAIN, H, R, derivatives, evaluate, points
 
 from rewax.physics.contact.colliders import Collider, apply_collider
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.shapes import primitives as sdf
-
-NUM = 64
-R, H, HALF = 0.4, 0.7, np.array([0.3, 0.5, 0.8])
-RNG = np.random.default_rng(7)
-SHAPES = {
-    "sphere": sdf.Sphere(radius=R),
-    "capsule": sdf.Capsule(radius=R, half_length=H),
-    "box": sdf.Box(half_size=HALF),
-    "cylinder": sdf.Cylinder(radius=R, half_length=H),
-    "cone": sdf.Cone(radius=R, half_length=H),
-    "plane": sdf.Plane(),
-}
-SAMPLED = sdf.SampledDistance(values=RNG.normal(size=(4, 3, 5)), origin=np.array([-0.6, -0.5, -0.7]), spacing=0.45)
-TERRAIN = sdf.HeightField(heights=RNG.normal(size=(5, 4)), origin=np.array([-0.8, -0.5]), spacing=0.4)
-ELLIPSOID = sdf.Ellipsoid(semi_axes=HALF)
-ALL = SHAPES | {"ellipsoid": ELLIPSOID, "sampled": SAMPLED, "terrain": TERRAIN}
-evaluate = jax.jit(sdf.signed_distance)
 
 
 def radial(p):
@@ -89,12 +73,6 @@ def depth(name: str, p: np.ndarray) -> np.ndarray:
     return R - np.linalg.norm(p - np.clip(p, [0, -H, 0], [0, H, 0]), axis=1)
 
 
-def points(seed: int) -> np.ndarray:
-    p = np.random.default_rng(seed).uniform(-1.2, 1.2, (NUM, 3))
-    p[: NUM // 4] *= 0.2
-    return p
-
-
 @pytest.mark.parametrize("name", SHAPES)
 @given(seed=hs.integers(0, 10_000))
 def test_distance_is_the_one_to_the_nearest_point(x64, name, seed):
@@ -107,56 +85,6 @@ def test_distance_is_the_one_to_the_nearest_point(x64, name, seed):
     np.testing.assert_allclose(distance[~is_out], -depth(name, p[~is_out]), rtol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose((p - distance[:, None] * normal)[is_out], project(name, p)[is_out], atol=1e-12)
-
-
-def on_sphere(num):
-    """Nearly even directions, shape (num, 3)."""
-    k = np.arange(num) + 0.5
-    y, turn = 1.0 - 2.0 * k / num, np.pi * (1.0 + 5.0**0.5) * k
-    r = np.sqrt(1.0 - y * y)
-    return np.stack([r * np.cos(turn), y, r * np.sin(turn)], axis=1)
-
-
-DIRECTIONS = on_sphere(4000)
-semi_axis = hs.one_of(hs.floats(0.05, 1.0), hs.sampled_from([0.2, 0.7]))
-
-
-@given(seed=hs.integers(0, 10_000), axes=hs.tuples(semi_axis, semi_axis, semi_axis), plane=hs.integers(0, 3))
-def test_ellipsoid_has_no_nearer_point(x64, seed, axes, plane):
-    """p - d n is on the surface, n is normal to it there, and none of 4000 surface points is nearer.
-
-    Points with a coordinate of (nearly) zero, where one nearest point becomes two, and axes of equal length included.
-    """
-    axes, p = np.array(axes), points(seed)
-    if plane < 3:
-        p[::2, plane] *= 10.0 ** np.random.default_rng(seed).uniform(-20, -2, NUM // 2)
-        p[::4, plane] = 0.0
-    p[-1] = 0.0
-    distance, normal = (np.asarray(a) for a in evaluate(sdf.Ellipsoid(semi_axes=axes), p))
-    np.testing.assert_array_equal(distance < 0, np.linalg.norm(p / axes, axis=1) < 1)
-    foot = p - distance[:, None] * normal
-    np.testing.assert_allclose(np.linalg.norm(foot / axes, axis=1), 1.0, rtol=1e-10)
-    gradient = foot / axes**2
-    np.testing.assert_allclose(normal, gradient / np.linalg.norm(gradient, axis=1)[:, None], atol=1e-9)
-    nearest = np.linalg.norm(p[:, None] - axes * DIRECTIONS, axis=2).min(axis=1)
-    assert np.all(np.abs(distance) <= nearest + 1e-12)
-
-
-def test_a_round_ellipsoid_is_a_sphere():
-    """In float32."""
-    p = jnp.asarray(points(3), jnp.float32)
-    ball = sdf.Ellipsoid(semi_axes=jnp.full(3, R))
-    for got, expected in zip(evaluate(ball, p), evaluate(SHAPES["sphere"], p), strict=True):
-        np.testing.assert_allclose(got, expected, atol=1e-6)
-    ones = jnp.ones(NUM, float), jnp.ones((NUM, 3), float)
-    for leaf in jax.tree.leaves(derivatives((ball, p.at[0].set(0.0)), (ball, p), ones)):
-        assert np.isfinite(leaf).all()
-
-
-@jax.jit
-def derivatives(args, tangents, cotangents):
-    """Of distance and normal, by everything: forward, reverse."""
-    return jax.jvp(sdf.signed_distance, args, tangents)[1], jax.vjp(sdf.signed_distance, *args)[1](cotangents)
 
 
 def inner(a, b) -> float:
@@ -192,51 +120,6 @@ def test_everything_is_finite_in_the_middle_and_on_edges(x64, name, seed):
     ones = jnp.ones(NUM, float), jnp.ones((NUM, 3), float)
     for leaf in jax.tree.leaves((evaluate(*args), derivatives(args, jax.tree.map(jnp.ones_like, args), ones))):
         assert np.isfinite(leaf).all()
-
-
-# --- Numbers on grids -------------------------------------------------------------------------------------------------
-
-
-def test_samples_of_a_trilinear_function_give_it_back(x64):
-    """Value and direction of the gradient, within the grid's box."""
-    k = np.random.default_rng(5).normal(size=(2, 2, 2))
-
-    def trilinear(x, y, z):
-        return sum(k[a, b, c] * x**a * y**b * z**c for a in (0, 1) for b in (0, 1) for c in (0, 1))
-
-    nodes = np.indices((4, 3, 5)) * 0.45 + np.array([-0.6, -0.5, -0.7])[:, None, None, None]
-    shape = SAMPLED.replace(values=trilinear(*nodes))
-    p = np.random.default_rng(6).uniform([-0.6, -0.5, -0.7], [0.75, 0.4, 1.1], (NUM, 3))
-    distance, normal = evaluate(shape, p)
-    gradient = jax.vmap(jax.grad(lambda q: trilinear(*q)))(p)
-    np.testing.assert_allclose(distance, trilinear(*p.T), rtol=1e-11, atol=1e-13)
-    np.testing.assert_allclose(normal, gradient / jnp.linalg.norm(gradient, axis=1, keepdims=True), atol=1e-11)
-
-
-def test_beyond_its_box_a_sampled_distance_grows_with_the_distance_to_the_box(x64):
-    p = points(8) * 2.0
-    at = np.clip(p, [-0.6, -0.5, -0.7], [0.75, 0.4, 1.1])
-    away = np.linalg.norm(p - at, axis=1)
-    assert np.sum(away > 0) > NUM // 2
-    np.testing.assert_allclose(evaluate(SAMPLED, p)[0], evaluate(SAMPLED, at)[0] + away, rtol=1e-11, atol=1e-13)
-
-
-def test_height_of_a_slope_is_the_distance_to_its_plane(x64):
-    """Within the field exact, beyond it level; halfway along an edge of a cell the mean of its ends."""
-    x, z = np.indices((5, 4)) * 0.4 + np.array([-0.8, -0.5])[:, None, None]
-    slope = TERRAIN.replace(heights=0.1 + 0.3 * x - 0.4 * z)
-    p = np.random.default_rng(9).uniform([-0.8, -1, -0.5], [0.8, 1, 0.7], (NUM, 3))
-    distance, normal = evaluate(slope, p)
-    np.testing.assert_allclose(distance, (p @ [-0.3, 1.0, 0.4] - 0.1) / np.sqrt(1.25), atol=1e-13)
-    np.testing.assert_allclose(
-        normal, np.broadcast_to(np.array([-0.3, 1.0, 0.4]) / np.sqrt(1.25), (NUM, 3)), atol=1e-12
-    )
-    p[:] = [9.0, 0.0, 9.0]
-    p[0] = [-0.6, 0.0, -0.5]
-    distance, normal = evaluate(TERRAIN, p)
-    np.testing.assert_allclose(distance[0] / normal[0, 1], -TERRAIN.heights[:2, 0].mean(), rtol=1e-12)
-    np.testing.assert_allclose(distance[1:], -TERRAIN.heights[-1, -1], rtol=1e-12)
-    np.testing.assert_allclose(normal[1:], np.broadcast_to([0.0, 1.0, 0.0], (NUM - 1, 3)), atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["ellipsoid", "sampled", "terrain"])

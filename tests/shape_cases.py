@@ -1,0 +1,35 @@
+"""One shape of each kind, points around it, and its distance with derivatives, compiled once."""
+
+import jax
+import numpy as np
+
+from rewax.physics.shapes import primitives as sdf
+
+NUM = 64
+R, H, HALF = 0.4, 0.7, np.array([0.3, 0.5, 0.8])
+RNG = np.random.default_rng(7)
+SHAPES = {
+    "sphere": sdf.Sphere(radius=R),
+    "capsule": sdf.Capsule(radius=R, half_length=H),
+    "box": sdf.Box(half_size=HALF),
+    "cylinder": sdf.Cylinder(radius=R, half_length=H),
+    "cone": sdf.Cone(radius=R, half_length=H),
+    "plane": sdf.Plane(),
+}
+SAMPLED = sdf.SampledDistance(values=RNG.normal(size=(4, 3, 5)), origin=np.array([-0.6, -0.5, -0.7]), spacing=0.45)
+TERRAIN = sdf.HeightField(heights=RNG.normal(size=(5, 4)), origin=np.array([-0.8, -0.5]), spacing=0.4)
+ELLIPSOID = sdf.Ellipsoid(semi_axes=HALF)
+ALL = SHAPES | {"ellipsoid": ELLIPSOID, "sampled": SAMPLED, "terrain": TERRAIN}
+evaluate = jax.jit(sdf.signed_distance)
+
+
+def points(seed: int) -> np.ndarray:
+    p = np.random.default_rng(seed).uniform(-1.2, 1.2, (NUM, 3))
+    p[: NUM // 4] *= 0.2
+    return p
+
+
+@jax.jit
+def derivatives(args, tangents, cotangents):
+    """Of distance and normal, by everything: forward, reverse."""
+    return jax.jvp(sdf.signed_distance, args, tangents)[1], jax.vjp(sdf.signed_distance, *args)[1](cotangents)
