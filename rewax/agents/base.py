@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 
-from rewax.envs.leaves import EnvLeaves
+from rewax.envs.leaves import EnvLeaves, strongly_typed
 from rewax.types import Array, Key, PyTree
 
 TrainState: TypeAlias = PyTree
@@ -54,10 +54,17 @@ def bind(
       train_step: ``(config, TrainState) -> (TrainState, Metrics)``.
       policy: as for ``Agent``.
     """
-    start, step = _compiled(init, config), _compiled(train_step, config)
+    start, step = _compiled(init, config, True), _compiled(train_step, config)
     return Agent(init=lambda key: start(leaves, key), train_step=step, policy=policy, name=name, config=config)
 
 
 @functools.cache
-def _compiled(function: Callable[..., Any], config: Any) -> Any:
-    return jax.jit(functools.partial(function, config))
+def _compiled(function: Callable[..., Any], config: Any, fix_types: bool = False) -> Any:
+    """``function`` with its first argument fixed, jitted; once per configuration."""
+
+    def program(*args: Any) -> Any:
+        out = function(config, *args)
+        # A run's first state has the types of all later ones, so that train_step is compiled once.
+        return jax.tree.map(strongly_typed, out) if fix_types else out
+
+    return jax.jit(program)

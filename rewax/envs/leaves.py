@@ -55,7 +55,7 @@ class EnvLeaves(struct.Replaceable):
         names = tuple(jax.tree_util.keystr(path) for path, _ in named)
         numbers = tuple(leaf if isinstance(leaf, (bool, int, float)) else None for _, leaf in named)
         arrays = {
-            name: _strongly_typed(leaf)
+            name: strongly_typed(leaf)
             for name, number, (_, leaf) in zip(names, numbers, named, strict=True)
             if number is None
         }
@@ -113,7 +113,7 @@ def stack(envs: Sequence[Any]) -> Vmap:
     return Vmap(env=jax.tree.map(join, *envs), env_axis=0)
 
 
-def _strongly_typed(leaf: Any) -> Array:
+def strongly_typed(leaf: Any) -> Array:
     """Python scalars leave weak types behind, with which a program would be compiled anew for its own output."""
     a = jnp.asarray(leaf)
     return jax.lax.convert_element_type(a, a.dtype) if jnp.issubdtype(a.dtype, jnp.number) else a
