@@ -292,8 +292,3 @@ def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: floa
         num_observed=64,
         observe_velocity=True,
     )
-
-
-def make_rolling_flat(*, scale: str, **kwargs: Any) -> RollingFlat:
-    """Factory for the registry; keyword arguments are those of ``paper`` and ``small``."""
-    return {"paper": paper, "small": small}[scale](**kwargs)
