@@ -91,7 +91,7 @@ def test_scales_may_have_factories_and_options_of_their_own(known):
 
 def test_a_string_must_name_module_and_function(known):
     with pytest.raises(
-        ValueError, match="the factory of 'New' is 'toys': give a function or 'package.module:function'"
+        ValueError, match=r"the factory of 'New' is 'toys': give a function or 'package.module:function'"
     ):
         registry.register("New", "toys")
     assert "New" not in registry.list_envs()
