@@ -116,11 +116,11 @@ def _names(options: Any, filled: Any, prefix: str = "") -> Iterator[str]:
 
 
 def _first_paragraph(box: str) -> str:
-    """What the parser's box says between its title and its first rule, as one line."""
+    """What the parser's box says between its title and its next rule, as one line."""
     _, *lines = re.sub(r"\x1b\[[0-9;]*m", "", box).strip().splitlines()
-    words = [line.strip("│ ") for line in lines]
-    end = next((i for i, text in enumerate(words) if set(text) <= set("─-╰╯")), len(words))
-    return re.sub(r"\s+", " ", " ".join(words[:end])).strip().rstrip(".")
+    said = "\n".join(line.strip("│ ") for line in lines)
+    paragraphs = [part for part in re.split(r"^[╭╰─-]*[─-]{3,}[╯]?$", said, flags=re.MULTILINE) if part.strip()]
+    return re.sub(r"\s+", " ", paragraphs[0]).strip().rstrip(".")
 
 
 __all__ = ["Imports", "import_modules", "parse"]

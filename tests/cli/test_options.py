@@ -1,6 +1,8 @@
 """Arguments and users' modules: what is found, and what is refused."""
 
+import contextlib
 import dataclasses
+import io
 import sys
 
 import pytest
@@ -50,9 +52,12 @@ def test_options_are_read():
     ],
 )  # fmt: skip
 def test_an_option_that_cannot_be_is_one_sentence(argv, sentence, capfd):
-    with pytest.raises(ValueError) as caught:
-        read(*argv)
-    assert str(caught.value) == sentence
+    for encoding in ("utf-8", "ascii"):  # the parser draws another box for each
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding=encoding)))
+            caught = stack.enter_context(pytest.raises(ValueError))
+            read(*argv)
+        assert str(caught.value) == sentence
     assert capfd.readouterr() == ("", "")
 
 
