@@ -1,5 +1,7 @@
 """Commands by name: help, wrong commands, and an environment of one's own from training to evaluation."""
 
+import os
+import signal
 import subprocess
 import sys
 
@@ -60,6 +62,21 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, c
 def test_envs_prints_every_name(capsys):
     assert main(["envs"]) == 0
     assert capsys.readouterr().out.split() == registry.list_envs()
+
+
+def test_a_reader_that_leaves_early_is_no_error(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "rewax", "envs"],
+        cwd=tmp_path,
+        env=toys.subprocess_environment(),
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
 
 
 def test_an_environment_of_ones_own_is_trained_and_evaluated(tmp_path):
