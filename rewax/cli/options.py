@@ -55,7 +55,7 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
 
 
 def import_modules(names: Sequence[str]) -> None:
-    """Import modules that register environments.
+    """Import modules that register environments or algorithms.
 
     Args:
       names: dotted names, found from the working directory too, or paths of ``.py`` files.

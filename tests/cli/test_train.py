@@ -11,7 +11,8 @@ import time
 import pytest
 import toys
 
-from rewax.cli.algorithms import ALGORITHMS, Algorithm
+from rewax.agents import registry as agents
+from rewax.agents.registry import Algorithm
 from rewax.cli.main import main as command
 from rewax.envs import registry
 from rewax.training.metrics import read_csv
@@ -52,7 +53,7 @@ def main(tmp_path, monkeypatch, capfd):
     """``main(*argv)``: exit code and output of the command line, in an empty working directory."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(registry._FACTORIES, "PointMass", factory)
-    monkeypatch.setitem(ALGORITHMS, "toy", Algorithm(make, preset))
+    monkeypatch.setitem(agents._ALGORITHMS, "toy", lambda: Algorithm(make, ToyConfig, preset))
     start = ["train", "--algo=toy"]
     quick = ["--train.no-plots", "--train.no-baselines", "--train.num-eval-episodes=2", "--train.no-tensorboard"]
 
@@ -145,7 +146,7 @@ def test_help_lists_every_hyperparameter(main):
 SLOW = textwrap.dedent("""
     import sys, time
     import jax, jax.numpy as jnp, toys
-    from rewax.cli.algorithms import ALGORITHMS, Algorithm
+    from rewax.agents.registry import Algorithm, register_algorithm
     from rewax.cli.main import main
     from rewax.envs import registry
     sys.path.insert(0, sys.argv.pop(1))
@@ -158,7 +159,7 @@ SLOW = textwrap.dedent("""
             iteration = jax.pure_callback(wait, jax.ShapeDtypeStruct((), jnp.int32), state.iteration)
             return agent.train_step(state.replace(iteration=iteration))
         return agent._replace(train_step=jax.jit(slow))
-    ALGORITHMS["toy"] = Algorithm(make, test_train.preset)
+    register_algorithm("toy", Algorithm(make, test_train.ToyConfig, test_train.preset))
     sys.exit(main(["train", "--algo=toy", "--env=PointMass", *sys.argv[1:]]))
 """)
 
