@@ -11,7 +11,7 @@ class Options:
     """Options.
 
     Attributes:
-      imports: module or .py file that registers environments; may be repeated.
+      imports: module or .py file that registers environments.
     """
 
     imports: Imports = ()

@@ -13,7 +13,7 @@ class Options:
 
     Attributes:
       run_dir: directory of the run.
-      imports: module or .py file that registers environments or algorithms; may be repeated.
+      imports: module or .py file that registers environments or algorithms.
       episodes: how many, from random starts.
       seed: draws the starts; the same seed gives the same ones to every policy.
       step: iteration of the checkpoint, the newest by default.

@@ -106,7 +106,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
       env: name of the environment.
       scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
       algo: name of the algorithm.
-      imports: module or .py file that registers environments or algorithms; may be repeated.
+      imports: module or .py file that registers environments or algorithms.
       seed: everything random follows from it.
       steps: environment steps in all, rounded up to whole iterations; by default what the preset says.
       run_dir: directory of the run; runs/<env>-<scale>-<seed> by default.
