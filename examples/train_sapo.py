@@ -1,13 +1,8 @@
-"""Train SAPO: ``python examples/train_sapo.py --env=RollingFlat``; ``--help`` lists every hyper-parameter."""
+"""Train SAPO: ``python examples/train_sapo.py --env=RollingFlat``, the same as ``rewax train --env=RollingFlat``."""
 
-import os
 import sys
 
-os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # jax 0.10 prints an "error" for every program found in its cache
-
-from rewax.agents.presets import sapo_preset
-from rewax.agents.sapo import make_sapo
-from rewax.training import cli
+from rewax.cli.main import main
 
 if __name__ == "__main__":
-    sys.exit(cli.main("sapo", make_sapo, sapo_preset))
+    sys.exit(main(["train", "--algo=sapo", *sys.argv[1:]]))

@@ -1,10 +1,38 @@
-"""Reinforcement learning through differentiable multiphysics, in JAX."""
+"""Reinforcement learning through differentiable multiphysics, in JAX.
 
-from rewax.envs import list_envs, make, register
-from rewax.envs.base import ArraySpec, Env, State
-from rewax.envs.wrappers import AutoReset, Vmap
-from rewax.status import Status
+Names are imported when they are first used: ``import rewax`` alone loads neither JAX nor a simulator.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rewax.envs import list_envs, make, register
+    from rewax.envs.base import ArraySpec, Env, State
+    from rewax.envs.wrappers import AutoReset, Vmap
+    from rewax.status import Status
 
 __version__ = "0.1.0"
 
+_HOMES = {
+    **dict.fromkeys(("list_envs", "make", "register"), "rewax.envs"),
+    **dict.fromkeys(("ArraySpec", "Env", "State"), "rewax.envs.base"),
+    **dict.fromkeys(("AutoReset", "Vmap"), "rewax.envs.wrappers"),
+    "Status": "rewax.status",
+}
+_MODULES = ("agents", "debug", "envs", "physics", "struct", "testing", "training", "viz")
+
 __all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "make", "register"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return importlib.import_module(f"rewax.{name}")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'rewax' has no attribute {name!r}")
+    globals()[name] = getattr(importlib.import_module(_HOMES[name]), name)
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES, *_MODULES})

@@ -6,12 +6,17 @@ structure (hashed and compared, a change recompiles).
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Self, TypeVar, dataclass_transform
 
-from flax.struct import field
 from jax.tree_util import GetAttrKey, register_pytree_with_keys
 
 T = TypeVar("T")
+
+
+def field(*, pytree_node: bool = True, metadata: Mapping[str, Any] | None = None, **kwargs: Any) -> Any:
+    """``dataclasses.field`` of a leaf, or with ``pytree_node=False`` of a static field."""
+    return dataclasses.field(metadata={**(metadata or {}), "pytree_node": pytree_node}, **kwargs)
 
 
 def static_field(**kwargs: Any) -> Any:

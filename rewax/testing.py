@@ -10,6 +10,7 @@ import numpy as np
 from rewax.envs.base import ArraySpec, Env, State
 from rewax.status import Status
 from rewax.types import Array, Key, PyTree
+from rewax.viz import shapes
 
 _JIT_TOLERANCE = 1e-4  # relative; a compiled program may fuse and reorder single-precision sums
 
@@ -20,7 +21,7 @@ def check_env(env: Env, *, seed: int = 0, tolerance: float = _JIT_TOLERANCE, che
     Observations match their spec; states keep their structure, so that ``lax.scan`` can carry them; ``reset`` depends
     on its key; ``jit`` and ``vmap`` change nothing beyond rounding; ``step`` clips actions, never resets, truncates
     exactly at ``episode_length`` and never together with terminating; the reward has a finite, not identically zero
-    gradient with respect to the actions.
+    gradient with respect to the actions; what ``particles`` and ``render_shapes`` give can be drawn.
 
     Args:
       env: unbatched environment, without ``AutoReset``.
@@ -43,6 +44,8 @@ def check_env(env: Env, *, seed: int = 0, tolerance: float = _JIT_TOLERANCE, che
     step = jax.jit(env.step)
     new = step(state, action)
     _check_next_state(env, state, new)
+    for source, each in (("reset", state), ("step", new)):
+        _check_pictures(env, each, source)
     _check_same(new, env.step(state, action), tolerance, "jit(step) and step")
     _check_vmap(env, step, key, tolerance)
     _check_action_bounds(env, step, state, tolerance)
@@ -106,6 +109,27 @@ def _check_next_state(env: Env, old: State, new: State) -> None:
         assert same, f"{jax.tree_util.keystr(path)} of the state is {kinds}: a scan needs them the same"
     _check_values(env, new, "step")
     assert int(new.step_count) == 1, f"step_count is {int(new.step_count)} after one step: it counts steps since reset"
+
+
+def _check_pictures(env: Any, state: State, source: str) -> None:
+    """What the environment offers to pictures after a reset or a step can be drawn."""
+    particles, render_shapes = getattr(env, "particles", None), getattr(env, "render_shapes", None)
+    name = "particles"
+    try:
+        if particles is not None:
+            shapes.check_cloud(particles(state.physics))
+        name = "render_shapes"
+        drawings = [] if render_shapes is None else list(render_shapes(state.physics))
+        for drawing in drawings:
+            shapes.check_drawing(drawing)
+    except ValueError as error:
+        raise AssertionError(f"{name} after {source} cannot be drawn: {error}") from error
+    except Exception as error:  # whatever the environment's own method raises
+        kind = type(error).__name__
+        raise AssertionError(f"{name} raises {kind} after {source}: {error}; see the traceback above") from error
+    alone = render_shapes is not None and particles is None
+    followed = not alone or any(drawing["kind"] != "plane" for drawing in drawings)
+    assert followed, f"render_shapes after {source} gives nothing but planes: give at least one shape that moves"
 
 
 def _check_reset_key(env: Env, state: State, key: Key) -> None:

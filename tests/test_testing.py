@@ -45,7 +45,34 @@ def eager_only(new, old, action):
     return new.replace(reward=new.reward + bonus)
 
 
+BALL = {"kind": "sphere", "center": (0.0, 0.0, 0.0), "radius": 0.1}
+
+
+def drawn(*drawings, **more):
+    """Methods of an environment that draws these shapes and no particles."""
+    return {"particles": None, "render_shapes": lambda self, physics: list(drawings), **more}
+
+
+START = float(toys.point_mass().reset(jax.random.key(0)).physics[0])
+
+
 BROKEN = {
+    "render_shapes after reset cannot be drawn: the drawing of a sphere has no 'center', but has 'centre': give it center, radius": drawn(
+        {"kind": "sphere", "centre": (0.0, 0.0, 0.0), "radius": 0.1}
+    ),
+    "render_shapes after reset cannot be drawn: cannot draw a shape of kind 'ball': use one of 'sphere'": drawn(
+        {**BALL, "kind": "ball"}
+    ),
+    "render_shapes after reset gives nothing but planes": drawn(
+        {"kind": "plane", "center": (0, 0, 0), "direction": (0, 1, 0)}
+    ),
+    "render_shapes raises KeyError after reset: 'pin'": drawn(render_shapes=lambda self, physics: [{}["pin"]]),
+    "render_shapes after step cannot be drawn: radius of the drawing of a sphere is -1.0: give 0 or more": drawn(
+        render_shapes=lambda self, physics: [{**BALL, "radius": 0.1 if float(physics[0]) == START else -1.0}]
+    ),
+    r"particles after reset cannot be drawn: particles have shape \(8, 2\): give \(num_particles, 3\)": {
+        "particles": lambda self, physics: jnp.zeros((8, 2))
+    },
     "obs 'x' of reset has shape": {"observation_spec": property(lambda self: {"x": ArraySpec((2,))})},
     r"differ in \['y'\]": {"observation_spec": property(lambda self: {"x": ArraySpec((1,)), "y": ArraySpec((1,))})},
     "leaves the bounds of its spec": {"observation_spec": property(lambda self: {"x": ArraySpec((1,), -0.1, 0.1)})},
@@ -78,6 +105,7 @@ BROKEN = {
 
 def test_a_sound_environment_passes():
     check_env(toys.point_mass())
+    check_env(broken(**drawn(BALL)))
 
 
 @pytest.mark.parametrize("sentence", BROKEN, ids=range(len(BROKEN)))

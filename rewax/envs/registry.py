@@ -1,8 +1,11 @@
 """Environments by name and scale."""
 
 import difflib
-from collections.abc import Callable
-from typing import Any
+import importlib
+import inspect
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeAlias
 
 import jax
 
@@ -12,20 +15,27 @@ Scale = str
 SCALES: tuple[Scale, ...] = ("paper", "small")
 """``paper``: the reference's constants, for an accelerator. ``small``: made to learn within minutes on two cores."""
 
-_FACTORIES: dict[str, Callable[..., Env]] = {}
+Factory: TypeAlias = Callable[..., Env] | str
+"""A function that builds an environment, or where to find one: ``"package.module:function"``."""
+
+_FACTORIES: dict[str, Factory | Mapping[Scale, Factory]] = {}
 
 
-def register(name: str, factory: Callable[..., Env]) -> None:
+def register(name: str, factory: Factory | Mapping[Scale, Factory]) -> None:
     """Make an environment available to ``make`` and to the command line.
 
     Args:
       name: what users call it.
-      factory: called as ``factory(scale=..., **kwargs)``.
+      factory: called as ``factory(scale=..., **kwargs)``. A string ``"package.module:function"`` is imported when the
+        environment is first made. A mapping gives each scale a factory of its own, called as ``factory(**kwargs)``.
 
     Raises:
-      ValueError: the name is taken by another factory.
+      ValueError: the name is taken by another factory, or a string is not of that form.
     """
-    if _FACTORIES.get(name, factory) is not factory:
+    for one in factory.values() if isinstance(factory, Mapping) else (factory,):
+        if isinstance(one, str) and one.count(":") != 1:
+            raise ValueError(f"the factory of {name!r} is {one!r}: give a function or 'package.module:function'")
+    if _FACTORIES.get(name, factory) != factory:
         raise ValueError(f"an environment named {name!r} is registered already: choose another name")
     _FACTORIES[name] = factory
 
@@ -43,19 +53,94 @@ def default_scale() -> Scale:
 def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     """Build a registered environment.
 
+    The environment remembers its recipe in the attribute ``made_by``, a dict with the keys ``env``, ``scale`` and
+    ``kwargs``. It belongs to this one object: copies by ``replace``, ``jit``, ``vmap`` or ``jax.tree.map`` have other
+    leaves than the recipe says, and no such attribute.
+
     Args:
       name: one of ``list_envs()``.
       scale: ``"paper"``, ``"small"``, or None for what suits the device (``default_scale``).
       **kwargs: passed on to the environment's factory, e.g. physical parameters.
 
     Raises:
-      ValueError: unknown name or scale; the message lists what there is.
+      ValueError: unknown name, scale or keyword; the message lists what there is.
     """
     if name not in _FACTORIES:
-        close = difflib.get_close_matches(name, _FACTORIES, n=1, cutoff=0.5)
-        hint = f"did you mean {close[0]!r}? " if close else ""
-        raise ValueError(f"there is no environment named {name!r}: {hint}known are {', '.join(list_envs())}")
+        raise ValueError(
+            f"there is no environment named {name!r}: {did_you_mean(name, _FACTORIES)}known are "
+            f"{', '.join(list_envs())}; register others first, on the command line with --import MODULE"
+        )
     scale = default_scale() if scale is None else scale
-    if scale not in SCALES:
-        raise ValueError(f"scale is {scale!r}: use one of {', '.join(map(repr, SCALES))}, or none to follow the device")
-    return _FACTORIES[name](scale=scale, **kwargs)
+    factory = _FACTORIES[name]
+    scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
+    if scale not in scales:
+        raise ValueError(f"scale is {scale!r}: use one of {', '.join(map(repr, scales))}, or none to follow the device")
+    chosen = _imported(name, factory[scale] if isinstance(factory, Mapping) else factory)
+    given = kwargs if isinstance(factory, Mapping) else {"scale": scale, **kwargs}
+    _check_keywords(name, chosen, given)
+    env = _call(name, chosen, given)
+    _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
+    return env
+
+
+def did_you_mean(name: Any, known: Iterable[str]) -> str:
+    """``"did you mean 'x'? "`` for the known name that is nearest, or nothing where none is near."""
+    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    return f"did you mean {close[0]!r}? " if close else ""
+
+
+def _imported(name: str, factory: Factory) -> Callable[..., Env]:
+    if not isinstance(factory, str):
+        return factory
+    module, function = factory.split(":")
+    found = getattr(importlib.import_module(module), function, None)
+    if found is None:
+        raise ValueError(
+            f"the factory of {name!r} is {factory!r}, but {module} has no {function}: correct register(...)"
+        )
+    return found
+
+
+def _check_keywords(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> None:
+    """Raise a ValueError where a factory does not take these keywords; one with ``**kwargs`` takes any."""
+    try:
+        parameters = inspect.signature(factory).parameters.values()
+    except (TypeError, ValueError):  # some callables written in C have none
+        return
+    by_keyword = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    legal = {p.name: p.default is p.empty for p in parameters if p.kind in by_keyword}
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
+    for keyword in () if takes_any else [keyword for keyword in given if keyword not in legal]:
+        if keyword == "scale":
+            raise ValueError(f"the factory of {name!r} takes no scale: define it as factory(*, scale, ...)")
+        raise ValueError(_no_option(name, keyword, [known for known in legal if known != "scale"]))
+    missing = [keyword for keyword, required in legal.items() if required and keyword not in given]
+    if missing:
+        raise ValueError(f"{name} needs the option {missing[0]!r}: give make({name!r}, {missing[0]}=...)")
+
+
+def _no_option(name: str, keyword: str, legal: list[str]) -> str:
+    use = f"use {', '.join(legal)}" if legal else "it has none"
+    return f"{name} has no option {keyword!r}: {did_you_mean(keyword, legal)}{use}"
+
+
+def _call(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> Env:
+    """Call a factory; one that passes ``**kwargs`` on finds a misspelt keyword only in there."""
+    try:
+        return factory(**given)
+    except TypeError as error:
+        refused = re.search(r"got an unexpected keyword argument '(\w+)'", str(error))
+        if refused and refused[1] in given:
+            raise ValueError(f"{name} has no option {refused[1]!r}: {error}") from error
+        raise
+
+
+def _attach(env: Env, recipe: dict[str, Any]) -> None:
+    """Set ``made_by`` on an environment, frozen or not; one that takes no attributes goes without."""
+    try:
+        object.__setattr__(env, "made_by", recipe)
+    except AttributeError:
+        return
+
+
+__all__ = ["SCALES", "Factory", "Scale", "default_scale", "did_you_mean", "list_envs", "make", "register"]

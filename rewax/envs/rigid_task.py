@@ -146,7 +146,7 @@ class RigidTask(struct.Replaceable):
         return -gravity / strength if strength > 0.0 else np.array([0.0, 0.0, 1.0])
 
     def render_shapes(self, physics: RigidPhysics) -> list[dict[str, Any]]:
-        """Geoms for pictures, see ``rigid.shapes``."""
+        """Drawings of the geoms, see ``rewax.viz.shapes``."""
         return rigid.shapes(self.model, physics.rigid)
 
 

@@ -142,7 +142,7 @@ class RollingFlat(struct.Replaceable):
         return physics.dough.x
 
     def render_shapes(self, physics: RollingFlatPhysics) -> list[dict[str, Any]]:
-        """Pin parts for pictures: kind, centre [m], radius [m], half_length [m], direction of the axis."""
+        """Drawings of the pin's parts, see ``rewax.viz.shapes``."""
         pose = jax.tree.map(lambda a: a[0, 0], self._pin_poses(physics.joint_q[None]))
         shapes = []
         for collider in self.scene.colliders:
@@ -150,7 +150,7 @@ class RollingFlat(struct.Replaceable):
             shapes.append(
                 {
                     "kind": "capsule",
-                    "centre": pose.position + pose.rotation @ collider.offset,
+                    "center": pose.position + pose.rotation @ collider.offset,
                     "radius": collider.shape.radius,
                     "half_length": collider.shape.half_length,
                     "direction": pose.rotation @ collider.rotation[:, 1],
@@ -292,8 +292,3 @@ def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: floa
         num_observed=64,
         observe_velocity=True,
     )
-
-
-def make_rolling_flat(*, scale: str, **kwargs: Any) -> RollingFlat:
-    """Factory for the registry; keyword arguments are those of ``paper`` and ``small``."""
-    return {"paper": paper, "small": small}[scale](**kwargs)

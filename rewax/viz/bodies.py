@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from rewax.viz.plots import STYLE
-from rewax.viz.shapes import Shape, View, check_kind, outline, side_view
+from rewax.viz.shapes import Drawing, View, check_drawing, outline, side_view
 
 _NEAR, _FAR = np.array([0.22, 0.42, 0.65]), np.array([0.75, 0.82, 0.90])
 _SPACING, _MARK = 0.5, 0.06
@@ -18,7 +18,7 @@ _SPACING, _MARK = 0.5, 0.06
 
 
 def body_strip(
-    frames: Sequence[Sequence[Shape]],
+    frames: Sequence[Sequence[Drawing]],
     out_png: str | Path,
     *,
     labels: Sequence[str] = (),
@@ -28,7 +28,7 @@ def body_strip(
     """Draw rigid shapes over time: a panel for each frame, seen from the side, that follows the shapes sideways.
 
     Args:
-      frames: shapes of each frame, at least one of them not a plane.
+      frames: drawings of each frame (``rewax.viz.shapes``), at least one of them not a plane.
       out_png: picture to write.
       labels: one for each frame, e.g. its time.
       up: unit vector that points up in the picture, shape (3,).
@@ -36,6 +36,9 @@ def body_strip(
 
     Returns:
       The path written. What is nearer is darker; all panels have one scale, marks on the ground are 0.5 m apart.
+
+    Raises:
+      ValueError: kind or keys of a drawing are wrong, or a frame has nothing but planes.
     """
     view = side_view(up)
     lows, highs = (np.stack(corners) for corners in zip(*(_extent(shapes, view) for shapes in frames), strict=True))
@@ -64,13 +67,13 @@ def body_strip(
     return Path(out_png)
 
 
-def _draw(axes: Axes, shapes: Sequence[Shape], view: View, middle: np.ndarray, reach: float) -> None:
+def _draw(axes: Axes, shapes: Sequence[Drawing], view: View, middle: np.ndarray, reach: float) -> None:
     """One panel: planes that are seen edge on, then the other shapes, what is nearer to the eye later and darker."""
     for shape in shapes:
         if shape["kind"] == "plane":
             _draw_plane(axes, shape, view, middle, reach)
     solid = [shape for shape in shapes if shape["kind"] != "plane"]
-    depth = np.array([np.asarray(shape["centre"], float) @ view.towards for shape in solid])
+    depth = np.array([np.asarray(shape["center"], float) @ view.towards for shape in solid])
     nearness = (depth - depth.min()) / max(float(np.ptp(depth)), 1e-9) if np.ptp(depth) > 1e-6 else np.ones(len(depth))
     for i in np.argsort(depth, kind="stable"):
         color = _FAR + nearness[i] * (_NEAR - _FAR)
@@ -79,14 +82,14 @@ def _draw(axes: Axes, shapes: Sequence[Shape], view: View, middle: np.ndarray, r
         )
 
 
-def _draw_plane(axes: Axes, plane: Shape, view: View, middle: np.ndarray, reach: float) -> None:
+def _draw_plane(axes: Axes, plane: Drawing, view: View, middle: np.ndarray, reach: float) -> None:
     """What a plane bounds, out to ``reach`` from the panel's middle; nothing for a plane that faces the eye."""
     normal = view.project(_unit(plane["direction"]))
     if np.linalg.norm(normal) < 0.99:
         return
     normal = normal / np.linalg.norm(normal)
     along = np.array([normal[1], -normal[0]])
-    start = view.project(np.asarray(plane["centre"], float))
+    start = view.project(np.asarray(plane["center"], float))
     foot = start + along * ((middle - start) @ along)
     corners = [foot - reach * along, foot + reach * along]
     ground = [*corners, corners[1] - reach * normal, corners[0] - reach * normal]
@@ -98,10 +101,10 @@ def _draw_plane(axes: Axes, plane: Shape, view: View, middle: np.ndarray, reach:
         axes.plot(*np.stack([top, top - _MARK * normal]).T, color="0.35", lw=0.8, zorder=1)
 
 
-def _extent(shapes: Sequence[Shape], view: View) -> tuple[np.ndarray, np.ndarray]:
+def _extent(shapes: Sequence[Drawing], view: View) -> tuple[np.ndarray, np.ndarray]:
     """Lower left and upper right corner of a frame's shapes in the picture, shape (2,) each."""
     for shape in shapes:
-        check_kind(shape)
+        check_drawing(shape)
     corners = [outline(shape, view) for shape in shapes if shape["kind"] != "plane"]
     if not corners:
         raise ValueError("a frame has no shape other than planes: there is nothing to follow")
@@ -109,10 +112,10 @@ def _extent(shapes: Sequence[Shape], view: View) -> tuple[np.ndarray, np.ndarray
     return points.min(axis=0), points.max(axis=0)
 
 
-def _floors(shapes: Sequence[Shape], view: View) -> list[float]:
+def _floors(shapes: Sequence[Drawing], view: View) -> list[float]:
     """Heights of level planes in the picture."""
     planes = [shape for shape in shapes if shape["kind"] == "plane" and _unit(shape["direction"]) @ view.up > 0.99]
-    return [float(np.asarray(plane["centre"], float) @ view.up) for plane in planes]
+    return [float(np.asarray(plane["center"], float) @ view.up) for plane in planes]
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

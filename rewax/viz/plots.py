@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import EngFormatter
 
-from rewax.viz.shapes import Shape, View, bounds, outline
+from rewax.viz.shapes import Drawing, View, bounds, check_cloud, outline
 
 Columns: TypeAlias = Mapping[str, np.ndarray]
 """Columns of a table by name, as ``rewax.training.metrics.read_csv`` reads them."""
@@ -108,7 +108,7 @@ def _draw_exploration(axes: Axes, metrics: Columns) -> None:
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
-    """Mean over a centred window of ``width``, narrower towards the ends."""
+    """Mean over a centered window of ``width``, narrower towards the ends."""
     sums, reach = np.concatenate([[0.0], np.cumsum(values)]), max(width // 2, 1)
     middle = np.arange(len(values))
     low, high = np.maximum(middle - reach, 0), np.minimum(middle + reach + 1, len(values))
@@ -120,7 +120,7 @@ def particle_strip(
     out_png: str | Path,
     *,
     labels: Sequence[str] = (),
-    shapes: Sequence[Sequence[Shape]] = (),
+    shapes: Sequence[Sequence[Drawing]] = (),
     diameter: float | None = None,
     title: str = "",
 ) -> Path:
@@ -130,14 +130,17 @@ def particle_strip(
       frames: particle positions [m] of each frame, shape (num_particles, 3), y up.
       out_png: picture to write.
       labels: one for each frame, e.g. its time.
-      shapes: rigid shapes of each frame; planes are left out.
+      shapes: drawings of each frame (``rewax.viz.shapes``); planes are left out.
       diameter: of a drawn particle [m]; by default one that fills the first frame's volume.
       title: of the picture.
 
     Returns:
       The path written. Colour is height y; all panels have one scale.
+
+    Raises:
+      ValueError: particles have another shape, or kind or keys of a drawing are wrong.
     """
-    clouds = [np.asarray(frame, np.float64) for frame in frames]
+    clouds = [check_cloud(frame) for frame in frames]
     drawn_shapes = [list(frame) for frame in shapes] or [[] for _ in clouds]
     low, high = _bounds(clouds, drawn_shapes)
     diameter = _spacing(clouds[0]) if diameter is None else diameter
@@ -170,7 +173,7 @@ def particle_strip(
 
 
 def _draw_cloud(
-    axes: Axes, cloud: np.ndarray, shapes: Sequence[Shape], up: int, diameter: float, normalize: Normalize
+    axes: Axes, cloud: np.ndarray, shapes: Sequence[Drawing], up: int, diameter: float, normalize: Normalize
 ) -> EllipseCollection:
     """One panel: axis 0 to the right, axis ``up`` upwards, what is nearer to the eye drawn later."""
     depth = np.argsort(-cloud[:, 2] if up == 1 else cloud[:, 1])
@@ -188,7 +191,7 @@ def _draw_cloud(
     return particles
 
 
-def _bounds(clouds: Sequence[np.ndarray], shapes: Sequence[Sequence[Shape]]) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(clouds: Sequence[np.ndarray], shapes: Sequence[Sequence[Drawing]]) -> tuple[np.ndarray, np.ndarray]:
     """A box around everything drawn, with a margin."""
     points, drawn = np.concatenate(clouds), bounds([shape for frame in shapes for shape in frame])
     low, high = np.minimum(points.min(axis=0), drawn[0]), np.maximum(points.max(axis=0), drawn[1])

@@ -156,7 +156,7 @@ def test_up_is_against_gravity(gravity, up):
 def test_pictures_get_the_geoms():
     (shape,) = ENV.render_shapes(at(ENV.reset(jax.random.key(0)), 0.7).physics)
     assert shape["kind"] == "sphere" and float(shape["radius"]) == pytest.approx(0.1)
-    np.testing.assert_allclose(shape["centre"], [0.7, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(shape["center"], [0.7, 0.0, 0.0], atol=1e-6)
 
 
 def test_draws():

@@ -216,7 +216,7 @@ def test_yaw_swings_the_papers_pin_and_turns_the_small_one(yaw):
         shapes = env.render_shapes(physics)
         assert [s["kind"] for s in shapes] == ["capsule"] * len(env.scene.colliders)
         for shape in shapes:
-            np.testing.assert_allclose(shape["centre"], centre, atol=1e-6)
+            np.testing.assert_allclose(shape["center"], centre, atol=1e-6)
             np.testing.assert_allclose(shape["direction"], [np.sin(yaw), 0.0, np.cos(yaw)], atol=1e-6)
 
 

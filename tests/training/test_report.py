@@ -12,8 +12,8 @@ from rewax.viz import bodies, plots
 
 
 def shapes(height):
-    ball = {"kind": "sphere", "centre": np.array([0.0, 0.0, height]), "radius": 0.2}
-    return [{"kind": "plane", "centre": np.zeros(3), "direction": np.array([0.0, 0.0, 1.0])}, ball]
+    ball = {"kind": "sphere", "center": np.array([0.0, 0.0, height]), "radius": 0.2}
+    return [{"kind": "plane", "center": np.zeros(3), "direction": np.array([0.0, 0.0, 1.0])}, ball]
 
 
 def frames(*steps):

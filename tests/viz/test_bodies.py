@@ -12,8 +12,8 @@ SKY, SOIL, INK = (1.0, 1.0, 1.0), (0.93, 0.93, 0.93), (0.22, 0.42, 0.65)
 def scene(x, height=0.5, up=1):
     """A ball of radius 0.2 at x over a ground."""
     normal = np.eye(3)[up]
-    ball = {"kind": "sphere", "centre": x * np.eye(3)[0] + height * normal, "radius": 0.2}
-    return [{"kind": "plane", "centre": np.zeros(3), "direction": 2.0 * normal}, ball]
+    ball = {"kind": "sphere", "center": x * np.eye(3)[0] + height * normal, "radius": 0.2}
+    return [{"kind": "plane", "center": np.zeros(3), "direction": 2.0 * normal}, ball]
 
 
 def pixels(path, color):
@@ -48,8 +48,8 @@ def test_each_panel_follows_its_frame_and_labels_count(tmp_path):
 
 def test_what_is_nearer_to_the_eye_covers_what_is_behind(tmp_path):
     """z points to the eye; the ball behind is drawn lighter."""
-    ball = {"kind": "sphere", "centre": np.array([0.0, 0.5, 1.0]), "radius": 0.2}
-    behind = {**ball, "centre": np.array([0.1, 0.5, -1.0])}
+    ball = {"kind": "sphere", "center": np.array([0.0, 0.5, 1.0]), "radius": 0.2}
+    behind = {**ball, "center": np.array([0.1, 0.5, -1.0])}
     for shapes in ([ball, behind], [behind, ball]):
         near = pixels(body_strip([shapes], tmp_path / "a.png"), INK)[0]
         far = pixels(tmp_path / "a.png", (0.75, 0.82, 0.90))[0]
@@ -58,7 +58,7 @@ def test_what_is_nearer_to_the_eye_covers_what_is_behind(tmp_path):
 
 
 def test_planes_that_face_the_eye_are_left_out(tmp_path):
-    wall = {"kind": "plane", "centre": np.zeros(3), "direction": np.array([0.0, 0.0, 1.0])}
+    wall = {"kind": "plane", "center": np.zeros(3), "direction": np.array([0.0, 0.0, 1.0])}
     path = body_strip([[wall, scene(0.0)[1]]], tmp_path / "a.png")
     assert len(pixels(path, SOIL)[0][0]) < 1000 and len(pixels(path, INK)[0][0]) > 2000
 

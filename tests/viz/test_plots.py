@@ -7,8 +7,8 @@ import pytest
 from rewax.viz import plots
 
 
-def capsule(centre=(0.5, 0.2, 0.5), direction=(0.0, 0.0, 1.0)):
-    return {"kind": "capsule", "centre": centre, "radius": 0.05, "half_length": 0.2, "direction": direction}
+def capsule(center=(0.5, 0.2, 0.5), direction=(0.0, 0.0, 1.0)):
+    return {"kind": "capsule", "center": center, "radius": 0.05, "half_length": 0.2, "direction": direction}
 
 
 def metrics(num_rows):
@@ -57,7 +57,7 @@ def test_bounds_hold_every_shape():
 
 
 def test_a_ground_is_no_reason_to_zoom_out():
-    ground = {"kind": "plane", "centre": (9.0, 0.0, 0.0), "direction": (0.0, 1.0, 0.0)}
+    ground = {"kind": "plane", "center": (9.0, 0.0, 0.0), "direction": (0.0, 1.0, 0.0)}
     low, high = plots._bounds([np.eye(3)], [[ground]])
     np.testing.assert_allclose([low, high], [[-0.04] * 3, [1.04] * 3], atol=1e-6)
 

@@ -1,11 +1,13 @@
 """Outlines and extents of shapes: where their farthest points are, known by hand or found among points inside."""
 
+import re
+
 import numpy as np
 import pytest
 
 from rewax.viz import shapes
 
-CAPSULE = {"kind": "capsule", "centre": (0.5, 0.2, 0.5), "radius": 0.05, "half_length": 0.2, "direction": (0, 0, 3.0)}
+CAPSULE = {"kind": "capsule", "center": (0.5, 0.2, 0.5), "radius": 0.05, "half_length": 0.2, "direction": (0, 0, 3.0)}
 SIDE, TOP = shapes.View(np.eye(3)[0], np.eye(3)[1]), shapes.View(np.eye(3)[0], np.eye(3)[2])
 
 
@@ -30,29 +32,29 @@ def inside(kind, rng, num):
     }[kind]
 
 
-def shape(kind, rotation, centre):
-    made = {"kind": kind, "centre": centre}
+def shape(kind, rotation, center):
+    made = {"kind": kind, "center": center}
     if kind == "box":
-        return {**made, "rotation": rotation, "half_sizes": np.array([0.3, 0.2, 0.5])}
+        return {**made, "rotation": rotation, "half_size": np.array([0.3, 0.2, 0.5])}
     return {**made, "radius": 0.3, "half_length": 0.5, "direction": 2.0 * rotation[:, 2]}
 
 
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "cylinder", "box"])
 def test_nothing_of_a_shape_lies_beyond_its_support_and_something_at_it(kind):
-    rng, rotation, centre = np.random.default_rng(1), turned(2), np.array([1.0, -2.0, 3.0])
-    points = inside(kind, rng, 60_000) @ rotation.T + centre
+    rng, rotation, center = np.random.default_rng(1), turned(2), np.array([1.0, -2.0, 3.0])
+    points = inside(kind, rng, 60_000) @ rotation.T + center
     directions = turned(3)
-    reach = np.sum(shapes.support(shape(kind, rotation, centre), directions) * directions, axis=1)
+    reach = np.sum(shapes.support(shape(kind, rotation, center), directions) * directions, axis=1)
     farthest = (points @ directions.T).max(axis=0)
     assert np.all(farthest <= reach + 1e-12)
     np.testing.assert_allclose(farthest, reach, atol=5e-3)
 
 
 def test_a_capsule_seen_along_its_axis_and_across():
-    for view, centre, reach in ((SIDE, (0.5, 0.2), (0.05, 0.05)), (TOP, (0.5, 0.5), (0.05, 0.25))):
+    for view, center, reach in ((SIDE, (0.5, 0.2), (0.05, 0.05)), (TOP, (0.5, 0.5), (0.05, 0.25))):
         points = shapes.outline(CAPSULE, view)
-        np.testing.assert_allclose(points.max(axis=0), np.add(centre, reach), atol=1e-12)
-        np.testing.assert_allclose(points.min(axis=0), np.subtract(centre, reach), atol=1e-12)
+        np.testing.assert_allclose(points.max(axis=0), np.add(center, reach), atol=1e-12)
+        np.testing.assert_allclose(points.min(axis=0), np.subtract(center, reach), atol=1e-12)
 
 
 def test_outlines_go_around_once():
@@ -62,19 +64,19 @@ def test_outlines_go_around_once():
         x, y = points.T
         return 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
 
-    disc = shapes.outline({"kind": "sphere", "centre": np.ones(3), "radius": 2.0}, SIDE, num_points=1000)
+    disc = shapes.outline({"kind": "sphere", "center": np.ones(3), "radius": 2.0}, SIDE, num_points=1000)
     assert area(disc) == pytest.approx(4.0 * np.pi, rel=1e-4)
     diagonal = np.ones(3) / np.sqrt(3.0)
     right = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
     view = shapes.View(right, np.cross(diagonal, right))
     np.testing.assert_allclose(view.towards, diagonal, atol=1e-12)
-    cube = {"kind": "box", "centre": np.zeros(3), "rotation": np.eye(3), "half_sizes": 0.5 * np.ones(3)}
+    cube = {"kind": "box", "center": np.zeros(3), "rotation": np.eye(3), "half_size": 0.5 * np.ones(3)}
     assert area(shapes.outline(cube, view)) == pytest.approx(np.sqrt(3.0))
 
 
 def test_bounds_hold_every_shape_but_planes():
-    plane = {"kind": "plane", "centre": (9.0, 9.0, 9.0), "direction": (0.0, 1.0, 0.0)}
-    ball = {"kind": "sphere", "centre": (-1.0, 0.0, 0.0), "radius": 0.5}
+    plane = {"kind": "plane", "center": (9.0, 9.0, 9.0), "direction": (0.0, 1.0, 0.0)}
+    ball = {"kind": "sphere", "center": (-1.0, 0.0, 0.0), "radius": 0.5}
     low, high = shapes.bounds([plane, ball, CAPSULE])
     np.testing.assert_allclose([low, high], [[-1.5, -0.5, -0.5], [0.55, 0.5, 0.75]])
     low, high = shapes.bounds([plane])
@@ -96,3 +98,41 @@ def test_side_views_keep_up_up(up, right, towards):
     np.testing.assert_allclose(
         view.project(np.array([[1.0, 2.0, 3.0]])), [[np.dot(right, [1, 2, 3]), np.dot(up, [1, 2, 3])]]
     )
+
+
+BOX = {"kind": "box", "center": (0, 0, 0), "half_size": (1, 2, 3), "rotation": np.eye(3)}
+WRONG = {
+    "cannot draw a shape of kind 'cone': use one of 'sphere', 'capsule', 'cylinder', 'box', 'plane'": {"kind": "cone"},
+    "cannot draw a shape of kind None: use one of 'sphere', 'capsule', 'cylinder', 'box', 'plane'": {"center": (0, 0, 0)},
+    "a drawing is 3: give a dict with kind, center and the keys of that kind": 3,
+    "the drawing of a box has no 'half_size', but has 'half_sizes': give it center, half_size, rotation": {
+        **{key: value for key, value in BOX.items() if key != "half_size"}, "half_sizes": (1, 2, 3)
+    },
+    "the drawing of a plane has no 'direction': give it center, direction": {"kind": "plane", "center": (0, 0, 0)},
+    "half_size of the drawing of a box has shape (2,): give (3,)": {**BOX, "half_size": (1, 2)},
+    "rotation of the drawing of a box has shape (4,): give (3, 3)": {**BOX, "rotation": (1, 0, 0, 0)},
+    "center of the drawing of a box is [0.0, nan, 0.0]: give finite numbers": {**BOX, "center": (0, np.nan, 0)},
+    "radius of the drawing of a capsule is -0.1: give 0 or more": {**CAPSULE, "radius": -0.1},
+    "radius of the drawing of a capsule is 'thick': give numbers": {**CAPSULE, "radius": "thick"},
+    "direction of the drawing of a capsule is zero: give a vector of any other length": {**CAPSULE, "direction": (0, 0, 0)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("sentence", WRONG, ids=range(len(WRONG)))
+def test_a_wrong_drawing_is_one_sentence(sentence):
+    for use in (shapes.check_drawing, lambda drawing: shapes.bounds([drawing])):
+        with pytest.raises(ValueError) as caught:
+            use(WRONG[sentence])
+        assert str(caught.value) == sentence
+
+
+def test_the_table_lists_what_is_checked():
+    for kind, keys in shapes.KEYS.items():
+        (row,) = [line for line in shapes.__doc__.splitlines() if line.startswith(f"``{kind}``")]
+        assert set(re.findall(r"\w+", row.split("``")[3])) == set(keys) - {"center"}
+
+
+@pytest.mark.parametrize("cloud", [np.zeros(3), np.zeros((4, 2)), np.zeros((0, 3)), np.full((2, 3), np.inf)])
+def test_particles_that_cannot_be_drawn_are_refused(cloud):
+    with pytest.raises(ValueError, match=r"particles (have shape|hold a number that is not finite)"):
+        shapes.check_cloud(cloud)

@@ -26,7 +26,7 @@ def body_poses(model: RigidModel, state: RigidState) -> Pose:
 
 
 def geom_poses(model: RigidModel, state: RigidState) -> Pose:
-    """Centre and orientation of every geom, shapes (num_geoms, 3) and (num_geoms, 3, 3). Gradient: exact."""
+    """Center and orientation of every geom, shapes (num_geoms, 3) and (num_geoms, 3, 3). Gradient: exact."""
     kin = kinematics(model, state.qpos)
     return attached(kin, model.static.mj.geom_bodyid, model.parameters["geom_pos"], model.parameters["geom_quat"])
 
@@ -47,7 +47,7 @@ def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
 
 
 def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
-    """Geoms for pictures: kind, centre [m], and radius, half_length and direction, or rotation and half_sizes [m].
+    """Drawings of the geoms for pictures; ``rewax.viz.shapes`` has a table of their keys.
 
     Kinds are plane, sphere, capsule, cylinder and box; others are left out.
     """
@@ -56,7 +56,7 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
     for geom in range(mj.ngeom):
         kind = mujoco.mjtGeom(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
         size, rotation = model.parameters["geom_size"][geom], pose.rotation[geom]
-        shape = {"kind": kind, "centre": pose.position[geom]}
+        shape = {"kind": kind, "center": pose.position[geom]}
         if kind == "plane":
             found.append({**shape, "direction": rotation[:, 2]})
         elif kind == "sphere":
@@ -64,7 +64,7 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
         elif kind in ("capsule", "cylinder"):
             found.append({**shape, "radius": size[0], "half_length": size[1], "direction": rotation[:, 2]})
         elif kind == "box":
-            found.append({**shape, "rotation": rotation, "half_sizes": size})
+            found.append({**shape, "rotation": rotation, "half_size": size})
     return found
 
 

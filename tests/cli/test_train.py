@@ -11,8 +11,10 @@ import time
 import pytest
 import toys
 
+from rewax.agents import registry as agents
+from rewax.agents.registry import Algorithm
+from rewax.cli.main import main as command
 from rewax.envs import registry
-from rewax.training import cli
 from rewax.training.metrics import read_csv
 
 
@@ -51,11 +53,14 @@ def main(tmp_path, monkeypatch, capfd):
     """``main(*argv)``: exit code and output of the command line, in an empty working directory."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(registry._FACTORIES, "PointMass", factory)
+    monkeypatch.setitem(agents._ALGORITHMS, "toy", lambda: Algorithm(make, ToyConfig, preset))
+    start = ["train", "--algo=toy"]
     quick = ["--train.no-plots", "--train.no-baselines", "--train.num-eval-episodes=2", "--train.no-tensorboard"]
 
     def call(*argv, quickly=True):
+        env = [] if any(word.startswith("--env") for word in argv) else ["--env=PointMass"]
         try:
-            code = cli.main("toy", make, preset, default_env="PointMass", argv=[*argv, *(quick if quickly else [])])
+            code = command([*start, *env, *argv, *(quick if quickly else [])])
         except SystemExit as leaving:  # of the parser
             code = leaving.code
         out, err = capfd.readouterr()
@@ -96,15 +101,22 @@ def test_steps_are_rounded_up_to_iterations_and_resume_continues(main, tmp_path)
         (["--steps=0"], "steps is 0: use 1 or more"),
         (["--seed=-1"], "seed is -1: use 0 or more"),
         (["--toy.noise=loud"], "could not convert string to float: 'loud'"),
-        (["--nonsense"], "--nonsense"),
+        (["--quux=3"], "there is no option --quux: rewax train --help lists them"),
+        (
+            ["--toy.nois=0.1"],
+            "there is no option --toy.nois: did you mean '--toy.noise'? rewax train --help lists them",
+        ),
+        (["--scale"], "argument --scale: expected one argument; rewax train --help lists the options"),
+        (["--algo=toi"], "there is no algorithm named 'toi': did you mean 'toy'? known are sapo, toy"),
+        (["--import=nowhere.py"], "there is no file 'nowhere.py' to import: check the path"),
         (["--resume", "--run-dir=nowhere"], "there is no run directory"),
     ],
 )
 def test_impossible_input_is_one_sentence_and_exit_code_2(main, tmp_path, argv, sentence):
     code, text = main(*argv)
     assert code == 2
-    assert sentence in text
-    assert "Traceback" not in text
+    *_, last = text.splitlines()
+    assert last.startswith("error: ") and sentence in last and "Traceback" not in text
     assert not list(tmp_path.rglob("metrics.csv"))
 
 
@@ -118,26 +130,37 @@ def test_an_unreadable_checkpoint_is_exit_code_2(main, tmp_path):
 def test_help_lists_every_hyperparameter(main):
     code, text = main("--help", quickly=False)
     assert code == 0
-    for option in ("--env", "--scale", "--resume", "--toy.noise", "--train.eval-every", "of actions."):
+    for option in (
+        "--env",
+        "--scale",
+        "--algo",
+        "--import MODULE",
+        "--resume",
+        "--toy.noise",
+        "--train.eval-every",
+        "of actions.",
+    ):
         assert option in text
 
 
 SLOW = textwrap.dedent("""
     import sys, time
     import jax, jax.numpy as jnp, toys
+    from rewax.agents.registry import Algorithm, register_algorithm
+    from rewax.cli.main import main
     from rewax.envs import registry
-    from rewax.training import cli
     sys.path.insert(0, sys.argv.pop(1))
-    import test_cli
-    registry.register("PointMass", test_cli.factory)
+    import test_train
+    registry.register("PointMass", test_train.factory)
     def make(env, config):
-        agent = test_cli.make(env, config)
+        agent = test_train.make(env, config)
         def slow(state):
             wait = lambda iteration: (time.sleep(PAUSE), iteration)[1]
             iteration = jax.pure_callback(wait, jax.ShapeDtypeStruct((), jnp.int32), state.iteration)
             return agent.train_step(state.replace(iteration=iteration))
         return agent._replace(train_step=jax.jit(slow))
-    sys.exit(cli.main("toy", make, test_cli.preset, default_env="PointMass"))
+    register_algorithm("toy", Algorithm(make, test_train.ToyConfig, test_train.preset))
+    sys.exit(main(["train", "--algo=toy", "--env=PointMass", *sys.argv[1:]]))
 """)
 
 

@@ -1,0 +1,57 @@
+"""``rewax eval``: returns of a trained policy, with sampled and with deterministic actions."""
+
+import dataclasses
+from collections.abc import Sequence
+
+from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.train import quiet
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      run_dir: directory of the run.
+      imports: module or .py file that registers environments or algorithms.
+      episodes: how many, from random starts.
+      seed: draws the starts; the same seed gives the same ones to every policy.
+      step: iteration of the checkpoint, the newest by default.
+    """
+
+    run_dir: str
+    imports: Imports = ()
+    episodes: int = 64
+    seed: int = 0
+    step: int | None = None
+
+
+def run(argv: Sequence[str]) -> int:
+    """Evaluate a run and print a line for each kind of actions.
+
+    Raises:
+      ValueError: there is no such run, checkpoint or environment; one sentence.
+    """
+    import jax
+
+    from rewax.training.cache import enable_compilation_cache
+    from rewax.training.evaluate import make_evaluate
+    from rewax.training.saved import load_run
+
+    quiet()
+    options = parse(Options, argv, prog="rewax eval", description="Evaluate what a run has learnt.")
+    if options.episodes < 1:
+        raise ValueError(f"episodes is {options.episodes}: use 1 or more")
+    enable_compilation_cache()
+    import_modules(options.imports)
+    saved = load_run(options.run_dir, step=options.step)
+    evaluate = make_evaluate(saved.env, saved.agent.policy, options.episodes)
+    print(f"{saved.config['agent']} on {saved.config['env']}, iteration {int(saved.train_state.iteration)}")
+    for name, deterministic in (("sampled", False), ("deterministic", True)):
+        result = evaluate(saved.train_state, jax.random.key(options.seed), deterministic=deterministic)
+        numbers = ", ".join(f"{what} {float(result[what]):.4g}" for what in ("mean", "std", "min", "max"))
+        print(f"{name:13s} {numbers}, {int(result['failed'])} of {options.episodes} failed")
+    return 0
+
+
+__all__ = ["Options", "run"]

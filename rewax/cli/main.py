@@ -1,0 +1,59 @@
+"""Commands by name, and what a wrong one costs: a sentence and an exit code."""
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Sequence
+
+_COMMANDS = {
+    "train": "train a policy on an environment",
+    "eval": "evaluate what a run has learnt",
+    "envs": "list the environments",
+}
+_HOMES = {"train": "rewax.cli.train", "eval": "rewax.cli.evaluate", "envs": "rewax.cli.environments"}
+_CLEAN_EXIT, _BAD_INPUT = 0, 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+      argv: name of the command and its arguments, those of the process by default.
+
+    Returns:
+      Exit code: 0; 2 after a sentence about an input that cannot be; 128 + signal after an interruption.
+    """
+    # jax 0.10 prints an "error" for every program found in its cache, unless told so before jax is imported.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    argv = sys.argv[1:] if argv is None else list(argv)
+    try:
+        code = _run(argv)
+        sys.stdout.flush()
+        return code
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return _BAD_INPUT
+    except KeyboardInterrupt:  # before the training loop listens for it
+        return 128 + signal.SIGINT
+    except BrokenPipeError:  # whoever read the output, `head` for example, has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+
+
+def _run(argv: list[str]) -> int:
+    if not argv or argv[0] in ("-h", "--help", "help"):
+        print(_help())
+        return _CLEAN_EXIT if argv else _BAD_INPUT
+    if argv[0] not in _COMMANDS:
+        raise ValueError(f"there is no command {argv[0]!r}: use one of {', '.join(_COMMANDS)}, or --help")
+    command = importlib.import_module(_HOMES[argv[0]])
+    return command.run(argv[1:])
+
+
+def _help() -> str:
+    lines = [f"  rewax {name:6s} {what}" for name, what in _COMMANDS.items()]
+    return "\n".join(["usage: rewax COMMAND [OPTIONS]", "", *lines, "", "rewax COMMAND --help lists the options."])
+
+
+__all__ = ["main"]

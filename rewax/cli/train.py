@@ -1,0 +1,139 @@
+"""``rewax train``: environment, scale, algorithm and every hyper-parameter, defaults from the presets."""
+
+import argparse
+import dataclasses
+import logging
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from rewax.agents.registry import Algorithm, algorithm
+from rewax.cli.options import Imports, import_modules, parse
+from rewax.envs import registry
+
+_PROG = "rewax train"
+
+
+def run(argv: Sequence[str]) -> int:
+    """Train an agent as the arguments say.
+
+    Args:
+      argv: arguments after ``train``.
+
+    Returns:
+      Exit code: 0, or 128 + signal after an interruption.
+
+    Raises:
+      ValueError: an input that cannot be; one sentence.
+    """
+    from rewax.training.cache import enable_compilation_cache
+    from rewax.training.config import ReportConfig, TrainConfig
+    from rewax.training.loop import train
+    from rewax.training.progress import say
+
+    quiet()
+    console = Console(highlight=False)
+    enable_compilation_cache()
+    first = _look_ahead(argv)
+    import_modules(first.imports)
+    chosen = algorithm(first.algo)
+    scale = first.scale or registry.default_scale()
+    env = registry.make(first.env, scale=scale)
+    options = _options(first, scale, chosen, ReportConfig())
+    args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
+
+    agent_config, num_iterations = _length(getattr(args, first.algo), args.steps)
+    run_dir = args.run_dir or f"runs/{first.env}-{scale}-{args.seed}"
+    report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
+    config = TrainConfig(**report, num_iterations=num_iterations, run_dir=run_dir, seed=args.seed, resume=args.resume)
+    say(console, _scale_sentence(scale, first.scale))
+    say(console, f"{first.algo} on {first.env}, seed {args.seed}, {num_iterations} iterations, in {run_dir}")
+    describe = {"env": first.env, "scale": scale, "seed": args.seed, "agent": first.algo, first.algo: agent_config}
+    result = train(chosen.make(env, agent_config), env, config, describe=describe, console=console)
+    return 128 + result.signum if result.signum else 0
+
+
+def quiet() -> None:
+    """Silence what libraries say on success, and warnings that users cannot act upon."""
+    for noisy in ("absl", "orbax", "jax._src.xla_bridge"):
+        logging.getLogger(noisy).setLevel(logging.ERROR)
+
+
+def _look_ahead(argv: Sequence[str]) -> Any:
+    """What the other defaults depend on: ``env``, ``scale``, ``algo`` and ``imports``; ``--env X`` and ``--env=X``."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--env", default="RollingFlat")
+    parser.add_argument("--scale", default=None)
+    parser.add_argument("--algo", default="sapo")
+    parser.add_argument("--import", dest="imports", action="append", default=[])
+    try:
+        known, _ = parser.parse_known_args(list(argv))
+    except argparse.ArgumentError as error:
+        raise ValueError(f"{error}; {_PROG} --help lists the options") from None
+    return known
+
+
+def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
+    """The dataclass that the command line fills, its defaults those of this environment, scale and algorithm."""
+
+    def nested(value: Any) -> Any:
+        return dataclasses.field(default_factory=lambda: value)
+
+    agent_config = chosen.preset(first.env, scale)
+    options = dataclasses.make_dataclass(
+        "Options",
+        [
+            ("env", str, first.env),
+            ("scale", str, scale),
+            ("algo", str, first.algo),
+            ("imports", Imports, ()),
+            ("seed", int, 0),
+            ("steps", int | None, None),
+            ("run_dir", str | None, None),
+            ("resume", tyro.conf.FlagCreatePairsOff[bool], False),
+            (first.algo, type(agent_config), nested(agent_config)),
+            ("train", type(report), nested(report)),
+        ],
+        frozen=True,
+        kw_only=True,
+    )
+    options.__doc__ = """Options.
+
+    Attributes:
+      env: name of the environment.
+      scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
+      algo: name of the algorithm.
+      imports: module or .py file that registers environments or algorithms.
+      seed: everything random follows from it.
+      steps: environment steps in all, rounded up to whole iterations; by default what the preset says.
+      run_dir: directory of the run; runs/<env>-<scale>-<seed> by default.
+      resume: continue the run in run-dir from its newest checkpoint.
+    """
+    return options
+
+
+def _description(name: str, env_name: str, scale: str) -> str:
+    return f"Train {name} on {env_name}. Defaults shown are those of --env {env_name} --scale {scale}."
+
+
+def _length(agent_config: Any, steps: int | None) -> tuple[Any, int]:
+    """The agent's configuration and number of iterations for so many environment steps."""
+    if steps is None:
+        return agent_config, agent_config.num_iterations
+    if steps < 1:
+        raise ValueError(f"steps is {steps}: use 1 or more")
+    num_iterations = math.ceil(steps / (agent_config.num_envs * agent_config.horizon))
+    return dataclasses.replace(agent_config, num_iterations=num_iterations), num_iterations
+
+
+def _scale_sentence(scale: str, wanted: str | None) -> str:
+    if wanted:
+        return f"scale {scale}, as asked"
+    other, found = ("paper", "no accelerator") if scale == "small" else ("small", "an accelerator")
+    return f"scale {scale}, because JAX found {found}; choose the other with --scale {other}"
+
+
+__all__ = ["quiet", "run"]

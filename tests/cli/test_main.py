@@ -1,0 +1,108 @@
+"""Commands by name: help, wrong commands, and an environment of one's own from training to evaluation."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+import toys
+
+from rewax.cli.main import main
+from rewax.envs import registry
+
+TASK = """
+import toys
+from rewax.envs import register
+
+register("Mine", lambda scale: toys.point_mass(4))
+"""
+TINY = [
+    "--sapo.num-envs=2", "--sapo.horizon=2", "--sapo.num-iterations=1", "--sapo.critic-passes=1", "--sapo.critic-minibatches=1",
+    "--sapo.actor-widths", "4", "4", "--sapo.critic-widths", "4", "--sapo.vector-features=4",
+    "--train.no-plots", "--train.no-baselines", "--train.no-tensorboard", "--train.num-eval-episodes=2",
+]  # fmt: skip
+
+
+def rewax(folder, *argv):
+    """The command in a process of its own, run from a folder."""
+    return subprocess.run(
+        [sys.executable, "-m", "rewax", *argv],
+        cwd=folder,
+        env=toys.subprocess_environment(),
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_without_a_command_the_help_names_all(capsys):
+    assert main([]) == 2
+    text = capsys.readouterr().out
+    assert all(f"rewax {name}" in text for name in ("train", "eval", "envs"))
+    assert main(["--help"]) == 0 and capsys.readouterr().out == text
+
+
+@pytest.mark.parametrize(
+    ("argv", "sentence"),
+    [
+        (["trian"], "there is no command 'trian': use one of train, eval, envs, or --help"),
+        (["eval"], "rewax eval needs the option --run-dir; rewax eval --help lists the options"),
+        (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: use 1 or more"),
+        (["eval", "--run-dir=a", "--episode=9"], "there is no option --episode: did you mean '--episodes'? rewax eval --help lists them"),
+        (["eval", "--run-dir=nowhere"], "nowhere holds no complete checkpoint: check the path"),
+        (["envs", "--import=no.such.module"], "there is no module 'no.such.module' to import: check the name, or give the path of a .py file"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, capsys, argv, sentence):
+    monkeypatch.chdir(tmp_path)
+    assert main(argv) == 2
+    assert capsys.readouterr() == ("", f"error: {sentence}\n")
+
+
+def test_envs_prints_every_name(capsys):
+    assert main(["envs"]) == 0
+    assert capsys.readouterr().out.split() == registry.list_envs()
+
+
+def test_a_reader_that_leaves_early_is_no_error(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "rewax", "envs"],
+        cwd=tmp_path,
+        env=toys.subprocess_environment(),
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
+
+
+def test_an_environment_of_ones_own_is_trained_and_evaluated(tmp_path):
+    (tmp_path / "tasks.py").write_text(TASK)
+    assert "Mine" in rewax(tmp_path, "envs", "--import=tasks").stdout.split()
+    trained = rewax(tmp_path, "train", "--env=Mine", "--scale=small", "--import", "tasks.py", "--run-dir=a", *TINY)
+    assert trained.returncode == 0, trained.stderr
+    evaluated = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2", "--import=tasks")
+    assert evaluated.returncode == 0, evaluated.stderr
+    assert evaluated.stdout.startswith("sapo on Mine, iteration 1\n") and "0 of 2 failed" in evaluated.stdout
+    unknown = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2")
+    assert unknown.returncode == 2 and unknown.stderr.count("\n") == 1
+    assert (
+        "no environment named 'Mine'" in unknown.stderr and "on the command line with --import MODULE" in unknown.stderr
+    )
+
+
+def test_the_examples_are_these_commands(tmp_path):
+    for example, words in (("train_sapo", ["train", "--sapo.num-envs"]), ("evaluate_policy", ["eval", "--run-dir"])):
+        path = registry.__file__.replace("rewax/envs/registry.py", f"examples/{example}.py")
+        done = subprocess.run(
+            [sys.executable, path, "--help"],
+            cwd=tmp_path,
+            env=toys.subprocess_environment(),
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert f"rewax {words[0]}" in done.stdout and words[1] in done.stdout

@@ -1,0 +1,63 @@
+"""What pyproject.toml declares is what the package imports, and the command that it installs exists."""
+
+import ast
+import importlib
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+DISTRIBUTIONS = {"orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx"}
+"""Where a distribution has another name than its top module."""
+
+
+def third_party(folder: Path) -> set[str]:
+    """Distributions that Python files import anywhere, inside functions too."""
+    modules = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                modules |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    found = {distribution for module, distribution in DISTRIBUTIONS.items() if module in modules}
+    tops = {module.split(".")[0] for module in modules} - {"orbax", "rewax"}
+    return found | (tops - set(sys.stdlib_module_names))
+
+
+def declared(requirements: list[str]) -> set[str]:
+    return {re.match(r"[\w.-]+", requirement)[0] for requirement in requirements}
+
+
+def test_every_dependency_is_imported_and_every_import_declared():
+    used, core = third_party(ROOT / "rewax"), declared(PROJECT["dependencies"])
+    optional = declared(PROJECT["optional-dependencies"]["meshes"])
+    assert core <= used, f"declared but not imported by rewax: {sorted(core - used)}"
+    assert used - core == optional, f"imported by rewax but not declared: {sorted(used - core - optional)}"
+
+
+def test_tests_and_examples_import_only_what_is_declared():
+    test = declared(PROJECT["optional-dependencies"]["test"]) | declared(PROJECT["optional-dependencies"]["meshes"])
+    known = declared(PROJECT["dependencies"]) | test
+    for folder in ("tests", "examples"):
+        own = {path.stem for path in (ROOT / folder).rglob("*.py")} | {"tests", "benchmarks"}
+        assert third_party(ROOT / folder) - known - own == set()
+
+
+def test_an_import_and_a_dependency_too_many_are_found(tmp_path):
+    (tmp_path / "a.py").write_text(
+        "def f():\n    from mujoco import mjx\n    import orbax.checkpoint as ocp, os, jax.numpy\n"
+    )
+    assert third_party(tmp_path) == {"mujoco", "mujoco-mjx", "orbax-checkpoint", "jax"}
+    (tmp_path / "b.py").write_text("from absent.part import name\n")
+    assert third_party(tmp_path) == {"mujoco", "mujoco-mjx", "orbax-checkpoint", "jax", "absent"}
+
+
+@pytest.mark.parametrize("name", PROJECT["scripts"])
+def test_the_command_exists(name):
+    module, function = PROJECT["scripts"][name].split(":")
+    assert callable(getattr(importlib.import_module(module), function))
