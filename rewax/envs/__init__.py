@@ -1,6 +1,10 @@
 """Tasks and what tasks are made of. One task, one file; a task's file is imported when the task is first made."""
 
+from rewax.envs.base import ArraySpec, Env, State, failed_leaf_name, first_state, next_state
+from rewax.envs.leaves import EnvLeaves, stack
+from rewax.envs.randomized import Randomized
 from rewax.envs.registry import list_envs, make, register
+from rewax.envs.wrappers import AutoReset, Vmap
 
 register("RollingFlat", {scale: f"rewax.envs.rolling_flat:{scale}" for scale in ("paper", "small")})
 register("AntRun", "rewax.envs.ant_run:make_ant_run")
@@ -12,4 +16,7 @@ register("HalfCheetah", "rewax.envs.dflex.half_cheetah:make_half_cheetah")
 register("Humanoid", "rewax.envs.dflex.humanoid:make_humanoid")
 register("Quadruped", "rewax.envs.quadruped:make_quadruped")
 
-__all__ = ["list_envs", "make", "register"]
+__all__ = [
+    "ArraySpec", "AutoReset", "Env", "EnvLeaves", "Randomized", "State", "Vmap", "failed_leaf_name", "first_state",
+    "list_envs", "make", "next_state", "register", "stack",
+]  # fmt: skip
