@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+import toys
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -38,6 +39,56 @@ def test_rigid_page_runs_and_does_what_it_says():
     assert 0.1 < float(names["by_velocity"][0]) < 0.3  # it slides for about 0.2 s
     assert float(np.abs(names["by_model"]).max()) > 0.0 and np.isfinite(names["by_model"]).all()
     assert names["distance"]._cache_size() == 1
+
+
+def run_page(page):
+    """The names that a page's code leaves behind."""
+    names = {}
+    exec(compile(code(page), page, "exec"), names)
+    return names
+
+
+def test_readme_runs_and_does_what_it_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("README.md")
+    assert np.isfinite(names["slope"]).all() and names["slope"].shape == (10, 3)
+    assert int(names["run"].train_state.iteration) == 2
+    assert names["action"].shape == (1,) and -1.0 <= float(names["action"][0]) <= 1.0
+    assert (tmp_path / "runs" / "mine" / "episode.png").is_file()
+
+
+def test_environments_page_runs_and_does_what_it_says():
+    names = run_page("docs/environments.md")
+    heights = np.asarray(names["states"].physics.dough.x)[:, :, 1]
+    assert heights.shape[0] == 2 and np.abs(heights[0] - heights[1]).max() > 0.0
+    (drawn,) = names["state"].drawn.values()
+    assert 375.0 <= float(drawn) <= 1300.0 and float(drawn) != 750.0
+    assert names["rewax"].make("SofterDough", scale="small").scene.material.youngs_modulus == 500.0
+
+
+def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
+    names = run_page("docs/algorithms.md")
+    listing = code("docs/algorithms.md").split("from rewax.agents.actor_critic import")[1]
+    assert len(listing.strip().splitlines()) < 120
+    known = names["algorithm"]("short_horizon")
+    config = known.config_type(
+        num_envs=4, horizon=4, num_iterations=120, actor_learning_rate=1e-2, critic_learning_rate=5e-3,
+        critic_passes=2, critic_minibatches=2, actor_widths=(8,), critic_widths=(8,), vector_features=8,
+        stagger_episodes=True, differentiate="full",
+    )  # fmt: skip
+    agent = known.make(toys.point_mass(), config)
+    state, rewards = agent.init(jax.random.key(0)), []
+    for _ in range(120):
+        state, metrics = agent.train_step(state)
+        rewards.append(float(metrics["reward"]))
+    assert np.mean(rewards[:2]) < -0.35 and np.mean(rewards[-20:]) > -0.2
+    assert agent.name == "short_horizon" and int(state.env_steps) == 120 * 16
+
+
+def test_every_page_with_code_is_run_here():
+    pages = [path for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")] if "```python" in path.read_text()]
+    here = Path(__file__).read_text()
+    assert not [page.name for page in pages if f'"{page.relative_to(ROOT)}"' not in here]
 
 
 def test_the_example_of_a_rigid_task_trains(tmp_path, monkeypatch):
