@@ -13,7 +13,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-_CLEAN_EXIT, _BAD_INPUT = 0, 2
+_CLEAN_EXIT, _FAILED_RUN, _BAD_INPUT = 0, 1, 2
 
 
 def main(
@@ -34,7 +34,8 @@ def main(
       argv: arguments, those of the process by default.
 
     Returns:
-      Exit code: 0; 2 after a sentence about an input that cannot be; 128 + signal after an interruption.
+      Exit code: 0; 1 after a run that failed; 2 after a sentence about an input that cannot be; 128 + signal after an
+      interruption.
     """
     quiet()
     argv = sys.argv[1:] if argv is None else list(argv)
@@ -78,6 +79,8 @@ def _run(name: str, make_agent: Any, preset: Any, default_env: str, argv: list[s
     say(console, f"{name} on {env_name}, seed {args.seed}, {num_iterations} iterations, in {run_dir}")
     describe = {"env": env_name, "scale": scale, "seed": args.seed, "agent": name, name: agent_config}
     result = train(make_agent(env, agent_config), env, config, describe=describe, console=console)
+    if result.failure:  # said by the run
+        return _FAILED_RUN
     return 128 + result.signum if result.signum else _CLEAN_EXIT
 
 
