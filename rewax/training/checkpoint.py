@@ -127,7 +127,9 @@ def restore(
             damaged[candidate] = error
             continue
         for other, error in damaged.items():
-            kept = f"; it is kept as {_set_aside(run_dir / 'checkpoints' / str(other), 'damaged').name}" * set_aside
+            kept = ""
+            if set_aside:
+                kept = f"; it is kept as {_set_aside(run_dir / 'checkpoints' / str(other), 'damaged').name}"
             notify(f"warning: {error}: using the one of iteration {candidate} before it{kept}")
         return restored
     newest = next(iter(damaged.values()))

@@ -64,8 +64,9 @@ class FailureWatch:
 
     @property
     def healthy(self) -> bool:
-        """The iterations seen so far give no reason to stop, were they all."""
-        return not self.reason(final=True)
+        """Neither the last iteration alone nor those seen so far, were they all, give a reason to stop."""
+        last = [self._recent[-1]] if self._recent else []
+        return not self.reason(final=True) and not any(self._too_many(one.failed, one.episodes) for one in last)
 
     def reason(self, *, final: bool = False) -> str:
         """Why the run should stop; empty if it should go on.
@@ -78,7 +79,7 @@ class FailureWatch:
             return ""
         limit = self._config.max_failed_share
         failed, episodes = sum(one.failed for one in self._recent), sum(one.episodes for one in self._recent)
-        if failed > limit * max(episodes, 1):
+        if self._too_many(failed, episodes):
             return (
                 f"{failed} of {max(round(episodes), failed)} episodes failed numerically in the last {seen} iterations "
                 f"(max_failed_share is {limit:g}); at last {self._culprit}: {_REMEDY}"
@@ -88,6 +89,9 @@ class FailureWatch:
             where = f"in {bad} of the last {seen} iterations"
             return f"critic_loss was not finite {where}: smaller rewards or learning rates help"
         return ""
+
+    def _too_many(self, failed: int, episodes: float) -> bool:
+        return failed > self._config.max_failed_share * max(episodes, 1)
 
 
 class FiniteCheck:

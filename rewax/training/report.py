@@ -44,8 +44,9 @@ class Evaluator:
         return every > 0 and iteration % every == 0 and self.csv.last_iteration < iteration
 
     def evaluate(self, iteration: int, env_steps: int, train_state: Any) -> dict[str, Any]:
-        """Evaluate and append a row: ``sampled_mean``, ..., ``sampled_failed``, ``sampled_status/NAN``, ..., and the same
-        of ``deterministic``. Counts are episodes."""
+        """Evaluate and append a row: ``sampled_mean``, ..., ``sampled_failed``, ``sampled_status/NAN``, ..., and so for
+        ``deterministic``. Counts are episodes.
+        """
         row: dict[str, Any] = {"env_steps": env_steps}
         for name in ("sampled", "deterministic"):
             result = jax.device_get(self._evaluate((train_state, _MODES.index(name)), self._key))
@@ -85,8 +86,8 @@ class Evaluator:
         said = [f"evaluation after {row['env_steps']:,} steps: return {', '.join(returns)}"]
         if total := sum(failed.values()):
             said.append(
-                f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns are "
-                "those of the steps before: shorter substeps or softer contacts and materials help"
+                f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns "
+                "are those of the steps before: shorter substeps or softer contacts and materials help"
             )
         bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in _MODES[:2]) for bit in Status if bit}
         if any(bits.values()):

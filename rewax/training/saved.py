@@ -65,8 +65,8 @@ def _recorded_env(config: Mapping[str, Any], run_dir: str | Path) -> Env:
     kwargs = config.get("env_kwargs", {})
     if not isinstance(config.get("env"), str) or "scale" not in config or not isinstance(kwargs, Mapping):
         raise ValueError(
-            f"{run_dir}/config.json names no environment, because rewax.make did not build it: build it as for training "
-            "and give it, load_run(run_dir, env=env)"
+            f"{run_dir}/config.json names no environment, because rewax.make did not build it: build it as for "
+            "training and give it, load_run(run_dir, env=env)"
         )
     return registry.make(config["env"], scale=config["scale"], **kwargs)
 

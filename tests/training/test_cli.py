@@ -8,6 +8,7 @@ import sys
 import textwrap
 import time
 
+import jax
 import pytest
 import toys
 
@@ -109,10 +110,42 @@ def test_impossible_input_is_one_sentence_and_exit_code_2(main, tmp_path, argv, 
 
 
 def test_an_unreadable_checkpoint_is_exit_code_2(main, tmp_path):
-    assert main("--run-dir=a")[0] == 0
-    (tmp_path / "a" / "checkpoints" / "2" / "leaves.json").write_text("{")
+    assert main("--run-dir=a", "--train.eval-every=0", "--train.checkpoint-every=1")[0] == 0
+    folder = tmp_path / "a" / "checkpoints"
+    (folder / "2" / "leaves.json").write_text("{")
+    code, text = main("--run-dir=a", "--resume")
+    assert code == 0 and "using the one of iteration 1 before it; it is kept as 2.damaged" in text
+    for step in ("1", "2"):
+        (folder / step / "leaves.json").write_text("{")
     code, text = main("--run-dir=a", "--resume")
     assert code == 2 and "is damaged and cannot be read" in text and "Traceback" not in text
+
+
+def test_a_run_that_fails_is_exit_code_1(main, monkeypatch):
+    usual = make
+
+    def fragile(env, config):
+        agent = usual(env, config)
+        counts = {"failed_episodes": 3, "episodes": 4, "failed_env": -1, "failed_leaf": -1}
+
+        @jax.jit
+        def train_step(state):
+            state, metrics = agent.train_step(state)
+            return state, {**metrics, **counts}
+
+        return agent._replace(train_step=train_step)
+
+    monkeypatch.setattr(sys.modules[__name__], "make", fragile)
+    code, text = main("--steps=60", "--train.failure-window=2")
+    assert code == 1 and "failed after iteration 2 of 5: 6 of 8 episodes failed numerically" in text
+    assert main("--steps=12", "--run-dir=b", "--train.max-failed-share=1")[0] == 0
+
+
+def test_a_place_that_cannot_be_is_exit_code_2(main, tmp_path):
+    (tmp_path / "file").write_text("x")
+    code, text = main("--run-dir=file")
+    assert code == 2 and "file, which is not a directory: choose another directory (--run-dir)" in text
+    assert "Traceback" not in text and "compiling" not in text
 
 
 def test_help_lists_every_hyperparameter(main):
@@ -189,3 +222,38 @@ def test_a_second_ctrl_c_leaves_at_once(tmp_path):
     assert process.wait(timeout=60) == 130
     assert time.monotonic() - began < 20
     process.stdout.close()
+
+
+COMPILING = textwrap.dedent("""
+    import sys, time
+    import toys
+    from rewax.training.config import TrainConfig
+    from rewax.training.loop import train
+    class Slow:
+        def lower(self, state):
+            return self
+        def compile(self):
+            print("waiting", flush=True)
+            time.sleep(300)
+    env = toys.point_mass()
+    train(toys.make_toy(env)._replace(train_step=Slow()), env, TrainConfig(num_iterations=2, run_dir="a"))
+""")
+
+
+def test_ctrl_c_while_compiling_leaves_at_once_and_writes_nothing(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-c", COMPILING],
+        cwd=tmp_path,
+        env=toys.subprocess_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    while process.stdout.readline() != "waiting\n":
+        assert process.poll() is None
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    text, _ = process.communicate(timeout=60)
+    assert process.returncode == 130 and time.monotonic() - began < 20
+    assert "stopped while compiling: nothing was trained, and nothing is kept" in text and "Traceback" not in text
+    assert [path.name for path in (tmp_path / "a").iterdir()] == [".lock"]
