@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax.envs import base
 from rewax.envs.base import Env, State
+from rewax.status import all_finite
 from rewax.training.config import ReportConfig
 
 _REMEDY = "shorter substeps, softer contacts and materials, or smaller learning rates help"
@@ -105,26 +107,28 @@ class FiniteCheck:
     """
 
     def __init__(self, train_state: Any) -> None:
-        names, leaves = _learnt(train_state)
-        self._all_finite = jax.jit(lambda leaves: [jnp.all(jnp.isfinite(leaf)) for leaf in leaves])
-        finite = jax.device_get(self._all_finite(leaves))
-        self._names = [name for name, good in zip(names, finite, strict=True) if good]
+        self._names = {name for name, leaf in _learnt(train_state).items() if _is_finite(leaf)}
+        self._all_finite = jax.jit(all_finite)
 
     def first_bad(self, train_state: Any) -> str:
         """Name of the first leaf that is not finite, such as ``.critic_params['bias']``; empty if there is none."""
-        finite = dict(zip(*_learnt(train_state), strict=True))
-        good = jax.device_get(self._all_finite([finite[name] for name in self._names]))
-        return next((name for name, one in zip(self._names, good, strict=True) if not one), "")
+        leaves = {name: leaf for name, leaf in _learnt(train_state).items() if name in self._names}
+        if self._all_finite(list(leaves.values())):
+            return ""
+        return next(name for name, leaf in leaves.items() if not _is_finite(leaf))
 
 
-def _learnt(train_state: Any) -> tuple[list[str], list[Any]]:
-    """Floating leaves outside the environments' states, and their names."""
-    found = [
-        (jax.tree_util.keystr(path), leaf)
+def _learnt(train_state: Any) -> dict[str, Any]:
+    """Floating leaves outside the environments' states, by name."""
+    return {
+        jax.tree_util.keystr(path): leaf
         for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, State))
         if not isinstance(leaf, State) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
-    ]
-    return [name for name, _ in found], [leaf for _, leaf in found]
+    }
+
+
+def _is_finite(leaf: Any) -> bool:
+    return bool(np.all(np.isfinite(np.asarray(leaf, np.float64))))
 
 
 def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:

@@ -222,38 +222,3 @@ def test_a_second_ctrl_c_leaves_at_once(tmp_path):
     assert process.wait(timeout=60) == 130
     assert time.monotonic() - began < 20
     process.stdout.close()
-
-
-COMPILING = textwrap.dedent("""
-    import sys, time
-    import toys
-    from rewax.training.config import TrainConfig
-    from rewax.training.loop import train
-    class Slow:
-        def lower(self, state):
-            return self
-        def compile(self):
-            print("waiting", flush=True)
-            time.sleep(300)
-    env = toys.point_mass()
-    train(toys.make_toy(env)._replace(train_step=Slow()), env, TrainConfig(num_iterations=2, run_dir="a"))
-""")
-
-
-def test_ctrl_c_while_compiling_leaves_at_once_and_writes_nothing(tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-c", COMPILING],
-        cwd=tmp_path,
-        env=toys.subprocess_environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    while process.stdout.readline() != "waiting\n":
-        assert process.poll() is None
-    began = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    text, _ = process.communicate(timeout=60)
-    assert process.returncode == 130 and time.monotonic() - began < 20
-    assert "stopped while compiling: nothing was trained, and nothing is kept" in text and "Traceback" not in text
-    assert [path.name for path in (tmp_path / "a").iterdir()] == [".lock"]
