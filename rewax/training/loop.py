@@ -22,7 +22,10 @@ from rewax.training.start import first_state
 
 _EVALUATION_STREAM = 0x5EED  # folded into the seed, so that evaluation draws other numbers than training
 _NOTHING_KEPT = "stopped while compiling: nothing was trained, and nothing is kept"
-_NOTHING_LOST = "stopped while compiling: nothing was trained since the checkpoint, which --resume continues from"
+_NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
+_NOTHING_LOST = (
+    "stopped before the first iteration: nothing was trained since the checkpoint, which --resume continues from"
+)
 _FINISHING = "everything trained is kept; finishing evaluation and pictures, once more to leave at once"
 
 
@@ -66,6 +69,7 @@ def train(
         train_step = None
         if int(train_state.iteration) < config.num_iterations:
             train_step = compile_train_step(agent, train_state, console)
+        stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
         stored = read_config(run_dir) if config.resume else {}
         schedule = continued(stored, int(train_state.iteration), config)
         write_config(run_dir, {**description, "schedule": schedule})

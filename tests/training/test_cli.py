@@ -166,7 +166,7 @@ SLOW = textwrap.dedent("""
     def make(env, config):
         agent = test_cli.make(env, config)
         def slow(state):
-            wait = lambda iteration: (time.sleep(PAUSE), iteration)[1]
+            wait = lambda iteration: (print("iterating", flush=True), time.sleep(PAUSE), iteration)[2]
             iteration = jax.pure_callback(wait, jax.ShapeDtypeStruct((), jnp.int32), state.iteration)
             return agent.train_step(state.replace(iteration=iteration))
         return agent._replace(train_step=jax.jit(slow))
@@ -175,7 +175,7 @@ SLOW = textwrap.dedent("""
 
 
 def start(tmp_path, pause):
-    """A process that trains slowly, in its second iteration at the latest when this returns."""
+    """A process that trains slowly; it is in its first iteration when this returns."""
     argv = [
         "--run-dir=a",
         "--steps=100000",
@@ -192,7 +192,7 @@ def start(tmp_path, pause):
         text=True,
     )
     for line in process.stdout:
-        if line.startswith("compiled in"):
+        if line.startswith("iterating"):
             return process
     raise AssertionError("the process ended before it trained")
 
