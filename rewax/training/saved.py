@@ -1,20 +1,18 @@
 """Trained policies from their run directories."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 
 from rewax.agents.base import Agent
-from rewax.agents.sapo import SAPOConfig, make_sapo
+from rewax.agents.registry import algorithm, list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
 from rewax.training import checkpoint
 from rewax.training.description import read_config
-
-_AGENTS: dict[str, tuple[Callable[[Any, Any], Agent], type]] = {"sapo": (make_sapo, SAPOConfig)}
 
 
 class SavedRun(NamedTuple):
@@ -49,14 +47,14 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
     config = read_config(run_dir)
     name = config.get("agent")
-    if name not in _AGENTS or not isinstance(config.get(name), Mapping):
+    if name not in list_algorithms() or not isinstance(config.get(name), Mapping):
         raise ValueError(
             f"{run_dir}/config.json names no registered algorithm and its options: build the agent as for training, "
             "and use checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
         )
     env = _recorded_env(config, run_dir) if env is None else env
-    make_agent, config_type = _AGENTS[name]
-    agent = make_agent(env, _agent_config(config_type, config[name]))
+    known = algorithm(name)
+    agent = known.make(env, _agent_config(known.config_type, config[name]))
     train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
     return SavedRun(env, agent, train_state, config)
 
