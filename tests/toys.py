@@ -94,18 +94,18 @@ def make_toy(env: Any, *, num_envs: int = 4, horizon: int = 3, width: int = 1, n
         )
 
     def rollout(bias: Array, envs: State, key: Key) -> tuple[Array, tuple[State, Array]]:
-        def step(envs: State, key: Key) -> tuple[State, tuple[Array, Array, Array]]:
+        def step(envs: State, key: Key) -> tuple[State, tuple[Array, ...]]:
             actions = bias[:1] + noise * jax.random.normal(key, (num_envs, 1))
             envs = jax.vmap(wrapped.step)(envs, actions)
-            return envs, (envs.reward, envs.done, envs.status)
+            return envs, (envs.reward, envs.done, envs.status, envs.failed_leaf)
 
-        envs, (rewards, dones, status) = jax.lax.scan(step, envs, jax.random.split(key, horizon))
-        return jnp.mean(rewards), (envs, dones, status)
+        envs, (rewards, *ends) = jax.lax.scan(step, envs, jax.random.split(key, horizon))
+        return jnp.mean(rewards), (envs, ends)
 
     @jax.jit
     def train_step(ts: ToyState) -> tuple[ToyState, dict[str, Array]]:
         key, draw = jax.random.split(ts.key)
-        (reward, (envs, dones, status)), slope = jax.value_and_grad(rollout, has_aux=True)(ts.bias, ts.envs, draw)
+        (reward, (envs, ends)), slope = jax.value_and_grad(rollout, has_aux=True)(ts.bias, ts.envs, draw)
         new = ts.replace(
             iteration=ts.iteration + 1,
             env_steps=ts.env_steps + num_envs * horizon,
@@ -114,15 +114,15 @@ def make_toy(env: Any, *, num_envs: int = 4, horizon: int = 3, width: int = 1, n
             key=key,
         )
         metrics = {
-            "return": jnp.where(jnp.any(dones), reward * env.episode_length, jnp.nan),
+            "return": jnp.where(jnp.any(ends[0]), reward * env.episode_length, jnp.nan),
             "reward": reward,
             "entropy": jnp.float32(noise),
             "alpha": 1.0 / (1.0 + ts.iteration),
-            **failures(dones, status),
+            **failures(*ends),
         }
         return new, metrics
 
-    def failures(dones: Array, status: Array) -> dict[str, Array]:
+    def failures(dones: Array, status: Array, failed_leaf: Array) -> dict[str, Array]:
         """As every agent reports them; shapes (horizon, num_envs)."""
         failed = (status & int(Status.NAN)) != 0
         return {
@@ -130,7 +130,7 @@ def make_toy(env: Any, *, num_envs: int = 4, horizon: int = 3, width: int = 1, n
             "failed_episodes": jnp.sum(failed),
             **{f"status/{bit.name}": jnp.sum((status & int(bit)) != 0) for bit in Status if bit},
             "failed_env": jnp.where(jnp.any(failed), jnp.argmax(jnp.any(failed, axis=0)), -1),
-            "failed_leaf": jnp.where(jnp.any(failed), 0, -1),  # the physics
+            "failed_leaf": jnp.max(failed_leaf),
         }
 
     def policy(ts: ToyState, obs: dict[str, Array], key: Key, deterministic: bool = False) -> Array:

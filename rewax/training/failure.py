@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.envs import base
-from rewax.envs.base import Env, State
+from rewax.envs.base import Env, State, failed_leaf_name
 from rewax.status import all_finite
 from rewax.training.config import ReportConfig
 
@@ -136,6 +135,6 @@ def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:
     index, leaf = int(metrics.get("failed_env", -1)), int(metrics.get("failed_leaf", -1))
     if index < 0 or leaf < 0:
         return "an environment failed because its physics, an observation or the reward was not finite"
-    name = base.failed_leaf_name(env, leaf)
+    name = failed_leaf_name(env, leaf)
     what = "its status had a fatal bit" if name == "status" else f"{name} was not finite"
     return f"environment {index} failed because {what}"
