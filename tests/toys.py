@@ -11,6 +11,7 @@ from rewax import struct
 from rewax.agents.base import Agent
 from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.envs.wrappers import AutoReset
+from rewax.status import Status
 from rewax.types import Array, Key
 
 
@@ -93,18 +94,18 @@ def make_toy(env: Any, *, num_envs: int = 4, horizon: int = 3, width: int = 1, n
         )
 
     def rollout(bias: Array, envs: State, key: Key) -> tuple[Array, tuple[State, Array]]:
-        def step(envs: State, key: Key) -> tuple[State, tuple[Array, Array]]:
+        def step(envs: State, key: Key) -> tuple[State, tuple[Array, ...]]:
             actions = bias[:1] + noise * jax.random.normal(key, (num_envs, 1))
             envs = jax.vmap(wrapped.step)(envs, actions)
-            return envs, (envs.reward, envs.done)
+            return envs, (envs.reward, envs.done, envs.status, envs.failed_leaf)
 
-        envs, (rewards, dones) = jax.lax.scan(step, envs, jax.random.split(key, horizon))
-        return jnp.mean(rewards), (envs, dones)
+        envs, (rewards, *ends) = jax.lax.scan(step, envs, jax.random.split(key, horizon))
+        return jnp.mean(rewards), (envs, ends)
 
     @jax.jit
     def train_step(ts: ToyState) -> tuple[ToyState, dict[str, Array]]:
         key, draw = jax.random.split(ts.key)
-        (reward, (envs, dones)), slope = jax.value_and_grad(rollout, has_aux=True)(ts.bias, ts.envs, draw)
+        (reward, (envs, ends)), slope = jax.value_and_grad(rollout, has_aux=True)(ts.bias, ts.envs, draw)
         new = ts.replace(
             iteration=ts.iteration + 1,
             env_steps=ts.env_steps + num_envs * horizon,
@@ -113,12 +114,24 @@ def make_toy(env: Any, *, num_envs: int = 4, horizon: int = 3, width: int = 1, n
             key=key,
         )
         metrics = {
-            "return": jnp.where(jnp.any(dones), reward * env.episode_length, jnp.nan),
+            "return": jnp.where(jnp.any(ends[0]), reward * env.episode_length, jnp.nan),
             "reward": reward,
             "entropy": jnp.float32(noise),
             "alpha": 1.0 / (1.0 + ts.iteration),
+            **failures(*ends),
         }
         return new, metrics
+
+    def failures(dones: Array, status: Array, failed_leaf: Array) -> dict[str, Array]:
+        """As every agent reports them; shapes (horizon, num_envs)."""
+        failed = (status & int(Status.NAN)) != 0
+        return {
+            "episodes": jnp.sum(dones),
+            "failed_episodes": jnp.sum(failed),
+            **{f"status/{bit.name}": jnp.sum((status & int(bit)) != 0) for bit in Status if bit},
+            "failed_env": jnp.where(jnp.any(failed), jnp.argmax(jnp.any(failed, axis=0)), -1),
+            "failed_leaf": jnp.max(failed_leaf),
+        }
 
     def policy(ts: ToyState, obs: dict[str, Array], key: Key, deterministic: bool = False) -> Array:
         del obs

@@ -46,7 +46,9 @@ def run(argv: Sequence[str]) -> int:
     import_modules(options.imports)
     saved = load_run(options.run_dir, step=options.step)
     evaluate = make_evaluate(saved.env, saved.agent.policy, options.episodes)
-    print(f"{saved.config['agent']} on {saved.config['env']}, iteration {int(saved.train_state.iteration)}")
+    print(
+        f"{saved.config['agent']} on {saved.config.get('env', 'an environment of its own')}, iteration {int(saved.train_state.iteration)}"
+    )
     for name, deterministic in (("sampled", False), ("deterministic", True)):
         result = evaluate(saved.train_state, jax.random.key(options.seed), deterministic=deterministic)
         numbers = ", ".join(f"{what} {float(result[what]):.4g}" for what in ("mean", "std", "min", "max"))

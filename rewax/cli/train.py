@@ -15,6 +15,7 @@ from rewax.cli.options import Imports, import_modules, parse
 from rewax.envs import registry
 
 _PROG = "rewax train"
+_FAILED_RUN = 1
 
 
 def run(argv: Sequence[str]) -> int:
@@ -24,7 +25,7 @@ def run(argv: Sequence[str]) -> int:
       argv: arguments after ``train``.
 
     Returns:
-      Exit code: 0, or 128 + signal after an interruption.
+      Exit code: 0; 1 after a run that failed; 128 + signal after an interruption.
 
     Raises:
       ValueError: an input that cannot be; one sentence.
@@ -53,6 +54,8 @@ def run(argv: Sequence[str]) -> int:
     say(console, f"{first.algo} on {first.env}, seed {args.seed}, {num_iterations} iterations, in {run_dir}")
     describe = {"env": first.env, "scale": scale, "seed": args.seed, "agent": first.algo, first.algo: agent_config}
     result = train(chosen.make(env, agent_config), env, config, describe=describe, console=console)
+    if result.failure:  # said by the run
+        return _FAILED_RUN
     return 128 + result.signum if result.signum else 0
 
 

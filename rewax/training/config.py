@@ -5,7 +5,7 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReportConfig:
-    """What a run leaves behind, and how often.
+    """What a run leaves behind, how often, and when it counts as failed.
 
     Attributes:
       log_every: iterations between rows of metrics.csv.
@@ -17,6 +17,8 @@ class ReportConfig:
       plots: draw the learning curve and an episode's particles or bodies at the end.
       num_frames: moments of the episode in the latter.
       tensorboard: write event files beside the CSV.
+      max_failed_share: share of numerically failed episodes above which the run stops; 1 never stops it.
+      failure_window: iterations over which that share is taken.
     """
 
     log_every: int = 1
@@ -28,8 +30,12 @@ class ReportConfig:
     plots: bool = True
     num_frames: int = 6
     tensorboard: bool = True
+    max_failed_share: float = 0.5
+    failure_window: int = 20
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.max_failed_share <= 1.0:
+            raise ValueError(f"max_failed_share is {self.max_failed_share}: use a number from 0 to 1")
         for name, least in _LEAST.items():
             value = getattr(self, name, least)
             if value < least:
@@ -62,4 +68,5 @@ _LEAST = {
     "checkpoint_every": 0,
     "keep_checkpoints": 1,
     "num_frames": 2,
+    "failure_window": 1,
 }

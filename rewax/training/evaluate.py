@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import select
-from rewax.status import FATAL
+from rewax.status import FATAL, Status
 from rewax.types import Array, Key, PyTree
 
 Policy: TypeAlias = Callable[..., Array]
@@ -22,7 +22,8 @@ Evaluation: TypeAlias = dict[str, Array]
 ``mean``, ``std``, ``min``, ``max``: over episodes, of the undiscounted returns, shape ().
 ``returns``: of every episode, up to its first end, shape (num_episodes,).
 ``lengths``: control steps of every episode, shape (num_episodes,), int32.
-``failed``: episodes that ended by a numerical failure, shape (), int32.
+``failed``: episodes that ended by a numerical failure, shape (), int32. Their returns are those of the steps before.
+``status/<BIT>``: episodes in which that bit of ``rewax.status.Status`` was set, shape (), int32.
 """
 
 
@@ -152,7 +153,11 @@ def _evaluate_sequence(env: Env, actions: Array, key: Key, num_episodes: int) ->
 
 def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
     keys = jax.random.split(key, num_episodes)
-    returns, lengths, failed = jax.vmap(lambda key: _episode(env, act, key))(keys)
+    returns, lengths, status = jax.vmap(lambda key: _episode(env, act, key))(keys)
+
+    def count(bits: Status) -> Array:
+        return jnp.sum((status & int(bits)) != 0, dtype=jnp.int32)
+
     return {
         "mean": jnp.mean(returns),
         "std": jnp.std(returns),
@@ -160,25 +165,26 @@ def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
         "max": jnp.max(returns),
         "returns": returns,
         "lengths": lengths,
-        "failed": jnp.sum(failed, dtype=jnp.int32),
+        "failed": count(FATAL),
+        **{f"status/{bit.name}": count(bit) for bit in Status if bit},
     }
 
 
 def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array]:
-    """Return, length and failure of one episode; what comes after its first end does not count, even a NaN."""
+    """Return, length and status bits of one episode; what comes after its first end does not count, even a NaN."""
     reset_key, act_key = jax.random.split(key)
 
     def body(carry: tuple[State, Array, Array, Array, Array], step: Array) -> tuple[Any, None]:
-        state, alive, total, length, failed = carry
+        state, alive, total, length, status = carry
         state = env.step(state, act(state, step, act_key))
         total = total + jnp.where(alive, state.reward, 0)
-        failed = failed | (alive & ((state.status & FATAL) != 0))
-        return (state, alive & ~state.done, total, length + alive, failed), None
+        status = status | jnp.where(alive, state.status, 0)
+        return (state, alive & ~state.done, total, length + alive, status), None
 
     state = env.reset(reset_key)
-    start = (state, jnp.bool_(True), jnp.zeros_like(state.reward), jnp.int32(0), jnp.bool_(False))
-    (_, _, total, length, failed), _ = jax.lax.scan(body, start, jnp.arange(env.episode_length))
-    return total, length, failed
+    start = (state, jnp.bool_(True), jnp.zeros_like(state.reward), jnp.int32(0), state.status)
+    (_, _, total, length, status), _ = jax.lax.scan(body, start, jnp.arange(env.episode_length))
+    return total, length, status
 
 
 def _check_num_episodes(num_episodes: int) -> None:

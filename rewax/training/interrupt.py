@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,9 +17,13 @@ class Stop:
 
     Attributes:
       signum: the signal that asked, 0 while none has.
+      at_once: while not empty, the first signal ends the process at once, with this sentence for the user.
+      notice: what the user is told at the first signal otherwise.
     """
 
     signum: int = 0
+    at_once: str = ""
+    notice: str = "stopping after this iteration; once more to leave at once"
 
     @property
     def requested(self) -> bool:
@@ -29,6 +34,8 @@ class Stop:
 @contextlib.contextmanager
 def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
     """Within the block, SIGINT and SIGTERM set ``Stop.signum``; a second one ends the process at once.
+
+    The first one does too while ``Stop.at_once`` is set: nothing is worth waiting for while a program compiles.
 
     A thread listens, because Python runs its own handlers only between bytecodes, and an iteration or a compilation can
     be minutes of none. Outside the main thread nothing is installed, and the block never hears of a stop.
@@ -53,8 +60,14 @@ def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
                 if time.monotonic() - first < _SAME_SECONDS:
                     continue
                 os._exit(128 + signum)
+            if stop.at_once:
+                try:
+                    notify(stop.at_once)
+                    sys.stdout.flush()
+                finally:
+                    os._exit(128 + signum)
             first, stop.signum = time.monotonic(), signum
-            notify("stopping after this iteration; once more to leave at once")
+            notify(stop.notice)
 
     listener = threading.Thread(target=listen, daemon=True)
     listener.start()

@@ -18,11 +18,15 @@ class CsvWriter:
     """Appends rows of named numbers to a CSV file, each on disk before the next is computed.
 
     The header is that of the first row. A file that exists is continued: rows of later iterations than ``resume_at``,
-    and a last row cut short, are removed.
+    and rows cut short, are removed. A file without its header is kept as ``<name>.damaged``.
 
     Args:
       path: of the file.
       resume_at: iteration that the run continues from; 0 starts the file afresh.
+
+    Attributes:
+      iterations: of the rows that were there.
+      last_iteration: of the last row, -1 if there is none.
     """
 
     def __init__(self, path: str | Path, *, resume_at: int = 0) -> None:
@@ -30,7 +34,10 @@ class CsvWriter:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._header, rows = _read_rows(self._path) if resume_at else ([], [])
         rows = [row for row in rows if int(row[0]) <= resume_at]
-        self.last_iteration = int(rows[-1][0]) if rows else -1
+        self.iterations = [int(row[0]) for row in rows]
+        self.last_iteration = self.iterations[-1] if rows else -1
+        if resume_at and not self._header and self._path.is_file() and self._path.stat().st_size:
+            self._path.replace(self._path.with_name(self._path.name + ".damaged"))
         unfinished = self._path.with_name(self._path.name + ".writing")
         unfinished.write_text("".join(_line(row) for row in ([self._header] if self._header else []) + rows))
         unfinished.replace(self._path)
@@ -87,19 +94,31 @@ class TensorBoardWriter:
 
 
 def read_csv(path: str | Path) -> dict[str, np.ndarray]:
-    """Columns of a CSV file by name, float64, shape (num_rows,); empty if the file is missing or has no header."""
+    """Columns of a CSV file by name, float64, shape (num_rows,); empty if the file is missing or has no header.
+
+    What is not a number reads as NaN.
+    """
     header, rows = _read_rows(Path(path))
-    table = np.array([[float(cell) for cell in row] for row in rows]).reshape(len(rows), len(header))
+    table = np.array([[_number(cell) for cell in row] for row in rows]).reshape(len(rows), len(header))
     return {name: table[:, i] for i, name in enumerate(header)}
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and complete rows."""
+    """Header and complete rows; nothing without a header."""
     if not path.is_file():
         return [], []
-    text = path.read_text()
+    text = path.read_text(errors="replace")
     header, *rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [[]]
-    return header, [row for row in rows if len(row) == len(header)]
+    if header[:1] != ["iteration"]:
+        return [], []
+    return header, [row for row in rows if len(row) == len(header) and row[0].isdecimal()]
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
 
 
 def _line(cells: list[str]) -> str:

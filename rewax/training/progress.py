@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +13,7 @@ _SECONDS_BETWEEN_LINES = 5.0
 
 
 class ProgressReport:
-    """Shows return, entropy, speed and time left, and how many episodes have failed, if any.
+    """Shows return, entropy, speed and time left; how many episodes have failed and which status bits were set, if any.
 
     Args:
       console: where to.
@@ -24,6 +25,7 @@ class ProgressReport:
         self._console, self._num_iterations, self._start = console, num_iterations, start
         self._shown: dict[str, float] = {"return": math.nan, "entropy": math.nan}
         self._failed = 0
+        self._status: Counter[str] = Counter()
         self._began = time.perf_counter()
         self._last_line = -math.inf
         self._bar: Progress | None = None
@@ -40,10 +42,14 @@ class ProgressReport:
             if math.isfinite(value := float(metrics.get(name, math.nan))):
                 self._shown[name] = value
         self._failed += int(metrics.get("failed_episodes", 0))
+        for name, count in metrics.items():
+            if name.startswith("status/") and name != "status/NAN":  # failed episodes say that
+                self._status[name.removeprefix("status/")] += int(count)
         elapsed = time.perf_counter() - self._began
         left = elapsed / (iteration - self._start) * (self._num_iterations - iteration)
         parts = [f"{name} {value:.3g}" for name, value in self._shown.items() if math.isfinite(value)]
         parts += [f"{self._failed} episodes failed"] * (self._failed > 0)
+        parts += [f"{bit} in {count} steps" for bit, count in self._status.items() if count]
         text = "  ".join([*parts, f"{steps_per_second:,.0f} steps/s", f"{duration(left)} left"])
         if self._bar is not None:
             self._bar.update(self._task, completed=iteration, description=text)

@@ -1,7 +1,7 @@
 """Evaluations and pictures of a run, and the files that hold them."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 
 from rewax.envs.base import Env
+from rewax.status import Status
 from rewax.training.config import ReportConfig
 from rewax.training.evaluate import Frame, Policy, make_evaluate, record_episode, uniform_policy
 from rewax.training.metrics import CsvWriter, read_csv
 from rewax.types import Key
 
-_STATISTICS = ("mean", "std", "min", "max", "failed")
+_STATISTICS = ("mean", "std", "min", "max", "failed", *(f"status/{bit.name}" for bit in Status if bit))
 
 
 class Evaluator:
@@ -34,59 +35,108 @@ class Evaluator:
     ) -> None:
         self._env, self._policy, self._config, self._run_dir, self._key = env, policy, config, run_dir, key
         self._evaluate = make_evaluate(env, _any_of(env, policy), config.num_eval_episodes)
-        self._csv = CsvWriter(run_dir / "eval.csv", resume_at=resume_at)
+        self.csv = CsvWriter(run_dir / "eval.csv", resume_at=resume_at)
         self.last: dict[str, Any] = {}
 
     def is_due(self, iteration: int) -> bool:
         """The schedule asks for an evaluation here, and ``eval.csv`` does not have it yet."""
         every = self._config.eval_every
-        return every > 0 and iteration % every == 0 and self._csv.last_iteration < iteration
+        return every > 0 and iteration % every == 0 and self.csv.last_iteration < iteration
 
     def evaluate(self, iteration: int, env_steps: int, train_state: Any) -> dict[str, Any]:
-        """Evaluate and append a row: ``sampled_mean``, ..., ``deterministic_failed``."""
+        """Evaluate and append a row: ``sampled_mean``, ..., ``sampled_failed``, ``sampled_status/NAN``, ..., and so for
+        ``deterministic``. Counts are episodes.
+        """
         row: dict[str, Any] = {"env_steps": env_steps}
         for name in ("sampled", "deterministic"):
             result = jax.device_get(self._evaluate((train_state, _MODES.index(name)), self._key))
             row |= {f"{name}_{statistic}": result[statistic] for statistic in _STATISTICS}
-        if self._csv.last_iteration < iteration:
-            self._csv.write(iteration, row)
+        if self.csv.last_iteration < iteration:
+            self.csv.write(iteration, row)
         self.last = row
         return row
 
     def baselines(self, train_state: Any) -> dict[str, float]:
         """Mean returns of no action and of random actions from the same initial states, kept in ``baselines.json``.
 
-        The training state is not used, but the program that was compiled for ``evaluate`` is.
+        The training state is not used, but the program that was compiled for ``evaluate`` is. A baseline whose episodes
+        failed has that in its name.
         """
         path = self._run_dir / "baselines.json"
-        if path.is_file():
-            return json.loads(path.read_text())
-        result = {
-            name: float(self._evaluate((train_state, _MODES.index(name)), self._key)["mean"]) for name in _MODES[2:]
-        }
-        path.write_text(json.dumps(result, indent=2) + "\n")
-        return result
+        try:
+            return {str(name): float(value) for name, value in json.loads(path.read_text()).items()}
+        except (OSError, ValueError, TypeError, AttributeError):  # missing or damaged
+            pass
+        returns = {}
+        for name in _MODES[2:]:
+            result = self._evaluate((train_state, _MODES.index(name)), self._key)
+            count = _failed_of(int(result["failed"]), self._config.num_eval_episodes)
+            returns[name + count] = float(result["mean"])
+        path.write_text(json.dumps(returns, indent=2) + "\n")
+        return returns
 
-    def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[Path]:
+    def sentences(self, row: Mapping[str, Any]) -> list[str]:
+        """What a user must know of an evaluation: its returns, how many episodes failed, and the status bits."""
+        episodes = self._config.num_eval_episodes
+        failed = {mode: int(row[f"{mode}_failed"]) for mode in _MODES[:2]}
+        returns = [
+            f"{row[f'{mode}_mean']:.4g} +- {row[f'{mode}_std']:.2g} {mode}{_failed_of(count, episodes)}"
+            for mode, count in failed.items()
+        ]
+        said = [f"evaluation after {row['env_steps']:,} steps: return {', '.join(returns)}"]
+        if total := sum(failed.values()):
+            said.append(
+                f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns "
+                "are those of the steps before: shorter substeps or softer contacts and materials help"
+            )
+        bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in _MODES[:2]) for bit in Status if bit}
+        if any(bits.values()):
+            counts = ", ".join(f"{name} in {count}" for name, count in bits.items() if count)
+            said.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status says what each means)")
+        return said
+
+    def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[str]:
         """Draw the learning curve and, where the environment offers ``particles`` or ``render_shapes``, one
-        deterministic episode."""
+        deterministic episode.
+
+        Returns:
+          A sentence about each picture: where it is, or why it could not be drawn. Nothing is raised.
+        """
+        env: Any = getattr(self._env, "unwrapped", self._env)
+        said = [_attempt(self._run_dir / "learning_curve.png", lambda path: self._draw_curve(path, baselines))]
+        if hasattr(env, "particles") or hasattr(env, "render_shapes"):
+            said.append(_attempt(self._run_dir / "episode.png", lambda path: self._record(env, train_state, path)))
+        return said
+
+    def _draw_curve(self, path: Path, baselines: Mapping[str, float]) -> Path:
         from rewax.viz import plots  # matplotlib is slow to import
 
         metrics, evaluation = read_csv(self._run_dir / "metrics.csv"), read_csv(self._run_dir / "eval.csv")
-        curve = self._run_dir / "learning_curve.png"
-        written = [plots.learning_curve(metrics, curve, evaluation=evaluation, baselines=baselines)]
-        env: Any = getattr(self._env, "unwrapped", self._env)
-        if hasattr(env, "particles") or hasattr(env, "render_shapes"):
-            frames = record_episode(env, self._policy, train_state, self._key, num_frames=self._config.num_frames)
-            written.append(_draw_episode(env, frames, self._run_dir / "episode.png"))
-        return written
+        return plots.learning_curve(metrics, path, evaluation=evaluation, baselines=baselines)
+
+    def _record(self, env: Any, train_state: Any, path: Path) -> Path:
+        frames = record_episode(env, self._policy, train_state, self._key, num_frames=self._config.num_frames)
+        return _draw_episode(env, frames, path)
 
     def close(self) -> None:
         """Close ``eval.csv``."""
-        self._csv.close()
+        self.csv.close()
 
 
 _MODES = ("sampled", "deterministic", "no action", "random actions")
+
+
+def _failed_of(failed: int, episodes: int) -> str:
+    return f" ({failed} of {episodes} episodes failed)" if failed else ""
+
+
+def _attempt(path: Path, draw: Callable[[Path], Path]) -> str:
+    """Draw a picture; a run that has trained does not end with an exception over one."""
+    try:
+        return f"wrote {draw(path)}"
+    except Exception as error:  # an environment's own code is called, and a whole plotting library
+        reason = " ".join(str(error).split())[:200]
+        return f"warning: {path.name} was not drawn ({type(error).__name__}: {reason}); nothing else is affected"
 
 
 def _draw_episode(env: Any, frames: Sequence[Frame], out_png: Path) -> Path:

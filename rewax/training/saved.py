@@ -1,19 +1,18 @@
 """Trained policies from their run directories."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 
 from rewax.agents.base import Agent
-from rewax.agents.sapo import SAPOConfig, make_sapo
+from rewax.agents.registry import algorithm, list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
 from rewax.training import checkpoint
-
-_AGENTS: dict[str, tuple[Callable[[Any, Any], Agent], type]] = {"sapo": (make_sapo, SAPOConfig)}
+from rewax.training.description import read_config
 
 
 class SavedRun(NamedTuple):
@@ -33,30 +32,41 @@ class SavedRun(NamedTuple):
     config: dict[str, Any]
 
 
-def load_run(run_dir: str | Path, *, step: int | None = None) -> SavedRun:
-    """Build environment and agent as a run of the command line had them, and read its training state back.
+def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = None) -> SavedRun:
+    """Build environment and agent as a run had them, and read its training state back.
 
     Args:
       run_dir: directory of the run.
-      step: iteration of the checkpoint, the newest by default.
+      step: iteration of the checkpoint; by default the newest that can be read.
+      env: the environment that the run was trained in, unbatched; needed unless ``rewax.make`` built it.
 
     Raises:
-      ValueError: there is no such run or checkpoint, or it was not trained by name from the command line.
+      ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` does not say what to build.
     """
     if checkpoint.latest_step(run_dir) is None:
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
-    config = checkpoint.read_config(run_dir)
+    config = read_config(run_dir)
     name = config.get("agent")
-    if name not in _AGENTS or not isinstance(config.get(name), Mapping) or "env" not in config:
+    if name not in list_algorithms() or not isinstance(config.get(name), Mapping):
         raise ValueError(
-            f"{run_dir}/config.json names no environment and agent to build: build them as for training, and use "
-            "checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
+            f"{run_dir}/config.json names no registered algorithm and its options: build the agent as for training, "
+            "and use checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
         )
-    make_agent, config_type = _AGENTS[name]
-    env = registry.make(config["env"], scale=config["scale"])
-    agent = make_agent(env, _agent_config(config_type, config[name]))
+    env = _recorded_env(config, run_dir) if env is None else env
+    known = algorithm(name)
+    agent = known.make(env, _agent_config(known.config_type, config[name]))
     train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
     return SavedRun(env, agent, train_state, config)
+
+
+def _recorded_env(config: Mapping[str, Any], run_dir: str | Path) -> Env:
+    kwargs = config.get("env_kwargs", {})
+    if not isinstance(config.get("env"), str) or "scale" not in config or not isinstance(kwargs, Mapping):
+        raise ValueError(
+            f"{run_dir}/config.json names no environment, because rewax.make did not build it: build it as for "
+            "training and give it, load_run(run_dir, env=env)"
+        )
+    return registry.make(config["env"], scale=config["scale"], **kwargs)
 
 
 def _agent_config(config_type: type, stored: Mapping[str, Any]) -> Any:

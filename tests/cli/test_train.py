@@ -8,6 +8,7 @@ import sys
 import textwrap
 import time
 
+import jax
 import pytest
 import toys
 
@@ -121,10 +122,42 @@ def test_impossible_input_is_one_sentence_and_exit_code_2(main, tmp_path, argv, 
 
 
 def test_an_unreadable_checkpoint_is_exit_code_2(main, tmp_path):
-    assert main("--run-dir=a")[0] == 0
-    (tmp_path / "a" / "checkpoints" / "2" / "leaves.json").write_text("{")
+    assert main("--run-dir=a", "--train.eval-every=0", "--train.checkpoint-every=1")[0] == 0
+    folder = tmp_path / "a" / "checkpoints"
+    (folder / "2" / "leaves.json").write_text("{")
+    code, text = main("--run-dir=a", "--resume")
+    assert code == 0 and "using the one of iteration 1 before it; it is kept as 2.damaged" in text
+    for step in ("1", "2"):
+        (folder / step / "leaves.json").write_text("{")
     code, text = main("--run-dir=a", "--resume")
     assert code == 2 and "is damaged and cannot be read" in text and "Traceback" not in text
+
+
+def test_a_run_that_fails_is_exit_code_1(main, monkeypatch):
+    usual = make
+
+    def fragile(env, config):
+        agent = usual(env, config)
+        counts = {"failed_episodes": 3, "episodes": 4, "failed_env": -1, "failed_leaf": -1}
+
+        @jax.jit
+        def train_step(state):
+            state, metrics = agent.train_step(state)
+            return state, {**metrics, **counts}
+
+        return agent._replace(train_step=train_step)
+
+    monkeypatch.setattr(sys.modules[__name__], "make", fragile)
+    code, text = main("--steps=60", "--train.failure-window=2")
+    assert code == 1 and "failed after iteration 2 of 5: 6 of 8 episodes failed numerically" in text
+    assert main("--steps=12", "--run-dir=b", "--train.max-failed-share=1")[0] == 0
+
+
+def test_a_place_that_cannot_be_is_exit_code_2(main, tmp_path):
+    (tmp_path / "file").write_text("x")
+    code, text = main("--run-dir=file")
+    assert code == 2 and "file, which is not a directory: choose another directory (--run-dir)" in text
+    assert "Traceback" not in text and "compiling" not in text
 
 
 def test_help_lists_every_hyperparameter(main):
@@ -155,7 +188,7 @@ SLOW = textwrap.dedent("""
     def make(env, config):
         agent = test_train.make(env, config)
         def slow(state):
-            wait = lambda iteration: (time.sleep(PAUSE), iteration)[1]
+            wait = lambda iteration: (print("iterating", flush=True), time.sleep(PAUSE), iteration)[2]
             iteration = jax.pure_callback(wait, jax.ShapeDtypeStruct((), jnp.int32), state.iteration)
             return agent.train_step(state.replace(iteration=iteration))
         return agent._replace(train_step=jax.jit(slow))
@@ -165,7 +198,7 @@ SLOW = textwrap.dedent("""
 
 
 def start(tmp_path, pause):
-    """A process that trains slowly, in its second iteration at the latest when this returns."""
+    """A process that trains slowly; it is in its first iteration when this returns."""
     argv = [
         "--run-dir=a",
         "--steps=100000",
@@ -182,7 +215,7 @@ def start(tmp_path, pause):
         text=True,
     )
     for line in process.stdout:
-        if line.startswith("compiled in"):
+        if line.startswith("iterating"):
             return process
     raise AssertionError("the process ended before it trained")
 

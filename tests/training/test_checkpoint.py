@@ -156,16 +156,91 @@ def test_damage_is_noticed(tmp_path, damage):
     fails(tmp_path, state, "damaged and cannot be read", str(path))
 
 
-def test_configuration_is_kept(tmp_path):
-    checkpoint.write_config(tmp_path, {"env": "PointMass", "sizes": (1, 2), "rate": 0.5})
-    config = checkpoint.read_config(tmp_path)
-    assert {name: config[name] for name in ("env", "sizes", "rate")} == {
-        "env": "PointMass",
-        "sizes": [1, 2],
-        "rate": 0.5,
-    }
-    assert config["versions"]["jax"] == jax.__version__
-    assert checkpoint.read_config(tmp_path / "nowhere") == {}
-    (tmp_path / "config.json").write_text("{")
-    with pytest.raises(ValueError, match="not readable as JSON"):
-        checkpoint.read_config(tmp_path)
+STRAY = {
+    "a hidden file": lambda folder: (folder / ".DS_Store").write_text("x"),
+    "a folder with a number": lambda folder: (folder / "9").mkdir(),
+    "a file with a number": lambda folder: (folder / "9").write_text("x"),
+    "a padded number": lambda folder: (folder / "09" / "arrays").mkdir(parents=True),
+    "a hidden folder": lambda folder: (folder / ".trash").mkdir(),
+    "in the way": lambda folder: ((folder / "2").mkdir(), (folder / "2" / "notes.txt").write_text("x")),
+    "a file in the way": lambda folder: (folder / "2").write_text("x"),
+}
+
+
+@pytest.mark.parametrize("what", STRAY)
+def test_stray_files_are_ignored_and_stay(tmp_path, what):
+    agent, state = advanced(1)
+    checkpoint.save(tmp_path, state)
+    STRAY[what](tmp_path / "checkpoints")
+    strays = {path.name for path in (tmp_path / "checkpoints").iterdir()} - {"1"}
+    assert checkpoint.latest_step(tmp_path) == 1
+    assert same_bits(checkpoint.restore(tmp_path, state), state)
+    later, _ = agent.train_step(state)
+    checkpoint.save(tmp_path, later)
+    assert same_bits(checkpoint.restore(tmp_path, state), later)
+    there = {path.name for path in (tmp_path / "checkpoints").iterdir()} - {"1", "2"}
+    assert there == {"2.stray" if name == "2" else name for name in strays}
+
+
+def damage(path):
+    """Cut the description short."""
+    leaves = path / "leaves.json"
+    leaves.write_text(leaves.read_text()[:100])
+
+
+def three(run_dir):
+    """Checkpoints of iterations 1, 2 and 3, and the states in them."""
+    agent, state = advanced(1)
+    states = [state]
+    for _ in range(2):
+        states.append(agent.train_step(states[-1])[0])
+    return states, [checkpoint.save(run_dir, state) for state in states]
+
+
+def test_damage_falls_back_to_the_checkpoint_before_it(tmp_path):
+    states, paths = three(tmp_path)
+    damage(paths[2])
+    with pytest.warns(UserWarning, match=r"checkpoints/3 is damaged .*: using the one of iteration 2 before it$"):
+        assert same_bits(checkpoint.restore(tmp_path, states[0]), states[1])
+    assert checkpoint.steps(tmp_path) == [1, 2, 3]  # a reader moves nothing
+    (paths[1] / "leaves.json").unlink()
+    said = []
+    assert same_bits(checkpoint.restore(tmp_path, states[0], set_aside=True, notify=said.append), states[0])
+    assert [sentence.count("before it; it is kept as") for sentence in said] == [1, 1]
+    assert checkpoint.steps(tmp_path) == [1]
+    assert (tmp_path / "checkpoints" / "3.damaged" / "arrays").is_dir()
+    assert (tmp_path / "checkpoints" / "2.damaged" / "arrays").is_dir()
+    with pytest.raises(ValueError, match="no checkpoint of iteration 3: choose one of 1"):
+        checkpoint.restore(tmp_path, states[0], step=3)
+
+
+def test_a_checkpoint_asked_for_is_that_one_or_an_error(tmp_path):
+    states, paths = three(tmp_path)
+    damage(paths[1])
+    with pytest.raises(checkpoint.DamagedCheckpoint, match="checkpoints/2 is damaged"):
+        checkpoint.restore(tmp_path, states[0], step=2)
+    assert same_bits(checkpoint.restore(tmp_path, states[0]), states[2])
+
+
+def test_if_all_are_damaged_nothing_is_moved(tmp_path):
+    states, paths = three(tmp_path)
+    for path in paths:
+        damage(path)
+    with pytest.raises(checkpoint.DamagedCheckpoint, match="checkpoints/3 is damaged and cannot be read"):
+        checkpoint.restore(tmp_path, states[0], set_aside=True)
+    assert checkpoint.steps(tmp_path) == [1, 2, 3]
+
+
+def test_another_structure_is_no_damage(tmp_path):
+    states, _ = three(tmp_path)
+    with pytest.raises(checkpoint.OtherStructure):
+        checkpoint.restore(tmp_path, states[0].replace(bias=jnp.zeros(3)), set_aside=True)
+    assert checkpoint.steps(tmp_path) == [1, 2, 3]
+
+
+def test_a_protected_checkpoint_stays(tmp_path):
+    agent, state = advanced(0)
+    for _ in range(5):
+        state, _ = agent.train_step(state)
+        checkpoint.save(tmp_path, state, keep=2, protect=2)
+    assert checkpoint.steps(tmp_path) == [2, 4, 5]

@@ -9,6 +9,7 @@ import pytest
 import toys
 
 from rewax import struct
+from rewax.status import Status
 from rewax.training import evaluate
 
 
@@ -52,6 +53,33 @@ def test_episodes_stop_counting_at_their_first_end():
         np.testing.assert_allclose(total, -sum(position**2 for position in path[:steps]), rtol=1e-5)
     assert len(set(result["lengths"].tolist())) > 1
     assert int(result["failed"]) == 0  # the NaN after the end is nobody's failure
+
+
+@struct.dataclass
+class Reviving(toys.PointMass):
+    """Ends in the step that passes ``limit`` and fails there; it goes on afterwards as if nothing had happened."""
+
+    limit: Any
+
+    def step(self, state, action):
+        x = state.physics + self.gain * jnp.clip(action, -1.0, 1.0)
+        passes = (x[0] > self.limit) & (state.physics[0] <= self.limit)
+        beyond = state.physics[0] > self.limit
+        new = self.after(state, x, terminated=passes, status=jnp.where(beyond, int(Status.CFL | Status.INVERTED), 0))
+        return new.replace(status=new.status | jnp.where(passes, int(Status.NAN | Status.CFL), 0))
+
+
+def test_an_episode_that_ended_never_counts_again():
+    env, key = Reviving(gain=jnp.float32(0.5), limit=jnp.float32(1.9), length=6), jax.random.key(1)
+    result = evaluate.make_evaluate(env, evaluate.constant_policy(jnp.array([1.0])), 8)(None, key)
+    for x, total, length in zip(starts(env, key, 8), result["returns"], result["lengths"], strict=True):
+        path = [x + 0.5 * i for i in range(1, 7)]
+        steps = next(i for i, position in enumerate(path, 1) if position > 1.9)
+        assert int(length) == steps < 6
+        np.testing.assert_allclose(total, -sum(position**2 for position in path[:steps]), rtol=1e-5)
+    counts = {name: int(result[f"status/{name}"]) for name in ("NAN", "CFL", "INVERTED", "OUT_OF_DOMAIN")}
+    assert counts == {"NAN": 8, "CFL": 8, "INVERTED": 0, "OUT_OF_DOMAIN": 0}
+    assert int(result["failed"]) == 8
 
 
 def test_failures_are_counted():

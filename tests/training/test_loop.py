@@ -1,25 +1,23 @@
 """Runs: the same bytes for one seed, the same state after a resume, nothing lost when something fails."""
 
-import dataclasses
 import io
 import json
 import os
 import signal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys
 from rich.console import Console
 
 from rewax import struct
-from rewax.status import Status
-from rewax.training import checkpoint, report
+from rewax.training import checkpoint, leaves, report
 from rewax.training.config import TrainConfig
+from rewax.training.description import read_config
 from rewax.training.loop import train
 from rewax.training.metrics import read_csv
-from rewax.training.progress import ProgressReport
+from rewax.training.run_directory import hold
 
 ENV = toys.point_mass()
 AGENT = toys.make_toy(ENV)
@@ -36,7 +34,7 @@ def run(run_dir, agent=AGENT, describe=None, **changes):
 
 def bits(tree):
     """Every leaf as bytes."""
-    return [checkpoint._to_numpy(leaf).tobytes() for leaf in jax.tree.leaves(tree)]
+    return [leaves.to_numpy(leaf).tobytes() for leaf in jax.tree.leaves(tree)]
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +54,7 @@ def test_leaves_what_a_run_is(whole):
     assert result.evaluation["deterministic_mean"] == np.float32(evaluation["deterministic_mean"][-1])
     assert read_csv(path / "timing.csv").keys() == {"iteration", "seconds", "steps_per_second"}
     assert checkpoint.latest_step(path) == 8 and result.signum == 0
-    assert checkpoint.read_config(path)["train"]["num_iterations"] == 8
+    assert read_config(path)["train"]["num_iterations"] == 8
 
 
 def test_one_seed_gives_the_same_bytes_another_does_not(whole, tmp_path):
@@ -125,36 +123,14 @@ def test_log_every_thins_the_rows(tmp_path):
     np.testing.assert_array_equal(read_csv(tmp_path / "metrics.csv")["iteration"], [3, 6])
 
 
-@pytest.mark.parametrize("where", ["evaluate", "draw"])
-def test_a_failing_report_loses_nothing(tmp_path, monkeypatch, where):
+def test_a_failing_evaluation_loses_nothing(tmp_path, monkeypatch):
     def fail(*args):
         raise RuntimeError("disk full")
 
-    monkeypatch.setattr(report.Evaluator, where, fail)
+    monkeypatch.setattr(report.Evaluator, "evaluate", fail)
     with pytest.raises(RuntimeError, match="disk full"):
         run(tmp_path, checkpoint_every=0, plots=True)
     assert checkpoint.latest_step(tmp_path) == 8
-
-
-def test_a_directory_with_a_run_is_refused(whole, tmp_path):
-    with pytest.raises(ValueError, match=r"holds a run already: resume it .* or choose another directory"):
-        run(whole[0])
-    with pytest.raises(ValueError, match="there is no run directory"):
-        run(tmp_path / "nowhere", resume=True)
-
-
-def test_resuming_another_environment_is_refused_and_changes_are_told(tmp_path):
-    run(tmp_path, num_iterations=1, describe={"env": "PointMass", "scale": "small", "toy": {"rate": 0.1}})
-    with pytest.raises(ValueError, match="holds a run with scale small, not paper: resume it with --scale small"):
-        run(tmp_path, resume=True, describe={"env": "PointMass", "scale": "paper"})
-    _, text = run(tmp_path, resume=True, num_iterations=2, describe={"env": "PointMass", "toy": {"rate": 0.2}})
-    assert "note: resuming with toy.rate 0.2, it was 0.1" in text
-
-
-def test_resuming_with_other_shapes_names_the_field(tmp_path):
-    run(tmp_path, num_iterations=1)
-    with pytest.raises(ValueError, match=r"holds \.bias as float32 of shape \(1,\), .* needs float32 of shape \(2,\)"):
-        run(tmp_path, agent=toys.make_toy(ENV, width=2), resume=True)
 
 
 @pytest.mark.parametrize(
@@ -201,29 +177,57 @@ def test_baselines_and_pictures(tmp_path):
     assert list((tmp_path / "tensorboard").glob("events*"))
 
 
-@struct.dataclass
-class Fragile(toys.PointMass):
-    """A point mass that fails numerically at its third step."""
-
-    def step(self, state, action):
-        status = jnp.where(state.step_count == 2, int(Status.NAN), int(Status.OK))
-        return self.after(state, state.physics, status=status)
+def test_two_runs_in_one_directory_are_refused(tmp_path):
+    with hold(tmp_path), pytest.raises(ValueError, match="is in use by process"):
+        run(tmp_path)
 
 
-def test_failures_are_said(tmp_path):
-    env, console = (
-        Fragile(**{f.name: getattr(ENV, f.name) for f in dataclasses.fields(ENV)}),
-        Console(file=io.StringIO(), width=200),
-    )
-    config = TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run"), **QUIET)
-    train(toys.make_toy(env), env, config, console=console)
+def drop_rows(path, *numbers):
+    """Remove lines of a file, the header being 0."""
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for number, line in enumerate(lines) if number not in numbers))
+
+
+def test_lost_rows_are_said(tmp_path):
+    run(tmp_path, num_iterations=5, eval_every=2, checkpoint_every=1)
+    drop_rows(tmp_path / "metrics.csv", 2, 3)
+    drop_rows(tmp_path / "eval.csv", 1)
+    (tmp_path / "timing.csv").unlink()
+    _, text = run(tmp_path, num_iterations=6, resume=True, eval_every=2)
+    assert "metrics.csv lacks 2 of its 5 rows (iterations 2 to 3): the run goes on without them" in text
+    assert "eval.csv lacks 1 of its 3 rows (iteration 0)" in text
+    assert "timing.csv lacks 5 of its 5 rows (iterations 1 to 5)" in text
+    np.testing.assert_array_equal(read_csv(tmp_path / "metrics.csv")["iteration"], [1, 4, 5, 6])
+
+
+def test_a_whole_run_lacks_nothing(tmp_path):
+    for num_iterations, resume, log_every in ((3, False, 2), (4, True, 1), (5, True, 3), (6, True, 1)):
+        _, text = run(tmp_path, num_iterations=num_iterations, resume=resume, log_every=log_every, eval_every=2)
+        assert "warning" not in text
+
+
+def test_resume_passes_over_a_damaged_checkpoint(whole, tmp_path):
+    path, result = whole
+    run(tmp_path, num_iterations=6, eval_every=4)
+    (tmp_path / "checkpoints" / "6" / "leaves.json").write_text("{")
+    resumed, text = run(tmp_path, resume=True, eval_every=4)
+    assert "checkpoints/6 is damaged and cannot be read" in text
+    assert "using the one of iteration 4 before it; it is kept as 6.damaged" in text
+    assert bits(resumed.train_state) == bits(result.train_state)
+    assert (tmp_path / "metrics.csv").read_bytes() == (path / "metrics.csv").read_bytes()
+    assert (tmp_path / "checkpoints" / "6.damaged").is_dir()
+
+
+def test_drawing_never_ends_a_run(tmp_path):
+    @struct.dataclass
+    class Misdrawn(toys.PointMass):
+        def render_shapes(self, physics):
+            return [{"kind": "sphere", "middle": physics, "radius": 0.1}]
+
+    env = Misdrawn(gain=ENV.gain)
+    console = Console(file=io.StringIO(), width=200)
+    config = TrainConfig(**{**QUIET, "num_iterations": 1, "run_dir": str(tmp_path), "plots": True})
+    result = train(AGENT, env, config, console=console)
     text = console.file.getvalue()
-    assert (
-        "warning: 4 of 4 episodes failed numerically and ended there: state.status says why; shorter substeps" in text
-    )
-    _, healthy = run(tmp_path / "healthy", num_iterations=1)
-    assert "failed" not in healthy
-    progress = ProgressReport(console, 9, 0)
-    for iteration in (1, 9):
-        progress.update(iteration, 5, {"failed_episodes": 2}, 1.0)
-    assert "4 episodes failed" in console.file.getvalue()
+    assert "warning: episode.png was not drawn (" in text and "wrote" in text
+    assert int(result.train_state.iteration) == 1 and "deterministic_mean" in result.evaluation

@@ -70,3 +70,24 @@ def test_tensorboard_writes_events(tmp_path):
     (events,) = tmp_path.glob("events*")
     content = events.read_bytes()
     assert b"train/return" in content and b"train/nothing" not in content
+
+
+def test_a_damaged_file_keeps_what_can_be_read(tmp_path):
+    path = tmp_path / "a.csv"
+    write(path, rows(1, 4))
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([lines[0], lines[1], "2,2\n", "oops,1,2\n", lines[4]]))
+    writer = CsvWriter(path, resume_at=4)
+    assert writer.iterations == [1, 4] and writer.last_iteration == 4
+    writer.close()
+    np.testing.assert_array_equal(read_csv(path)["iteration"], [1, 4])
+
+
+def test_a_file_without_its_header_is_set_aside(tmp_path):
+    path = tmp_path / "a.csv"
+    write(path, rows(1, 4))
+    beheaded = path.read_text().partition("\n")[2]
+    path.write_text(beheaded)
+    write(path, rows(5, 5), resume_at=4)
+    np.testing.assert_array_equal(read_csv(path)["iteration"], [5])
+    assert (tmp_path / "a.csv.damaged").read_text() == beheaded

@@ -1,6 +1,7 @@
 """Runs from their directories: the same policy, and sentences where there is none to build."""
 
 import json
+import shutil
 
 import jax
 import numpy as np
@@ -9,8 +10,8 @@ import toys
 
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs import registry
-from rewax.training.checkpoint import write_config
 from rewax.training.config import TrainConfig
+from rewax.training.description import write_config
 from rewax.training.loop import train
 from rewax.training.saved import load_run
 
@@ -60,7 +61,53 @@ def test_what_cannot_be_built_is_said(run, tmp_path):
         ):
             load_run(run_dir)
         write_config(run_dir, {"train": {}})
-        with pytest.raises(ValueError, match="names no environment and agent to build: build them as for training"):
+        with pytest.raises(ValueError, match="names no registered algorithm and its options: build the agent"):
             load_run(run_dir)
     finally:
         (run_dir / "config.json").write_text(kept)
+
+
+def load_again(tmp_path, env):
+    """Train from code, without a word about agent or environment; returns the run directory and the training state."""
+    quick = {"eval_every": 0, "num_eval_episodes": 2, "plots": False, "baselines": False, "tensorboard": False}
+    config = TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run"), **quick)
+    return tmp_path / "run", train(make_sapo(env, CONFIG), env, config).train_state
+
+
+def test_a_run_from_code_is_loaded_with_its_environment(run, tmp_path):
+    env = toys.point_mass(7)
+    run_dir, train_state = load_again(tmp_path, env)
+    with pytest.raises(ValueError, match=r"names no environment, .* give it, load_run\(run_dir, env=env\)"):
+        load_run(run_dir)
+    saved = load_run(run_dir, env=env)
+    assert saved.agent.config == CONFIG
+    obs, key = env.reset(jax.random.key(1)).obs, jax.random.key(2)
+    np.testing.assert_array_equal(
+        *[saved.agent.policy(state, obs, key, deterministic=True) for state in (saved.train_state, train_state)]
+    )
+
+
+def test_a_run_from_code_is_loaded_by_the_name_of_its_environment(run, tmp_path):
+    registry._FACTORIES["PointMass"], usual = (
+        lambda scale, length=5: toys.point_mass(length),
+        registry._FACTORIES["PointMass"],
+    )
+    try:
+        env = registry.make("PointMass", scale="small", length=7)
+        object.__setattr__(env, "made_by", {"env": "PointMass", "scale": "small", "kwargs": {"length": 7}})
+        run_dir, _ = load_again(tmp_path, env)
+        saved = load_run(run_dir)
+        assert saved.env.episode_length == 7 and saved.config["agent"] == "sapo"
+    finally:
+        registry._FACTORIES["PointMass"] = usual
+
+
+def test_a_damaged_checkpoint_is_passed_over_with_a_warning(run, tmp_path):
+    run_dir = shutil.copytree(run[0], tmp_path / "run")
+    (run_dir / "checkpoints" / "2" / "leaves.json").write_text("{")
+    (run_dir / "checkpoints" / ".DS_Store").write_text("x")
+    with pytest.warns(UserWarning, match="checkpoints/2 is damaged .* using the one of iteration 1 before it"):
+        assert int(load_run(run_dir).train_state.iteration) == 1
+    (run_dir / "config.json").write_text("null")
+    with pytest.raises(ValueError, match=r"config\.json holds null, not named entries"):
+        load_run(run_dir)

@@ -1,0 +1,98 @@
+"""``config.json``: what a run is, in the words of its configuration, and how that differs from another one."""
+
+import dataclasses
+import importlib.metadata
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+_PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
+
+
+def describe_run(agent: Any, env: Any, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """The entries of ``config.json`` from which ``load_run`` builds environment and agent again.
+
+    Args:
+      agent: its ``name`` and ``config`` are the entries ``agent`` and ``<name>``.
+      env: what ``rewax.make`` recorded in ``env.made_by`` gives ``env``, ``scale`` and ``env_kwargs``.
+      given: entries that override those, or stand beside them.
+    """
+    made_by, described = getattr(env, "made_by", None), {}
+    if made_by and _is_json(made_by.get("kwargs", {})):
+        described = {"env": made_by["env"], "scale": made_by["scale"], "env_kwargs": dict(made_by.get("kwargs", {}))}
+    if agent.name:
+        described |= {"agent": agent.name, agent.name: agent.config}
+    return described | dict(given or {})
+
+
+def write_config(run_dir: str | Path, config: Mapping[str, Any]) -> None:
+    """Keep the configuration of a run, and the versions of the packages it rests on, in ``config.json``."""
+    run_dir = Path(run_dir)
+    run_dir.mkdir(parents=True, exist_ok=True)
+    unfinished = run_dir / "config.json.writing"
+    content = plain(config) | {"versions": _versions()}
+    unfinished.write_text(json.dumps(content, indent=2) + "\n")
+    unfinished.replace(run_dir / "config.json")
+
+
+def read_config(run_dir: str | Path) -> dict[str, Any]:
+    """The configuration that ``write_config`` kept; empty if there is none.
+
+    Raises:
+      ValueError: the file cannot be read, is not JSON, or holds something else than named entries.
+    """
+    path = Path(run_dir) / "config.json"
+    if not path.is_file():
+        return {}
+    try:
+        config = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is not readable as JSON ({error}): restore it, or remove it to go without") from None
+    if not isinstance(config, dict):
+        found = path.read_text().strip()[:40]
+        raise ValueError(f"{path} holds {found}, not named entries: restore it, or remove it to go without")
+    return config
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON stores it: dataclasses and mappings as dicts, tuples as lists, what is left as text."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+
+
+def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any, Any]]:
+    """Dotted names of entries that both have with other values, and the values."""
+    found = []
+    for name in [name for name in new if name in old]:
+        if isinstance(old[name], Mapping) and isinstance(new[name], Mapping):
+            found += changes(old[name], new[name], f"{prefix}{name}.")
+        elif old[name] != new[name]:
+            found.append((prefix + name, old[name], new[name]))
+    return found
+
+
+def _is_json(value: Any) -> bool:
+    try:
+        json.dumps(value)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _versions() -> dict[str, str]:
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return versions
+
+
+__all__ = ["changes", "describe_run", "plain", "read_config", "write_config"]

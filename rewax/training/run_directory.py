@@ -1,0 +1,78 @@
+"""The directory of a run: writable, and used by one process at a time."""
+
+import contextlib
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+_FOLDERS = ("checkpoints", "tensorboard")
+_FILES = ("config.json", "metrics.csv", "eval.csv", "timing.csv", "baselines.json")
+_REMEDY = "choose another directory (--run-dir)"
+
+
+@contextlib.contextmanager
+def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[None]:
+    """Within the block, this process alone uses the directory. The lock ends with the process, however it ends.
+
+    Args:
+      run_dir: made if missing.
+      must_exist: refuse to make it.
+
+    Raises:
+      ValueError: in one sentence: the directory is missing, cannot be made or written to, or another process uses it.
+    """
+    if must_exist and not os.path.isdir(run_dir):
+        raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
+    lock = _open_lock(run_dir)
+    with lock:
+        _check_contents(run_dir)
+        _take(lock, run_dir)
+        yield
+
+
+def _open_lock(run_dir: Path) -> IO[str]:
+    if os.path.lexists(run_dir) and not os.path.isdir(run_dir):
+        raise ValueError(f"run_dir is {run_dir}, which is not a directory: {_REMEDY}")
+    try:
+        run_dir.mkdir(parents=True, exist_ok=True)
+        if not os.access(run_dir, os.W_OK | os.X_OK):
+            raise PermissionError(0, "Permission denied")
+        return (run_dir / ".lock").open("a+")
+    except OSError as error:
+        raise ValueError(f"run_dir is {run_dir}, which cannot be written to ({error.strerror}): {_REMEDY}") from None
+
+
+def _check_contents(run_dir: Path) -> None:
+    for path in (run_dir / name for name in _FOLDERS):
+        if os.path.lexists(path) and not (path.is_dir() and os.access(path, os.W_OK | os.X_OK)):
+            raise ValueError(f"{path} is not a directory that can be written to: remove it, or {_REMEDY}")
+    for path in (run_dir / name for name in _FILES):
+        if path.is_dir():
+            raise ValueError(f"{path} is a directory where the run keeps a file: remove it, or {_REMEDY}")
+
+
+def _take(lock: IO[str], run_dir: Path) -> None:
+    """Lock the file and write into it who holds it."""
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.seek(0)
+        holder = lock.read().strip() or "another process"
+        raise ValueError(f"{run_dir} is in use by {holder}: wait until it ends, stop it, or {_REMEDY}") from None
+    except OSError:  # a file system without locks
+        return
+    lock.truncate(0)
+    lock.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+    lock.flush()
+
+
+__all__ = ["hold"]

@@ -1,0 +1,57 @@
+"""Which rows the CSV files of a run must hold, also when its options changed from one resume to the next."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from rewax.training.config import ReportConfig
+
+Schedule = list[dict[str, int]]
+"""Stretches of a run: each holds ``log_every`` and ``eval_every`` from iteration ``after`` on."""
+
+
+def continued(stored: Mapping[str, Any], iteration: int, config: ReportConfig) -> Schedule:
+    """The schedule of a run that goes on under ``config``.
+
+    Args:
+      stored: contents of its ``config.json``; empty for a new run.
+      iteration: that it continues from.
+      config: of the new stretch.
+    """
+    new = {"after": iteration, "log_every": config.log_every, "eval_every": config.eval_every}
+    return [stretch for stretch in recorded(stored) if stretch["after"] < iteration] + [new]
+
+
+def recorded(stored: Mapping[str, Any]) -> Schedule:
+    """The schedule in a ``config.json``; one stretch with the options of ``train`` where there is none."""
+    train = stored.get("train")
+    schedule = stored.get("schedule", [{"after": 0, **train}] if isinstance(train, Mapping) else [])
+    try:
+        return [{name: int(part[name]) for name in ("after", "log_every", "eval_every")} for part in schedule]
+    except (KeyError, TypeError, ValueError):  # written by hand
+        return []
+
+
+def due_rows(schedule: Schedule, until: int) -> dict[str, set[int]]:
+    """Iterations whose rows each file holds when the checkpoint of iteration ``until`` is written.
+
+    A checkpoint is written after the row of its iteration and before its evaluation.
+    """
+    due: dict[str, set[int]] = {"metrics.csv": set(), "timing.csv": set(), "eval.csv": set()}
+    ends = [part["after"] for part in schedule[1:]] + [until]
+    for part, end in zip(schedule, ends, strict=False):
+        every, end = max(part["log_every"], 1), min(end, until)
+        logged = [i for i in range(part["after"] + 1, end + 1) if i % every == 0]
+        due["metrics.csv"].update(logged)
+        due["timing.csv"].update(logged)
+        if every := part["eval_every"]:
+            due["eval.csv"].update(i for i in range(part["after"], end) if i % every == 0)
+    return due
+
+
+def lost_rows(name: str, there: list[int], due: set[int]) -> str:
+    """A sentence about the rows that a file should hold and does not; empty if it holds all."""
+    missing = sorted(due - set(there))
+    if not missing:
+        return ""
+    where = f"iteration {missing[0]}" if len(missing) == 1 else f"iterations {missing[0]} to {missing[-1]}"
+    return f"warning: {name} lacks {len(missing)} of its {len(due)} rows ({where}): the run goes on without them"
