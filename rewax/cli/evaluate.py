@@ -46,9 +46,8 @@ def run(argv: Sequence[str]) -> int:
     import_modules(options.imports)
     saved = load_run(options.run_dir, step=options.step)
     evaluate = make_evaluate(saved.env, saved.agent.policy, options.episodes)
-    print(
-        f"{saved.config['agent']} on {saved.config.get('env', 'an environment of its own')}, iteration {int(saved.train_state.iteration)}"
-    )
+    env_name = saved.config.get("env", "an environment of one's own")
+    print(f"{saved.config['agent']} on {env_name}, iteration {int(saved.train_state.iteration)}")
     for name, deterministic in (("sampled", False), ("deterministic", True)):
         result = evaluate(saved.train_state, jax.random.key(options.seed), deterministic=deterministic)
         numbers = ", ".join(f"{what} {float(result[what]):.4g}" for what in ("mean", "std", "min", "max"))
