@@ -23,6 +23,6 @@ from rewax.physics.numerics.pose import static_poses
 __all__ = [
     "STABLE_COURANT_NUMBER", "TAIT_EXPONENT", "Elasticity", "Grid", "MPMScene", "MPMState", "Material",
     "Plasticity", "Wall", "WallKind", "Walls", "check_placement", "check_status", "count_nodes", "deform",
-    "initial_state", "invariants", "largest_stable_dt", "make_scene", "nodes_of_step", "particle_mass", "predict_peak_bytes",
-    "sound_speed", "static_poses", "step", "substep",
+    "initial_state", "invariants", "largest_stable_dt", "make_scene", "nodes_of_step", "particle_mass",
+    "predict_peak_bytes", "sound_speed", "static_poses", "step", "substep",
 ]  # fmt: skip
