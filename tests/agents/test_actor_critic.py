@@ -1,0 +1,59 @@
+"""Networks and optimizers that follow from a configuration."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toys
+
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.config import ActorCriticConfig
+from rewax.agents.normalization import init_statistics
+
+CONFIG = ActorCriticConfig(
+    actor_widths=(8,), critic_widths=(8,), vector_features=8, num_critics=3, observation_clip=2.0
+)
+ENV = toys.point_mass()
+STATISTICS = init_statistics(ENV.observation_spec).__class__(
+    count=jnp.ones(()), mean={"x": jnp.array([1.0])}, variance={"x": jnp.array([4.0])}
+)
+
+
+def test_what_the_networks_see_is_normalised_and_clipped_if_asked_to():
+    networks = make_actor_critic(ENV, CONFIG)
+    np.testing.assert_allclose(networks.seen(STATISTICS, {"x": jnp.array([4.0])})["x"], [1.5], rtol=1e-5)
+    np.testing.assert_allclose(networks.seen(STATISTICS, {"x": jnp.array([9e5])})["x"], [2.0])
+    raw = make_actor_critic(ENV, dataclasses.replace(CONFIG, normalize_observations=False))
+    np.testing.assert_array_equal(raw.seen(STATISTICS, {"x": jnp.array([9e5])})["x"], [9e5])
+
+
+def test_distribution_and_values_are_those_of_the_networks():
+    networks, obs = make_actor_critic(ENV, CONFIG), {"x": jnp.array([2.0])}
+    actor = networks.actor.init(jax.random.key(0), obs)
+    critics = networks.critics.init(jax.random.key(1), obs)
+    distribution = networks.action_distribution(actor, STATISTICS, obs)
+    mean, log_std = networks.actor.apply(actor, {"x": jnp.array([0.5])})
+    np.testing.assert_allclose(distribution.mean, mean, rtol=1e-4)
+    np.testing.assert_allclose(distribution.log_std, log_std, rtol=1e-4)
+    values = networks.values(critics, {"x": jnp.array([[0.5], [1.0]])})
+    assert values.shape == (2, 3)
+    np.testing.assert_allclose(values[1], networks.critics.apply(critics, {"x": jnp.array([1.0])}), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("asked", "got"), [(None, 256), (4, 4)])
+def test_the_chunk_is_the_configurations_or_what_fits(asked, got):
+    assert make_actor_critic(ENV, dataclasses.replace(CONFIG, critic_chunk=asked)).critic_chunk == got
+
+
+def test_critics_learning_rate_counts_iterations_not_updates():
+    config = dataclasses.replace(CONFIG, num_iterations=2, critic_passes=1, critic_minibatches=2)
+    optimizer = make_actor_critic(ENV, config).critic_optimizer
+    params, sizes = jnp.zeros(1), []
+    state = optimizer.init(params)
+    for _ in range(6):
+        update, state = optimizer.update(jnp.ones(1), state, params)
+        sizes.append(-float(update[0]))
+    middle = 0.5 * (5e-4 + 1e-5)
+    np.testing.assert_allclose(sizes, [5e-4, 5e-4, middle, middle, 1e-5, 1e-5], rtol=1e-3)

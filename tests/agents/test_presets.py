@@ -1,0 +1,31 @@
+"""Tuned configurations."""
+
+import pytest
+
+from rewax.agents.presets import sapo_preset
+from rewax.agents.sapo import SAPOConfig
+from rewax.envs import list_envs
+
+
+@pytest.mark.parametrize("scale", ["paper", "small"])
+def test_every_environment_has_one(scale):
+    for name in list_envs():
+        config = sapo_preset(name, scale)
+        assert isinstance(config, SAPOConfig) and hash(config)
+        assert scale == "small" or config.horizon == 32
+
+
+def test_an_environment_of_ones_own_has_that_of_its_scale():
+    assert sapo_preset("Mine", "paper") == SAPOConfig()
+    assert sapo_preset("Mine", "small").num_envs == 8
+
+
+def test_there_is_no_other_scale():
+    with pytest.raises(ValueError, match="there is no scale 'huge': use paper or small"):
+        sapo_preset("RollingFlat", "huge")
+
+
+def test_networks_of_the_paper():
+    ant, hand = (sapo_preset(name, "paper") for name in ("AntRun", "HandReorient"))
+    assert (ant.num_envs, ant.actor_widths, ant.critic_widths) == (64, (128, 64, 32), (64, 64))
+    assert (hand.num_envs, hand.actor_widths, hand.critic_widths) == (64, (512, 256), (256, 256))
