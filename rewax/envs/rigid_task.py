@@ -13,8 +13,9 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State, first_state, next_state
+from rewax.envs.checks import check_action, check_key
 from rewax.physics import rigid
-from rewax.physics.rigid import RigidModel, RigidState, check_shape
+from rewax.physics.rigid import RigidModel, RigidState
 from rewax.types import Array, Key, Observation, PyTree
 
 ASSETS = Path(__file__).parent / "assets"
@@ -107,6 +108,7 @@ class RigidTask(struct.Replaceable):
         return self.num_substeps * self.model.dt
 
     def reset(self, key: Key) -> State:
+        check_key(key)
         key, start_key = jax.random.split(key)
         bodies, task = self.start(start_key)
         physics = RigidPhysics(rigid=bodies, action=jnp.zeros(self.action_spec.shape, bodies.qpos.dtype), task=task)
@@ -118,7 +120,7 @@ class RigidTask(struct.Replaceable):
         Raises:
           ValueError: the action has another shape than ``action_spec``.
         """
-        check_shape("the action", action, self.action_spec.shape)
+        check_action(action, self.action_spec)
         action = jnp.clip(action, -1.0, 1.0)
         bodies = rigid.step(self.model, state.physics.rigid, self.control(action), num_substeps=self.num_substeps)
         physics = state.physics.replace(rigid=bodies, action=action.astype(bodies.qpos.dtype))

@@ -13,6 +13,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State, first_state, next_state
+from rewax.envs.checks import check_action, check_key
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
 from rewax.physics.mpm import Elasticity, Grid, Material, MPMScene, MPMState, Plasticity, Wall, WallKind, Walls
@@ -58,6 +59,8 @@ class RollingFlat(struct.Replaceable):
       num_substeps: per control step (static).
       max_steps: control steps per episode (static).
       observed_stride, num_observed: which particles are observed: every so many, at most so many (static).
+      list_every: substeps for which one list of active nodes serves, a divisor of num_substeps; None: a whole control
+        step (static).
       store_every: substeps between stored particles in the backward pass, see ``mpm.step`` (static).
       observe_velocity: whether the pin's last motion is observed as joint_qd (static).
     """
@@ -78,6 +81,7 @@ class RollingFlat(struct.Replaceable):
     max_steps: int = struct.static_field()
     observed_stride: int = struct.static_field()
     num_observed: int = struct.static_field()
+    list_every: int | None = struct.static_field(default=None)
     store_every: int = struct.static_field(default=1)
     observe_velocity: bool = struct.static_field(default=False)
 
@@ -101,10 +105,18 @@ class RollingFlat(struct.Replaceable):
         return self.num_substeps * self.scene.dt
 
     def reset(self, key: Key) -> State:
+        """The dough shifted, then stretched about the origin; the pin at its start.
+
+        Raises:
+          ValueError: the key is no random key, or several.
+        """
+        check_key(key)
         key, shift_key, stretch_key = jax.random.split(key, 3)
         shift = jax.random.uniform(shift_key, (3,), minval=self.shift_lower, maxval=self.shift_upper)
+        shift = _round_unit(shift, jnp.maximum(jnp.abs(self.shift_lower), jnp.abs(self.shift_upper)))
         stretch = self.stretch * jax.random.uniform(stretch_key, (), minval=-1.0, maxval=1.0)
-        positions = (self.rest_positions + _round3(shift)) * (1.0 + _round3(stretch))
+        stretch = _round_unit(stretch, jnp.abs(self.stretch))
+        positions = (self.rest_positions + shift) * (1.0 + stretch)
         physics = RollingFlatPhysics(
             dough=mpm.initial_state(positions), joint_q=self.joint_start, joint_qd=jnp.zeros_like(self.joint_start)
         )
@@ -116,7 +128,11 @@ class RollingFlat(struct.Replaceable):
 
         Gradient: exact through the dough; the limits are frozen (as in the reference), so a pin that is held by a
         limit passes no gradient to the action that pushes against it.
+
+        Raises:
+          ValueError: the action has another shape than ``action_spec``.
         """
+        check_action(action, self.action_spec)
         physics: RollingFlatPhysics = state.physics
         q = physics.joint_q
         frozen = jax.lax.stop_gradient(q)
@@ -124,7 +140,7 @@ class RollingFlat(struct.Replaceable):
         motion = jnp.clip(motion, self.joint_lower - frozen, self.joint_upper - frozen)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
         poses = self._pin_poses(q + fraction[:, None] * motion)
-        dough = mpm.step(self.scene, physics.dough, poses, store_every=self.store_every)
+        dough, status = self._move_dough(physics.dough, poses)
         new = RollingFlatPhysics(dough=dough, joint_q=q + motion, joint_qd=motion / self.joint_step)
         reward, metrics = self._reward(new)
         return next_state(
@@ -134,8 +150,26 @@ class RollingFlat(struct.Replaceable):
             reward=reward,
             metrics=metrics,
             episode_length=self.max_steps,
-            status=mpm.check_status(self.scene, dough, start=physics.dough),
+            status=status,
         )
+
+    def _move_dough(self, dough: MPMState, poses: Pose) -> tuple[MPMState, Array]:
+        """Dough after the substeps between poses, and its status bits.
+
+        Each ``list_every`` substeps have a list of active nodes of their own, because fast dough leaves one that is
+        older. Every list is checked.
+        """
+
+        def move(dough: MPMState, poses: Pose) -> tuple[MPMState, Array]:
+            end = mpm.step(self.scene, dough, poses, store_every=self.store_every)
+            return end, mpm.check_status(self.scene, end, start=dough, poses=poses)
+
+        every = self.list_every or self.num_substeps
+        if every == self.num_substeps:
+            return move(dough, poses)
+        boundaries = np.arange(0, self.num_substeps, every)[:, None] + np.arange(every + 1)
+        dough, status = jax.lax.scan(move, dough, jax.tree.map(lambda a: a[boundaries], poses))
+        return dough, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
 
     def particles(self, physics: RollingFlatPhysics) -> Array:
         """Particle positions for pictures [m], shape (num_particles, 3)."""
@@ -183,9 +217,10 @@ class RollingFlat(struct.Replaceable):
         return reward, {"flatness": d, "height_variance": variance}
 
 
-def _round3(a: Array) -> Array:
-    """Three decimals, as the reference draws its noise. Gradient: as if it did not round."""
-    return a + jax.lax.stop_gradient(jnp.round(a * 1000.0) / 1000.0 - a)
+def _round_unit(value: Array, bound: Array) -> Array:
+    """``value`` rounded to thousandths of ``bound``, as the reference draws noise. Gradient: as if it did not round."""
+    unit = value / jnp.where(bound > 0.0, bound, 1.0)
+    return value + jax.lax.stop_gradient(jnp.round(unit * 1000.0) / 1000.0 * bound - value)
 
 
 def _pin(radius: float, half_length: float, *, offset: tuple[float, float, float], friction: float) -> Collider:
@@ -198,11 +233,13 @@ def _pin(radius: float, half_length: float, *, offset: tuple[float, float, float
     )
 
 
-def _box_walls(floor: float, lower: tuple[float, float], upper: tuple[float, float]) -> Walls:
-    """A floor that holds what presses on it, and frictionless sides at (x, z) = lower and upper."""
+def _box_walls(
+    floor: float, lower: tuple[float, float], upper: tuple[float, float], *, ceiling: float | None = None
+) -> Walls:
+    """A floor that holds what presses on it, frictionless sides at (x, z) = lower and upper, and a ceiling or none."""
     return Walls(
         lower=(Wall(position=lower[0]), Wall(position=floor, kind=WallKind.GRIPPING), Wall(position=lower[1])),
-        upper=(Wall(position=upper[0]), None, Wall(position=upper[1])),
+        upper=(Wall(position=upper[0]), None if ceiling is None else Wall(position=ceiling), Wall(position=upper[1])),
     )
 
 
@@ -224,10 +261,15 @@ def _dough(youngs_modulus: float, yield_stress: float) -> Material:
 
 
 def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: float = 5e-5) -> RollingFlat:
-    """The reference's constants. The box of nodes is cut at height 0.42 m, above everything that happens."""
+    """The reference's constants.
+
+    The reference has 48 nodes along each axis; the 49th lies behind the walls and gives particles the reference's
+    bounds. Only nodes near particles take part: the list holds dough that lies flat on the whole table, and
+    ``Status.INACTIVE_NODES`` tells if something does not fit in (``benchmarks/active_nodes.py`` measures the need).
+    """
     size, count = (0.3, 0.125, 0.3), 2592
     scene = mpm.make_scene(
-        grid=Grid(shape=(48, 20, 48), spacing=1.0 / 48),
+        grid=Grid(shape=(49, 49, 49), spacing=1.0 / 48),
         dt=dt,
         material=_dough(youngs_modulus, yield_stress),
         particle_volume=jnp.asarray(float(np.prod(size)) / count),
@@ -236,8 +278,9 @@ def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: flo
             _pin(0.03, 0.2, offset=(0.0, 0.0, 0.5), friction=0.9),
             _pin(0.012, 0.3, offset=(0.0, 0.0, 0.5), friction=0.9),
         ),
-        walls=_box_walls(floor=0.0625, lower=(0.0625, 0.0625), upper=(0.9375, 0.9375)),
-        max_active_nodes=5120,  # rolled flat or torn apart by the pin, dough needed 4000
+        walls=_box_walls(floor=0.0625, lower=(0.0625, 0.0625), upper=(0.9375, 0.9375), ceiling=0.9375),
+        max_active_nodes=10752,  # a sheet over the table, at most a cell thick, needs 46 * 5 * 46
+        reach=0.5,
     )
     return RollingFlat(
         scene=scene,
@@ -256,6 +299,7 @@ def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: flo
         max_steps=300,
         observed_stride=10,
         num_observed=250,
+        list_every=5,
     )
 
 
@@ -264,14 +308,14 @@ def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: floa
     size, count, floor, spacing, radius = (0.3, 0.125, 0.3), 256, 0.0625, 1.0 / 24, 0.05
     top = floor + size[1]
     scene = mpm.make_scene(
-        grid=Grid(shape=(20, 9, 15), spacing=spacing, origin=(2.5 * spacing, 0.0, 5.0 * spacing)),
+        grid=Grid(shape=(22, 9, 19), spacing=spacing, origin=(1.5 * spacing, 0.0, 3.0 * spacing)),
         dt=dt,
         material=_dough(youngs_modulus, yield_stress),
         particle_volume=jnp.asarray(float(np.prod(size)) / count),
         gravity=(0.0, -90.0, 0.0),
         colliders=(_pin(radius, 0.25, offset=(0.0, 0.0, 0.0), friction=0.9),),
         walls=_box_walls(floor=floor, lower=(0.15, 0.25), upper=(0.85, 0.75)),
-        max_active_nodes=1664,  # scripted rolling needed 1472
+        max_active_nodes=1664,  # the most that any of the actions of benchmarks/active_nodes.py needed is 1416
     )
     return RollingFlat(
         scene=scene,

@@ -12,8 +12,8 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array
 
-REACH = 1
-"""Cells that a particle may move along an axis within one step when a scene limits its active nodes."""
+REACHES = (0.5, 1.0)
+"""What ``reach`` can be: cells that a particle may move along an axis while a list of nodes serves."""
 
 
 class ActiveNodes(NamedTuple):
@@ -36,15 +36,16 @@ def all_nodes(grid: Grid, dtype) -> ActiveNodes:
     return materialize(ActiveNodes(offset, index, _position(grid, index, dtype)))
 
 
-def list_nodes(grid: Grid, x: Array, num_active: int) -> ActiveNodes:
-    """The nodes that particles can touch while each moves by at most ``REACH`` cells along every axis.
+def list_nodes(grid: Grid, x: Array, num_active: int, *, reach: float = 1.0) -> ActiveNodes:
+    """The nodes that particles can touch while each moves by at most ``reach`` cells along every axis.
 
     Args:
       grid: all nodes.
       x: particle positions [m], shape (num_particles, 3). Gradient: none.
       num_active: how many the list holds, at least 3; further ones are left out (see ``count_nodes``).
+      reach: in cells, one of ``REACHES``.
     """
-    lowest, count = _columns(grid, x)
+    lowest, count = _columns(grid, x, reach)
     end = jnp.cumsum(count, dtype=jnp.int32)
     offset = end - count - lowest
     place = jnp.arange(num_active, dtype=jnp.int32)
@@ -55,23 +56,26 @@ def list_nodes(grid: Grid, x: Array, num_active: int) -> ActiveNodes:
     return materialize(ActiveNodes(offset, index, _position(grid, index, x.dtype)))
 
 
-def count_nodes(grid: Grid, x: Array) -> Array:
+def count_nodes(grid: Grid, x: Array, *, reach: float = 1.0) -> Array:
     """How many nodes ``list_nodes`` has to hold, shape (), int32."""
-    return jnp.sum(_columns(grid, x)[1], dtype=jnp.int32)
+    return jnp.sum(_columns(grid, x, reach)[1], dtype=jnp.int32)
 
 
-def _columns(grid: Grid, x: Array) -> tuple[Array, Array]:
+def _columns(grid: Grid, x: Array, reach: float) -> tuple[Array, Array]:
     """Lowest node in reach of a particle, and how many nodes from it to the highest, for each column along z."""
-    x = jax.lax.stop_gradient(x)
+    down = int(reach)
+    half = reach - down  # half a cell to either side is one node more: below, if the particle is put half a cell lower
+    up = down + int(2.0 * half)
+    x = jax.lax.stop_gradient(x) - half * grid.spacing if half else jax.lax.stop_gradient(x)
     bx, by, bz = (
         quadratic_bspline(x[:, a], origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a]).base
         for a in cp.AXES
     )
     nx, ny, nz = grid.shape
     # A stencil covers its lowest node and the two above it.
-    below = jnp.full((nx, ny), nz, jnp.int32).at[bx, by].min(bz - REACH)
-    above = jnp.full((nx, ny), -1, jnp.int32).at[bx, by].max(bz + 2 + REACH)
-    padding = (2 + REACH, REACH)
+    below = jnp.full((nx, ny), nz, jnp.int32).at[bx, by].min(bz - down)
+    above = jnp.full((nx, ny), -1, jnp.int32).at[bx, by].max(bz + 2 + up)
+    padding = (2 + up, down)
     size = 1 + sum(padding)
     for axis in range(2):
         window = tuple(size if a == axis else 1 for a in range(2))

@@ -10,6 +10,7 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose
+from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.laws import MAX_HARDENING, Plasticity
 from rewax.physics.mpm.materials import Material, check_material, sound_speed
@@ -62,6 +63,7 @@ class MPMScene(struct.Replaceable):
       max_near_colliders: how many colliders of each run of one kind are evaluated, None for all (static).
       walls: the sides of the box.
       max_active_nodes: how many nodes can have a velocity in a step, None for all (static).
+      reach: with ``max_active_nodes``, cells that a particle may move along an axis within a step (static).
     """
 
     grid: Grid = struct.static_field()
@@ -73,6 +75,7 @@ class MPMScene(struct.Replaceable):
     colliders: tuple[Collider, ...] = ()
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))
     max_active_nodes: int | None = struct.static_field(default=None)
+    reach: float = struct.static_field(default=1.0)
     overlap: Overlap = struct.static_field(default=Overlap.SEQUENTIAL)
     max_near_colliders: int | None = struct.static_field(default=None)
 
@@ -114,14 +117,15 @@ def make_scene(
     colliders: tuple[Collider, ...] = (),
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None)),
     max_active_nodes: int | None = None,
+    reach: float = 1.0,
     overlap: Overlap = Overlap.SEQUENTIAL,
     max_near_colliders: int | None = None,
 ) -> MPMScene:
     """A checked ``MPMScene``; arguments are its fields.
 
     ``max_active_nodes`` makes memory and grid work of a step grow with the body instead of the box: nodes have a
-    place only where particles can be while none moves by more than a cell within a step (not substep). It pays where
-    a body fills little of its box; ``check_status`` tells when it was chosen too small.
+    place only where particles can be while none moves by more than ``reach`` cells, 1 or 0.5, within a step (not
+    substep). It pays where a body fills little of its box; ``check_status`` tells when it was chosen too small.
 
     ``max_near_colliders`` pays with many colliders (20 capsules, 3 of them near: 1.5 times as fast): of neighbours in
     the tuple with shapes of one kind only so many are evaluated, those nearest to the particles. With
@@ -144,7 +148,7 @@ def make_scene(
         "particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3"
     )
     check_positive("dt", dt, "give the duration of a substep in seconds")
-    _check_max_active_nodes(max_active_nodes)
+    _check_active_nodes(max_active_nodes, reach)
     if max_near_colliders is not None and max_near_colliders < 1:
         raise ValueError(f"max_near_colliders is {max_near_colliders}: give at least 1, or None for all")
     for one in materials:
@@ -165,6 +169,7 @@ def make_scene(
         colliders=colliders,
         walls=walls,
         max_active_nodes=max_active_nodes,
+        reach=float(reach),
         overlap=overlap,
         max_near_colliders=max_near_colliders,
     )
@@ -296,7 +301,9 @@ def _vector(a: np.ndarray) -> str:
     return "(" + ", ".join(f"{float(c):.4g}" for c in a) + ")"
 
 
-def _check_max_active_nodes(max_active_nodes: int | None) -> None:
+def _check_active_nodes(max_active_nodes: int | None, reach: float) -> None:
+    if reach not in REACHES:
+        raise ValueError(f"reach is {reach}: give 1 or 0.5, the cells that a particle may move within a step")
     if max_active_nodes is not None and max_active_nodes < 27:
         raise ValueError(
             f"max_active_nodes is {max_active_nodes}: give at least the 27 that one particle touches, or None for all"

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from rewax.physics.contact.broad_phase import count_excess, near_colliders
 from rewax.physics.contact.colliders import Collider, apply_colliders, check_bodies
-from rewax.physics.mpm.active_nodes import REACH, ActiveNodes, all_nodes, count_nodes, list_nodes
+from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Response, respond
 from rewax.physics.mpm.scene import (
@@ -132,8 +132,8 @@ def check_status(
         excess = count_excess(scene.colliders, poses, lower, upper, scene.max_near_colliders)
         status = status | flag(excess > 0, Status.FAR_COLLIDERS)
     if start is not None and scene.max_active_nodes is not None:
-        too_few = count_nodes(scene.grid, before) > scene.max_active_nodes
-        too_far = jnp.any(jnp.abs(state.x - before) > REACH * scene.grid.spacing)
+        too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
+        too_far = jnp.any(jnp.abs(state.x - before) > scene.reach * scene.grid.spacing)
         status = status | flag(too_few | too_far, Status.INACTIVE_NODES)
     return status
 
@@ -227,7 +227,7 @@ def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
     """The nodes that take part in the step that starts at positions x (num_particles, 3)."""
     if scene.max_active_nodes is None:
         return all_nodes(scene.grid, x.dtype)
-    return list_nodes(scene.grid, x, scene.max_active_nodes)
+    return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)
 
 
 def split(state: MPMState) -> Particles:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.mpm.active_nodes import REACH, all_nodes, count_nodes, list_nodes
+from rewax.physics.mpm.active_nodes import REACHES, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Elasticity, Material, Plasticity
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
@@ -97,19 +97,22 @@ def test_a_tight_step_equals_one_on_the_whole_grid_in_float32(relative_error):
     assert relative_error(tight, whole) < 1e-5
 
 
+@pytest.mark.parametrize("reach", REACHES)
 @pytest.mark.parametrize("corner", [(0.2, 0.1, 0.9), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
-def test_active_nodes_are_those_in_reach_and_between_them_along_z(corner):
-    """Against each particle's own 27 nodes, widened by the reach, node by node."""
+def test_active_nodes_are_those_in_reach_and_between_them_along_z(corner, reach):
+    """Against the 27 nodes of each particle wherever it may move, node by node."""
     state, _ = body(1, corner, np.float32)
     columns = {}
-    for lowest in np.floor((np.asarray(state.x) - GRID.origin) / GRID.spacing - 0.5).astype(int):
-        for offset in np.ndindex(*[3 + 2 * REACH] * 3):
-            node = lowest - REACH + np.asarray(offset)
+    for cells in (np.asarray(state.x) - GRID.origin) / GRID.spacing:
+        # With half a cell, a list also holds the fourth node above one at the very edge of the grid.
+        first = np.maximum(np.floor(cells - 0.5 - reach % 1.0), 0).astype(int) - int(reach)
+        for offset in np.ndindex(*[3 + int(2 * reach)] * 3):
+            node = first + np.asarray(offset)
             if np.all(node >= 0) and np.all(node < GRID.shape):
                 columns.setdefault(tuple(node[:2]), []).append(node[2])
     wanted = [(i, j, k) for i, j in sorted(columns) for k in range(min(columns[i, j]), max(columns[i, j]) + 1)]
-    assert int(count_nodes(GRID, state.x)) == len(wanted) < 750
-    nodes = list_nodes(GRID, state.x, 750)
+    assert int(count_nodes(GRID, state.x, reach=reach)) == len(wanted) < 750
+    nodes = list_nodes(GRID, state.x, 750, reach=reach)
     used = slice(len(wanted))
     np.testing.assert_array_equal(np.stack(nodes.index, -1)[used], wanted)
     np.testing.assert_allclose(
@@ -133,14 +136,29 @@ def test_too_few_nodes_are_flagged():
     assert np.isfinite(end.x).all()
 
 
-def test_moving_further_than_the_list_reaches_is_flagged():
+@pytest.mark.parametrize("reach", REACHES)
+def test_moving_further_than_the_list_reaches_is_flagged(reach):
     state, _ = body(5, (0.5, 0.5, 0.5), np.float32)
-    scene = make(np.float32, **TIGHT)
-    near, far = (state.replace(x=state.x.at[3, 1].add(f * GRID.spacing)) for f in (0.99, 1.01))
+    scene = make(np.float32, reach=reach, **TIGHT)
+    near, far = (state.replace(x=state.x.at[3, 1].add(f * reach * GRID.spacing)) for f in (0.99, 1.01))
     assert int(mpm.check_status(scene, near, start=state)) & Status.INACTIVE_NODES == 0
     assert int(mpm.check_status(scene, far, start=state)) & Status.INACTIVE_NODES
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("reach", REACHES)
+def test_a_list_holds_all_nodes_of_particles_that_moved_as_far_as_they_may(reach, sign):
+    state, _ = body(6, (0.5, 0.5, 0.5), np.float32)
+    nodes = list_nodes(GRID, state.x, 750, reach=reach)
+    used = int(count_nodes(GRID, state.x, reach=reach))
+    listed = {tuple(node) for node in np.stack(nodes.index, -1)[:used]}
+    cells = (np.asarray(state.x) + sign * 0.999 * reach * GRID.spacing - GRID.origin) / GRID.spacing
+    for lowest in np.floor(cells - 0.5).astype(int):
+        assert {tuple(lowest + np.asarray(offset)) for offset in np.ndindex(3, 3, 3)} <= listed
 
 
 def test_impossible_numbers_are_refused():
     with pytest.raises(ValueError, match="max_active_nodes is 26: give at least the 27 that one particle touches"):
         make(max_active_nodes=26)
+    with pytest.raises(ValueError, match=r"^reach is 0\.7: give 1 or 0\.5, the cells that a particle may move"):
+        make(reach=0.7)
