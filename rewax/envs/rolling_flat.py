@@ -134,7 +134,7 @@ class RollingFlat(struct.Replaceable):
             reward=reward,
             metrics=metrics,
             episode_length=self.max_steps,
-            status=mpm.check_status(self.scene, dough, start=physics.dough),
+            status=mpm.check_status(self.scene, dough, start=physics.dough, poses=poses),
         )
 
     def particles(self, physics: RollingFlatPhysics) -> Array:

@@ -19,14 +19,15 @@ from rewax.physics.mpm.scene_checks import (
     check_count,
     check_lengths,
     check_materials,
-    check_positions,
     part_numbers,
 )
 from rewax.physics.mpm.walls import Walls, check_walls
 from rewax.physics.numerics.checks import (
+    FINITE,
     POSITIVE,
     any_illegal,
     check_enum,
+    check_number,
     check_numbers,
     static_number,
     whole_number,
@@ -109,8 +110,11 @@ def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
         only shapes are checked; ``check_status`` tells of the rest.
     """
     x = jnp.asarray(x)
-    check_positions(x)
-    if scene is not None:
+    if x.ndim != 2 or x.shape[-1] != 3:
+        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_particles, 3)")
+    if scene is None:
+        check_number("x", x, FINITE, "give positions in metres")
+    else:
         check_box(scene.grid, x)
         _check_count(scene, x.shape[0])
     zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)

@@ -88,17 +88,6 @@ def check_count(materials: tuple[Material, ...], counts: Counts, particle_volume
     check_lengths(materials, counts, particle_volume, num_particles)
 
 
-def check_positions(x: Array) -> None:
-    """Raises ValueError unless x are finite positions, shape (num_particles, 3)."""
-    if x.ndim != 2 or x.shape[-1] != 3:
-        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_particles, 3)")
-    if not isinstance(x, Tracer):
-        finite = np.isfinite(np.asarray(x)).all(axis=-1)
-        if not finite.all():
-            first = int(np.argmin(finite))
-            raise ValueError(f"x[{first}] is {vector(np.asarray(x)[first])}, but must be finite: give positions in m")
-
-
 def check_box(grid: Grid, x: Array) -> None:
     """Raises ValueError for particles outside the box. Traced positions pass."""
     if isinstance(x, Tracer):
@@ -141,6 +130,5 @@ __all__ = [
     "check_count",
     "check_lengths",
     "check_materials",
-    "check_positions",
     "part_numbers",
 ]

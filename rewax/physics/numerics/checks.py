@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -38,6 +39,8 @@ class Legal(NamedTuple):
         return "finite" if self == FINITE else f"above {self.low:.4g} and below {self.high:.4g}"
 
 
+_SMALL = 1024
+"""Arrays of at most so many numbers are compared together."""
 POSITIVE = Legal(low=0.0)
 NOT_NEGATIVE = Legal(low=0.0, closed=True)
 FINITE = Legal()
@@ -60,8 +63,8 @@ def check_numbers(numbers: Iterable[Number]) -> None:
     The values of traced numbers are not known: they pass. Their shapes are.
     """
     for number in numbers:
-        if isinstance(number.value, Tracer):
-            array = number.value
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(number.value)):
+            array = jnp.asarray(number.value)
         else:
             array = _as_array(number)
             holds = number.legal.holds(array)
@@ -76,14 +79,21 @@ def any_illegal(numbers: Iterable[Number]) -> Array:
 
     Known values are compared while tracing and are no part of the program.
     """
-    found: list[Any] = [jnp.bool_(False)]
+    illegal: list[Any] = [jnp.bool_(False)]
+    small: dict[tuple[Legal, Any], list[Array]] = {}
     for number in numbers:
-        if number.value is not None:
-            known = not isinstance(number.value, Tracer)
-            value = np.asarray(number.value) if known else number.value
-            value = value if jnp.issubdtype(value.dtype, jnp.inexact) else value.astype(float)
-            found.append(~(np.all if known else jnp.all)(number.legal.holds(value)))
-    return functools.reduce(jnp.logical_or, found)
+        value, legal = number.value, number.legal
+        if value is None:
+            continue
+        if not isinstance(value, Tracer):
+            illegal.append(not np.all(legal.holds(np.asarray(value))))
+        elif value.ndim > 0 and value.size <= _SMALL:
+            small.setdefault((legal, value.dtype), []).append(value.reshape(-1))
+        else:
+            illegal.append(~jnp.all(legal.holds(value)))
+    # One reduction for all small arrays of a kind: each costs as much as a thousand comparisons.
+    illegal += [~jnp.all(legal.holds(jnp.concatenate(parts))) for (legal, _), parts in small.items()]
+    return functools.reduce(jnp.logical_or, illegal)
 
 
 def check_number(name: str, value: Any, legal: Legal, remedy: str) -> None:
