@@ -38,6 +38,8 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
 
 def penalty_numbers(contact: PenaltyContact, name: str = "contact") -> list[Number]:
     """The numbers of a penalty law."""
+    if not isinstance(contact, PenaltyContact):
+        raise ValueError(f"{name} is {contact!r}: give a PenaltyContact(stiffness=...)")
     units = {
         "damping": "N s/m", "friction_damping": "N s/m", "radius": "m", "onset": "m", "depth_damping": "N s/m^2",
     }  # fmt: skip

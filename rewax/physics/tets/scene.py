@@ -151,6 +151,8 @@ def make_scene(
     check_tetmesh(mesh)
     num_tets, num_vertices = len(mesh.tets), len(mesh.vertices)
     dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+    if ground is not None:
+        check_ground(ground)
     density_number = Number("density", density, POSITIVE, "give the rest density in kg/m^3")
     numbers = material_numbers(mu, lam, damping, activation)
     check_numbers([density_number, *numbers, *contact_numbers(contact, ground, colliders), gravity_number(gravity)])
@@ -161,8 +163,6 @@ def make_scene(
     check_moduli(mu, lam)
     if contact is None and (ground is not None or colliders):
         raise ValueError("contact is None although there is something to touch: give a PenaltyContact")
-    if ground is not None:
-        check_ground(ground)
     held = held_indices(held, num_vertices)
     if held.size and (held.min() < 0 or held.max() >= num_vertices):
         raise ValueError(
