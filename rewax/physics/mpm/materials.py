@@ -39,7 +39,7 @@ from rewax.types import Array, Scalar
 class Material(struct.Replaceable):
     """An isotropic material. Parameters are numbers, or arrays of shape (num_particles,) that differ per particle.
 
-    Those of laws that a material does not use stay None, and are no leaves to differentiate.
+    Those of laws that a material does not use keep their defaults: ``make_scene`` refuses them.
 
     Attributes:
       youngs_modulus: Young's modulus E [Pa], > 0; unused by ``TAIT``.

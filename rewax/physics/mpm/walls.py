@@ -35,9 +35,9 @@ class Wall:
     """A plane of the grid's box, in metres: nodes beyond ``position`` obey the wall.
 
     Attributes:
-      position: coordinate of the wall along its axis [m] (static).
+      position: coordinate of the wall along its axis [m], between the grid's first and last node (static).
       kind: what it does (static).
-      friction: Coulomb coefficient [-], used by ``SEPARATING`` walls.
+      friction: Coulomb coefficient [-], >= 0, used by ``SEPARATING`` walls.
     """
 
     position: float = struct.static_field()
