@@ -293,27 +293,18 @@ def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
         axes.append(_Axis(w, w * d, s, s * d, d))
         lowest.append(st.base)
     _check_size(layout, copies)
+    # Computed in the program: a constant would be as long as all particles.
+    copy = 0 if copies == 1 else materialize(jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1))
     columns = lowest[0] * grid.shape[1] + lowest[1] + (_COLUMNS @ np.asarray([[grid.shape[1]], [1]], np.int32))
     if layout.num_active is None:
         rows = columns * grid.shape[2] + lowest[2]
     else:
         table = places[3].reshape(-1)
-        columns = materialize(_shifted(columns, copies, grid.num_columns))
+        columns = materialize(columns + copy * grid.num_columns)
         rows = table.at[columns].get(mode="promise_in_bounds") + lowest[2]
         rows = jnp.clip(rows, 0, layout.num_nodes - 3)  # a particle that left the active nodes, see Status
-    rows, axes = materialize((_shifted(rows, copies, layout.num_nodes), tuple(axes)))
+    rows, axes = materialize((rows + copy * layout.num_nodes, tuple(axes)))
     return _Stencils(rows, axes, batch), rest
-
-
-def _shifted(places: Array, copies: int, stride: int) -> Array:
-    """Places (9, particles) in one copy of the grid moved to the particle's own copy, ``stride`` places further each.
-
-    Computed in the program: a constant would be as long as all particles.
-    """
-    if copies == 1:
-        return places
-    start = stride * jax.lax.iota(jnp.int32, copies)[:, None]
-    return (places.reshape(9, copies, -1) + start).reshape(9, -1)
 
 
 def _check_size(layout: _Layout, copies: int) -> None:

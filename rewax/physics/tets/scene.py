@@ -217,8 +217,13 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
     B = scene.inverse_rest_edges
     slopes = jnp.sum(B**2, axis=(1, 2)) + jnp.sum(jnp.sum(B, axis=1) ** 2, axis=1)
     zeros = jnp.zeros_like(scene.mass)
-    stiffness = zeros.at[scene.tets].add((scene.rest_volume * slopes * M)[:, None])
-    damping = zeros.at[scene.tets].add((scene.rest_volume * slopes * 2.0 * scene.damping)[:, None])
+    weight = scene.rest_volume * slopes
+    if jnp.ndim(M) == jnp.ndim(scene.damping) == 0:
+        weight = zeros.at[scene.tets].add(weight[:, None])
+        stiffness, damping = weight * M, weight * 2.0 * scene.damping
+    else:
+        stiffness = zeros.at[scene.tets].add((weight * M)[:, None])
+        damping = zeros.at[scene.tets].add((weight * 2.0 * scene.damping)[:, None])
     if scene.contact is not None:
         stiffness, damping = stiffness + scene.contact.stiffness, damping + scene.contact.damping
     w2, c = stiffness / scene.mass, damping / scene.mass
