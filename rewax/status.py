@@ -31,9 +31,14 @@ class Status(enum.IntFlag):
     FAR_COLLIDERS = 32
     """More colliders were near than the scene's ``max_near_colliders``: some may have been left out. Give a larger
     number. Not fatal."""
+    INVALID_PARAMETERS = 64
+    """A number that cannot be, in the scene or the model: not finite, friction below 0, a size, softness, density or
+    volume that is not positive, a substep too long for the stiffness, a pose that is not finite. Such numbers are
+    refused when a scene is built; this bit tells of those that were traced or replaced. Fatal: the episode ends."""
 
 
-FATAL = Status.NAN
+FATAL = Status.NAN | Status.INVALID_PARAMETERS
+"""Bits that end an episode."""
 
 
 def flag(condition: Array, status: Status) -> Array:

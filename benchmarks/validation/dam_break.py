@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.validation.common import Check, fill, foremost, held, record, relative, save
 from rewax.physics import mpm
 from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls
-from rewax.status import Status
+from rewax.status import Status, describe
 
 TABLE = np.array([
     (0.41, 1.11), (0.84, 1.22), (1.19, 1.44), (1.43, 1.67), (1.63, 1.89), (1.83, 2.11), (1.98, 2.33), (2.20, 2.56),
@@ -87,8 +87,9 @@ def run(scale: str = "small") -> dict[str, Any]:
     unit = float(np.sqrt(WIDTH / (2 * GRAVITY)))
     num_samples = round(LAST * unit / (scene.dt * EVERY))
     end, seen = record(scene, start, every=EVERY, num_samples=num_samples, observe=observe)
-    if int(mpm.check_status(scene, end)) & ~Status.OUT_OF_DOMAIN:
-        raise RuntimeError(f"the simulation failed: status {int(mpm.check_status(scene, end))}")
+    status = int(mpm.check_status(scene, end, start=end))
+    if status & ~Status.OUT_OF_DOMAIN:
+        raise RuntimeError(f"the simulation failed: status {describe(status)}")
     T = np.concatenate([[0.0], scene.dt * EVERY * np.arange(1, num_samples + 1) / unit])
     Z = np.concatenate([[1.0], np.asarray(seen) / WIDTH])
     shift = shift_that_fits(T, Z)

@@ -137,7 +137,7 @@ class RigidTask(struct.Replaceable):
             metrics=metrics,
             episode_length=self.max_steps,
             terminated=self.terminated(physics),
-            status=rigid.check_status(bodies),
+            status=rigid.check_status(bodies, self.model),
         )
 
     @property

@@ -29,8 +29,8 @@ class Collider(struct.Replaceable):
       shape: its signed distance, in its own frame.
       offset: origin of the shape's frame in the body's frame [m], shape (3,); by default zero.
       rotation: from the shape's frame to the body's, shape (3, 3); by default not turned.
-      friction: Coulomb coefficient [-].
-      softness: decay of the influence with distance [1/m]; influence = min(exp(-softness * distance), 1).
+      friction: Coulomb coefficient [-], >= 0.
+      softness: decay of the influence with distance [1/m], > 0; influence = min(exp(-softness * distance), 1).
       body: index of the body that carries it (static).
     """
 

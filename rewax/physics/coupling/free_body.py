@@ -9,10 +9,11 @@ import numpy as np
 
 from rewax import struct
 from rewax.physics.contact.colliders import Motion
-from rewax.physics.numerics.checks import check_positive
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_number, check_numbers
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix, skew, turn_quaternion
 from rewax.physics.shapes.primitives import Box, Capsule, Cylinder, Shape, Sphere
+from rewax.physics.shapes.sizes import size_numbers
 from rewax.types import Array, Scalar
 
 
@@ -55,15 +56,17 @@ def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBod
       orientation: unit quaternions (num_bodies, 4); None: not turned.
 
     Raises:
-      ValueError: a position that is not of this shape (one body needs its axis too).
+      ValueError: a position that is not of this shape (one body needs its axis too), or a number that is not finite.
     """
     position = jnp.asarray(position)
     position = position.astype(jnp.result_type(float, position))
     if position.ndim != 2 or position.shape[-1] != 3:
         raise ValueError(f"position has shape {position.shape}: give (num_bodies, 3), also for one body, [[x, y, z]]")
+    check_number("position", position, FINITE, "give centres of mass in metres")
     zeros = jnp.zeros_like(position)
     if orientation is None:
         orientation = jnp.concatenate([jnp.ones_like(zeros[:, :1]), zeros], axis=-1)
+    check_number("orientation", orientation, FINITE, "give unit quaternions (w, x, y, z)")
     return FreeBodies(
         position=position, orientation=jnp.asarray(orientation, position.dtype), velocity=zeros, angular_velocity=zeros
     )
@@ -77,11 +80,12 @@ def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
       density: [kg/m^3], > 0.
 
     Raises:
-      ValueError: another shape, or a density that is not positive.
+      ValueError: another shape, or a density or size that is not positive.
 
     Gradient: exact.
     """
-    check_positive("density", density, "give the body's density in kg/m^3")
+    density_number = Number("density", density, POSITIVE, "give the body's density in kg/m^3")
+    check_numbers([density_number, *size_numbers(shape, "shape")])
     match shape:
         case Box():
             a, b, c = (2.0 * shape.half_size[..., i] for i in range(3))
@@ -110,6 +114,16 @@ def _cylinder(radius: Scalar, length: Scalar, density: Scalar) -> tuple[Array, A
     """Mass, and moments of inertia about the axis and across it."""
     mass = jnp.asarray(density * np.pi * radius**2 * length)
     return mass, 0.5 * mass * radius**2, mass * (3.0 * radius**2 + length**2) / 12.0
+
+
+def inertia_numbers(inertia: Inertia) -> list[Number]:
+    """The mass properties of bodies, and what they may be: moments about each axis are positive."""
+    moments = jnp.diagonal(inertia.moment, axis1=-2, axis2=-1)
+    return [
+        Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg"),
+        Number("inertia.moment", inertia.moment, FINITE, "give moments of inertia in kg m^2"),
+        Number("the diagonal of inertia.moment", moments, POSITIVE, "give moments of inertia in kg m^2"),
+    ]
 
 
 def inertia_of(shapes: tuple[Shape, ...], density: Scalar) -> Inertia:

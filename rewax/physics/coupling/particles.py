@@ -31,12 +31,13 @@ from rewax.physics.contact.colliders import (
     velocity_at,
 )
 from rewax.physics.coupling import free_body
-from rewax.physics.coupling.free_body import FreeBodies, Inertia, solve3
+from rewax.physics.coupling.free_body import FreeBodies, Inertia, inertia_numbers, solve3
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.scene import MPMScene, MPMState
 from rewax.physics.mpm.step import Particles, free_velocity, from_nodes, join, nodes_of_step, split, to_nodes
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import check_numbers
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pose import Pose, body_pose
@@ -275,4 +276,5 @@ def _check(scene: MPMScene, inertia: Inertia, num_free: int, num_bodies: int) ->
         raise ValueError(
             f"inertia is of {inertia.mass.shape} bodies, but there are {num_free} free ones: make both agree"
         )
+    check_numbers(inertia_numbers(inertia))
     check_bodies(scene.colliders, num_bodies)

@@ -2,8 +2,11 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
+
+from rewax.physics.numerics.checks import FINITE, POSITIVE, static_number, whole_number
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,10 +26,14 @@ class Grid:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if len(self.shape) != 3 or min(self.shape) < 4:
-            raise ValueError(f"Grid.shape is {self.shape}: give three numbers of nodes, each at least 4")
-        if not (math.isfinite(self.spacing) and self.spacing > 0):
-            raise ValueError(f"Grid.spacing is {self.spacing}: give a positive distance in metres")
+        remedy = "give three numbers of nodes, each at least 4"
+        shape = _three("Grid.shape", self.shape, remedy)
+        counts = tuple(whole_number("Grid.shape", n, 4, f"{remedy}, in {shape}") for n in shape)
+        origin = _three("Grid.origin", self.origin, "give the three coordinates of node (0, 0, 0) in metres")
+        place = tuple(static_number("Grid.origin", a, FINITE, "give coordinates in metres") for a in origin)
+        spacing = static_number("Grid.spacing", self.spacing, POSITIVE, "give a distance in metres")
+        for name, value in (("shape", counts), ("origin", place), ("spacing", spacing)):
+            object.__setattr__(self, name, value)
 
     @property
     def num_nodes(self) -> int:
@@ -57,3 +64,9 @@ class Grid:
     def axis_nodes(self, axis: int) -> np.ndarray:
         """Coordinate of every node along one axis [m], shape (shape[axis],), float64."""
         return self.origin[axis] + self.spacing * np.arange(self.shape[axis])
+
+
+def _three(name: str, value: Any, remedy: str) -> tuple:
+    if np.shape(value) != (3,):
+        raise ValueError(f"{name} is {value!r}: {remedy}")
+    return tuple(value)

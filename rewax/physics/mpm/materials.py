@@ -9,7 +9,6 @@ Kirchhoff stress tau = J sigma. Stretches of an inverted particle (det F < 0) ca
 """
 
 import functools
-import math
 from typing import NamedTuple
 
 import jax
@@ -29,7 +28,7 @@ from rewax.physics.mpm.laws import (
     plastic_law,
 )
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import NOT_NEGATIVE, check_positive, check_range
+from rewax.physics.numerics.checks import check_enum
 from rewax.physics.numerics.components import Mat3
 from rewax.physics.numerics.elastic_constants import LameParameters, lame_parameters
 from rewax.physics.numerics.linalg3 import spectral
@@ -40,7 +39,7 @@ from rewax.types import Array, Scalar
 class Material(struct.Replaceable):
     """An isotropic material. Parameters are numbers, or arrays of shape (num_particles,) that differ per particle.
 
-    Those of laws that a material does not use stay None, and are no leaves to differentiate.
+    Those of laws that a material does not use keep their defaults: ``make_scene`` refuses them.
 
     Attributes:
       youngs_modulus: Young's modulus E [Pa], > 0; unused by ``TAIT``.
@@ -75,6 +74,10 @@ class Material(struct.Replaceable):
     elasticity: Elasticity = struct.static_field(default=Elasticity.HENCKY)
     plasticity: Plasticity = struct.static_field(default=Plasticity.NONE)
 
+    def __post_init__(self) -> None:
+        check_enum("elasticity", self.elasticity, Elasticity)
+        check_enum("plasticity", self.plasticity, Plasticity)
+
     @property
     def remembers(self) -> bool:
         """Whether particles carry ``MPMState.plastic_volume``."""
@@ -99,32 +102,6 @@ def sound_speed(material: Material) -> Scalar:
         return material.speed_of_sound
     mu, lam = lame_parameters(material.youngs_modulus, material.poissons_ratio)
     return jnp.sqrt((lam if material.elasticity is Elasticity.FLUID else lam + 2.0 * mu) / material.density)
-
-
-def check_material(material: Material) -> None:
-    """Raises ValueError, naming field, value and remedy, for parameters that no material can have."""
-    check_positive("density", material.density, "give the rest density in kg/m^3")
-    if material.elasticity is Elasticity.TAIT:
-        check_positive("speed_of_sound", material.speed_of_sound, "give the fluid's speed of sound in m/s")
-    else:
-        check_positive("youngs_modulus", material.youngs_modulus, "give Young's modulus in Pa")
-    if material.plasticity is Plasticity.VON_MISES:
-        check_positive("yield_stress", material.yield_stress, "give the von Mises yield stress in Pa")
-    if material.plasticity is Plasticity.SNOW:
-        remedy = (
-            "give a positive number (fresh snow: critical_compression 0.025, critical_stretch 0.0075, hardening 10)"
-        )
-        for name in ("critical_compression", "critical_stretch", "hardening"):
-            check_positive(name, getattr(material, name), remedy)
-    remedy = "give a value above -1 and below 0.5 (0.5 is incompressible; take 0.45 for rubber)"
-    check_range("poissons_ratio", material.poissons_ratio, (-1.0, 0.5), remedy)
-    if material.plasticity is Plasticity.DRUCKER_PRAGER:
-        remedy = "give an angle in radians between 0 and pi / 2 (dry sand: 0.5)"
-        check_range("friction_angle", material.friction_angle, (0.0, 0.5 * math.pi), remedy)
-    if material.cohesion is not None:
-        check_range("cohesion", material.cohesion, NOT_NEGATIVE, "give a strain of 0 or more")
-    if material.viscosity is not None:
-        check_range("viscosity", material.viscosity, NOT_NEGATIVE, "give the dynamic viscosity in Pa s, 0 or more")
 
 
 def respond(
@@ -272,7 +249,6 @@ __all__ = [
     "Material",
     "Plasticity",
     "Response",
-    "check_material",
     "elastic_energy_density",
     "kirchhoff_stress",
     "respond",

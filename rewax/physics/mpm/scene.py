@@ -1,5 +1,6 @@
 """What a simulation is made of: particles, and the scene that does not change; checked when they are built."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,9 +14,25 @@ from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, sha
 from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.laws import MAX_HARDENING, Plasticity
-from rewax.physics.mpm.materials import Material, check_material, sound_speed
-from rewax.physics.mpm.walls import Walls
-from rewax.physics.numerics.checks import check_positive
+from rewax.physics.mpm.materials import Material, sound_speed
+from rewax.physics.mpm.scene_checks import (
+    check_box,
+    check_count,
+    check_lengths,
+    check_materials,
+    part_numbers,
+)
+from rewax.physics.mpm.walls import Walls, check_walls
+from rewax.physics.numerics.checks import (
+    FINITE,
+    POSITIVE,
+    any_illegal,
+    check_enum,
+    check_number,
+    check_numbers,
+    static_number,
+    whole_number,
+)
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes.primitives import signed_distance
 from rewax.types import Array, Scalar
@@ -79,6 +96,9 @@ class MPMScene(struct.Replaceable):
     overlap: Overlap = struct.static_field(default=Overlap.SEQUENTIAL)
     max_near_colliders: int | None = struct.static_field(default=None)
 
+    def __post_init__(self) -> None:
+        check_enum("overlap", self.overlap, Overlap)
+
 
 def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
     """Undeformed particles at rest.
@@ -88,13 +108,18 @@ def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
       scene: what they are made of and where; needed where a material remembers its plastic flow (snow).
 
     Raises:
-      ValueError: particles outside the scene's box, or another number of them than its ``particle_counts`` say. Inside
-        ``jit`` (traced values) the box is not checked; ``check_status`` tells of it.
+      ValueError: positions that are not finite or of another shape, particles outside the scene's box, or another
+        number of them than the scene's ``particle_counts`` and arrays per particle say. Inside ``jit`` (traced values)
+        only shapes are checked; ``check_status`` tells of the rest.
     """
     x = jnp.asarray(x)
-    if scene is not None:
-        _check_box(scene.grid, x)
-        _check_counts(scene, x.shape[0])
+    if x.ndim != 2 or x.shape[-1] != 3:
+        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_particles, 3)")
+    if scene is None:
+        check_number("x", x, FINITE, "give positions in metres")
+    else:
+        check_box(scene.grid, x)
+        _check_count(scene, x.shape[0])
     zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)
     remembers = scene is not None and any(m.remembers for m in materials_of(scene))
     return MPMState(
@@ -132,25 +157,24 @@ def make_scene(
     the step's poses ``check_status`` tells when more were near. The two-way ``coupling`` evaluates all.
 
     Raises:
-      ValueError: a modulus, density, yield stress or volume that is not positive, a Poisson's ratio outside (-1, 0.5),
-        a dt that is not positive or above ``largest_stable_dt``. The message names field, value and remedy. Inside
-        ``jit`` (traced values) only static fields can be checked.
+      ValueError: a number that cannot be (not finite, a modulus, density, volume, size or softness that is not
+        positive, friction below 0), a parameter that no law uses, a wall where no node is, counts or arrays that do not
+        fit together, a dt above ``largest_stable_dt``. The message names field, value and remedy. Inside ``jit`` only
+        static fields and shapes are known; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for the rest.
     """
-    materials = material if isinstance(material, tuple) else (material,)
-    for one in materials:
-        check_material(one)
-    if (particle_counts is None) != isinstance(material, Material) or len(particle_counts or (0,)) != len(materials):
-        raise ValueError(
-            f"particle_counts is {particle_counts} with {len(materials)} materials: give a tuple of materials and how "
-            "many particles are of each, in their order; or one material and no particle_counts"
-        )
-    check_positive(
-        "particle_volume", particle_volume, "give the body's rest volume over its number of particles, in m^3"
-    )
-    check_positive("dt", dt, "give the duration of a substep in seconds")
-    _check_active_nodes(max_active_nodes, reach)
-    if max_near_colliders is not None and max_near_colliders < 1:
-        raise ValueError(f"max_near_colliders is {max_near_colliders}: give at least 1, or None for all")
+    materials = check_materials(material, particle_counts)
+    check_numbers(part_numbers(materials, particle_volume, gravity, colliders, walls))
+    check_lengths(materials, particle_counts, particle_volume)
+    check_walls(walls, grid)
+    dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+    if max_active_nodes is not None:
+        touched = "give at least the 27 that one particle touches, or None for all"
+        max_active_nodes = whole_number("max_active_nodes", max_active_nodes, 27, touched)
+    if reach not in REACHES:
+        raise ValueError(f"reach is {reach}: give 1 or 0.5, the cells that a particle may move within a step")
+    if max_near_colliders is not None:
+        remedy = "give at least 1, or None for all"
+        max_near_colliders = whole_number("max_near_colliders", max_near_colliders, 1, remedy)
     for one in materials:
         limit = largest_stable_dt(one, grid)
         if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
@@ -161,7 +185,7 @@ def make_scene(
             )
     return MPMScene(
         grid=grid,
-        dt=float(dt),
+        dt=dt,
         material=material,
         particle_volume=particle_volume,
         particle_counts=None if particle_counts is None else tuple(int(n) for n in particle_counts),
@@ -222,7 +246,7 @@ def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], part
         return function(scene.material, particles)
     counts = scene.particle_counts
     assert counts is not None
-    _check_counts(scene, jax.tree.leaves(particles)[0].shape[0])
+    _check_count(scene, jax.tree.leaves(particles)[0].shape[0])
     results, start = [], 0
     for material, count in zip(scene.material, counts, strict=True):
         part = slice(start, start + count)
@@ -240,6 +264,13 @@ def particle_mass(scene: MPMScene, x: Array) -> Array:
     return jnp.broadcast_to(scene.particle_volume * density, x.shape[:1]).astype(x.dtype)
 
 
+def least_particle_mass(scene: MPMScene, dtype: Any) -> Array:
+    """A mass that no particle falls below [kg], shape (): the least volume times the least density. Gradient: none."""
+    least = [jnp.min(jnp.asarray(m.density, dtype)) for m in materials_of(scene)]
+    volume = jnp.min(jnp.asarray(scene.particle_volume, dtype))
+    return jax.lax.stop_gradient(volume * functools.reduce(jnp.minimum, least))
+
+
 def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None, *, tolerance: float | None = None):
     """Whether particles begin where they can: inside the box, and not inside a collider.
 
@@ -254,8 +285,8 @@ def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None
     Raises:
       ValueError: otherwise, naming the collider and the depth. Not for use inside ``jit``.
     """
-    _check_box(scene.grid, state.x)
-    _check_counts(scene, state.x.shape[0])
+    check_box(scene.grid, state.x)
+    _check_count(scene, state.x.shape[0])
     if bodies is not None:
         check_bodies(scene.colliders, len(bodies.position))
     tolerance = 0.5 * scene.grid.spacing if tolerance is None else tolerance
@@ -272,39 +303,24 @@ def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None
             )
 
 
-def _check_box(grid: Grid, x: Array) -> None:
-    if isinstance(x, Tracer):
-        return
-    positions = np.asarray(x)
-    lower, upper = np.asarray(grid.lower), np.asarray(grid.upper)
-    slack = 1e-6 * grid.spacing * max(grid.shape)
-    outside = ~((positions >= lower - slack) & (positions <= upper + slack)).all(axis=-1)
-    if outside.any():
-        first = int(np.argmax(outside))
-        raise ValueError(
-            f"{int(outside.sum())} particles lie outside the box from {_vector(lower)} to {_vector(upper)} m that the "
-            f"grid leaves them, the first, number {first}, at {_vector(positions[first])}: move them, or give the "
-            "grid another origin or more nodes"
-        )
+def has_invalid_parameters(scene: MPMScene, poses: Pose | None = None) -> Array:
+    """Whether a scene holds a number that ``make_scene`` refuses, shape (), bool; for traced and replaced numbers.
+
+    Args:
+      scene: the scene.
+      poses: of its bodies, of any shape; None: they are not looked at.
+
+    Gradient: none.
+    """
+    materials = materials_of(scene)
+    numbers = part_numbers(materials, scene.particle_volume, scene.gravity, scene.colliders, scene.walls, poses)
+    invalid = any_illegal(numbers)
+    for material in materials:
+        # A dt at the limit stays legal when the limit is rounded to float32.
+        limit = (1.0 + 1e-5) * largest_stable_dt(material, scene.grid)
+        invalid = invalid | ~jnp.all(scene.dt <= limit)
+    return invalid
 
 
-def _check_counts(scene: MPMScene, num_particles: int) -> None:
-    counts = scene.particle_counts
-    if counts is not None and sum(counts) != num_particles:
-        raise ValueError(
-            f"particle_counts is {counts}, in sum {sum(counts)}, but there are {num_particles} particles: "
-            "make both agree"
-        )
-
-
-def _vector(a: np.ndarray) -> str:
-    return "(" + ", ".join(f"{float(c):.4g}" for c in a) + ")"
-
-
-def _check_active_nodes(max_active_nodes: int | None, reach: float) -> None:
-    if reach not in REACHES:
-        raise ValueError(f"reach is {reach}: give 1 or 0.5, the cells that a particle may move within a step")
-    if max_active_nodes is not None and max_active_nodes < 27:
-        raise ValueError(
-            f"max_active_nodes is {max_active_nodes}: give at least the 27 that one particle touches, or None for all"
-        )
+def _check_count(scene: MPMScene, num_particles: int) -> None:
+    check_count(materials_of(scene), scene.particle_counts, scene.particle_volume, num_particles)

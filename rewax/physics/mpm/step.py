@@ -5,6 +5,7 @@ One substep: return map and stress, particle to grid, gravity and contact on the
 stored substeps and not with their grids.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -20,8 +21,10 @@ from rewax.physics.mpm.scene import (
     MPMScene,
     MPMState,
     check_placement,
+    has_invalid_parameters,
     initial_state,
     largest_stable_dt,
+    least_particle_mass,
     make_scene,
     particle_mass,
     per_material,
@@ -36,8 +39,8 @@ from rewax.physics.numerics.recompute import recomputed, scan_substeps
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
-MIN_NODE_MASS = 1e-15
-"""Nodes with less mass than this [kg] have velocity zero."""
+MIN_NODE_MASS = 2e-11
+"""Nodes with less than this share of a particle's mass [-] have velocity zero."""
 
 
 class Particles(NamedTuple):
@@ -96,18 +99,27 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
 def check_status(
     scene: MPMScene, state: MPMState, *, start: MPMState | None = None, poses: Pose | None = None
 ) -> Array:
-    """Status bits of a state: non-finite numbers, particles at the box's border, inverted, or too fast.
+    """Status bits of a state: non-finite numbers, particles at the box's border, inverted, or too fast; and of a scene
+    whose numbers cannot be.
 
     Args:
       scene: the scene.
       state: particles at the end of a step.
-      start: particles at its beginning, to also tell whether the scene's ``max_active_nodes`` sufficed.
-      poses: of its bodies, as for ``step``, to also tell whether its ``max_near_colliders`` sufficed; needs ``start``.
-        Not for coupled scenes, which evaluate all colliders.
+      start: particles at its beginning. A scene with ``max_active_nodes`` needs them, to tell whether these sufficed.
+      poses: of its bodies, as for ``step``, to tell whether they are finite, and whether the scene's
+        ``max_near_colliders`` sufficed; that needs ``start``. Coupled scenes evaluate all colliders: give none there.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+
+    Raises:
+      ValueError: ``start`` is None where it is needed.
     """
+    if start is None and scene.max_active_nodes is not None:
+        raise ValueError(
+            f"start is None with a scene of max_active_nodes {scene.max_active_nodes}: give the particles at the "
+            "beginning of the step, check_status(scene, state, start=before), to tell whether these nodes sufficed"
+        )
     state = jax.lax.stop_gradient(state)
     lower, upper = _bounds(scene.grid, state.x.dtype)
     at_border = jnp.any((state.x <= lower) | (state.x >= upper))
@@ -118,6 +130,7 @@ def check_status(
         | flag(at_border, Status.OUT_OF_DOMAIN)
         | flag(too_fast, Status.CFL)
         | flag(inverted, Status.INVERTED)
+        | flag(has_invalid_parameters(scene, poses), Status.INVALID_PARAMETERS)
     )
     before = state.x if start is None else jax.lax.stop_gradient(start).x
     if poses is not None and scene.max_near_colliders is not None:
@@ -131,7 +144,7 @@ def check_status(
         )
         excess = count_excess(scene.colliders, poses, lower, upper, scene.max_near_colliders)
         status = status | flag(excess > 0, Status.FAR_COLLIDERS)
-    if start is not None and scene.max_active_nodes is not None:
+    if scene.max_active_nodes is not None:
         too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
         too_far = jnp.any(jnp.abs(state.x - before) > scene.reach * scene.grid.spacing)
         status = status | flag(too_few | too_far, Status.INACTIVE_NODES)
@@ -218,9 +231,12 @@ def _colliders(
 
 def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
     """Which nodes have mass, and the velocity of nodes [m/s] after gravity, before any contact. Gradient: exact."""
-    has_mass = fields.mass > MIN_NODE_MASS
-    inverse = jnp.where(has_mass, 1.0 / jnp.where(has_mass, fields.mass, 1.0), 0.0)
-    return has_mass, cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
+    has_mass = fields.mass > MIN_NODE_MASS * least_particle_mass(scene, fields.mass.dtype)
+    # Masses in a unit near that of a cell: in kg the square of 1 / mass, which the derivative has, overflows float32
+    # for small cells. The unit is a power of two, so nothing is rounded.
+    unit = 2.0 ** round(-3.0 * math.log2(scene.grid.spacing))
+    inverse = jnp.where(has_mass, 1.0 / jnp.where(has_mass, unit * fields.mass, 1.0), 0.0)
+    return has_mass, cp.vector(lambda i: (unit * fields.momentum[i]) * inverse + scene.dt * scene.gravity[i])
 
 
 def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:

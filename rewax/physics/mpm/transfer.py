@@ -35,6 +35,8 @@ _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _SCATTER_ROWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1,), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
+_MAX_FIELDS = 4
+"""Numbers per node that one pass carries: mass and momentum."""
 _COLUMNS = np.asarray([[i, j] for i in range(3) for j in range(3)], np.int32)
 """Steps from the lowest node to the 9 columns along z that a particle touches."""
 _GATHER_ROWS = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
@@ -290,7 +292,9 @@ def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
         w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
         axes.append(_Axis(w, w * d, s, s * d, d))
         lowest.append(st.base)
-    copy = np.repeat(np.arange(copies, dtype=np.int32), batch[-1])
+    _check_size(layout, copies)
+    # Computed in the program: a constant would be as long as all particles.
+    copy = 0 if copies == 1 else materialize(jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1))
     columns = lowest[0] * grid.shape[1] + lowest[1] + (_COLUMNS @ np.asarray([[grid.shape[1]], [1]], np.int32))
     if layout.num_active is None:
         rows = columns * grid.shape[2] + lowest[2]
@@ -301,6 +305,18 @@ def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
         rows = jnp.clip(rows, 0, layout.num_nodes - 3)  # a particle that left the active nodes, see Status
     rows, axes = materialize((rows + copy * layout.num_nodes, tuple(axes)))
     return _Stencils(rows, axes, batch), rest
+
+
+def _check_size(layout: _Layout, copies: int) -> None:
+    """Raises ValueError if places among the numbers of all nodes do not fit into int32."""
+    largest = copies * max(_MAX_FIELDS * layout.num_nodes, layout.grid.num_columns)
+    if largest > np.iinfo(np.int32).max:
+        most = np.iinfo(np.int32).max // (largest // copies)
+        raise ValueError(
+            f"{copies} environments of {layout.num_nodes} nodes are stepped at once, but places among them are counted "
+            f"in int32, which holds {most} environments of that size: step fewer at once, with jax.lax.map over groups "
+            "of them, or give the scene max_active_nodes"
+        )
 
 
 def _weights(st: _Stencils) -> tuple[Array, Array, Array]:

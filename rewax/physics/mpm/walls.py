@@ -2,13 +2,17 @@
 
 import enum
 import math
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import friction_factor
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, static_number
 from rewax.physics.numerics.components import Vec3
 from rewax.types import Array, Scalar
 
@@ -31,14 +35,19 @@ class Wall:
     """A plane of the grid's box, in metres: nodes beyond ``position`` obey the wall.
 
     Attributes:
-      position: coordinate of the wall along its axis [m] (static).
+      position: coordinate of the wall along its axis [m], between the grid's first and last node (static).
       kind: what it does (static).
-      friction: Coulomb coefficient [-], used by ``SEPARATING`` walls.
+      friction: Coulomb coefficient [-], >= 0, used by ``SEPARATING`` walls.
     """
 
     position: float = struct.static_field()
     kind: WallKind = struct.static_field(default=WallKind.SEPARATING)
     friction: Scalar = 0.0
+
+    def __post_init__(self) -> None:
+        check_enum("Wall.kind", self.kind, WallKind)
+        position = static_number("Wall.position", self.position, FINITE, "give the wall's coordinate in metres")
+        object.__setattr__(self, "position", position)
 
 
 @struct.dataclass
@@ -47,6 +56,40 @@ class Walls:
 
     lower: tuple[Wall | None, Wall | None, Wall | None]
     upper: tuple[Wall | None, Wall | None, Wall | None]
+
+
+def wall_numbers(walls: Walls) -> list[Number]:
+    """The numbers of all walls, and what they may be."""
+    numbers = []
+    for side in ("lower", "upper"):
+        for axis, wall in enumerate(getattr(walls, side)):
+            if wall is not None:
+                name = f"walls.{side}[{axis}].friction"
+                numbers.append(Number(name, wall.friction, NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none"))
+    return numbers
+
+
+def check_walls(walls: Walls, grid: Grid) -> None:
+    """Raises ValueError for walls that no node of the grid can meet, and for friction where no wall uses it."""
+    for side, inward in (("lower", 1.0), ("upper", -1.0)):
+        for axis, wall in enumerate(getattr(walls, side)):
+            if wall is None:
+                continue
+            first, last = (float(grid.axis_nodes(axis)[i]) for i in (0, -1))
+            behind = _behind(grid, wall, axis, inward, np.arange(grid.shape[axis]))
+            if not behind.any() or behind.all():
+                raise ValueError(
+                    f"walls.{side}[{axis}].position is {wall.position:g} m, but the nodes lie from {first:g} to "
+                    f"{last:g} m along this axis and a wall acts on those strictly beyond it, here on "
+                    f"{'all' if behind.any() else 'none'}: move the wall between them, or give the grid another origin "
+                    "or more nodes"
+                )
+            used = wall.kind is WallKind.SEPARATING
+            if not used and not isinstance(wall.friction, Tracer) and np.any(np.asarray(wall.friction) != 0):
+                raise ValueError(
+                    f"walls.{side}[{axis}].friction is {wall.friction}, but a wall of {wall.kind} has none: leave it "
+                    "out, or give WallKind.SEPARATING"
+                )
 
 
 def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], velocity: Vec3) -> Vec3:
@@ -68,7 +111,7 @@ def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], vel
     return velocity
 
 
-def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Array) -> Array:
+def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Any) -> Any:
     """Which of the nodes with the given indices along an axis lie strictly beyond the wall."""
     cells = (wall.position - grid.origin[axis]) / grid.spacing
     if inward > 0:

@@ -18,8 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.physics.numerics.checks import POSITIVE, check_numbers, static_number
 from rewax.physics.rigid import mjcf
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
+from rewax.physics.rigid.numbers import parameter_numbers
 from rewax.physics.rigid.penalty import Penalty, check_penalty
 from rewax.types import Array
 
@@ -128,8 +130,8 @@ class RigidModel(struct.Replaceable):
         """A copy with other numbers.
 
         Raises:
-          ValueError: there is no such parameter, its shape differs, or the model has no damping or dry friction to
-            change.
+          ValueError: there is no such parameter, its shape differs, a number cannot be (not finite, a mass, size or
+            friction below 0), or the model has no damping or dry friction to change.
         """
         for name, value in changes.items():
             if name not in self.parameters:
@@ -141,6 +143,7 @@ class RigidModel(struct.Replaceable):
             absent = name in ("dof_damping", "dof_frictionloss") and not np.any(getattr(self.static.mj, name))
             if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
                 raise ValueError(f"the model was loaded without {name}, so it takes none: give its MJCF a little of it")
+        check_numbers(parameter_numbers(changes))
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **given})
 
@@ -191,11 +194,11 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
     """
     compiled = mjcf.compile_model(source)
     if dt is not None:
-        if not dt > 0.0:
-            raise ValueError(f"dt is {dt}: give the duration of a substep in seconds, above 0")
         compiled = copy.copy(compiled)
-        compiled.opt.timestep = dt
+        compiled.opt.timestep = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
     mjcf.check_model(compiled, penalty=penalty is not None)
+    parameters = {name: getattr(compiled, name) for name in PARAMETERS}
+    check_numbers(parameter_numbers(parameters))
     if penalty is not None:
         check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
     try:
@@ -207,7 +210,7 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
     gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
     real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)
     return RigidModel(
-        parameters={name: real(getattr(compiled, name)) for name in PARAMETERS},
+        parameters={name: real(value) for name, value in parameters.items()},
         gravity=real(gravity),
         penalty=jax.tree.map(real, penalty),
         static=static,

@@ -10,6 +10,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.physics.contact.penalty import PenaltyContact, penalty_force
+from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers
 from rewax.physics.numerics.components import join_vector, split_vector
 from rewax.physics.rigid.kinematics import Kinematics, point_velocities, wrenches_at
 from rewax.types import Array
@@ -42,6 +43,14 @@ class Penalty(struct.Replaceable):
     limit_damping: Array | float = 10.0
 
 
+def penalty_numbers(penalty: Penalty) -> list[Number]:
+    """The numbers of the law, and what they may be."""
+    return [
+        Number(f"the penalty's {field.name}", getattr(penalty, field.name), NOT_NEGATIVE, "see Penalty for its unit")
+        for field in dataclasses.fields(penalty)
+    ]
+
+
 def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
     """Raise a ValueError for numbers that cannot be, or that are unstable whatever touches.
 
@@ -52,10 +61,7 @@ def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
     """
     if not isinstance(penalty, Penalty):
         raise ValueError(f"penalty is {penalty!r}: give a Penalty(stiffness=...)")
-    for field in dataclasses.fields(penalty):
-        value = getattr(penalty, field.name)
-        if not isinstance(value, jax.core.Tracer) and not bool(np.all(np.asarray(value) >= 0.0)):
-            raise ValueError(f"the penalty's {field.name} is {value}: give 0 or more")
+    check_numbers(penalty_numbers(penalty))
     for name, unit, bound in (("stiffness", "N/m", 4.0 * mass / dt**2), ("damping", "N s/m", 2.0 * mass / dt)):
         value = getattr(penalty, name)
         if not isinstance(value, jax.core.Tracer) and np.max(value) > bound:
@@ -117,4 +123,4 @@ def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) 
     return jnp.where(beyond != 0, -penalty.limit_stiffness * beyond - penalty.limit_damping * rate, 0.0)
 
 
-__all__ = ["Penalty", "check_penalty", "contact_wrenches", "limit_forces"]
+__all__ = ["Penalty", "check_penalty", "contact_wrenches", "limit_forces", "penalty_numbers"]

@@ -25,6 +25,7 @@ from rewax.physics.rigid.forces import (
 )
 from rewax.physics.rigid.kinematics import integrate
 from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, mujoco
+from rewax.physics.rigid.numbers import has_invalid_parameters
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix
 from rewax.status import Status, flag
 from rewax.types import Array
@@ -91,10 +92,23 @@ def step(
     return jax.lax.scan(substep, state, None, length=num_substeps)[0]
 
 
-def check_status(state: RigidState) -> Array:
-    """Bits of ``Status``, shape (), int32: NAN where a number is not finite, or beyond a million: it soon will be."""
+def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
+    """Status bits of a state and of the model that led to it.
+
+    Args:
+      state: bodies. A number that is not finite, or beyond a million (it soon will be), sets ``NAN``.
+      model: its numbers that cannot be (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None:
+        they are not looked at.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
     largest = jnp.max(jnp.abs(jnp.concatenate([state.qpos, state.qvel])), initial=0.0)
-    return flag(~(largest < 1e6), Status.NAN)
+    status = flag(~(largest < 1e6), Status.NAN)
+    if model is None:
+        return status
+    invalid = has_invalid_parameters(model.parameters, model.gravity, model.penalty)
+    return status | flag(invalid, Status.INVALID_PARAMETERS)
 
 
 # --- One substep ------------------------------------------------------------------------------------------------------

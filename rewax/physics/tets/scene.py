@@ -8,9 +8,29 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import Collider
+from rewax.physics.contact.numbers import check_ground, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
+from rewax.physics.numerics.checks import (
+    FINITE,
+    POSITIVE,
+    Number,
+    any_illegal,
+    check_enum,
+    check_number,
+    check_numbers,
+    static_number,
+)
+from rewax.physics.numerics.pose import Pose
 from rewax.physics.tets.edges import TetTopology
 from rewax.physics.tets.law import DampingLaw, wave_modulus
+from rewax.physics.tets.scene_checks import (
+    check_length,
+    check_moduli,
+    contact_numbers,
+    gravity_number,
+    held_indices,
+    material_numbers,
+)
 from rewax.physics.tets.tetmesh import TetMesh, check_tetmesh
 from rewax.types import Array, Scalar
 
@@ -72,6 +92,9 @@ class TetScene(struct.Replaceable):
     colliders: tuple[Collider, ...] = ()
     damping_law: DampingLaw = struct.static_field(default=DampingLaw.VELOCITY_GRADIENT)
 
+    def __post_init__(self) -> None:
+        check_enum("damping_law", self.damping_law, DampingLaw)
+
     @property
     def tets(self) -> np.ndarray:
         """The four vertices of each tet, int32 of shape (num_tets, 4)."""
@@ -83,8 +106,14 @@ def initial_state(x: Any) -> TetState:
 
     Args:
       x: positions [m], shape (num_vertices, 3); ``mesh.vertices``, or moved or strained from there.
+
+    Raises:
+      ValueError: another shape, or a position that is not finite. Of traced positions only the shape is known.
     """
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
+    if x.ndim != 2 or x.shape[-1] != 3:
+        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_vertices, 3)")
+    check_number("x", x, FINITE, "give positions in m")
     return TetState(x=x, v=jnp.zeros_like(x))
 
 
@@ -113,22 +142,28 @@ def make_scene(
       others: the fields of ``TetScene``.
 
     Raises:
-      ValueError: a mesh that ``check_tetmesh`` refuses, parameters that are not positive or leave the material
-        unstable (lam <= mu / 8), of a wrong shape, shapes without a contact law, dt above ``largest_stable_dt``. The
-        message names field, value and remedy. Traced values are not checked.
+      ValueError: a mesh that ``check_tetmesh`` refuses, a number that cannot be (not finite, a modulus, density or size
+        that is not positive, damping or friction below 0), parameters that leave the material unstable (lam <= mu / 8)
+        or are of a wrong shape, shapes without a contact law, dt above ``largest_stable_dt``. The message names field,
+        value and remedy. Traced values are not known here; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for
+        them.
     """
     check_tetmesh(mesh)
     num_tets, num_vertices = len(mesh.tets), len(mesh.vertices)
-    positive, not_negative = np.nextafter(0.0, 1.0), 0.0
-    _check("density", density, num_tets, positive, "give the rest density in kg/m^3")
-    _check("mu", mu, num_tets, positive, "give the law's shear parameter in Pa, see tet_law.stable_parameters")
-    _check("lam", lam, num_tets, positive, "give the law's volume parameter in Pa, see tet_law.stable_parameters")
-    _check("damping", damping, num_tets, not_negative, "give a viscosity in Pa s, 0 or more")
-    _check("activation", activation, num_tets, -np.inf, "give a change of volume ratio, or one per tet")
-    _check("dt", dt, None, positive, "give the duration of a substep in seconds")
-    _check_moduli(mu, lam)
-    _check_contact(contact, ground, colliders, num_vertices)
-    held = _indices(held, num_vertices)
+    dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+    if ground is not None:
+        check_ground(ground)
+    density_number = Number("density", density, POSITIVE, "give the rest density in kg/m^3")
+    numbers = material_numbers(mu, lam, damping, activation)
+    check_numbers([density_number, *numbers, *contact_numbers(contact, ground, colliders), gravity_number(gravity)])
+    for number in (density_number, *numbers):
+        check_length(number, num_tets)
+    for number in () if contact is None else penalty_numbers(contact):
+        check_length(number, num_vertices)
+    check_moduli(mu, lam)
+    if contact is None and (ground is not None or colliders):
+        raise ValueError("contact is None although there is something to touch: give a PenaltyContact")
+    held = held_indices(held, num_vertices)
     if held.size and (held.min() < 0 or held.max() >= num_vertices):
         raise ValueError(
             f"held has vertices from {held.min()} to {held.max()}, but there are {num_vertices}: count from 0"
@@ -182,8 +217,13 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
     B = scene.inverse_rest_edges
     slopes = jnp.sum(B**2, axis=(1, 2)) + jnp.sum(jnp.sum(B, axis=1) ** 2, axis=1)
     zeros = jnp.zeros_like(scene.mass)
-    stiffness = zeros.at[scene.tets].add((scene.rest_volume * slopes * M)[:, None])
-    damping = zeros.at[scene.tets].add((scene.rest_volume * slopes * 2.0 * scene.damping)[:, None])
+    weight = scene.rest_volume * slopes
+    if jnp.ndim(M) == jnp.ndim(scene.damping) == 0:
+        weight = zeros.at[scene.tets].add(weight[:, None])
+        stiffness, damping = weight * M, weight * 2.0 * scene.damping
+    else:
+        stiffness = zeros.at[scene.tets].add((weight * M)[:, None])
+        damping = zeros.at[scene.tets].add((weight * 2.0 * scene.damping)[:, None])
     if scene.contact is not None:
         stiffness, damping = stiffness + scene.contact.stiffness, damping + scene.contact.damping
     w2, c = stiffness / scene.mass, damping / scene.mass
@@ -193,60 +233,26 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
     return STABLE_FRACTION * jnp.min(limit)
 
 
-def _check(name: str, value: Any, length: int | None, lowest: float, remedy: str) -> None:
-    """Finite, at least ``lowest``, and a number or an array of the given length."""
-    if isinstance(value, Tracer):
-        return
-    array = np.asarray(value)
-    if array.ndim and array.shape != (length,):
-        raise ValueError(f"{name} has shape {array.shape}: give a number or an array of shape ({length},)")
-    if not np.all(np.isfinite(array) & (array >= lowest)):
-        bad = array if array.ndim == 0 else array[~(np.isfinite(array) & (array >= lowest))][0]
-        wanted = "finite" if lowest == -np.inf else "positive" if lowest > 0 else "0 or more"
-        raise ValueError(f"{name} is {bad}, but must be {wanted}: {remedy}")
+def has_invalid_parameters(scene: TetScene, poses: Pose | None = None) -> Array:
+    """Whether a scene holds a number that ``make_scene`` refuses, shape (), bool; for traced and replaced numbers.
 
+    Args:
+      scene: the scene.
+      poses: of its bodies, of any shape; None: they are not looked at.
 
-def _indices(held: Any, num_vertices: int) -> np.ndarray:
-    held = np.asarray(held)
-    if held.size == 0:
-        return np.zeros(0, int)
-    if held.dtype == bool and held.shape == (num_vertices,):
-        return np.flatnonzero(held)
-    if held.dtype == bool or not np.issubdtype(held.dtype, np.integer):
-        raise ValueError(
-            f"held is an array of {held.dtype} of shape {held.shape}: give indices of vertices, or a mask of shape "
-            f"({num_vertices},)"
-        )
-    return held
-
-
-def _check_moduli(mu: Any, lam: Any) -> None:
-    if isinstance(mu, Tracer) or isinstance(lam, Tracer):
-        return
-    mu, lam = np.broadcast_arrays(mu, lam)
-    if not np.all(lam > mu / 8):
-        worst = np.argmin(lam - mu / 8)
-        raise ValueError(
-            f"lam is {lam.flat[worst]:g} with mu {mu.flat[worst]:g}, but must be above mu / 8, where the bulk modulus "
-            "is 0: take both from tet_law.stable_parameters(youngs_modulus, poissons_ratio)"
-        )
-
-
-def _check_contact(
-    contact: PenaltyContact | None, ground: Ground | None, colliders: tuple[Collider, ...], num_vertices: int
-) -> None:
-    if contact is None:
-        if ground is not None or colliders:
-            raise ValueError("contact is None although there is something to touch: give a PenaltyContact")
-        return
-    positive = np.nextafter(0.0, 1.0)
-    _check("contact.stiffness", contact.stiffness, num_vertices, positive, "give a force per penetration in N/m")
-    for name in ("damping", "friction_damping", "friction", "radius"):
-        _check(f"contact.{name}", getattr(contact, name), num_vertices, 0.0, "see PenaltyContact for its unit")
-    if ground is not None and not isinstance(ground.normal, Tracer):
-        length = float(np.linalg.norm(np.asarray(ground.normal)))
-        if not abs(length - 1.0) < 1e-4:
-            raise ValueError(f"ground.normal has length {length:g}: give a unit vector, (0, 1, 0) for y up")
+    Gradient: none.
+    """
+    numbers = [
+        *material_numbers(scene.mu, scene.lam, scene.damping, scene.activation),
+        Number("mass", scene.mass, POSITIVE, "give the vertices' masses in kg"),
+        Number("rest_volume", scene.rest_volume, POSITIVE, "give the tets' volumes in m^3"),
+        *contact_numbers(scene.contact, scene.ground, scene.colliders, poses),
+        gravity_number(scene.gravity),
+    ]
+    soft = jnp.any(jnp.asarray(scene.lam) <= jnp.asarray(scene.mu) / 8)
+    # A dt at the limit stays legal when the limit is rounded to float32.
+    too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
+    return any_illegal(numbers) | soft | too_long
 
 
 __all__ = ["TetScene", "TetState", "initial_state", "largest_stable_dt", "make_scene"]

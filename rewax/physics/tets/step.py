@@ -18,7 +18,7 @@ from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.recompute import recomputed, scan_substeps
 from rewax.physics.tets.edges import edges, gather_forces
 from rewax.physics.tets.law import first_piola_stress
-from rewax.physics.tets.scene import TetScene, TetState
+from rewax.physics.tets.scene import TetScene, TetState, has_invalid_parameters
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
@@ -95,15 +95,25 @@ def deformation_gradient(scene: TetScene, x: Array) -> Array:
     return cp.join_matrix(deformation(scene, rest(scene), cp.split_vector(x)))
 
 
-def check_status(scene: TetScene, state: TetState) -> Array:
-    """Status bits of a state: non-finite numbers, tets that are flat or inside out.
+def check_status(scene: TetScene, state: TetState, *, poses: Pose | None = None) -> Array:
+    """Status bits of a state: non-finite numbers, tets that are flat or inside out; and of a scene whose numbers cannot
+    be.
+
+    Args:
+      scene: the scene.
+      state: vertices.
+      poses: of its bodies, as for ``step``, to tell whether they are finite.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
     state = jax.lax.stop_gradient(state)
     inverted = jnp.any(cp.det(deformation(scene, rest(scene), cp.split_vector(state.x))) <= 0)
-    return flag(~all_finite(state), Status.NAN) | flag(inverted, Status.INVERTED)
+    return (
+        flag(~all_finite(state), Status.NAN)
+        | flag(inverted, Status.INVERTED)
+        | flag(has_invalid_parameters(scene, poses), Status.INVALID_PARAMETERS)
+    )
 
 
 # --- One substep, by components ---------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ def make(num_colliders: int, max_active_nodes: int | None, plasticity: Plasticit
         grid=Grid(shape=(24, 16, 20), spacing=0.05), dt=1e-3, particle_volume=jnp.asarray(1e-5),
         material=Material(
             youngs_modulus=jnp.asarray(1e4), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1000.0),
-            yield_stress=jnp.asarray(100.0), elasticity=Elasticity.HENCKY, plasticity=plasticity,
+            yield_stress=jnp.asarray(100.0 if plasticity is Plasticity.VON_MISES else jnp.inf), elasticity=Elasticity.HENCKY, plasticity=plasticity,
         ),
         colliders=tuple(pin(0.05 * (1 + i)) for i in range(num_colliders)), max_active_nodes=max_active_nodes,
         walls=Walls(lower=(None, Wall(position=0.1), None), upper=(None,) * 3),

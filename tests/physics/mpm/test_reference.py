@@ -96,7 +96,8 @@ def scene_of(elasticity, plasticity, **options):
     return mpm.make_scene(
         grid=GRID, dt=1e-3, particle_volume=2e-4, gravity=(0.5, -9.0, 0.2),
         material=Material(
-            youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=800.0,
+            youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0,
+            yield_stress=800.0 if plasticity is Plasticity.VON_MISES else np.inf,
             elasticity=elasticity, plasticity=plasticity,
         ),
         colliders=(

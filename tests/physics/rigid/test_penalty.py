@@ -185,8 +185,8 @@ def test_a_joint_leans_on_its_limit(x64):
     ("penalty", "sentence"),
     [
         (1e4, r"penalty is 10000.0: give a Penalty"),
-        (Penalty(stiffness=-1.0), "the penalty's stiffness is -1.0: give 0 or more"),
-        (Penalty(stiffness=1e3, onset=np.nan), "the penalty's onset is nan: give 0 or more"),
+        (Penalty(stiffness=-1.0), "the penalty's stiffness is -1.0, but must be 0 or more"),
+        (Penalty(stiffness=1e3, onset=np.nan), "the penalty's onset is nan, but must be 0 or more"),
         (Penalty(stiffness=5e4), r"stiffness is 50000 N/m, unstable with a substep of 0.01 s .* all 1 kg at once \(at most 4e\+04"),
         (Penalty(stiffness=1e3, damping=300.0), r"damping is 300 N s/m, unstable with a substep of 0.01 s .*: make it softer or dt shorter"),
     ],

@@ -1,0 +1,134 @@
+"""What the parts of a scene may be, and whether they fit together."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from rewax.physics.contact.colliders import Collider
+from rewax.physics.contact.numbers import collider_numbers
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.material_checks import check_material, material_numbers
+from rewax.physics.mpm.materials import Material
+from rewax.physics.mpm.walls import Walls, wall_numbers
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, whole_number
+from rewax.physics.numerics.pose import Pose
+from rewax.types import Array
+
+Counts = tuple[int, ...] | None
+"""How many particles are of each of several materials; None with one material."""
+
+
+def part_numbers(
+    materials: tuple[Material, ...],
+    particle_volume: Any,
+    gravity: Any,
+    colliders: tuple[Collider, ...],
+    walls: Walls,
+    poses: Pose | None = None,
+) -> list[Number]:
+    """All numbers of a scene that are data of the compiled program, and what they may be."""
+    several = len(materials) > 1
+    volume = "give the body's rest volume over its number of particles, in m^3"
+    return [
+        *(n for i, m in enumerate(materials) for n in material_numbers(m, f"material[{i}]." if several else "")),
+        Number("particle_volume", particle_volume, POSITIVE, volume),
+        Number("gravity", gravity, FINITE, "give an acceleration in m/s^2, (0, -9.81, 0) on Earth", (3,)),
+        *collider_numbers(colliders, poses),
+        *wall_numbers(walls),
+    ]
+
+
+def check_materials(material: Any, particle_counts: Any) -> tuple[Material, ...]:
+    """The materials as a tuple. Raises ValueError for impossible ones, and for counts that are not one of each."""
+    several = isinstance(material, (tuple, list))
+    materials = tuple(material) if several else (material,)
+    for i, one in enumerate(materials):
+        check_material(one, f"material[{i}]." if len(materials) > 1 else "")
+    counts = particle_counts if isinstance(particle_counts, (tuple, list)) else (0,)
+    if (particle_counts is None) == several or len(counts) != len(materials):
+        raise ValueError(
+            f"particle_counts is {particle_counts} with {len(materials)} materials: give a tuple of materials and how "
+            "many particles are of each, in their order; or one material and no particle_counts"
+        )
+    for i, count in enumerate(counts if several else ()):
+        whole_number(f"particle_counts[{i}]", count, 1, f"give how many particles are of material[{i}], at least 1")
+    return materials
+
+
+def check_lengths(
+    materials: tuple[Material, ...], counts: Counts, particle_volume: Any, num_particles: int | None = None
+) -> None:
+    """Raises ValueError for arrays per particle that differ in length from each other or from the counts.
+
+    Args:
+      materials: their parameters are numbers or arrays with one entry for each of their particles.
+      counts: how many particles are of each material.
+      particle_volume: a number, or one for each particle.
+      num_particles: how many there are; None: not known.
+    """
+    total = num_particles if counts is None else sum(counts)
+    total = _check_length("particle_volume", particle_volume, total)
+    for i, material in enumerate(materials):
+        length = total if counts is None else counts[i]
+        prefix = "" if counts is None else f"material[{i}]."
+        for number in material_numbers(material, prefix):
+            length = _check_length(number.name, number.value, length, number.name.endswith("fibre"))
+        total = length if counts is None else total
+
+
+def check_count(materials: tuple[Material, ...], counts: Counts, particle_volume: Any, num_particles: int) -> None:
+    """Raises ValueError unless a scene is made for this number of particles."""
+    if counts is not None and sum(counts) != num_particles:
+        raise ValueError(
+            f"particle_counts is {counts}, in sum {sum(counts)}, but there are {num_particles} particles: "
+            "make both agree"
+        )
+    check_lengths(materials, counts, particle_volume, num_particles)
+
+
+def check_box(grid: Grid, x: Array) -> None:
+    """Raises ValueError for particles outside the box. Traced positions pass."""
+    if isinstance(x, Tracer):
+        return
+    positions = np.asarray(x)
+    lower, upper = np.asarray(grid.lower), np.asarray(grid.upper)
+    slack = 1e-6 * grid.spacing * max(grid.shape)
+    outside = ~((positions >= lower - slack) & (positions <= upper + slack)).all(axis=-1)
+    if outside.any():
+        first = int(np.argmax(outside))
+        raise ValueError(
+            f"{int(outside.sum())} particles lie outside the box from {vector(lower)} to {vector(upper)} m that the "
+            f"grid leaves them, the first, number {first}, at {vector(positions[first])}: move them, or give the "
+            "grid another origin or more nodes"
+        )
+
+
+def vector(a: np.ndarray) -> str:
+    return "(" + ", ".join(f"{float(c):.4g}" for c in a) + ")"
+
+
+def _check_length(name: str, value: Any, length: int | None, vectors: bool = False) -> int | None:
+    """The length of an array per particle, which must be the given one if that is known."""
+    shape = jnp.shape(value)
+    per_particle = len(shape) == (2 if vectors else 1)
+    wanted = "()" if not vectors else "(3,)"
+    if (not per_particle and shape != ((3,) if vectors else ())) or (vectors and shape[-1] != 3):
+        raise ValueError(f"{name} has shape {shape}: give shape {wanted}, or one entry for each particle")
+    if per_particle and length not in (None, shape[0]):
+        raise ValueError(
+            f"{name} has {shape[0]} entries, but there are {length} particles: give shape {wanted}, or one entry for "
+            "each particle"
+        )
+    return shape[0] if per_particle else length
+
+
+__all__ = [
+    "Counts",
+    "check_box",
+    "check_count",
+    "check_lengths",
+    "check_materials",
+    "part_numbers",
+]
