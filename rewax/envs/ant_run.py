@@ -53,9 +53,7 @@ def make_ant_run(*, scale: str, onset: float = 0.0) -> AntRun:
     """
     # The ant's own law where its links touch each other; with the ground the means of the ant's and the ground's.
     among = Penalty(stiffness=4e3, damping=1e3, friction_damping=300.0, onset=onset)
-    penalty = Penalty(
-        stiffness=52e3, damping=1e3, friction_damping=650.0, onset=onset, among=among, at_surfaces=True
-    )
+    penalty = Penalty(stiffness=52e3, damping=1e3, friction_damping=650.0, onset=onset, among=among, at_surfaces=True)
     num_substeps, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
     ant = _ant("ant_run.xml", penalty, num_substeps=num_substeps, max_steps=max_steps)
     # The reference's importer adds a hinge's armature to all moments of inertia of its link as well.

@@ -24,9 +24,10 @@ def box_box(
 ) -> tuple[Array, Array, Array]:
     """Distances, points and normals of contact of two boxes, n pairs.
 
-    Two boxes overlap if they do along the normals of their faces (6) and the common normals of their edges (9): corners
-    in faces and edges that cross are found alike. The axis of least overlap gives distance and normal. The contact lies
-    in the middle of faces that are parallel and moves to the deepest corner as they tilt, so that a flat box rests flat.
+    Two boxes overlap if they do along the normals of their faces (6) and the common normals of their edges (9). So
+    corners in faces and edges that cross are found alike. The axis of least overlap gives distance and normal. The
+    contact lies in the middle of faces that are parallel and moves to the deepest corner as they tilt: a flat box lies
+    flat. It does not damp rocking.
 
     Args:
       center, other_center: of the first and second boxes [m], shape (n, 3).
@@ -90,8 +91,8 @@ def _least_overlap(
 
 
 def _fade(square: Array) -> Array:
-    """How far the common normal of nearly parallel edges falls behind, in half sizes: at most 1."""
-    return jnp.maximum(1.0 - square / _SKEW, 0.0)
+    """How far the common normal of nearly parallel edges falls behind, in half sizes; without bound as they align."""
+    return jnp.maximum(_SKEW / jnp.maximum(square, 1e-6) - 1.0, 0.0)
 
 
 def _row(weight: Array, axes: Array) -> Array:

@@ -31,7 +31,7 @@ class Penalty(struct.Replaceable):
       depth_damping: normal force per depth and approaching speed, in addition [N s/m^2].
       limit_stiffness, limit_damping: of joint limits, per angle or distance beyond them and per rate [N m/rad,
         N m s/rad].
-      among: the law of contacts between two bodies of one tree (self-contacts); its limits do not count. None: this law.
+      among: the law of contacts between two bodies of one tree; its limits do not count. None: this law.
       at_surfaces: where a contact acts (static). False: halfway between the two surfaces. True: on each body at its own
         surface, the deepest point of its shape, as in NVIDIA Warp. Friction between two bodies then has a torque of
         depth times force that nothing balances.
