@@ -158,8 +158,8 @@ def test_the_hand_opens_upwards_under_the_cube():
 
 
 def test_a_step_in_the_air_is_mujocos():
-    """Order, sign and size of torques, gravity, the cube's fall."""
-    ours, theirs, rest = tasks.step_in_the_air(NAME, columns={18: 1.5})
+    """Order, sign and size of torques, gravity, the cube's fall; the thumb turned off the palm."""
+    ours, theirs, rest = tasks.step_in_the_air(NAME, columns={0: 1.25, 18: 1.5})
     np.testing.assert_allclose(ours, theirs, atol=2e-3)
     assert np.abs(theirs - rest)[:, 23:39].min(axis=0).max() > 0.1 and np.abs(theirs - rest)[:, 16:19].max() < 1e-9
 
