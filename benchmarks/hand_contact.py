@@ -2,8 +2,8 @@
 
 By the laws of both scales and by the reference's: 32 cubes laid flat onto the palm, 32 cubes in curled fingers that
 push with constant torques, up to 0.3 N m, about what it takes to hold the cube, and up to 0.8 N m. Of those that rest
-after two seconds (below 0.1 m/s and rad/s), the depth of the deepest contact and the speed. And the largest speeds of
-joints and cube in 64 episodes of 64 steps of full random actions, held for eight steps each.
+after two seconds (below 0.1 m/s and rad/s), the depth of the cube's deepest contact and its speed. And the largest
+speeds of joints and cube in 64 episodes of 64 steps of full random actions, held for eight steps each.
 
     python benchmarks/hand_contact.py
 """
@@ -73,7 +73,7 @@ def resting(env: HandReorient, q: np.ndarray, actions: np.ndarray) -> str:
         advance = lambda s, _: (rigid.step(env.model, s, action, num_substeps=env.num_substeps), None)  # noqa: E731
         state = jax.lax.scan(advance, state, None, length=NUM_STEPS)[0]
         rests = (jnp.abs(state.qvel[16:]).max() < 0.1) & (state.qpos[18] > 0.45)
-        depth = -jnp.min(rigid.contact_distances(env.model, state))
+        depth = -jnp.min(rigid.contact_distances(env.model, state, body="cube"))
         return jnp.stack([rests, 1e3 * depth, 1e3 * jnp.linalg.norm(state.qvel[16:19])])
 
     rests, depth, speed = np.asarray(jax.jit(jax.vmap(run))(jnp.float32(q), jnp.float32(actions))).T

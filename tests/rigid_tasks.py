@@ -150,7 +150,8 @@ def step_in_the_air(name, columns=None):
 
 def _mujoco_step(env, q, v, ctrl):
     model = copy.copy(env.model.static.mj)
-    model.dof_armature[:] = np.asarray(env.model.parameters["dof_armature"])
+    for name in ("dof_armature", "body_inertia"):
+        getattr(model, name)[:] = np.asarray(env.model.parameters[name])
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, ctrl

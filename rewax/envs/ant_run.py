@@ -12,6 +12,8 @@ from rewax.physics.rigid import Penalty
 from rewax.types import Array
 
 _START_JOINTS = (0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)
+_FIRST_LINK = 2
+"""Bodies are the world, the torso, then the eight links, one per hinge."""
 
 
 @struct.dataclass
@@ -30,13 +32,9 @@ class AntRun(Runner):
         return reward, {"velocity": velocity, "upright": upright, "heading": heading, "height": height}
 
 
-def _ant(penalty: Penalty, *, num_substeps: int, max_steps: int, armature: float) -> AntRun:
-    model = load_asset("ant.xml", dt=1.0 / 60 / num_substeps, penalty=penalty)
-    if armature:
-        hinges = jnp.zeros(model.num_dofs).at[6:].set(armature)
-        model = model.with_parameters(dof_armature=hinges)
+def _ant(asset: str, penalty: Penalty, *, num_substeps: int, max_steps: int) -> AntRun:
     return AntRun(
-        model=model,
+        model=load_asset(asset, dt=1.0 / 60 / num_substeps, penalty=penalty),
         num_substeps=num_substeps,
         max_steps=max_steps,
         start_height=jnp.asarray(0.75),
@@ -53,10 +51,15 @@ def make_ant_run(*, scale: str, onset: float = 0.0) -> AntRun:
       scale: ``"paper"``: the reference's 16 substeps and 1000 steps; ``"small"``: 8 substeps, 300 steps.
       onset: depth over which the contacts' damping sets in [m]; the reference has 0.
     """
-    # Stiffness and damping of the reference's contacts: means of the ant's and the ground's.
-    penalty = Penalty(stiffness=52e3, damping=1e3, friction_damping=650.0, onset=onset)
+    # The ant's own law where its links touch each other; with the ground the means of the ant's and the ground's.
+    among = Penalty(stiffness=4e3, damping=1e3, friction_damping=300.0, onset=onset)
+    penalty = Penalty(stiffness=52e3, damping=1e3, friction_damping=650.0, onset=onset, among=among, at_surfaces=True)
     num_substeps, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
-    return _ant(penalty, num_substeps=num_substeps, max_steps=max_steps, armature=0.0)
+    ant = _ant("ant_run.xml", penalty, num_substeps=num_substeps, max_steps=max_steps)
+    # The reference's importer adds a hinge's armature to all moments of inertia of its link as well.
+    armature = ant.model.parameters["dof_armature"][6:, None]
+    inertia = ant.model.parameters["body_inertia"].at[_FIRST_LINK:].add(armature)
+    return ant.replace(model=ant.model.with_parameters(body_inertia=inertia))
 
 
 def make_ant(*, scale: str) -> AntRun:
@@ -67,6 +70,7 @@ def make_ant(*, scale: str) -> AntRun:
     """
     penalty = Penalty(stiffness=4e4, depth_damping=1e4, friction_damping=3e3)
     num_substeps, max_steps = {"paper": (16, 1000), "small": (16, 300)}[scale]
-    ant = _ant(penalty, num_substeps=num_substeps, max_steps=max_steps, armature=0.05)
+    ant = _ant("ant.xml", penalty, num_substeps=num_substeps, max_steps=max_steps)
     friction = ant.model.parameters["pair_friction"].at[:, :2].set(0.75)
-    return ant.replace(model=ant.model.with_parameters(pair_friction=friction))
+    armature = jnp.zeros(ant.model.num_dofs).at[6:].set(0.05)
+    return ant.replace(model=ant.model.with_parameters(pair_friction=friction, dof_armature=armature))

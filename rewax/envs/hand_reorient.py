@@ -16,9 +16,15 @@ from rewax.physics.rigid import Penalty, RigidState
 from rewax.types import Array, Key, Observation, PyTree
 
 REFERENCE_CONTACT = Penalty(
-    stiffness=500.0, damping=100.0, friction_damping=100.0, limit_stiffness=100.0, limit_damping=10.0
+    stiffness=500.0,
+    damping=100.0,
+    friction_damping=100.0,
+    limit_stiffness=100.0,
+    limit_damping=10.0,
+    at_surfaces=True,
+    boxes_touch_once=True,
 )
-"""Contacts and joint limits as Rewarped simulates them."""
+"""Contacts and joint limits as Rewarped simulates them; there two boxes touch at up to 24 points, here at one."""
 
 _NUM_JOINTS = 16
 _WIDTH = 1e-3
@@ -142,15 +148,25 @@ def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReo
     )
 
 
+_SELF = Penalty(stiffness=2000.0, damping=100.0, friction_damping=100.0, onset=1e-3)
+"""Of the hand with itself: about four of the reference's points, so that its poses stay near the reference's."""
 _FIRM = Penalty(
-    stiffness=8000.0, damping=100.0, friction_damping=100.0, onset=1e-3, limit_stiffness=100.0, limit_damping=10.0
+    stiffness=8000.0,
+    damping=100.0,
+    friction_damping=100.0,
+    onset=1e-3,
+    limit_stiffness=100.0,
+    limit_damping=10.0,
+    among=_SELF,
+    boxes_touch_once=True,
 )
-_SCALES = {
-    "paper": (64, 600, _FIRM),
-    "small": (
-        8,
-        150,
-        _FIRM.replace(stiffness=5000.0, damping=40.0, friction_damping=60.0, limit_stiffness=40.0, limit_damping=1.2),
-    ),
-}
+_SMALL = _FIRM.replace(
+    stiffness=5000.0,
+    damping=40.0,
+    friction_damping=60.0,
+    limit_stiffness=40.0,
+    limit_damping=1.2,
+    among=_SELF.replace(damping=40.0, friction_damping=60.0),
+)
+_SCALES = {"paper": (64, 600, _FIRM), "small": (8, 150, _SMALL)}
 """Substeps, steps of an episode, contact."""

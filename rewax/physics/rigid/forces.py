@@ -10,6 +10,8 @@ import numpy as np
 
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_product, quaternion_to_matrix, rotation_vector
+from rewax.physics.rigid.box_box import box_box
+from rewax.physics.rigid.capsules import capsule_capsule
 from rewax.physics.rigid.connect import connect_drifts
 from rewax.physics.rigid.kinematic_tree import TreeParameters
 from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces
@@ -154,7 +156,7 @@ def _collide(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
 
 
 class _Contacts(NamedTuple):
-    """What the penalty law needs to know of all pairs that may touch, see ``rigid_penalty.contact_wrenches``."""
+    """What the penalty law needs to know of all pairs that may touch, see ``penalty.contact_wrenches``."""
 
     distance: Array
     margin: Array
@@ -165,21 +167,42 @@ class _Contacts(NamedTuple):
 
 
 def contacts(model: RigidModel, m: mjx.Model, d: mjx.Data) -> _Contacts:
-    """Those that MJX finds, then those of spheres with boxes that are ours."""
+    """Those that MJX finds, then those that are ours: of spheres, capsules and boxes in explicit pairs."""
     contact = _collide(model, m, d)._impl.contact
     friction = jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0)
-    found = _Contacts(
-        contact.dist, contact.includemargin, contact.pos, contact.frame[:, 0], friction, jnp.asarray(contact.geom)
-    )
-    mj, (own, sphere, box) = model.static.mj, model.static.sphere_boxes
-    if len(own) == 0:
-        return found
-    size, xpos = m.geom_size, d.geom_xpos
-    distance, point, normal = sphere_box(xpos[sphere], size[sphere, 0], xpos[box], d.geom_xmat[box], size[box])
-    margin, friction = (model.parameters[f"pair_{name}"][own] for name in ("margin", "friction"))
-    friction = jnp.where(mj.pair_dim[own] > 1, friction[:, 0], 0.0)
-    ours = _Contacts(distance, margin, point, normal, friction, jnp.asarray(np.stack([sphere, box], axis=1)))
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), found, ours)
+    found = [
+        _Contacts(
+            contact.dist, contact.includemargin, contact.pos, contact.frame[:, 0], friction, jnp.asarray(contact.geom)
+        )
+    ]
+    size, xpos, xmat = m.geom_size, d.geom_xpos, d.geom_xmat
+    own, sphere, box = model.static.sphere_boxes
+    if len(own):
+        met = sphere_box(xpos[sphere], size[sphere, 0], xpos[box], xmat[box], size[box])
+        found.append(_own_contacts(model, own, (sphere, box), met))
+    own, first, second = model.static.capsules
+    if len(own):
+        lines = jnp.concatenate([xpos, xmat[:, :, 2]], axis=-1)
+        line, other = select(first, lines), select(second, lines)
+        met = capsule_capsule(line[:, :3], line[:, 3:], size[first], other[:, :3], other[:, 3:], size[second])
+        found.append(_own_contacts(model, own, (first, second), met))
+    own, first, second = model.static.boxes
+    if len(own):
+        frames = jnp.concatenate([xpos[:, :, None], xmat], axis=-1)
+        frame, other = select(first, frames), select(second, frames)
+        box, other_box = ((f[:, :, 0], f[:, :, 1:], size[g]) for f, g in ((frame, first), (other, second)))
+        found.append(_own_contacts(model, own, (first, second), box_box(*box, *other_box)))
+    return jax.tree.map(lambda *a: jnp.concatenate(a), *found) if len(found) > 1 else found[0]
+
+
+def _own_contacts(
+    model: RigidModel, pairs: np.ndarray, geoms: tuple[np.ndarray, np.ndarray], met: tuple[Array, Array, Array]
+) -> _Contacts:
+    """Distances, points and normals of pairs, with the pairs' margins and friction."""
+    distance, point, normal = met
+    margin, friction = (model.parameters[f"pair_{name}"][pairs] for name in ("margin", "friction"))
+    friction = jnp.where(model.static.mj.pair_dim[pairs] > 1, friction[:, 0], 0.0)
+    return _Contacts(distance, margin, point, normal, friction, jnp.asarray(np.stack(geoms, axis=1)))
 
 
 def _contact_wrenches(
@@ -189,6 +212,9 @@ def _contact_wrenches(
     if not model.static.has_contacts:
         return jnp.zeros_like(twist)
     found = contacts(model, m, d)
+    mj = model.static.mj
+    bodies = jnp.asarray(mj.geom_bodyid)[found.geoms]
+    trees = jnp.asarray(mj.body_rootid)[bodies]
     return contact_wrenches(
         penalty,
         kin,
@@ -197,7 +223,9 @@ def _contact_wrenches(
         point=found.point,
         normal=found.normal,
         friction=found.friction,
-        bodies=jnp.asarray(model.static.mj.geom_bodyid)[found.geoms],
+        bodies=bodies,
+        half_gap=0.5 * found.distance,
+        of_one_tree=trees[:, 0] == trees[:, 1],
     )
 
 

@@ -38,19 +38,25 @@ def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
     return bool(mj.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
 
 
-def sphere_box_pairs(mj: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the explicit pairs of a sphere and a box, unless contacts are disabled or limited; their geoms.
+def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of the explicit pairs of two kinds of geoms, unless contacts are disabled or limited; their geoms.
 
     Not of pairs that could also touch without being listed: MJX leaves those out because they are.
+
+    Args:
+      mj: the model.
+      first, second: kinds of geoms, "sphere", "capsule" or "box".
     """
     limited = any(mj.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(mj.nnumeric))
     geoms = np.stack([mj.pair_geom1, mj.pair_geom2], axis=1)
-    is_sphere, is_box = (mj.geom_type[geoms] == int(getattr(mujoco.mjtGeom, f"mjGEOM_{k}")) for k in ("SPHERE", "BOX"))
-    chosen = is_sphere.any(axis=1) & is_box.any(axis=1)
+    kinds = [int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")) for kind in (first, second)]
+    ordered = (mj.geom_type[geoms] == kinds).all(axis=1)
+    chosen = ordered | (mj.geom_type[geoms] == kinds[::-1]).all(axis=1)
     by_type, by_affinity = mj.geom_contype[geoms], mj.geom_conaffinity[geoms]
     chosen &= np.all(by_type & by_affinity[:, ::-1] == 0, axis=1)
     pairs = np.flatnonzero(chosen & (not limited and not is_disabled(mj, "CONTACT")))
-    return pairs, geoms[pairs][is_sphere[pairs]], geoms[pairs][is_box[pairs]]
+    geoms = np.where(ordered[:, None], geoms, geoms[:, ::-1])[pairs]
+    return pairs, geoms[:, 0], geoms[:, 1]
 
 
 def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
@@ -211,4 +217,4 @@ def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
     return f"{kind} {name!r}" if name else f"{kind} number {number}"
 
 
-__all__ = ["check_model", "compile_model", "is_disabled", "number", "sphere_box_pairs"]
+__all__ = ["check_model", "compile_model", "is_disabled", "number", "own_pairs"]

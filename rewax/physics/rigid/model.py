@@ -48,25 +48,31 @@ PARAMETERS = (
 class _Model:
     """The static part of a ``RigidModel``: two of the same MJCF are equal.
 
-    Under a penalty law the model's pairs of a sphere and a box are not MJX's, but ours.
+    Under a penalty law explicit pairs of a sphere and a box, of two capsules and, where it wants that, of two boxes are
+    not MJX's, but ours.
     """
 
-    def __init__(self, compiled: mujoco.MjModel, *, penalty: bool) -> None:
+    def __init__(self, compiled: mujoco.MjModel, penalty: Penalty | None) -> None:
         buffer = np.empty(mujoco.mj_sizeModel(compiled), np.uint8)
         mujoco.mj_saveModel(compiled, None, buffer)
-        self.key = hashlib.sha256(buffer.tobytes()).hexdigest() + f"{jnp.zeros(()).dtype} {penalty}"
+        law = (penalty is not None, penalty is not None and penalty.boxes_touch_once)
+        self.key = hashlib.sha256(buffer.tobytes()).hexdigest() + f"{jnp.zeros(()).dtype} {law}"
         self.mj = compiled
         self.topology: TreeTopology = tree_topology(compiled.body_parentid, compiled.jnt_bodyid, compiled.jnt_type)
         with jax.ensure_compile_time_eval():
             self.mjx = mjx.put_model(compiled, impl="jax")
-            self.sphere_boxes = mjcf.sphere_box_pairs(compiled) if penalty else (np.zeros(0, int),) * 3
-            self.mjx_pairs = np.setdiff1d(np.arange(compiled.npair), self.sphere_boxes[0])
+            none = (np.zeros(0, int),) * 3
+            self.sphere_boxes = mjcf.own_pairs(compiled, "sphere", "box") if penalty else none
+            self.capsules = mjcf.own_pairs(compiled, "capsule", "capsule") if penalty else none
+            self.boxes = mjcf.own_pairs(compiled, "box", "box") if law[1] else none
+            own = np.concatenate([self.sphere_boxes[0], self.capsules[0], self.boxes[0]])
+            self.mjx_pairs = np.setdiff1d(np.arange(compiled.npair), own)
             if len(self.mjx_pairs) < compiled.npair:
                 fields = [name for name in vars(self.mjx) if name.startswith("pair_")]
                 kept = {name: getattr(self.mjx, name)[self.mjx_pairs] for name in fields}
                 self.mjx = self.mjx.replace(npair=len(self.mjx_pairs), **kept)
             self.data = mjx.make_data(self.mjx, impl="jax")
-        self.has_contacts = self.data._impl.ncon + len(self.sphere_boxes[0]) > 0
+        self.has_contacts = self.data._impl.ncon + len(own) > 0
         self.plane_boxes = _plane_boxes(compiled, self.mjx, self.data)
         self.has_damping = bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
         self.num_bounded = int(self.data._impl.ne + self.data._impl.nf)
@@ -202,7 +208,7 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
     if penalty is not None:
         check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
     try:
-        static = _Model(compiled, penalty=penalty is not None)
+        static = _Model(compiled, penalty)
     except (NotImplementedError, AssertionError) as error:
         raise ValueError(
             f"MJX does not support this model ({error}): remove that, or let such geoms not touch"

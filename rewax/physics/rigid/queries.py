@@ -68,7 +68,20 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
     return found
 
 
-def contact_distances(model: RigidModel, state: RigidState) -> Array:
-    """Signed distance of every pair that may touch [m], negative inside, shape (num_contacts,); 1 for unused slots."""
+def contact_distances(model: RigidModel, state: RigidState, *, body: str | None = None) -> Array:
+    """Signed distance of every pair that may touch [m], negative inside, shape (num_contacts,); 1 for unused slots.
+
+    Args:
+      model: the bodies.
+      state: where they are.
+      body: name of a body: 1 for all pairs without it.
+
+    Raises:
+      ValueError: there is no such body; the message says which there are.
+    """
     m, d = mjx_data(model, kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))
-    return contacts(model, m, d).distance
+    found = contacts(model, m, d)
+    if body is None:
+        return found.distance
+    touches = jnp.any(jnp.asarray(model.static.mj.geom_bodyid)[found.geoms] == model.body(body), axis=-1)
+    return jnp.where(touches, found.distance, 1.0)

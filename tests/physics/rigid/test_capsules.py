@@ -1,0 +1,74 @@
+"""Capsules against capsules: MuJoCo's contacts, derivatives, finite where capsules are parallel or cross."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from rewax.physics.rigid.capsules import capsule_capsule
+
+SIZES = np.array([[0.05, 0.2], [0.08, 0.12]])
+NUM = 300
+
+
+@pytest.fixture(scope="module")
+def capsules():
+    """Centres and axes of pairs near each other: ends meet ends, ends sides, sides sides."""
+    rng = np.random.default_rng(0)
+    axes = rng.standard_normal((2, NUM, 3))
+    axes /= np.linalg.norm(axes, axis=2, keepdims=True)
+    centers = rng.uniform(-0.2, 0.2, (2, NUM, 3))
+    return [(centers[k], axes[k], np.tile(SIZES[k], (NUM, 1))) for k in range(2)]
+
+
+def test_contacts_are_mujocos(x64, capsules):
+    distance, point, normal = (np.asarray(a) for a in jax.jit(capsule_capsule)(*capsules[0], *capsules[1]))
+    geom = '<body><freejoint/><geom name="{}" type="capsule" size="{} {}" contype="0" conaffinity="0"/></body>'
+    bodies = geom.format("a", *SIZES[0]) + geom.format("b", *SIZES[1])
+    pair = '<contact><pair geom1="a" geom2="b" margin="9"/></contact>'
+    mj = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody>{pair}</mujoco>")
+    data, compared = mujoco.MjData(mj), 0
+    for i in range(NUM):
+        for k, (center, axis, _) in enumerate(capsules):
+            data.qpos[7 * k : 7 * k + 3] = center[i]
+            mujoco.mju_quatZ2Vec(data.qpos[7 * k + 3 : 7 * k + 7], axis[i])
+        mujoco.mj_kinematics(mj, data)
+        mujoco.mj_collision(mj, data)
+        if len(data.contact) != 1 or distance[i] < -0.12:
+            continue  # almost parallel, or axes that almost cross
+        compared += 1
+        (theirs,) = data.contact
+        np.testing.assert_allclose(distance[i], theirs.dist, atol=1e-7)
+        np.testing.assert_allclose(normal[i], theirs.frame[:3], atol=1e-4)
+        np.testing.assert_allclose(point[i], theirs.pos, atol=1e-4)
+    assert compared > 250 and np.mean(distance < 0) > 0.2
+
+
+def test_derivatives_are_those_of_finite_differences(
+    x64, capsules, derivatives, central_difference, random_like, inner
+):
+    x = jax.tree.map(jnp.asarray, (*capsules[0], *capsules[1]))
+    dx = random_like(2, x)
+    _, forward, weights, reverse = derivatives(lambda x: capsule_capsule(*x))(x, dx, lambda v: random_like(3, v))
+    expected = central_difference(jax.jit(lambda x: capsule_capsule(*x)), x, dx, 1e-7)
+    apart = np.asarray(forward[0] * 0 + jax.jit(capsule_capsule)(*x)[0]) > -0.12
+    for found, true in zip(forward, expected, strict=True):
+        error = np.abs(found - true).reshape(NUM, -1).max(axis=1)[apart]
+        assert np.quantile(error, 0.98) < 1e-5
+    assert inner(weights, forward) == pytest.approx(inner(reverse, dx), rel=1e-9)
+
+
+@pytest.mark.parametrize("precision", [False, True])
+def test_derivatives_are_finite_where_axes_are_parallel_or_cross(precision):
+    with jax.enable_x64(precision):
+        center = jnp.array([[0.0, 0.1, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+        axis = jnp.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+        up, size = jnp.tile(jnp.array([0.0, 0.0, 1.0]), (4, 1)), jnp.tile(jnp.array([0.05, 0.2]), (4, 1))
+        inputs = (jnp.zeros((4, 3)), up, size, center, axis, size)
+        slopes = jax.jit(jax.jacrev(capsule_capsule, argnums=range(6)))(*inputs)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+        distance, point, _ = capsule_capsule(*inputs)
+        np.testing.assert_allclose(distance, [0.0, -0.1, 0.0, -0.1], atol=1e-6)
+        # Parallel ones touch in the middle of the first.
+        np.testing.assert_allclose(point[0], [0.0, 0.05, 0.0], atol=1e-6)
