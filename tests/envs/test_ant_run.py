@@ -18,7 +18,11 @@ def test_the_reference_constants():
     penalty, parameters = env.model.penalty, env.model.parameters
     law = [penalty.stiffness, penalty.damping, penalty.friction_damping, penalty.limit_stiffness, penalty.limit_damping]
     np.testing.assert_allclose(law, [52e3, 1e3, 650.0, 1e3, 10.0])
-    np.testing.assert_allclose(parameters["pair_friction"][:, :2], 0.625)
+    among = penalty.among
+    law = [among.stiffness, among.damping, among.friction_damping, among.onset]
+    np.testing.assert_allclose(law, [4e3, 1e3, 300.0, 0.0])
+    assert penalty.at_surfaces and among.among is None
+    np.testing.assert_allclose(parameters["pair_friction"][:13, :2], 0.625)
     np.testing.assert_allclose(parameters["dof_armature"], [0.0] * 6 + [0.005] * 8)
     assert not parameters["dof_damping"].any() and not parameters["jnt_stiffness"].any()
     np.testing.assert_allclose(env.model.gravity, [0.0, -9.81, 0.0])

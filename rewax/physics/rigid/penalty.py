@@ -37,7 +37,7 @@ class Penalty(struct.Replaceable):
         surface, the deepest point of its shape, as in NVIDIA Warp. Friction between two bodies then has a torque of
         depth times force that nothing balances.
       boxes_touch_once: how the boxes of an explicit pair touch (static). False: at up to four points, those of MJX.
-        True: at one, see ``box_box``, at a tenth of the time.
+        True: at one, which takes less time; see ``box_box``.
     """
 
     stiffness: Array | float
