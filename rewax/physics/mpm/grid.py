@@ -28,7 +28,10 @@ class Grid:
     def __post_init__(self) -> None:
         remedy = "give three numbers of nodes, each at least 4"
         shape = _three("Grid.shape", self.shape, remedy)
-        counts = tuple(whole_number("Grid.shape", n, 4, f"{remedy}, in {shape}") for n in shape)
+        try:
+            counts = tuple(whole_number("Grid.shape", n, 4, remedy) for n in shape)
+        except ValueError:
+            raise ValueError(f"Grid.shape is {shape}: {remedy}") from None
         origin = _three("Grid.origin", self.origin, "give the three coordinates of node (0, 0, 0) in metres")
         place = tuple(static_number("Grid.origin", a, FINITE, "give coordinates in metres") for a in origin)
         spacing = static_number("Grid.spacing", self.spacing, POSITIVE, "give a distance in metres")

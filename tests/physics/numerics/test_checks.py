@@ -1,50 +1,112 @@
-"""Checks of numbers: both sides of each limit, arrays, and traced values, which pass."""
+"""Checks of numbers: both sides of each limit, arrays, words, and traced values, which are flagged instead."""
+
+import enum
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.checks import check_positive, check_range
+from rewax.physics.numerics.checks import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Legal,
+    Number,
+    any_illegal,
+    check_enum,
+    check_number,
+    check_numbers,
+    static_number,
+    whole_number,
+)
 
-ALLOWED = [(0.5, (0.0, 1.0)), (np.array([0.1, 0.9]), (0.0, 1.0)), (3, (2.5, np.inf))]
-REFUSED = [
-    (0.0, (0.0, 1.0)),
-    (1.0, (0.0, 1.0)),
-    (np.nan, (0.0, 1.0)),
-    (None, (0.0, 1.0)),
-    (np.array([0.5, 2.0]), (0.0, 1.0)),
-    (np.inf, (2.5, np.inf)),
+SHARE = Legal(0.0, 1.0)
+LEGAL = [
+    (0.5, SHARE), (np.array([0.1, 0.9]), SHARE), (1e-30, POSITIVE), (3, POSITIVE), (0.0, NOT_NEGATIVE),
+    (np.float32(0.0), NOT_NEGATIVE), (jnp.zeros(2), NOT_NEGATIVE), (-0.0, NOT_NEGATIVE), (-1e9, FINITE), (True, POSITIVE),
+]  # fmt: skip
+ILLEGAL = [
+    (0.0, SHARE, " is 0.0, but must be above 0 and below 1"),
+    (1.0, SHARE, " is 1.0, but must be above 0 and below 1"),
+    (np.nan, SHARE, " is nan, but must be above 0 and below 1 and finite"),
+    (np.array([[0.5, 2.0]]), SHARE, "[0, 1] is 2.0, but must be above 0 and below 1"),
+    (0.0, POSITIVE, " is 0.0, but must be positive"),
+    (np.inf, POSITIVE, " is inf, but must be positive and finite"),
+    (-1e-30, NOT_NEGATIVE, " is -1e-30, but must be 0 or more"),
+    (np.array([1, -2]), NOT_NEGATIVE, "[1] is -2, but must be 0 or more"),
+    (-np.inf, FINITE, " is -inf, but must be finite"),
 ]
 
 
-@pytest.mark.parametrize(("value", "limits"), ALLOWED)
-def test_what_lies_strictly_between_the_limits_passes(value, limits):
-    check_range("share", value, limits, "give a share")
-    check_range("share", jnp.asarray(value), limits, "give a share")
+@pytest.mark.parametrize(("value", "legal"), LEGAL)
+def test_legal_numbers_pass_known_and_traced(value, legal):
+    check_number("share", value, legal, "give a share")
+    flag = jax.jit(lambda v: any_illegal([Number("share", v, legal, "")]))
+    assert not flag(value) and not any_illegal([Number("share", value, legal, "")])
 
 
-@pytest.mark.parametrize(("value", "limits"), REFUSED)
-def test_anything_else_is_refused_by_name_value_and_remedy(value, limits):
+@pytest.mark.parametrize(("value", "legal", "sentence"), ILLEGAL)
+def test_illegal_numbers_are_refused_known_and_flagged_traced(value, legal, sentence):
     with pytest.raises(ValueError) as caught:
-        check_range("share", value, limits, "give a share")
-    assert str(caught.value) == f"share is {value}: give a share"
+        check_number("share", value, legal, "give a share")
+    assert str(caught.value) == f"share{sentence}: give a share"
+    assert any_illegal([Number("other", 0.5, SHARE, ""), Number("share", value, legal, "")])
 
-
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, None, np.array([1.0, 0.0])])
-def test_what_is_not_positive_is_refused(value):
-    with pytest.raises(ValueError) as caught:
-        check_positive("mass", value, "give it in kg")
-    assert str(caught.value) == f"mass is {value}, but must be positive: give it in kg"
-    check_positive("mass", 1e-300, "give it in kg")
-    check_positive("mass", np.array([1.0, np.inf]), "give it in kg")
-
-
-def test_traced_values_pass():
     @jax.jit
-    def traced(value):
-        check_range("share", value, (0.0, 1.0), "give a share")
-        check_positive("mass", value, "give it in kg")
-        return value
+    def flag(value):
+        check_number("share", value, legal, "give a share")
+        return any_illegal([Number("other", 0.5, SHARE, ""), Number("share", value, legal, "")])
 
-    assert float(traced(-3.0)) == -3.0
+    assert flag(value)
+
+
+def test_long_arrays_and_several_of_a_kind_are_flagged():
+    def flag(*values):
+        return any_illegal(Number("a", v, POSITIVE, "") for v in values)
+
+    long, short = jnp.ones(5000), jnp.ones((2, 3))
+    assert not jax.jit(flag)(long, short, short, None)
+    assert jax.jit(flag)(long.at[4321].set(0.0), short, short)
+    assert jax.jit(flag)(long, short, short.at[1, 2].set(jnp.nan))
+    np.testing.assert_array_equal(jax.vmap(lambda a: flag(short, a))(jnp.array([1.0, -1.0, 2.0])), [False, True, False])
+
+
+@pytest.mark.parametrize("value", ["fast", [[1.0], [2.0, 3.0]], 1j, object])
+def test_what_is_no_number_is_refused(value):
+    with pytest.raises(ValueError, match=r"^share is .*, which is no real number: give a share$"):
+        check_number("share", value, SHARE, "give a share")
+
+
+def test_a_missing_number_is_refused():
+    with pytest.raises(ValueError, match=r"^share is None, but must be positive: give a share$"):
+        check_number("share", None, POSITIVE, "give a share")
+
+
+def test_shapes_are_known_of_traced_numbers_too():
+    def build(a):
+        check_numbers([Number("place", a, FINITE, "", (3,)), Number("place", (a[0], 0.0, 0.0), FINITE, "", (3,))])
+        return a
+
+    jax.jit(build)(jnp.ones(3))
+    with pytest.raises(ValueError, match=r"^place has shape \(2,\): give an array of shape \(3,\)"):
+        jax.jit(build)(jnp.ones(2))
+
+
+def test_static_numbers_and_counts():
+    assert static_number("dt", jnp.float32(0.5), POSITIVE, "") == 0.5
+    with pytest.raises(ValueError, match=r"^dt is traced, but is part of the compiled program"):
+        jax.jit(lambda dt: static_number("dt", dt, POSITIVE, ""))(0.5)
+    with pytest.raises(ValueError, match=r"^dt has shape \(1,\): give one number$"):
+        static_number("dt", [0.5], POSITIVE, "")
+    assert whole_number("n", np.int32(3), 3, "") == 3 and whole_number("n", 3.0, 1, "") == 3
+    for bad in (2, 3.5, "three", None, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"^n is .*: give 3 or more$"):
+            whole_number("n", bad, 3, "give 3 or more")
+
+
+def test_members_are_listed():
+    kind = enum.Enum("Kind", ["SOFT", "HARD"])
+    check_enum("kind", kind.SOFT, kind)
+    with pytest.raises(ValueError, match=r"^kind is 'soft': give one of Kind\.SOFT, Kind\.HARD$"):
+        check_enum("kind", "soft", kind)

@@ -1,0 +1,61 @@
+"""Counts and arrays per particle have to fit together."""
+
+import re
+
+import numpy as np
+import pytest
+
+from rewax.physics import mpm
+from rewax.physics.mpm import Elasticity, Grid, Material, Plasticity
+from rewax.physics.mpm.scene_checks import check_box
+
+nan, inf = float("nan"), float("inf")
+SOLID = {"youngs_modulus": 1e4, "poissons_ratio": 0.3, "density": 1000.0}
+WATER = {"speed_of_sound": 5.0, "density": 1000.0, "elasticity": Elasticity.TAIT}
+SAND = {**SOLID, "plasticity": Plasticity.DRUCKER_PRAGER, "friction_angle": 0.5}
+
+
+def scene(material, **changes) -> mpm.MPMScene:
+    material = Material(**material) if isinstance(material, dict) else material
+    grid = Grid(shape=(8, 9, 10), spacing=0.1)
+    return mpm.make_scene(**{"grid": grid, "dt": 1e-4, "material": material, "particle_volume": 1e-4, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"particle_counts": (5, 0)}, "particle_counts[1] is 0: give how many particles are of material[1], at least 1"),
+        ({"particle_counts": (5, -2)}, "particle_counts[1] is -2: give how many"),
+        ({"particle_counts": (5, 2.5)}, "particle_counts[1] is 2.5: give how many"),
+        ({"particle_counts": 7}, "particle_counts is 7 with 2 materials: give a tuple of materials"),
+        ({"particle_counts": (5, 2), "particle_volume": np.full(6, 1e-4)}, "particle_volume has 6 entries, but there are "
+         "7 particles: give shape (), or one entry for each particle"),
+    ],
+)  # fmt: skip
+def test_particle_counts_must_add_up(changes, sentence):
+    both = (Material(**SOLID), Material(**WATER))
+    scene(both, particle_counts=(5, 2), particle_volume=np.full(7, 1e-4))
+    with pytest.raises(ValueError, match="^" + re.escape(sentence)):
+        scene(both, **changes)
+
+
+def test_arrays_per_particle_must_fit():
+    dense = {**SOLID, "density": np.full(6, 1000.0)}
+    fits = scene(dense, particle_volume=np.full(6, 1e-4))
+    with pytest.raises(ValueError, match=r"density has 6 entries, but there are 7 particles: give shape \(\)"):
+        scene(dense, particle_volume=np.full(7, 1e-4))
+    with pytest.raises(ValueError, match=r"material\[1\].density has 6 entries, but there are 3 particles"):
+        scene((Material(**WATER), Material(**dense)), particle_counts=(3, 3))
+    with pytest.raises(ValueError, match=r"particle_volume has 6 entries, but there are 5 particles"):
+        mpm.initial_state(np.full((5, 3), 0.3), fits)
+    with pytest.raises(ValueError, match=r"particle_volume has shape \(6, 1\): give shape \(\), or one entry"):
+        scene(SOLID, particle_volume=np.full((6, 1), 1e-4))
+
+
+def test_particles_must_lie_in_the_box():
+    grid = Grid(shape=(8, 9, 10), spacing=0.1)
+    check_box(grid, np.array([grid.lower, grid.upper]))
+    with pytest.raises(
+        ValueError, match=r"^1 particles lie outside the box from \(0\.05, .* number 1, at \(0\.3, 0\.76"
+    ):
+        check_box(grid, np.array([[0.3, 0.3, 0.3], [0.3, 0.76, 0.3]]))
