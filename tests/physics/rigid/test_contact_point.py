@@ -51,7 +51,7 @@ def test_bodies_of_one_tree_may_have_a_law_of_their_own(x64, other, stiffness, s
 
 
 def test_numbers_of_that_law_are_checked():
-    with pytest.raises(ValueError, match=r"stiffness is -1\.0: give 0 or more"):
+    with pytest.raises(ValueError, match=r"stiffness is -1.0, but must be 0 or more"):
         rigid.load(SLIDING_BALL, penalty=LAW.replace(among=Penalty(stiffness=-1.0)))
 
 
