@@ -40,7 +40,8 @@ def train(
     """Train an agent and leave a run directory: checkpoints, metrics, evaluations, plots.
 
     A run resumed from a checkpoint continues as if it had never stopped, bit for bit on a CPU: the same final state and
-    the same ``metrics.csv``. A checkpoint is on disk before anything that could fail is tried.
+    the same ``metrics.csv``. The last checkpoint is written before the final evaluation and the pictures: no failure
+    there loses it.
 
     A run stops early when more than ``config.max_failed_share`` of its episodes fail numerically, or when its critics'
     loss is not finite as often. It stops at once when a number that it has learnt is not finite. No checkpoint holds

@@ -17,10 +17,10 @@ _ROUNDS = 3
 def box_box(
     center: Array,
     rotation: Array,
-    half_sizes: Array,
+    half_size: Array,
     other_center: Array,
     other_rotation: Array,
-    other_half_sizes: Array,
+    other_half_size: Array,
 ) -> tuple[Array, Array, Array]:
     """Distances, points and normals of contact of two boxes, n pairs.
 
@@ -32,7 +32,7 @@ def box_box(
     Args:
       center, other_center: of the first and second boxes [m], shape (n, 3).
       rotation, other_rotation: from each box's frame to the world's, shape (n, 3, 3).
-      half_sizes, other_half_sizes: of the boxes [m], shape (n, 3).
+      half_size, other_half_size: of the boxes [m], shape (n, 3).
 
     Returns:
       Signed distances along these axes [m], shape (n,): of boxes that overlap the depth, of boxes apart at most the
@@ -44,7 +44,7 @@ def box_box(
     axes, others = jnp.swapaxes(rotation, 1, 2), jnp.swapaxes(other_rotation, 1, 2)
     gap = other_center - center
     face, other_face, edge, other_edge = jax.lax.stop_gradient(
-        _least_overlap(axes, half_sizes, others, other_half_sizes, gap)
+        _least_overlap(axes, half_size, others, other_half_size, gap)
     )
     # The chosen axis again, with derivatives.
     along, across = _row(edge, axes), _row(other_edge, others)
@@ -57,33 +57,33 @@ def box_box(
     tilt = jnp.sum(axes * normal[:, None, :], axis=-1)
     other_tilt = jnp.sum(others * normal[:, None, :], axis=-1)
     distance = jnp.sum(normal * gap, axis=-1)
-    distance -= jnp.sum(half_sizes * jnp.abs(tilt), axis=-1) + jnp.sum(other_half_sizes * jnp.abs(other_tilt), axis=-1)
-    distance -= jnp.where(is_skew, _fade(square), 0.0) * jnp.min(half_sizes, axis=-1)
+    distance -= jnp.sum(half_size * jnp.abs(tilt), axis=-1) + jnp.sum(other_half_size * jnp.abs(other_tilt), axis=-1)
+    distance -= jnp.where(is_skew, _fade(square), 0.0) * jnp.min(half_size, axis=-1)
     # The foremost point of either box, brought into both.
-    first = center + _row(half_sizes * jnp.clip(tilt / _FLAT, -1.0, 1.0), axes)
-    second = other_center - _row(other_half_sizes * jnp.clip(other_tilt / _FLAT, -1.0, 1.0), others)
+    first = center + _row(half_size * jnp.clip(tilt / _FLAT, -1.0, 1.0), axes)
+    second = other_center - _row(other_half_size * jnp.clip(other_tilt / _FLAT, -1.0, 1.0), others)
     for _ in range(_ROUNDS):
-        first = _nearest(center, axes, half_sizes, _nearest(other_center, others, other_half_sizes, first))
-        second = _nearest(other_center, others, other_half_sizes, _nearest(center, axes, half_sizes, second))
+        first = _nearest(center, axes, half_size, _nearest(other_center, others, other_half_size, first))
+        second = _nearest(other_center, others, other_half_size, _nearest(center, axes, half_size, second))
     return distance, 0.5 * (first + second), normal
 
 
 def _least_overlap(
-    axes: Array, half_sizes: Array, others: Array, other_half_sizes: Array, gap: Array
+    axes: Array, half_size: Array, others: Array, other_half_size: Array, gap: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Which axis separates most, one-hot, shape (n, 3) each: face of the first, of the second, edges of both."""
     turn = jnp.sum(axes[:, :, None, :] * others[:, None, :, :], axis=-1)  # cosines between axes
     near = jnp.abs(turn)
     shift, other_shift = jnp.sum(axes * gap[:, None, :], axis=-1), jnp.sum(others * gap[:, None, :], axis=-1)
-    faces = jnp.abs(shift) - half_sizes - jnp.sum(near * other_half_sizes[:, None, :], axis=-1)
-    other_faces = jnp.abs(other_shift) - other_half_sizes - jnp.sum(near * half_sizes[:, :, None], axis=-2)
+    faces = jnp.abs(shift) - half_size - jnp.sum(near * other_half_size[:, None, :], axis=-1)
+    other_faces = jnp.abs(other_shift) - other_half_size - jnp.sum(near * half_size[:, :, None], axis=-2)
     # Of edge i of the first and j of the second: the first's next two axes, and what they are along the common normal.
     after, last = np.array([1, 2, 0]), np.array([2, 0, 1])
     square = jnp.maximum(1.0 - turn * turn, 1e-6)
     between = jnp.abs(shift[:, last, None] * turn[:, after] - shift[:, after, None] * turn[:, last])
-    reach = half_sizes[:, after, None] * near[:, last] + half_sizes[:, last, None] * near[:, after]
-    reach += other_half_sizes[:, None, after] * near[:, :, last] + other_half_sizes[:, None, last] * near[:, :, after]
-    edges = (between - reach) / jnp.sqrt(square) - _fade(square) * jnp.min(half_sizes, axis=-1)[:, None, None]
+    reach = half_size[:, after, None] * near[:, last] + half_size[:, last, None] * near[:, after]
+    reach += other_half_size[:, None, after] * near[:, :, last] + other_half_size[:, None, last] * near[:, :, after]
+    edges = (between - reach) / jnp.sqrt(square) - _fade(square) * jnp.min(half_size, axis=-1)[:, None, None]
     all_axes = jnp.concatenate([faces, other_faces, edges.reshape(-1, 9)], axis=-1)
     chosen = jax.nn.one_hot(jnp.argmax(all_axes, axis=-1), 15, dtype=gap.dtype)
     pair = chosen[:, 6:].reshape(-1, 3, 3)
@@ -99,10 +99,10 @@ def _row(weight: Array, axes: Array) -> Array:
     return jnp.sum(weight[:, :, None] * axes, axis=1)
 
 
-def _nearest(center: Array, axes: Array, half_sizes: Array, point: Array) -> Array:
+def _nearest(center: Array, axes: Array, half_size: Array, point: Array) -> Array:
     """The point of boxes nearest to points, shape (n, 3)."""
     place = jnp.sum(axes * (point - center)[:, None, :], axis=-1)
-    return center + _row(jnp.clip(place, -half_sizes, half_sizes), axes)
+    return center + _row(jnp.clip(place, -half_size, half_size), axes)
 
 
 __all__ = ["box_box"]

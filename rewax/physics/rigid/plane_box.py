@@ -11,7 +11,7 @@ from rewax.types import Array
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
-def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_sizes: Array) -> tuple[Array, Array]:
+def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_size: Array) -> tuple[Array, Array]:
     """Distances and points of contact of a box's four lower corners with a plane.
 
     Args:
@@ -19,7 +19,7 @@ def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_
       normal: unit vector out of it, shape (3,).
       center: of the box [m], shape (3,).
       rotation: from the box's frame to the world's, shape (3, 3).
-      half_sizes: of the box [m], shape (3,).
+      half_size: of the box [m], shape (3,).
 
     Returns:
       Signed distances [m], shape (4,), and points halfway between corner and plane [m], shape (4, 3).
@@ -28,7 +28,7 @@ def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_
     Source: MuJoCo's own plane and box. MJX keeps of the corners those within 1 mm of the deepest, so that a soft box
       which tilts loses the force of its other corners from one step to the next.
     """
-    arms = jnp.sum(rotation * (_CORNERS * half_sizes)[:, None, :], axis=-1)
+    arms = jnp.sum(rotation * (_CORNERS * half_size)[:, None, :], axis=-1)
     height = jnp.sum(arms * normal, axis=-1)
     lower = jax.lax.top_k(-height, 4)[1]
     onehot = jax.nn.one_hot(lower, len(_CORNERS), dtype=arms.dtype)

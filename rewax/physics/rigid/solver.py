@@ -91,10 +91,11 @@ def solve_accelerations(
 
 
 def implicit_correction(matrix: Array, residual: Array) -> Array:
-    """Zero, with the derivative of matrix^-1 residual, for a residual that is zero and whose derivative is not.
+    """Returns zero. Its derivative is that of ``solve(matrix, residual)``.
 
-    ``a - implicit_correction(curvature, M a - force - J^T f(a))``, with a and the matrix held fixed, has the value of a
-    and, by the implicit function theorem, the derivative of the solution.
+    The residual has to be zero: that of a solver that has converged. ``a - implicit_correction(curvature, M a - force
+    - J^T f(a))``, with a and the matrix held fixed, has the value of a. Its derivative is that of the solution, by the
+    implicit function theorem.
 
     Args:
       matrix: symmetric, positive definite, shape (n, n); no derivative is taken of it.

@@ -113,7 +113,7 @@ def signed_distance_components(shape: Shape, p: Vec3) -> tuple[Array, Vec3]:
             return p[1], (zero, jnp.ones_like(p[1]), zero)
     raise ValueError(
         f"shape is {shape!r}: use Sphere, Capsule, Box, Cylinder, Cone, Ellipsoid, Plane, SampledDistance or "
-        "HeightField from rewax.physics.sdf"
+        "HeightField from rewax.physics.shapes"
     )
 
 

@@ -65,7 +65,7 @@ class TetScene(struct.Replaceable):
       rest_volume: of each tet [m^3], shape (num_tets,).
       mass: of each vertex [kg], shape (num_vertices,).
       mu, lam: parameters of the stable neo-Hookean law [Pa]. Small strains see Young's modulus and Poisson's ratio of
-        ``tet_law.small_strain_moduli(mu, lam)``; ``tet_law.stable_parameters`` goes the other way.
+        ``tets.small_strain_moduli(mu, lam)``; ``tets.stable_parameters`` goes the other way.
       damping: viscosity [Pa s].
       activation: shift of the volume ratio at rest [-]; positive contracts.
       gravity: acceleration [m/s^2], shape (3,).
