@@ -235,8 +235,8 @@ def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
     # Masses in a unit near that of a cell: in kg the square of 1 / mass, which the derivative has, overflows float32
     # for small cells. The unit is a power of two, so nothing is rounded.
     unit = 2.0 ** round(-3.0 * math.log2(scene.grid.spacing))
-    inverse = jnp.where(has_mass, 1.0 / jnp.where(has_mass, unit * fields.mass, 1.0), 0.0)
-    return has_mass, cp.vector(lambda i: (unit * fields.momentum[i]) * inverse + scene.dt * scene.gravity[i])
+    inverse = jnp.where(has_mass, unit / jnp.where(has_mass, unit * fields.mass, 1.0), 0.0)
+    return has_mass, cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
 
 
 def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:

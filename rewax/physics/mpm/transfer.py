@@ -284,17 +284,17 @@ def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
     places, rest = _split(layout, residuals)
     batch = places[0].shape
     copies = math.prod(batch[:-1])
+    _check_size(layout, copies)
+    # Which copy a particle belongs to, computed in the program: a constant would be as long as all particles.
+    copy = jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1)
     axes, lowest = [], []
     for a in cp.AXES:
         x = places[a].reshape(-1)
         st = quadratic_bspline(x, origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
-        st = materialize(st)
+        st, copy = materialize((st, copy)) if a == 0 and copies > 1 else (materialize(st), copy)
         w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
         axes.append(_Axis(w, w * d, s, s * d, d))
         lowest.append(st.base)
-    _check_size(layout, copies)
-    # Computed in the program: a constant would be as long as all particles.
-    copy = 0 if copies == 1 else materialize(jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1))
     columns = lowest[0] * grid.shape[1] + lowest[1] + (_COLUMNS @ np.asarray([[grid.shape[1]], [1]], np.int32))
     if layout.num_active is None:
         rows = columns * grid.shape[2] + lowest[2]
