@@ -57,6 +57,11 @@ def test_readme_runs_and_does_what_it_says(tmp_path, monkeypatch):
     assert (tmp_path / "runs" / "mine" / "episode.png").is_file()
 
 
+def test_rolling_flat_page_runs_and_does_what_it_says():
+    env = run_page("docs/rolling_flat.md")["env"]
+    assert env.scene.max_active_nodes is None and env.scene.grid.shape == (49, 49, 49)
+
+
 def test_environments_page_runs_and_does_what_it_says():
     names = run_page("docs/environments.md")
     heights = np.asarray(names["states"].physics.dough.x)[:, :, 1]

@@ -175,7 +175,7 @@ def per_relative_change(gradient, args):
     def one(path, g, a):
         g, a = np.asarray(g, np.float64), np.asarray(a)
         if path[-1].name != "rotation":
-            return g * a
+            return g * np.where(np.isfinite(a), a, 1.0)  # an infinite yield stress has the gradient 0
         return g - np.swapaxes(g, -1, -2) if np.all(a == np.eye(3)) else g
 
     return jax.tree_util.tree_map_with_path(one, gradient, args)
