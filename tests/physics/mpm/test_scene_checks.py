@@ -4,21 +4,11 @@ import re
 
 import numpy as np
 import pytest
+from plain_scenes import SOLID, WATER, scene
 
 from rewax.physics import mpm
-from rewax.physics.mpm import Elasticity, Grid, Material, Plasticity
+from rewax.physics.mpm import Grid, Material
 from rewax.physics.mpm.scene_checks import check_box
-
-nan, inf = float("nan"), float("inf")
-SOLID = {"youngs_modulus": 1e4, "poissons_ratio": 0.3, "density": 1000.0}
-WATER = {"speed_of_sound": 5.0, "density": 1000.0, "elasticity": Elasticity.TAIT}
-SAND = {**SOLID, "plasticity": Plasticity.DRUCKER_PRAGER, "friction_angle": 0.5}
-
-
-def scene(material, **changes) -> mpm.MPMScene:
-    material = Material(**material) if isinstance(material, dict) else material
-    grid = Grid(shape=(8, 9, 10), spacing=0.1)
-    return mpm.make_scene(**{"grid": grid, "dt": 1e-4, "material": material, "particle_volume": 1e-4, **changes})
 
 
 @pytest.mark.parametrize(
