@@ -109,7 +109,7 @@ def measure_train_step(args: Args, env: Any, task: str, scale: str) -> dict[str,
 
     actions = jnp.zeros((config.num_envs, *env.action_spec.shape))
     keys = jax.random.split(jax.random.key(0), config.num_envs)
-    alone, _ = compiled(jax.vmap(jax.value_and_grad(physics)), actions, ts.env_state, keys)
+    alone, _ = compiled(jax.vmap(jax.value_and_grad(physics)), actions, ts.environments.state, keys)
     rounds = max(args.repeats, 3) if seconds < ENOUGH_S else 1
     alone_seconds = math.inf
     for _ in range(rounds):
