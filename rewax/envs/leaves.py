@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.wrappers import Vmap
+from rewax.envs.wrappers import Vmap, is_number
 from rewax.types import Array, PyTree
 
 
@@ -53,7 +53,7 @@ class EnvLeaves(struct.Replaceable):
         env = env.env if axis is not None else env
         named, treedef = jax.tree.flatten_with_path(env)
         names = tuple(jax.tree_util.keystr(path) for path, _ in named)
-        numbers = tuple(leaf if isinstance(leaf, (bool, int, float)) else None for _, leaf in named)
+        numbers = tuple(leaf if is_number(leaf) else None for _, leaf in named)
         arrays = {
             name: strongly_typed(leaf)
             for name, number, (_, leaf) in zip(names, numbers, named, strict=True)
@@ -104,7 +104,7 @@ def stack(envs: Sequence[Any]) -> Vmap:
         )
 
     def join(*leaves: Any) -> PyTree:
-        if all(isinstance(leaf, (bool, int, float)) and leaf == leaves[0] for leaf in leaves):
+        if all(is_number(leaf) and leaf == leaves[0] for leaf in leaves):
             return leaves[0]
         if len({np.shape(leaf) for leaf in leaves}) > 1:
             raise ValueError(f"a leaf has shapes {[np.shape(leaf) for leaf in leaves]}: give all the same")

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import State
-from rewax.envs.wrappers import _Wrapper
+from rewax.envs.wrappers import _Wrapper, is_number
 from rewax.types import Array, Key
 
 Randomize = Callable[[Key, Any], Any]
@@ -47,7 +47,7 @@ def _changed(old: Any, new: Any) -> dict[str, Array]:
     before, after = jax.tree.leaves(old), jax.tree.leaves_with_path(new)
     found = {}
     for a, (path, b) in zip(before, after, strict=True):
-        if a is b or (isinstance(a, (bool, int, float)) and isinstance(b, (bool, int, float)) and a == b):
+        if a is b or (is_number(a) and is_number(b) and a == b):
             continue
         name = jax.tree_util.keystr(path)
         if jnp.shape(a) != jnp.shape(b):

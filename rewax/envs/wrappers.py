@@ -22,6 +22,11 @@ def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
     return jax.tree.map(choose, on_true, on_false)
 
 
+def is_number(leaf: Any) -> bool:
+    """A plain Python number: a leaf that belongs to the program and that environments of a batch share."""
+    return isinstance(leaf, (bool, int, float))
+
+
 @struct.dataclass
 class _Wrapper:
     """Forwards everything that a wrapper does not change."""
@@ -121,10 +126,10 @@ class Vmap(_Wrapper):
         """Of the environment's leaves; Python numbers are shared."""
         if self.env_axis is None:
             return None
-        return jax.tree.map(lambda a: None if isinstance(a, (bool, int, float)) else 0, self.env)
+        return jax.tree.map(lambda a: None if is_number(a) else 0, self.env)
 
     @property
     def _first(self) -> Any:
         if self.env_axis is None:
             return self.env
-        return jax.tree.map(lambda a: a if isinstance(a, (bool, int, float)) else a[0], self.env)
+        return jax.tree.map(lambda a: a if is_number(a) else a[0], self.env)
