@@ -105,8 +105,8 @@ WRONG = {
     "cannot draw a shape of kind 'cone': use one of 'sphere', 'capsule', 'cylinder', 'box', 'plane'": {"kind": "cone"},
     "cannot draw a shape of kind None: use one of 'sphere', 'capsule', 'cylinder', 'box', 'plane'": {"center": (0, 0, 0)},
     "a drawing is 3: give a dict with kind, center and the keys of that kind": 3,
-    "the drawing of a box has no 'half_size', but has 'half_size': give it center, half_size, rotation": {
-        **{key: value for key, value in BOX.items() if key != "half_size"}, "half_size": (1, 2, 3)
+    "the drawing of a box has no 'half_size', but has 'half_sizes': give it center, half_size, rotation": {
+        **{key: value for key, value in BOX.items() if key != "half_size"}, "half_sizes": (1, 2, 3)
     },
     "the drawing of a plane has no 'direction': give it center, direction": {"kind": "plane", "center": (0, 0, 0)},
     "half_size of the drawing of a box has shape (2,): give (3,)": {**BOX, "half_size": (1, 2)},
