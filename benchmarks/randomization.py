@@ -1,13 +1,15 @@
 """Does domain randomisation help? SAPO on RollingFlat `small`, dough of one stiffness or of one drawn per episode.
 
-Trains one policy on dough of the task's stiffness and one on dough whose stiffness is drawn, log-uniformly between 0.5
-and 2 times, at each reset; then evaluates both on the whole range, from the same initial states.
+Trains one policy on dough of the task's stiffness and one on dough whose stiffness, Young's modulus and yield stress
+alike, is drawn log-uniformly between 0.5 and 2 times at each reset; then evaluates both on the whole range, from the
+same initial states.
 
     for s in 0 1 2; do python benchmarks/randomization.py --seed $s --out randomization-$s.json; done
     python benchmarks/randomization.py --table randomization-*.json
 """
 
 import argparse
+import dataclasses
 import json
 import time
 from pathlib import Path
@@ -40,9 +42,11 @@ def environment(scaled: str):
     return env, stiffer
 
 
-def train(env, randomize, seed: int, num_iterations: int):
+def train(env, randomize, seed: int, num_iterations: int, num_envs: int):
     """A trained state, its agent, and the seconds it took."""
-    agent = make_sapo(env, sapo_preset("RollingFlat", "small"), randomize=randomize)
+    preset = sapo_preset("RollingFlat", "small")
+    config = dataclasses.replace(preset, num_iterations=num_iterations, num_envs=num_envs)
+    agent = make_sapo(env, config, randomize=randomize)
     state, began = agent.init(jax.random.key(seed)), time.perf_counter()
     for _ in range(num_iterations):
         state, metrics = agent.train_step(state)
@@ -89,8 +93,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--iterations", type=int, default=120)
+    parser.add_argument("--envs", type=int, default=32)
     parser.add_argument("--episodes", type=int, default=64)
-    parser.add_argument("--scaled", default="youngs_modulus", help="parameters of the dough that are scaled together")
+    parser.add_argument("--scaled", default="youngs_modulus,yield_stress", help="parameters of the dough that are scaled together")
     parser.add_argument("--out", default="randomization.json")
     parser.add_argument("--table", nargs="+", help="print the table of these results and stop")
     args = parser.parse_args()
@@ -103,9 +108,9 @@ def main() -> None:
     def draw(key, env):
         return stiffer(env, 2.0 ** jax.random.uniform(key, minval=-1.0, maxval=1.0))
 
-    result = {"seed": args.seed, "scaled": args.scaled, "iterations": args.iterations, "factors": FACTORS}
+    result = {"factors": FACTORS, **{name: getattr(args, name) for name in ("seed", "scaled", "iterations", "envs")}}
     for name, hook in (("one stiffness", None), ("drawn stiffness", draw)):
-        agent, state, seconds = train(env, hook, args.seed, args.iterations)
+        agent, state, seconds = train(env, hook, args.seed, args.iterations, args.envs)
         result[name] = evaluate(agent, state, env, stiffer, args.episodes)
         result[f"{name}, seconds"] = seconds
         print(name, args.seed, [round(value, 2) for value in result[name]], f"{seconds:.0f} s", flush=True)
