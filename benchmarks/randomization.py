@@ -95,7 +95,9 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=120)
     parser.add_argument("--envs", type=int, default=32)
     parser.add_argument("--episodes", type=int, default=64)
-    parser.add_argument("--scaled", default="youngs_modulus,yield_stress", help="parameters of the dough that are scaled together")
+    parser.add_argument(
+        "--scaled", default="youngs_modulus,yield_stress", help="parameters of the dough that are scaled together"
+    )
     parser.add_argument("--out", default="randomization.json")
     parser.add_argument("--table", nargs="+", help="print the table of these results and stop")
     args = parser.parse_args()

@@ -7,6 +7,7 @@ far from the origin.
 Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 2 and 4; layout as in MuJoCo's documentation.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -92,20 +93,6 @@ def generalized_forces(topology: TreeTopology, kin: Kinematics, wrenches: Array)
     return jnp.sum(kin.axes * dot(topology.moves.T, wrenches), axis=-1)
 
 
-def wrenches_at(kin: Kinematics, body: Array, point: Array, force: Array, num_bodies: int) -> Array:
-    """Wrenches, as ``generalized_forces`` takes them, of forces [N] at points [m] of bodies, shape (num_bodies, 6).
-
-    Args:
-      kin: where the bodies are.
-      body: which body each force acts on, shape (n,), int.
-      point, force: in world axes, shape (n, 3).
-      num_bodies: of the tree.
-    """
-    onehot = jax.nn.one_hot(body, num_bodies, dtype=force.dtype)
-    arm = point - dot(onehot, kin.tree_com)
-    return dot(onehot.T, jnp.concatenate([cross(arm, force), force], axis=-1))
-
-
 def point_velocities(kin: Kinematics, velocities: Array, body: Array, point: Array) -> Array:
     """Velocity of points that move with bodies [m/s], shape (n, 3).
 
@@ -115,9 +102,24 @@ def point_velocities(kin: Kinematics, velocities: Array, body: Array, point: Arr
       body: which body each point belongs to, shape (n,), int.
       point: in the world [m], shape (n, 3).
     """
+    return moving_points(kin, velocities, body, point)[0]
+
+
+def moving_points(
+    kin: Kinematics, velocities: Array, body: Array, point: Array
+) -> tuple[Array, Callable[[Array], Array]]:
+    """The same, and a function of forces at these points [N], in world axes, shape (n, 3).
+
+    It returns their wrenches on the bodies as ``generalized_forces`` takes them, shape (num_bodies, 6).
+    """
     onehot = jax.nn.one_hot(body, velocities.shape[0], dtype=point.dtype)
-    velocity = dot(onehot, velocities)
-    return velocity[:, 3:] + cross(velocity[:, :3], point - dot(onehot, kin.tree_com))
+    carried = dot(onehot, jnp.concatenate([velocities, kin.tree_com], axis=-1))
+    arm = point - carried[:, 6:]
+
+    def wrenches(force: Array) -> Array:
+        return dot(onehot.T, jnp.concatenate([cross(arm, force), force], axis=-1))
+
+    return carried[:, 3:6] + cross(carried[:, :3], arm), wrenches
 
 
 def point_drifts(topology: TreeTopology, kin: Kinematics, qvel: Array, body: Array, point: Array) -> Array:

@@ -12,7 +12,7 @@ from rewax import struct
 from rewax.physics.contact.penalty import PenaltyContact, penalty_force
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers
 from rewax.physics.numerics.components import join_vector, split_vector
-from rewax.physics.rigid.kinematics import Kinematics, point_velocities, wrenches_at
+from rewax.physics.rigid.kinematics import Kinematics, moving_points
 from rewax.types import Array
 
 
@@ -124,14 +124,14 @@ def contact_wrenches(
     if penalty.at_surfaces and half_gap is not None:
         shift = half_gap[:, None] * normal
         on_first, on_second = point - shift, point + shift
-    sliding = point_velocities(kin, velocities, second, on_second)
-    sliding = sliding - point_velocities(kin, velocities, first, on_first)
+    body, place = jnp.concatenate([second, first]), jnp.concatenate([on_second, on_first])
+    speed, wrenches = moving_points(kin, velocities, body, place)
+    sliding = speed[: len(distance)] - speed[len(distance) :]
     law = penalty.contact()
     if penalty.among is not None and of_one_tree is not None:
         law = jax.tree.map(lambda a, b: jnp.where(of_one_tree, a, b), penalty.among.contact(), law)
     force = join_vector(penalty_force(law, distance, split_vector(normal), split_vector(sliding), friction))
-    body, place = jnp.concatenate([second, first]), jnp.concatenate([on_second, on_first])
-    return wrenches_at(kin, body, place, jnp.concatenate([force, -force]), len(velocities))
+    return wrenches(jnp.concatenate([force, -force]))
 
 
 def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) -> Array:

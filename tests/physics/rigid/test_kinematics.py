@@ -13,8 +13,7 @@ from rewax.physics.rigid.kinematics import (
     generalized_forces,
     integrate,
     kinematics,
-    point_velocities,
-    wrenches_at,
+    moving_points,
 )
 from rewax.physics.rigid.small_products import rotate
 
@@ -35,8 +34,8 @@ def test_velocities_are_rates_of_positions_and_forces_their_dual(x64):
         point, rate = jax.jvp(place, (0.0,), (1.0,))
         kin = kinematics(topology, parameters, q)
         twist = body_velocities(topology, kin, v)
-        wrenches = wrenches_at(kin, body, point, jnp.asarray(force), mj.nbody)
-        return rate, point_velocities(kin, twist, body, point), generalized_forces(topology, kin, wrenches)
+        velocity, wrenches = moving_points(kin, twist, body, point)
+        return rate, velocity, generalized_forces(topology, kin, wrenches(jnp.asarray(force)))
 
     rate, velocity, generalized = measure(q, v)
     np.testing.assert_allclose(velocity, rate, atol=1e-12)
