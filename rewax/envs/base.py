@@ -146,9 +146,10 @@ def next_state(
       removed here; agents drop such an environment's gradient and count it.)
     """
     broken = [~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)]
-    failed = jnp.any(jnp.stack(broken)) | ((jnp.asarray(status) & FATAL) != 0)
-    # A fatal status without a non-finite number has the index after the last.
-    first = jnp.argmax(jnp.stack([*broken, failed])).astype(jnp.int32)
+    # A fatal status without a non-finite number has the index after the last array's.
+    broken = jnp.stack([*broken, (jnp.asarray(status) & FATAL) != 0])
+    first = jnp.min(jnp.where(broken, jnp.arange(len(broken), dtype=jnp.int32), len(broken)))
+    failed = first < len(broken)
 
     def keep(new: PyTree, old: PyTree) -> PyTree:
         return jax.tree.map(lambda a, b: jnp.where(failed, jax.lax.stop_gradient(b), a), new, old)
