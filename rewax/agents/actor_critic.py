@@ -1,36 +1,34 @@
 """Actor and critics as an algorithm uses them: functions of parameters, statistics and observations."""
 
-from typing import Any, NamedTuple
+import dataclasses
+from typing import Any
 
 import jax
 import optax
 
-from rewax.agents.config import ActorCriticConfig
+from rewax.agents.config import ActorCriticConfig, PolicyConfig
 from rewax.agents.distributions import TanhNormal
 from rewax.agents.networks import ACTIVATIONS, Critics, Encoder, GaussianActor
 from rewax.agents.normalization import RunningStatistics, normalize
 from rewax.agents.optimizers import clipped_adamw, linear_fall
 from rewax.agents.value_fitting import chunk_size
 from rewax.envs.base import ArraySpec, Env
-from rewax.types import Array, Observation, PyTree
+from rewax.types import Array, Key, Observation, PyTree
 
 
-class ActorCritic(NamedTuple):
-    """Networks and optimizers that follow from a configuration and the specs of an environment.
+@dataclasses.dataclass(frozen=True)
+class Actor:
+    """The policy network and its optimizer, as they follow from a configuration and the specs of an environment.
 
     Attributes:
-      config: an ``ActorCriticConfig``: sizes and learning rates.
-      actor, critics: flax modules.
-      actor_optimizer, critic_optimizer: with learning rates that fall.
+      config: a ``PolicyConfig``: sizes and learning rates.
+      network: flax module.
       action_size: components of an action.
       observation_spec: of the environment.
     """
 
     config: Any
-    actor: GaussianActor
-    critics: Critics
-    actor_optimizer: optax.GradientTransformation
-    critic_optimizer: optax.GradientTransformation
+    network: GaussianActor
     action_size: int
     observation_spec: dict[str, ArraySpec]
 
@@ -42,8 +40,55 @@ class ActorCritic(NamedTuple):
 
     def action_distribution(self, params: PyTree, statistics: RunningStatistics, obs: Observation) -> TanhNormal:
         """Of one environment's action. Gradient: exact, with respect to params and obs."""
-        out: Any = self.actor.apply(params, self.seen(statistics, obs))
+        return self.distribution(params, self.seen(statistics, obs))
+
+    def distribution(self, params: PyTree, seen: Observation) -> TanhNormal:
+        """The same for an observation that ``seen`` returned."""
+        out: Any = self.network.apply(params, seen)
         return TanhNormal(mean=out[0], log_std=out[1])
+
+    def policy(self, state: Any, obs: Observation, key: Key, deterministic: bool = False) -> Array:
+        """``Agent.policy`` of every algorithm whose state has ``actor_params`` and ``environments``."""
+        distribution = self.action_distribution(state.actor_params, state.environments.statistics, obs)
+        return distribution.mode() if deterministic else distribution.sample(key)
+
+    @property
+    def actor_optimizer(self) -> optax.GradientTransformation:
+        """With a learning rate that falls, updated once per iteration."""
+        return self.falling_optimizer(self.config.actor_learning_rate, 1)
+
+    def optimizer(self, learning_rate: optax.ScalarOrSchedule) -> optax.GradientTransformation:
+        """The configuration's Adam with another learning rate."""
+        config = self.config
+        return clipped_adamw(
+            learning_rate,
+            max_grad_norm=config.max_grad_norm,
+            b1=config.adam_b1,
+            b2=config.adam_b2,
+            weight_decay=config.weight_decay if config.optimizer == "adamw" else 0.0,
+        )
+
+    def falling_optimizer(self, learning_rate: float, updates_per_iteration: int) -> optax.GradientTransformation:
+        """The configuration's Adam with a learning rate that falls from this one."""
+        return self.optimizer(
+            linear_fall(
+                learning_rate,
+                self.config.final_learning_rate,
+                self.config.num_iterations,
+                updates_per_iteration=updates_per_iteration,
+            )
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class ActorCritic(Actor):
+    """The critics too; ``config`` is an ``ActorCriticConfig``.
+
+    Attributes:
+      critics: flax module.
+    """
+
+    critics: Critics
 
     def values(self, params: PyTree, seen: Observation) -> Array:
         """By all critics, for observations with one leading axis that ``seen`` returned, shape (T, num_critics)."""
@@ -51,47 +96,46 @@ class ActorCritic(NamedTuple):
         return out
 
     @property
+    def critic_optimizer(self) -> optax.GradientTransformation:
+        """With a learning rate that falls; for ``fit_values``."""
+        return self.falling_optimizer(
+            self.config.critic_learning_rate, self.config.critic_passes * self.config.critic_minibatches
+        )
+
+    @property
     def critic_chunk(self) -> int:
         """Samples that the critics differentiate at a time: a divisor of the minibatch."""
         chunk = self.config.critic_chunk
         return chunk_size(self.config.minibatch, self.observation_spec) if chunk is None else chunk
 
-    def optimizer(self, learning_rate: optax.ScalarOrSchedule) -> optax.GradientTransformation:
-        """The configuration's AdamW with another learning rate."""
-        return _optimizer(self.config, learning_rate)
+
+def make_actor(env: Env, config: PolicyConfig) -> Actor:
+    """Policy network and optimizer for an environment, of which only the specs are used."""
+    return Actor(config, _network(env, config), env.action_spec.shape[0], env.observation_spec)
 
 
 def make_actor_critic(env: Env, config: ActorCriticConfig) -> ActorCritic:
     """Networks and optimizers for an environment, of which only the specs are used."""
-    activation, gain, action_size = ACTIVATIONS[config.activation], 1.0, env.action_spec.shape[0]
-
-    def encoder() -> Encoder:
-        return Encoder(config.point_widths, config.point_features, config.vector_features, activation, gain)
-
-    def falling(learning_rate: float, updates: int) -> optax.GradientTransformation:
-        schedule = linear_fall(
-            learning_rate, config.final_learning_rate, config.num_iterations, updates_per_iteration=updates
-        )
-        return _optimizer(config, schedule)
-
-    return ActorCritic(
-        config=config,
-        actor=GaussianActor(
-            encoder(), config.actor_widths, action_size, activation, gain, config.log_std_range, config.initial_log_std
-        ),
-        critics=Critics(encoder(), config.critic_widths, config.num_critics, activation, gain),
-        actor_optimizer=falling(config.actor_learning_rate, 1),
-        critic_optimizer=falling(config.critic_learning_rate, config.critic_passes * config.critic_minibatches),
-        action_size=action_size,
-        observation_spec=env.observation_spec,
+    actor = make_actor(env, config)
+    critics = Critics(
+        _encoder(config), config.critic_widths, config.num_critics, ACTIVATIONS[config.activation], config.initial_gain
     )
+    return ActorCritic(config, actor.network, actor.action_size, actor.observation_spec, critics)
 
 
-def _optimizer(config: ActorCriticConfig, learning_rate: optax.ScalarOrSchedule) -> optax.GradientTransformation:
-    return clipped_adamw(
-        learning_rate,
-        max_grad_norm=config.max_grad_norm,
-        b1=config.adam_b1,
-        b2=config.adam_b2,
-        weight_decay=config.weight_decay,
+def _encoder(config: PolicyConfig) -> Encoder:
+    sizes = (config.point_widths, config.point_features, config.vector_features)
+    return Encoder(*sizes, ACTIVATIONS[config.activation], config.initial_gain)
+
+
+def _network(env: Env, config: PolicyConfig) -> GaussianActor:
+    return GaussianActor(
+        _encoder(config),
+        config.actor_widths,
+        env.action_spec.shape[0],
+        ACTIVATIONS[config.activation],
+        config.initial_gain,
+        config.log_std_range,
+        config.initial_log_std,
+        config.state_dependent_std,
     )

@@ -21,10 +21,12 @@ class Agent(NamedTuple):
 
     Attributes:
       init: ``key -> TrainState``.
-      train_step: ``TrainState -> (TrainState, Metrics)``; one iteration, jitted, the input stays usable.
+      train_step: ``TrainState -> (TrainState, Metrics)``; one iteration, jitted. The input stays usable unless
+        ``consumes`` says otherwise.
       policy: ``(TrainState, obs, key, deterministic=False) -> action`` for one environment; ``vmap`` over obs and key.
       name: of the algorithm in ``rewax.agents.registry``; empty for one that is not registered.
       config: its frozen dataclass of hyper-parameters.
+      consumes: ``train_step`` changes its input in place: it cannot be used afterwards.
     """
 
     init: Callable[[Key], Any]
@@ -32,6 +34,7 @@ class Agent(NamedTuple):
     policy: Callable[..., Array]
     name: str = ""
     config: Any = None
+    consumes: bool = False
 
 
 Init: TypeAlias = Callable[[Any, EnvLeaves, Key], TrainState]
@@ -39,7 +42,14 @@ TrainStep: TypeAlias = Callable[[Any, TrainState], tuple[TrainState, Metrics]]
 
 
 def bind(
-    name: str, config: Any, leaves: EnvLeaves, *, init: Init, train_step: TrainStep, policy: Callable[..., Array]
+    name: str,
+    config: Any,
+    leaves: EnvLeaves,
+    *,
+    init: Init,
+    train_step: TrainStep,
+    policy: Callable[..., Array],
+    donate: bool = False,
 ) -> Agent:
     """An agent from pure functions of its configuration.
 
@@ -53,13 +63,21 @@ def bind(
       init: ``(config, leaves, key) -> TrainState``.
       train_step: ``(config, TrainState) -> (TrainState, Metrics)``.
       policy: as for ``Agent``.
+      donate: ``train_step`` may reuse the memory of its input.
     """
-    start, step = _compiled(init, config, True), _compiled(train_step, config)
-    return Agent(init=lambda key: start(leaves, key), train_step=step, policy=policy, name=name, config=config)
+    start, step = _compiled(init, config, True), _compiled(train_step, config, donate=donate)
+    return Agent(
+        init=lambda key: start(leaves, key),
+        train_step=step,
+        policy=policy,
+        name=name,
+        config=config,
+        consumes=donate,
+    )
 
 
 @functools.cache
-def _compiled(function: Callable[..., Any], config: Any, fix_types: bool = False) -> Any:
+def _compiled(function: Callable[..., Any], config: Any, fix_types: bool = False, donate: bool = False) -> Any:
     """``function`` with its first argument fixed, jitted; once per configuration."""
 
     def program(*args: Any) -> Any:
@@ -67,4 +85,4 @@ def _compiled(function: Callable[..., Any], config: Any, fix_types: bool = False
         # A run's first state has the types of all later ones, so that train_step is compiled once.
         return jax.tree.map(strongly_typed, out) if fix_types else out
 
-    return jax.jit(program)
+    return jax.jit(program, donate_argnums=0 if donate else ())

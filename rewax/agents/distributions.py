@@ -23,15 +23,31 @@ class TanhNormal:
     mean: Array
     log_std: Array
 
+    @property
+    def base(self) -> distrax.Normal:
+        """The distribution before the tanh."""
+        return distrax.Normal(self.mean, jnp.exp(self.log_std))
+
+    def sample_raw(self, key: Key) -> Array:
+        """An action before its tanh, shape (action_size,). Gradient: through the sample."""
+        return self.base.sample(seed=key)
+
+    def log_prob_raw(self, raw: Array) -> Array:
+        """Log of the probability density of the action tanh(raw), shape (). Gradient: exact, finite everywhere."""
+        log_det = 2.0 * (jnp.log(2.0) - raw - jax.nn.softplus(-2.0 * raw))
+        return jnp.sum(self.base.log_prob(raw) - log_det)
+
+    def kl_divergence(self, other: "TanhNormal") -> Array:
+        """KL(self || other), shape (): that of the normal distributions, which the tanh does not change."""
+        return jnp.sum(self.base.kl_divergence(other.base))
+
     def sample_and_log_prob(self, key: Key) -> tuple[Array, Array]:
         """An action, shape (action_size,), and the log of its probability density, shape ().
 
         Gradient: exact with respect to mean and log_std, through the sample (reparameterised).
         """
-        base = distrax.Normal(self.mean, jnp.exp(self.log_std))
-        raw = base.sample(seed=key)
-        log_det = 2.0 * (jnp.log(2.0) - raw - jax.nn.softplus(-2.0 * raw))
-        return jnp.tanh(raw), jnp.sum(base.log_prob(raw) - log_det)
+        raw = self.sample_raw(key)
+        return jnp.tanh(raw), self.log_prob_raw(raw)
 
     def sample(self, key: Key) -> Array:
         """An action, shape (action_size,). Gradient: through the sample."""

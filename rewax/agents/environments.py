@@ -53,15 +53,17 @@ class Environments(struct.Replaceable):
             self.env.replace(axis=None), self.state, *args
         )
 
+    def restarted(self, key: Key) -> "Environments":
+        """All environments at the beginning of new episodes."""
+        return self.replace(state=_reset(self.env, self.split(key)), episode_return=jnp.zeros_like(self.episode_return))
+
     def advanced(self, state: State, transitions: Transition, *, learn_statistics: bool) -> "Environments":
         """The environments after a rollout of all of them, leading axes (num_envs, horizon)."""
         statistics = self.statistics
         if learn_statistics:
             # What led to a failure is no typical sample: nothing of that environment's rollout counts.
-            healthy = jnp.all(transitions.valid, axis=1, keepdims=True)
-            statistics = update_statistics(
-                statistics, transitions.obs, jnp.broadcast_to(healthy, transitions.valid.shape)
-            )
+            healthy = ~jnp.any(transitions.failed, axis=1, keepdims=True)
+            statistics = update_statistics(statistics, transitions.obs, transitions.active & healthy)
         return self.replace(
             state=state, statistics=statistics, episode_return=running_returns(self.episode_return, transitions)[0]
         )
@@ -94,11 +96,7 @@ def start_environments(
       stagger: start at random points of the time limit, so that environments do not reset together.
       learn_statistics: begin the statistics with the first observations.
     """
-    axes = (env.axis, 0)
-    state = jax.vmap(lambda env, key: AutoReset(env=env.build()).reset(key), axes)(
-        env.replace(axis=None), jax.random.split(key, num_envs)
-    )
-    first = env.first()
+    state, first = _reset(env, jax.random.split(key, num_envs)), env.first()
     episode_return = jnp.zeros(num_envs)
     if stagger:
         start = jax.random.randint(stagger_key, (num_envs,), 0, first.episode_length, jnp.int32)
@@ -109,6 +107,12 @@ def start_environments(
     if learn_statistics:
         statistics = update_statistics(statistics, state.obs, jnp.ones(num_envs, bool))
     return Environments(env=env, state=state, statistics=statistics, episode_return=episode_return)
+
+
+def _reset(env: EnvLeaves, keys: Key) -> State:
+    """First states of the environments behind ``AutoReset``, one per key."""
+    reset = jax.vmap(lambda env, key: AutoReset(env=env.build()).reset(key), (env.axis, 0))
+    return reset(env.replace(axis=None), keys)
 
 
 def running_returns(running: Array, transitions: Transition) -> tuple[Array, Array]:

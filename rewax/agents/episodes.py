@@ -24,7 +24,7 @@ def episode_metrics(environments: Environments, transitions: Transition) -> Metr
     """
     _, finished = running_returns(environments.episode_return, transitions)
     counted = jnp.isfinite(finished)
-    failed = ~transitions.valid
+    failed = transitions.failed
     first = jnp.argmax(failed.reshape(-1))
     env, leaf = first // failed.shape[1], transitions.failed_leaf.reshape(-1)[first]
     bits = {
@@ -32,7 +32,7 @@ def episode_metrics(environments: Environments, transitions: Transition) -> Metr
     }
     return {
         "return": jnp.where(counted.any(), jnp.nanmean(finished), jnp.nan),
-        "reward": transitions.reward.mean(),
+        "reward": transitions.reward.mean(where=transitions.active),
         "episodes": jnp.sum(transitions.done),
         "failed_episodes": jnp.sum(failed),
         **bits,

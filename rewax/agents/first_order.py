@@ -1,6 +1,5 @@
 """What first-order actor-critic algorithms share: state of a run, actor's ascent, critics' targets."""
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -8,13 +7,13 @@ import jax.numpy as jnp
 import optax
 
 from rewax import struct
-from rewax.agents.actor_critic import ActorCritic
+from rewax.agents.actor_critic import Actor, ActorCritic
 from rewax.agents.base import Metrics
-from rewax.agents.environments import Environments, start_environments
-from rewax.agents.gradients import Loss, mean_of_finite, per_env_gradients
+from rewax.agents.gradients import Loss, mean_gradient, per_env_gradients
 from rewax.agents.optimizers import apply
 from rewax.agents.returns import short_horizon_return, td_lambda
 from rewax.agents.rollout import Transition
+from rewax.agents.run_state import PolicyState, fields, first_observation, run_keys, start_policy
 from rewax.agents.value_fitting import fit_values
 from rewax.envs.base import State
 from rewax.envs.leaves import EnvLeaves
@@ -22,25 +21,17 @@ from rewax.types import Array, Key, PyTree
 
 
 @struct.dataclass
-class FirstOrderState(struct.Replaceable):
-    """Everything a run is; a checkpoint holds just this.
+class FirstOrderState(PolicyState):
+    """Everything a run of an actor and critics is.
 
     Attributes:
-      actor_params, critic_params: of the networks.
-      actor_opt, critic_opt: of the optimizers.
-      environments: the environments, with the statistics of their observations.
-      key: source of randomness.
-      iteration, env_steps: done so far, shape (), int32.
+      critic_params, critic_opt: of the critics and their optimizer.
+      target_params: of the critics' target network, which moves slowly; None: there is none.
     """
 
-    actor_params: PyTree
     critic_params: PyTree
-    actor_opt: PyTree
     critic_opt: PyTree
-    environments: Environments
-    key: Key
-    iteration: Array
-    env_steps: Array
+    target_params: PyTree
 
 
 class Stretch(NamedTuple):
@@ -51,35 +42,17 @@ class Stretch(NamedTuple):
     next_values: Array
 
 
-def start_run(networks: ActorCritic, leaves: EnvLeaves, key: Key) -> FirstOrderState:
+def start_actor_critic(networks: ActorCritic, leaves: EnvLeaves, key: Key) -> FirstOrderState:
     """The state of a run that has not begun."""
-    config = networks.config
-    key, actor_key, critic_key, env_key, stagger_key = jax.random.split(key, 5)
-    environments = start_environments(
-        leaves,
-        env_key,
-        stagger_key,
-        num_envs=config.num_envs,
-        stagger=config.stagger_episodes,
-        learn_statistics=config.normalize_observations,
-    )
-    obs = jax.tree.map(lambda a: a[0], environments.state.obs)
-    actor_params, critic_params = networks.actor.init(actor_key, obs), networks.critics.init(critic_key, obs)
+    keys = run_keys(key)
+    base = start_policy(networks, leaves, keys)
+    critic_params = networks.critics.init(keys.critics, first_observation(base))
     return FirstOrderState(
-        actor_params=actor_params,
+        **fields(base),
         critic_params=critic_params,
-        actor_opt=networks.actor_optimizer.init(actor_params),
         critic_opt=networks.critic_optimizer.init(critic_params),
-        environments=environments,
-        key=key,
-        iteration=jnp.zeros((), jnp.int32),
-        env_steps=jnp.zeros((), jnp.int32),
+        target_params=critic_params if networks.config.target_decay is not None else None,
     )
-
-
-def fields(state: Any) -> dict[str, Any]:
-    """The fields of a state by name, to build one of a subclass from."""
-    return {field.name: getattr(state, field.name) for field in dataclasses.fields(state)}
 
 
 def stretch_loss(
@@ -97,43 +70,57 @@ def stretch_loss(
     """
     t, config = transitions, networks.config
     next_values = networks.values(state.critic_params, networks.seen(state.environments.statistics, t.next_obs))
-    value = jnp.where(t.terminated, 0.0, next_values.mean(axis=-1))
+    value = jnp.where(t.terminated, 0.0, combined(next_values, config.actor_value))
     objective = short_horizon_return(reward, value, t.done, t.valid, discount=config.discount)
-    return -objective / config.horizon, Stretch(end, t, next_values)
+    return -objective / jnp.sum(t.active), Stretch(end, t, next_values)
 
 
-def actor_update(
-    networks: ActorCritic, state: FirstOrderState, loss: Loss, key: Key
-) -> tuple[PyTree, PyTree, Stretch, Metrics]:
+def actor_update(actor: Actor, state: PolicyState, loss: Loss, key: Key) -> tuple[dict[str, PyTree], Any, Metrics]:
     """One step of the actor along the mean of the environments' finite gradients.
 
+    Args:
+      actor, state: what is updated; the configuration is a ``GradientConfig`` too.
+      loss: of one environment.
+      key: split into one per environment.
+
     Returns:
-      Parameters, optimizer state, the rollouts (leading axis of environments), and the metrics ``actor_loss``,
-      ``actor_grad_norm`` and ``dropped_gradients``.
+      The fields of the state that change, ``actor_params`` and ``actor_opt``; the loss's data (leading axis of
+      environments); and the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``.
     """
     losses, data, grads = per_env_gradients(loss, state.actor_params, state.environments, key)
-    grad, kept = mean_of_finite(losses, grads)
-    params, opt = apply(networks.actor_optimizer, grad, state.actor_opt, state.actor_params)
-    metrics = {
-        "actor_loss": jnp.sum(jnp.where(kept, losses, 0.0)) / jnp.maximum(kept.sum(), 1),
-        "actor_grad_norm": optax.tree.norm(grad),
-        "dropped_gradients": jnp.sum(~kept),
-    }
-    return params, opt, data, metrics
+    changes, metrics = actor_step(actor, state, losses, grads)
+    return changes, data, metrics
 
 
-def critic_update(
-    networks: ActorCritic, state: FirstOrderState, data: Stretch, reward: Array
-) -> tuple[PyTree, PyTree, Metrics]:
-    """Regress all critics onto TD(lambda) targets of the smaller value.
+def actor_step(actor: Actor, state: PolicyState, losses: Array, grads: PyTree) -> tuple[dict[str, PyTree], Metrics]:
+    """The same from the environments' losses and gradients."""
+    grad, metrics = mean_gradient(losses, grads, max_norm=actor.config.max_env_grad_norm)
+    params, opt = apply(actor.actor_optimizer, grad, state.actor_opt, state.actor_params)
+    return {"actor_params": params, "actor_opt": opt}, metrics
+
+
+def combined(values: Array, how: str) -> Array:
+    """One value from those of several critics, by their ``mean`` or ``min``. Gradient: exact."""
+    return values.mean(axis=-1) if how == "mean" else values.min(axis=-1)
+
+
+def critic_update(networks: ActorCritic, state: FirstOrderState, data: Stretch, reward: Array) -> tuple[dict, Metrics]:
+    """Regress all critics onto TD(lambda) targets; the target network follows.
 
     Args:
       networks, state: what is fitted.
       data: rollouts, leading axis of environments.
       reward: of each step, with or without a bonus, shape (num_envs, T).
+
+    Returns:
+      The fields of the state that change, ``critic_params``, ``critic_opt`` and ``target_params``; and metrics.
     """
-    t, config = data.transitions, networks.config
-    value = jnp.where(t.terminated, 0.0, data.next_values.min(axis=-1))
+    t, config, statistics = data.transitions, networks.config, state.environments.statistics
+    next_values = data.next_values
+    if state.target_params is not None:
+        seen = networks.seen(statistics, t.next_obs)
+        next_values = jax.vmap(lambda obs: networks.values(state.target_params, obs))(seen)
+    value = jnp.where(t.terminated, 0.0, combined(next_values, config.target_value))
     targets = jax.vmap(lambda *steps: td_lambda(*steps, discount=config.discount, lambda_=config.td_lambda))(
         reward, value, t.done, t.valid
     )
@@ -142,23 +129,15 @@ def critic_update(
         state.critic_params,
         state.critic_opt,
         networks.critic_optimizer,
-        networks.seen(state.environments.statistics, t.obs),
+        networks.seen(statistics, t.obs),
         targets,
         t.valid,
         passes=config.critic_passes,
         minibatches=config.critic_minibatches,
         chunk=networks.critic_chunk,
     )
-    return params, opt, {**metrics, "value": jnp.mean(value, where=t.valid)}
-
-
-def advanced(networks: ActorCritic, state: FirstOrderState, data: Stretch, **changes: Any) -> Any:
-    """The state after an iteration: environments moved on, counters raised, and what ``changes`` names."""
-    config = networks.config
-    environments = state.environments.advanced(
-        data.state, data.transitions, learn_statistics=config.normalize_observations
-    )
-    steps = config.num_envs * config.horizon
-    return state.replace(
-        environments=environments, iteration=state.iteration + 1, env_steps=state.env_steps + steps, **changes
-    )
+    target = state.target_params
+    if target is not None:
+        target = optax.incremental_update(params, target, 1.0 - config.target_decay)
+    changes = {"critic_params": params, "critic_opt": opt, "target_params": target}
+    return changes, {**metrics, "value": jnp.mean(value, where=t.valid)}

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from rewax.agents.base import Metrics
 from rewax.agents.environments import Environments
 from rewax.envs.wrappers import AutoReset
 from rewax.status import all_finite
@@ -33,6 +34,26 @@ def per_env_gradients(loss: Loss, params: PyTree, environments: Environments, ke
         lambda env, state, key: value_and_grad(params, env, state, key), environments.split(key)
     )
     return losses, jax.lax.stop_gradient(data), grads
+
+
+def mean_gradient(losses: Array, grads: PyTree, *, max_norm: float | None = None) -> tuple[PyTree, Metrics]:
+    """The mean of the environments' finite gradients, and what to report of it.
+
+    Args:
+      losses, grads: as ``per_env_gradients`` returns them.
+      max_norm: to which each environment's gradient is clipped first; None: not.
+
+    Returns:
+      The gradient, and the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``.
+    """
+    if max_norm is not None:
+        grads = clip_per_env(grads, max_norm)
+    grad, kept = mean_of_finite(losses, grads)
+    return grad, {
+        "actor_loss": jnp.sum(jnp.where(kept, losses, 0.0)) / jnp.maximum(kept.sum(), 1),
+        "actor_grad_norm": optax.tree.norm(grad),
+        "dropped_gradients": jnp.sum(~kept),
+    }
 
 
 def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:

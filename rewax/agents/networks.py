@@ -86,7 +86,10 @@ class Encoder(nn.Module):
 
 
 class GaussianActor(nn.Module):
-    """Observation -> mean and log standard deviation (state-dependent, clamped) of the action before its tanh."""
+    """Observation -> mean and log standard deviation (clamped) of the action before its tanh.
+
+    The standard deviation depends on the observation, or is a parameter of its own (``state_dependent_std=False``).
+    """
 
     encoder: Encoder
     widths: Sequence[int]
@@ -95,6 +98,7 @@ class GaussianActor(nn.Module):
     gain: float
     log_std_range: tuple[float, float]
     initial_log_std: float = 0.0
+    state_dependent_std: bool = True
 
     @nn.compact
     def __call__(self, obs: Observation) -> tuple[Array, Array]:
@@ -102,12 +106,18 @@ class GaussianActor(nn.Module):
         init = orthogonal(self.gain)
         mean = nn.Dense(self.action_size, kernel_init=init, name="mean")(x)
         bias = nn.initializers.constant(self.initial_log_std)
-        log_std = nn.Dense(self.action_size, kernel_init=init, bias_init=bias, name="log_std")(x)
+        if self.state_dependent_std:
+            log_std = nn.Dense(self.action_size, kernel_init=init, bias_init=bias, name="log_std")(x)
+        else:
+            log_std = self.param("log_std", bias, (self.action_size,))
         return mean, jnp.clip(log_std, *self.log_std_range)
 
 
 class Critics(nn.Module):
-    """Observation -> values of several independent heads on one encoder, shape (num_critics,)."""
+    """Observation -> values of several independent heads on one encoder, shape (num_critics,).
+
+    With an action: the values of taking it, which the heads see beside the encoder's features.
+    """
 
     encoder: Encoder
     widths: Sequence[int]
@@ -116,8 +126,10 @@ class Critics(nn.Module):
     gain: float
 
     @nn.compact
-    def __call__(self, obs: Observation) -> Array:
+    def __call__(self, obs: Observation, action: Array | None = None) -> Array:
         features = self.encoder(obs)
+        if action is not None:
+            features = jnp.concatenate([features, action])
         init = orthogonal(self.gain)
         values = [
             nn.Dense(1, kernel_init=init, name=f"value_{i}")(

@@ -1,9 +1,22 @@
-"""Tuned configurations, by environment and scale."""
+"""Tuned configurations, by algorithm, environment and scale.
+
+Those of SAPO come first; the others have the same networks, environments and number of control steps, and settings of
+their own from ``rewax.agents.<algorithm>``.
+"""
 
 import dataclasses
-from typing import Any
+from typing import Any, TypeVar
 
+from rewax.agents.ahac import AHACConfig
+from rewax.agents.apg import APGConfig
+from rewax.agents.ppo import PPOConfig
+from rewax.agents.rpo import RPOConfig
+from rewax.agents.sac import SACConfig
 from rewax.agents.sapo import SAPOConfig
+from rewax.agents.shac import SHACConfig
+from rewax.agents.trajopt import TrajOptConfig
+
+C = TypeVar("C")
 
 SMALL = SAPOConfig(
     num_envs=8,
@@ -57,6 +70,25 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("Quadruped", "small"): _small(_HUMANOID),
 }
 
+_SIZES = (
+    "num_envs",
+    "horizon",
+    "num_iterations",
+    "actor_widths",
+    "critic_widths",
+    "point_widths",
+    "point_features",
+    "vector_features",
+    "stagger_episodes",
+    "critic_passes",
+    "critic_minibatches",
+    "differentiate",
+)
+"""What all algorithms take over from SAPO's presets, as far as they have it."""
+_FAST_CRITICS = {"Ant": {"critic_learning_rate": 2e-3, "target_decay": 0.2}}
+_FAST_CRITICS["Hopper"] = _FAST_CRITICS["Ant"]
+"""Tasks in which SHAC's critics learn faster than its defaults, as in the paper."""
+
 
 def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
     """Hyper-parameters of SAPO for a registered environment; for one without tuned values those of its scale.
@@ -67,3 +99,60 @@ def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
     if scale not in ("paper", "small"):
         raise ValueError(f"there is no scale {scale!r}: use paper or small")
     return _SAPO.get((env_name, scale), SMALL if scale == "small" else SAPOConfig())
+
+
+def shac_preset(env_name: str, scale: str) -> SHACConfig:
+    """Hyper-parameters of SHAC; see ``sapo_preset``."""
+    return _sized(SHACConfig, sapo_preset(env_name, scale), **_FAST_CRITICS.get(env_name, {}))
+
+
+def apg_preset(env_name: str, scale: str) -> APGConfig:
+    """Hyper-parameters of APG with a short horizon; see ``sapo_preset``."""
+    return _sized(APGConfig, sapo_preset(env_name, scale))
+
+
+def rpo_preset(env_name: str, scale: str) -> RPOConfig:
+    """Hyper-parameters of RPO; see ``sapo_preset``."""
+    return _sized(RPOConfig, sapo_preset(env_name, scale))
+
+
+def ahac_preset(env_name: str, scale: str) -> AHACConfig:
+    """Hyper-parameters of AHAC, whose horizon starts as SAPO's and may double; see ``sapo_preset``."""
+    base = sapo_preset(env_name, scale)
+    return _sized(
+        AHACConfig, base, horizon=2 * base.horizon, initial_horizon=base.horizon, min_horizon=base.horizon // 4
+    )
+
+
+def ppo_preset(env_name: str, scale: str) -> PPOConfig:
+    """Hyper-parameters of PPO; at ``small`` more environments and fewer iterations; see ``sapo_preset``."""
+    base = sapo_preset(env_name, scale)
+    if scale == "paper":
+        return _sized(PPOConfig, base)
+    more = max(1, 1024 // base.samples)
+    return _sized(
+        PPOConfig,
+        base,
+        num_envs=more * base.num_envs,
+        num_iterations=max(1, base.num_iterations // more),
+        minibatches=4,
+    )
+
+
+def sac_preset(env_name: str, scale: str) -> SACConfig:
+    """Hyper-parameters of SAC; see ``sapo_preset``."""
+    base = sapo_preset(env_name, scale)
+    if scale == "paper":
+        return _sized(SACConfig, base, batch_size=2048 if base.num_envs == 64 else 1024)
+    return _sized(SACConfig, base, batch_size=256, replay_size=100_000)
+
+
+def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
+    """Hyper-parameters of TrajOpt; see ``sapo_preset``."""
+    base = sapo_preset(env_name, scale)
+    return TrajOptConfig(num_envs=base.num_envs, learning_rate=0.1 if env_name == "HandReorient" else 1e-2)
+
+
+def _sized(config_type: type[C], base: SAPOConfig, **changes: Any) -> C:
+    names = {field.name for field in dataclasses.fields(config_type)} & set(_SIZES)  # type: ignore[arg-type]
+    return config_type(**{**{name: getattr(base, name) for name in names}, **changes})

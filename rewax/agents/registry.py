@@ -1,6 +1,9 @@
 """Algorithms by name."""
 
+import dataclasses
 import difflib
+import functools
+import importlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -21,14 +24,49 @@ class Algorithm(NamedTuple):
     preset: Callable[[str, str], Any]
 
 
-def _sapo() -> Algorithm:
-    from rewax.agents.presets import sapo_preset
-    from rewax.agents.sapo import SAPOConfig, make_sapo
+def _own(name: str, config: str) -> Callable[[], Algorithm]:
+    """An algorithm of this package, imported when it is asked for."""
 
-    return Algorithm(make_sapo, SAPOConfig, sapo_preset)
+    def load() -> Algorithm:
+        module = importlib.import_module(f"rewax.agents.{name}")
+        presets = importlib.import_module("rewax.agents.presets")
+        tuned = getattr(presets, f"{name}_preset")
+        return Algorithm(getattr(module, f"make_{name}"), getattr(module, config), tuned)
+
+    return load
 
 
-_ALGORITHMS: dict[str, Callable[[], Algorithm]] = {"sapo": _sapo}
+def _variant(of: str, changes: dict[str, Any]) -> Callable[[], Algorithm]:
+    """An algorithm with some options changed in all its presets."""
+
+    def load() -> Algorithm:
+        known = algorithm(of)
+        return known._replace(preset=functools.partial(_changed_preset, known.preset, tuple(changes.items())))
+
+    return load
+
+
+def _changed_preset(preset: Callable[[str, str], Any], changes: tuple, env_name: str, scale: str) -> Any:
+    return dataclasses.replace(preset(env_name, scale), **dict(changes))
+
+
+_NO_ENTROPY = {"entropy_in_return": False, "entropy_in_targets": False, "learn_temperature": False}
+
+_ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
+    "sapo": _own("sapo", "SAPOConfig"),
+    "shac": _own("shac", "SHACConfig"),
+    "apg": _own("apg", "APGConfig"),
+    "ppo": _own("ppo", "PPOConfig"),
+    "sac": _own("sac", "SACConfig"),
+    "trajopt": _own("trajopt", "TrajOptConfig"),
+    "ahac": _own("ahac", "AHACConfig"),
+    "rpo": _own("rpo", "RPOConfig"),
+    # The ablations of the paper's Table 3.
+    "sapo_hard_targets": _variant("sapo", {"entropy_in_targets": False}),
+    "sapo_hard_return": _variant("sapo", {"entropy_in_return": False}),
+    "shac2": _variant("sapo", _NO_ENTROPY),
+    "apg_full": _variant("apg", {"horizon": 0}),
+}
 
 
 def register_algorithm(name: str, algorithm: Algorithm) -> None:

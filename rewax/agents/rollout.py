@@ -4,10 +4,12 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from rewax.envs.base import Env, State
+from rewax.envs.wrappers import select
 from rewax.status import FATAL
-from rewax.types import Array, Key, Observation
+from rewax.types import Array, Key, Observation, PyTree
 
 Differentiation = Literal["full", "checkpointed", "none"]
 """How a rollout is differentiated: store everything, recompute each step from its state, or not at all."""
@@ -29,6 +31,8 @@ class Transition(NamedTuple):
     metrics: dict[str, Array]
     extras: dict[str, Array]
     """What the policy said beside its action, e.g. its entropy."""
+    active: Array
+    """False where a rollout stood still, beyond its ``num_active`` steps: nothing of such a step counts."""
 
     @property
     def done(self) -> Array:
@@ -36,36 +40,79 @@ class Transition(NamedTuple):
         return self.terminated | self.truncated
 
     @property
+    def failed(self) -> Array:
+        """The step failed numerically."""
+        return (self.status & int(FATAL)) != 0
+
+    @property
     def valid(self) -> Array:
-        """The step did not fail numerically. Of a failed one nothing counts: it has no reward and no next value."""
-        return (self.status & int(FATAL)) == 0
+        """The step counts. One that failed does not: it has no reward and no next value."""
+        return self.active & ~self.failed
 
 
-Policy = Callable[[Observation, Key], tuple[Array, dict[str, Array]]]
+Policy = Callable[..., tuple[Array, dict[str, Array]]]
+"""``(obs, key) -> (action, extras)``; ``(obs, key, input) -> ...`` in a rollout with an input for every step."""
 
 
 def rollout(
-    env: Env, state: State, policy: Policy, key: Key, *, horizon: int, differentiate: Differentiation = "checkpointed"
+    env: Env,
+    state: State,
+    policy: Policy,
+    key: Key,
+    *,
+    horizon: int,
+    differentiate: Differentiation = "checkpointed",
+    truncate_every: int | None = None,
+    state_gradient_decay: float = 1.0,
+    inputs: PyTree = None,
+    num_active: Array | None = None,
+    probes: Array | None = None,
 ) -> tuple[State, Transition]:
     """Act for ``horizon`` steps in one environment behind ``AutoReset``.
 
     Args:
       env: an environment whose states carry ``final_obs``.
       state: where to start; no gradient is taken through it unless the caller does.
-      policy: ``(obs, key) -> (action, extras)``.
+      policy: ``(obs, key) -> (action, extras)``; with ``inputs``: ``(obs, key, input) -> (action, extras)``.
       key: randomness of the policy.
       horizon: number of steps.
       differentiate: ``"full"`` stores every intermediate value of every step, ``"checkpointed"`` stores states and
         recomputes each step in the backward pass, ``"none"`` cuts all gradients.
+      truncate_every: cut the gradient of the state, its observation included, after so many steps; None: never.
+      state_gradient_decay: factor on that gradient at every step; 1: exact.
+      inputs: what the policy is given beside observation and key, leading axis (horizon,).
+      num_active: steps after which the environment stands still, at most ``horizon``; None: it never does.
+      probes: numbers that change nothing, shape (horizon,); the derivative by each is the norm of the gradient by the
+        state that its step starts from.
 
     Returns:
       Final state, and transitions with leading axis (horizon,). Gradient: through actions, physics, observations and
-      rewards, cut at the end of each episode.
+      rewards, cut at the end of each episode; where a decay or a truncation is given, biased.
     """
+    factors = None
+    if truncate_every is not None or state_gradient_decay != 1.0:
+        step_number = jnp.arange(horizon)
+        cut = False if truncate_every is None else (step_number % truncate_every == 0) & (step_number > 0)
+        factors = jnp.where(cut, 0.0, jnp.full(horizon, state_gradient_decay))
 
-    def step(state: State, key: Key) -> tuple[State, Transition]:
-        action, extras = policy(state.obs, key)
+    active = jnp.ones(horizon, bool) if num_active is None else jnp.arange(horizon) < num_active
+
+    def step(state: State, given: tuple[Key, Array | None, Array | None, PyTree, Array]) -> tuple[State, Transition]:
+        key, factor, probe, own, active = given
+        if probe is not None:
+            state = probed(state, probe)
+        if factor is not None:
+            state = scale_gradient(state, factor)
+        action, extras = policy(state.obs, key) if inputs is None else policy(state.obs, key, own)
         new = env.step(state, action)
+        if num_active is not None:
+            still = state.replace(
+                reward=jnp.zeros_like(state.reward),
+                terminated=jnp.zeros_like(state.terminated),
+                truncated=jnp.zeros_like(state.truncated),
+                status=jnp.zeros_like(state.status),
+            )
+            new = select(active, new, still)
         assert new.final_obs is not None, "rollout needs an environment behind AutoReset"
         transition = Transition(
             obs=state.obs,
@@ -78,9 +125,57 @@ def rollout(
             failed_leaf=new.failed_leaf,
             metrics=new.metrics,
             extras=extras,
+            active=active,
         )
         return new, transition
 
     body = jax.checkpoint(step, prevent_cse=False) if differentiate == "checkpointed" else step
-    out = jax.lax.scan(body, state, jax.random.split(key, horizon))
+    out = jax.lax.scan(body, state, (jax.random.split(key, horizon), factors, probes, inputs, active))
     return jax.lax.stop_gradient(out) if differentiate == "none" else out
+
+
+def scale_gradient(tree: PyTree, factor: Array) -> PyTree:
+    """The same values; their gradient times a factor, which has no gradient itself."""
+
+    @jax.custom_vjp
+    def same(floats: list[Array], factor: Array) -> list[Array]:
+        del factor
+        return floats
+
+    def forward(floats: list[Array], factor: Array) -> tuple[list[Array], Array]:
+        return floats, factor
+
+    def backward(factor: Array, grads: list[Array]) -> tuple[list[Array], Array]:
+        # Times 0 is a cut, also of what is not finite.
+        scaled = [jnp.where(factor == 0, 0.0, g * factor).astype(g.dtype) for g in grads]
+        return scaled, jnp.zeros_like(factor)
+
+    same.defvjp(forward, backward)
+    return _with_floats(tree, lambda floats: same(floats, factor))
+
+
+def probed(tree: PyTree, probe: Array) -> PyTree:
+    """The same values; the derivative by ``probe``, shape (), is the norm of the gradient by all of them."""
+
+    @jax.custom_vjp
+    def same(floats: list[Array], probe: Array) -> list[Array]:
+        del probe
+        return floats
+
+    def forward(floats: list[Array], probe: Array) -> tuple[list[Array], Array]:
+        return floats, probe
+
+    def backward(probe: Array, grads: list[Array]) -> tuple[list[Array], Array]:
+        return grads, jnp.sqrt(sum(jnp.sum(g * g) for g in grads)).astype(probe.dtype)
+
+    same.defvjp(forward, backward)
+    return _with_floats(tree, lambda floats: same(floats, probe))
+
+
+def _with_floats(tree: PyTree, function: Callable[[list[Array]], list[Array]]) -> PyTree:
+    """The tree with ``function`` applied to the list of its floating-point leaves."""
+    leaves, structure = jax.tree.flatten(tree)
+    places = [i for i, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    for place, leaf in zip(places, function([leaves[i] for i in places]), strict=True):
+        leaves[place] = leaf
+    return jax.tree.unflatten(structure, leaves)

@@ -17,20 +17,19 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, make_actor_critic
 from rewax.agents.base import Agent, Metrics, bind
-from rewax.agents.config import ActorCriticConfig, check_positive
+from rewax.agents.config import FirstOrderConfig, check_positive
 from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import (
     FirstOrderState,
     Stretch,
     actor_update,
-    advanced,
     critic_update,
-    fields,
-    start_run,
+    start_actor_critic,
     stretch_loss,
 )
 from rewax.agents.rollout import rollout
+from rewax.agents.run_state import advanced, fields
 from rewax.agents.temperature import normalized_entropy, update_temperature
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
@@ -40,15 +39,16 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SAPOConfig(ActorCriticConfig):
-    """Hyper-parameters beyond those of ``ActorCriticConfig``; the defaults are the paper's for the deformable tasks.
+class SAPOConfig(FirstOrderConfig):
+    """Hyper-parameters beyond those of ``FirstOrderConfig``; the defaults are the paper's for the deformable tasks.
 
     Attributes:
       initial_temperature: alpha at the start; fixed at it if ``learn_temperature`` is off.
       learn_temperature: adapt alpha to the target entropy.
-      temperature_learning_rate: of AdamW on the logarithm of the temperature, constant.
+      temperature_learning_rate: of Adam on the logarithm of the temperature, constant.
       target_entropy_scale: the target entropy is minus this times the number of action components.
       entropy_in_return, entropy_in_targets: the two places of the entropy bonus (the paper's ablations).
+      normalize_entropy: the bonus is 0 at the target entropy and 1 at minus the target; else the entropy itself.
     """
 
     initial_temperature: float = 1.0
@@ -57,10 +57,13 @@ class SAPOConfig(ActorCriticConfig):
     target_entropy_scale: float = 0.5
     entropy_in_return: bool = True
     entropy_in_targets: bool = True
+    normalize_entropy: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("initial_temperature", "temperature_learning_rate", "target_entropy_scale"):
+        if self.learn_temperature or self.initial_temperature != 0.0:
+            check_positive("initial_temperature", self.initial_temperature)
+        for name in ("temperature_learning_rate", "target_entropy_scale"):
             check_positive(name, getattr(self, name))
 
 
@@ -86,21 +89,16 @@ def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomiz
     config = SAPOConfig() if config is None else config
     leaves = taken_apart(env, config.num_envs, randomize)
     networks = make_actor_critic(leaves.first(), config)
-
-    def policy(state: SAPOState, obs: Observation, key: Key, deterministic: bool = False) -> Array:
-        distribution = networks.action_distribution(state.actor_params, state.environments.statistics, obs)
-        return distribution.mode() if deterministic else distribution.sample(key)
-
-    return bind("sapo", config, leaves, init=init, train_step=train_step, policy=policy)
+    return bind("sapo", config, leaves, init=init, train_step=train_step, policy=networks.policy)
 
 
 def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SAPOState:
     """The state of a run that has not begun."""
     networks = make_actor_critic(leaves.first(), config)
+    base = start_actor_critic(networks, leaves, key)
     log_temperature = jnp.log(jnp.full((), config.initial_temperature))
     temperature_opt = networks.optimizer(config.temperature_learning_rate).init(log_temperature)
-    base = fields(start_run(networks, leaves, key))
-    return SAPOState(**base, log_temperature=log_temperature, temperature_opt=temperature_opt)
+    return SAPOState(**fields(base), log_temperature=log_temperature, temperature_opt=temperature_opt)
 
 
 def train_step(config: SAPOConfig, state: SAPOState) -> tuple[SAPOState, Metrics]:
@@ -111,42 +109,28 @@ def train_step(config: SAPOConfig, state: SAPOState) -> tuple[SAPOState, Metrics
     def loss(actor_params: PyTree, env: AutoReset, env_state: State, key: Key) -> tuple[Array, Stretch]:
         return actor_loss(networks, state, actor_params, env, env_state, key)
 
-    actor_params, actor_opt, data, actor_metrics = actor_update(networks, state, loss, rollout_key)
+    actor, data, actor_metrics = actor_update(networks, state, loss, rollout_key)
 
-    entropy, valid = data.transitions.extras["entropy"], data.transitions.valid
-    mean_entropy = jnp.mean(entropy, where=valid)
-    log_temperature, temperature_opt = state.log_temperature, state.temperature_opt
+    entropy = data.transitions.extras["entropy"]
+    mean_entropy = jnp.mean(entropy, where=data.transitions.valid)
+    temperature = {"log_temperature": state.log_temperature, "temperature_opt": state.temperature_opt}
     if config.learn_temperature:
-        optimizer = networks.optimizer(config.temperature_learning_rate)
-        log_temperature, temperature_opt = update_temperature(
-            log_temperature, mean_entropy, target_entropy(networks), optimizer, temperature_opt
+        temperature = update_temperature(
+            **temperature,
+            entropy=mean_entropy,
+            target=target_entropy(networks),
+            optimizer=networks.optimizer(config.temperature_learning_rate),
         )
 
     reward = data.transitions.reward
     if config.entropy_in_targets:
-        reward = reward + jnp.exp(log_temperature) * normalized_entropy(entropy, target_entropy(networks))
-    critic_params, critic_opt, critic_metrics = critic_update(networks, state, data, reward)
+        reward = reward + bonus(networks, temperature["log_temperature"], entropy)
+    critics, critic_metrics = critic_update(networks, state, data, reward)
 
-    new = advanced(
-        networks,
-        state,
-        data,
-        actor_params=actor_params,
-        critic_params=critic_params,
-        log_temperature=log_temperature,
-        actor_opt=actor_opt,
-        critic_opt=critic_opt,
-        temperature_opt=temperature_opt,
-        key=key,
-    )
-    own = {"entropy": mean_entropy, "temperature": jnp.exp(log_temperature)}
+    new = advanced(config, state, data.state, data.transitions, key=key, **actor, **temperature, **critics)
+    own = {"entropy": mean_entropy, "temperature": jnp.exp(new.log_temperature)}
     episodes = episode_metrics(state.environments, data.transitions)
     return new, {**episodes, **own, **actor_metrics, **critic_metrics}
-
-
-def target_entropy(networks: ActorCritic) -> float:
-    """What the temperature steers to: minus half the number of action components in the paper."""
-    return -networks.config.target_entropy_scale * networks.action_size
 
 
 def actor_loss(
@@ -162,9 +146,20 @@ def actor_loss(
         _, log_prob = distribution.sample_and_log_prob(entropy_key)
         return distribution.sample(action_key), {"entropy": -log_prob}
 
-    end, transitions = rollout(env, env_state, policy, key, horizon=config.horizon, differentiate=config.differentiate)
+    end, transitions = rollout(env, env_state, policy, key, **config.rollout_options)
     reward = transitions.reward
     if config.entropy_in_return:
-        bonus = normalized_entropy(transitions.extras["entropy"], target_entropy(networks))
-        reward = reward + jnp.exp(state.log_temperature) * bonus
+        reward = reward + bonus(networks, state.log_temperature, transitions.extras["entropy"])
     return stretch_loss(networks, state, end, transitions, reward)
+
+
+def target_entropy(networks: ActorCritic) -> float:
+    """What the temperature steers to: minus half the number of action components in the paper."""
+    return -networks.config.target_entropy_scale * networks.action_size
+
+
+def bonus(networks: ActorCritic, log_temperature: Array, entropy: Array) -> Array:
+    """What the entropy of each step is worth. Gradient: exact."""
+    if networks.config.normalize_entropy:
+        entropy = normalized_entropy(entropy, target_entropy(networks))
+    return jnp.exp(log_temperature) * entropy

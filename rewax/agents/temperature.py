@@ -34,8 +34,18 @@ def temperature_loss(log_temperature: Array, entropy: Array, target: float) -> A
 
 
 def update_temperature(
-    log_temperature: Array, entropy: Array, target: float, optimizer: optax.GradientTransformation, opt_state: PyTree
-) -> tuple[Any, PyTree]:
-    """One step towards the target entropy; a loss that is not finite changes nothing but the optimizer's moments."""
+    log_temperature: Array,
+    temperature_opt: PyTree,
+    *,
+    entropy: Array,
+    target: float,
+    optimizer: optax.GradientTransformation,
+) -> dict[str, Any]:
+    """One step towards the target entropy; a loss that is not finite changes nothing but the optimizer's moments.
+
+    Returns:
+      The new ``log_temperature`` and ``temperature_opt``.
+    """
     grad = finite_or_zero(jax.grad(temperature_loss)(log_temperature, entropy, target))
-    return apply(optimizer, grad, opt_state, log_temperature)
+    log_temperature, temperature_opt = apply(optimizer, grad, temperature_opt, log_temperature)
+    return {"log_temperature": log_temperature, "temperature_opt": temperature_opt}

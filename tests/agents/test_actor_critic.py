@@ -9,12 +9,10 @@ import pytest
 import toys
 
 from rewax.agents.actor_critic import make_actor_critic
-from rewax.agents.config import ActorCriticConfig
+from rewax.agents.config import FirstOrderConfig
 from rewax.agents.normalization import init_statistics
 
-CONFIG = ActorCriticConfig(
-    actor_widths=(8,), critic_widths=(8,), vector_features=8, num_critics=3, observation_clip=2.0
-)
+CONFIG = FirstOrderConfig(actor_widths=(8,), critic_widths=(8,), vector_features=8, num_critics=3, observation_clip=2.0)
 ENV = toys.point_mass()
 STATISTICS = init_statistics(ENV.observation_spec).__class__(
     count=jnp.ones(()), mean={"x": jnp.array([1.0])}, variance={"x": jnp.array([4.0])}
@@ -31,10 +29,10 @@ def test_what_the_networks_see_is_normalised_and_clipped_if_asked_to():
 
 def test_distribution_and_values_are_those_of_the_networks():
     networks, obs = make_actor_critic(ENV, CONFIG), {"x": jnp.array([2.0])}
-    actor = networks.actor.init(jax.random.key(0), obs)
+    actor = networks.network.init(jax.random.key(0), obs)
     critics = networks.critics.init(jax.random.key(1), obs)
     distribution = networks.action_distribution(actor, STATISTICS, obs)
-    mean, log_std = networks.actor.apply(actor, {"x": jnp.array([0.5])})
+    mean, log_std = networks.network.apply(actor, {"x": jnp.array([0.5])})
     np.testing.assert_allclose(distribution.mean, mean, rtol=1e-4)
     np.testing.assert_allclose(distribution.log_std, log_std, rtol=1e-4)
     values = networks.values(critics, {"x": jnp.array([[0.5], [1.0]])})

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from rewax.agents.config import ActorCriticConfig
+from rewax.agents.config import FirstOrderConfig
 
 
 @pytest.mark.parametrize(
@@ -32,16 +32,16 @@ from rewax.agents.config import ActorCriticConfig
 )
 def test_impossible_configurations_say_what_to_do(changes, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}$"):
-        ActorCriticConfig(**changes)
+        FirstOrderConfig(**changes)
 
 
 def test_a_list_is_as_good_as_a_tuple():
-    config = ActorCriticConfig(actor_widths=[8, 4])
+    config = FirstOrderConfig(actor_widths=[8, 4])
     assert config.actor_widths == (8, 4) and hash(config) == hash(dataclasses.replace(config))
 
 
 def test_defaults_are_the_papers():
-    c = ActorCriticConfig()
+    c = FirstOrderConfig()
     assert (c.num_envs, c.horizon, c.discount, c.td_lambda) == (32, 32, 0.99, 0.95)
     assert (c.actor_learning_rate, c.critic_learning_rate, c.final_learning_rate) == (2e-3, 5e-4, 1e-5)
     assert (c.adam_b1, c.adam_b2, c.weight_decay, c.max_grad_norm) == (0.7, 0.95, 0.01, 0.5)

@@ -24,6 +24,7 @@ def transitions(status, terminated, truncated=None):
         failed_leaf=jnp.where(jnp.asarray(status) & 1, 3, -1),
         metrics={"height": jnp.asarray(REWARD)},
         extras={},
+        active=jnp.ones((2, 4), bool),
     )
 
 

@@ -86,7 +86,7 @@ def expected_loss(start, data, reward, valid=None):
 def test_critics_regress_onto_targets_of_the_smaller_value(start, data):
     reward = data.transitions.reward + 0.3
     assert data.transitions.truncated.sum() >= 1
-    metrics = update()(start, data, reward)[2]
+    metrics = update()(start, data, reward)[1]
     np.testing.assert_allclose(metrics["critic_loss"], expected_loss(start, data, reward), rtol=1e-4)
 
 
@@ -105,7 +105,7 @@ def test_a_failed_step_is_no_sample_and_ends_the_stretch_before_it(start, data):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(whole))
     clean = failed._replace(transitions=failed.transitions._replace(obs=data.transitions.obs))
     expected = expected_loss(start, clean, failed.transitions.reward, valid)
-    np.testing.assert_allclose(whole[2]["critic_loss"], expected, rtol=1e-4)
+    np.testing.assert_allclose(whole[1]["critic_loss"], expected, rtol=1e-4)
     # what the failed step would have been paid does not matter
     paid = update()(start, failed, failed.transitions.reward.at[2, 1].set(1e6))
     chex.assert_trees_all_equal(whole, paid)
@@ -113,7 +113,7 @@ def test_a_failed_step_is_no_sample_and_ends_the_stretch_before_it(start, data):
 
 def test_more_passes_fit_better(start, data):
     reward = data.transitions.reward
-    loss = [float(update(critic_passes=n)(start, data, reward)[2]["critic_loss"]) for n in (1, 60)]
+    loss = [float(update(critic_passes=n)(start, data, reward)[1]["critic_loss"]) for n in (1, 60)]
     assert loss[1] < 0.5 * loss[0]
 
 
@@ -124,7 +124,7 @@ def test_targets_take_the_temperature_after_its_update(start, data):
     assert abs(after - before) > 0.1
     entropy = data.transitions.extras["entropy"]
     loss = {
-        alpha: update()(start, data, data.transitions.reward + alpha * normalized_entropy(entropy, -0.5))[2]
+        alpha: update()(start, data, data.transitions.reward + alpha * normalized_entropy(entropy, -0.5))[1]
         for alpha in (before, after)
     }
     np.testing.assert_allclose(metrics["critic_loss"], loss[after]["critic_loss"], rtol=1e-4)

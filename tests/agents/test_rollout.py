@@ -89,3 +89,54 @@ def test_gradient_stops_at_the_end_of_an_episode(state, differentiate):
 def test_needs_automatic_resets(state):
     with pytest.raises(AssertionError, match="AutoReset"):
         rollout(ENV.env, state.replace(final_obs=None), proportional(0.4), jax.random.key(0), horizon=2)
+
+
+def slopes(state, **options):
+    """Rewards' sum by each of an open loop's actions, and by the probes."""
+    actions, probes = 0.1 * np.arange(1.0, 4.0, dtype=np.float32)[:, None], np.zeros(3, np.float32)
+
+    def total(actions, probes):
+        play = lambda obs, key, action: (action, {})  # noqa: E731
+        _, t = rollout(
+            ENV,
+            state,
+            play,
+            jax.random.key(0),
+            horizon=3,
+            differentiate="full",
+            inputs=actions,
+            probes=probes,
+            **options,
+        )
+        return t.reward.sum(), t.next_obs["x"][:, 0]
+
+    (by_action, by_probe), x = jax.jit(jax.grad(total, argnums=(0, 1), has_aux=True))(actions, probes)
+    return np.asarray(by_action)[:, 0], np.asarray(by_probe), np.asarray(x)
+
+
+def test_the_gradient_of_the_state_decays_or_is_cut(state):
+    by_action, by_probe, x = slopes(state)
+    late = -2.0 * GAIN * x  # of each step's own reward by its action
+    np.testing.assert_allclose(by_action, np.cumsum(late[::-1])[::-1], rtol=1e-5)
+    np.testing.assert_allclose(by_probe, np.abs(np.cumsum((late / GAIN)[::-1])[::-1]), rtol=1e-5)
+    decayed, _, same = slopes(state, state_gradient_decay=0.5)
+    np.testing.assert_array_equal(same, x)
+    np.testing.assert_allclose(
+        decayed, [late[0] + 0.5 * late[1] + 0.25 * late[2], late[1] + 0.5 * late[2], late[2]], rtol=1e-5
+    )
+    cut, _, same = slopes(state, truncate_every=2)
+    np.testing.assert_array_equal(same, x)
+    np.testing.assert_allclose(cut, [late[0] + late[1], late[1], late[2]], rtol=1e-5)
+
+
+def test_beyond_its_active_steps_an_environment_stands_still(state):
+    def play(num_active):
+        return rollout(ENV, state, proportional(0.4), jax.random.key(1), horizon=HORIZON, num_active=num_active)
+
+    end, t = jax.jit(play)(2)
+    whole, every = jax.jit(play)(HORIZON)
+    np.testing.assert_array_equal(t.active, np.arange(HORIZON) < 2)
+    np.testing.assert_array_equal(t.valid, t.active)
+    np.testing.assert_array_equal(t.reward, np.where(t.active, every.reward, 0.0))
+    assert not t.done[2:].any() and int(end.step_count) == 2 and int(whole.step_count) == HORIZON - LENGTH
+    np.testing.assert_array_equal(end.obs["x"], every.obs["x"][2])

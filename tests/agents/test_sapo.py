@@ -146,7 +146,7 @@ def objective(params, state, i, data, config):
     x, mode, count = env["x"], env["mode"], state.environments.state.step_count[i]
     total, weight = 0.0, 1.0
     for t in range(config.horizon):
-        raw_action = parts.actor.apply(params, seen(x))[0]
+        raw_action = parts.network.apply(params, seen(x))[0]
         action = jnp.tanh(raw_action)
         # log det of tanh, all of the entropy that varies without noise
         entropy = jnp.sum(jnp.log(1 - action**2)) if config.entropy_in_return else 0.0

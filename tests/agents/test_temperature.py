@@ -9,6 +9,13 @@ import pytest
 from rewax.agents.temperature import normalized_entropy, temperature_loss, update_temperature
 
 
+def updated(start, entropy):
+    optimizer = optax.sgd(0.1)
+    return update_temperature(
+        start, optimizer.init(start), entropy=jnp.float32(entropy), target=-0.5, optimizer=optimizer
+    )["log_temperature"]
+
+
 def test_normalized_entropy_is_zero_at_the_target_and_one_at_its_opposite():
     for size in (0.5, 3.0):
         np.testing.assert_allclose(normalized_entropy(jnp.array([-size, 0.0, size]), -size), [0.0, 0.5, 1.0])
@@ -24,13 +31,13 @@ def test_the_loss_has_the_factor_of_the_target(x64, target):
 
 @pytest.mark.parametrize(("entropy", "sign"), [(-2.0, 1), (-0.6, 1), (-0.4, -1), (1.0, -1)])
 def test_temperature_moves_entropy_towards_its_target(entropy, sign):
-    optimizer, start = optax.sgd(0.1), jnp.log(jnp.float32(0.7))
-    new, _ = update_temperature(start, jnp.float32(entropy), -0.5, optimizer, optimizer.init(start))
+    start = jnp.log(jnp.float32(0.7))
+    new = updated(start, entropy)
     assert np.sign(new - start) == sign
     np.testing.assert_allclose(new - start, -0.1 * 0.7 * 0.5 * (entropy + 0.5), rtol=1e-5)
 
 
 def test_an_entropy_that_is_not_a_number_changes_nothing():
-    optimizer, start = optax.sgd(0.1), jnp.float32(0.2)
-    new, _ = update_temperature(start, jnp.float32(jnp.nan), -0.5, optimizer, optimizer.init(start))
+    start = jnp.float32(0.2)
+    new = updated(start, jnp.nan)
     assert new == start

@@ -1,0 +1,95 @@
+"""APG, analytic policy gradient: the gradient of the rewards alone, through the simulation, without a value function.
+
+With a short horizon an iteration continues where the last one ended; with whole episodes (``horizon=0``) each iteration
+starts from new initial states and differentiates them to their time limit.
+
+Source: Freeman et al. 2021, Brax; Wiedemann et al. 2023, "Training Efficient Controllers via Analytic Policy Gradient";
+settings as in Xing, Luk and Oh 2025, with the corrections named in ``rewax.agents.sapo``.
+"""
+
+import dataclasses
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from rewax.agents.actor_critic import Actor, make_actor
+from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.config import Activation, GradientConfig, Optimizer, PolicyConfig
+from rewax.agents.environments import taken_apart
+from rewax.agents.episodes import episode_metrics
+from rewax.agents.first_order import actor_update
+from rewax.agents.returns import short_horizon_return
+from rewax.agents.rollout import Transition, rollout
+from rewax.agents.run_state import PolicyState, advanced, run_keys, start_policy
+from rewax.envs.base import Env, State
+from rewax.envs.leaves import EnvLeaves
+from rewax.envs.randomized import Randomize
+from rewax.envs.wrappers import AutoReset
+from rewax.types import Array, Key, Observation, PyTree
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class APGConfig(GradientConfig, PolicyConfig):
+    """Hyper-parameters of its bases; the defaults are those of SAPO's paper."""
+
+    least_horizon: ClassVar[int] = 0
+    optimizer: Optimizer = "adam"
+    max_grad_norm: float = 1.0
+    activation: Activation = "elu"
+    initial_gain: float = 2.0**0.5
+    state_dependent_std: bool = False
+    initial_log_std: float = -1.0
+
+
+def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
+    """APG on an environment.
+
+    Args:
+      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      config: hyper-parameters.
+      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
+
+    Returns:
+      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
+    """
+    config = APGConfig() if config is None else config
+    leaves = taken_apart(env, config.num_envs, randomize)
+    return bind(
+        "apg", config, leaves, init=init, train_step=train_step, policy=make_actor(leaves.first(), config).policy
+    )
+
+
+def init(config: APGConfig, leaves: EnvLeaves, key: Key) -> PolicyState:
+    """The state of a run that has not begun."""
+    return start_policy(make_actor(leaves.first(), config), leaves, run_keys(key))
+
+
+def train_step(config: APGConfig, state: PolicyState) -> tuple[PolicyState, Metrics]:
+    """One iteration."""
+    env = state.environments.env.first()
+    actor, horizon = make_actor(env, config), config.steps_in(env)
+    key, rollout_key, reset_key = jax.random.split(state.key, 3)
+    if config.horizon == 0:
+        state = state.replace(environments=state.environments.restarted(reset_key))
+
+    def loss(actor_params: PyTree, env: AutoReset, env_state: State, key: Key):
+        return actor_loss(actor, state, actor_params, env, env_state, key, horizon)
+
+    changes, (end, transitions), actor_metrics = actor_update(actor, state, loss, rollout_key)
+    new = advanced(config, state, end, transitions, key=key, **changes)
+    return new, {**episode_metrics(state.environments, transitions), **actor_metrics}
+
+
+def actor_loss(
+    actor: Actor, state: PolicyState, actor_params: PyTree, env: AutoReset, env_state: State, key: Key, horizon: int
+) -> tuple[Array, tuple[State, Transition]]:
+    """Minus the return per step of one environment's stretch. Gradient: through the simulation."""
+    config, statistics = actor.config, state.environments.statistics
+
+    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
+        return actor.action_distribution(actor_params, statistics, obs).sample(key), {}
+
+    end, t = rollout(env, env_state, policy, key, **{**config.rollout_options, "horizon": horizon})
+    objective = short_horizon_return(t.reward, jnp.zeros_like(t.reward), t.done, t.valid, discount=config.discount)
+    return -objective / horizon, (end, t)

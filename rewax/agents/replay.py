@@ -1,0 +1,131 @@
+"""A replay buffer on the device, a part of the training state: the last steps of all environments, and n-step samples.
+
+Source: Mnih et al. 2015 (replay); Sutton and Barto 2018, section 7.1 (n-step returns).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.types import Array, Key, Observation, PyTree
+
+
+class Step(NamedTuple):
+    """One control step as it is kept."""
+
+    obs: Observation
+    action: Array
+    reward: Array
+    next_obs: Observation
+    """After the step, before any reset."""
+    terminated: Array
+    done: Array
+    valid: Array
+
+
+@struct.dataclass
+class Replay(struct.Replaceable):
+    """The last ``capacity`` steps of every environment.
+
+    Attributes:
+      steps: a ``Step`` with leading axes (capacity, num_envs); a ring.
+      count: steps of each environment that were ever added, shape (), int32.
+    """
+
+    steps: Step
+    count: Array
+
+    @property
+    def capacity(self) -> int:
+        return self.steps.reward.shape[0]
+
+    @property
+    def num_filled(self) -> Array:
+        """Steps of each environment that are there, shape (), int32."""
+        return jnp.minimum(self.count, self.capacity)
+
+
+class Sample(NamedTuple):
+    """Starts, and what n steps from them brought; leading axis of samples."""
+
+    obs: Observation
+    action: Array
+    reward: Array
+    """Discounted sum over the steps, (n,)."""
+    discount: Array
+    """Of the value of ``next_obs``: gamma to the number of steps, 0 where the episode terminated, (n,)."""
+    next_obs: Observation
+    valid: Array
+    """False where the first step failed: such a sample counts for nothing, (n,)."""
+
+
+def make_replay(step: Step, capacity: int) -> Replay:
+    """An empty buffer.
+
+    Args:
+      step: an example of one step of all environments, leading axis (num_envs,); arrays or their shapes.
+      capacity: steps of each environment.
+    """
+    return Replay(
+        steps=jax.tree.map(lambda a: jnp.zeros((capacity, *a.shape), a.dtype), step),
+        count=jnp.zeros((), jnp.int32),
+    )
+
+
+def add(replay: Replay, steps: Step) -> Replay:
+    """The buffer with steps added, leading axes (T, num_envs), the oldest overwritten; T divides the capacity."""
+    length = steps.reward.shape[0]
+    start = replay.count % replay.capacity
+
+    def write(ring: Array, new: Array) -> Array:
+        return jax.lax.dynamic_update_slice_in_dim(ring, new, start, axis=0)
+
+    return Replay(steps=jax.tree.map(write, replay.steps, steps), count=replay.count + length)
+
+
+def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discount: float) -> Sample:
+    """Uniform starts and the n steps from them; fewer where the episode ended, a step failed, or none is there yet.
+
+    Args:
+      replay: with at least one step.
+      key: draws the starts.
+      num_samples: how many.
+      num_steps: n.
+      discount: gamma [-].
+    """
+    when_key, which_key = jax.random.split(key)
+    num_envs = replay.steps.reward.shape[1]
+    oldest = replay.count - replay.num_filled
+    start = oldest + jax.random.randint(when_key, (num_samples,), 0, replay.num_filled)
+    env = jax.random.randint(which_key, (num_samples,), 0, num_envs)
+
+    def at(when: Array) -> Step:
+        return jax.tree.map(lambda a: a[when % replay.capacity, env], replay.steps)
+
+    def follow(carry: tuple[Array, Array, Array, Array], k: Array):
+        reward, weight, alive, last = carry
+        here = jax.tree.map(lambda a: a[(start + k) % replay.capacity, env], replay.steps._replace(obs={}, next_obs={}))
+        counts = alive & (start + k < replay.count) & here.valid
+        reward = reward + jnp.where(counts, weight * here.reward, 0.0)
+        weight = jnp.where(counts, weight * discount, weight)
+        return (reward, weight, counts & ~here.done, jnp.where(counts, start + k, last)), None
+
+    zero = jnp.zeros(num_samples, replay.steps.reward.dtype)
+    begin = (zero, jnp.ones_like(zero), jnp.ones(num_samples, bool), start)
+    (reward, weight, _, last), _ = jax.lax.scan(follow, begin, jnp.arange(num_steps))
+    first, end = at(start), at(last)
+    return Sample(
+        obs=first.obs,
+        action=first.action,
+        reward=reward,
+        discount=jnp.where(end.terminated, 0.0, weight),
+        next_obs=end.next_obs,
+        valid=first.valid,
+    )
+
+
+def bytes_of(step: PyTree, capacity: int) -> int:
+    """Memory of a buffer of so many steps of all environments [bytes]."""
+    return capacity * sum(a.size * a.dtype.itemsize for a in jax.tree.leaves(step))

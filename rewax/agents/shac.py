@@ -1,0 +1,100 @@
+"""SHAC, short-horizon actor-critic: first-order reinforcement learning without entropy.
+
+One iteration: every environment acts for a short horizon; the return of that stretch plus the value at its end is
+differentiated through the simulation into the actor; critics follow.
+
+Source: Xu et al. 2022, "Accelerated Policy Learning with Parallel Differentiable Simulation" (ICLR 2022), with the
+settings that Xing, Luk and Oh 2025 compare SAPO with (layer norm before the activation, one AdamW step per iteration)
+and the corrections named in ``rewax.agents.sapo``.
+"""
+
+import dataclasses
+
+import jax
+
+from rewax.agents.actor_critic import ActorCritic, make_actor_critic
+from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.config import Activation, FirstOrderConfig, Optimizer
+from rewax.agents.environments import taken_apart
+from rewax.agents.episodes import episode_metrics
+from rewax.agents.first_order import (
+    FirstOrderState,
+    Stretch,
+    actor_update,
+    critic_update,
+    start_actor_critic,
+    stretch_loss,
+)
+from rewax.agents.rollout import rollout
+from rewax.agents.run_state import advanced
+from rewax.envs.base import Env, State
+from rewax.envs.leaves import EnvLeaves
+from rewax.envs.randomized import Randomize
+from rewax.envs.wrappers import AutoReset
+from rewax.types import Array, Key, Observation, PyTree
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SHACConfig(FirstOrderConfig):
+    """Hyper-parameters of ``FirstOrderConfig``; the defaults are those of SAPO's paper for the deformable tasks."""
+
+    optimizer: Optimizer = "adam"
+    max_grad_norm: float = 1.0
+    activation: Activation = "elu"
+    initial_gain: float = 2.0**0.5
+    state_dependent_std: bool = False
+    initial_log_std: float = -1.0
+    num_critics: int = 1
+    target_decay: float | None = 0.995
+
+
+def make_shac(env: Env, config: SHACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
+    """SHAC on an environment.
+
+    Args:
+      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      config: hyper-parameters.
+      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
+
+    Returns:
+      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
+    """
+    config = SHACConfig() if config is None else config
+    leaves = taken_apart(env, config.num_envs, randomize)
+    networks = make_actor_critic(leaves.first(), config)
+    return bind("shac", config, leaves, init=init, train_step=train_step, policy=networks.policy)
+
+
+def init(config: SHACConfig, leaves: EnvLeaves, key: Key) -> FirstOrderState:
+    """The state of a run that has not begun."""
+    return start_actor_critic(make_actor_critic(leaves.first(), config), leaves, key)
+
+
+def train_step(config: SHACConfig, state: FirstOrderState) -> tuple[FirstOrderState, Metrics]:
+    """One iteration: actor, critics."""
+    networks = make_actor_critic(state.environments.env.first(), config)
+    key, rollout_key = jax.random.split(state.key)
+
+    def loss(actor_params: PyTree, env: AutoReset, env_state: State, key: Key) -> tuple[Array, Stretch]:
+        return actor_loss(networks, state, actor_params, env, env_state, key)
+
+    actor, data, actor_metrics = actor_update(networks, state, loss, rollout_key)
+    critics, critic_metrics = critic_update(networks, state, data, data.transitions.reward)
+
+    new = advanced(config, state, data.state, data.transitions, key=key, **actor, **critics)
+    episodes = episode_metrics(state.environments, data.transitions)
+    return new, {**episodes, **actor_metrics, **critic_metrics}
+
+
+def actor_loss(
+    networks: ActorCritic, state: FirstOrderState, actor_params: PyTree, env: AutoReset, env_state: State, key: Key
+) -> tuple[Array, Stretch]:
+    """Minus the return per step of one environment's stretch. Gradient: through the simulation."""
+    config, statistics = networks.config, state.environments.statistics
+
+    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
+        distribution = networks.action_distribution(actor_params, statistics, obs)
+        return distribution.sample(key), {}
+
+    end, transitions = rollout(env, env_state, policy, key, **config.rollout_options)
+    return stretch_loss(networks, state, end, transitions, transitions.reward)

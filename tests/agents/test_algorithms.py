@@ -1,0 +1,96 @@
+"""What holds for every algorithm: it learns, repeats itself to the bit, resumes, reports, and is found by its name."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from agent_cases import CASES, ENV, agent, assert_same_bits, raw, trained
+
+from rewax.agents.registry import algorithm, list_algorithms
+from rewax.status import Status
+from rewax.training import checkpoint
+from rewax.training.evaluate import make_evaluate
+
+ALL = sorted(CASES)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_learns_and_compiles_once(name):
+    """The point starts 0.5 to 1.5 from its goal and stays there untrained: -5 per episode; perfect play costs -0.4."""
+    state, rows = trained(name)
+    key = jax.random.key(5)
+    result = make_evaluate(ENV, agent(name).policy, 64)(state, key, deterministic=True)
+    floor = -0.75 if name in ("trajopt", "sac") else -0.6  # one sequence for all starts cannot do better
+    assert result["mean"] > floor, result["mean"]
+    assert agent(name).train_step._cache_size() == 1
+    assert sum(int(row["failed_episodes"]) for row in rows) == 0
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_two_runs_are_identical_and_a_resumed_one_too(name, tmp_path):
+    start = agent(name).init(jax.random.key(1))
+    assert_same_bits(start, agent(name).init(jax.random.key(1)))
+    state = start
+    for _ in range(3):
+        state, _ = agent(name).train_step(state)
+    checkpoint.save(tmp_path, state, keep=1)
+    resumed = checkpoint.restore(tmp_path, jax.eval_shape(agent(name).init, jax.random.key(0)))
+    ends = []
+    for _ in range(3):
+        resumed, metrics = agent(name).train_step(resumed)
+    ends.append((resumed, metrics))
+    state = agent(name).init(jax.random.key(1))
+    for _ in range(6):
+        state, metrics = agent(name).train_step(state)
+    assert_same_bits((state, metrics), ends[0])
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_reports_what_the_loop_needs(name):
+    state, rows = trained(name)
+    needed = {"return", "reward", "episodes", "failed_episodes", "failed_env", "failed_leaf"}
+    needed |= {f"status/{bit.name}" for bit in Status if bit}
+    assert needed <= set(rows[0])
+    assert all(set(row) == set(rows[0]) for row in rows)
+    assert int(state.iteration) == CASES[name].num_iterations
+    config = CASES[name].config
+    if name != "ahac":  # whose horizon varies
+        per_iteration = config.num_envs * config.steps_in(ENV)
+        assert int(state.env_steps) == per_iteration * CASES[name].num_iterations
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_many_seeds_at_once_are_their_solo_runs(name):
+    keys = jax.random.split(jax.random.key(7), 2)
+    together = jax.jit(jax.vmap(agent(name).init))(keys)
+    step = jax.jit(jax.vmap(agent(name).train_step))
+    for _ in range(2):
+        together, _ = step(together)
+    for i in range(2):
+        alone = agent(name).init(keys[i])
+        for _ in range(2):
+            alone, _ = agent(name).train_step(alone)
+        jax.tree.map(
+            lambda a, b, i=i: np.testing.assert_allclose(raw(a)[i], raw(b), rtol=2e-3, atol=2e-4), together, alone
+        )
+
+
+def test_the_names_are_those_of_the_paper_and_its_ablations():
+    assert {"sapo", "shac", "apg", "ppo", "sac", "trajopt", "ahac", "rpo", "shac2"} <= set(list_algorithms())
+    for name in list_algorithms():
+        known = algorithm(name)
+        for scale in ("small", "paper"):
+            config = known.preset("RollingFlat", scale)
+            assert type(config) is known.config_type and hash(config)
+    shac2, sapo = algorithm("shac2").preset("RollingFlat", "paper"), algorithm("sapo").preset("RollingFlat", "paper")
+    assert not shac2.entropy_in_return and not shac2.entropy_in_targets
+    assert dataclasses.replace(shac2, entropy_in_return=True, entropy_in_targets=True, learn_temperature=True) == sapo
+
+
+def test_policies_answer_one_environment():
+    for name in ALL:
+        state = agent(name).init(jax.random.key(0))
+        action = agent(name).policy(state, {"x": jnp.array([1.0])}, jax.random.key(0), deterministic=True)
+        assert action.shape == (1,) and np.all(np.abs(action) <= 1.0)

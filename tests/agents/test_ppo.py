@@ -1,0 +1,96 @@
+"""PPO: its loss written out in numpy, its advantages, and the learning rate that follows the divergence."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from agent_cases import CASES, ENV, trained
+from scipy import stats
+
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.ppo import PPOConfig, ppo_loss
+from rewax.agents.registry import make_agent
+from rewax.agents.returns import td_lambda
+
+CONFIG = CASES["ppo"].config
+
+
+def batch_of(networks, params, key, n=6):
+    keys = jax.random.split(key, 4)
+    obs = {"x": jax.random.normal(keys[0], (n, 1))}
+    now = jax.vmap(lambda o: networks.distribution(params, o))(obs)
+    mean, log_std = now.mean + 0.1, now.log_std - 0.2
+    raw = mean + jnp.exp(log_std) * jax.random.normal(keys[1], mean.shape)
+    log_prob = stats.norm.logpdf(raw, mean, np.exp(log_std)).sum(-1) - 2 * (
+        np.log(2.0) - raw - jax.nn.softplus(-2 * raw)
+    ).sum(-1)
+    return {
+        "obs": obs,
+        "raw": raw,
+        "mean": mean,
+        "log_std": log_std,
+        "log_prob": jnp.asarray(log_prob, jnp.float32),
+        "advantage": jax.random.normal(keys[2], (n,)),
+        "target": jax.random.normal(keys[3], (n,)),
+        "weight": jnp.ones(n).at[2].set(0.0),
+    }, now
+
+
+def test_the_loss_is_the_clipped_surrogate_and_the_values_error():
+    networks = make_actor_critic(ENV, CONFIG)
+    actor = networks.network.init(jax.random.key(0), {"x": jnp.zeros(1)})
+    critic = networks.critics.init(jax.random.key(1), {"x": jnp.zeros(1)})
+    batch, now = batch_of(networks, actor, jax.random.key(2))
+    loss, said = ppo_loss(networks, (actor, critic), batch)
+    counts = np.asarray(batch["weight"], bool)
+    new, old = (
+        stats.norm.logpdf(batch["raw"], d["mean"], np.exp(d["log_std"])).sum(-1)
+        for d in ({"mean": now.mean, "log_std": now.log_std}, batch)
+    )
+    ratio, advantage = np.exp(new - old), np.asarray(batch["advantage"])
+    gain = np.minimum(ratio * advantage, np.clip(ratio, 0.8, 1.2) * advantage)[counts].mean()
+    value = np.asarray(networks.values(critic, batch["obs"]))[:, 0]
+    error = 0.5 * ((value - batch["target"]) ** 2)[counts].mean()
+    np.testing.assert_allclose(said["actor_loss"], -gain, rtol=1e-4)
+    np.testing.assert_allclose(said["critic_loss"], error, rtol=1e-4)
+    np.testing.assert_allclose(loss, -gain + 4.0 * error, rtol=1e-4)
+    s0, s1 = np.exp(batch["log_std"]), np.exp(now.log_std)
+    kl = (np.log(s1 / s0) + (s0**2 + 0.1**2) / (2 * s1**2) - 0.5).sum(-1)[counts].mean()
+    np.testing.assert_allclose(said["kl"], kl, rtol=1e-3)
+
+
+def gae(reward, value, next_value, done, discount, lambda_):
+    """The recursion of Schulman et al. 2016; next_value is 0 where terminated."""
+    out, last = np.zeros_like(reward), 0.0
+    for t in reversed(range(len(reward))):
+        last = reward[t] + discount * next_value[t] - value[t] + discount * lambda_ * (not done[t]) * last
+        out[t] = last
+    return out
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_targets_less_values_are_generalised_advantages(x64, seed):
+    rng = np.random.default_rng(seed)
+    reward, values = rng.normal(size=12), rng.normal(size=13)
+    done = rng.random(12) < 0.25
+    terminated = done & (rng.random(12) < 0.5)
+    value = values[:-1]
+    next_value = np.where(terminated, 0.0, np.where(done, rng.normal(size=12), values[1:]))
+    targets = td_lambda(*map(jnp.asarray, (reward, next_value, done)), discount=0.9, lambda_=0.8)
+    np.testing.assert_allclose(targets - value, gae(reward, value, next_value, done, 0.9, 0.8), rtol=1e-10)
+
+
+def test_the_learning_rate_follows_the_divergence():
+    _, rows = trained("ppo")
+    rates = [float(row["learning_rate"]) for row in rows]
+    assert len(set(rates)) > 3 and 1e-6 <= min(rates) <= max(rates) <= 1e-2
+    fixed = make_agent("ppo", ENV, dataclasses.replace(CONFIG, target_kl=None, epochs=1))
+    _, metrics = fixed.train_step(fixed.init(jax.random.key(0)))
+    assert float(metrics["learning_rate"]) == pytest.approx(CONFIG.actor_learning_rate)
+
+
+def test_minibatches_divide_the_samples():
+    with pytest.raises(ValueError, match=r"minibatches is 3, which does not divide num_envs \* horizon = 64"):
+        PPOConfig(num_envs=8, horizon=8, minibatches=3)

@@ -1,0 +1,79 @@
+"""The replay buffer: what it keeps, and n-step samples against a loop in numpy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rewax.agents.replay import Step, add, bytes_of, make_replay, sample
+
+NUM_ENVS, CAPACITY, DISCOUNT = 2, 8, 0.5
+
+
+def steps(first, length, terminated=None, done=None, valid=None):
+    """Steps whose observations and rewards name time and environment: 10 t + env."""
+    name = 10.0 * (first + np.arange(length))[:, None] + np.arange(NUM_ENVS)
+    no = np.zeros((length, NUM_ENVS), bool)
+    return Step(
+        obs={"x": jnp.asarray(name[..., None])},
+        action=jnp.asarray(name[..., None]),
+        reward=jnp.asarray(name),
+        next_obs={"x": jnp.asarray(name[..., None] + 0.5)},
+        terminated=jnp.asarray(no if terminated is None else terminated),
+        done=jnp.asarray(no if done is None else done),
+        valid=jnp.asarray(~no if valid is None else valid),
+    )
+
+
+def empty():
+    return make_replay(jax.tree.map(lambda a: a[0], steps(0, 1)), CAPACITY)
+
+
+def test_the_oldest_steps_are_overwritten():
+    replay = empty()
+    for first in (0, 4, 8):
+        replay = add(replay, steps(first, 4))
+    assert int(replay.count) == 12 and int(replay.num_filled) == CAPACITY
+    drawn = sample(replay, jax.random.key(0), 200, num_steps=1, discount=DISCOUNT)
+    times = np.asarray(drawn.obs["x"][:, 0]) // 10
+    assert set(times) == set(range(4, 12))
+    np.testing.assert_array_equal(drawn.next_obs["x"], drawn.obs["x"] + 0.5)
+    assert bytes_of(steps(0, 1), CAPACITY) == CAPACITY * NUM_ENVS * (4 * 4 + 3)
+
+
+def expected(start, env, n, terminated, done, valid, count):
+    """Reward, discount, time of the last step that counts."""
+    total, weight, last = 0.0, 1.0, start
+    for t in range(start, min(start + n, count)):
+        if not valid[t, env]:
+            break
+        total += weight * (10.0 * t + env)
+        weight, last = weight * DISCOUNT, t
+        if done[t, env]:
+            break
+    return total, 0.0 if terminated[last, env] else weight, last
+
+
+@given(seed=st.integers(0, 1000), n=st.integers(1, 4), length=st.sampled_from([4, 8, 12]))
+def test_n_step_samples_equal_a_loop(seed, n, length):
+    rng = np.random.default_rng(seed)
+    done = rng.random((length, NUM_ENVS)) < 0.3
+    terminated = done & (rng.random((length, NUM_ENVS)) < 0.5)
+    valid = rng.random((length, NUM_ENVS)) < 0.8
+    replay = empty()
+    for first in range(0, length, 4):
+        part = slice(first, first + 4)
+        replay = add(replay, steps(first, 4, terminated[part], done[part], valid[part]))
+    drawn = sample(replay, jax.random.key(seed), 64, num_steps=n, discount=DISCOUNT)
+    for i in range(64):
+        name = int(drawn.obs["x"][i, 0])
+        start, env = divmod(name, 10)
+        assert start >= max(0, length - CAPACITY)
+        assert bool(drawn.valid[i]) == bool(valid[start, env])
+        if not valid[start, env]:
+            continue
+        reward, weight, last = expected(start, env, n, terminated, done, valid, length)
+        np.testing.assert_allclose(
+            (drawn.reward[i], drawn.discount[i], drawn.next_obs["x"][i, 0]), (reward, weight, 10 * last + env + 0.5)
+        )

@@ -1,0 +1,87 @@
+"""RPO: its first epoch follows SHAC's gradient; later ones weigh and leave out samples."""
+
+import dataclasses
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from agent_cases import CASES, ENV, agent
+
+from rewax.agents import rpo, shac
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.gradients import mean_of_finite, per_env_gradients
+from rewax.agents.rpo import RPOConfig
+
+CONFIG = dataclasses.replace(CASES["rpo"].config, kl_coefficient=0.3, entropy_coefficient=0.0)
+NETWORKS = make_actor_critic(ENV, CONFIG)
+KEY = jax.random.key(3)
+
+
+@pytest.fixture(scope="module")
+def start():
+    return agent("rpo").init(jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def rolled(start):
+    """Losses, rollouts and derivatives by actions."""
+
+    @jax.jit
+    def roll(state):
+        def loss(shift, env, env_state, key):
+            return rpo.shifted_loss(NETWORKS, state, shift, env, env_state, key)
+
+        return per_env_gradients(loss, jnp.zeros((CONFIG.horizon, 1)), state.environments, KEY)
+
+    return roll(start)
+
+
+def slope(params, start, rolled, config=CONFIG, counts=None):
+    _, data, by_action = rolled
+    networks = dataclasses.replace(NETWORKS, config=config)
+    seen = networks.seen(start.environments.statistics, data.transitions.obs)
+    counts = jnp.ones(by_action.shape[:2], bool) if counts is None else counts
+    run = jax.jit(
+        jax.value_and_grad(
+            lambda p: rpo.surrogate(networks, p, seen, data.transitions.extras, by_action, counts), has_aux=True
+        )
+    )
+    return run(params)
+
+
+def test_the_first_epoch_follows_the_gradient_of_shac(start, rolled):
+    def loss(params, env, env_state, key):
+        return shac.actor_loss(NETWORKS, start, params, env, env_state, key)
+
+    losses, _, grads = jax.jit(lambda p: per_env_gradients(loss, p, start.environments, KEY))(start.actor_params)
+    expected, _ = mean_of_finite(losses, grads)
+    (_, said), found = slope(start.actor_params, start, rolled)
+    assert said["kept"] == 1.0 and abs(said["kl"]) < 1e-6
+    chex.assert_trees_all_close(found, expected, rtol=2e-3, atol=2e-5)  # noise is a difference over a spread
+
+
+def test_samples_whose_ratio_has_left_its_range_count_for_nothing(start, rolled):
+    far = jax.tree.map(lambda a: a + 0.3, start.actor_params)
+    (_, said), _ = slope(far, start, rolled)
+    assert 0.0 < said["kept"] < 1.0 and said["kl"] > 0.01
+    narrow = dataclasses.replace(CONFIG, lowest_ratio=0.999, highest_ratio=1.001, kl_coefficient=0.0)
+    (value, said), found = slope(far, start, rolled, narrow)
+    if said["kept"] == 0.0:
+        assert value == 0.0 and all(np.all(np.asarray(leaf) == 0) for leaf in jax.tree.leaves(found))
+
+
+def test_an_environment_that_failed_has_no_part(start, rolled):
+    losses, data, by_action = rolled
+    broken = (losses, data, by_action.at[1].set(jnp.nan))
+    counts = jnp.ones(by_action.shape[:2], bool).at[1].set(False)
+    _, found = slope(start.actor_params, start, broken, counts=counts)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found))
+
+
+def test_the_range_holds_one():
+    with pytest.raises(
+        ValueError, match=r"lowest_ratio is 1\.5 and highest_ratio 2\.0: give numbers below and above 1"
+    ):
+        RPOConfig(lowest_ratio=1.5)

@@ -1,0 +1,92 @@
+"""SAC: its losses written out, the warm-up, the entropy that it holds, and the buffer that is not copied."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from agent_cases import CASES, ENV, agent, trained
+
+from rewax.agents import sac
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.replay import Sample
+from rewax.agents.sac import SACConfig
+
+CONFIG = CASES["sac"].config
+NETWORKS = make_actor_critic(ENV, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def start():
+    return agent("sac").init(jax.random.key(0))
+
+
+def batch(valid):
+    n = len(valid)
+    keys = jax.random.split(jax.random.key(2), 4)
+    return Sample(
+        obs={"x": jax.random.normal(keys[0], (n, 1))},
+        action=jnp.tanh(jax.random.normal(keys[1], (n, 1))),
+        reward=jax.random.normal(keys[2], (n,)),
+        discount=jnp.array([0.97, 0.0, 0.5, 0.9][:n]),
+        next_obs={"x": jax.random.normal(keys[3], (n, 1))},
+        valid=jnp.asarray(valid),
+    )
+
+
+def test_critics_regress_onto_the_soft_target_of_the_smaller_value(start):
+    data, key = batch([True, True, False, True]), jax.random.key(4)
+    loss, _ = sac.critic_loss(NETWORKS, start, start.critic_params, data, key)
+    errors = []
+    for i, one_key in enumerate(jax.random.split(key, 4)):
+        obs, following = ({"x": a["x"][i]} for a in (data.obs, data.next_obs))
+        action, log_prob = NETWORKS.distribution(start.actor_params, following).sample_and_log_prob(one_key)
+        soft = NETWORKS.critics.apply(start.target_params, following, action).min() - 0.1 * log_prob
+        target = data.reward[i] + data.discount[i] * soft
+        errors.append(np.mean((NETWORKS.critics.apply(start.critic_params, obs, data.action[i]) - target) ** 2))
+    np.testing.assert_allclose(loss, np.mean([errors[0], errors[1], errors[3]]), rtol=1e-4)
+
+
+def test_the_actor_ascends_the_soft_value(start):
+    data, key = batch([True, False]), jax.random.key(4)
+    loss, (entropy, _) = sac.actor_loss(NETWORKS, start, start.actor_params, start.critic_params, data, key)
+    obs = {"x": data.obs["x"][0]}
+    action, log_prob = NETWORKS.distribution(start.actor_params, obs).sample_and_log_prob(jax.random.split(key, 2)[0])
+    value = NETWORKS.critics.apply(start.critic_params, obs, action).min()
+    np.testing.assert_allclose(loss, 0.1 * log_prob - value, rtol=1e-4)
+    np.testing.assert_allclose(entropy, -log_prob, rtol=1e-5)
+
+
+def test_nothing_is_learnt_while_actions_are_random(start):
+    config = dataclasses.replace(CONFIG, warmup_steps=8)
+    state, _ = sac.make_sac(ENV, config).train_step(agent("sac").init(jax.random.key(0)))
+    jax.tree.map(np.testing.assert_array_equal, state.actor_params, start.actor_params)
+    jax.tree.map(np.testing.assert_array_equal, state.target_params, start.target_params)
+    actions = np.asarray(state.replay.steps.action[:4]).ravel()
+    assert np.abs(actions).max() < 1.0 and np.std(actions) == pytest.approx(1 / np.sqrt(3), abs=0.2)
+    for _ in range(2):
+        state, _ = sac.make_sac(ENV, config).train_step(state)
+    assert any(
+        np.any(leaf != 0) for leaf in jax.tree.leaves(jax.tree.map(np.subtract, state.actor_params, start.actor_params))
+    )
+
+
+def test_the_entropy_goes_to_its_target():
+    _, rows = trained("sac")
+    entropy = np.array([row["entropy"] for row in rows])
+    target = -CONFIG.target_entropy_scale
+    assert abs(entropy[-50:].mean() - target) < 0.1, entropy[-50:].mean()
+
+
+def test_the_buffer_is_changed_in_place():
+    state = agent("sac").init(jax.random.key(0))
+    old = state.replay.steps.reward
+    agent("sac").train_step(state)
+    assert old.is_deleted()
+
+
+def test_options_that_cannot_be():
+    with pytest.raises(ValueError, match="replay_size is 100, less than the 1024 steps of one iteration"):
+        SACConfig(replay_size=100)
+    assert SACConfig(num_envs=3, horizon=4, replay_size=100).capacity == 32  # whole iterations

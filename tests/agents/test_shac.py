@@ -1,0 +1,58 @@
+"""SHAC: the target network, and what distinguishes it from SAPO."""
+
+import dataclasses
+
+import chex
+import jax
+import pytest
+from agent_cases import CASES, ENV, agent
+
+from rewax.agents.registry import make_agent
+from rewax.agents.sapo import SAPOConfig
+
+
+def test_the_target_network_keeps_its_share_of_the_old_parameters():
+    config = dataclasses.replace(CASES["shac"].config, target_decay=0.2)
+    slow = make_agent("shac", ENV, config)
+    start = slow.init(jax.random.key(0))
+    chex.assert_trees_all_equal(start.target_params, start.critic_params)
+    new, _ = slow.train_step(start)
+    expected = jax.tree.map(lambda old, new: 0.2 * old + 0.8 * new, start.target_params, new.critic_params)
+    chex.assert_trees_all_close(new.target_params, expected, rtol=1e-5, atol=1e-7)
+
+
+def test_the_targets_come_from_the_target_network():
+    """With other parameters in it, the critics' loss is another."""
+    start = agent("shac").init(jax.random.key(0))
+    other = start.replace(target_params=jax.tree.map(lambda a: a + 0.3, start.target_params))
+    losses = [float(agent("shac").train_step(state)[1]["critic_loss"]) for state in (start, other)]
+    assert abs(losses[0] - losses[1]) > 1e-3
+
+
+def test_without_entropy_and_with_its_settings_sapo_is_shac():
+    """The two of them take the same step but for the noise of the actions, which SAPO draws with a split key."""
+    config = CASES["shac"].config
+    same = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+    sapo = make_agent(
+        "sapo",
+        ENV,
+        SAPOConfig(**{**same, "log_std_range": (-20.0, -20.0)}, entropy_in_return=False, entropy_in_targets=False),
+    )
+    shac = make_agent("shac", ENV, dataclasses.replace(config, log_std_range=(-20.0, -20.0)))
+    a, b = sapo.init(jax.random.key(0)), shac.init(jax.random.key(0))
+    (a, _), (b, _) = sapo.train_step(a), shac.train_step(b)
+    chex.assert_trees_all_close(a.actor_params, b.actor_params, rtol=1e-4, atol=1e-6)
+    chex.assert_trees_all_close(a.critic_params, b.critic_params, rtol=1e-4, atol=1e-6)
+
+
+def test_options_that_cannot_be():
+    for change, sentence in (
+        ({"target_decay": 1.5}, "target_decay is 1.5: give a number between 0 and 1"),
+        ({"target_value": "max"}, "target_value is 'max': use mean or min"),
+        ({"max_env_grad_norm": -1.0}, "max_env_grad_norm is -1.0: give a positive number, or None for no limit"),
+        ({"truncate_every": 0}, "truncate_every is 0: give a whole number of at least 1"),
+        ({"optimizer": "sgd"}, "optimizer is 'sgd': use adamw or adam"),
+    ):
+        with pytest.raises(ValueError) as caught:
+            dataclasses.replace(CASES["shac"].config, **change)
+        assert str(caught.value) == sentence

@@ -1,0 +1,40 @@
+"""TrajOpt: one sequence for all starts, played by the number of the step, clipped to the bounds of actions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from agent_cases import ENV, agent, trained
+
+from rewax.agents.trajopt import TrajOptConfig, make_trajopt
+from rewax.training.evaluate import evaluate_actions, make_evaluate, record_episode
+
+
+def test_it_finds_the_best_sequence():
+    """Starts are uniform in [0.5, 1.5]: the best sequence moves their mean from 1 to 0 in two steps and keeps it."""
+    state, _ = trained("trajopt")
+    means = 1.0 + 0.5 * np.cumsum(state.actions[:, 0])
+    np.testing.assert_allclose(means, [0.5, 0.0, 0.0, 0.0, 0.0], atol=0.12)
+
+
+def test_evaluation_plays_it_in_order():
+    state, _ = trained("trajopt")
+    marked = state.replace(actions=jnp.linspace(-1.0, 1.0, 5)[:, None])
+    key = jax.random.key(0)
+    played = make_evaluate(ENV, agent("trajopt").policy, 8)(marked, key)
+    np.testing.assert_allclose(played["returns"], evaluate_actions(ENV, marked.actions, key, 8)["returns"], rtol=1e-6)
+    frames = record_episode(ENV, agent("trajopt").policy, marked, key, num_frames=6)
+    moved = np.diff([float(frame.physics[0]) for frame in frames])
+    np.testing.assert_allclose(moved, 0.5 * marked.actions[:, 0], atol=1e-6)
+
+
+def test_actions_stay_within_their_bounds():
+    config = TrajOptConfig(num_envs=2, learning_rate=5.0)
+    eager = make_trajopt(ENV, config)
+    state, _ = eager.train_step(eager.init(jax.random.key(0)))
+    assert float(jnp.abs(state.actions).max()) == 1.0
+
+
+def test_it_plays_whole_episodes_only():
+    with pytest.raises(ValueError, match="horizon is 8: TrajOpt plays whole episodes, give 0"):
+        TrajOptConfig(horizon=8)
