@@ -27,13 +27,14 @@ class Options:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Evaluate a run and print a line for each kind of actions.
+    """Evaluate a run and print a line for each kind of actions: the mean return with its 95 % bootstrap interval.
 
     Raises:
       ValueError: there is no such run, checkpoint or environment; one sentence.
     """
     import jax
 
+    from rewax.statistics import bootstrap_interval
     from rewax.training.cache import enable_compilation_cache
     from rewax.training.evaluate import make_evaluate
     from rewax.training.saved import load_run
@@ -50,8 +51,11 @@ def run(argv: Sequence[str]) -> int:
     print(f"{saved.config['agent']} on {env_name}, iteration {int(saved.train_state.iteration)}")
     for name, deterministic in (("sampled", False), ("deterministic", True)):
         result = evaluate(saved.train_state, jax.random.key(options.seed), deterministic=deterministic)
-        numbers = ", ".join(f"{what} {float(result[what]):.4g}" for what in ("mean", "std", "min", "max"))
-        print(f"{name:13s} {numbers}, {int(result['failed'])} of {options.episodes} failed")
+        low, high = bootstrap_interval(jax.device_get(result["returns"]))
+        numbers = ", ".join(f"{what} {float(result[what]):.4g}" for what in ("std", "min", "max"))
+        success = f", {float(result['success']):.0%} succeeded" if "success" in result else ""
+        mean = f"mean {float(result['mean']):.4g} [{low:.4g}, {high:.4g}]"
+        print(f"{name:13s} {mean}, {numbers}{success}, {int(result['failed'])} of {options.episodes} failed")
     return 0
 
 

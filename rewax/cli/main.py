@@ -9,9 +9,17 @@ from collections.abc import Sequence
 _COMMANDS = {
     "train": "train a policy on an environment",
     "eval": "evaluate what a run has learnt",
+    "bench": "compare algorithms on tasks, one table",
+    "landscape": "draw the return around a trained policy",
     "envs": "list the environments",
 }
-_HOMES = {"train": "rewax.cli.train", "eval": "rewax.cli.evaluate", "envs": "rewax.cli.environments"}
+_HOMES = {
+    "train": "rewax.cli.train",
+    "eval": "rewax.cli.evaluate",
+    "bench": "rewax.cli.bench",
+    "landscape": "rewax.cli.landscape",
+    "envs": "rewax.cli.environments",
+}
 _CLEAN_EXIT, _BAD_INPUT = 0, 2
 
 
@@ -52,7 +60,7 @@ def _run(argv: list[str]) -> int:
 
 
 def _help() -> str:
-    lines = [f"  rewax {name:6s} {what}" for name, what in _COMMANDS.items()]
+    lines = [f"  rewax {name:10s} {what}" for name, what in _COMMANDS.items()]
     return "\n".join(["usage: rewax COMMAND [OPTIONS]", "", *lines, "", "rewax COMMAND --help lists the options."])
 
 

@@ -34,6 +34,7 @@ def run(argv: Sequence[str]) -> int:
     from rewax.training.config import ReportConfig, TrainConfig
     from rewax.training.loop import train
     from rewax.training.progress import say
+    from rewax.training.seeds import train_seeds
 
     quiet()
     console = Console(highlight=False)
@@ -45,18 +46,44 @@ def run(argv: Sequence[str]) -> int:
     env = registry.make(first.env, scale=scale)
     options = _options(first, scale, chosen, ReportConfig())
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
+    if args.num_seeds < 1:
+        raise ValueError(f"num-seeds is {args.num_seeds}: use 1 or more")
 
-    agent_config, num_iterations = _length(getattr(args, first.algo), args.steps)
-    run_dir = args.run_dir or f"runs/{first.env}-{scale}-{args.seed}"
-    report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
-    config = TrainConfig(**report, num_iterations=num_iterations, run_dir=run_dir, seed=args.seed, resume=args.resume)
+    agent_config, num_iterations = _length(getattr(args, first.algo), env, args.steps)
     say(console, _scale_sentence(scale, first.scale))
-    say(console, f"{first.algo} on {first.env}, seed {args.seed}, {num_iterations} iterations, in {run_dir}")
-    describe = {"env": first.env, "scale": scale, "seed": args.seed, "agent": first.algo, first.algo: agent_config}
-    result = train(chosen.make(env, agent_config), env, config, describe=describe, console=console)
-    if result.failure:  # said by the run
+    report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
+    configs = [
+        TrainConfig(
+            **report,
+            num_iterations=num_iterations,
+            run_dir=_run_dir(args, first, scale, seed),
+            seed=seed,
+            resume=args.resume,
+        )
+        for seed in range(args.seed, args.seed + args.num_seeds)
+    ]
+    for config in configs:
+        say(
+            console,
+            f"{first.algo} on {first.env}, seed {config.seed}, {num_iterations} iterations, in {config.run_dir}",
+        )
+    describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
+    agent = chosen.make(env, agent_config)
+    if args.num_seeds == 1:
+        results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]
+    else:
+        results = train_seeds(agent, env, configs, describe=describe, console=console)
+    if any(result.failure for result in results):  # said by the run
         return _FAILED_RUN
-    return 128 + result.signum if result.signum else 0
+    return 128 + results[0].signum if results[0].signum else 0
+
+
+def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
+    """Where a seed's run goes: the algorithm is in the name unless it is SAPO."""
+    if args.run_dir:
+        return args.run_dir if args.num_seeds == 1 else f"{args.run_dir}/{seed}"
+    algorithm_name = "" if first.algo == "sapo" else f"-{first.algo}"
+    return f"runs/{first.env}-{scale}{algorithm_name}-{seed}"
 
 
 def quiet() -> None:
@@ -94,6 +121,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
             ("algo", str, first.algo),
             ("imports", Imports, ()),
             ("seed", int, 0),
+            ("num_seeds", int, 1),
             ("steps", int | None, None),
             ("run_dir", str | None, None),
             ("resume", tyro.conf.FlagCreatePairsOff[bool], False),
@@ -111,8 +139,9 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
       seed: everything random follows from it.
+      num_seeds: seeds side by side in one program, from --seed on, a run directory for each.
       steps: environment steps in all, rounded up to whole iterations; by default what the preset says.
-      run_dir: directory of the run; runs/<env>-<scale>-<seed> by default.
+      run_dir: directory of the run; runs/<env>-<scale>[-<algo>]-<seed> by default.
       resume: continue the run in run-dir from its newest checkpoint.
     """
     return options
@@ -122,13 +151,13 @@ def _description(name: str, env_name: str, scale: str) -> str:
     return f"Train {name} on {env_name}. Defaults shown are those of --env {env_name} --scale {scale}."
 
 
-def _length(agent_config: Any, steps: int | None) -> tuple[Any, int]:
+def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int]:
     """The agent's configuration and number of iterations for so many environment steps."""
     if steps is None:
         return agent_config, agent_config.num_iterations
     if steps < 1:
         raise ValueError(f"steps is {steps}: use 1 or more")
-    num_iterations = math.ceil(steps / (agent_config.num_envs * agent_config.horizon))
+    num_iterations = math.ceil(steps / (agent_config.num_envs * (agent_config.horizon or env.episode_length)))
     return dataclasses.replace(agent_config, num_iterations=num_iterations), num_iterations
 
 

@@ -65,11 +65,7 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     Raises:
       ValueError: unknown name, scale or keyword; the message lists what there is.
     """
-    if name not in _FACTORIES:
-        raise ValueError(
-            f"there is no environment named {name!r}: {did_you_mean(name, _FACTORIES)}known are "
-            f"{', '.join(list_envs())}; register others first, on the command line with --import MODULE"
-        )
+    check_name(name)
     scale = default_scale() if scale is None else scale
     factory = _FACTORIES[name]
     scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
@@ -81,6 +77,15 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     env = _call(name, chosen, given)
     _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
     return env
+
+
+def check_name(name: str) -> None:
+    """Raise a ValueError unless ``make`` knows the name."""
+    if name not in _FACTORIES:
+        raise ValueError(
+            f"there is no environment named {name!r}: {did_you_mean(name, _FACTORIES)}known are "
+            f"{', '.join(list_envs())}; register others first, on the command line with --import MODULE"
+        )
 
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:

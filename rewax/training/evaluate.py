@@ -1,6 +1,7 @@
 """Whole episodes without gradients: returns of policies, baselines and action sequences; frames for pictures."""
 
 import functools
+import inspect
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
@@ -13,7 +14,8 @@ from rewax.status import FATAL, Status
 from rewax.types import Array, Key, PyTree
 
 Policy: TypeAlias = Callable[..., Array]
-"""``policy(train_state, obs, key, deterministic=False) -> action``, for one environment."""
+"""``policy(train_state, obs, key, deterministic=False) -> action``, for one environment. One with a parameter ``step``
+is told how many control steps it is since the episode began."""
 _Act: TypeAlias = Callable[[State, Array, Key], Array]
 
 Evaluation: TypeAlias = dict[str, Array]
@@ -24,6 +26,7 @@ Evaluation: TypeAlias = dict[str, Array]
 ``lengths``: control steps of every episode, shape (num_episodes,), int32.
 ``failed``: episodes that ended by a numerical failure, shape (), int32. Their returns are those of the steps before.
 ``status/<BIT>``: episodes in which that bit of ``rewax.status.Status`` was set, shape (), int32.
+``success``: share of episodes that ended with the metric ``success`` above 0.5, shape (); of tasks that have one.
 """
 
 
@@ -55,11 +58,12 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
     Gradient: none needed, none kept.
     """
     _check_num_episodes(num_episodes)
+    told = told_the_step(policy)
 
     @functools.partial(jax.jit, static_argnames="deterministic")
     def evaluate(train_state: PyTree, key: Key, deterministic: bool = False) -> Evaluation:
         def act(state: State, step: Array, key: Key) -> Array:
-            return policy(train_state, state.obs, jax.random.fold_in(key, step), deterministic=deterministic)
+            return told(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)
 
         return _evaluate(env, act, key, num_episodes)
 
@@ -124,12 +128,13 @@ def record_episode(
     if num_frames < 2:
         raise ValueError(f"num_frames is {num_frames}: use 2 or more")
     reset_key, act_key = jax.random.split(key)
+    told = told_the_step(policy)
 
     @jax.jit
     def advance(carry: tuple[State, Array], first: Array, last: Array) -> tuple[State, Array]:
         def body(step: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
             state, total = carry
-            action = policy(train_state, state.obs, jax.random.fold_in(act_key, step), deterministic=deterministic)
+            action = told(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
             new = env.step(state, action)
             return select(state.done, state, new), total + jnp.where(state.done, 0, new.reward)
 
@@ -153,7 +158,8 @@ def _evaluate_sequence(env: Env, actions: Array, key: Key, num_episodes: int) ->
 
 def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
     keys = jax.random.split(key, num_episodes)
-    returns, lengths, status = jax.vmap(lambda key: _episode(env, act, key))(keys)
+    returns, lengths, status, metrics = jax.vmap(lambda key: _episode(env, act, key))(keys)
+    success = {"success": jnp.mean(metrics["success"] > 0.5)} if "success" in metrics else {}
 
     def count(bits: Status) -> Array:
         return jnp.sum((status & int(bits)) != 0, dtype=jnp.int32)
@@ -167,24 +173,37 @@ def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
         "lengths": lengths,
         "failed": count(FATAL),
         **{f"status/{bit.name}": count(bit) for bit in Status if bit},
+        **success,
     }
 
 
-def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array]:
-    """Return, length and status bits of one episode; what comes after its first end does not count, even a NaN."""
+def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array, dict[str, Array]]:
+    """Return, length, status bits and last metrics of an episode; nothing after its first end counts, even a NaN."""
     reset_key, act_key = jax.random.split(key)
 
-    def body(carry: tuple[State, Array, Array, Array, Array], step: Array) -> tuple[Any, None]:
-        state, alive, total, length, status = carry
+    def body(carry: tuple[State, Array, Array, Array, Array, dict[str, Array]], step: Array) -> tuple[Any, None]:
+        state, alive, total, length, status, metrics = carry
         state = env.step(state, act(state, step, act_key))
         total = total + jnp.where(alive, state.reward, 0)
         status = status | jnp.where(alive, state.status, 0)
-        return (state, alive & ~state.done, total, length + alive, status), None
+        metrics = select(alive, state.metrics, metrics)
+        return (state, alive & ~state.done, total, length + alive, status, metrics), None
 
     state = env.reset(reset_key)
-    start = (state, jnp.bool_(True), jnp.zeros_like(state.reward), jnp.int32(0), state.status)
-    (_, _, total, length, status), _ = jax.lax.scan(body, start, jnp.arange(env.episode_length))
-    return total, length, status
+    start = (state, jnp.bool_(True), jnp.zeros_like(state.reward), jnp.int32(0), state.status, state.metrics)
+    (_, _, total, length, status, metrics), _ = jax.lax.scan(body, start, jnp.arange(env.episode_length))
+    return total, length, status, metrics
+
+
+def told_the_step(policy: Policy) -> Callable[[PyTree, Any, Key, Array, bool], Array]:
+    """``(train_state, obs, key, step, deterministic) -> action``; the step reaches a policy that asks for it."""
+    asks = "step" in inspect.signature(policy).parameters
+
+    def told(train_state: PyTree, obs: Any, key: Key, step: Array, deterministic: bool) -> Array:
+        more = {"step": step} if asks else {}
+        return policy(train_state, obs, key, deterministic=deterministic, **more)
+
+    return told
 
 
 def _check_num_episodes(num_episodes: int) -> None:

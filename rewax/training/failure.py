@@ -9,10 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.agents.replay import Replay
 from rewax.envs.base import Env, State, failed_leaf_name
 from rewax.status import all_finite
 from rewax.training.config import ReportConfig
 
+_SEEN = (State, Replay)
 _REMEDY = "shorter substeps, softer contacts and materials, or smaller learning rates help"
 
 
@@ -98,8 +100,8 @@ class FailureWatch:
 class FiniteCheck:
     """Finds numbers that are not finite in what an agent has learnt: every floating leaf of its training state.
 
-    The environments' states are left out, because a reset heals them, and so are leaves that are not finite at the
-    beginning, such as the returns of episodes whose start was not seen.
+    The environments' states are left out, because a reset heals them, and what a replay buffer holds. So are leaves
+    that are not finite at the beginning, such as the returns of episodes whose start was not seen.
 
     Args:
       train_state: at the beginning.
@@ -118,11 +120,11 @@ class FiniteCheck:
 
 
 def _learnt(train_state: Any) -> dict[str, Any]:
-    """Floating leaves outside the environments' states, by name."""
+    """Floating leaves outside the environments' states and replay buffers, by name."""
     return {
         jax.tree_util.keystr(path): leaf
-        for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, State))
-        if not isinstance(leaf, State) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
+        for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, _SEEN))
+        if not isinstance(leaf, _SEEN) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
     }
 
 

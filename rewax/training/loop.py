@@ -2,7 +2,7 @@
 
 import functools
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,29 +60,47 @@ def train(
         its run cannot be resumed.
     """
     console = console or Console()
-    run_dir = Path(config.run_dir).absolute()
-    description = {**describe_run(agent, env, describe), "train": config}
-    seed_key = jax.random.key(config.seed)
-    notify = functools.partial(say, console)
-    with hold(run_dir, must_exist=config.resume), graceful_stop(notify) as stop:
+    with (
+        hold(Path(config.run_dir).absolute(), must_exist=config.resume),
+        graceful_stop(functools.partial(say, console)) as stop,
+    ):
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
-        train_state = first_state(agent, config, run_dir, seed_key, description, console)
+        train_state, open_run = prepared(agent, env, config, describe, console)
         train_step = None
         if int(train_state.iteration) < config.num_iterations:
             train_step = compile_train_step(agent, train_state, console)
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
-        stored = read_config(run_dir) if config.resume else {}
-        schedule = continued(stored, int(train_state.iteration), config)
-        write_config(run_dir, {**description, "schedule": schedule})
-        run = Run(agent, env, config, run_dir, jax.random.fold_in(seed_key, _EVALUATION_STREAM), train_state, console)
+        run = open_run()
         try:
-            run.report_lost_rows(schedule)
             if train_step is not None:
                 run.iterate(train_step, stop)
             stop.at_once, stop.notice = "", _FINISHING
             return run.finish(stop)
         finally:
             run.close()
+
+
+def prepared(
+    agent: Agent, env: Env, config: TrainConfig, describe: Mapping[str, Any] | None, console: Console
+) -> tuple[Any, Callable[[], Run]]:
+    """The training state to begin with, and a function that opens the run's files; before it nothing is written.
+
+    The directory has to be held.
+    """
+    run_dir, seed_key = Path(config.run_dir).absolute(), jax.random.key(config.seed)
+    description = {**describe_run(agent, env, describe), "train": config}
+    train_state = first_state(agent, config, run_dir, seed_key, description, console)
+
+    def open_run() -> Run:
+        stored = read_config(run_dir) if config.resume else {}
+        schedule = continued(stored, int(train_state.iteration), config)
+        write_config(run_dir, {**description, "schedule": schedule})
+        key = jax.random.fold_in(seed_key, _EVALUATION_STREAM)
+        run = Run(agent, env, config, run_dir, key, train_state, console)
+        run.report_lost_rows(schedule)
+        return run
+
+    return train_state, open_run
 
 
 def compile_train_step(agent: Agent, train_state: Any, console: Console) -> Any:
@@ -99,4 +117,4 @@ def compile_train_step(agent: Agent, train_state: Any, console: Console) -> Any:
     return compiled
 
 
-__all__ = ["ReportConfig", "TrainConfig", "TrainResult", "compile_train_step", "train"]
+__all__ = ["ReportConfig", "TrainConfig", "TrainResult", "compile_train_step", "prepared", "train"]

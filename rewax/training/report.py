@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from rewax.envs.base import Env
 from rewax.status import Status
 from rewax.training.config import ReportConfig
-from rewax.training.evaluate import Frame, Policy, make_evaluate, record_episode, uniform_policy
+from rewax.training.evaluate import Frame, Policy, make_evaluate, record_episode, told_the_step, uniform_policy
 from rewax.training.metrics import CsvWriter, read_csv
 from rewax.types import Key
 
@@ -51,6 +51,8 @@ class Evaluator:
         for name in ("sampled", "deterministic"):
             result = jax.device_get(self._evaluate((train_state, _MODES.index(name)), self._key))
             row |= {f"{name}_{statistic}": result[statistic] for statistic in _STATISTICS}
+            if "success" in result:
+                row[f"{name}_success"] = result["success"]
         if self.csv.last_iteration < iteration:
             self.csv.write(iteration, row)
         self.last = row
@@ -154,14 +156,14 @@ def _draw_episode(env: Any, frames: Sequence[Frame], out_png: Path) -> Path:
 
 def _any_of(env: Env, policy: Policy) -> Policy:
     """A policy of ``(train_state, mode)``: one program, compiled once, for the agent's policies and the baselines."""
-    random = uniform_policy(env)
+    random, told = uniform_policy(env), told_the_step(policy)
 
-    def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False) -> jax.Array:
+    def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> jax.Array:
         train_state, mode = state_and_mode
         shape, dtype = env.action_spec.shape, jnp.result_type(float)
         branches = (
-            lambda: policy(train_state, obs, key, deterministic=False).astype(dtype),
-            lambda: policy(train_state, obs, key, deterministic=True).astype(dtype),
+            lambda: told(train_state, obs, key, step, False).astype(dtype),
+            lambda: told(train_state, obs, key, step, True).astype(dtype),
             lambda: jnp.zeros(shape, dtype),
             lambda: random(None, obs, key).astype(dtype),
         )

@@ -1,6 +1,7 @@
 """A run under way: its training state, its open files, and what is done after each iteration."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,6 +62,8 @@ class Run:
         self.evaluator = Evaluator(env, agent.policy, config, run_dir, key, resume_at=resume_at)
         self.watch, self.finite = FailureWatch(env, config), FiniteCheck(train_state)
         self._healthy: int | None = checkpoint.latest_step(run_dir)
+        self._consumes, self._env_steps = agent.consumes, int(train_state.env_steps)
+        self._progress: ProgressReport | None = None
 
     @property
     def iteration(self) -> int:
@@ -87,40 +90,57 @@ class Run:
 
     def iterate(self, train_step: Any, stop: Stop) -> None:
         """Train to the last iteration, or until asked to stop or failed; what was trained is kept whatever happens."""
-        progress = None
         try:
-            if self.evaluator.is_due(self.iteration):
-                self.save()
-                stop.at_once = f"stopped before the first iteration: --resume continues {self.run_dir}"
-                self._evaluate()
-            stop.at_once = ""
-            progress = ProgressReport(self.console, self.config.num_iterations, self.iteration)
-            while self.iteration < self.config.num_iterations and not stop.requested and not self.failure:
-                self._iteration(train_step, progress)
+            self.begin(stop)
+            while not (self.over or stop.requested):
+                began = time.perf_counter()
+                new, metrics = jax.block_until_ready(train_step(self.train_state))
+                self.take(new, jax.device_get(metrics), time.perf_counter() - began)
         finally:
-            if progress is not None:
-                progress.close()
-            self.save()
+            self.end()
 
-    def _iteration(self, train_step: Any, progress: ProgressReport) -> None:
-        before, began = self.env_steps, time.perf_counter()
-        new, metrics = jax.block_until_ready(train_step(self.train_state))
-        seconds = time.perf_counter() - began
+    @property
+    def over(self) -> bool:
+        """There is nothing more to train: the last iteration is done, or the run has failed."""
+        return bool(self.failure) or self.iteration >= self.config.num_iterations
+
+    def begin(self, stop: Stop) -> None:
+        """Before the first iteration of this process: the evaluation that is due, and the progress report."""
+        if self.evaluator.is_due(self.iteration):
+            self.save()
+            stop.at_once = f"stopped before the first iteration: --resume continues {self.run_dir}"
+            self._evaluate()
+        elif self._consumes and self._healthy is None:
+            self.save()  # what a failing iteration goes back to
+        stop.at_once = ""
+        self._progress = ProgressReport(self.console, self.config.num_iterations, self.iteration)
+
+    def end(self) -> None:
+        """After the last iteration of this process: everything trained is kept."""
+        if self._progress is not None:
+            self._progress.close()
+        self.save()
+
+    def take(self, new: Any, metrics: Mapping[str, Any], seconds: float) -> None:
+        """Take in the training state and the metrics of an iteration that took so many seconds."""
+        before = self._env_steps
         iteration, env_steps = int(new.iteration), int(new.env_steps)
-        metrics = jax.device_get(metrics)
         speed = (env_steps - before) / seconds
         if iteration % self.config.log_every == 0:
             times = {"seconds": round(seconds, 6), "steps_per_second": round(speed, 3)}
             self.metrics.write(iteration, {"env_steps": env_steps, **metrics})
             self.timing.write(iteration, times)
             if self.board is not None:
-                self.board.write(iteration, metrics | times)
-        progress.update(iteration, env_steps, metrics, speed)
+                self.board.write(iteration, {**metrics, **times})
+        if self._progress is not None:
+            self._progress.update(iteration, env_steps, metrics, speed)
         self.say(self.watch.add(iteration, env_steps - before, metrics))
         if bad := self.finite.first_bad(new):
             self.failure = f"iteration {iteration} made {bad} of the training state infinite or NaN: {_REMEDY}"
+            if self._consumes:
+                self.train_state = checkpoint.restore(self.run_dir, new)
             return
-        self.train_state = new
+        self.train_state, self._env_steps = new, env_steps
         if iteration < self.config.num_iterations and (reason := self.watch.reason()):
             self.failure = reason
             return
@@ -135,6 +155,8 @@ class Run:
 
         The newest from before the last failures stays, however many follow it.
         """
+        if any(leaf.is_deleted() for leaf in jax.tree.leaves(self.train_state) if isinstance(leaf, jax.Array)):
+            return  # an iteration was interrupted that had consumed it
         if self.iteration not in checkpoint.steps(self.run_dir):
             protect = None if self.watch.healthy else self._healthy
             checkpoint.save(self.run_dir, self.train_state, keep=self.config.keep_checkpoints, protect=protect)

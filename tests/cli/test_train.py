@@ -74,11 +74,11 @@ def test_trains_with_the_defaults_of_the_scale(main, tmp_path):
     code, text = main("--env=PointMass")
     assert code == 0
     assert "scale small, because JAX found no accelerator; choose the other with --scale paper" in text
-    run_dir = tmp_path / "runs" / "PointMass-small-0"
+    run_dir = tmp_path / "runs" / "PointMass-small-toy-0"
     assert len(read_csv(run_dir / "metrics.csv")["iteration"]) == 2
     code, text = main("--env", "PointMass", "--scale", "paper", "--seed", "3", "--toy.noise", "0.2")
     assert code == 0
-    config = json.loads((tmp_path / "runs" / "PointMass-paper-3" / "config.json").read_text())
+    config = json.loads((tmp_path / "runs" / "PointMass-paper-toy-3" / "config.json").read_text())
     assert (config["env"], config["scale"], config["seed"], config["agent"]) == ("PointMass", "paper", 3, "toy")
     assert config["toy"] == {"num_envs": 4, "horizon": 3, "num_iterations": 3, "noise": 0.2}
 
@@ -108,7 +108,7 @@ def test_steps_are_rounded_up_to_iterations_and_resume_continues(main, tmp_path)
             "there is no option --toy.nois: did you mean '--toy.noise'? rewax train --help lists them",
         ),
         (["--scale"], "argument --scale: expected one argument; rewax train --help lists the options"),
-        (["--algo=toi"], "there is no algorithm named 'toi': did you mean 'toy'? known are sapo, toy"),
+        (["--algo=toi"], "there is no algorithm named 'toi': did you mean 'toy'? known are ahac, apg, "),
         (["--import=nowhere.py"], "there is no file 'nowhere.py' to import: check the path"),
         (["--resume", "--run-dir=nowhere"], "there is no run directory"),
     ],

@@ -1,0 +1,61 @@
+"""``rewax bench``: tasks, algorithms and seeds of a suite, one table."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import tyro
+from rich.console import Console
+
+from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.train import quiet
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      suite: smoke, small, paper, ablations, or the path of a TOML file.
+      imports: module or .py file that registers environments or algorithms.
+      out: directory of the results; bench/<suite> by default. An interrupted benchmark continues there.
+      tasks: only these of the suite's tasks.
+      algorithms: only these of the suite's algorithms.
+      seeds: only these of the suite's seeds.
+    """
+
+    suite: tyro.conf.Positional[str]
+    imports: Imports = ()
+    out: str | None = None
+    tasks: tuple[str, ...] = ()
+    algorithms: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = ()
+
+
+def run(argv: Sequence[str]) -> int:
+    """Run what is left of a suite and write its results.
+
+    Returns:
+      Exit code: 0, or 128 + signal after an interruption.
+
+    Raises:
+      ValueError: the suite cannot be; one sentence.
+    """
+    from rewax.training.bench import run_suite
+    from rewax.training.cache import enable_compilation_cache
+    from rewax.training.suite import read_suite
+
+    quiet()
+    options = parse(Options, argv, prog="rewax bench", description="Compare algorithms on tasks.")
+    enable_compilation_cache()
+    import_modules(options.imports)
+    suite = read_suite(options.suite)
+    for name in ("tasks", "algorithms", "seeds"):
+        wanted, known = getattr(options, name), getattr(suite, name)
+        if odd := [item for item in wanted if item not in known]:
+            raise ValueError(f"{name} of the suite {suite.name} are {', '.join(map(str, known))}, without {odd[0]}")
+    chosen = {name: getattr(options, name) or getattr(suite, name) for name in ("tasks", "algorithms", "seeds")}
+    signum = run_suite(suite.only(**chosen), options.out or f"bench/{suite.name}", Console(highlight=False))
+    return 128 + signum if signum else 0
+
+
+__all__ = ["Options", "run"]

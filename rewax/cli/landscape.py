@@ -1,0 +1,75 @@
+"""``rewax landscape``: a picture of the return around a trained policy."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.train import quiet
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      run_dir: directory of the run.
+      imports: module or .py file that registers environments or algorithms.
+      size: points along either direction, an odd number.
+      span: largest offset, in units of the parameters' own size.
+      episodes: per point, all from the same starts.
+      seed: draws directions and starts.
+      step: iteration of the checkpoint, the newest by default.
+      out: picture to write; landscape.png in the run's directory by default. The numbers stand beside it as .npz.
+    """
+
+    run_dir: str
+    imports: Imports = ()
+    size: int = 21
+    span: float = 1.0
+    episodes: int = 8
+    seed: int = 0
+    step: int | None = None
+    out: str | None = None
+
+
+def run(argv: Sequence[str]) -> int:
+    """Compute and draw the returns around a policy.
+
+    Raises:
+      ValueError: there is no such run, or an option cannot be; one sentence.
+    """
+    import jax
+    import numpy as np
+
+    from rewax.training.cache import enable_compilation_cache
+    from rewax.training.landscape import landscape
+    from rewax.training.saved import load_run
+    from rewax.viz.curves import landscape_picture
+
+    quiet()
+    options = parse(Options, argv, prog="rewax landscape", description="Draw the return around a trained policy.")
+    enable_compilation_cache()
+    import_modules(options.imports)
+    saved = load_run(options.run_dir, step=options.step)
+    found = landscape(
+        saved.env,
+        saved.agent.policy,
+        saved.train_state,
+        jax.random.key(options.seed),
+        size=options.size,
+        span=options.span,
+        num_episodes=options.episodes,
+    )
+    out = Path(options.out or Path(options.run_dir) / "landscape.png")
+    title = f"{saved.config['agent']} on {saved.config.get('env', '')}, iteration {int(saved.train_state.iteration)}"
+    landscape_picture(found.offsets, found.returns, out, title=title)
+    np.savez(out.with_suffix(".npz"), **found._asdict())
+    middle = found.returns[options.size // 2, options.size // 2]
+    print(
+        f"wrote {out}: return {middle:.4g} in the middle, {found.returns.min():.4g} to {found.returns.max():.4g} around"
+    )
+    return 0
+
+
+__all__ = ["Options", "run"]

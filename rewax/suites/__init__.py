@@ -1,0 +1,1 @@
+"""Suites of ``rewax bench``: TOML files, read by ``rewax.training.suite``."""

@@ -1,0 +1,102 @@
+"""Suites: which tasks, algorithms and seeds a benchmark runs, from a TOML file."""
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from rewax.agents.registry import algorithm
+from rewax.envs import registry
+
+BUILT_IN = ("smoke", "small", "paper", "ablations")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Suite:
+    """A grid of runs.
+
+    Attributes:
+      name: of the file, without its ending.
+      scale: of the tasks, ``small`` or ``paper``.
+      tasks, algorithms: registered names.
+      seeds: of each pair.
+      steps: control steps in all, by task; by default what each algorithm's preset says.
+      options: changes of the presets, by algorithm; ``all`` for those of every algorithm that has the option.
+      num_eval_episodes: of the final evaluation.
+    """
+
+    name: str
+    scale: str
+    tasks: tuple[str, ...]
+    algorithms: tuple[str, ...]
+    seeds: tuple[int, ...]
+    steps: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    options: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
+    num_eval_episodes: int = 64
+
+    def __post_init__(self) -> None:
+        for name in ("tasks", "algorithms", "seeds"):
+            value = getattr(self, name)
+            if isinstance(value, str) or not value:
+                raise ValueError(f"{name} of the suite {self.name} is {value!r}: give a list with at least one entry")
+            object.__setattr__(self, name, tuple(value))
+        if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in self.seeds):
+            raise ValueError(f"seeds of the suite {self.name} are {list(self.seeds)}: give whole numbers from 0 on")
+        for task in self.tasks:
+            registry.check_name(task)
+        for name in self.algorithms:
+            algorithm(name)
+        for task in self.steps:
+            if task not in self.tasks:
+                raise ValueError(f"steps of the suite {self.name} name {task!r}, which is none of its tasks: remove it")
+        for name in self.options:
+            if name not in (*self.algorithms, "all"):
+                raise ValueError(
+                    f"options of the suite {self.name} name {name!r}, which is none of its algorithms: remove them, or "
+                    "call them all"
+                )
+
+    def only(self, *, tasks: tuple[str, ...], algorithms: tuple[str, ...], seeds: tuple[int, ...]) -> "Suite":
+        """A part of the grid."""
+        steps = {task: steps for task, steps in self.steps.items() if task in tasks}
+        options = {name: options for name, options in self.options.items() if name in (*algorithms, "all")}
+        return dataclasses.replace(self, tasks=tasks, algorithms=algorithms, seeds=seeds, steps=steps, options=options)
+
+    def config(self, task: str, name: str) -> Any:
+        """The configuration of an algorithm on a task, options included."""
+        config = algorithm(name).preset(task, self.scale)
+        known = {field.name for field in dataclasses.fields(config)}
+        shared = {key: value for key, value in self.options.get("all", {}).items() if key in known}
+        own = dict(self.options.get(name, {}))
+        if unknown := sorted(set(own) - known):
+            raise ValueError(f"{name} has no option {', '.join(unknown)}: correct the suite {self.name}")
+        return dataclasses.replace(config, **{**shared, **own})
+
+
+def read_suite(source: str | Path) -> Suite:
+    """A built-in suite by its name, or one's own by the path of its file.
+
+    Raises:
+      ValueError: there is none, or it cannot be; one sentence.
+    """
+    if str(source) in BUILT_IN:
+        text, name = resources.files("rewax.suites").joinpath(f"{source}.toml").read_text(), str(source)
+    else:
+        path = Path(source)
+        if not path.is_file():
+            raise ValueError(
+                f"there is no suite {str(source)!r}: use {', '.join(BUILT_IN)}, or the path of a TOML file"
+            )
+        text, name = path.read_text(), path.stem
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{source} is not TOML ({error}): correct it") from None
+    fields = {field.name for field in dataclasses.fields(Suite)} - {"name"}
+    if unknown := sorted(set(content) - fields):
+        raise ValueError(f"{source} has the unknown entry {unknown[0]!r}: known are {', '.join(sorted(fields))}")
+    if missing := [key for key in ("scale", "tasks", "algorithms", "seeds") if key not in content]:
+        raise ValueError(f"{source} has no entry {missing[0]!r}: add it")
+    return Suite(name=name, **content)

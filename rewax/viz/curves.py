@@ -1,0 +1,100 @@
+"""Pictures that compare: learning curves with intervals over seeds, returns around a policy."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+
+from rewax.statistics import bootstrap_interval
+from rewax.viz.plots import STYLE, Columns
+
+_COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
+_POINTS = 80
+
+
+def curves_with_intervals(
+    runs: Mapping[str, Sequence[Columns]],
+    out_png: str | Path,
+    *,
+    title: str = "",
+    levels: Mapping[str, float] | None = None,
+) -> Path:
+    """Draw the mean return over seeds against environment steps, with a 95 % bootstrap band.
+
+    Args:
+      runs: by name, the columns ``env_steps`` and ``return`` of each seed's ``metrics.csv``.
+      out_png: picture to write.
+      title: above it.
+      levels: name and return of horizontal lines.
+
+    Returns:
+      The path written.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+        axes = figure.subplots()
+        for (name, seeds), color in zip(runs.items(), _COLORS * 4, strict=False):
+            curves = [curve for columns in seeds if (curve := smoothed(columns)) is not None]
+            if not curves:
+                continue
+            first, last = max(c[0][0] for c in curves), min(c[0][-1] for c in curves)
+            grid = np.linspace(first, max(first, last), _POINTS)
+            values = np.stack([np.interp(grid, *curve) for curve in curves])
+            axes.plot(grid, values.mean(axis=0), color=color, lw=1.5, label=f"{name} ({len(curves)})")
+            if len(curves) > 1:
+                band = np.array([bootstrap_interval(column, num_resamples=500) for column in values.T])
+                axes.fill_between(grid, band[:, 0], band[:, 1], color=color, alpha=0.18, lw=0)
+        for (name, value), style in zip((levels or {}).items(), ("--", ":", "-.") * 4, strict=False):
+            axes.axhline(value, color="0.35", ls=style, lw=1.0, label=name)
+        axes.set(title=title, xlabel="environment steps", ylabel="return of training episodes")
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="best", fontsize=8)
+        figure.savefig(out_png)
+    return Path(out_png)
+
+
+def smoothed(columns: Columns, *, decay: float = 0.9) -> tuple[np.ndarray, np.ndarray] | None:
+    """Steps and exponentially weighted means of the returns of the episodes that ended; None if none did.
+
+    Args:
+      columns: ``env_steps`` and ``return``, NaN where no episode ended.
+      decay: weight of the past per row.
+    """
+    ended = np.isfinite(columns.get("return", np.zeros(0)))
+    if not ended.any():
+        return None
+    steps, returns = columns["env_steps"][ended], columns["return"][ended]
+    means, total, weight = np.empty_like(returns), 0.0, 0.0
+    for i, value in enumerate(returns):
+        total, weight = decay * total + value, decay * weight + 1.0
+        means[i] = total / weight
+    return steps, means
+
+
+def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | Path, *, title: str = "") -> Path:
+    """Draw returns on a square of two directions; the policy is the cross in the middle.
+
+    Args:
+      offsets: along either direction, shape (size,).
+      returns: shape (size, size), the first axis along the first direction.
+      out_png: picture to write.
+      title: above it.
+
+    Returns:
+      The path written.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(5.4, 4.4), layout="constrained")
+        axes = figure.subplots()
+        filled = axes.contourf(offsets, offsets, returns.T, levels=24, cmap="viridis")
+        axes.contour(offsets, offsets, returns.T, levels=12, colors="white", linewidths=0.3, alpha=0.6)
+        axes.plot(0.0, 0.0, marker="x", color="white", ms=8, mew=2)
+        axes.set(title=title, xlabel="first direction", ylabel="second direction", aspect="equal")
+        axes.grid(False)
+        figure.colorbar(filled, ax=axes, label="return")
+        figure.savefig(out_png)
+    return Path(out_png)

@@ -1,0 +1,29 @@
+"""Bootstrap intervals and interquartile means."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rewax.statistics import bootstrap_interval, interquartile_mean
+
+
+def test_the_interval_of_many_samples_is_that_of_the_normal_distribution():
+    values = np.random.default_rng(0).normal(3.0, 2.0, 400)
+    low, high = bootstrap_interval(values)
+    half = 1.96 * values.std() / 20.0
+    np.testing.assert_allclose([low, high], [values.mean() - half, values.mean() + half], atol=0.02)
+    assert bootstrap_interval(values) == (low, high)
+    assert bootstrap_interval([4.0]) == (4.0, 4.0)
+    wide, narrow = (np.diff(bootstrap_interval(values, confidence=c))[0] for c in (0.99, 0.5))
+    assert wide > 2.0 * narrow
+
+
+@pytest.mark.parametrize("count", [4, 8, 20])
+def test_the_interquartile_mean_is_a_trimmed_mean(count):
+    values = np.random.default_rng(count).normal(size=count)
+    assert interquartile_mean(values) == pytest.approx(stats.trim_mean(values, 0.25))
+
+
+def test_a_value_at_the_border_counts_in_part():
+    assert interquartile_mean([1.0, 2.0, 9.0]) == pytest.approx((0.25 * 1 + 2 + 0.25 * 9) / 1.5)
+    assert interquartile_mean([5.0]) == 5.0

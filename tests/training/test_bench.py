@@ -1,0 +1,97 @@
+"""A suite is run, interrupted, continued and written down."""
+
+import csv
+import dataclasses
+import io
+import signal
+
+import numpy as np
+import pytest
+import toys
+from rich.console import Console
+
+from rewax.agents import registry as agents
+from rewax.agents.registry import Algorithm
+from rewax.envs import registry
+from rewax.training import bench
+from rewax.training.bench import Cell, read_result, run_suite
+from rewax.training.suite import Suite
+from rewax.training.tables import COLUMNS, markdown
+
+
+@pytest.fixture
+def suite(monkeypatch):
+    config = dataclasses.make_dataclass(
+        "ToyConfig",
+        [("num_envs", int, 4), ("horizon", int, 3), ("num_iterations", int, 3), ("noise", float, 0.1)],
+        frozen=True,
+        namespace={"steps_in": lambda self, env: self.horizon},
+    )
+    make = lambda env, config: toys.make_toy(env, num_envs=4, horizon=config.horizon, noise=config.noise)  # noqa: E731
+    monkeypatch.setitem(registry._FACTORIES, "PointMass", lambda scale: toys.point_mass())
+    for name, noise in (("calm", 0.1), ("wild", 0.5)):
+        preset = lambda env_name, scale, noise=noise: config(noise=noise)  # noqa: E731
+        monkeypatch.setitem(agents._ALGORITHMS, name, lambda preset=preset: Algorithm(make, config, preset))
+    return Suite(
+        name="toy", scale="small", tasks=("PointMass",), algorithms=("calm", "wild"), seeds=(0, 1), num_eval_episodes=8
+    )
+
+
+def run(suite, folder):
+    console = Console(file=io.StringIO(), width=200)
+    return run_suite(suite, folder, console), console.file.getvalue()
+
+
+def test_a_suite_leaves_a_table_a_csv_and_curves(suite, tmp_path):
+    signum, text = run(suite, tmp_path)
+    assert signum == 0 and "run 4 of 4: wild on PointMass, seed 1" in text
+    table = (tmp_path / "table.md").read_text().splitlines()
+    assert table[0] == "| task | no action | random actions | calm | wild |"
+    assert table[2].startswith("| PointMass | -") and "[" in table[2]
+    with (tmp_path / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS and len(rows) == 2 + 4
+    trained = [row for row in rows if row["algorithm"] == "calm"]
+    assert [int(row["env_steps"]) for row in trained] == [36, 36] and float(trained[0]["seconds"]) > 0
+    assert (tmp_path / "PointMass.png").stat().st_size > 5000
+
+
+def test_what_is_done_is_skipped_and_the_rest_continued(suite, tmp_path, monkeypatch):
+    real, calls = bench.train, []
+
+    def interrupted(agent, env, config, **kwargs):
+        calls.append((config.run_dir, config.resume))
+        result = real(agent, env, config, **kwargs)
+        return result._replace(signum=signal.SIGINT) if len(calls) == 2 else result
+
+    monkeypatch.setattr(bench, "train", interrupted)
+    signum, text = run(suite, tmp_path)
+    assert signum == signal.SIGINT and len(calls) == 2 and "the same command continues" in text
+    before = read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+    assert run(suite, tmp_path)[0] == 0
+    assert len(calls) == 5 and calls[2] == (calls[1][0], True)  # the interrupted one, from its checkpoint
+    assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path)) == before
+    assert run(suite, tmp_path)[0] == 0 and len(calls) == 5
+
+
+def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path, monkeypatch):
+    real = bench.train
+
+    def failing(agent, env, config, **kwargs):
+        result = real(agent, env, config, **kwargs)
+        return result._replace(failure="it fell over", evaluation={}) if "calm/0" in config.run_dir else result
+
+    monkeypatch.setattr(bench, "train", failing)
+    assert run(suite, tmp_path)[0] == 0
+    row = read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+    assert row["failure"] == "it fell over" and np.isnan(row["sampled"])
+    assert " (1) |" in (tmp_path / "table.md").read_text()
+
+
+def test_the_table_stands_beside_the_papers():
+    suite = Suite(name="p", scale="paper", tasks=("AntRun",), algorithms=("shac", "sapo"), seeds=(0, 1, 2))
+    rows = [{"task": "AntRun", "algorithm": "sapo", "seed": s, "sampled": 4500.0 + s} for s in range(3)]
+    lines = markdown(suite, rows).splitlines()
+    assert lines[2] == "| AntRun |  | 4501 [4500, 4502] |"
+    assert lines[3] == "| the paper's | 3621.0 ± 54.4 | 4535.9 ± 24.5 |"
+    assert lines[-1] == "| AntRun |  | 4501 |"
