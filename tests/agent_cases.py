@@ -29,6 +29,7 @@ _POLICY = {
 }
 _CRITICS = {**_POLICY, "critic_learning_rate": 5e-3, "critic_widths": (8,)}
 FIRST_ORDER = {**_CRITICS, "critic_passes": 2, "critic_minibatches": 2, "differentiate": "full"}
+_ADAPTIVE = {"horizon": 8, "critic_passes": 4, "critic_minibatches": 1}
 _REPLAY = {"batch_size": 64, "replay_size": 4000, "initial_temperature": 0.1, "target_rate": 0.05, "num_steps": 1}
 
 
@@ -46,7 +47,7 @@ CASES = {
     "apg": Case("apg", APGConfig(**_POLICY, differentiate="full")),
     "apg_full": Case("apg", APGConfig(**{**_POLICY, "horizon": 0, "stagger_episodes": False})),
     "rpo": Case("rpo", RPOConfig(**FIRST_ORDER)),
-    "ahac": Case("ahac", AHACConfig(**{**FIRST_ORDER, "horizon": 8}, min_horizon=2, initial_horizon=4)),
+    "ahac": Case("ahac", AHACConfig(**{**FIRST_ORDER, **_ADAPTIVE}, min_horizon=2, initial_horizon=4)),
     "ppo": Case("ppo", PPOConfig(**{**_CRITICS, "num_envs": 16, "horizon": 32}, minibatches=4), 40),
     "sac": Case("sac", SACConfig(**{**_CRITICS, "actor_learning_rate": 3e-3}, **_REPLAY), 300),
     "trajopt": Case("trajopt", TrajOptConfig(num_envs=4, learning_rate=0.05)),

@@ -1,18 +1,22 @@
 """Actor and critics as an algorithm uses them: functions of parameters, statistics and observations."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import optax
 
+from rewax.agents.base import Agent, Init, TrainStep, bind
 from rewax.agents.config import ActorCriticConfig, PolicyConfig
 from rewax.agents.distributions import TanhNormal
+from rewax.agents.environments import taken_apart
 from rewax.agents.networks import ACTIVATIONS, Critics, Encoder, GaussianActor
 from rewax.agents.normalization import RunningStatistics, normalize
 from rewax.agents.optimizers import clipped_adamw, linear_fall
 from rewax.agents.value_fitting import chunk_size
 from rewax.envs.base import ArraySpec, Env
+from rewax.envs.randomized import Randomize
 from rewax.types import Array, Key, Observation, PyTree
 
 
@@ -121,6 +125,32 @@ def make_actor_critic(env: Env, config: ActorCriticConfig) -> ActorCritic:
         _encoder(config), config.critic_widths, config.num_critics, ACTIVATIONS[config.activation], config.initial_gain
     )
     return ActorCritic(config, actor.network, actor.action_size, actor.observation_spec, critics)
+
+
+def actor_agent(
+    name: str,
+    env: Env,
+    config: Any,
+    *,
+    init: Init,
+    train_step: TrainStep,
+    networks: Callable[[Env, Any], Actor] = make_actor_critic,
+    randomize: Randomize | None = None,
+    donate: bool = False,
+) -> Agent:
+    """An agent with a policy network from pure functions of its configuration.
+
+    Args:
+      name: of the algorithm.
+      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      config: a ``PolicyConfig``.
+      init, train_step, donate: as for ``bind``. Training states have ``actor_params`` and ``environments``.
+      networks: ``(env, config) -> Actor``.
+      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
+    """
+    leaves = taken_apart(env, config.num_envs, randomize)
+    policy = networks(leaves.first(), config).policy
+    return bind(name, config, leaves, init=init, train_step=train_step, policy=policy, donate=donate)
 
 
 def _encoder(config: PolicyConfig) -> Encoder:

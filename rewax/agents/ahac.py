@@ -8,7 +8,8 @@ Simulation" (ICML 2024). Different:
 - One horizon for all environments moves along the mean excess of that growth (an earlier rule of the authors), instead
   of by a multiplier for each step.
 - The rollout always computes ``horizon`` steps; beyond the adaptive horizon the environments stand still.
-- Critics are fitted for a fixed number of passes.
+- Critics are fitted for a fixed number of passes over all samples at once: parts of the time beyond the horizon would
+  hold nothing.
 """
 
 import dataclasses
@@ -17,10 +18,9 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.agents.actor_critic import ActorCritic, make_actor_critic
-from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
+from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Activation, Combination, FirstOrderConfig, Optimizer, check_count, check_positive
-from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import (
     FirstOrderState,
@@ -49,6 +49,7 @@ class AHACConfig(FirstOrderConfig):
       min_horizon, initial_horizon: the shortest, and that of the first iteration.
       max_growth: of the norm of the state's gradient per control step, above which the horizon shrinks [-].
       horizon_rate: control steps by which the horizon moves per iteration and unit of excess.
+      critic_minibatches: 1.
     """
 
     optimizer: Optimizer = "adam"
@@ -63,17 +64,26 @@ class AHACConfig(FirstOrderConfig):
     initial_horizon: int = 32
     max_growth: float = 1.1
     horizon_rate: float = 1.0
+    critic_passes: int = 64
+    critic_minibatches: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_count("min_horizon", self.min_horizon)
         for name in ("max_growth", "horizon_rate"):
             check_positive(name, getattr(self, name))
+        if self.critic_minibatches != 1:
+            raise ValueError(f"critic_minibatches is {self.critic_minibatches}: AHAC fits all samples at once, give 1")
         if not self.min_horizon <= self.initial_horizon <= self.horizon:
             raise ValueError(
                 f"min_horizon is {self.min_horizon}, initial_horizon {self.initial_horizon}, horizon {self.horizon}: "
                 "give them in this order, the smallest first"
             )
+
+    def steps_in(self, env: Env) -> int:
+        """Control steps of one environment in the first iteration; later ones follow the horizon."""
+        del env
+        return self.initial_horizon
 
 
 @struct.dataclass
@@ -91,17 +101,11 @@ def make_ahac(env: Env, config: AHACConfig | None = None, *, randomize: Randomiz
     """AHAC on an environment.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
-
-    Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
     """
     config = AHACConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
-    networks = make_actor_critic(leaves.first(), config)
-    return bind("ahac", config, leaves, init=init, train_step=train_step, policy=networks.policy)
+    return actor_agent("ahac", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
 def init(config: AHACConfig, leaves: EnvLeaves, key: Key) -> AHACState:

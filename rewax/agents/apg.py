@@ -13,10 +13,9 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from rewax.agents.actor_critic import Actor, make_actor
-from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.actor_critic import Actor, actor_agent, make_actor
+from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Activation, GradientConfig, Optimizer, PolicyConfig
-from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import actor_update
 from rewax.agents.returns import short_horizon_return
@@ -46,18 +45,11 @@ def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize 
     """APG on an environment.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
-
-    Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
     """
     config = APGConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
-    return bind(
-        "apg", config, leaves, init=init, train_step=train_step, policy=make_actor(leaves.first(), config).policy
-    )
+    return actor_agent("apg", env, config, init=init, train_step=train_step, randomize=randomize, networks=make_actor)
 
 
 def init(config: APGConfig, leaves: EnvLeaves, key: Key) -> PolicyState:

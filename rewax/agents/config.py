@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
@@ -98,7 +98,8 @@ class PolicyConfig(RunConfig):
             check_positive(name, getattr(self, name))
         if self.observation_clip is not None:
             check_positive("observation_clip", self.observation_clip, "a positive number, or None for no limit")
-        check_choice("optimizer", self.optimizer, ("adamw", "adam"))
+        check_choice("optimizer", self.optimizer, get_args(Optimizer))
+        check_choice("activation", self.activation, get_args(Activation))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -126,7 +127,7 @@ class GradientConfig:
     """How the gradient flows through a rollout.
 
     Attributes:
-      differentiate: what the backward pass stores, see ``rewax.agents.rollout``.
+      differentiate: what the backward pass stores, see ``rewax.agents.rollout``; ``none``: the actor learns nothing.
       truncate_every: cut the gradient of the environment's state after so many steps; None: never.
       state_gradient_decay: factor on the gradient of the environment's state at every step, 1 for the exact gradient.
       max_env_grad_norm: norm to which the gradient of each environment is clipped before the mean is taken; None: not.
@@ -139,6 +140,7 @@ class GradientConfig:
 
     def __post_init__(self) -> None:
         super().__post_init__()  # type: ignore[misc]  # of the configuration that it is mixed into
+        check_choice("differentiate", self.differentiate, get_args(Differentiation))
         if self.truncate_every is not None:
             check_count("truncate_every", self.truncate_every)
         check_share("state_gradient_decay", self.state_gradient_decay)
@@ -207,17 +209,18 @@ def check_count(name: str, value: Any) -> None:
 
 def check_share(name: str, value: float) -> None:
     """Raises ValueError unless ``value`` lies between 0 and 1."""
-    if not 0.0 <= value <= 1.0:
+    if not (isinstance(value, (int, float)) and 0.0 <= value <= 1.0):
         raise ValueError(f"{name} is {value}: give a number between 0 and 1")
 
 
 def check_positive(name: str, value: float, wanted: str = "a positive number") -> None:
     """Raises ValueError unless ``value`` is finite and above 0."""
-    if not (value > 0.0 and math.isfinite(value)):
+    if not (isinstance(value, (int, float)) and value > 0.0 and math.isfinite(value)):
         raise ValueError(f"{name} is {value}: give {wanted}")
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
     """Raises ValueError unless ``value`` is one of ``choices``."""
     if value not in choices:
-        raise ValueError(f"{name} is {value!r}: use {' or '.join(choices)}")
+        listed = f"{', '.join(choices[:-1])} or {choices[-1]}"
+        raise ValueError(f"{name} is {value!r}: use {listed}")

@@ -38,5 +38,5 @@ def episode_metrics(environments: Environments, transitions: Transition) -> Metr
         **bits,
         "failed_env": jnp.where(failed.any(), env, NO_LEAF),
         "failed_leaf": jnp.where(failed.any(), leaf, NO_LEAF),
-        **{f"env/{name}": value.mean() for name, value in transitions.metrics.items()},
+        **{f"env/{name}": value.mean(where=transitions.active) for name, value in transitions.metrics.items()},
     }

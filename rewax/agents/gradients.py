@@ -78,10 +78,11 @@ def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
 def clip_per_env(grads: PyTree, max_norm: float) -> PyTree:
     """Each environment's gradient, shortened to a global norm of ``max_norm`` where it is longer.
 
-    Environments whose gradient is not finite stay as they are; ``mean_of_finite`` leaves them out.
+    Environments whose gradient or its norm is not finite are left with NaN; ``mean_of_finite`` leaves them out.
     """
     norms = jax.vmap(optax.tree.norm)(grads)
     scale = jnp.minimum(1.0, max_norm / jnp.where(norms > 0, norms, 1.0))
+    scale = jnp.where(jnp.isfinite(norms), scale, jnp.nan)
     return jax.tree.map(lambda g: g * _expand(scale, g), grads)
 
 

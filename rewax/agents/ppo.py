@@ -14,11 +14,10 @@ import jax.numpy as jnp
 import optax
 
 from rewax import struct
-from rewax.agents.actor_critic import ActorCritic, make_actor_critic
-from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
+from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import ActorCriticConfig, check_count, check_positive, check_share
 from rewax.agents.distributions import TanhNormal
-from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.gradients import finite_or_zero
 from rewax.agents.minibatches import shuffled
@@ -37,7 +36,9 @@ class PPOConfig(ActorCriticConfig):
     """Hyper-parameters beyond those of ``ActorCriticConfig``.
 
     Attributes:
-      actor_learning_rate: at the start, of actor and critic; it follows the divergence then.
+      actor_learning_rate: at the start, of actor and critic; it follows the divergence then. The critic's own and the
+        final one are not used.
+      num_critics: 1.
       gae_lambda: lambda of the advantages [-].
       clip_range: of the ratio of probabilities.
       epochs, minibatches: how often each iteration's data is used, in how many parts; shuffled each time.
@@ -71,6 +72,8 @@ class PPOConfig(ActorCriticConfig):
             check_count(name, getattr(self, name))
         for name in ("clip_range", "value_coefficient"):
             check_positive(name, getattr(self, name))
+        if self.num_critics != 1:
+            raise ValueError(f"num_critics is {self.num_critics}: PPO has one critic, give 1")
         if self.target_kl is not None:
             check_positive("target_kl", self.target_kl, "a positive number, or None for a fixed learning rate")
         if self.samples % self.minibatches:
@@ -100,17 +103,11 @@ def make_ppo(env: Env, config: PPOConfig | None = None, *, randomize: Randomize 
     """PPO on an environment.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
-
-    Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
     """
     config = PPOConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
-    networks = make_actor_critic(leaves.first(), config)
-    return bind("ppo", config, leaves, init=init, train_step=train_step, policy=networks.policy)
+    return actor_agent("ppo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
 def init(config: PPOConfig, leaves: EnvLeaves, key: Key) -> PPOState:

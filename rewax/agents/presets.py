@@ -15,6 +15,7 @@ from rewax.agents.sac import SACConfig
 from rewax.agents.sapo import SAPOConfig
 from rewax.agents.shac import SHACConfig
 from rewax.agents.trajopt import TrajOptConfig
+from rewax.envs.registry import list_envs, make
 
 C = TypeVar("C")
 
@@ -111,6 +112,13 @@ def apg_preset(env_name: str, scale: str) -> APGConfig:
     return _sized(APGConfig, sapo_preset(env_name, scale))
 
 
+def apg_full_preset(env_name: str, scale: str) -> APGConfig:
+    """Hyper-parameters of APG over whole episodes; see ``sapo_preset``."""
+    base = sapo_preset(env_name, scale)
+    iterations = _whole_episodes(env_name, scale, base)
+    return _sized(APGConfig, base, horizon=0, num_iterations=iterations, differentiate="checkpointed")
+
+
 def rpo_preset(env_name: str, scale: str) -> RPOConfig:
     """Hyper-parameters of RPO; see ``sapo_preset``."""
     return _sized(RPOConfig, sapo_preset(env_name, scale))
@@ -119,9 +127,9 @@ def rpo_preset(env_name: str, scale: str) -> RPOConfig:
 def ahac_preset(env_name: str, scale: str) -> AHACConfig:
     """Hyper-parameters of AHAC, whose horizon starts as SAPO's and may double; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
-    return _sized(
-        AHACConfig, base, horizon=2 * base.horizon, initial_horizon=base.horizon, min_horizon=base.horizon // 4
-    )
+    horizons = {"horizon": 2 * base.horizon, "initial_horizon": base.horizon, "min_horizon": base.horizon // 4}
+    critics = {"critic_passes": base.critic_passes * base.critic_minibatches, "critic_minibatches": 1}
+    return _sized(AHACConfig, base, **horizons, **critics)
 
 
 def ppo_preset(env_name: str, scale: str) -> PPOConfig:
@@ -150,7 +158,18 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
     """Hyper-parameters of TrajOpt; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
-    return TrajOptConfig(num_envs=base.num_envs, learning_rate=0.1 if env_name == "HandReorient" else 1e-2)
+    fast = scale == "small" or env_name == "HandReorient"
+    return TrajOptConfig(
+        num_envs=base.num_envs,
+        num_iterations=_whole_episodes(env_name, scale, base),
+        learning_rate=0.1 if fast else 1e-2,
+    )
+
+
+def _whole_episodes(env_name: str, scale: str, base: SAPOConfig) -> int:
+    """Iterations of whole episodes with as many control steps as SAPO has."""
+    length = make(env_name, scale=scale).episode_length if env_name in list_envs() else base.horizon
+    return max(1, base.num_iterations * base.horizon // length)
 
 
 def _sized(config_type: type[C], base: SAPOConfig, **changes: Any) -> C:

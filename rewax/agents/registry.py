@@ -24,13 +24,13 @@ class Algorithm(NamedTuple):
     preset: Callable[[str, str], Any]
 
 
-def _own(name: str, config: str) -> Callable[[], Algorithm]:
+def _own(name: str, config: str, preset: str = "") -> Callable[[], Algorithm]:
     """An algorithm of this package, imported when it is asked for."""
 
     def load() -> Algorithm:
         module = importlib.import_module(f"rewax.agents.{name}")
         presets = importlib.import_module("rewax.agents.presets")
-        tuned = getattr(presets, f"{name}_preset")
+        tuned = getattr(presets, f"{preset or name}_preset")
         return Algorithm(getattr(module, f"make_{name}"), getattr(module, config), tuned)
 
     return load
@@ -65,7 +65,7 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     "sapo_hard_targets": _variant("sapo", {"entropy_in_targets": False}),
     "sapo_hard_return": _variant("sapo", {"entropy_in_return": False}),
     "shac2": _variant("sapo", _NO_ENTROPY),
-    "apg_full": _variant("apg", {"horizon": 0}),
+    "apg_full": _own("apg", "APGConfig", "apg_full"),
 }
 
 

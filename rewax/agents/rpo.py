@@ -17,11 +17,10 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from rewax.agents.actor_critic import ActorCritic, make_actor_critic
-from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
+from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import FirstOrderConfig, check_count
 from rewax.agents.distributions import TanhNormal
-from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import FirstOrderState, Stretch, critic_update, start_actor_critic, stretch_loss
 from rewax.agents.gradients import clip_per_env, finite_or_zero, per_env_gradients
@@ -71,17 +70,11 @@ def make_rpo(env: Env, config: RPOConfig | None = None, *, randomize: Randomize 
     """RPO on an environment.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
-
-    Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
     """
     config = RPOConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
-    networks = make_actor_critic(leaves.first(), config)
-    return bind("rpo", config, leaves, init=init, train_step=train_step, policy=networks.policy)
+    return actor_agent("rpo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
 def init(config: RPOConfig, leaves: EnvLeaves, key: Key) -> FirstOrderState:

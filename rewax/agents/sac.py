@@ -14,10 +14,9 @@ import optax
 
 from rewax import struct
 from rewax.agents import replay as replays
-from rewax.agents.actor_critic import ActorCritic, make_actor_critic
-from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
+from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import ActorCriticConfig, check_count, check_positive, check_share
-from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.gradients import finite_or_zero
 from rewax.agents.optimizers import apply
@@ -34,6 +33,8 @@ from rewax.types import Array, Key, Observation, PyTree
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SACConfig(ActorCriticConfig):
     """Hyper-parameters beyond those of ``ActorCriticConfig``; learning rates are constant.
+
+    A checkpoint holds the replay buffer: with large observations take a smaller one, or checkpoints less often.
 
     Attributes:
       replay_size: steps of all environments together that are kept; rounded down to whole iterations.
@@ -102,17 +103,11 @@ def make_sac(env: Env, config: SACConfig | None = None, *, randomize: Randomize 
     """SAC on an environment. ``train_step`` consumes its input: the replay buffer is changed in place.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
-
-    Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
     """
     config = SACConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
-    networks = make_actor_critic(leaves.first(), config)
-    return bind("sac", config, leaves, init=init, train_step=train_step, policy=networks.policy, donate=True)
+    return actor_agent("sac", env, config, init=init, train_step=train_step, randomize=randomize, donate=True)
 
 
 def init(config: SACConfig, leaves: EnvLeaves, key: Key) -> SACState:
@@ -120,6 +115,7 @@ def init(config: SACConfig, leaves: EnvLeaves, key: Key) -> SACState:
     env = leaves.first()
     networks, keys = make_actor_critic(env, config), run_keys(key)
     base = start_policy(networks, leaves, keys)
+    base = base.replace(actor_opt=networks.optimizer(config.actor_learning_rate).init(base.actor_params))
     obs, action = first_observation(base), jnp.zeros(env.action_spec.shape)
     critic_params = networks.critics.init(keys.critics, obs, action)
     log_temperature = jnp.log(jnp.full((), config.initial_temperature))
@@ -171,7 +167,7 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     learnt = {name: getattr(new, name) for name in _LEARNT}
     after, said = jax.lax.scan(one_update, learnt, jax.random.split(update_key, config.updates))
     learnt = jax.tree.map(lambda a, b: jnp.where(warming_up, a, b), learnt, after)
-    metrics = jax.tree.map(jnp.mean, said)
+    metrics = {**jax.tree.map(jnp.mean, said), "temperature": jnp.exp(learnt["log_temperature"])}
     return new.replace(**learnt), {**episode_metrics(state.environments, t), **metrics}
 
 
@@ -208,9 +204,8 @@ def update(networks: ActorCritic, state: SACState, key: Key) -> tuple[dict[str, 
     actor_grad, (entropy, actor_metrics) = jax.grad(
         lambda p: actor_loss(networks, state, p, critic_params, batch, actor_key), has_aux=True
     )(state.actor_params)
-    actor_params, actor_opt = apply(
-        networks.actor_optimizer, finite_or_zero(actor_grad), state.actor_opt, state.actor_params
-    )
+    optimizer = networks.optimizer(config.actor_learning_rate)
+    actor_params, actor_opt = apply(optimizer, finite_or_zero(actor_grad), state.actor_opt, state.actor_params)
     temperature = update_temperature(
         state.log_temperature,
         state.temperature_opt,
@@ -226,8 +221,7 @@ def update(networks: ActorCritic, state: SACState, key: Key) -> tuple[dict[str, 
         "target_params": optax.incremental_update(critic_params, state.target_params, config.target_rate),
         **temperature,
     }
-    own = {"temperature": jnp.exp(temperature["log_temperature"]), "actor_grad_norm": optax.tree.norm(actor_grad)}
-    return changes, {**critic_metrics, **actor_metrics, **own}
+    return changes, {**critic_metrics, **actor_metrics, "actor_grad_norm": optax.tree.norm(actor_grad)}
 
 
 def critic_loss(

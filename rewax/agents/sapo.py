@@ -15,10 +15,9 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.agents.actor_critic import ActorCritic, make_actor_critic
-from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
+from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import FirstOrderConfig, check_positive
-from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import (
     FirstOrderState,
@@ -79,17 +78,11 @@ def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomiz
     """SAPO on an environment.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
-
-    Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
     """
     config = SAPOConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
-    networks = make_actor_critic(leaves.first(), config)
-    return bind("sapo", config, leaves, init=init, train_step=train_step, policy=networks.policy)
+    return actor_agent("sapo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
 def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SAPOState:

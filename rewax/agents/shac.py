@@ -4,7 +4,7 @@ One iteration: every environment acts for a short horizon; the return of that st
 differentiated through the simulation into the actor; critics follow.
 
 Source: Xu et al. 2022, "Accelerated Policy Learning with Parallel Differentiable Simulation" (ICLR 2022), with the
-settings that Xing, Luk and Oh 2025 compare SAPO with (layer norm before the activation, one AdamW step per iteration)
+settings that Xing, Luk and Oh 2025 compare SAPO with (layer norm before the activation, one Adam step per iteration)
 and the corrections named in ``rewax.agents.sapo``.
 """
 
@@ -12,10 +12,9 @@ import dataclasses
 
 import jax
 
-from rewax.agents.actor_critic import ActorCritic, make_actor_critic
-from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
+from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Activation, FirstOrderConfig, Optimizer
-from rewax.agents.environments import taken_apart
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import (
     FirstOrderState,
@@ -52,17 +51,11 @@ def make_shac(env: Env, config: SHACConfig | None = None, *, randomize: Randomiz
     """SHAC on an environment.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
-
-    Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False)``.
     """
     config = SHACConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
-    networks = make_actor_critic(leaves.first(), config)
-    return bind("shac", config, leaves, init=init, train_step=train_step, policy=networks.policy)
+    return actor_agent("shac", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
 def init(config: SHACConfig, leaves: EnvLeaves, key: Key) -> FirstOrderState:

@@ -41,7 +41,7 @@ def update_temperature(
     target: float,
     optimizer: optax.GradientTransformation,
 ) -> dict[str, Any]:
-    """One step towards the target entropy; a loss that is not finite changes nothing but the optimizer's moments.
+    """One step towards the target entropy; the gradient of a loss that is not finite counts as zero.
 
     Returns:
       The new ``log_temperature`` and ``temperature_opt``.

@@ -54,7 +54,8 @@ def run(argv: Sequence[str]) -> int:
         if odd := [item for item in wanted if item not in known]:
             raise ValueError(f"{name} of the suite {suite.name} are {', '.join(map(str, known))}, without {odd[0]}")
     chosen = {name: getattr(options, name) or getattr(suite, name) for name in ("tasks", "algorithms", "seeds")}
-    signum = run_suite(suite.only(**chosen), options.out or f"bench/{suite.name}", Console(highlight=False))
+    out = options.out or f"bench/{suite.name}"
+    signum = run_suite(suite, out, Console(highlight=False), part=suite.only(**chosen))
     return 128 + signum if signum else 0
 
 

@@ -49,6 +49,9 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(Options, argv, prog="rewax landscape", description="Draw the return around a trained policy.")
+    out = Path(options.out or Path(options.run_dir) / "landscape.png")
+    if out.suffix != ".png" or not out.parent.is_dir():
+        raise ValueError(f"out is {out}: give a .png file in a folder that exists")
     enable_compilation_cache()
     import_modules(options.imports)
     saved = load_run(options.run_dir, step=options.step)
@@ -61,10 +64,9 @@ def run(argv: Sequence[str]) -> int:
         span=options.span,
         num_episodes=options.episodes,
     )
-    out = Path(options.out or Path(options.run_dir) / "landscape.png")
+    np.savez(out.with_suffix(".npz"), **found._asdict())
     title = f"{saved.config['agent']} on {saved.config.get('env', '')}, iteration {int(saved.train_state.iteration)}"
     landscape_picture(found.offsets, found.returns, out, title=title)
-    np.savez(out.with_suffix(".npz"), **found._asdict())
     middle = found.returns[options.size // 2, options.size // 2]
     print(
         f"wrote {out}: return {middle:.4g} in the middle, {found.returns.min():.4g} to {found.returns.max():.4g} around"

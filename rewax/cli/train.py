@@ -75,7 +75,8 @@ def run(argv: Sequence[str]) -> int:
         results = train_seeds(agent, env, configs, describe=describe, console=console)
     if any(result.failure for result in results):  # said by the run
         return _FAILED_RUN
-    return 128 + results[0].signum if results[0].signum else 0
+    signum = max(result.signum for result in results)
+    return 128 + signum if signum else 0
 
 
 def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
@@ -157,7 +158,8 @@ def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int]:
         return agent_config, agent_config.num_iterations
     if steps < 1:
         raise ValueError(f"steps is {steps}: use 1 or more")
-    num_iterations = math.ceil(steps / (agent_config.num_envs * (agent_config.horizon or env.episode_length)))
+    in_one = agent_config.steps_in(env) if hasattr(agent_config, "steps_in") else agent_config.horizon
+    num_iterations = math.ceil(steps / (agent_config.num_envs * in_one))
     return dataclasses.replace(agent_config, num_iterations=num_iterations), num_iterations
 
 

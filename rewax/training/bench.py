@@ -16,12 +16,14 @@ from rewax.agents.registry import algorithm
 from rewax.envs.registry import make
 from rewax.training import checkpoint
 from rewax.training.config import TrainConfig
+from rewax.training.description import plain
 from rewax.training.evaluate import constant_policy, make_evaluate, uniform_policy
 from rewax.training.loop import train
 from rewax.training.metrics import read_csv
 from rewax.training.progress import say
+from rewax.training.run_directory import hold
 from rewax.training.suite import Suite
-from rewax.training.tables import write_results
+from rewax.training.tables import COLUMNS, write_results
 
 _EVALUATION_KEY = 1234
 BASELINES = ("no action", "random actions")
@@ -47,25 +49,30 @@ def cells(suite: Suite) -> Iterator[Cell]:
                 yield Cell(task, name, seed)
 
 
-def run_suite(suite: Suite, out_dir: str | Path, console: Console) -> int:
+def run_suite(suite: Suite, out_dir: str | Path, console: Console, *, part: Suite | None = None) -> int:
     """Do all runs that are not done yet, and write ``results.csv``, ``table.md`` and learning curves after each.
 
-    A run that fails is written down as such, and the next one is done.
+    A run that fails, or stops with an error, is written down as such, and the next one is done.
 
     Args:
-      suite: what to run.
+      suite: whose results are written.
       out_dir: holds the results, and the run directories in ``runs/<task>/<algorithm>/<seed>``.
       console: where to print.
+      part: what to run of it; by default all.
 
     Returns:
       The signal that stopped it, 0 if all runs are done.
+
+    Raises:
+      ValueError: the suite cannot be, ``out_dir`` cannot be used, or it holds results of other options.
     """
-    out_dir = Path(out_dir)
-    everything = list(cells(suite))
-    for cell in everything:  # a suite that cannot be is refused before the first run
+    out_dir, part = Path(out_dir), suite if part is None else part
+    for cell in cells(suite):  # a suite that cannot be is refused before the first run
         suite.config(cell.task, cell.algorithm)
-    for task in suite.tasks:
+    _claim(suite, out_dir)
+    for task in part.tasks:
         _baselines(suite, task, out_dir)
+    everything = list(cells(part))
     for number, cell in enumerate(everything, start=1):
         if read_result(cell.folder(out_dir)):
             continue
@@ -77,6 +84,21 @@ def run_suite(suite: Suite, out_dir: str | Path, console: Console) -> int:
     for sentence in write_results(suite, rows(suite, out_dir), out_dir):
         say(console, sentence)
     return 0
+
+
+def _claim(suite: Suite, out_dir: Path) -> None:
+    """Keep the suite's options in ``suite.json``; results of other options do not belong into one table."""
+    path, names = out_dir / "suite.json", ("scale", "steps", "options", "num_eval_episodes")
+    options = plain({name: getattr(suite, name) for name in names})
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        stored = json.loads(path.read_text()) if path.is_file() else options
+        path.write_text(json.dumps(options if stored == options else stored, indent=1) + "\n")
+    except (OSError, json.JSONDecodeError) as error:
+        raise ValueError(f"{out_dir} cannot hold results ({error}): choose another directory (--out)") from None
+    if stored != options:
+        odd = next(name for name in names if stored.get(name) != options[name])
+        raise ValueError(f"{out_dir} holds results with other {odd}: choose another directory (--out)")
 
 
 def rows(suite: Suite, out_dir: Path) -> list[dict[str, Any]]:
@@ -94,7 +116,8 @@ def read_result(folder: Path) -> dict[str, Any]:
         result = json.loads((folder / "result.json").read_text())
     except (OSError, ValueError):
         return {}
-    return result if isinstance(result, dict) else {}
+    whole = isinstance(result, dict) and set(COLUMNS) <= set(result) and isinstance(result["sampled"], float)
+    return result if whole else {}
 
 
 def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console) -> int:
@@ -104,6 +127,7 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console) -> int:
     if cell.task in suite.steps:
         per_iteration = config.num_envs * config.steps_in(env)
         config = dataclasses.replace(config, num_iterations=math.ceil(suite.steps[cell.task] / per_iteration))
+    agent = known.make(env, config)
     options = TrainConfig(
         num_iterations=config.num_iterations,
         run_dir=str(folder),
@@ -111,13 +135,17 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console) -> int:
         resume=checkpoint.latest_step(folder) is not None,
         num_eval_episodes=suite.num_eval_episodes,
         eval_every=0,
+        # A replay buffer is large, and every checkpoint holds it.
+        checkpoint_every=max(10, config.num_iterations // 10) if agent.consumes else 10,
+        keep_checkpoints=1 if agent.consumes else 3,
         baselines=False,
         plots=False,
         tensorboard=False,
         max_failed_share=1.0,
     )
     if not options.resume:
-        (folder / "metrics.csv").unlink(missing_ok=True)  # of a run that stopped before its first checkpoint
+        with hold(folder):  # of a run that stopped before its first checkpoint
+            (folder / "metrics.csv").unlink(missing_ok=True)
     describe = {
         "env": cell.task,
         "scale": suite.scale,
@@ -125,18 +153,30 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console) -> int:
         "agent": cell.algorithm,
         cell.algorithm: config,
     }
-    result = train(known.make(env, config), env, options, describe=describe, console=console)
-    if result.signum:
-        return result.signum
-    row = {
+    row: dict[str, Any] = {
+        **dict.fromkeys(COLUMNS, 0),
         **cell._asdict(),
-        "env_steps": int(result.train_state.env_steps),
-        "sampled": float(result.evaluation.get("sampled_mean", math.nan)),
-        "deterministic": float(result.evaluation.get("deterministic_mean", math.nan)),
-        "failed": int(result.evaluation.get("sampled_failed", 0)),
-        "seconds": round(float(np.sum(read_csv(folder / "timing.csv").get("seconds", 0.0))), 3),
-        "failure": result.failure,
+        "sampled": math.nan,
+        "deterministic": math.nan,
     }
+    try:
+        result = train(agent, env, options, describe=describe, console=console)
+    except ValueError:  # of the directory or the configuration: not this run's failure
+        raise
+    except Exception as error:  # out of memory, for example: the other runs may do better
+        row["failure"] = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        say(console, f"failed: {row['failure']}")
+    else:
+        if result.signum:
+            return result.signum
+        row |= {
+            "env_steps": int(result.train_state.env_steps),
+            "sampled": float(result.evaluation.get("sampled_mean", math.nan)),
+            "deterministic": float(result.evaluation.get("deterministic_mean", math.nan)),
+            "failed": int(result.evaluation.get("sampled_failed", 0)),
+            "failure": result.failure,
+        }
+    row["seconds"] = round(float(np.sum(read_csv(folder / "timing.csv").get("seconds", 0.0))), 3)
     unfinished = folder / "result.json.writing"
     unfinished.write_text(json.dumps(row, indent=1) + "\n")
     unfinished.replace(folder / "result.json")

@@ -26,7 +26,7 @@ _NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
 _NOTHING_LOST = (
     "stopped before the first iteration: nothing was trained since the checkpoint, which --resume continues from"
 )
-_FINISHING = "everything trained is kept; finishing evaluation and pictures, once more to leave at once"
+FINISHING = "everything trained is kept; finishing evaluation and pictures, once more to leave at once"
 
 
 def train(
@@ -74,7 +74,7 @@ def train(
         try:
             if train_step is not None:
                 run.iterate(train_step, stop)
-            stop.at_once, stop.notice = "", _FINISHING
+            stop.at_once, stop.notice = "", FINISHING
             return run.finish(stop)
         finally:
             run.close()

@@ -15,7 +15,7 @@ from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.training.config import TrainConfig
 from rewax.training.interrupt import graceful_stop
-from rewax.training.loop import compile_train_step, prepared
+from rewax.training.loop import FINISHING, compile_train_step, prepared
 from rewax.training.progress import say
 from rewax.training.run import TrainResult
 from rewax.training.run_directory import hold
@@ -61,7 +61,10 @@ def train_seeds(
         runs = [open_run() for _, open_run in ready]
         for run in runs:
             stack.callback(run.close)
+        del ready
         try:
+            for run in runs:
+                run.save()  # all of them have a checkpoint, or a stop would leave a group that cannot be resumed
             for run in runs:
                 run.begin(stop)
             while not (all(run.over for run in runs) or stop.requested):
@@ -74,6 +77,7 @@ def train_seeds(
         finally:
             for run in runs:
                 run.end()
+        stop.at_once, stop.notice = "", FINISHING
         return [run.finish(stop) for run in runs]
 
 

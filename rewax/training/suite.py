@@ -39,11 +39,19 @@ class Suite:
     def __post_init__(self) -> None:
         for name in ("tasks", "algorithms", "seeds"):
             value = getattr(self, name)
-            if isinstance(value, str) or not value:
+            if not isinstance(value, (list, tuple)) or not value:
                 raise ValueError(f"{name} of the suite {self.name} is {value!r}: give a list with at least one entry")
             object.__setattr__(self, name, tuple(value))
+            if len(set(value)) < len(value):
+                raise ValueError(f"{name} of the suite {self.name} are {list(value)}: name each of them once")
         if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in self.seeds):
             raise ValueError(f"seeds of the suite {self.name} are {list(self.seeds)}: give whole numbers from 0 on")
+        for name in ("steps", "options"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise ValueError(f"{name} of the suite {self.name} is no table: write [{name}] above its entries")
+        for name, value in {"num_eval_episodes": self.num_eval_episodes, **self.steps}.items():
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ValueError(f"{name} of the suite {self.name} is {value!r}: give a whole number of at least 1")
         for task in self.tasks:
             registry.check_name(task)
         for name in self.algorithms:
@@ -51,12 +59,20 @@ class Suite:
         for task in self.steps:
             if task not in self.tasks:
                 raise ValueError(f"steps of the suite {self.name} name {task!r}, which is none of its tasks: remove it")
-        for name in self.options:
+        for name, changes in self.options.items():
+            if not isinstance(changes, Mapping):
+                raise ValueError(f"options.{name} of the suite {self.name} is no table: write [options.{name}]")
             if name not in (*self.algorithms, "all"):
                 raise ValueError(
                     f"options of the suite {self.name} name {name!r}, which is none of its algorithms: remove them, or "
                     "call them all"
                 )
+
+        known = {field.name for name in self.algorithms for field in dataclasses.fields(algorithm(name).config_type)}
+        if unknown := sorted(set(self.options.get("all", {})) - known):
+            raise ValueError(
+                f"no algorithm of the suite {self.name} has the option {unknown[0]!r}: correct options.all"
+            )
 
     def only(self, *, tasks: tuple[str, ...], algorithms: tuple[str, ...], seeds: tuple[int, ...]) -> "Suite":
         """A part of the grid."""

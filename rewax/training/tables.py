@@ -108,7 +108,7 @@ def results_csv(rows: Sequence[dict[str, Any]]) -> str:
 
 def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
     """One line per task, one column per algorithm: mean return with sampled actions, and its 95 % bootstrap interval
-    over seeds. The number in brackets is that of seeds, where some are not done yet.
+    over seeds. Brackets say where seeds have failed, which are left out, or are not done yet.
     """
     names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
     names += suite.algorithms
@@ -127,14 +127,16 @@ def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
 def _cell(suite: Suite, rows: Sequence[dict[str, Any]], task: str, name: str) -> str:
     returns = _returns(rows, task, name)
     if not returns:
-        return ""
+        return "failed" if any(row["task"] == task and row["algorithm"] == name for row in rows) else ""
     if len(returns) == 1:
         text = _number(returns[0])
     else:
         low, high = bootstrap_interval(returns)
         text = f"{_number(sum(returns) / len(returns))} [{_number(low)}, {_number(high)}]"
-    missing = name in suite.algorithms and len(returns) < len(suite.seeds)
-    return text + (f" ({len(returns)})" if missing else "")
+    done = [row for row in rows if row["task"] == task and row["algorithm"] == name]
+    left = len(suite.seeds) - len(done) if name in suite.algorithms else 0
+    notes = [f"{count} {what}" for count, what in ((len(done) - len(returns), "failed"), (left, "to do")) if count]
+    return text + (f" ({', '.join(notes)})" if notes else "")
 
 
 def _returns(rows: Sequence[dict[str, Any]], task: str, name: str) -> list[float]:

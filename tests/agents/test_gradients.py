@@ -33,6 +33,8 @@ def test_each_environment_is_clipped_by_its_own_norm():
     np.testing.assert_allclose(clipped["a"][:2], [[0.6, 0.0], [0.0, 0.3]], rtol=1e-6)
     np.testing.assert_allclose(clipped["b"][:2], [0.8, 0.4], rtol=1e-6)
     assert not np.isfinite(clipped["a"][2]).all()
+    huge = clip_per_env({"a": jnp.array([[1e25, 1e25], [1.0, 0.0]])}, 1.0)  # finite, but its norm is not
+    np.testing.assert_array_equal(mean_of_finite(jnp.zeros(2), huge)[1], [False, True])
     mean, kept = mean_of_finite(jnp.zeros(3), clipped)
     np.testing.assert_array_equal(kept, [True, True, False])
     np.testing.assert_allclose(mean["b"], 0.6, rtol=1e-6)

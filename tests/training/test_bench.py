@@ -85,7 +85,34 @@ def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path,
     assert run(suite, tmp_path)[0] == 0
     row = read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
     assert row["failure"] == "it fell over" and np.isnan(row["sampled"])
-    assert " (1) |" in (tmp_path / "table.md").read_text()
+    assert " (1 failed) |" in (tmp_path / "table.md").read_text()
+
+
+def test_an_error_in_one_run_does_not_end_the_suite(suite, tmp_path, monkeypatch):
+    real = bench.train
+
+    def failing(agent, env, config, **kwargs):
+        if "calm" in config.run_dir:
+            raise MemoryError("no room\nat all")
+        return real(agent, env, config, **kwargs)
+
+    monkeypatch.setattr(bench, "train", failing)
+    signum, text = run(suite, tmp_path)
+    assert signum == 0 and "failed: MemoryError: no room at all" in text
+    assert "| failed |" in (tmp_path / "table.md").read_text()
+
+
+def test_results_of_other_options_are_not_mixed(suite, tmp_path):
+    part = suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=(0,))
+    console = Console(file=io.StringIO(), width=200)
+    assert run_suite(suite, tmp_path, console, part=part) == 0
+    assert "(1 to do)" in (tmp_path / "table.md").read_text()  # of the whole suite
+    other = dataclasses.replace(suite, num_eval_episodes=9)
+    with pytest.raises(ValueError, match=r"holds results with other num_eval_episodes: choose another directory"):
+        run(other, tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match=r"file cannot hold results .*: choose another directory \(--out\)"):
+        run(suite, tmp_path / "file")
 
 
 def test_the_table_stands_beside_the_papers():
