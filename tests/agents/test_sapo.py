@@ -292,3 +292,14 @@ def test_ways_of_differentiation(start, gradients, differentiate):
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5), other, grads)
     else:
         assert optax.global_norm(other) == 0.0 < optax.global_norm(grads)
+
+
+def test_the_entropy_is_held_at_its_target():
+    config = dataclasses.replace(CONFIG, num_iterations=600, temperature_learning_rate=0.02)
+    held = make_sapo(toys.point_mass(), config)
+    state, entropy = held.init(jax.random.key(0)), []
+    for _ in range(600):
+        state, metrics = held.train_step(state)
+        entropy.append(metrics["entropy"])
+    target = -config.target_entropy_scale
+    assert abs(float(np.mean(entropy[-100:])) - target) < 0.1 * abs(target)
