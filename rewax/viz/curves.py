@@ -78,6 +78,8 @@ def smoothed(columns: Columns, *, decay: float = 0.9) -> tuple[np.ndarray, np.nd
 def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | Path, *, title: str = "") -> Path:
     """Draw returns on a square of two directions; the policy is the cross in the middle.
 
+    Colours begin at the tenth percentile: what is worse looks alike.
+
     Args:
       offsets: along either direction, shape (size,).
       returns: shape (size, size), the first axis along the first direction.
@@ -90,11 +92,14 @@ def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | P
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.4, 4.4), layout="constrained")
         axes = figure.subplots()
-        filled = axes.contourf(offsets, offsets, returns.T, levels=24, cmap="viridis")
-        axes.contour(offsets, offsets, returns.T, levels=12, colors="white", linewidths=0.3, alpha=0.6)
+        # A few very bad corners would hide all the rest.
+        low, high = np.percentile(returns, 10.0), returns.max()
+        levels = np.linspace(low, max(high, low + 1e-6 * max(abs(low), 1.0)), 25)
+        filled = axes.contourf(offsets, offsets, returns.T, levels=levels, cmap="viridis", extend="min")
+        axes.contour(offsets, offsets, returns.T, levels=levels[::2], colors="white", linewidths=0.3, alpha=0.6)
         axes.plot(0.0, 0.0, marker="x", color="white", ms=8, mew=2)
         axes.set(title=title, xlabel="first direction", ylabel="second direction", aspect="equal")
         axes.grid(False)
-        figure.colorbar(filled, ax=axes, label="return")
+        figure.colorbar(filled, ax=axes, label="return", format="%.4g")
         figure.savefig(out_png)
     return Path(out_png)
