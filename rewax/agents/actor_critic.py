@@ -14,6 +14,7 @@ from rewax.agents.environments import taken_apart
 from rewax.agents.networks import ACTIVATIONS, Critics, Encoder, GaussianActor
 from rewax.agents.normalization import RunningStatistics, normalize
 from rewax.agents.optimizers import clipped_adamw, linear_fall
+from rewax.agents.rollout import Policy
 from rewax.agents.value_fitting import chunk_size
 from rewax.envs.base import ArraySpec, Env
 from rewax.envs.randomized import Randomize
@@ -50,6 +51,14 @@ class Actor:
         """The same for an observation that ``seen`` returned."""
         out: Any = self.network.apply(params, seen)
         return TanhNormal(mean=out[0], log_std=out[1])
+
+    def acting(self, params: PyTree, statistics: RunningStatistics) -> Policy:
+        """A policy for ``rollout`` that samples its actions. Gradient: through the samples, into params and obs."""
+
+        def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
+            return self.action_distribution(params, statistics, obs).sample(key), {}
+
+        return policy
 
     def policy(self, state: Any, obs: Observation, key: Key, deterministic: bool = False) -> Array:
         """``Agent.policy`` of every algorithm whose state has ``actor_params`` and ``environments``."""

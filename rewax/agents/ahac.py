@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Activation, Combination, FirstOrderConfig, Optimizer, check_count, check_positive
+from rewax.agents.config import Combination, FirstOrderConfig, SHACPolicyConfig, check_count, check_positive
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import (
     FirstOrderState,
@@ -37,11 +37,11 @@ from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AHACConfig(FirstOrderConfig):
+class AHACConfig(SHACPolicyConfig, FirstOrderConfig):
     """Hyper-parameters beyond those of ``FirstOrderConfig``.
 
     Attributes:
@@ -52,12 +52,6 @@ class AHACConfig(FirstOrderConfig):
       critic_minibatches: 1.
     """
 
-    optimizer: Optimizer = "adam"
-    max_grad_norm: float = 1.0
-    activation: Activation = "elu"
-    initial_gain: float = 2.0**0.5
-    state_dependent_std: bool = False
-    initial_log_std: float = -1.0
     actor_value: Combination = "min"
     horizon: int = 64
     min_horizon: int = 8
@@ -150,11 +144,8 @@ def actor_loss(
 
     Gradient: through the simulation; by the probes: norms of the state's gradient.
     """
-    (actor_params, probes), config, statistics = params, networks.config, state.environments.statistics
-
-    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-        return networks.action_distribution(actor_params, statistics, obs).sample(key), {}
-
+    (actor_params, probes), config = params, networks.config
+    policy = networks.acting(actor_params, state.environments.statistics)
     num_active = jnp.round(state.horizon).astype(jnp.int32)
     end, t = rollout(env, env_state, policy, key, num_active=num_active, probes=probes, **config.rollout_options)
     return stretch_loss(networks, state, end, t, t.reward)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from rewax.agents.actor_critic import Actor, actor_agent, make_actor
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Activation, GradientConfig, Optimizer, PolicyConfig
+from rewax.agents.config import GradientConfig, SHACPolicyConfig
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import actor_update
 from rewax.agents.returns import short_horizon_return
@@ -25,20 +25,14 @@ from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class APGConfig(GradientConfig, PolicyConfig):
+class APGConfig(SHACPolicyConfig, GradientConfig):
     """Hyper-parameters of its bases; the defaults are those of SAPO's paper."""
 
     least_horizon: ClassVar[int] = 0
-    optimizer: Optimizer = "adam"
-    max_grad_norm: float = 1.0
-    activation: Activation = "elu"
-    initial_gain: float = 2.0**0.5
-    state_dependent_std: bool = False
-    initial_log_std: float = -1.0
 
 
 def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
@@ -77,11 +71,7 @@ def actor_loss(
     actor: Actor, state: PolicyState, actor_params: PyTree, env: AutoReset, env_state: State, key: Key, horizon: int
 ) -> tuple[Array, tuple[State, Transition]]:
     """Minus the return per step of one environment's stretch. Gradient: through the simulation."""
-    config, statistics = actor.config, state.environments.statistics
-
-    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-        return actor.action_distribution(actor_params, statistics, obs).sample(key), {}
-
+    config, policy = actor.config, actor.acting(actor_params, state.environments.statistics)
     end, t = rollout(env, env_state, policy, key, **{**config.rollout_options, "horizon": horizon})
     objective = short_horizon_return(t.reward, jnp.zeros_like(t.reward), t.done, t.valid, discount=config.discount)
     return -objective / horizon, (end, t)

@@ -103,6 +103,18 @@ class PolicyConfig(RunConfig):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class SHACPolicyConfig(PolicyConfig):
+    """Other defaults: those that SAPO's paper gives the algorithms from before SAPO."""
+
+    optimizer: Optimizer = "adam"
+    max_grad_norm: float = 1.0
+    activation: Activation = "elu"
+    initial_gain: float = 2.0**0.5
+    state_dependent_std: bool = False
+    initial_log_std: float = -1.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class ActorCriticConfig(PolicyConfig):
     """What every algorithm with critics has.
 

@@ -137,45 +137,33 @@ def rollout(
 def scale_gradient(tree: PyTree, factor: Array) -> PyTree:
     """The same values; their gradient times a factor, which has no gradient itself."""
 
-    @jax.custom_vjp
-    def same(floats: list[Array], factor: Array) -> list[Array]:
-        del factor
-        return floats
-
-    def forward(floats: list[Array], factor: Array) -> tuple[list[Array], Array]:
-        return floats, factor
-
-    def backward(factor: Array, grads: list[Array]) -> tuple[list[Array], Array]:
+    def scaled(factor: Array, grads: list[Array]) -> tuple[list[Array], Array]:
         # Times 0 is a cut, also of what is not finite.
-        scaled = [jnp.where(factor == 0, 0.0, g * factor).astype(g.dtype) for g in grads]
-        return scaled, jnp.zeros_like(factor)
+        return [jnp.where(factor == 0, 0.0, g * factor).astype(g.dtype) for g in grads], jnp.zeros_like(factor)
 
-    same.defvjp(forward, backward)
-    return _with_floats(tree, lambda floats: same(floats, factor))
+    return _with_backward(tree, factor, scaled)
 
 
 def probed(tree: PyTree, probe: Array) -> PyTree:
     """The same values; the derivative by ``probe``, shape (), is the norm of the gradient by all of them."""
 
-    @jax.custom_vjp
-    def same(floats: list[Array], probe: Array) -> list[Array]:
-        del probe
-        return floats
-
-    def forward(floats: list[Array], probe: Array) -> tuple[list[Array], Array]:
-        return floats, probe
-
-    def backward(probe: Array, grads: list[Array]) -> tuple[list[Array], Array]:
+    def measured(probe: Array, grads: list[Array]) -> tuple[list[Array], Array]:
         return grads, jnp.sqrt(sum(jnp.sum(g * g) for g in grads)).astype(probe.dtype)
 
-    same.defvjp(forward, backward)
-    return _with_floats(tree, lambda floats: same(floats, probe))
+    return _with_backward(tree, probe, measured)
 
 
-def _with_floats(tree: PyTree, function: Callable[[list[Array]], list[Array]]) -> PyTree:
-    """The tree with ``function`` applied to the list of its floating-point leaves."""
+def _with_backward(tree: PyTree, number: Array, backward: Callable[..., tuple[list[Array], Array]]) -> PyTree:
+    """The same values; ``backward(number, grads)`` gives the gradients by their floating leaves and by the number."""
+
+    @jax.custom_vjp
+    def same(floats: list[Array], number: Array) -> list[Array]:
+        del number
+        return floats
+
+    same.defvjp(lambda floats, number: (floats, number), backward)
     leaves, structure = jax.tree.flatten(tree)
     places = [i for i, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    for place, leaf in zip(places, function([leaves[i] for i in places]), strict=True):
+    for place, leaf in zip(places, same([leaves[i] for i in places], number), strict=True):
         leaves[place] = leaf
     return jax.tree.unflatten(structure, leaves)

@@ -14,7 +14,7 @@ import jax
 
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Activation, FirstOrderConfig, Optimizer
+from rewax.agents.config import FirstOrderConfig, SHACPolicyConfig
 from rewax.agents.episodes import episode_metrics
 from rewax.agents.first_order import (
     FirstOrderState,
@@ -30,19 +30,13 @@ from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SHACConfig(FirstOrderConfig):
+class SHACConfig(SHACPolicyConfig, FirstOrderConfig):
     """Hyper-parameters of ``FirstOrderConfig``; the defaults are those of SAPO's paper for the deformable tasks."""
 
-    optimizer: Optimizer = "adam"
-    max_grad_norm: float = 1.0
-    activation: Activation = "elu"
-    initial_gain: float = 2.0**0.5
-    state_dependent_std: bool = False
-    initial_log_std: float = -1.0
     num_critics: int = 1
     target_decay: float | None = 0.995
 
@@ -83,11 +77,6 @@ def actor_loss(
     networks: ActorCritic, state: FirstOrderState, actor_params: PyTree, env: AutoReset, env_state: State, key: Key
 ) -> tuple[Array, Stretch]:
     """Minus the return per step of one environment's stretch. Gradient: through the simulation."""
-    config, statistics = networks.config, state.environments.statistics
-
-    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-        distribution = networks.action_distribution(actor_params, statistics, obs)
-        return distribution.sample(key), {}
-
-    end, transitions = rollout(env, env_state, policy, key, **config.rollout_options)
+    policy = networks.acting(actor_params, state.environments.statistics)
+    end, transitions = rollout(env, env_state, policy, key, **networks.config.rollout_options)
     return stretch_loss(networks, state, end, transitions, transitions.reward)
