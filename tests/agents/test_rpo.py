@@ -66,10 +66,22 @@ def test_samples_whose_ratio_has_left_its_range_count_for_nothing(start, rolled)
     far = jax.tree.map(lambda a: a + 0.3, start.actor_params)
     (_, said), _ = slope(far, start, rolled)
     assert 0.0 < said["kept"] < 1.0 and said["kl"] > 0.01
-    narrow = dataclasses.replace(CONFIG, lowest_ratio=0.999, highest_ratio=1.001, kl_coefficient=0.0)
-    (value, said), found = slope(far, start, rolled, narrow)
-    if said["kept"] == 0.0:
-        assert value == 0.0 and all(np.all(np.asarray(leaf) == 0) for leaf in jax.tree.leaves(found))
+    acted = {name: np.asarray(value, np.float64) for name, value in rolled[1].transitions.extras.items()}
+    seen = NETWORKS.seen(start.environments.statistics, rolled[1].transitions.obs)
+    now = jax.vmap(jax.vmap(lambda obs: NETWORKS.distribution(far, obs)))(seen)
+
+    def log_density(mean, log_std):
+        return (-0.5 * ((acted["raw"] - mean) / np.exp(log_std)) ** 2 - log_std).sum(-1)
+
+    ratio = np.exp(log_density(now.mean, now.log_std) - log_density(acted["mean"], acted["log_std"]))
+    along = (np.asarray(rolled[2]) * acted["raw"]).sum(-1)  # the actions written again are those that were taken
+    for low, high in ((0.0, float(np.median(ratio)) + 1.0), (min(float(np.median(ratio)), 0.99), 1e9)):
+        counts = (ratio >= low) & (ratio <= high)
+        assert 0 < counts.sum() < counts.size
+        config = dataclasses.replace(CONFIG, lowest_ratio=low, highest_ratio=high, kl_coefficient=0.0)
+        (value, said), _ = slope(far, start, rolled, config)
+        np.testing.assert_allclose(said["kept"], counts.mean(), rtol=1e-6)
+        np.testing.assert_allclose(value, np.sum(ratio * along * counts) / len(ratio), rtol=2e-3, atol=1e-5)
 
 
 def test_an_environment_that_failed_has_no_part(start, rolled):
