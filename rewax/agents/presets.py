@@ -144,6 +144,8 @@ def ppo_preset(env_name: str, scale: str) -> PPOConfig:
         num_envs=more * base.num_envs,
         num_iterations=max(1, base.num_iterations // more),
         minibatches=4,
+        epochs=10,
+        target_kl=0.02,
     )
 
 
@@ -152,7 +154,8 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
     base = sapo_preset(env_name, scale)
     if scale == "paper":
         return _sized(SACConfig, base, batch_size=2048 if base.num_envs == 64 else 1024)
-    return _sized(SACConfig, base, batch_size=256, replay_size=100_000)
+    rates = {"actor_learning_rate": 1e-3, "critic_learning_rate": 1e-3, "final_learning_rate": 1e-3, "target_rate": 0.02}
+    return _sized(SACConfig, base, batch_size=256, updates=32, replay_size=100_000, **rates)
 
 
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
