@@ -154,8 +154,8 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
     base = sapo_preset(env_name, scale)
     if scale == "paper":
         return _sized(SACConfig, base, batch_size=2048 if base.num_envs == 64 else 1024)
-    rates = {"actor_learning_rate": 1e-3, "critic_learning_rate": 1e-3, "final_learning_rate": 1e-3, "target_rate": 0.02}
-    return _sized(SACConfig, base, batch_size=256, updates=32, replay_size=100_000, **rates)
+    rates = dict.fromkeys(("actor_learning_rate", "final_learning_rate", "critic_learning_rate"), 1e-3)
+    return _sized(SACConfig, base, batch_size=256, updates=32, target_rate=0.02, replay_size=100_000, **rates)
 
 
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
