@@ -85,9 +85,9 @@ def measure(env: Any, actions: np.ndarray, seed: int) -> dict[str, np.ndarray]:
         part = env.replace(num_substeps=every, joint_step=env.joint_step / parts)
 
         def one(state: rewax.State, _: None) -> tuple[rewax.State, tuple[jax.Array, ...]]:
-            before = state.physics.dough.x
+            before = state.physics.soft.x
             state = part.step(state, action)
-            after = state.physics.dough.x
+            after = state.physics.soft.x
             far = jnp.abs(after - before).max() / scene.grid.spacing
             count = mpm.count_nodes(scene.grid, before, reach=scene.reach)
             return state, (count, far, after.min(0), after.max(0), state.status)

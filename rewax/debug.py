@@ -45,7 +45,7 @@ def locate_nan(scene: MPMScene, state: MPMState, poses: Pose) -> NaNLocation | N
 
     Example:
       >>> if int(state.status) & Status.NAN:
-      ...     print(locate_nan(env.scene, previous.physics.dough, poses))
+      ...     print(locate_nan(env.scene, previous.physics.soft, poses))
     """
     first = _first_bad(state)
     if first is not None:

@@ -64,7 +64,7 @@ def test_rolling_flat_page_runs_and_does_what_it_says():
 
 def test_environments_page_runs_and_does_what_it_says():
     names = run_page("docs/environments.md")
-    heights = np.asarray(names["states"].physics.dough.x)[:, :, 1]
+    heights = np.asarray(names["states"].physics.soft.x)[:, :, 1]
     assert heights.shape[0] == 2 and np.abs(heights[0] - heights[1]).max() > 0.0
     (drawn,) = names["state"].drawn.values()
     assert 300.0 <= float(drawn) < 600.0

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import rewax
-from rewax.envs.rolling_flat import RollingFlat, RollingFlatPhysics, paper, small
+from rewax.envs.point_cloud import PointCloud
+from rewax.envs.rolling_flat import RollingFlat, paper, small
+from rewax.envs.soft_task import SoftPhysics
 from rewax.physics import mpm
 from rewax.physics.mpm.materials import Elasticity, Plasticity
 from rewax.physics.mpm.walls import WallKind
@@ -45,7 +47,7 @@ def test_paper_has_the_papers_constants():
     env = rewax.make("RollingFlat", scale="paper")
     assert isinstance(env, RollingFlat)
     scene, material = env.scene, env.scene.material
-    assert (env.num_substeps, env.max_steps, env.observed_stride, env.num_observed) == (40, 300, 10, 250)
+    assert (env.num_substeps, env.max_steps, env.cloud.stride, env.cloud.num_points) == (40, 300, 10, 250)
     assert scene.dt == 5e-5 and env.control_dt == pytest.approx(2e-3)
     assert scene.grid.spacing == 1 / 48 and scene.grid.origin == (0.0, 0.0, 0.0)
     # The reference keeps particles between 0.5 and 47.5 cells, along all axes.
@@ -92,7 +94,7 @@ def test_small_dough_rests_on_the_floor_under_the_pin():
 @pytest.mark.parametrize(("env", "stride", "num"), [(PAPER, 10, 250), (SMALL, 4, 64)])
 def test_observes_some_particles_their_mean_and_the_joint(env, stride, num):
     state = env.reset(jax.random.key(1))
-    x = np.asarray(state.physics.dough.x)
+    x = np.asarray(state.physics.soft.x)
     assert x.shape == env.rest_positions.shape
     seen = x[::stride][:num]
     assert seen.shape == (num, 3)
@@ -108,7 +110,7 @@ def test_observes_some_particles_their_mean_and_the_joint(env, stride, num):
 def noise(env, num=64):
     """Shifts and stretches of many resets, recovered from the positions; and the states."""
     states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), num))
-    rest, x = np.asarray(env.rest_positions), np.asarray(states.physics.dough.x)
+    rest, x = np.asarray(env.rest_positions), np.asarray(states.physics.soft.x)
     stretch = (x[:, 1, 0] - x[:, 0, 0]) / (rest[1, 0] - rest[0, 0])
     shift = x[:, 0] / stretch[:, None] - rest[0]
     np.testing.assert_allclose(x, (rest + shift[:, None]) * stretch[:, None, None], atol=1e-9)  # one rigid change
@@ -130,7 +132,7 @@ def test_paper_reset_draws_shift_and_stretch_in_thousandths_of_their_bounds(x64)
         assert value.min() >= low - 1e-9 and value.max() <= high + 1e-9
         assert np.ptp(value) > 0.8 * (high - low)
         assert is_in_steps(value, high / 1000) and not is_in_steps(value, high / 500)
-    dough = states.physics.dough
+    dough = states.physics.soft
     np.testing.assert_array_equal(dough.F, np.broadcast_to(np.eye(3), dough.F.shape))
     assert not np.any(dough.v) and not np.any(dough.C)
     np.testing.assert_allclose(states.physics.joint_q[:, 1], 0.2875)
@@ -147,17 +149,19 @@ def test_small_reset_shifts_along_x_only(x64):
 def test_gradient_of_a_reset_by_its_noise_is_as_if_it_did_not_round(x64):
     """With the unit draws u: the shift is lower + u (upper - lower), u in [0, 1]; the stretch is u stretch."""
     env, key = paper(), jax.random.key(5)
-    rest, x = env.rest_positions[0], env.reset(key).physics.dough.x[0]
-    scales = {"shift_lower": env.shift_lower, "shift_upper": env.shift_upper, "stretch": env.stretch}
-    slope = jax.jacobian(lambda scales: env.replace(**scales).reset(key).physics.dough.x[0])(scales)
-    shift, stretch = (jnp.diag(slope["shift_lower"] + slope["shift_upper"]), slope["stretch"] * env.stretch)
+    rest, x = env.rest_positions[0], env.reset(key).physics.soft.x[0]
+    scales = {name: getattr(env.noise, name) for name in ("shift_lower", "shift_upper", "stretch")}
+    slope = jax.jacobian(lambda scales: env.replace(noise=env.noise.replace(**scales)).reset(key).physics.soft.x[0])(
+        scales
+    )
+    shift, stretch = (jnp.diag(slope["shift_lower"] + slope["shift_upper"]), slope["stretch"] * env.noise.stretch)
     np.testing.assert_allclose(shift, jnp.broadcast_to(shift[0], 3))  # 1 + stretch, whatever u
     np.testing.assert_allclose((rest + (x - rest * shift) / shift) * shift, x, rtol=1e-9)
     np.testing.assert_allclose(stretch / (x / shift), shift - 1.0, atol=1e-4)  # half a thousandth of 0.1
 
 
 def test_resets_repeat_with_their_key():
-    a, b, c = (SMALL.reset(jax.random.key(k)).physics.dough.x for k in (0, 0, 1))
+    a, b, c = (SMALL.reset(jax.random.key(k)).physics.soft.x for k in (0, 0, 1))
     np.testing.assert_array_equal(a, b)
     assert not np.array_equal(a, c)
 
@@ -174,13 +178,13 @@ def expected_reward(y, scale, origin):
 @pytest.mark.parametrize("d", [0.2, 0.329, 0.331, 0.9])
 def test_reward_is_the_papers_formula(env, origin, d):
     x = np.random.default_rng(0).normal(size=env.rest_positions.shape) * [1.0, 0.05, 1.0]
-    seen = x[:: env.observed_stride][: env.num_observed, 1]
+    seen = x[:: env.cloud.stride][: env.cloud.num_points, 1]
     x[:, 1] += origin + 0.125 * d - seen.mean()
-    physics = RollingFlatPhysics(
-        dough=mpm.initial_state(jnp.asarray(x)), joint_q=env.joint_start, joint_qd=jnp.zeros(3)
+    physics = SoftPhysics(
+        soft=mpm.initial_state(jnp.asarray(x)), joint_q=env.joint_start, joint_qd=jnp.zeros(3), action=jnp.zeros(3)
     )
-    reward, metrics = env._reward(physics)
-    seen = x[:: env.observed_stride][: env.num_observed, 1]
+    reward, metrics = env.reward(physics)
+    seen = x[:: env.cloud.stride][: env.cloud.num_points, 1]
     expected, flatness = expected_reward(seen, 0.125, origin)
     assert flatness == pytest.approx(d)
     np.testing.assert_allclose(reward, expected, rtol=2e-5)
@@ -192,7 +196,7 @@ def test_step_rewards_what_it_shows(step, start):
     for state in press(step, start, [0.3, -1.0, 0.2], 3):
         y = np.asarray(state.obs["particle_q"])[:, 1]
         np.testing.assert_allclose(state.reward, expected_reward(y, 0.125, 0.0625)[0], rtol=1e-5)
-        np.testing.assert_array_equal(state.obs["particle_q"], state.physics.dough.x[::4][:64])
+        np.testing.assert_array_equal(state.obs["particle_q"], state.physics.soft.x[::4][:64])
         assert int(state.status) == Status.OK and not bool(state.done)
 
 
@@ -274,7 +278,7 @@ def reduced():
     return env.replace(
         rest_positions=env.rest_positions[:64],
         num_substeps=2,
-        observed_stride=1,
+        cloud=PointCloud(num_points=64),
         joint_step=env.joint_step * jnp.array([0.1, 0.5, 0.1]),
         joint_start=env.joint_start - jnp.array([0.0, 0.02, 0.0]),
     )
@@ -382,11 +386,11 @@ def test_a_reset_without_a_key_says_what_to_give(key, sentence):
 def test_the_pin_drags_the_dough_it_presses_on(step, start):
     """Along its motion, to either side alike; the more the nearer to it; and not at all where it does not touch."""
     down = press(step, start, [0.0, -1.0, 0.0], 6)[-1]
-    rest = np.asarray(start.physics.dough.x)
+    rest = np.asarray(start.physics.soft.x)
     top, bottom = rest[:, 1] > 0.14, rest[:, 1] < 0.10
 
     def moved(state, direction):
-        after, still = (press(step, state, [d, 0.0, 0.0], 3)[-1].physics.dough.x for d in (direction, 0.0))
+        after, still = (press(step, state, [d, 0.0, 0.0], 3)[-1].physics.soft.x for d in (direction, 0.0))
         return np.asarray(after - still)[:, 0]
 
     right, left = moved(down, 0.5), moved(down, -0.5)

@@ -65,17 +65,17 @@ def spread(env):
     low, high = env.rest_positions.min(0), env.rest_positions.max(0)
     x = (env.rest_positions - low) / (high - low) * jnp.array([0.7, 0.06, 0.55]) + jnp.array([0.1, 0.07, 0.1])
     v = jnp.broadcast_to(jnp.array([0.0, 2.0, 20.0]), x.shape)
-    dough = state.physics.dough.replace(x=x, v=v)
-    return state.replace(physics=state.physics.replace(dough=dough, joint_q=jnp.array([0.3, 0.1325, 0.0])))
+    dough = state.physics.soft.replace(x=x, v=v)
+    return state.replace(physics=state.physics.replace(soft=dough, joint_q=jnp.array([0.3, 0.1325, 0.0])))
 
 
 def test_paper_with_dough_all_over_the_table_is_the_same_on_all_nodes():
     env = paper()
     state = jax.tree.map(lambda a: a[None], spread(env))
-    assert int(mpm.count_nodes(env.scene.grid, state.physics.dough.x[0])) > 5120
+    assert int(mpm.count_nodes(env.scene.grid, state.physics.soft.x[0])) > 5120
     actions = jnp.asarray([[[1.0, -1.0, 1.0]]])
     (listed, status), (whole, _) = run(env, state, actions), run(everywhere(env), state, actions)
-    moved = jnp.abs(listed.physics.dough.x - state.physics.dough.x).max()
+    moved = jnp.abs(listed.physics.soft.x - state.physics.soft.x).max()
     assert moved > 1.5 * env.scene.grid.spacing  # further than one list reaches
     assert not np.any(status & Status.INACTIVE_NODES)
     same(listed.physics, whole.physics, 1e-6)
@@ -106,7 +106,7 @@ def short_lists():
 
 
 def with_dough(state, **changes):
-    return state.replace(physics=state.physics.replace(dough=state.physics.dough.replace(**changes)))
+    return state.replace(physics=state.physics.replace(soft=state.physics.soft.replace(**changes)))
 
 
 def test_dough_that_needs_more_nodes_than_a_list_holds_is_flagged():
@@ -121,10 +121,10 @@ def test_dough_that_needs_more_nodes_than_a_list_holds_is_flagged():
 def test_dough_that_leaves_a_list_on_its_way_is_flagged_though_it_comes_back():
     """Each list of a control step is checked, not only the last state against the first."""
     env = short_lists()
-    dough = env.reset(jax.random.key(0)).physics.dough
+    dough = env.reset(jax.random.key(0)).physics.soft
     thrown = {"x": dough.x.at[:, 1].add(0.04), "v": dough.v.at[:, 1].set(0.5 * 1e4 * env.control_dt)}
     state = with_dough(env.reset(jax.random.key(0)), **thrown)
     end = STEP(env, state)
-    whole = mpm.check_status(env.scene, end.physics.dough, start=state.physics.dough)
+    whole = mpm.check_status(env.scene, end.physics.soft, start=state.physics.soft)
     assert int(end.status) & Status.INACTIVE_NODES
     assert not int(whole) & Status.INACTIVE_NODES

@@ -1,0 +1,63 @@
+"""What a policy sees of a soft body: some of its points."""
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.types import Array, Key, Scalar
+
+
+@struct.dataclass
+class PointCloud(struct.Replaceable):
+    """Which points are observed, and how well.
+
+    Attributes:
+      num_points: at most so many (static).
+      stride: every so many, from the first one on (static); rewards are computed from these points.
+      random: the policy sees other points at every step, drawn without replacement, instead of these (static).
+      velocities: it sees the velocity of each point beside its position (static).
+      noise: standard deviation of what it sees of positions [m]; None for exact ones.
+    """
+
+    num_points: int = struct.static_field()
+    stride: int = struct.static_field(default=1)
+    random: bool = struct.static_field(default=False)
+    velocities: bool = struct.static_field(default=False)
+    noise: Scalar | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("num_points", "stride"):
+            if not isinstance(getattr(self, name), int) or getattr(self, name) < 1:
+                raise ValueError(f"{name} of the point cloud is {getattr(self, name)}: give a whole number, at least 1")
+
+    @property
+    def draws(self) -> bool:
+        """Whether what is seen depends on a key."""
+        return self.random or self.noise is not None
+
+    def pick(self, points: Array) -> Array:
+        """The fixed points, of an array with a first axis over all of them. Gradient: exact."""
+        return points[:: self.stride][: self.num_points]
+
+    def see(self, positions: Array, velocities: Array, key: Key | None) -> Array:
+        """What the policy sees, shape (num_points, 3), or (num_points, 6) with velocities.
+
+        Args:
+          positions, velocities: of all points [m, m/s], shape (num_all, 3) each.
+          key: draws points and noise; needed where ``draws``.
+
+        Gradient: exact.
+        """
+        seen = jnp.concatenate([positions, velocities], axis=-1) if self.velocities else positions
+        if key is None:
+            return self.pick(seen)
+        which_key, noise_key = jax.random.split(key)
+        if self.random:
+            count = min(self.num_points, len(positions))
+            seen = seen[jax.random.permutation(which_key, len(positions))[:count]]
+        else:
+            seen = self.pick(seen)
+        if self.noise is None:
+            return seen
+        noise = self.noise * jax.random.normal(noise_key, (len(seen), 3), seen.dtype)
+        return seen.at[:, :3].add(noise)

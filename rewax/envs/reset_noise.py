@@ -1,0 +1,51 @@
+"""Where a soft body begins an episode."""
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.types import Array, Key, Scalar
+
+
+@struct.dataclass
+class ResetNoise(struct.Replaceable):
+    """A shift of all points, then a stretch of their coordinates about the origin; uniform between bounds.
+
+    Attributes:
+      shift_lower, shift_upper: range of the shift [m], shape (3,).
+      stretch: coordinates are multiplied by a number within 1 - stretch and 1 + stretch [-].
+    """
+
+    shift_lower: Array
+    shift_upper: Array
+    stretch: Scalar
+
+    def apply(self, positions: Array, shift_key: Key, stretch_key: Key) -> Array:
+        """Positions of an episode's start [m], shape (num_points, 3).
+
+        Gradient: exact with respect to positions; with respect to the bounds as if the draws were not rounded.
+        Source: the unit draws are rounded to thousandths, as in Rewarped.
+        """
+        shift = jax.random.uniform(shift_key, (3,), minval=self.shift_lower, maxval=self.shift_upper)
+        shift = round_unit(shift, jnp.maximum(jnp.abs(self.shift_lower), jnp.abs(self.shift_upper)))
+        stretch = self.stretch * jax.random.uniform(stretch_key, (), minval=-1.0, maxval=1.0)
+        stretch = round_unit(stretch, jnp.abs(self.stretch))
+        return (positions + shift) * (1.0 + stretch)
+
+
+def no_noise() -> ResetNoise:
+    """Every episode begins alike."""
+    return reset_noise((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+
+
+def reset_noise(
+    lower: tuple[float, float, float], upper: tuple[float, float, float], stretch: float = 0.0
+) -> ResetNoise:
+    """From plain numbers; see ``ResetNoise``."""
+    return ResetNoise(shift_lower=jnp.asarray(lower), shift_upper=jnp.asarray(upper), stretch=jnp.asarray(stretch))
+
+
+def round_unit(value: Array, bound: Array) -> Array:
+    """``value`` rounded to thousandths of ``bound``, as the reference draws noise. Gradient: as if it did not round."""
+    unit = value / jnp.where(bound > 0.0, bound, 1.0)
+    return value + jax.lax.stop_gradient(jnp.round(unit * 1000.0) / 1000.0 * bound - value)

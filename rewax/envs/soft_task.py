@@ -1,0 +1,290 @@
+"""What tasks on soft bodies share, particles or tetrahedra: reset, moving tools, control step, time limit, pictures.
+
+A task is a subclass that says what is observed and rewarded; see ``examples/custom_soft_task.py``. Tools are colliders
+of the scene whose joints move linearly within a control step and stop at their limits.
+"""
+
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.envs.base import ArraySpec, State, first_state, next_state
+from rewax.envs.checks import check_action, check_key
+from rewax.envs.point_cloud import PointCloud
+from rewax.envs.reset_noise import ResetNoise, no_noise
+from rewax.physics import mpm, tets
+from rewax.physics.contact import drawings
+from rewax.physics.mpm import MPMScene, MPMState
+from rewax.physics.numerics import Pose
+from rewax.physics.tets import TetScene, TetState
+from rewax.types import Array, Key, Observation, PyTree
+
+Scene: TypeAlias = MPMScene | TetScene
+Soft: TypeAlias = MPMState | TetState
+
+
+@struct.dataclass
+class SoftPhysics(struct.Replaceable):
+    """What a task on soft bodies simulates.
+
+    Attributes:
+      soft: the particles, or the vertices.
+      joint_q: where the tools' joints are [m, rad], shape (num_joints,).
+      joint_qd: how they moved in the last control step, in units of ``joint_step``, shape (num_joints,).
+      action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
+      task: what else the task keeps (a goal, say), or None.
+    """
+
+    soft: Soft
+    joint_q: Array
+    joint_qd: Array
+    action: Array
+    task: PyTree = None
+
+
+@struct.dataclass
+class SoftTask(struct.Replaceable):
+    """A task on one scene. Subclasses define ``reward``, with tools ``poses``, and what else differs from the defaults.
+
+    Every array is a leaf: differentiate with respect to it or vmap over it.
+
+    Attributes:
+      scene: the soft bodies, the tools as its colliders, and what bounds them.
+      rest_positions: points before the noise of a reset [m], shape (num_points, 3).
+      noise: of a reset.
+      joint_start, joint_lower, joint_upper: first joint_q and its limits [m, rad], shape (num_joints,).
+      joint_step: change of joint_q per control step for action 1 [m, rad], shape (num_joints,).
+      cloud: what a policy sees of the points.
+      num_substeps: per control step (static).
+      max_steps: control steps per episode (static).
+      exact_limits: a joint that a limit stops has no derivative by its place before; else limits are frozen, as in
+        the reference, and its place keeps a derivative of 1 (static).
+      list_every: particles only: substeps for which one list of active nodes serves, a divisor of num_substeps; None: a
+        whole control step (static).
+      store_every: substeps between stored states in the backward pass, see ``mpm.step`` (static).
+    """
+
+    scene: Scene
+    rest_positions: Array
+    noise: ResetNoise = struct.field(default_factory=no_noise)
+    joint_start: Array = struct.field(default_factory=lambda: jnp.zeros(0))
+    joint_lower: Array = struct.field(default_factory=lambda: jnp.zeros(0))
+    joint_upper: Array = struct.field(default_factory=lambda: jnp.zeros(0))
+    joint_step: Array = struct.field(default_factory=lambda: jnp.zeros(0))
+    cloud: PointCloud
+    num_substeps: int = struct.static_field()
+    max_steps: int = struct.static_field()
+    exact_limits: bool = struct.static_field(default=False)
+    list_every: int | None = struct.static_field(default=None)
+    store_every: int = struct.static_field(default=1)
+
+    def __post_init__(self) -> None:
+        for name in ("num_substeps", "max_steps"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or value < 1:
+                raise ValueError(f"{name} is {value}: give a whole number, at least 1")
+        if self.list_every is not None and (self.list_every < 1 or self.num_substeps % self.list_every):
+            raise ValueError(
+                f"list_every is {self.list_every}, which does not divide num_substeps = {self.num_substeps}: choose a "
+                "divisor, or None"
+            )
+
+    # --- What a task defines ---
+
+    def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
+        """Reward of the step that led to a state, shape (), and named scalars to log."""
+        raise NotImplementedError(f"{type(self).__name__} has no reward(physics): define it")
+
+    def poses(self, joint_q: Array) -> Pose:
+        """Poses of the bodies that carry the colliders, for joint_q of shape (n, num_joints): (n, num_bodies, ...)."""
+        if self.scene.colliders:
+            raise NotImplementedError(f"{type(self).__name__} has colliders but no poses(joint_q): define it")
+        return tets.static_poses(len(joint_q) - 1, dtype=joint_q.dtype)
+
+    def observe(self, physics: SoftPhysics) -> Observation:
+        """Named observations of a state; by default some of the points, their mean, and the joints if there are any."""
+        seen = self.observed(physics)
+        obs = {"particle_q": seen, "com_q": seen.mean(0)}
+        return {**obs, "joint_q": physics.joint_q} if self.num_joints else obs
+
+    def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
+        """Soft bodies at the beginning of an episode, and what else the task keeps (None for nothing).
+
+        Args:
+          positions: ``rest_positions`` with the noise of a reset [m].
+          key: for other draws.
+        """
+        del key
+        return self.at_rest(positions), None
+
+    def terminated(self, physics: SoftPhysics) -> Array:
+        """Whether the episode ends for good, shape (), bool."""
+        del physics
+        return jnp.zeros((), bool)
+
+    def actuated(self, action: Array) -> Scene:
+        """The scene of a control step: what components of the action beyond the joints' change in it."""
+        del action
+        return self.scene
+
+    def next_task(self, physics: SoftPhysics, key: Key) -> PyTree:
+        """What the task keeps, after a step."""
+        del key
+        return physics.task
+
+    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
+        """Positions and velocities of all points as a policy sees them, shape (num_points, 3) each."""
+        return physics.soft.x, physics.soft.v
+
+    @property
+    def num_actions(self) -> int:
+        """By default one for each joint; the first ones are the joints', see ``actuated`` for others."""
+        return self.num_joints
+
+    # --- The environment ---
+
+    @property
+    def num_joints(self) -> int:
+        return self.joint_start.shape[-1]
+
+    @property
+    def observation_spec(self) -> dict[str, ArraySpec]:
+        state = jax.eval_shape(self.reset, jax.random.key(0))
+        return {name: ArraySpec(tuple(value.shape)) for name, value in state.obs.items()}
+
+    @property
+    def action_spec(self) -> ArraySpec:
+        return ArraySpec((self.num_actions,), -1.0, 1.0)
+
+    @property
+    def episode_length(self) -> int:
+        return self.max_steps
+
+    @property
+    def control_dt(self) -> float:
+        """Duration of a control step [s]."""
+        return self.num_substeps * self.scene.dt
+
+    def reset(self, key: Key) -> State:
+        """Soft bodies at rest, with the noise of a reset; tools at their start.
+
+        Raises:
+          ValueError: the key is no random key, or several.
+        """
+        check_key(key)
+        key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
+        soft, task = self.start(self.noise.apply(self.rest_positions, shift_key, stretch_key), start_key)
+        physics = SoftPhysics(
+            soft=soft,
+            joint_q=self.joint_start,
+            joint_qd=jnp.zeros_like(self.joint_start),
+            action=jnp.zeros(self.num_actions, soft.x.dtype),
+            task=task,
+        )
+        key, seen_key = self._seen_key(key)
+        return first_state(
+            physics=physics, obs=self._observe(physics, seen_key), metrics=self.reward(physics)[1], key=key
+        )
+
+    def step(self, state: State, action: Array) -> State:
+        """One control step: joints move by ``joint_step * clip(action)``, as far as their limits allow.
+
+        Gradient: exact through the soft bodies; at limits see ``exact_limits``. A joint that is held by a limit passes
+        no gradient to the action that pushes against it.
+
+        Raises:
+          ValueError: the action has another shape than ``action_spec``.
+        """
+        check_action(action, self.action_spec)
+        physics: SoftPhysics = state.physics
+        q = physics.joint_q
+        action = jnp.clip(action, -1.0, 1.0).astype(physics.action.dtype)
+        before = q if self.exact_limits else jax.lax.stop_gradient(q)
+        motion = jnp.clip(
+            action[: self.num_joints] * self.joint_step, self.joint_lower - before, self.joint_upper - before
+        )
+        fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
+        soft, status = self._move(self.actuated(action), physics.soft, self.poses(q + fraction[:, None] * motion))
+        physics = physics.replace(soft=soft, joint_q=q + motion, joint_qd=motion / self.joint_step, action=action)
+        reward, metrics = self.reward(physics)
+        key = state.key
+        if physics.task is not None:
+            key, task_key = jax.random.split(key)
+            physics = physics.replace(task=self.next_task(physics, task_key))
+        key, seen_key = self._seen_key(key)
+        return next_state(
+            state.replace(key=key),
+            physics=physics,
+            obs=self._observe(physics, seen_key),
+            reward=reward,
+            metrics=metrics,
+            episode_length=self.max_steps,
+            terminated=self.terminated(physics),
+            status=status,
+        )
+
+    def at_rest(self, positions: Array) -> Soft:
+        """The state of undeformed particles, or of vertices, that do not move [m]."""
+        if isinstance(self.scene, TetScene):
+            return tets.initial_state(positions)
+        remembers = any(
+            m.remembers for m in jax.tree.leaves(self.scene.material, is_leaf=lambda m: hasattr(m, "remembers"))
+        )
+        return mpm.initial_state(positions, self.scene if remembers else None)
+
+    def observed(self, physics: SoftPhysics) -> Array:
+        """The fixed points of the cloud, shape (num_points, 3); rewards are computed from them."""
+        return self.cloud.pick(self.points(physics)[0])
+
+    def particles(self, physics: SoftPhysics) -> Array:
+        """Positions for pictures [m], shape (num_points, 3)."""
+        return physics.soft.x
+
+    def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
+        """Drawings of the tools, see ``rewax.viz.shapes``."""
+        return drawings(self.scene.colliders, jax.tree.map(lambda a: a[0], self.poses(physics.joint_q[None])))
+
+    @property
+    def up(self) -> np.ndarray:
+        """Unit vector against gravity, for pictures, shape (3,); y without gravity."""
+        gravity = np.asarray(self.scene.gravity, float)
+        strength = np.linalg.norm(gravity)
+        return -gravity / strength if strength > 0.0 else np.array([0.0, 1.0, 0.0])
+
+    def _seen_key(self, key: Key) -> tuple[Key, Key | None]:
+        if not self.cloud.draws:
+            return key, None
+        key, seen_key = jax.random.split(key)
+        return key, seen_key
+
+    def _observe(self, physics: SoftPhysics, key: Key | None) -> Observation:
+        obs = dict(self.observe(physics))
+        if "particle_q" in obs and (key is not None or self.cloud.velocities):
+            obs["particle_q"] = self.cloud.see(*self.points(physics), key)
+        return obs
+
+    def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Array]:
+        """Soft bodies after the substeps between poses, and their status bits.
+
+        Each ``list_every`` substeps have a list of active nodes of their own, because fast particles leave one that is
+        older. Every list is checked.
+        """
+        if isinstance(scene, TetScene):
+            assert isinstance(soft, TetState)
+            vertices = tets.step(scene, soft, poses, store_every=self.store_every)
+            return vertices, tets.check_status(scene, vertices, poses=poses)
+
+        def move(particles: MPMState, poses: Pose) -> tuple[MPMState, Array]:
+            end = mpm.step(scene, particles, poses, store_every=self.store_every)
+            return end, mpm.check_status(scene, end, start=particles, poses=poses)
+
+        assert isinstance(soft, MPMState)
+        every = self.list_every or self.num_substeps
+        if every == self.num_substeps:
+            return move(soft, poses)
+        boundaries = np.arange(0, self.num_substeps, every)[:, None] + np.arange(every + 1)
+        particles, status = jax.lax.scan(move, soft, jax.tree.map(lambda a: a[boundaries], poses))
+        return particles, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
