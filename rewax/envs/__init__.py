@@ -7,6 +7,7 @@ from rewax.envs.registry import list_envs, make, register
 from rewax.envs.wrappers import AutoReset, Vmap
 
 register("RollingFlat", {scale: f"rewax.envs.rolling_flat:{scale}" for scale in ("paper", "small")})
+register("HandFlip", {scale: f"rewax.envs.hand_flip:{scale}" for scale in ("paper", "small")})
 register("AntRun", "rewax.envs.ant_run:make_ant_run")
 register("HandReorient", "rewax.envs.hand_reorient:make_hand_reorient")
 register("Ant", "rewax.envs.ant_run:make_ant")

@@ -1,0 +1,125 @@
+"""Bodies of a model as tools that push particles and vertices: geoms as colliders, joint angles as poses."""
+
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.contact.colliders import Collider
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.numerics.rotations import quaternion_to_matrix
+from rewax.physics.rigid.forces import kinematics
+from rewax.physics.rigid.model import RigidModel, mujoco
+from rewax.physics.shapes.mesh_sdf import bake_mesh
+from rewax.physics.shapes.primitives import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from rewax.types import Array, Scalar
+
+_Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Our capsules and cylinders lie along y, MuJoCo's along z."""
+
+
+def colliders(
+    model: RigidModel,
+    *,
+    friction: Scalar | None = None,
+    softness: Scalar = 666.0,
+    mesh_spacing: float | None = None,
+    chosen: Callable[[str, str], bool] | None = None,
+) -> tuple[Collider, ...]:
+    """A collider for each geom that can touch anything, in the order of the model; ``Collider.body`` is its body.
+
+    Args:
+      model: the bodies; the numbers of its geoms become leaves of the colliders.
+      friction: Coulomb coefficient of all; None: that of each geom.
+      softness: of all [1/m], see ``Collider``.
+      mesh_spacing: of the grids to which meshes are baked [m]; needed where there are meshes. A mesh is taken as it
+        is, not its convex hull.
+      chosen: ``chosen(name of the body, name of the geom)`` says which geoms; None: those whose contype or conaffinity
+        is not 0.
+
+    Raises:
+      ValueError: a geom is a plane (use a wall or a ground), a height field or another kind without a distance; meshes
+        without ``mesh_spacing``.
+
+    Example:
+      >>> model = rigid.load("hand.xml", dt=1e-3)  # doctest: +SKIP
+      >>> tools = rigid.colliders(model, friction=0.5)  # doctest: +SKIP
+      >>> poses = rigid.poses(model, qpos)  # qpos: (num_substeps + 1, num_positions)  # doctest: +SKIP
+    """
+    mj, found = model.static.mj, []
+    for geom in range(mj.ngeom):
+        body, name = mj.body(int(mj.geom_bodyid[geom])).name, mj.geom(geom).name
+        touches = bool(mj.geom_contype[geom] or mj.geom_conaffinity[geom]) if chosen is None else chosen(body, name)
+        if not touches:
+            continue
+        shape, along = _shape(model, geom, mesh_spacing)
+        rotation = quaternion_to_matrix(model.parameters["geom_quat"][geom])
+        own = model.parameters["geom_friction"][geom, 0] if friction is None else jnp.asarray(friction)
+        found.append(
+            Collider(
+                shape=shape,
+                offset=model.parameters["geom_pos"][geom],
+                rotation=rotation @ jnp.asarray(along, rotation.dtype),
+                friction=own,
+                softness=jnp.asarray(softness),
+                body=int(mj.geom_bodyid[geom]),
+            )
+        )
+    return tuple(found)
+
+
+def poses(model: RigidModel, qpos: Array) -> Pose:
+    """Poses of all bodies for joint positions of shape (..., num_positions): (..., num_bodies, 3), (..., 3, 3).
+
+    Gradient: exact.
+    """
+    one = qpos.reshape(-1, qpos.shape[-1])
+    found = jax.vmap(lambda q: kinematics(model, q))(one)
+    return Pose(*(a.reshape(*qpos.shape[:-1], *a.shape[1:]) for a in (found.position, found.rotation)))
+
+
+def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Shape, np.ndarray]:
+    """A geom's shape, and the turn from the shape's frame to the geom's."""
+    mj, size = model.static.mj, model.parameters["geom_size"][geom]
+    kinds, straight = mujoco.mjtGeom, np.eye(3)
+    match kinds(mj.geom_type[geom]):
+        case kinds.mjGEOM_SPHERE:
+            return Sphere(radius=size[0]), straight
+        case kinds.mjGEOM_CAPSULE:
+            return Capsule(radius=size[0], half_length=size[1]), _Y_TO_Z
+        case kinds.mjGEOM_CYLINDER:
+            return Cylinder(radius=size[0], half_length=size[1]), _Y_TO_Z
+        case kinds.mjGEOM_BOX:
+            return Box(half_size=size), straight
+        case kinds.mjGEOM_ELLIPSOID:
+            return Ellipsoid(semi_axes=size), straight
+        case kinds.mjGEOM_MESH:
+            if mesh_spacing is None:
+                raise ValueError(f"{_name(mj, geom)} is a mesh: give mesh_spacing, the spacing of its baked grid in m")
+            return bake_mesh(_Mesh(mj, int(mj.geom_dataid[geom])), mesh_spacing), straight
+    kind = kinds(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+    raise ValueError(
+        f"{_name(mj, geom)} is a {kind}, which is no collider: leave it out with chosen=..., and use a Wall (particles) "
+        "or a Ground (tetrahedra) for a plane"
+    )
+
+
+class _Mesh:
+    """A mesh of a model, with the names that ``bake_mesh`` reads."""
+
+    def __init__(self, mj: mujoco.MjModel, mesh: int) -> None:
+        first, count = mj.mesh_vertadr[mesh], mj.mesh_vertnum[mesh]
+        self.vertices = np.asarray(mj.mesh_vert[first : first + count], float)
+        first, count = mj.mesh_faceadr[mesh], mj.mesh_facenum[mesh]
+        self.faces = np.asarray(mj.mesh_face[first : first + count])
+
+
+def _name(mj: mujoco.MjModel, geom: int) -> str:
+    name = mj.geom(geom).name
+    return f"geom {name!r}" if name else f"geom number {geom}"
+
+
+__all__ = ["colliders", "poses"]
