@@ -102,8 +102,8 @@ def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Sh
             return bake_mesh(_Mesh(mj, int(mj.geom_dataid[geom])), mesh_spacing), straight
     kind = kinds(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
     raise ValueError(
-        f"{_name(mj, geom)} is a {kind}, which is no collider: leave it out with chosen=..., and use a Wall (particles) "
-        "or a Ground (tetrahedra) for a plane"
+        f"{_name(mj, geom)} is a {kind}, which is no collider: leave it out with chosen=..., and use a Wall "
+        "(particles) or a Ground (tetrahedra) for a plane"
     )
 
 
