@@ -213,6 +213,6 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
         list_every=5,
         max_steps=60,
         joint_step=jnp.full(3, 0.015),
-        spill_width=jnp.asarray(0.01),
-        distance_scale=jnp.asarray(0.1),
+        spill_width=jnp.asarray(0.005),
+        distance_scale=jnp.asarray(0.2),
     )
