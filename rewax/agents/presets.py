@@ -53,6 +53,14 @@ def _small(paper: SAPOConfig, **changes: Any) -> SAPOConfig:
 _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("RollingFlat", "paper"): SAPOConfig(num_iterations=4000),
     ("RollingFlat", "small"): SMALL,
+    ("FluidMove", "paper"): SAPOConfig(num_iterations=4000),
+    ("FluidMove", "small"): SMALL,
+    ("HandFlip", "paper"): SAPOConfig(num_iterations=6000),
+    ("HandFlip", "small"): SMALL,
+    ("SoftJumper", "paper"): SAPOConfig(num_iterations=6000),
+    ("SoftJumper", "small"): dataclasses.replace(
+        SMALL, num_envs=16, horizon=32, num_iterations=200, critic_minibatches=4, initial_temperature=0.02
+    ),
     ("AntRun", "paper"): dataclasses.replace(_RUNNER, num_iterations=2000),
     ("AntRun", "small"): _small(_RUNNER),
     ("Ant", "paper"): _RUNNER,

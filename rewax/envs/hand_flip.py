@@ -165,7 +165,8 @@ def small(
         gravity=(0.0, r["gravity"], 0.0),
         colliders=hand_colliders(hand, friction=r["friction"], softness=softness),
         walls=box_walls(floor=0.2, lower=(0.25, 0.35), upper=(0.72, 0.82)),
-        max_active_nodes=1152,
+        max_active_nodes=704,
+        reach=0.5,
     )
     return _hand_flip(
         scene,
