@@ -111,6 +111,21 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     return status | flag(invalid, Status.INVALID_PARAMETERS)
 
 
+def rates(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) -> tuple[Array, RigidState]:
+    """How a substep changes the velocity.
+
+    Args:
+      model, state: as for ``step``.
+      ctrl, wrenches: as for ``step``; none may be missing.
+
+    Returns:
+      The acceleration that the velocity would change with [m/s^2, rad/s^2], shape (num_dofs,); the state after the
+      substep, whose activations and ``qacc`` hold also where something else changes the velocity. Gradient: exact.
+    """
+    after, rate = _substep(model, state, ctrl, wrenches)
+    return rate, after
+
+
 # --- One substep ------------------------------------------------------------------------------------------------------
 
 
@@ -201,4 +216,4 @@ def _next_activations(model: RigidModel, act: Array, act_dot: Array) -> Array:
     return jnp.clip(act + jnp.asarray(span, act.dtype) * act_dot, low, high).astype(act.dtype)
 
 
-__all__ = ["check_status", "initial_state", "step"]
+__all__ = ["check_status", "initial_state", "rates", "step"]
