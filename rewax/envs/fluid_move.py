@@ -211,8 +211,8 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
         cloud=PointCloud(num_points=80, stride=5),
         num_substeps=10,
         list_every=5,
-        max_steps=60,
-        joint_step=jnp.full(3, 0.015),
+        max_steps=80,
+        joint_step=jnp.full(3, 0.01),
         spill_width=jnp.asarray(0.005),
         distance_scale=jnp.asarray(0.2),
     )

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.types import Array, Key, Scalar
+from rewax.types import Array, Key, Observation, Scalar
 
 
 @struct.dataclass
@@ -38,6 +38,21 @@ class PointCloud(struct.Replaceable):
     def pick(self, points: Array) -> Array:
         """The fixed points, of an array with a first axis over all of them. Gradient: exact."""
         return points[:: self.stride][: self.num_points]
+
+    def shown(self, obs: Observation, points: tuple[Array, Array], key: Key) -> tuple[Observation, Key]:
+        """Observations with ``particle_q`` as this cloud shows it, and a key that was not used.
+
+        Args:
+          obs: with the fixed points, if it has ``particle_q``.
+          points: positions and velocities of all points, shape (num_all, 3) each.
+          key: for the draws.
+        """
+        if "particle_q" not in obs or not (self.draws or self.velocities):
+            return obs, key
+        seen_key = None
+        if self.draws:
+            key, seen_key = jax.random.split(key)
+        return {**obs, "particle_q": self.see(*points, seen_key)}, key
 
     def see(self, positions: Array, velocities: Array, key: Key | None) -> Array:
         """What the policy sees, shape (num_points, 3), or (num_points, 6) with velocities.

@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.base import ArraySpec, State, first_state, next_state
-from rewax.envs.checks import check_action, check_key
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import ResetNoise, no_noise
+from rewax.envs.task import Task, against
 from rewax.physics import mpm, tets
 from rewax.physics.contact import drawings
 from rewax.physics.mpm import MPMScene, MPMState
@@ -46,7 +45,7 @@ class SoftPhysics(struct.Replaceable):
 
 
 @struct.dataclass
-class SoftTask(struct.Replaceable):
+class SoftTask(Task):
     """A task on one scene. Subclasses define ``reward``, with tools ``poses``, and what else differs from the defaults.
 
     Every array is a leaf: differentiate with respect to it or vmap over it.
@@ -82,10 +81,7 @@ class SoftTask(struct.Replaceable):
     store_every: int = struct.static_field(default=1)
 
     def __post_init__(self) -> None:
-        for name in ("num_substeps", "max_steps"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or value < 1:
-                raise ValueError(f"{name} is {value}: give a whole number, at least 1")
+        super().__post_init__()
         if self.list_every is not None and (self.list_every < 1 or self.num_substeps % self.list_every):
             raise ValueError(
                 f"list_every is {self.list_every}, which does not divide num_substeps = {self.num_substeps}: choose a "
@@ -93,10 +89,6 @@ class SoftTask(struct.Replaceable):
             )
 
     # --- What a task defines ---
-
-    def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """Reward of the step that led to a state, shape (), and named scalars to log."""
-        raise NotImplementedError(f"{type(self).__name__} has no reward(physics): define it")
 
     def poses(self, joint_q: Array) -> Pose:
         """Poses of the bodies that carry the colliders, for joint_q of shape (n, num_joints): (n, num_bodies, ...)."""
@@ -120,20 +112,10 @@ class SoftTask(struct.Replaceable):
         del key
         return self.at_rest(positions), None
 
-    def terminated(self, physics: SoftPhysics) -> Array:
-        """Whether the episode ends for good, shape (), bool."""
-        del physics
-        return jnp.zeros((), bool)
-
     def actuated(self, action: Array) -> Scene:
         """The scene of a control step: what components of the action beyond the joints' change in it."""
         del action
         return self.scene
-
-    def next_task(self, physics: SoftPhysics, key: Key) -> PyTree:
-        """What the task keeps, after a step."""
-        del key
-        return physics.task
 
     def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
         """Positions and velocities of all points as a policy sees them, shape (num_points, 3) each."""
@@ -151,30 +133,11 @@ class SoftTask(struct.Replaceable):
         return self.joint_start.shape[-1]
 
     @property
-    def observation_spec(self) -> dict[str, ArraySpec]:
-        state = jax.eval_shape(self.reset, jax.random.key(0))
-        return {name: ArraySpec(tuple(value.shape)) for name, value in state.obs.items()}
-
-    @property
-    def action_spec(self) -> ArraySpec:
-        return ArraySpec((self.num_actions,), -1.0, 1.0)
-
-    @property
-    def episode_length(self) -> int:
-        return self.max_steps
-
-    @property
     def control_dt(self) -> float:
         """Duration of a control step [s]."""
         return self.num_substeps * self.scene.dt
 
-    def reset(self, key: Key) -> State:
-        """Soft bodies at rest, with the noise of a reset; tools at their start.
-
-        Raises:
-          ValueError: the key is no random key, or several.
-        """
-        check_key(key)
+    def begin(self, key: Key) -> tuple[SoftPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         soft, task = self.start(self.noise.apply(self.rest_positions, shift_key, stretch_key), start_key)
         physics = SoftPhysics(
@@ -184,56 +147,29 @@ class SoftTask(struct.Replaceable):
             action=jnp.zeros(self.num_actions, soft.x.dtype),
             task=task,
         )
-        key, seen_key = self._seen_key(key)
-        return first_state(
-            physics=physics, obs=self._observe(physics, seen_key), metrics=self.reward(physics)[1], key=key
-        )
+        return physics, key
 
-    def step(self, state: State, action: Array) -> State:
-        """One control step: joints move by ``joint_step * clip(action)``, as far as their limits allow.
+    def advance(self, physics: SoftPhysics, action: Array) -> tuple[SoftPhysics, Array]:
+        """Joints move by ``joint_step * action``, as far as their limits allow.
 
         Gradient: exact through the soft bodies; at limits see ``exact_limits``. A joint that is held by a limit passes
         no gradient to the action that pushes against it.
-
-        Raises:
-          ValueError: the action has another shape than ``action_spec``.
         """
-        check_action(action, self.action_spec)
-        physics: SoftPhysics = state.physics
         q = physics.joint_q
-        action = jnp.clip(action, -1.0, 1.0).astype(physics.action.dtype)
         before = q if self.exact_limits else jax.lax.stop_gradient(q)
-        motion = jnp.clip(
-            action[: self.num_joints] * self.joint_step, self.joint_lower - before, self.joint_upper - before
-        )
+        motion = action[: self.num_joints] * self.joint_step
+        motion = jnp.clip(motion, self.joint_lower - before, self.joint_upper - before)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
         soft, status = self._move(self.actuated(action), physics.soft, self.poses(q + fraction[:, None] * motion))
-        physics = physics.replace(soft=soft, joint_q=q + motion, joint_qd=motion / self.joint_step, action=action)
-        reward, metrics = self.reward(physics)
-        key = state.key
-        if physics.task is not None:
-            key, task_key = jax.random.split(key)
-            physics = physics.replace(task=self.next_task(physics, task_key))
-        key, seen_key = self._seen_key(key)
-        return next_state(
-            state.replace(key=key),
-            physics=physics,
-            obs=self._observe(physics, seen_key),
-            reward=reward,
-            metrics=metrics,
-            episode_length=self.max_steps,
-            terminated=self.terminated(physics),
-            status=status,
-        )
+        moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=motion / self.joint_step, action=action)
+        return moved, status
+
+    def seen(self, physics: SoftPhysics, key: Key) -> tuple[Observation, Key]:
+        return self.cloud.shown(self.observe(physics), self.points(physics), key)
 
     def at_rest(self, positions: Array) -> Soft:
         """The state of undeformed particles, or of vertices, that do not move [m]."""
-        if isinstance(self.scene, TetScene):
-            return tets.initial_state(positions)
-        remembers = any(
-            m.remembers for m in jax.tree.leaves(self.scene.material, is_leaf=lambda m: hasattr(m, "remembers"))
-        )
-        return mpm.initial_state(positions, self.scene if remembers else None)
+        return soft_at_rest(self.scene, positions)
 
     def observed(self, physics: SoftPhysics) -> Array:
         """The fixed points of the cloud, shape (num_points, 3); rewards are computed from them."""
@@ -250,21 +186,7 @@ class SoftTask(struct.Replaceable):
     @property
     def up(self) -> np.ndarray:
         """Unit vector against gravity, for pictures, shape (3,); y without gravity."""
-        gravity = np.asarray(self.scene.gravity, float)
-        strength = np.linalg.norm(gravity)
-        return -gravity / strength if strength > 0.0 else np.array([0.0, 1.0, 0.0])
-
-    def _seen_key(self, key: Key) -> tuple[Key, Key | None]:
-        if not self.cloud.draws:
-            return key, None
-        key, seen_key = jax.random.split(key)
-        return key, seen_key
-
-    def _observe(self, physics: SoftPhysics, key: Key | None) -> Observation:
-        obs = dict(self.observe(physics))
-        if "particle_q" in obs and (key is not None or self.cloud.velocities):
-            obs["particle_q"] = self.cloud.see(*self.points(physics), key)
-        return obs
+        return against(self.scene.gravity, (0.0, 1.0, 0.0))
 
     def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Array]:
         """Soft bodies after the substeps between poses, and their status bits.
@@ -288,3 +210,11 @@ class SoftTask(struct.Replaceable):
         boundaries = np.arange(0, self.num_substeps, every)[:, None] + np.arange(every + 1)
         particles, status = jax.lax.scan(move, soft, jax.tree.map(lambda a: a[boundaries], poses))
         return particles, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
+
+
+def soft_at_rest(scene: Scene, positions: Array) -> Soft:
+    """The state of undeformed particles, or of vertices, that do not move [m]."""
+    if isinstance(scene, TetScene):
+        return tets.initial_state(positions)
+    materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
+    return mpm.initial_state(positions, scene if any(m.remembers for m in materials) else None)
