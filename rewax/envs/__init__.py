@@ -10,6 +10,7 @@ register("RollingFlat", {scale: f"rewax.envs.rolling_flat:{scale}" for scale in 
 register("HandFlip", {scale: f"rewax.envs.hand_flip:{scale}" for scale in ("paper", "small")})
 register("FluidMove", {scale: f"rewax.envs.fluid_move:{scale}" for scale in ("paper", "small")})
 register("SoftJumper", {scale: f"rewax.envs.soft_jumper:{scale}" for scale in ("paper", "small")})
+register("GripperLift", {scale: f"rewax.envs.gripper_lift:{scale}" for scale in ("paper", "small")})
 register("AntRun", "rewax.envs.ant_run:make_ant_run")
 register("HandReorient", "rewax.envs.hand_reorient:make_hand_reorient")
 register("Ant", "rewax.envs.ant_run:make_ant")

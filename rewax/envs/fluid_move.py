@@ -64,6 +64,7 @@ class FluidMove(SoftTask):
       spill_width: how far beyond it the share of a spilt particle grows from a half to 0.73 [m]. The reference has
         1e-5, whose derivative is zero almost everywhere.
       distance_scale: distance from the target that counts as 1 [m]; the reference has 1, in which the reward is flat.
+      relative: whether water and target are observed from the container instead of from the world's origin (static).
     """
 
     target_lower: Array
@@ -71,6 +72,7 @@ class FluidMove(SoftTask):
     outer: Array
     spill_width: Scalar
     distance_scale: Scalar
+    relative: bool = struct.static_field(default=False)
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         shift = jax.random.uniform(key, (3,), minval=self.target_lower, maxval=self.target_upper)
@@ -81,7 +83,13 @@ class FluidMove(SoftTask):
         return Pose(joint_q[:, None], jnp.broadcast_to(jnp.eye(3, dtype=joint_q.dtype), (len(joint_q), 1, 3, 3)))
 
     def observe(self, physics: SoftPhysics) -> Observation:
-        return {**super().observe(physics), "target_q": physics.task}
+        return {**super().observe(physics), "target_q": physics.task - self._origin(physics)}
+
+    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
+        return physics.soft.x - self._origin(physics), physics.soft.v
+
+    def _origin(self, physics: SoftPhysics) -> Array:
+        return physics.joint_q if self.relative else jnp.zeros_like(physics.joint_q)
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
         """0.1 (1 / (1 + (d / distance_scale)^2))^2 (2 if d <= 0.02 else 1) - spill.
@@ -90,7 +98,7 @@ class FluidMove(SoftTask):
         the axes of sigmoid((|x - container| - outer) / spill_width).
         """
         square = jnp.sum((physics.joint_q - physics.task) ** 2)
-        far = jnp.abs(self.observed(physics) - physics.joint_q) - self.outer
+        far = jnp.abs(self.cloud.pick(physics.soft.x) - physics.joint_q) - self.outer
         spill = jnp.mean(jnp.max(jax.nn.sigmoid(far / self.spill_width), axis=-1))
         near = (1.0 / (1.0 + square / self.distance_scale**2)) ** 2
         reward = 0.1 * near * jnp.where(square <= 0.02**2, 2.0, 1.0) - spill
@@ -215,4 +223,5 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
         joint_step=jnp.full(3, 0.01),
         spill_width=jnp.asarray(0.005),
         distance_scale=jnp.asarray(0.2),
+        relative=True,
     )

@@ -1,0 +1,134 @@
+"""What tasks share in which a robot handles a soft body and feels it: forces go both ways.
+
+A task is a subclass that says what is observed and rewarded; see ``rewax/envs/gripper_lift.py``.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.envs.point_cloud import PointCloud
+from rewax.envs.reset_noise import ResetNoise, no_noise
+from rewax.envs.rigid_task import control_in_range
+from rewax.envs.soft_task import soft_at_rest
+from rewax.envs.task import Task, against
+from rewax.physics import mpm, rigid
+from rewax.physics.coupling import Wrench, articulated, no_wrench
+from rewax.physics.mpm import MPMScene, MPMState
+from rewax.physics.rigid import RigidModel, RigidState
+from rewax.types import Array, Key, Observation, PyTree
+
+
+@struct.dataclass
+class CoupledPhysics(struct.Replaceable):
+    """What a task on a robot and particles simulates.
+
+    Attributes:
+      rigid: positions and velocities of the robot.
+      soft: the particles.
+      touch: mean force and torque of the particles on each body of the robot in the last control step.
+      action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
+      task: what else the task keeps (a goal, say), or None.
+    """
+
+    rigid: RigidState
+    soft: MPMState
+    touch: Wrench
+    action: Array
+    task: PyTree = None
+
+
+@struct.dataclass
+class CoupledTask(Task):
+    """A robot and particles. Subclasses define ``observe`` and ``reward``, and what else differs from the defaults.
+
+    Every array is a leaf: differentiate with respect to it or vmap over it.
+
+    Attributes:
+      model: the robot; the scene's colliders belong to its bodies (``rigid.colliders``).
+      scene: the particles and what bounds them; its dt divides the model's.
+      rest_positions: particles before the noise of a reset [m], shape (num_particles, 3).
+      noise: of a reset.
+      cloud: what a policy sees of the particles.
+      num_substeps: of the robot per control step (static).
+      max_steps: control steps per episode (static).
+    """
+
+    model: RigidModel
+    scene: MPMScene
+    rest_positions: Array
+    noise: ResetNoise = struct.field(default_factory=no_noise)
+    cloud: PointCloud
+    num_substeps: int = struct.static_field()
+    max_steps: int = struct.static_field()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        articulated.particle_substeps(self.scene, self.model)
+
+    # --- What a task defines, beside observe and reward ---
+
+    def start(self, positions: Array, key: Key) -> tuple[RigidState, MPMState, PyTree]:
+        """Robot and particles at the beginning of an episode, and what else the task keeps (None for nothing).
+
+        Args:
+          positions: ``rest_positions`` with the noise of a reset [m].
+          key: for other draws.
+        """
+        del key
+        soft = soft_at_rest(self.scene, positions)
+        assert isinstance(soft, MPMState)
+        return rigid.initial_state(self.model), soft, None
+
+    def control(self, action: Array) -> Array:
+        """Controls of the model's actuators for an action within [-1, 1]: from end to end of limited ones' range."""
+        return control_in_range(self.model, action)
+
+    # --- The environment ---
+
+    @property
+    def num_actions(self) -> int:
+        return self.model.num_actuators
+
+    @property
+    def control_dt(self) -> float:
+        """Duration of a control step [s]."""
+        return self.num_substeps * self.model.dt
+
+    def begin(self, key: Key) -> tuple[CoupledPhysics, Key]:
+        key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
+        positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
+        bodies, soft, task = self.start(positions, start_key)
+        action, touch = jnp.zeros(self.num_actions, soft.x.dtype), no_wrench(self.model.num_bodies, soft.x.dtype)
+        return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task), key
+
+    def advance(self, physics: CoupledPhysics, action: Array) -> tuple[CoupledPhysics, Array]:
+        before, control = physics.soft, self.control(action)
+        soft, bodies, touch = articulated.step(
+            self.scene, self.model, before, physics.rigid, control, num_substeps=self.num_substeps
+        )
+        status = rigid.check_status(bodies, self.model) | mpm.check_status(self.scene, soft, start=before)
+        return physics.replace(rigid=bodies, soft=soft, touch=touch, action=action), status
+
+    def seen(self, physics: CoupledPhysics, key: Key) -> tuple[Observation, Key]:
+        return self.cloud.shown(self.observe(physics), (physics.soft.x, physics.soft.v), key)
+
+    def observed(self, physics: CoupledPhysics) -> Array:
+        """The fixed points of the cloud, shape (num_points, 3)."""
+        return self.cloud.pick(physics.soft.x)
+
+    def particles(self, physics: CoupledPhysics) -> Array:
+        """Positions for pictures [m], shape (num_particles, 3)."""
+        return physics.soft.x
+
+    def render_shapes(self, physics: CoupledPhysics) -> list[dict[str, Any]]:
+        """Drawings of the robot, see ``rewax.viz.shapes``."""
+        return rigid.shapes(self.model, physics.rigid)
+
+    @property
+    def up(self) -> np.ndarray:
+        """Unit vector against gravity, for pictures, shape (3,); y without gravity."""
+        return against(self.scene.gravity, (0.0, 1.0, 0.0))
