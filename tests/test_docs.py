@@ -30,6 +30,7 @@ def test_physics_page_runs_and_does_what_it_says(physics):
     )
     assert float(physics["bodies"].velocity[0, 1]) < -0.05  # the block falls
     assert float(physics["jumper"].v[:, 1].max()) > 0.0  # the muscles move the table
+    assert float(physics["pressing"].qpos[0]) < -0.005 and float(np.abs(physics["touch"].force).max()) > 0.0
     assert len(physics["x"]) + len(physics["pool"]) == sum(physics["two"].particle_counts)
 
 
@@ -106,3 +107,10 @@ def test_the_example_of_a_rigid_task_trains(tmp_path, monkeypatch):
     arm = '<mujoco><worldbody><body><joint/><geom size="0.1"/></body></worldbody></mujoco>'
     with pytest.raises(AssertionError, match="the first joint is not free or a slide"):
         main(mjcf=arm)
+
+
+def test_soft_tasks_page_runs_and_does_what_it_says():
+    names = run_page("docs/soft_tasks.md")
+    assert names["seen"].shape == (32, 6)
+    assert [collider.body for collider in names["tools"]] == [1]
+    np.testing.assert_allclose(names["poses"].position[:, 1, 0], np.linspace(0.0, 0.1, 11), atol=1e-7)
