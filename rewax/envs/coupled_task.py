@@ -13,7 +13,7 @@ from rewax import struct
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import ResetNoise, no_noise
 from rewax.envs.rigid_task import control_in_range
-from rewax.envs.soft_task import soft_at_rest
+from rewax.envs.soft_task import check_list_every, soft_at_rest
 from rewax.envs.task import Task, against
 from rewax.physics import mpm, rigid
 from rewax.physics.coupling import Wrench, articulated, no_wrench
@@ -55,6 +55,8 @@ class CoupledTask(Task):
       cloud: what a policy sees of the particles.
       num_substeps: of the robot per control step (static).
       max_steps: control steps per episode (static).
+      list_every: substeps of the robot for which one list of active nodes serves, a divisor of num_substeps; None: a
+        whole control step (static).
     """
 
     model: RigidModel
@@ -64,9 +66,11 @@ class CoupledTask(Task):
     cloud: PointCloud
     num_substeps: int = struct.static_field()
     max_steps: int = struct.static_field()
+    list_every: int | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_list_every(self.list_every, self.num_substeps)
         articulated.particle_substeps(self.scene, self.model)
 
     # --- What a task defines, beside observe and reward ---
@@ -106,11 +110,19 @@ class CoupledTask(Task):
         return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task), key
 
     def advance(self, physics: CoupledPhysics, action: Array) -> tuple[CoupledPhysics, Array]:
-        before, control = physics.soft, self.control(action)
-        soft, bodies, touch = articulated.step(
-            self.scene, self.model, before, physics.rigid, control, num_substeps=self.num_substeps
-        )
-        status = rigid.check_status(bodies, self.model) | mpm.check_status(self.scene, soft, start=before)
+        control, every = self.control(action), self.list_every or self.num_substeps
+
+        def move(
+            carry: tuple[MPMState, RigidState], _: None
+        ) -> tuple[tuple[MPMState, RigidState], tuple[Wrench, Array]]:
+            before, bodies = carry
+            soft, bodies, touch = articulated.step(self.scene, self.model, before, bodies, control, num_substeps=every)
+            return (soft, bodies), (touch, mpm.check_status(self.scene, soft, start=before))
+
+        start = (physics.soft, physics.rigid)
+        (soft, bodies), (touch, status) = jax.lax.scan(move, start, None, length=self.num_substeps // every)
+        status = jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,)) | rigid.check_status(bodies, self.model)
+        touch = jax.tree.map(lambda a: a.mean(0), touch)
         return physics.replace(rigid=bodies, soft=soft, touch=touch, action=action), status
 
     def seen(self, physics: CoupledPhysics, key: Key) -> tuple[Observation, Key]:

@@ -82,11 +82,7 @@ class SoftTask(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.list_every is not None and (self.list_every < 1 or self.num_substeps % self.list_every):
-            raise ValueError(
-                f"list_every is {self.list_every}, which does not divide num_substeps = {self.num_substeps}: choose a "
-                "divisor, or None"
-            )
+        check_list_every(self.list_every, self.num_substeps)
 
     # --- What a task defines ---
 
@@ -218,3 +214,12 @@ def soft_at_rest(scene: Scene, positions: Array) -> Soft:
         return tets.initial_state(positions)
     materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
     return mpm.initial_state(positions, scene if any(m.remembers for m in materials) else None)
+
+
+def check_list_every(list_every: int | None, num_substeps: int) -> None:
+    """Raises ValueError unless lists of active nodes divide a control step."""
+    if list_every is not None and (list_every < 1 or num_substeps % list_every):
+        raise ValueError(
+            f"list_every is {list_every}, which does not divide num_substeps = {num_substeps}: choose a divisor, or "
+            "None"
+        )
