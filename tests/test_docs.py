@@ -114,3 +114,12 @@ def test_soft_tasks_page_runs_and_does_what_it_says():
     assert names["seen"].shape == (32, 6)
     assert [collider.body for collider in names["tools"]] == [1]
     np.testing.assert_allclose(names["poses"].position[:, 1, 0], np.linspace(0.0, 0.1, 11), atol=1e-7)
+
+
+def test_the_example_of_a_soft_task_trains(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main = runpy.run_path(str(ROOT / "examples" / "custom_soft_task.py"))["main"]
+    before, after = main(iterations=1)
+    assert np.isfinite([before, after]).all() and before != after
+    assert (tmp_path / "runs" / "sand-0" / "episode.png").stat().st_size > 10_000
+    assert len((ROOT / "examples" / "custom_soft_task.py").read_text().splitlines()) <= 101

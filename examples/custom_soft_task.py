@@ -1,0 +1,101 @@
+"""Your own task on particles: a paddle pushes sand onto a mark. Comments say what one has to know."""
+
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from rewax import struct
+from rewax.agents.presets import SMALL
+from rewax.agents.sapo import make_sapo
+from rewax.envs.point_cloud import PointCloud
+from rewax.envs.reset_noise import reset_noise
+from rewax.envs.soft_task import SoftTask
+from rewax.physics import mpm
+from rewax.physics.contact import Collider
+from rewax.physics.mpm import Grid, Material, Plasticity, Wall, WallKind, Walls
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import Box, fill_box
+from rewax.testing import check_env
+from rewax.training.loop import TrainConfig, train
+from rewax.training.metrics import read_csv
+from rewax.types import Array
+
+SPACING = 0.025
+FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material comes to rest up to a cell below its position
+
+
+@struct.dataclass
+class PushSand(SoftTask):
+    """The reward is minus the mean distance of the sand from the mark along x and z, in units of its first one."""
+
+    mark: Array
+
+    def poses(self, joint_q):  # (n, 2) -> poses of the one body that carries the colliders, (n, 1, 3), (n, 1, 3, 3)
+        x, z = joint_q[:, 0], joint_q[:, 1]
+        position = jnp.stack([x, jnp.full_like(x, FLOOR + 0.05), z], axis=-1)
+        return Pose(position[:, None], jnp.broadcast_to(jnp.eye(3, dtype=x.dtype), (len(x), 1, 3, 3)))
+
+    def observe(self, physics):  # an array (points, numbers) becomes a point cloud, the rest one vector
+        return {**super().observe(physics), "joint_qd": physics.joint_qd}
+
+    def reward(self, physics):
+        away = (physics.soft.x - self.mark)[:, jnp.array([0, 2])]
+        distance = jnp.mean(jnp.sqrt(jnp.sum(away**2, axis=-1) + 1e-6))  # smooth: a square root has no slope at 0
+        return 1.0 - distance / 0.2, {"distance": distance}
+
+    def render_shapes(self, physics):  # any list of drawings, see rewax.viz.shapes: tools, and markers for targets
+        return [*super().render_shapes(physics), {"kind": "sphere", "center": self.mark, "radius": 0.015}]
+
+
+def make_push_sand() -> PushSand:
+    sand = fill_box((0.25, FLOOR + 0.025, 0.3), (0.1, 0.07, 0.1), 0.5 * SPACING)  # two particles a cell and axis
+    sides = Wall(position=2 * SPACING), Wall(position=0.6 - 2 * SPACING)
+    floor = Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=jnp.asarray(0.5))
+    scene = mpm.make_scene(
+        grid=Grid(shape=(25, 13, 25), spacing=SPACING),
+        dt=1.5e-3,  # refused, with the largest stable one, if it is too long
+        material=Material(
+            youngs_modulus=jnp.asarray(5e4),
+            poissons_ratio=jnp.asarray(0.2),
+            density=jnp.asarray(1500.0),
+            friction_angle=jnp.asarray(np.radians(30.0)),
+            plasticity=Plasticity.DRUCKER_PRAGER,
+        ),
+        particle_volume=jnp.asarray(0.1 * 0.07 * 0.1 / len(sand)),
+        colliders=(
+            Collider(
+                shape=Box(half_size=jnp.array([0.025, 0.06, 0.06])),  # at least a cell thick, or sand passes through
+                friction=jnp.asarray(0.3),
+                softness=jnp.asarray(100.0),
+            ),
+        ),
+        walls=Walls(lower=(sides[0], floor, sides[0]), upper=(sides[1], None, sides[1])),
+        max_active_nodes=2048,  # nodes near particles; Status.INACTIVE_NODES says when they are too few
+    )
+    return PushSand(
+        scene=scene,
+        rest_positions=jnp.asarray(sand, jnp.float32),
+        noise=reset_noise((0.0, 0.0, -0.05), (0.0, 0.0, 0.05)),
+        joint_start=jnp.array([0.165, 0.3]),  # it touches the sand: a tool far from it has no gradient
+        joint_lower=jnp.array([0.08, 0.15]),
+        joint_upper=jnp.array([0.5, 0.45]),
+        joint_step=jnp.array([0.01, 0.01]),
+        mark=jnp.array([0.42, FLOOR, 0.3]),
+        cloud=PointCloud(num_points=64, stride=len(sand) // 64),
+        num_substeps=12,
+        max_steps=60,
+    )
+
+
+def main(iterations: int = 60, seed: int = 0) -> tuple[float, float]:
+    env = make_push_sand()
+    check_env(env, check_full_episode=False)
+    config = TrainConfig(num_iterations=iterations, run_dir=f"runs/sand-{seed}", seed=seed, eval_every=iterations)
+    train(make_sapo(env, SMALL), env, config)
+    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
+    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
+    return before, after
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)
