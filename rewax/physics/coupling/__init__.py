@@ -1,12 +1,27 @@
-"""Rigid bodies and particles that push each other."""
+"""Rigid bodies and particles that push each other.
 
-from rewax.physics.coupling import articulated, free_body
+``articulated``, the coupling with robots, is imported when it is first used: it loads MuJoCo.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from rewax.physics.coupling import free_body
 from rewax.physics.coupling.exchange import Wrench, no_wrench
 from rewax.physics.coupling.free_body import FreeBodies, Inertia, bodies_at_rest, inertia_of, poses, solid
 from rewax.physics.coupling.particles import step
 from rewax.physics.numerics.pose import static_poses
 
+if TYPE_CHECKING:
+    from rewax.physics.coupling import articulated
+
 __all__ = [
-    "FreeBodies", "Inertia", "Wrench", "articulated", "bodies_at_rest", "free_body", "inertia_of", "no_wrench", "poses",
-    "solid", "static_poses", "step",
+    "FreeBodies", "Inertia", "Wrench", "articulated", "bodies_at_rest", "free_body", "inertia_of", "no_wrench",
+    "poses", "solid", "static_poses", "step",
 ]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name != "articulated":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module("rewax.physics.coupling.articulated")
