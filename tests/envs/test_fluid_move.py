@@ -67,7 +67,6 @@ def test_only_the_target_is_drawn(env):
 def test_reward_is_the_formula(env, distance):
     x, place = np.array(env.rest_positions, np.float64), np.array([0.4, 0.4, 0.5])
     x += place - np.asarray(env.joint_start)
-    seen = x[:: env.cloud.stride][: env.cloud.num_points]
     x[0] = place + [0.0, 0.5, 0.0]  # one observed particle far above
     seen = x[:: env.cloud.stride][: env.cloud.num_points]
     target = place + distance * np.array([0.6, 0.0, 0.8])

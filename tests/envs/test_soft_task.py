@@ -32,7 +32,7 @@ class Poke(SoftTask):
 
 
 def poke(**changes):
-    mesh = tets.TetMesh(vertices=np.eye(4)[:, :3] - 0.0, tets=np.array([[3, 0, 1, 2]]))
+    mesh = tets.TetMesh(vertices=np.eye(4)[:, :3], tets=np.array([[3, 0, 1, 2]]))
     scene = tets.make_scene(
         mesh=mesh, density=1.0, mu=100.0, lam=100.0, dt=1e-3, gravity=(0.0, 0.0, 0.0),
         contact=PenaltyContact(stiffness=50.0), colliders=(Collider(shape=Sphere(radius=0.3), friction=0.0),),

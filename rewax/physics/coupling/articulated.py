@@ -28,11 +28,11 @@ from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.numerics.rotations import skew
-from rewax.physics.rigid import RigidModel, RigidState, check_shape
+from rewax.physics.rigid import RigidModel, RigidState
 from rewax.physics.rigid.forces import kinematics, tree_parameters
 from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces, integrate
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
-from rewax.physics.rigid.step import rates
+from rewax.physics.rigid.step import checked_inputs, rates
 from rewax.physics.rigid.tree_dynamics import mass_matrix
 from rewax.types import Array
 
@@ -78,12 +78,7 @@ def step(
       ValueError: ``scene.dt`` does not divide ``model.dt``, or a shape does not fit.
     """
     dtype = state.x.dtype
-    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else jnp.asarray(ctrl, dtype)
-    wrenches = jnp.zeros((model.num_bodies, 6), dtype) if wrenches is None else jnp.asarray(wrenches, dtype)
-    check_shape("ctrl", ctrl, (model.num_actuators,), " (one number per actuator of the model)")
-    check_shape("wrenches", wrenches, (model.num_bodies, 6), " (force and torque per body, the world included)")
-    if not isinstance(num_substeps, (int, np.integer)) or num_substeps < 1:
-        raise ValueError(f"num_substeps is {num_substeps}: give a whole number, at least 1")
+    ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, dtype)
     each = particle_substeps(scene, model)
     check_bodies(scene.colliders, model.num_bodies)
     nodes = nodes_of_step(scene, state.x)

@@ -10,6 +10,8 @@ Contact follows one of two laws: MuJoCo's soft constraints, or springs and dampe
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,18 +80,29 @@ def step(
     Raises:
       ValueError: a shape does not fit.
     """
-    dtype = state.qpos.dtype
+    ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, state.qpos.dtype)
+
+    def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
+        return _substep(model, state, ctrl, wrenches)[0], None
+
+    return jax.lax.scan(substep, state, None, length=num_substeps)[0]
+
+
+def checked_inputs(
+    model: RigidModel, ctrl: Array | None, wrenches: Array | None, num_substeps: int, dtype: Any
+) -> tuple[Array, Array]:
+    """Controls and wrenches of ``step``, zero where none are given.
+
+    Raises:
+      ValueError: a shape does not fit, or the number of substeps is none.
+    """
     ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else jnp.asarray(ctrl, dtype)
     wrenches = jnp.zeros((model.num_bodies, 6), dtype) if wrenches is None else jnp.asarray(wrenches, dtype)
     check_shape("ctrl", ctrl, (model.num_actuators,), " (one number per actuator of the model)")
     check_shape("wrenches", wrenches, (model.num_bodies, 6), " (force and torque per body, the world included)")
     if not isinstance(num_substeps, (int, np.integer)) or num_substeps < 1:
         raise ValueError(f"num_substeps is {num_substeps}: give a whole number, at least 1")
-
-    def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
-        return _substep(model, state, ctrl, wrenches)[0], None
-
-    return jax.lax.scan(substep, state, None, length=num_substeps)[0]
+    return ctrl, wrenches
 
 
 def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
@@ -216,4 +229,4 @@ def _next_activations(model: RigidModel, act: Array, act_dot: Array) -> Array:
     return jnp.clip(act + jnp.asarray(span, act.dtype) * act_dot, low, high).astype(act.dtype)
 
 
-__all__ = ["check_status", "initial_state", "rates", "step"]
+__all__ = ["check_status", "checked_inputs", "initial_state", "rates", "step"]

@@ -65,7 +65,8 @@ def test_a_model_of_one_free_body_does_what_a_free_body_does():
     np.testing.assert_allclose(particles.x, others.x, atol=1e-5)
     np.testing.assert_allclose(robot.qpos[:3], body.position[0], atol=1e-6)
     np.testing.assert_allclose(robot.qvel[:3], body.velocity[0], atol=1e-4)
-    np.testing.assert_allclose(wrench.force[1], push.force[0], atol=0.02 * float(jnp.abs(push.force).max()))
+    for found, expected in ((wrench.force[1], push.force[0]), (wrench.torque[1], push.torque[0])):
+        np.testing.assert_allclose(found, expected, atol=0.02 * float(jnp.abs(expected).max()))
 
 
 def momentum(model, scene, state, robot):
