@@ -101,6 +101,18 @@ def test_what_particles_lose_bodies_get(x64):
     np.testing.assert_allclose(50 * scene.dt * wrench.force.sum(0), lost, atol=1e-10)
 
 
+def test_torques_are_about_the_frames_origins(x64):
+    """In one substep the wrenches on all bodies take the angular momentum that the particles lose."""
+    model = model_of(FINGER.format(mass=0.03))
+    scene, state = dough_under(model)
+    state, robot, _ = RUN(scene, model, state, thrown(model), num_substeps=50)
+    after, _, wrench = RUN(scene, model, state, robot, num_substeps=1)
+    lost = invariants.angular_momentum(scene, state) - invariants.angular_momentum(scene, after)
+    position = rigid.body_poses(model, robot).position
+    given = scene.dt * (wrench.torque + jnp.cross(position, wrench.force)).sum(0)
+    np.testing.assert_allclose(given, lost, atol=1e-3 * float(jnp.abs(lost).max()))
+
+
 @pytest.mark.parametrize("mass", [1e-2, 1e-4, 1e-6])
 def test_a_light_finger_in_heavy_dough_is_calm(x64, mass):
     """Pressed into the dough by its weight: no mass makes it or the dough fast."""
