@@ -8,9 +8,11 @@ from rewax.envs.wrappers import AutoReset, Vmap
 
 register("RollingFlat", {scale: f"rewax.envs.rolling_flat:{scale}" for scale in ("paper", "small")})
 register("HandFlip", {scale: f"rewax.envs.hand_flip:{scale}" for scale in ("paper", "small")})
+register("HandLift", {scale: f"rewax.envs.hand_lift:{scale}" for scale in ("paper", "small")})
 register("FluidMove", {scale: f"rewax.envs.fluid_move:{scale}" for scale in ("paper", "small")})
 register("SoftJumper", {scale: f"rewax.envs.soft_jumper:{scale}" for scale in ("paper", "small")})
 register("GripperLift", {scale: f"rewax.envs.gripper_lift:{scale}" for scale in ("paper", "small")})
+register("SteerFloat", {scale: f"rewax.envs.steer_float:{scale}" for scale in ("paper", "small")})
 register("AntRun", "rewax.envs.ant_run:make_ant_run")
 register("HandReorient", "rewax.envs.hand_reorient:make_hand_reorient")
 register("Ant", "rewax.envs.ant_run:make_ant")

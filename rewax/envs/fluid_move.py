@@ -14,11 +14,11 @@ import numpy as np
 from rewax import struct
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import round_unit
-from rewax.envs.soft_parts import box_walls, random_box
+from rewax.envs.soft_parts import box_walls, lattice_box, random_box, water
 from rewax.envs.soft_task import Soft, SoftPhysics, SoftTask
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
-from rewax.physics.mpm import Elasticity, Grid, Material, MPMScene, WallKind
+from rewax.physics.mpm import Grid, MPMScene, WallKind
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box
 from rewax.types import Array, Key, Observation, PyTree, Scalar
@@ -32,8 +32,6 @@ REFERENCE = {
     "friction": 0.5,
     "softness": 666.0,
     "youngs_modulus": 1e5,
-    "poissons_ratio": 0.3,
-    "density": 1000.0,
     "num_particles": 2880,
     "water_size": (0.16, 0.094, 0.20),
     "center": (0.5, 0.15, 0.5),
@@ -130,16 +128,6 @@ def container(
     )
 
 
-def water(youngs_modulus: float) -> Material:
-    """The reference's water: lambda of this Young's modulus [Pa] is its bulk modulus."""
-    return Material(
-        youngs_modulus=jnp.asarray(youngs_modulus),
-        poissons_ratio=jnp.asarray(REFERENCE["poissons_ratio"]),
-        density=jnp.asarray(REFERENCE["density"]),
-        elasticity=Elasticity.FLUID,
-    )
-
-
 def _outer(inner: tuple[float, float, float], thickness: float) -> Array:
     """Half the edges of the box beyond which water is spilt; upwards half a wall above the rim, as in the reference."""
     length, height, width = inner
@@ -199,7 +187,6 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
     """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
     r, spacing, start = REFERENCE, 1.0 / 32, (0.5, 0.25, 0.5)
     size, counts = np.asarray(r["water_size"]), (8, 5, 10)
-    lattice = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5 for n in counts], indexing="ij"), axis=-1)
     center = np.asarray(start) - [0.0, 0.5 * (r["inner_size"][1] - size[1]), 0.0]
     scene = mpm.make_scene(
         grid=Grid(shape=(33, 33, 33), spacing=spacing),
@@ -214,7 +201,7 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
     return _fluid_move(
         scene,
         start,
-        jnp.asarray(lattice.reshape(-1, 3) * size + center, jnp.result_type(float)),
+        lattice_box(center, size, counts),
         thickness,
         cloud=PointCloud(num_points=80, stride=5),
         num_substeps=10,

@@ -13,6 +13,7 @@ from rewax.envs.coupled_task import CoupledPhysics, CoupledTask
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import reset_noise
 from rewax.envs.rigid_task import load_asset
+from rewax.envs.soft_parts import lattice_box
 from rewax.physics import mpm, rigid
 from rewax.physics.mpm import Elasticity, Grid, Material, Wall, WallKind, Walls
 from rewax.types import Array, Observation, Scalar
@@ -64,8 +65,7 @@ class GripperLift(CoupledTask):
 def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **options) -> GripperLift:
     """A block of so many particles a cell along each axis; the robot's substep lasts ``each`` of the particles'."""
     model = load_asset("gripper.xml", dt=each * dt)
-    counts = [round(per_cell * edge / spacing) for edge in SIZE]
-    lattice = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5 for n in counts], indexing="ij"), axis=-1)
+    counts = tuple(round(per_cell * edge / spacing) for edge in SIZE)
     middle = np.array([0.2, FLOOR + 0.5 * SIZE[1] - 0.5 * spacing, 0.2])
     shape = (round(0.4 / spacing) + 1, round(0.56 / spacing) + 1, round(0.4 / spacing) + 1)
     sides = Wall(position=2 * spacing), Wall(position=0.4 - 2 * spacing)
@@ -90,7 +90,7 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
     return GripperLift(
         model=model,
         scene=scene,
-        rest_positions=jnp.asarray(lattice.reshape(-1, 3) * SIZE + middle, jnp.result_type(float)),
+        rest_positions=lattice_box(middle, SIZE, counts),
         noise=reset_noise((-0.01, 0.0, -0.01), (0.01, 0.0, 0.01)),
         target=jnp.asarray(middle[1] + 0.12),
         start_height=jnp.asarray(middle[1]),

@@ -11,7 +11,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import reset_noise
-from rewax.envs.soft_parts import box_walls, dough, random_box
+from rewax.envs.soft_parts import box_walls, dough, random_box, turn_about_y
 from rewax.envs.soft_task import SoftPhysics, SoftTask
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
@@ -44,10 +44,8 @@ class RollingFlat(SoftTask):
 
     def poses(self, joint_q: Array) -> Pose:
         x, y, yaw = joint_q[:, 0], joint_q[:, 1], joint_q[:, 2]
-        zero, one, c, s = jnp.zeros_like(yaw), jnp.ones_like(yaw), jnp.cos(yaw), jnp.sin(yaw)
-        rotation = jnp.stack([c, zero, s, zero, one, zero, -s, zero, c], axis=-1).reshape(-1, 1, 3, 3)
-        position = self.pin_pivot + jnp.stack([x, y, zero], axis=-1)
-        return Pose(position[:, None], rotation)
+        position = self.pin_pivot + jnp.stack([x, y, jnp.zeros_like(yaw)], axis=-1)
+        return Pose(position[:, None], turn_about_y(yaw)[:, None])
 
     def observe(self, physics: SoftPhysics) -> Observation:
         obs = super().observe(physics)

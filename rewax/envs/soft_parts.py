@@ -7,22 +7,44 @@ from rewax.physics.mpm import Elasticity, Material, Plasticity, Wall, WallKind, 
 from rewax.types import Array
 
 
-def dough(youngs_modulus: float, yield_stress: float) -> Material:
-    """Plasticine of density 1: Hencky's law with a von Mises yield stress [Pa], Poisson's ratio 0.2."""
+def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float = 0.2, density: float = 1.0) -> Material:
+    """Plasticine: Hencky's law with a von Mises yield stress [Pa]; by default of density 1 [kg/m^3]."""
     return Material(
         youngs_modulus=jnp.asarray(youngs_modulus),
-        poissons_ratio=jnp.asarray(0.2),
-        density=jnp.asarray(1.0),
+        poissons_ratio=jnp.asarray(poissons_ratio),
+        density=jnp.asarray(density),
         yield_stress=jnp.asarray(yield_stress),
         elasticity=Elasticity.HENCKY,
         plasticity=Plasticity.VON_MISES,
     )
 
 
+def water(youngs_modulus: float) -> Material:
+    """The reference's water: lambda of this Young's modulus [Pa] and Poisson's ratio 0.3 is its bulk modulus."""
+    return Material(
+        youngs_modulus=jnp.asarray(youngs_modulus),
+        poissons_ratio=jnp.asarray(0.3),
+        density=jnp.asarray(1000.0),
+        elasticity=Elasticity.FLUID,
+    )
+
+
+def turn_about_y(angle: Array) -> Array:
+    """Rotation matrices, (n,) [rad] -> (n, 3, 3). Gradient: exact."""
+    zero, one, c, s = jnp.zeros_like(angle), jnp.ones_like(angle), jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c, zero, s, zero, one, zero, -s, zero, c], axis=-1).reshape(-1, 3, 3)
+
+
 def random_box(center: tuple[float, ...], size: tuple[float, ...], num_particles: int) -> Array:
     """Uniform points of a box from a fixed seed, the same in every environment, shape (num_particles, 3)."""
     points = np.random.Generator(np.random.PCG64(0)).random((num_particles, 3))
     return jnp.asarray((points - 0.5) * np.asarray(size) + np.asarray(center), dtype=jnp.result_type(float))
+
+
+def lattice_box(center: tuple[float, ...], size: tuple[float, ...], counts: tuple[int, ...]) -> Array:
+    """Points of a box, so many along each axis, in the middles of equal cells, shape (prod(counts), 3)."""
+    points = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5 for n in counts], indexing="ij"), axis=-1)
+    return jnp.asarray(points.reshape(-1, 3) * np.asarray(size) + np.asarray(center), jnp.result_type(float))
 
 
 def box_walls(
@@ -32,11 +54,13 @@ def box_walls(
     *,
     ceiling: float | None = None,
     floor_kind: WallKind = WallKind.GRIPPING,
+    floor_friction: float = 0.0,
 ) -> Walls:
     """A floor (by default one that holds what presses on it), frictionless sides at (x, z) = lower and upper, and a
     ceiling or none.
     """
+    bottom = Wall(position=floor, kind=floor_kind, friction=jnp.asarray(floor_friction))
     return Walls(
-        lower=(Wall(position=lower[0]), Wall(position=floor, kind=floor_kind), Wall(position=lower[1])),
+        lower=(Wall(position=lower[0]), bottom, Wall(position=lower[1])),
         upper=(Wall(position=upper[0]), None if ceiling is None else Wall(position=ceiling), Wall(position=upper[1])),
     )
