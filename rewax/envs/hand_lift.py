@@ -133,6 +133,7 @@ def small() -> HandLift:
         num_substeps=20,
         list_every=5,
         max_steps=60,
+        exact_limits=True,
         datum=jnp.asarray(0.24),
         unit=jnp.asarray(0.05),
     )
