@@ -21,7 +21,7 @@ from rewax.training.metrics import read_csv
 from rewax.types import Array
 
 SPACING = 0.025
-FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material comes to rest up to a cell below its position
+FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almost a cell below its position
 
 
 @struct.dataclass

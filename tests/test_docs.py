@@ -116,10 +116,21 @@ def test_soft_tasks_page_runs_and_does_what_it_says():
     np.testing.assert_allclose(names["poses"].position[:, 1, 0], np.linspace(0.0, 0.1, 11), atol=1e-7)
 
 
-def test_the_example_of_a_soft_task_trains(tmp_path, monkeypatch):
+def test_the_tutorial_of_a_soft_task_runs(capsys):
+    names = run_page("docs/your_own_soft_task.md")
+    assert capsys.readouterr().out.splitlines()[0] == "OK"
+    env, rest = names["env"], float(names["FLOOR"])
+    lowest = float(names["after"].x[:, 1].min())
+    assert rest - 0.51 * names["SPACING"] < lowest < rest
+    assert "Press" in rewax.list_envs() and names["agent"].env is not None and env.num_actions == 1
+
+
+@pytest.mark.parametrize("kind", ["soft", "tet", "coupled"])
+def test_the_examples_of_soft_tasks_train(kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    main = runpy.run_path(str(ROOT / "examples" / "custom_soft_task.py"))["main"]
-    before, after = main(iterations=1)
+    path = ROOT / "examples" / f"custom_{kind}_task.py"
+    before, after = runpy.run_path(str(path))["main"](iterations=1)
     assert np.isfinite([before, after]).all() and before != after
-    assert (tmp_path / "runs" / "sand-0" / "episode.png").stat().st_size > 10_000
-    assert len((ROOT / "examples" / "custom_soft_task.py").read_text().splitlines()) <= 101
+    (picture,) = tmp_path.glob("runs/*-0/episode.png")
+    assert picture.stat().st_size > 10_000
+    assert len(path.read_text().splitlines()) <= 101

@@ -1,0 +1,99 @@
+"""Your own task on a robot that feels a soft body: an arm on motors flings a soft block. Comments say what to know."""
+
+import jax.numpy as jnp
+import tyro
+
+from rewax import struct
+from rewax.agents.presets import SMALL
+from rewax.agents.sapo import make_sapo
+from rewax.envs.coupled_task import CoupledTask
+from rewax.envs.point_cloud import PointCloud
+from rewax.envs.reset_noise import reset_noise
+from rewax.physics import mpm, rigid
+from rewax.physics.mpm import Elasticity, Grid, Material, Wall, WallKind, Walls
+from rewax.physics.shapes import fill_box
+from rewax.testing import check_env
+from rewax.training.loop import TrainConfig, train
+from rewax.training.metrics import read_csv
+
+SPACING = 0.025
+FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almost a cell below its position
+
+# Geoms that the particles should feel are at least a cell thick. Joint ranges are the robot's own limits.
+ARM = f"""<mujoco><option gravity="0 -9.81 0"/><compiler autolimits="true"/><default>
+  <geom contype="0" conaffinity="1" type="capsule" size="0.025" friction="0.5"/><joint axis="0 0 1" damping="0.05"/>
+</default><worldbody><body pos="0.3 {FLOOR + 0.35} 0.2">
+  <joint name="shoulder" range="-120 60"/><geom fromto="0 0 0 0 -0.14 0" mass="0.3" conaffinity="0"/>
+  <body pos="0 -0.14 0"><joint name="elbow" range="-90 90"/><geom fromto="0 0 0 0 -0.14 0" size="0.03" mass="0.3"/>
+  </body></body></worldbody><actuator>
+  <motor joint="shoulder" ctrlrange="-3 3"/><motor joint="elbow" ctrlrange="-1 1"/>
+</actuator>
+</mujoco>"""
+
+
+@struct.dataclass
+class Fling(CoupledTask):
+    """The reward is the block's velocity along x [m/s]."""
+
+    def observe(self, physics):  # an array (points, numbers) becomes a point cloud, the rest one vector
+        x, v = physics.soft.x.mean(0), physics.soft.v.mean(0)
+        joints = jnp.concatenate([physics.rigid.qpos, 0.1 * physics.rigid.qvel])
+        touch = 0.1 * physics.touch.force[2]  # what the particles do to body 2, the forearm [N]
+        return {
+            "particle_q": self.observed(physics),
+            "block": jnp.concatenate([x, v]),
+            "joints": joints,
+            "touch": touch,
+        }
+
+    def reward(self, physics):
+        velocity = physics.soft.v[:, 0].mean()
+        return velocity - 0.001 * jnp.sum(physics.action**2), {"velocity": velocity}
+
+
+def make_fling() -> Fling:
+    block = fill_box((0.4, FLOOR + 0.035, 0.2), (0.09, 0.07, 0.09), 0.5 * SPACING)  # two particles a cell and axis
+    model = rigid.load(ARM, dt=2e-3)  # its substep is a multiple of the particles'
+    sides = Wall(position=2 * SPACING), Wall(position=0.4 - 2 * SPACING)
+    scene = mpm.make_scene(
+        grid=Grid(shape=(49, 17, 17), spacing=SPACING),
+        dt=1e-3,
+        material=Material(
+            youngs_modulus=jnp.asarray(2e4),
+            poissons_ratio=jnp.asarray(0.3),
+            density=jnp.asarray(500.0),
+            elasticity=Elasticity.NEO_HOOKEAN,
+        ),
+        particle_volume=jnp.asarray(0.09 * 0.07 * 0.09 / len(block)),
+        gravity=(0.0, -9.81, 0.0),  # the model's own
+        colliders=rigid.colliders(model, softness=60.0),  # of its geoms with conaffinity
+        walls=Walls(
+            lower=(None, Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=jnp.asarray(0.2)), sides[0]),
+            upper=(Wall(position=1.15), None, sides[1]),
+        ),
+        max_active_nodes=1024,  # nodes near particles; Status.INACTIVE_NODES says when they are too few
+    )
+    return Fling(
+        model=model,
+        scene=scene,
+        rest_positions=jnp.asarray(block, jnp.float32),
+        noise=reset_noise((-0.005, 0.0, 0.0), (0.02, 0.0, 0.0)),
+        cloud=PointCloud(num_points=32, stride=len(block) // 32),
+        num_substeps=10,
+        list_every=5,  # a list of active nodes serves for so many substeps: less than a cell's way of the fastest
+        max_steps=40,
+    )
+
+
+def main(iterations: int = 60, seed: int = 0) -> tuple[float, float]:
+    env = make_fling()
+    check_env(env, check_full_episode=False)
+    config = TrainConfig(num_iterations=iterations, run_dir=f"runs/fling-{seed}", seed=seed, eval_every=iterations)
+    train(make_sapo(env, SMALL), env, config)
+    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
+    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
+    return before, after
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)

@@ -1,0 +1,94 @@
+"""Your own task on tetrahedra: a soft bar bends by its muscles and moves forwards. Comments say what to know."""
+
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from rewax import struct
+from rewax.agents.presets import SMALL
+from rewax.agents.sapo import make_sapo
+from rewax.envs.point_cloud import PointCloud
+from rewax.envs.reset_noise import reset_noise
+from rewax.envs.soft_task import SoftTask
+from rewax.physics import tets
+from rewax.physics.contact import Ground, PenaltyContact
+from rewax.physics.tets import tetmesh
+from rewax.testing import check_env
+from rewax.training.loop import TrainConfig, train
+from rewax.training.metrics import read_csv
+from rewax.types import Array
+
+MUSCLES = 4  # along the bar, above and below
+
+
+@struct.dataclass
+class Crawl(SoftTask):
+    """The reward is the bar's velocity along x [m/s], less 0.01 times the mean square of the actions."""
+
+    muscles: (
+        Array  # what each action does to each tet, (num_tets, num_actions); arrays are leaves: differentiate by them
+    )
+
+    @property
+    def num_actions(self):  # beyond one for each joint of a tool; there are no tools here
+        return 2 * MUSCLES
+
+    def actuated(self, action):  # the scene of a control step: here with other activations
+        return self.scene.replace(activation=self.muscles @ action)
+
+    def observe(self, physics):  # an array (points, numbers) becomes a point cloud, the rest one vector
+        x, v = physics.soft.x, physics.soft.v
+        shape = (x - x.mean(0))[:: len(x) // 12]  # without where it is along x: the reward does not depend on it
+        return {"shape": shape.reshape(-1), "height": x[:, 1].mean(), "velocity": v.mean(0), "action": physics.action}
+
+    def reward(self, physics):
+        velocity = physics.soft.v[:, 0].mean()
+        return velocity - 0.01 * jnp.mean(physics.action**2), {"velocity": velocity}
+
+
+def make_crawl() -> Crawl:
+    mesh = tetmesh.box((0.4, 0.1, 0.1), (8, 2, 2))  # or voxels of any shape, or load_tetmesh("body.msh")
+    middles = mesh.vertices[mesh.tets].mean(1)
+    along = np.clip((middles[:, 0] - mesh.vertices[:, 0].min()) / 0.4 * MUSCLES, 0, MUSCLES - 1).astype(int)
+    above = middles[:, 1] > mesh.vertices[:, 1].mean()
+    moduli = tets.stable_parameters(2e4, 0.3)  # Young's modulus [Pa] and Poisson's ratio
+    scene = tets.make_scene(
+        mesh=mesh,
+        density=jnp.asarray(500.0),
+        mu=jnp.asarray(moduli.mu),
+        lam=jnp.asarray(moduli.lam),
+        damping=jnp.asarray(20.0),
+        dt=1e-3,  # refused, with the largest stable one, if it is too long
+        ground=Ground(normal=jnp.array([0.0, 1.0, 0.0])),
+        contact=PenaltyContact(  # of each vertex: forces per metre of depth, and per metre a second
+            stiffness=jnp.asarray(500.0),
+            damping=jnp.asarray(1.0),
+            friction_damping=jnp.asarray(5.0),
+            friction=jnp.asarray(0.8),
+            radius=jnp.asarray(0.01),
+        ),
+    )
+    rest = mesh.vertices - mesh.vertices.min(0) + np.array([0.0, 0.005, 0.0])  # it touches: no derivative in the air
+    return Crawl(
+        scene=scene,
+        rest_positions=jnp.asarray(rest, jnp.float32),
+        noise=reset_noise((0.0, 0.0, 0.0), (0.0, 0.01, 0.0)),
+        cloud=PointCloud(num_points=len(rest)),
+        num_substeps=20,
+        max_steps=100,
+        muscles=0.3 * jnp.eye(2 * MUSCLES)[along + MUSCLES * above],  # positive activation contracts
+    )
+
+
+def main(iterations: int = 100, seed: int = 0) -> tuple[float, float]:
+    env = make_crawl()
+    check_env(env, check_full_episode=False)
+    config = TrainConfig(num_iterations=iterations, run_dir=f"runs/crawl-{seed}", seed=seed, eval_every=iterations)
+    train(make_sapo(env, SMALL), env, config)
+    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
+    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
+    return before, after
+
+
+if __name__ == "__main__":
+    tyro.cli(main, description=__doc__)
