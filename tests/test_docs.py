@@ -122,7 +122,7 @@ def test_the_tutorial_of_a_soft_task_runs(capsys):
     env, rest = names["env"], float(names["FLOOR"])
     lowest = float(names["after"].x[:, 1].min())
     assert rest - 0.51 * names["SPACING"] < lowest < rest
-    assert "Press" in rewax.list_envs() and names["agent"].env is not None and env.num_actions == 1
+    assert "Press" in names["rewax"].list_envs() and names["agent"].env is not None and env.num_actions == 1
 
 
 @pytest.mark.parametrize("kind", ["soft", "tet", "coupled"])
