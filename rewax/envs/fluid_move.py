@@ -62,8 +62,8 @@ class FluidMove(SoftTask):
       spill_width: how far beyond it the share of a spilt particle grows from a half to 0.73 [m]. The reference has
         1e-5, whose derivative is zero almost everywhere.
       distance_scale: distance from the target that counts as 1 [m]; the reference has 1, in which the reward is flat.
-      relative: whether water and target are observed from the container, and its own place is not, instead of from the world's
-        origin (static).
+      relative: whether water and target are observed from the container instead of from the world's origin, and the
+        container's own place is not (static).
     """
 
     target_lower: Array
