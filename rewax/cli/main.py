@@ -10,6 +10,7 @@ _COMMANDS = {
     "train": "train a policy on an environment",
     "eval": "evaluate what a run has learnt",
     "bench": "compare algorithms on tasks, one table",
+    "plot": "compare learning curves of runs",
     "landscape": "draw the return around a trained policy",
     "envs": "list the environments",
 }
@@ -17,6 +18,7 @@ _HOMES = {
     "train": "rewax.cli.train",
     "eval": "rewax.cli.evaluate",
     "bench": "rewax.cli.bench",
+    "plot": "rewax.cli.plot",
     "landscape": "rewax.cli.landscape",
     "envs": "rewax.cli.environments",
 }

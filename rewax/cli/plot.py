@@ -1,0 +1,74 @@
+"""``rewax plot``: learning curves of several runs in one picture, with intervals over seeds."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from rewax.cli.options import parse
+
+_FORMATS = (".png", ".svg", ".pdf")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      runs: directories of runs; those of one algorithm, environment and scale are seeds of one curve.
+      out: picture to write; its ending, .png, .svg or .pdf, says which kind.
+      by: what makes a curve: the configuration (algorithm, environment and scale), or the run itself.
+      title: above the picture.
+    """
+
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    out: str = "curves.png"
+    by: str = "config"
+    title: str = ""
+
+
+def run(argv: Sequence[str]) -> int:
+    """Draw the curves and say where.
+
+    Raises:
+      ValueError: no runs, a directory without ``metrics.csv``, an ending that is no picture's; one sentence.
+    """
+    from rewax.viz.curves import curves_with_intervals
+
+    options = parse(Options, argv, prog="rewax plot", description="Compare the learning curves of runs.")
+    if not options.runs:
+        raise ValueError("rewax plot needs one or more run directories: rewax plot runs/*")
+    if options.by not in ("config", "run"):
+        raise ValueError(f"--by is {options.by!r}: use config (seeds of one configuration make a curve) or run")
+    out = Path(options.out)
+    if out.suffix not in _FORMATS:
+        raise ValueError(f"{options.out} does not end in {', '.join(_FORMATS)}: choose one of these")
+    curves: dict[str, list[dict[str, np.ndarray]]] = {}
+    for directory in options.runs:
+        name, columns = _curve(Path(directory), options.by)
+        curves.setdefault(name, []).append(columns)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    print(f"wrote {curves_with_intervals(curves, out, title=options.title)}")
+    return 0
+
+
+def _curve(directory: Path, by: str) -> tuple[str, dict[str, np.ndarray]]:
+    """Name of a run's curve, and its columns."""
+    from rewax.training.description import read_config
+    from rewax.training.metrics import read_csv
+
+    path = directory / "metrics.csv"
+    if not path.is_file():
+        raise ValueError(
+            f"{directory} holds no metrics.csv: give the directories of runs, runs/RollingFlat-small-0 say"
+        )
+    columns = read_csv(path)
+    if missing := [name for name in ("env_steps", "return") if name not in columns]:
+        raise ValueError(f"{path} has no column {missing[0]}: it is not that of a training run")
+    if by == "run":
+        return directory.name, columns
+    config = read_config(directory)
+    parts = [str(config[name]) for name in ("agent", "env", "scale") if config.get(name)]
+    return " ".join(parts) or directory.name, columns
