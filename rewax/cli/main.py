@@ -13,6 +13,7 @@ _COMMANDS = {
     "plot": "compare learning curves of runs",
     "landscape": "draw the return around a trained policy",
     "envs": "list the environments",
+    "doctor": "say what is installed and what is wrong with it",
 }
 _HOMES = {
     "train": "rewax.cli.train",
@@ -21,6 +22,7 @@ _HOMES = {
     "plot": "rewax.cli.plot",
     "landscape": "rewax.cli.landscape",
     "envs": "rewax.cli.environments",
+    "doctor": "rewax.cli.doctor",
 }
 _CLEAN_EXIT, _BAD_INPUT = 0, 2
 

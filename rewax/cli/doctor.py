@@ -1,0 +1,133 @@
+"""``rewax doctor``: versions, devices, cache, and what is known to go wrong with them."""
+
+import dataclasses
+import importlib.metadata
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from rewax.cli.options import parse
+
+_PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "distrax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
+_PROBLEMS_FOUND = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """No options."""
+
+
+def run(argv: Sequence[str]) -> int:
+    """Print what there is, then each problem with its remedy.
+
+    Returns:
+      Exit code: 0 without problems, else 1.
+    """
+    parse(Options, argv, prog="rewax doctor", description="Say what is installed and what is wrong with it.")
+    versions = {name: _version(name) for name in _PACKAGES}
+    print(f"Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} cores")
+    print(*(f"{name} {version or 'is not installed'}" for name, version in versions.items()), sep=", ")
+    problems = list(version_problems(versions))
+    if versions["jax"]:
+        problems += _device_problems()
+        problems += cache_problems()
+        problems += flag_problems(os.environ.get("XLA_FLAGS", ""))
+    for problem, remedy in problems:
+        print(f"problem: {problem}: {remedy}")
+    print(f"{len(problems)} problems" if problems else "no problems found")
+    return _PROBLEMS_FOUND if problems else 0
+
+
+def version_problems(versions: Mapping[str, str | None]) -> Iterator[tuple[str, str]]:
+    """Packages that are missing, or that do not go with each other, each with its remedy.
+
+    Args:
+      versions: of packages by name, None for one that is not installed.
+    """
+    for name, version in versions.items():
+        if version is None and name != "rewax":
+            yield f"{name} is not installed", f"pip install {name}"
+    jax = versions.get("jax")
+    if jax and versions.get("jaxlib") and _numbers(jax)[:2] != _numbers(versions["jaxlib"] or "")[:2]:
+        yield f"jax {jax} and jaxlib {versions['jaxlib']} do not belong together", f"pip install 'jaxlib=={jax}'"
+    if jax == "0.10.2":
+        yield "jax 0.10.2 miscompiles some programs on the CPU", "pip install 'jax!=0.10.2'"
+    if jax and _numbers(jax) < (0, 10, 1):
+        yield f"jax {jax} is older than rewax needs", "pip install -U 'jax>=0.10.1,!=0.10.2'"
+    flax = versions.get("flax")
+    if flax and _numbers(flax) < (0, 12, 8):
+        yield f"flax {flax} fails to import beside new versions of jax", "pip install -U 'flax>=0.12.8'"
+    mjx = versions.get("mujoco-mjx")
+    if mjx and _numbers(mjx) >= (4,):
+        yield f"mujoco-mjx {mjx} is not known to agree with rewax's use of it", "pip install 'mujoco-mjx>=3.17,<4'"
+
+
+def _device_problems() -> Iterator[tuple[str, str]]:
+    import jax
+
+    try:
+        devices = jax.devices()
+    except RuntimeError as error:
+        said = str(error).strip().splitlines()[0]
+        yield f"JAX finds no device ({said})", "unset JAX_PLATFORMS, or set it to cpu"
+        return
+    kinds = sorted({f"{device.platform} ({device.device_kind})" for device in devices})
+    print(f"JAX computes on {len(devices)} x {', '.join(kinds)}")
+    if jax.config.jax_enable_x64:
+        yield "double precision is on (JAX_ENABLE_X64): training takes about twice as long", "unset it for training"
+    if devices[0].platform == "cpu" and shutil.which("nvidia-smi") and "cpu" not in os.environ.get("JAX_PLATFORMS", ""):
+        yield "there is an NVIDIA driver, but JAX computes on the CPU", "pip install 'rewax[cuda]'"
+
+
+def cache_problems() -> Iterator[tuple[str, str]]:
+    """Whether compiled programs can be kept."""
+    from rewax.training.cache import enable_compilation_cache
+
+    folder = enable_compilation_cache()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        yield (
+            f"compiled programs cannot be kept in {folder} ({error.strerror}), so every start compiles anew",
+            "set JAX_COMPILATION_CACHE_DIR to a directory that can be written",
+        )
+        return
+    files = [path for path in Path(folder).rglob("*") if path.is_file()]
+    print(f"compiled programs: {len(files)} files, {sum(f.stat().st_size for f in files) / 2**20:.0f} MiB in {folder}")
+
+
+def flag_problems(flags: str) -> Iterator[tuple[str, str]]:
+    """Flags of XLA that are known to do harm here.
+
+    Args:
+      flags: what the environment variable XLA_FLAGS holds.
+    """
+    if "--xla_gpu_deterministic_ops=true" in flags:
+        yield (
+            "--xla_gpu_deterministic_ops=true makes the particles' scatter a serial loop on a GPU",
+            "remove it from XLA_FLAGS",
+        )
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "from this directory" if name == "rewax" and "rewax" in sys.modules else None
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """The numbers a version begins with: 0.12.8rc1 gives (0, 12, 8)."""
+    found = []
+    for part in version.split("."):
+        digits = part[: len(part) - len(part.lstrip("0123456789"))]
+        if not digits:
+            break
+        found.append(int(digits))
+    return tuple(found)
