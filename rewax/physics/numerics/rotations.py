@@ -16,6 +16,23 @@ def quaternion_to_matrix(q: Array) -> Array:
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def matrix_to_quaternion(matrix: Array) -> Array:
+    """One of the two unit quaternions of a rotation matrix, (..., 3, 3) -> (..., 4). Gradient: exact."""
+    xx, yy, zz = (matrix[..., i, i] for i in range(3))
+    (zy, yz), (xz, zx), (yx, xy) = ((matrix[..., i, j], matrix[..., j, i]) for i, j in ((2, 1), (0, 2), (1, 0)))
+    # Each row is the quaternion times four of its numbers; that with the largest of them is divided by its length.
+    rows = (
+        (1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1.0 + xx - yy - zz, xy + yx, xz + zx),
+        (xz - zx, xy + yx, 1.0 - xx + yy - zz, yz + zy),
+        (yx - xy, xz + zx, yz + zy, 1.0 - xx - yy + zz),
+    )
+    table = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    largest = jnp.argmax(jnp.diagonal(table, axis1=-2, axis2=-1), axis=-1)
+    row = jnp.take_along_axis(table, largest[..., None, None], axis=-2)[..., 0, :]
+    return row / jnp.sqrt(jnp.sum(row * row, axis=-1, keepdims=True))
+
+
 def quaternion_product(a: Array, b: Array) -> Array:
     """The rotation b followed by a, (..., 4) each. Gradient: exact."""
     w, v, u, r = a[..., :1], a[..., 1:], b[..., 1:], b[..., :1]

@@ -1,4 +1,4 @@
-"""Contact of capsules with each other."""
+"""Contact of capsules with each other and with spheres."""
 
 import jax.numpy as jnp
 
@@ -8,8 +8,34 @@ _PARALLEL = 1e-6
 """Square of the sine of the angle between two axes below which their contact moves to the middle of the first."""
 
 
+def sphere_capsule(
+    center: Array, radius: Array, other_center: Array, axis: Array, size: Array
+) -> tuple[Array, Array, Array]:
+    """Distances, points and normals of contact of spheres with capsules, n pairs.
+
+    Args:
+      center, radius: of the spheres [m], shapes (n, 3) and (n,).
+      other_center, axis: of the capsules [m], and unit vectors along them, shape (n, 3).
+      size: of the capsules, radius and half the length of the axis [m], shape (n, 2).
+
+    Returns:
+      As of ``capsule_capsule``, normals from sphere to capsule.
+
+    Gradient: exact, finite everywhere. Where the sphere's centre lies on the axis the normal is zero.
+    """
+    place = jnp.clip(jnp.sum((center - other_center) * axis, axis=-1), -size[:, 1], size[:, 1])
+    return _spheres(center, radius, other_center + place[:, None] * axis, size[:, 0])
+
+
 def capsule_capsule(
-    center: Array, axis: Array, size: Array, other_center: Array, other_axis: Array, other_size: Array
+    center: Array,
+    axis: Array,
+    size: Array,
+    other_center: Array,
+    other_axis: Array,
+    other_size: Array,
+    *,
+    parallel: float = _PARALLEL,
 ) -> tuple[Array, Array, Array]:
     """Distances, points and normals of contact of two capsules, n pairs.
 
@@ -17,6 +43,8 @@ def capsule_capsule(
       center, other_center: of the first and the second capsules [m], shape (n, 3).
       axis, other_axis: unit vectors along them, shape (n, 3).
       size, other_size: radius and half the length of the axis [m], shape (n, 2).
+      parallel: square of the sine of the angle between two axes below which their contact moves to the middle of the
+        first. The smaller, the closer to MuJoCo's, and the larger the derivatives of capsules that are almost parallel.
 
     Returns:
       Signed distances between the surfaces [m], shape (n,); points halfway between them [m], shape (n, 3); unit
@@ -30,18 +58,22 @@ def capsule_capsule(
     cosine = jnp.sum(axis * other_axis, axis=-1)
     along, other_along = jnp.sum(axis * gap, axis=-1), jnp.sum(other_axis * gap, axis=-1)
     # Places along the axes, from the centres: on the first as if the second were endless, then each by the other.
-    place = (along - cosine * other_along) / (1.0 - cosine * cosine + _PARALLEL)
+    place = (along - cosine * other_along) / (1.0 - cosine * cosine + parallel)
     place = jnp.clip(place, -length, length)
     other_place = jnp.clip(cosine * place - other_along, -other_length, other_length)
     place = jnp.clip(cosine * other_place + along, -length, length)
-    across = gap + other_place[:, None] * other_axis - place[:, None] * axis
+    nearest = center + place[:, None] * axis
+    return _spheres(nearest, size[:, 0], other_center + other_place[:, None] * other_axis, other_size[:, 0])
+
+
+def _spheres(center: Array, radius: Array, other_center: Array, other_radius: Array) -> tuple[Array, Array, Array]:
+    across = other_center - center
     square = jnp.sum(across * across, axis=-1)
     apart = square > 0.0
     between = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
     normal = across / jnp.where(apart, between, 1.0)[:, None]
-    distance = between - size[:, 0] - other_size[:, 0]
-    nearest = center + place[:, None] * axis
-    return distance, nearest + normal * (size[:, 0] + 0.5 * distance)[:, None], normal
+    distance = between - radius - other_radius
+    return distance, center + normal * (radius + 0.5 * distance)[:, None], normal
 
 
-__all__ = ["capsule_capsule"]
+__all__ = ["capsule_capsule", "sphere_capsule"]

@@ -9,19 +9,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.rotations import quaternion_product, quaternion_to_matrix, rotation_vector
+from rewax.physics.numerics.rotations import (
+    matrix_to_quaternion,
+    quaternion_product,
+    quaternion_to_matrix,
+    rotation_vector,
+)
 from rewax.physics.rigid.box_box import box_box
 from rewax.physics.rigid.capsules import capsule_capsule
 from rewax.physics.rigid.connect import connect_drifts
 from rewax.physics.rigid.kinematic_tree import TreeParameters
 from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces
 from rewax.physics.rigid.kinematics import kinematics as tree_kinematics
+from rewax.physics.rigid.mjcf import is_disabled
 from rewax.physics.rigid.model import RigidModel, RigidState, mjx, mujoco
 from rewax.physics.rigid.penalty import Penalty, contact_wrenches, limit_forces
-from rewax.physics.rigid.plane_box import plane_box
-from rewax.physics.rigid.small_products import compose, cross, rotate, select
+from rewax.physics.rigid.routines import own_routines
+from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select
 from rewax.physics.rigid.solver import Rows
 from rewax.physics.rigid.sphere_box import sphere_box
+from rewax.physics.rigid.weld import weld_drifts
 from rewax.types import Array
 
 
@@ -63,7 +70,17 @@ def mjx_data(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array)
         subtree_com=kin.subtree_com,
         cdof=kin.axes,
     )
-    if static.mj.ngeom:
+    if static.has_welds:
+        d = d.replace(xquat=matrix_to_quaternion(kin.rotation))
+    geoms = static.moving_geoms
+    if 0 < len(geoms) < static.mj.ngeom:
+        pose = attached(
+            kin, static.mj.geom_bodyid[geoms], parameters["geom_pos"][geoms], parameters["geom_quat"][geoms]
+        )
+        d = d.replace(
+            geom_xpos=d.geom_xpos.at[geoms].set(pose.position), geom_xmat=d.geom_xmat.at[geoms].set(pose.rotation)
+        )
+    elif len(geoms):
         pose = attached(kin, static.mj.geom_bodyid, parameters["geom_pos"], parameters["geom_quat"])
         d = d.replace(geom_xpos=pose.position, geom_xmat=pose.rotation)
     if static.mj.nsite:
@@ -78,18 +95,10 @@ def applied_forces(
     """Generalized forces of actuators, springs, dampers and wrenches, shape (num_dofs,); rates of the activations."""
     topology = model.static.topology
     twist = body_velocities(topology, kin, d.qvel)
-    d = d.replace(cvel=twist)
-    if model.static.mj.ntendon:
-        d = mjx.tendon(m, d)
-    d = mjx.transmission(m, d)
-    d = d.replace(actuator_length=_actuator_lengths(model, m, d))
-    d = d.tree_replace(  # pyright: ignore[reportAssignmentType]
-        {
-            "_impl.actuator_velocity": d._impl.actuator_moment @ d.qvel,
-            "_impl.ten_velocity": d._impl.ten_J @ d.qvel,
-        }
+    d = mjx.fwd_actuation(
+        m,
+        mjx.passive(m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness)), _drives(model, m, d.replace(cvel=twist))),
     )
-    d = mjx.fwd_actuation(m, mjx.passive(m.replace(jnt_stiffness=jnp.zeros_like(m.jnt_stiffness)), d))
     arm = kin.com - kin.tree_com
     torque = wrenches[:, 3:] + cross(arm, wrenches[:, :3])
     external = jnp.concatenate([torque, wrenches[:, :3]], axis=-1)
@@ -104,6 +113,42 @@ def applied_forces(
         limits = model.parameters["jnt_range"][joint] + model.parameters["jnt_margin"][joint, None] * np.array([1, -1])
         force = force.at[dof].add(limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof]))
     return force, d.act_dot
+
+
+def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
+    """How much velocities take from the forces on them: -d force / d velocity, symmetric, shape (num_dofs, num_dofs).
+
+    Of joints, tendons and actuators, without the terms of inertia, as MuJoCo's integrator implicitfast has it.
+
+    Gradient: exact.
+    """
+    d = _drives(model, m, d)
+
+    def pull(velocity: Array) -> Array:
+        return mjx.fwd_actuation(m, d.tree_replace({"_impl.actuator_velocity": velocity})).actuator_force
+
+    damping = jnp.diag(model.parameters["dof_damping"])
+    if model.static.mj.nu and not is_disabled(model.static.mj, "ACTUATION"):
+        moment, velocity = d._impl.actuator_moment, d._impl.actuator_velocity
+        slope = jax.jvp(pull, (velocity,), (jnp.ones_like(velocity),))[1]  # each force depends on its own velocity
+        damping -= dot(moment.T, slope[:, None] * moment)
+    if model.static.mj.ntendon:
+        damping += dot(d._impl.ten_J.T, m.tendon_damping[:, None] * d._impl.ten_J)
+    return damping
+
+
+def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
+    """Lengths, moment arms and velocities of tendons and actuators."""
+    if model.static.mj.ntendon:
+        d = mjx.tendon(m, d)
+    d = mjx.transmission(m, d)
+    d = d.replace(actuator_length=_actuator_lengths(model, m, d))
+    return d.tree_replace(  # pyright: ignore[reportReturnType]
+        {
+            "_impl.actuator_velocity": d._impl.actuator_moment @ d.qvel,
+            "_impl.ten_velocity": d._impl.ten_J @ d.qvel,
+        }
+    )
 
 
 def _spring_forces(model: RigidModel, qpos: Array) -> Array:
@@ -140,19 +185,8 @@ def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
 
 def _collide(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
     """Contacts of all pairs."""
-    d = mjx.collision(m, d)
-    slots, plane, box = model.static.plane_boxes
-    if len(slots) == 0:
-        return d
-    distance, point = jax.vmap(plane_box)(
-        d.geom_xpos[plane], d.geom_xmat[plane][:, :, 2], d.geom_xpos[box], d.geom_xmat[box], m.geom_size[box]
-    )
-    contact = d._impl.contact
-    contact = contact.replace(
-        dist=contact.dist.at[slots].set(distance.reshape(-1)),
-        pos=contact.pos.at[slots].set(point.reshape(-1, 3)),
-    )
-    return d.tree_replace({"_impl.contact": contact})  # pyright: ignore[reportReturnType, reportArgumentType]
+    with own_routines(model.penalty is not None):
+        return mjx.collision(m, d)
 
 
 class _Contacts(NamedTuple):
@@ -244,7 +278,10 @@ def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Dat
         lower = jnp.where(equality, -infinite, jnp.where(dry, -loss, 0.0))
         upper = jnp.where(dry, loss, infinite)
         sites = d.site_xpos if model.static.mj.nsite else None
-        drifts = connect_drifts(model.static.mj, model.static.topology, kin, d.qvel, m.eq_data, d.eq_active, sites)
+        held = (model.static.mj, model.static.topology, kin, d.qvel, m.eq_data, d.eq_active)
+        drifts = connect_drifts(*held, sites)
+        if model.static.has_welds:
+            drifts = jnp.concatenate([drifts, weld_drifts(*held, d.xquat, m.site_quat, sites)])
         target = impl.efc_aref.at[: len(drifts)].add(-drifts)
         return Rows(impl.efc_J, impl.efc_D, target, lower, upper)
     none = jnp.zeros(0, d.qpos.dtype)

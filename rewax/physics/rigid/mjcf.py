@@ -8,6 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+LIMITS = ("max_contact_points", "max_geom_pairs")
+"""Custom numbers with which a model asks MJX to leave contacts out."""
+
 
 def compile_model(source: Any) -> mujoco.MjModel:
     """MuJoCo's model of an MJCF file's path, of MJCF text or of a ``mujoco.MjSpec``; a ``mujoco.MjModel`` as it is.
@@ -47,7 +50,7 @@ def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, 
       mj: the model.
       first, second: kinds of geoms, "sphere", "capsule" or "box".
     """
-    limited = any(mj.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(mj.nnumeric))
+    limited = any(mj.numeric(i).name in LIMITS and mj.numeric_data[i] > -1 for i in range(mj.nnumeric))
     geoms = np.stack([mj.pair_geom1, mj.pair_geom2], axis=1)
     kinds = [int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")) for kind in (first, second)]
     ordered = (mj.geom_type[geoms] == kinds).all(axis=1)
@@ -57,6 +60,14 @@ def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, 
     pairs = np.flatnonzero(chosen & (not limited and not is_disabled(mj, "CONTACT")))
     geoms = np.where(ordered[:, None], geoms, geoms[:, ::-1])[pairs]
     return pairs, geoms[:, 0], geoms[:, 1]
+
+
+def lone_dofs(mj: mujoco.MjModel) -> np.ndarray:
+    """Degrees of freedom of the free joints of trees that have no other joint, shape (n, 6)."""
+    start = mj.jnt_dofadr[mj.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    root = mj.body_rootid[mj.dof_bodyid]
+    alone = np.array([np.sum(root == root[dof]) == 6 for dof in start], bool)
+    return start[alone][:, None] + np.arange(6)
 
 
 def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
@@ -87,17 +98,23 @@ def check_model(mj: mujoco.MjModel, *, penalty: bool) -> None:
 
 
 def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
-    if mj.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+    euler, fast = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if mj.opt.integrator not in (euler, fast):
         name = mujoco.mjtIntegrator(mj.opt.integrator).name.removeprefix("mjINT_")
-        raise ValueError(f"the model's integrator is {name}: write <option integrator='Euler'/>")
+        raise ValueError(
+            f'the model\'s integrator is {name}, which is not supported: load(..., integrator="Euler"), or '
+            '"implicitfast"'
+        )
+    if mj.opt.integrator == fast and (mj.opt.density or mj.opt.viscosity):
+        raise ValueError(
+            "the model's integrator is IMPLICITFAST in a medium that drags, which is not supported: load(..., "
+            'integrator="Euler"), or density=0.0, viscosity=0.0'
+        )
     if not penalty and mj.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
         raise ValueError(
-            "the model's friction cone is elliptic, for which gradients are not finite: write "
-            "<option cone='pyramidal'/>, or load it with a Penalty"
+            "the model's friction cone is elliptic, for which gradients are not finite: load(..., "
+            'cone="pyramidal"), or with a Penalty'
         )
-    if mj.nmocap:
-        body = _named(mj, "body", mj.body_mocapid >= 0)
-        raise ValueError(f"{body} is a mocap body, which is not supported: give it a joint and an actuator")
     if mj.nflex or mj.nplugin:
         raise ValueError("the model has flexes or plugins, which are not supported: remove them")
     if not mj.nv:
@@ -109,9 +126,9 @@ def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
                 "zero"
             )
     if mj.opt.noslip_iterations:
-        raise ValueError("the model has noslip_iterations, which are not supported: remove them")
+        raise ValueError("the model has noslip_iterations, which are not supported: load(..., noslip_iterations=0)")
     if mj.opt.enableflags & getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0):
-        raise ValueError("the model lets bodies sleep, which is not supported: remove the sleep flag")
+        raise ValueError('the model lets bodies sleep, which is not supported: load(..., flags={"sleep": False})')
     if mj.opt.disableactuator:
         raise ValueError("the model has an actuatorgroupdisable, which is not supported: remove it, or the actuators")
 
@@ -174,11 +191,11 @@ def _check_fields(mj: mujoco.MjModel) -> None:
 
 
 def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
-    kinds = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON)
+    kinds = [getattr(mujoco.mjtEq, f"mjEQ_{kind}") for kind in ("CONNECT", "WELD", "JOINT", "TENDON")]
     wrong = ~np.isin(mj.eq_type, [int(kind) for kind in kinds])
     if np.any(wrong):
         name = _named(mj, "equality", wrong)
-        raise ValueError(f"{name} is of a kind that is not supported: use connect, joint or tendon constraints")
+        raise ValueError(f"{name} is of a kind that is not supported: use connect, weld, joint or tendon constraints")
     if not penalty:
         return
     uneven = mj.pair_friction[:, 0] != mj.pair_friction[:, 1]
@@ -217,4 +234,4 @@ def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
     return f"{kind} {name!r}" if name else f"{kind} number {number}"
 
 
-__all__ = ["check_model", "compile_model", "is_disabled", "number", "own_pairs"]
+__all__ = ["check_model", "compile_model", "is_disabled", "lone_dofs", "number", "own_pairs"]

@@ -11,7 +11,7 @@ import functools
 import hashlib
 import io
 import logging
-from typing import Any
+from typing import Any, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from rewax.physics.numerics.checks import POSITIVE, check_numbers, static_number
 from rewax.physics.rigid import mjcf
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
 from rewax.physics.rigid.numbers import parameter_numbers
+from rewax.physics.rigid.overrides import Overrides, moving_geoms, with_overrides, without_idle_parts
 from rewax.physics.rigid.penalty import Penalty, check_penalty
 from rewax.types import Array
 
@@ -31,6 +32,8 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.St
     logging.disable(logging.WARNING)
     import mujoco
     from mujoco import mjx
+
+    from rewax.physics.rigid.routines import own_routines
 
     logging.disable(_level)
 
@@ -60,7 +63,7 @@ class _Model:
         self.mj = compiled
         self.topology: TreeTopology = tree_topology(compiled.body_parentid, compiled.jnt_bodyid, compiled.jnt_type)
         with jax.ensure_compile_time_eval():
-            self.mjx = mjx.put_model(compiled, impl="jax")
+            self.mjx = mjx.put_model(without_idle_parts(compiled), impl="jax")
             none = (np.zeros(0, int),) * 3
             self.sphere_boxes = mjcf.own_pairs(compiled, "sphere", "box") if penalty else none
             self.capsules = mjcf.own_pairs(compiled, "capsule", "capsule") if penalty else none
@@ -71,10 +74,16 @@ class _Model:
                 fields = [name for name in vars(self.mjx) if name.startswith("pair_")]
                 kept = {name: getattr(self.mjx, name)[self.mjx_pairs] for name in fields}
                 self.mjx = self.mjx.replace(npair=len(self.mjx_pairs), **kept)
-            self.data = mjx.make_data(self.mjx, impl="jax")
+            with own_routines(penalty is not None):
+                self.data = mjx.make_data(self.mjx, impl="jax")
         self.has_contacts = self.data._impl.ncon + len(own) > 0
-        self.plane_boxes = _plane_boxes(compiled, self.mjx, self.data)
-        self.has_damping = bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
+        self.moving_geoms = moving_geoms(compiled)
+        self.is_implicit = compiled.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.lone_dofs = mjcf.lone_dofs(compiled) if self.is_implicit else np.zeros((0, 6), int)
+        self.has_damping = self.is_implicit or (
+            bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
+        )
+        self.has_welds = bool(np.any(compiled.eq_type == mujoco.mjtEq.mjEQ_WELD))
         self.num_bounded = int(self.data._impl.ne + self.data._impl.nf)
 
     def __hash__(self) -> int:
@@ -153,6 +162,33 @@ class RigidModel(struct.Replaceable):
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **given})
 
+    def with_mocap(self, position: Array, quaternion: Array | None = None) -> "RigidModel":
+        """A copy whose mocap bodies are elsewhere; for each step another one, the compiled program serves them all.
+
+        Between steps the bodies jump: to contacts and equalities they are at rest, as in MuJoCo.
+
+        Args:
+          position: of the mocap bodies, in the order of the model [m], shape (num_mocap, 3).
+          quaternion: (w, x, y, z), of any length, shape (num_mocap, 4); None: as they are.
+
+        Raises:
+          ValueError: a shape does not fit, or the model has no mocap bodies.
+
+        Gradient: exact, with respect to both.
+        """
+        bodies = np.flatnonzero(self.static.mj.body_mocapid >= 0)
+        if not len(bodies):
+            raise ValueError('the model has no mocap bodies: give one of the world\'s bodies mocap="true" in its MJCF')
+        numbers = self.static.mj.body_mocapid[bodies]
+        changes = {"body_pos": jnp.asarray(position, self.home.dtype)}
+        check_shape("position", changes["body_pos"], (len(bodies), 3), " (one row per mocap body)")
+        if quaternion is not None:
+            q = jnp.asarray(quaternion, self.home.dtype)
+            check_shape("quaternion", q, (len(bodies), 4), " (one row per mocap body)")
+            changes["body_quat"] = q / jnp.sqrt(jnp.sum(q * q, axis=-1, keepdims=True))
+        moved = {name: self.parameters[name].at[bodies].set(value[numbers]) for name, value in changes.items()}
+        return self.replace(parameters={**self.parameters, **moved})
+
     def body(self, name: str) -> int:
         """Number of a body."""
         return mjcf.number(self.static.mj, "body", name)
@@ -185,8 +221,12 @@ class RigidState(struct.Replaceable):
     qacc: Array
 
 
-def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None) -> RigidModel:
+def load(
+    source: Any, *, dt: float | None = None, penalty: Penalty | None = None, **overrides: Unpack[Overrides]
+) -> RigidModel:
     """A model from MJCF.
+
+    What has no effect on the motion is left out: energy, sensors, geoms that cannot touch.
 
     Args:
       source: path of an MJCF file, its text, a ``mujoco.MjSpec`` or a ``mujoco.MjModel``.
@@ -194,16 +234,26 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
       penalty: contact by springs and dampers with these numbers; None: MuJoCo's soft constraints. For gradients of use
         give these an impedance that begins at zero (``solimp="0.0001 0.95 0.02"``, and dt of at most 1/240 s): by
         default it jumps to 0.9 on contact, and the derivative of that jump's time is missing from every gradient.
+      **overrides: options in place of the model's own, such as ``integrator="Euler"`` and ``cone="pyramidal"`` for
+        models whose own are not supported; ``overrides.Overrides`` lists them.
 
     Raises:
-      ValueError: it cannot be read, or uses something that is not supported; the message says what and where.
+      ValueError: it cannot be read, or uses something that is not supported; the message says what and where, and which
+        override helps. An override is unknown or has a value that cannot be.
+
+    Example:
+      >>> model = rigid.load("humanoid.xml", integrator="implicitfast", cone="pyramidal")  # doctest: +SKIP
     """
-    compiled = mjcf.compile_model(source)
+    compiled = with_overrides(mjcf.compile_model(source), overrides)
     if dt is not None:
         compiled = copy.copy(compiled)
         compiled.opt.timestep = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
     mjcf.check_model(compiled, penalty=penalty is not None)
-    parameters = {name: getattr(compiled, name) for name in PARAMETERS}
+    parameters = {name: np.array(getattr(compiled, name)) for name in PARAMETERS}
+    if compiled.nkey and compiled.nmocap:
+        mocap = compiled.body_mocapid >= 0
+        for name, keyed in (("body_pos", compiled.key_mpos[0]), ("body_quat", compiled.key_mquat[0])):
+            parameters[name][mocap] = keyed.reshape(compiled.nmocap, -1)[compiled.body_mocapid[mocap]]
     check_numbers(parameter_numbers(parameters))
     if penalty is not None:
         check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
@@ -221,21 +271,6 @@ def load(source: Any, *, dt: float | None = None, penalty: Penalty | None = None
         penalty=jax.tree.map(real, penalty),
         static=static,
     )
-
-
-def _plane_boxes(compiled: mujoco.MjModel, m: mjx.Model, d: mjx.Data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Slots of the contacts of boxes with planes, four for each, and planes and boxes of these."""
-    limited = any(
-        compiled.numeric(i).name in ("max_contact_points", "max_geom_pairs") for i in range(compiled.nnumeric)
-    )
-    both = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX)
-    if d._impl.ncon == 0 or limited or not np.isin(both, compiled.geom_type).all():
-        none = np.zeros(0, int)
-        return none, none, none
-    # Constants of the program: of the collisions nothing is left to compile.
-    geoms = np.asarray(jax.jit(lambda: mjx.collision(m, d)._impl.contact.geom).lower().compile()())
-    slots = np.flatnonzero((compiled.geom_type[geoms] == both).all(axis=1))
-    return slots, geoms[slots[::4], 0], geoms[slots[::4], 1]
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:

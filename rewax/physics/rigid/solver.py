@@ -14,6 +14,7 @@ Source: Todorov 2014, Convex and analytically-invertible dynamics with contacts 
 form, pyramidal cones), as in MuJoCo's Newton solver; the line search over the kinks is our own.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -90,7 +91,7 @@ def solve_accelerations(
     return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
 
 
-def implicit_correction(matrix: Array, residual: Array) -> Array:
+def implicit_correction(matrix: Array, residual: Array, *, symmetric: bool = True) -> Array:
     """Returns zero. Its derivative is that of ``solve(matrix, residual)``.
 
     The residual has to be zero: that of a solver that has converged. ``a - implicit_correction(curvature, M a - force
@@ -98,32 +99,39 @@ def implicit_correction(matrix: Array, residual: Array) -> Array:
     implicit function theorem.
 
     Args:
-      matrix: symmetric, positive definite, shape (n, n); no derivative is taken of it.
+      matrix: positive definite, shape (n, n); no derivative is taken of it.
       residual: shape (n,).
+      symmetric: whether the matrix is.
 
     Gradient: forward and reverse, with respect to the residual.
     """
-    return _implicit_correction(jax.lax.stop_gradient(matrix), residual)
+    return _implicit_correction(symmetric, jax.lax.stop_gradient(matrix), residual)
 
 
-@jax.custom_jvp
-def _implicit_correction(matrix: Array, residual: Array) -> Array:
-    del matrix
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _implicit_correction(symmetric: bool, matrix: Array, residual: Array) -> Array:
+    del symmetric, matrix
     return jnp.zeros_like(residual)
 
 
 @_implicit_correction.defjvp
-def _implicit_correction_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+def _implicit_correction_jvp(
+    symmetric: bool, primals: tuple[Array, Array], tangents: tuple[Array, Array]
+) -> tuple[Array, Array]:
     matrix, residual = primals
     solution = jax.lax.custom_linear_solve(
-        lambda x: _dot(matrix, x), tangents[1], lambda _, b: solve_spd(matrix, b), symmetric=True
+        lambda x: _dot(matrix, x),
+        tangents[1],
+        lambda _, b: solve_spd(matrix, b),
+        None if symmetric else lambda _, b: solve_spd(matrix.T, b),
+        symmetric=symmetric,
     )
     return jnp.zeros_like(residual), solution
 
 
 @jax.custom_batching.custom_vmap
 def solve_spd(matrix: Array, vector: Array) -> Array:
-    """x with matrix x = vector, for a symmetric, positive definite matrix, shape (n,).
+    """x with matrix x = vector, for a positive definite matrix, shape (n,).
 
     Gauss-Jordan elimination, which needs no pivots here, in one small loop: batches of LAPACK's Cholesky can wait for
     each other for ever on a CPU (jaxlib 0.10). Gradient: none.

@@ -24,11 +24,13 @@ from rewax.physics.rigid.forces import (
     kinematics,
     mjx_data,
     tree_parameters,
+    velocity_damping,
 )
-from rewax.physics.rigid.kinematics import integrate
-from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, mujoco
+from rewax.physics.rigid.kinematics import Kinematics, integrate
+from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, mjx, mujoco
 from rewax.physics.rigid.numbers import has_invalid_parameters
-from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix
+from rewax.physics.rigid.small_products import dot
+from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spin_slopes
 from rewax.status import Status, flag
 from rewax.types import Array
 
@@ -164,7 +166,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
         rate = qacc
         if model.static.has_damping:
             total = force + rows.jacobian.T @ constraint_solver.row_forces(rows, qacc)
-            rate = constraint_solver.solve_spd(_damped(model, mass), total)
+            rate = constraint_solver.solve_spd(_damped(model, kin, m, d, mass, qacc)[0], total)
         return _advance(model, state, act_dot, qacc, rate), rate
 
 
@@ -186,24 +188,37 @@ def _acceleration_derivative(
             accelerations
         )
 
-        def correction(matrix: Array, needed: Array, forces: Array) -> Array:
-            return constraint_solver.implicit_correction(matrix, needed - applied - rows.jacobian.T @ forces)
+        def correction(matrix: Array, needed: Array, forces: Array, symmetric: bool = True) -> Array:
+            residual = needed - applied - rows.jacobian.T @ forces
+            return constraint_solver.implicit_correction(matrix, residual, symmetric=symmetric)
 
         matrix = constraint_solver.curvature(mass, jax.lax.stop_gradient(rows), qacc)
         solved = qacc - correction(matrix, needed[0], constraint_solver.row_forces(rows, qacc))
         if model.static.has_damping:
             held = constraint_solver.row_forces(rows, solved)
-            damping = model.dt * model.parameters["dof_damping"] * rate
-            solved = rate - correction(_damped(model, mass), needed[1] + damping, held)
+            damped, damping = _damped(model, kin, m, d, mass, rate)
+            solved = rate - correction(damped, needed[1] + damping, held, not len(model.static.lone_dofs))
         return _advance(model, state, act_dot, qacc, solved), solved
 
 
 _substep = recomputed(_accelerate, surrogate=_acceleration_derivative)
 
 
-def _damped(model: RigidModel, mass: Array) -> Array:
-    """The matrix of MuJoCo's Euler step, implicit in the joints' damping."""
-    return mass + jnp.diag(model.dt * model.parameters["dof_damping"])
+def _damped(
+    model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data, mass: Array, rate: Array
+) -> tuple[Array, Array]:
+    """The matrix of a step implicit in velocity, and what velocity takes from the forces at an acceleration.
+
+    In MuJoCo's Euler step by the damping of joints. In its implicitfast by all damping, and by inertia of bodies that
+    fly alone.
+    """
+    if not model.static.is_implicit:
+        damping = model.dt * model.parameters["dof_damping"]
+        return mass + jnp.diag(damping), damping * rate
+    damping, lone = velocity_damping(model, m, d), model.static.lone_dofs
+    if len(lone):
+        damping += spin_slopes(model.static.topology, tree_parameters(model), kin, d.qvel, lone)
+    return mass + model.dt * damping, model.dt * dot(damping, rate)
 
 
 def _advance(model: RigidModel, state: RigidState, act_dot: Array, qacc: Array, rate: Array) -> RigidState:

@@ -3,6 +3,7 @@
 Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5 and 6.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -62,6 +63,36 @@ def inverse_dynamics(
 
     wrenches = momentum(acceleration) + _force_cross(velocity, momentum(velocity))
     return generalized_forces(topology, kin, wrenches) + parameters.dof_armature * qacc
+
+
+def spin_slopes(
+    topology: TreeTopology, parameters: TreeParameters, kin: Kinematics, qvel: Array, free_dofs: np.ndarray
+) -> Array:
+    """Derivative by velocity of the forces that inertia takes, of free bodies alone, shape (num_dofs, num_dofs).
+
+    Not symmetric: gyroscopic torques turn.
+
+    Args:
+      topology, parameters, kin: the tree and where it is.
+      qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
+      free_dofs: degrees of freedom of free joints that share no tree with another joint, shape (n, 6).
+
+    Gradient: exact.
+    """
+    num_dofs = len(topology.dof_joint)
+    still, weightless = jnp.zeros(num_dofs, qvel.dtype), jnp.zeros(3, qvel.dtype)
+
+    def bias(velocity: Array) -> Array:
+        return inverse_dynamics(topology, parameters, kin, velocity, still, weightless)
+
+    # No force on one body depends on the velocity of another: six directions serve all bodies at once.
+    number, coordinate = np.full(num_dofs, -1), np.full(num_dofs, -1)
+    number[free_dofs] = np.arange(len(free_dofs))[:, None]
+    coordinate[free_dofs] = np.arange(6)
+    moves = jnp.asarray(coordinate == np.arange(6)[:, None], qvel.dtype)
+    slopes = jax.vmap(lambda move: jax.jvp(bias, (qvel,), (move,))[1])(moves)
+    same = (number[:, None] == number) & (number >= 0)
+    return jnp.where(same, slopes.T[:, coordinate], 0.0)
 
 
 def _rotational_inertia(parameters: TreeParameters, kin: Kinematics) -> Array:

@@ -1,0 +1,168 @@
+"""Contact of capsules with boxes as MuJoCo has it: at the nearest point, and at a second one where the capsule lies."""
+
+import itertools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.rigid.small_products import rotate
+from rewax.physics.rigid.sphere_box import sphere_box
+from rewax.types import Array
+
+_ALIGNED = 1e-4
+"""Square of the sine of the angle between capsule and edge below which the place where they are nearest is held."""
+_BEYOND = 4.0
+"""In half lengths of a capsule: further than anything on it."""
+_EDGES = np.repeat(np.eye(3), 4, axis=0)
+_CORNERS = np.array([np.insert(s, j, 0.0) for j in range(3) for s in itertools.product((-1.0, 1.0), repeat=2)])
+"""Of each edge of a box the axis, one-hot, and where it lies, in half sizes."""
+_TINY = 1e-12
+
+
+class _Nearest(NamedTuple):
+    """Where the axis of a capsule is nearest to a box, in half lengths of the capsule; the box's feature there."""
+
+    place: Array
+    is_end: Array
+    """Whether it is an end of the capsule over a face or inside the box, shape ()."""
+    face: Array
+    """That face's axis, one-hot, zero inside, shape (3,)."""
+    edge: Array
+    """Axis of the edge otherwise, one-hot, shape (3,)."""
+    along: Array
+    """Place on that edge in half lengths, shape ()."""
+    corner: Array
+    """Signs of the corner at the near end of the edge, or at its lower one, shape (3,)."""
+    is_corner: Array
+
+
+def capsule_box(
+    center: Array, axis: Array, size: Array, box: Array, rotation: Array, half_size: Array
+) -> tuple[Array, Array, Array]:
+    """Distances, points and normals of the two contacts of a capsule with a box.
+
+    Args:
+      center: of the capsule [m], shape (3,).
+      axis: unit vector along it, shape (3,).
+      size: radius and half the length of the axis [m], shape (2,).
+      box: centre of the box [m], shape (3,).
+      rotation: from the box's frame to the world's, shape (3, 3).
+      half_size: of the box [m], shape (3,).
+
+    Returns:
+      Signed distances [m], 1 for a second contact that there is not, shape (2,); points halfway between the surfaces
+      [m], shape (2, 3); unit normals from capsule to box, shape (2, 3).
+
+    Gradient: exact while the same features are nearest. The place where capsule and edge are nearest is held while they
+      are within 0.6 degrees of each other: it runs along them as they turn.
+    Source: MuJoCo's engine_collision_box.c, capsule with box.
+    """
+    middle, half = rotate(rotation.T, center - box), rotate(rotation.T, axis) * size[1]
+    nearest = _nearest(middle, half, half_size)
+    second, exists = _second(nearest, middle, half, half_size)
+    places = jnp.stack([nearest.place, nearest.place + second])
+    spheres = center + places[:, None] * axis * size[1]
+
+    def twice(a: Array) -> Array:
+        return jnp.stack([a, a])
+
+    distance, point, normal = sphere_box(spheres, twice(size[0]), twice(box), twice(rotation), twice(half_size))
+    return jnp.where(jnp.stack([jnp.array(True), exists]), distance, 1.0), point, normal
+
+
+def _nearest(middle: Array, half: Array, size: Array) -> _Nearest:
+    """All in the box's frame, for a capsule from middle - half to middle + half."""
+    ends = middle + np.array([[-1.0], [1.0]]) * half
+    beyond = ends - jnp.clip(ends, -size, size)
+    outside = beyond != 0.0
+    end_distance = jnp.where(jnp.sum(outside, axis=1) > 1, jnp.inf, jnp.sum(beyond * beyond, axis=1))
+
+    # Nearest points of the capsule's axis and of all edges, each in half lengths.
+    reach, gap = jnp.sum(_EDGES * size, axis=1), _CORNERS * size - middle
+    a, b, c = reach * reach, -reach * jnp.sum(_EDGES * half, axis=1), jnp.sum(half * half)
+    u, v = -reach * jnp.sum(_EDGES * gap, axis=1), jnp.sum(half * gap, axis=1)
+    area = a * c - b * b
+    crosses = area > _TINY * a * c
+    area = jnp.where(crosses, area, 1.0)
+    edge_place, place = (c * u - b * v) / area, (a * v - b * u) / area
+    tip = jnp.where(jnp.abs(edge_place) > 1.0, jnp.sign(edge_place), 0.0)
+    past = tip != 0.0
+    edge_place = jnp.clip(edge_place, -1.0, 1.0)
+    length = jnp.maximum(c, _TINY)
+    place = jnp.where(past, (v - b * edge_place) / length, place)
+    over = jnp.abs(place) > 1.0
+    place = jnp.clip(place, -1.0, 1.0)
+    again = (u - b * place) / a
+    tip = jnp.where(over & (jnp.abs(again) > 1.0), jnp.sign(again), tip)  # MuJoCo keeps a tip that is one no longer
+    edge_place = jnp.where(over, jnp.clip(again, -1.0, 1.0), edge_place)
+    held = area < _ALIGNED * a * c
+    place, edge_place = (jnp.where(held, jax.lax.stop_gradient(x), x) for x in (place, edge_place))
+    apart = gap - place[:, None] * half + (edge_place * reach)[:, None] * _EDGES
+    edge_distance = jnp.where(crosses, jnp.sum(apart * apart, axis=1), jnp.inf)
+
+    end, edge = jnp.argmin(end_distance), jnp.argmin(edge_distance)
+    is_end = ~(edge_distance[edge] < end_distance[end])
+    chosen = jax.nn.one_hot(edge, 12, dtype=middle.dtype)
+    near_tip = jnp.sum(chosen * tip)
+    edge_axis = jnp.sum(chosen[:, None] * _EDGES, axis=0)
+    upper = jnp.where(near_tip > 0.0, 1.0, -1.0)
+    return _Nearest(
+        place=jnp.where(is_end, jnp.where(end == 0, -1.0, 1.0), jnp.sum(chosen * place)),
+        is_end=is_end,
+        face=jnp.where(end == 0, outside[0], outside[1]).astype(middle.dtype),
+        edge=edge_axis,
+        along=jnp.sum(chosen * edge_place),
+        corner=jnp.sum(chosen[:, None] * _CORNERS, axis=0) + edge_axis * upper,
+        is_corner=near_tip != 0.0,
+    )
+
+
+def _second(nearest: _Nearest, middle: Array, half: Array, size: Array) -> tuple[Array, Array]:
+    """Way along the capsule from the first contact to the second; whether there is one, shape () each.
+
+    From an end over a face until the other end or the face's rim; from a corner along the edge or the face that the
+    capsule goes along more; from an edge across that face of the two.
+    """
+    place, reach = nearest.place, jnp.abs(half)
+    has_reach = reach > _TINY
+    reach = jnp.where(has_reach, reach, 1.0)
+    wide = jnp.where(has_reach, 2.0 * size / reach, _BEYOND)
+    inward = -jnp.sign(place)
+
+    # From an end over a face.
+    end = middle + place * half
+    way = jnp.where(has_reach, (jnp.where(half * inward > 0, size, -size) - end) / jnp.where(has_reach, half, 1.0), 9.0)
+    way = jnp.where(nearest.face > 0, _BEYOND, way * inward)
+    from_end = jnp.minimum(2.0, jnp.min(jnp.where(way > 0, way, _BEYOND))) * inward
+    over_face = jnp.any(nearest.face > 0)
+
+    # From a corner: axes along which the capsule points away from it or towards it, as seen from its own direction.
+    differs = (half > 0) != (nearest.corner > 0)
+    count = jnp.sum(differs)
+    forward = jnp.where(count == 1, 1.0, -1.0)
+    single = jnp.where(count == 1, differs, ~differs)
+    along_edge = jnp.sum(single * half * half) > 0.5 * jnp.sum(half * half)
+    edge_way = jnp.minimum(1.0 - forward * place, jnp.min(jnp.where(single, wide, _BEYOND))) * forward
+    face_way = -jnp.minimum(1.0 + forward * place, jnp.min(jnp.where(single, _BEYOND, wide))) * forward
+    from_corner = jnp.where(along_edge, edge_way, face_way)
+    at_corner = (count == 1) | (count == 2)
+
+    # From an edge, across the face along which the capsule goes more.
+    across = jnp.where(nearest.edge > 0, -1.0, reach)
+    main = jax.nn.one_hot(jnp.argmax(across), 3, dtype=half.dtype)
+    sides = differs & (nearest.edge == 0)
+    ahead = jnp.any(sides & (main > 0))
+    forward = jnp.where(ahead, 1.0, -1.0)
+    same = jnp.any((half > 0) & (nearest.edge > 0)) == ahead
+    rest = 1.0 - jnp.where(same, 1.0, -1.0) * nearest.along
+    limits = jnp.where(main > 0, wide, jnp.where(nearest.edge > 0, 0.5 * wide * rest, _BEYOND))
+    from_edge = jnp.minimum(1.0 - forward * place, jnp.min(limits)) * forward
+
+    way = jnp.where(nearest.is_corner, from_corner, from_edge)
+    exists = jnp.where(nearest.is_corner, at_corner, jnp.sum(sides) == 1)
+    return jnp.where(nearest.is_end, from_end, way), jnp.where(nearest.is_end, over_face, exists)
+
+
+__all__ = ["capsule_box"]
