@@ -84,13 +84,14 @@ def box_faces(
     reach, height = rotate(along, size), jnp.sum(jnp.abs(meeting.face) * size)
     side = jnp.roll(jnp.abs(meeting.other_face), 1)
     sides = rotate(frame, rotate(guest_axes, jnp.stack([side, jnp.roll(side, 1)]) * guest_size))
-    middle = rotate(frame, guest - base + rotate(guest_axes, meeting.other_face * guest_size)) - _UP * height
+    lift = jnp.asarray(_UP, height.dtype)
+    middle = rotate(frame, guest - base + rotate(guest_axes, meeting.other_face * guest_size)) - lift * height
     point, exists = _common_corners(middle, sides, reach)
     distance = jnp.where(exists, point[:, 2], 1.0)
     nearest = jax.lax.top_k(-distance, MOST)[1]
     chosen = jax.nn.one_hot(nearest, len(distance), dtype=distance.dtype)
     distance, point = jnp.sum(chosen * distance, axis=1), jnp.sum(chosen[:, :, None] * point, axis=1)
-    point = base + rotate(frame.T, point + _UP * (height - 0.5 * distance[:, None]))
+    point = base + rotate(frame.T, point + lift * (height - 0.5 * distance[:, None]))
 
     # Edges instead: the points of their lines that are nearest to each other.
     edge, other_edge = rotate(rotation, meeting.edge), rotate(other_rotation, meeting.other_edge)
@@ -117,8 +118,9 @@ def _common_corners(middle: Array, sides: Array, reach: Array) -> tuple[Array, A
       middle, sides: of the second rectangle, and half its sides, shapes (3,) and (2, 3); z is the height.
       reach: half the sides of the first, which lies around the origin, shape (2,).
     """
+    signs, two = (jnp.asarray(a, reach.dtype) for a in (_SIGNS, [-1.0, 1.0]))
     # Corners of the second inside the first.
-    corner = middle + jnp.sum(_SIGNS[:, :, None] * sides, axis=1)
+    corner = middle + jnp.sum(signs[:, :, None] * sides, axis=1)
     inside = jnp.all(jnp.abs(corner[:, :2]) <= reach, axis=-1)
 
     # Where the sides of the second cross the lines of the first's: [side, x or y, which of the two lines].
@@ -126,7 +128,7 @@ def _common_corners(middle: Array, sides: Array, reach: Array) -> tuple[Array, A
     way = jnp.concatenate([sides[::-1], sides[::-1]])
     line, run = start[:, :2, None], way[:, :2, None]
     crosses = jnp.abs(run) > _TINY * jnp.max(reach)
-    share = (np.array([-1.0, 1.0]) * reach[:, None] - line) / jnp.where(crosses, run, 1.0)
+    share = (two * reach[:, None] - line) / jnp.where(crosses, run, 1.0)
     aligned = jnp.abs(run) < _ALIGNED * jnp.sqrt(jnp.sum(run * run, axis=1, keepdims=True))
     share = jnp.where(aligned, jax.lax.stop_gradient(share), share)
     across = line[:, ::-1] + run[:, ::-1] * share
@@ -138,7 +140,7 @@ def _common_corners(middle: Array, sides: Array, reach: Array) -> tuple[Array, A
     area = a * d - b * c
     lies = jnp.abs(area) > _TINY * jnp.max(reach) ** 2
     area = jnp.where(lies, area, 1.0)
-    x, y = (_SIGNS * reach - middle[:2]).T
+    x, y = (signs * reach - middle[:2]).T
     u, v = (x * d - y * b) / area, (y * a - x * c) / area
     under = middle + u[:, None] * sides[0] + v[:, None] * sides[1]
     lies &= (jnp.abs(u) < 1.0) & (jnp.abs(v) < 1.0)

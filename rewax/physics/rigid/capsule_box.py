@@ -74,15 +74,16 @@ def capsule_box(
 
 def _nearest(middle: Array, half: Array, size: Array) -> _Nearest:
     """All in the box's frame, for a capsule from middle - half to middle + half."""
-    ends = middle + np.array([[-1.0], [1.0]]) * half
+    edges, corners, two = (jnp.asarray(a, half.dtype) for a in (_EDGES, _CORNERS, [[-1.0], [1.0]]))
+    ends = middle + two * half
     beyond = ends - jnp.clip(ends, -size, size)
     outside = beyond != 0.0
     end_distance = jnp.where(jnp.sum(outside, axis=1) > 1, jnp.inf, jnp.sum(beyond * beyond, axis=1))
 
     # Nearest points of the capsule's axis and of all edges, each in half lengths.
-    reach, gap = jnp.sum(_EDGES * size, axis=1), _CORNERS * size - middle
-    a, b, c = reach * reach, -reach * jnp.sum(_EDGES * half, axis=1), jnp.sum(half * half)
-    u, v = -reach * jnp.sum(_EDGES * gap, axis=1), jnp.sum(half * gap, axis=1)
+    reach, gap = jnp.sum(edges * size, axis=1), corners * size - middle
+    a, b, c = reach * reach, -reach * jnp.sum(edges * half, axis=1), jnp.sum(half * half)
+    u, v = -reach * jnp.sum(edges * gap, axis=1), jnp.sum(half * gap, axis=1)
     area = a * c - b * b
     crosses = area > _TINY * a * c
     area = jnp.where(crosses, area, 1.0)
@@ -99,14 +100,14 @@ def _nearest(middle: Array, half: Array, size: Array) -> _Nearest:
     edge_place = jnp.where(over, jnp.clip(again, -1.0, 1.0), edge_place)
     held = area < _ALIGNED * a * c
     place, edge_place = (jnp.where(held, jax.lax.stop_gradient(x), x) for x in (place, edge_place))
-    apart = gap - place[:, None] * half + (edge_place * reach)[:, None] * _EDGES
+    apart = gap - place[:, None] * half + (edge_place * reach)[:, None] * edges
     edge_distance = jnp.where(crosses, jnp.sum(apart * apart, axis=1), jnp.inf)
 
     end, edge = jnp.argmin(end_distance), jnp.argmin(edge_distance)
     is_end = ~(edge_distance[edge] < end_distance[end])
     chosen = jax.nn.one_hot(edge, 12, dtype=middle.dtype)
     near_tip = jnp.sum(chosen * tip)
-    edge_axis = jnp.sum(chosen[:, None] * _EDGES, axis=0)
+    edge_axis = jnp.sum(chosen[:, None] * edges, axis=0)
     upper = jnp.where(near_tip > 0.0, 1.0, -1.0)
     return _Nearest(
         place=jnp.where(is_end, jnp.where(end == 0, -1.0, 1.0), jnp.sum(chosen * place)),
@@ -114,7 +115,7 @@ def _nearest(middle: Array, half: Array, size: Array) -> _Nearest:
         face=jnp.where(end == 0, outside[0], outside[1]).astype(middle.dtype),
         edge=edge_axis,
         along=jnp.sum(chosen * edge_place),
-        corner=jnp.sum(chosen[:, None] * _CORNERS, axis=0) + edge_axis * upper,
+        corner=jnp.sum(chosen[:, None] * corners, axis=0) + edge_axis * upper,
         is_corner=near_tip != 0.0,
     )
 

@@ -34,18 +34,27 @@ def tiny(
 
 
 REFUSED = {
+    "rk4": (
+        tiny(option='integrator="RK4"'),
+        "the model's integrator is RK4, which is not supported: load(..., integrator=\"Euler\"), or \"implicitfast\"",
+    ),
     "implicit": (
-        tiny(option='integrator="implicitfast"'),
-        "the model's integrator is IMPLICITFAST: write <option integrator='Euler'/>",
+        tiny(option='integrator="implicit"'),
+        "the model's integrator is IMPLICIT, which is not supported: load(..., integrator=\"Euler\"), or \"implicitfast\"",
+    ),
+    "fast_in_air": (
+        tiny(option='integrator="implicitfast" density="1.2"'),
+        "the model's integrator is IMPLICITFAST in a medium that drags, which is not supported: load(..., "
+        'integrator="Euler"), or density=0.0, viscosity=0.0',
     ),
     "elliptic": (
         tiny(option='cone="elliptic"'),
-        "the model's friction cone is elliptic, for which gradients are not finite: write <option cone='pyramidal'/>, "
-        "or load it with a Penalty",
+        'the model\'s friction cone is elliptic, for which gradients are not finite: load(..., cone="pyramidal"), or with '
+        "a Penalty",
     ),
     "noslip": (
         tiny(option='noslip_iterations="3"'),
-        "the model has noslip_iterations, which are not supported: remove them",
+        "the model has noslip_iterations, which are not supported: load(..., noslip_iterations=0)",
     ),
     "group": (
         tiny(option='actuatorgroupdisable="1"'),
@@ -53,7 +62,7 @@ REFUSED = {
     ),
     "sleeping": (
         tiny(flag='sleep="enable"'),
-        "the model lets bodies sleep, which is not supported: remove the sleep flag",
+        'the model lets bodies sleep, which is not supported: load(..., flags={"sleep": False})',
     ),
     "turned_site": (
         tiny(body='<site name="root"/>', actuator='<motor name="twist" site="tip" refsite="root" gear="0 0 0 1 0 0"/>'),
@@ -72,21 +81,9 @@ REFUSED = {
         "<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>",
         "no body of the model has a joint, so nothing can move: give one a joint",
     ),
-    "mocap": (
-        rigid_models.mjcf('<body name="puppet" mocap="true"><geom size=".1"/></body><body><joint/><geom size=".1"/></body>'),
-        "body 'puppet' is a mocap body, which is not supported: give it a joint and an actuator",
-    ),
     "flex": (
         rigid_models.mjcf('<flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" dim="2"/>'),
         "the model has flexes or plugins, which are not supported: remove them",
-    ),
-    "weld": (
-        tiny(extra='<equality><weld name="glue" body1="arm" body2="world"/></equality>'),
-        "equality 'glue' is of a kind that is not supported: use connect, joint or tendon constraints",
-    ),
-    "nameless": (
-        tiny(extra='<equality><joint joint1="swing"/><weld body1="arm" body2="world"/></equality>'),
-        "equality number 1 is of a kind that is not supported: use connect, joint or tendon constraints",
     ),
     "crank": (
         tiny(actuator='<motor name="crank" cranksite="tip" slidersite="tip" cranklength=".1"/>'),
