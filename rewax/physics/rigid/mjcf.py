@@ -191,11 +191,6 @@ def _check_fields(mj: mujoco.MjModel) -> None:
 
 
 def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
-    kinds = [getattr(mujoco.mjtEq, f"mjEQ_{kind}") for kind in ("CONNECT", "WELD", "JOINT", "TENDON")]
-    wrong = ~np.isin(mj.eq_type, [int(kind) for kind in kinds])
-    if np.any(wrong):
-        name = _named(mj, "equality", wrong)
-        raise ValueError(f"{name} is of a kind that is not supported: use connect, weld, joint or tendon constraints")
     if not penalty:
         return
     uneven = mj.pair_friction[:, 0] != mj.pair_friction[:, 1]

@@ -17,6 +17,7 @@ from rewax.physics.rigid.capsules import capsule_capsule, sphere_capsule
 from rewax.physics.rigid.plane_box import plane_box
 from rewax.physics.rigid.plane_capsule import plane_capsule
 from rewax.physics.rigid.small_products import cross
+from rewax.physics.rigid.sphere_box import sphere_box
 from rewax.types import Array
 
 Geoms = tuple[Array, Array, Array]
@@ -86,6 +87,11 @@ def _of_spheres_and_capsules(sphere: Geoms, capsule: Geoms) -> Geoms:
     return distance, point, contact_frame(normal)
 
 
+def _of_spheres_and_boxes(sphere: Geoms, box: Geoms) -> Geoms:
+    distance, point, normal = sphere_box(sphere[0], sphere[2][:, 0], *box)
+    return distance, point, contact_frame(normal)
+
+
 def _of_capsules(first: Geoms, second: Geoms) -> Geoms:
     lines = [(center, rotation[:, :, 2], size) for center, rotation, size in (first, second)]
     distance, point, normal = capsule_capsule(
@@ -109,6 +115,7 @@ _OWN = {
     _PLANE_BOX: _routine(4, _of_planes_and_boxes),
     (GeomType.PLANE, GeomType.CAPSULE): _routine(2, _of_planes_and_capsules),
     (GeomType.SPHERE, GeomType.CAPSULE): _routine(1, _of_spheres_and_capsules),
+    (GeomType.SPHERE, GeomType.BOX): _routine(1, _of_spheres_and_boxes),
     (GeomType.CAPSULE, GeomType.CAPSULE): _routine(1, _of_capsules),
     (GeomType.CAPSULE, GeomType.BOX): _routine(2, _of_capsules_and_boxes),
     (GeomType.BOX, GeomType.BOX): _routine(MOST, _of_boxes),

@@ -87,9 +87,8 @@ def test_derivatives_are_those_of_finite_differences(
     assert inner(weights, forward) == pytest.approx(inner(reverse, dx), rel=1e-9)
 
 
-@pytest.mark.parametrize("precision", [False, True])
-def test_derivatives_are_finite_where_capsules_are_aligned_with_edges(precision):
-    with jax.enable_x64(precision):
+def test_derivatives_are_finite_where_capsules_are_aligned_with_edges():
+    with jax.enable_x64(False):
         slopes_at = jax.jit(jax.jacrev(capsule_box, argnums=range(6)), compiler_options=QUICK)
         for center, axis in (((0, 0.03, 0.06), (1, 0, 0)), ((0, 0, 0.06), (1, 0, 0)), ((0, 0, 0.1), (0, 0, 1))):
             inputs = [jnp.asarray(a, float) for a in (center, axis, SIZE, *BOX)]

@@ -1,4 +1,4 @@
-"""Capsules against capsules: MuJoCo's contacts, derivatives, finite where capsules are parallel or cross."""
+"""Capsules against capsules and spheres: MuJoCo's contacts, derivatives, finite where capsules are parallel or cross."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rewax.physics.rigid.capsules import capsule_capsule
+from rewax.physics.rigid.capsules import capsule_capsule, sphere_capsule
 
 SIZES = np.array([[0.05, 0.2], [0.08, 0.12]])
 NUM = 300
@@ -43,6 +43,40 @@ def test_contacts_are_mujocos(x64, capsules):
         np.testing.assert_allclose(normal[i], theirs.frame[:3], atol=1e-4)
         np.testing.assert_allclose(point[i], theirs.pos, atol=1e-4)
     assert compared > 250 and np.mean(distance < 0) > 0.2
+
+
+def test_contacts_of_spheres_are_mujocos(x64, capsules):
+    """Beside the axis and beyond its ends."""
+    (place, _, _), (center, axis, size) = capsules
+    found = [np.asarray(a) for a in jax.jit(sphere_capsule)(place, np.full(NUM, 0.07), center, axis, size)]
+    mj = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody><body><freejoint/><geom name="a" size=".07"/></body>
+      <body><freejoint/><geom name="b" type="capsule" size="{size[0][0]} {size[0][1]}"/></body></worldbody>
+      <contact><pair geom1="a" geom2="b" margin="9"/></contact></mujoco>""")
+    data = mujoco.MjData(mj)
+    for i, (distance, point, normal) in enumerate(zip(*found, strict=True)):
+        data.qpos[:3], data.qpos[7:10] = place[i], center[i]
+        mujoco.mju_quatZ2Vec(data.qpos[10:], axis[i])
+        mujoco.mj_kinematics(mj, data)
+        mujoco.mj_collision(mj, data)
+        (theirs,) = data.contact
+        np.testing.assert_allclose(
+            [distance, *point, *normal], [theirs.dist, *theirs.pos, *theirs.frame[:3]], atol=1e-9
+        )
+
+
+def test_capsules_that_are_almost_parallel_touch_where_they_are_nearest(x64):
+    """At angles of a hundredth, without the margin for derivatives: against all pairs of places on their axes."""
+    axis = np.array([[0.01, 0.0, 1.0], [0.0, -0.02, 1.0], [-0.01, 0.01, 1.0]])
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    up, size = np.tile([0.0, 0.0, 1.0], (3, 1)), np.tile(SIZES[0], (3, 1))
+    center = np.array([[0.02, 0.08, 0.05], [0.09, 0.01, -0.03], [-0.001, 0.09, 0.02]])
+    program = jax.jit(capsule_capsule, static_argnames="parallel")
+    distance, _, _ = program(np.zeros((3, 3)), up, size, center, axis, size, parallel=1e-15)
+    place = np.linspace(-0.2, 0.2, 1001)
+    for pair in range(3):
+        first, second = place[:, None] * up[pair], center[pair] + place[:, None] * axis[pair]
+        gaps = np.linalg.norm(first[:, None] - second, axis=-1)
+        np.testing.assert_allclose(distance[pair], gaps.min() - 0.1, atol=1e-8)
 
 
 def test_derivatives_are_those_of_finite_differences(
