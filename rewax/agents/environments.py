@@ -11,7 +11,7 @@ from rewax.agents.normalization import RunningStatistics, init_statistics, updat
 from rewax.agents.rollout import Transition
 from rewax.envs.base import State
 from rewax.envs.leaves import EnvLeaves
-from rewax.envs.randomized import Randomize, Randomized
+from rewax.envs.randomized import Randomize, Randomized, check_hook
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key
 
@@ -73,10 +73,11 @@ def taken_apart(env: Any, num_envs: int, randomize: Randomize | None = None) -> 
     """An environment, or a batch (``Vmap(env=..., env_axis=0)``), as data of a training state.
 
     Raises:
-      ValueError: a batch of another size than ``num_envs``.
+      ValueError: a batch of another size than ``num_envs``, or a hook that this environment refuses.
     """
     if randomize is not None:
         batch = getattr(env, "env_axis", None) is not None
+        check_hook(EnvLeaves.of(env).first(), randomize)
         wrapped = Randomized(env=env.env if batch else env, randomize=randomize)
         env = env.replace(env=wrapped) if batch else wrapped
     leaves = EnvLeaves.of(env)

@@ -12,7 +12,8 @@ from rewax.envs.wrappers import _Wrapper, is_number
 from rewax.types import Array, Key
 
 Randomize = Callable[[Key, Any], Any]
-"""``(key, env) -> env`` with some leaves drawn anew; shapes and static fields stay."""
+"""``(key, env) -> env`` with some leaves drawn anew; shapes and static fields stay. ``rewax.envs.randomize`` makes
+them from names and distributions."""
 
 
 @struct.dataclass
@@ -38,6 +39,11 @@ class Randomized(_Wrapper):
 
     def step(self, state: State, action: Array) -> State:
         return _with_leaves(self.env, state.drawn or {}).step(state, action)
+
+
+def check_hook(env: Any, randomize: Randomize) -> None:
+    """Raises ValueError, without computing anything, for a hook that cannot draw leaves of this environment."""
+    jax.eval_shape(lambda key: _changed(env, randomize(key, env)), jax.random.key(0))
 
 
 def _changed(old: Any, new: Any) -> dict[str, Array]:

@@ -13,6 +13,7 @@ from rewax.agents.gradients import per_env_gradients
 from rewax.agents.rollout import rollout
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs.leaves import EnvLeaves, stack
+from rewax.envs.randomize import Scale, Uniform, hook
 
 NUM, LENGTH = 3, 5
 CONFIG = SAPOConfig(
@@ -33,8 +34,8 @@ def start(env, randomize=None, **kwargs):
     return start_environments(taken_apart(env, NUM, randomize), a, b, num_envs=NUM, **kwargs)
 
 
-def double(key, env):
-    return env.replace(gain=env.gain * jax.random.uniform(key, minval=0.5, maxval=2.0))
+def double():
+    return hook({"gain": Scale(Uniform(0.5, 2.0))})
 
 
 def test_a_batch_is_each_environment_alone():
@@ -55,7 +56,7 @@ def test_a_batch_is_each_environment_alone():
 @pytest.mark.parametrize("kind", ["one", "batch", "randomized", "randomized batch"])
 def test_the_second_step_with_other_leaves_compiles_nothing(kind):
     env = stack(ENVS) if "batch" in kind else ENVS[1]
-    agent = make_sapo(env, CONFIG, randomize=double if "randomized" in kind else None)
+    agent = make_sapo(env, CONFIG, randomize=double() if "randomized" in kind else None)
     state = agent.init(jax.random.key(0))
     before = agent.train_step._cache_size()
     first, _ = agent.train_step(state)
@@ -88,19 +89,28 @@ def test_leaves_are_arguments_of_the_program_not_constants():
 
 
 def test_each_episode_draws_leaves_of_its_own():
-    agent = make_sapo(ENVS[1], CONFIG, randomize=double)
+    agent = make_sapo(ENVS[1], CONFIG, randomize=double())
+    assert agent.train_step is make_sapo(ENVS[1], CONFIG, randomize=double()).train_step
     state = agent.init(jax.random.key(0))
     drawn = [np.asarray(state.environments.state.drawn[".gain"])]
     for _ in range(3):  # twelve steps, episodes of five
         state, _ = agent.train_step(state)
         drawn.append(np.asarray(state.environments.state.drawn[".gain"]))
     assert len({*np.concatenate(drawn)}) == 3 * 3
+    assert np.min(drawn) >= 0.25 and np.max(drawn) <= 1.0
     assert state.environments.env.arrays[".env.gain"] == 0.5
 
 
 def test_a_batch_of_another_size_is_refused_before_anything_compiles():
     with pytest.raises(ValueError, match=r"^num_envs is 3, but the batch's leaf .gain has shape \(2,\): give every"):
         make_sapo(stack(ENVS[:2]), CONFIG)
+
+
+def test_a_hook_that_the_environment_refuses_is_refused_before_anything_compiles():
+    sentence = r"^PointMass has no leaf 'gian': near are gain; rewax.envs.randomize.leaves\(env\) has all 1 by name"
+    for env in (ENVS[0], stack(ENVS)):
+        with pytest.raises(ValueError, match=sentence):
+            make_sapo(env, CONFIG, randomize=hook({"gian": Uniform(0.5, 2.0)}))
 
 
 def test_environments_start_apart_if_asked_to():
