@@ -17,6 +17,7 @@ from rewax.agents.registry import Algorithm
 from rewax.cli.main import main as command
 from rewax.envs import registry
 from rewax.training.metrics import read_csv
+from rewax.training.saved import load_run
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -131,6 +132,20 @@ def test_an_unreadable_checkpoint_is_exit_code_2(main, tmp_path):
         (folder / step / "leaves.json").write_text("{")
     code, text = main("--run-dir=a", "--resume")
     assert code == 2 and "is damaged and cannot be read" in text and "Traceback" not in text
+
+
+def test_an_imported_module_registers_a_randomised_environment(main, tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_FACTORIES", dict(registry._FACTORIES))
+    (tmp_path / "varied.py").write_text(
+        "import rewax\nfrom rewax.envs import Randomized\nfrom rewax.envs.randomize import Uniform, hook\n"
+        "def make(scale):\n    env = rewax.make('PointMass', scale=scale)\n"
+        "    return Randomized(env=env, randomize=hook({'gain': Uniform(0.2, 0.4)}))\n"
+        "rewax.register('Varied', make)\n"
+    )
+    code, text = main("--env=Varied", "--import=varied.py", "--run-dir=a")
+    assert code == 0 and "toy on Varied" in text
+    gains = load_run(tmp_path / "a").train_state.envs.drawn[".gain"]
+    assert len(set(gains.tolist())) == 4 and gains.min() >= 0.2 and gains.max() < 0.4
 
 
 def test_a_run_that_fails_is_exit_code_1(main, monkeypatch):
