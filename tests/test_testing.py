@@ -1,13 +1,17 @@
 """check_env passes a sound environment and names what is wrong with a broken one."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 import toys
 
 from rewax import struct
 from rewax.envs.base import ArraySpec
 from rewax.envs.wrappers import AutoReset
+from rewax.status import Status
 from rewax.testing import check_env
 
 
@@ -45,6 +49,49 @@ def eager_only(new, old, action):
     return new.replace(reward=new.reward + bonus)
 
 
+def counting(self, state, action):
+    """A step that depends on how often it was traced."""
+    return self.after(state, state.physics + self.gain * jnp.clip(action, -1.0, 1.0) + 0.1 * next(COUNTER))
+
+
+def calling_back(new, old, action):
+    """A step that depends on how often it ran."""
+    count = jax.pure_callback(
+        lambda: np.float32(next(COUNTER)), jax.ShapeDtypeStruct((), jnp.float32), vmap_method="sequential"
+    )
+    return new.replace(reward=new.reward + count)
+
+
+@jax.custom_batching.custom_vmap
+def less_the_mean(x):
+    return x
+
+
+@less_the_mean.def_vmap
+def _(axis_size, batched, x):
+    return x - jnp.mean(x), True
+
+
+def deciding(self, state, action):
+    """A step that asks for the value of a leaf."""
+    return toys.PointMass.step(self, state, action if self.gain > 0 else -action)
+
+
+def rounded(self, state, action):
+    return toys.PointMass.step(self, state, jnp.round(action))
+
+
+def failing_at_4(new, old, action):
+    failed = new.step_count == 4
+    return new.replace(status=jnp.where(failed, int(Status.NAN), 0), terminated=failed)
+
+
+def late_reward(new, old, action):
+    """As that of a tool that reaches the material with the fourth step."""
+    return new.replace(reward=jnp.where(new.step_count >= 4, new.reward, 0.0))
+
+
+COUNTER = itertools.count()
 BALL = {"kind": "sphere", "center": (0.0, 0.0, 0.0), "radius": 0.1}
 
 
@@ -96,7 +143,32 @@ BROKEN = {
     r"jit\(step\) and step differ in \.reward": {"step": step_with(eager_only)},
     "clip the action in step": {"step": unclipped},
     "not finite": {"step": infinite_slope},
-    "zero gradient": {"step": step_with(lambda new, *_: jax.lax.stop_gradient(new))},
+    "zero gradient with respect to their actions, and so has the whole state: a stop_gradient, a rounding, .* cuts it; let": {
+        "step": step_with(lambda new, *_: jax.lax.stop_gradient(new))
+    },
+    "a rounding, a comparison or an integer cuts it; let the action enter": {"step": rounded},
+    r"of 3 steps has a zero gradient .*, though obs\['x'\], physics of the state follow them: .* Where a tool begins away from the material, begin within reach of it, or reward the tool for coming nearer, or check with more gradient_steps": {
+        "step": step_with(late_reward)
+    },
+    r"reward of reset has shape \(1,\): it must be a scalar": {
+        "reset": reset_with(lambda s: s.replace(reward=jnp.zeros(1)))
+    },
+    "reward of reset has dtype int32: use a float": {"reset": reset_with(lambda s: s.replace(reward=jnp.int32(0)))},
+    r"is float32\(1,\) after reset, float16\(1,\) after step: a scan needs them the same": {
+        "step": step_with(lambda new, *_: new.replace(physics=new.physics.astype(jnp.float16)))
+    },
+    r"jit\(step\) and step differ in \.physics of the state: let step depend on state and action alone": {
+        "step": counting
+    },
+    r"two steps from one state differ in \.reward of the state: let step depend on": {"step": step_with(calling_back)},
+    r"a loop over them, differ in \.reward of the state: let an environment depend on itself only": {
+        "step": step_with(lambda new, *_: new.replace(reward=less_the_mean(new.reward)))
+    },
+    "step cannot be compiled with traced leaves .*: use jnp.where or lax.cond instead of if": {"step": deciding},
+    "the first step sets the status OUT_OF_DOMAIN: begin where the physics is sound": {
+        "step": step_with(lambda new, *_: new.replace(status=jnp.int32(Status.OUT_OF_DOMAIN)))
+    },
+    r"step 4 of random actions fails numerically \(NAN\): shorter substeps": {"step": step_with(failing_at_4)},
     "both terminated and truncated": {"step": step_with(lambda new, *_: new.replace(terminated=new.truncated))},
     "not truncated at episode_length": {"step": late},
     "before episode_length": {"step": step_with(lambda new, *_: new.replace(truncated=new.step_count >= 3))},
@@ -104,8 +176,18 @@ BROKEN = {
 
 
 def test_a_sound_environment_passes():
-    check_env(toys.point_mass())
-    check_env(broken(**drawn(BALL)))
+    lines = []
+    check_env(toys.point_mass(), notify=lines.append)
+    assert lines[0] == "check_env PointMass, 0 s: specs and leaves" and lines[-1].endswith(" s: passed")
+    assert any(line.endswith("gradient through 3 steps") for line in lines)
+    check_env(broken(**drawn(BALL)), notify=None)
+
+
+def test_a_reward_that_comes_late_passes_with_more_steps(capsys):
+    check_env(broken(step=step_with(late_reward)), gradient_steps=4)
+    assert "gradient through 4 steps" in capsys.readouterr().out
+    with pytest.raises(ValueError, match=r"^gradient_steps is 0: use 1 or more$"):
+        check_env(toys.point_mass(), gradient_steps=0)
 
 
 @pytest.mark.parametrize("sentence", BROKEN, ids=range(len(BROKEN)))
@@ -113,6 +195,22 @@ def test_a_broken_environment_is_named(sentence):
     with pytest.raises(AssertionError, match=sentence) as caught:
         check_env(broken(**BROKEN[sentence]))
     assert "\n" not in str(caught.value)
+
+
+def test_an_environment_that_agents_cannot_take_apart_is_named():
+    class Plain(toys.PointMass):
+        def __init__(self):
+            pass
+
+        length = 5
+
+    with pytest.raises(AssertionError, match=r"^Plain is no pytree: .*; decorate Plain with rewax.struct.dataclass$"):
+        check_env(Plain(), notify=None)
+    named = toys.point_mass().replace(gain="half")
+    with pytest.raises(
+        AssertionError, match=r"^the leaf .gain of PointMass is a str: .* make its field a static_field"
+    ):
+        check_env(named, notify=None)
 
 
 def test_an_automatic_reset_is_found():

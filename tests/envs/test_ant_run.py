@@ -6,8 +6,6 @@ import pytest
 import rigid_tasks as tasks
 from scipy.spatial.transform import Rotation
 
-from rewax.testing import check_env
-
 ANTS = ["AntRun", pytest.param("Ant", marks=pytest.mark.slow)]
 
 
@@ -131,9 +129,3 @@ def test_gradients_of_a_few_steps_are_finite_from_any_start(name):
     assert np.isfinite(gradient).all()
     size = np.linalg.norm(gradient.reshape(64, -1), axis=1)
     assert size.min() > 1e-3 and np.median(size) < 10.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["AntRun", "Ant"])
-def test_it_is_an_environment(name):
-    check_env(tasks.make(name), check_full_episode=False)

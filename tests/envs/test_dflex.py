@@ -7,8 +7,6 @@ import rigid_tasks as tasks
 from rigid_tasks import capsule
 from scipy.spatial.transform import Rotation
 
-from rewax.testing import check_env
-
 PLANAR = ["Hopper", "HalfCheetah"]
 WALKERS = [*PLANAR, "Humanoid"]
 ALL = ["CartpoleSwingUp", *WALKERS]
@@ -231,9 +229,3 @@ def test_gradients_of_a_few_steps_are_finite_from_any_start(name):
     gradient = tasks.gradient(name)
     assert np.isfinite(gradient).all()
     assert np.linalg.norm(gradient.reshape(64, -1), axis=1).min() > 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ALL)
-def test_it_is_an_environment(name):
-    check_env(tasks.make(name), check_full_episode=False)

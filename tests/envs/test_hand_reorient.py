@@ -14,7 +14,6 @@ import rewax
 from rewax.envs.hand_reorient import REFERENCE_CONTACT
 from rewax.envs.rigid_task import RigidPhysics
 from rewax.physics import rigid
-from rewax.testing import check_env
 
 NAME = "HandReorient"
 FINGERS = ["ring", "middle", "index"]
@@ -355,8 +354,3 @@ def test_gradients_are_those_of_finite_differences():
         expected = (f(actions + h * direction, q, v, keys) - f(actions - h * direction, q, v, keys)) / (2 * h)
         found = np.sum(np.asarray(gradient * direction), axis=(1, 2))
     np.testing.assert_allclose(found, expected, rtol=1e-4)
-
-
-@pytest.mark.slow
-def test_it_is_an_environment():
-    check_env(tasks.make(NAME), check_full_episode=False)

@@ -5,8 +5,6 @@ import pytest
 import rigid_tasks as tasks
 from scipy.spatial.transform import Rotation
 
-from rewax.testing import check_env
-
 LEGS = ["left_front", "right_front", "left_hind", "right_hind"]
 JOINTS = [f"{leg}_{joint}" for leg in LEGS for joint in ("spread", "swing", "knee")]
 STANCE = np.array([0, 0.6, -1.2, 0, 0.6, -1.2, 0, -0.6, 1.2, 0, -0.6, 1.2])
@@ -102,8 +100,3 @@ def test_gradients_stay_small_over_a_rollout():
     gradient = tasks.gradient("Quadruped", num_steps=24)
     size = np.linalg.norm(gradient.reshape(64, -1), axis=1)
     assert np.isfinite(gradient).all() and size.min() > 1e-3 and size.max() < 200.0
-
-
-@pytest.mark.slow
-def test_it_is_an_environment():
-    check_env(tasks.make("Quadruped"), check_full_episode=False)

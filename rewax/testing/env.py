@@ -1,0 +1,85 @@
+"""The check of an environment: what is checked, in which order."""
+
+import time
+from collections.abc import Callable
+
+import jax
+
+from rewax.envs.base import Env
+from rewax.testing import functions, states
+from rewax.testing.traced import random_action, traced_reset, traced_step
+
+_JIT_TOLERANCE = 1e-4  # relative; a compiled program may fuse and reorder single-precision sums
+
+
+def check_env(
+    env: Env,
+    *,
+    seed: int = 0,
+    tolerance: float = _JIT_TOLERANCE,
+    check_full_episode: bool = True,
+    gradient_steps: int = 3,
+    notify: Callable[[str], None] | None = print,
+) -> None:
+    """Check an environment against the protocol of ``rewax.envs.base.Env``.
+
+    The environment is a pytree that agents can take apart. Observations match their spec; states keep their structure,
+    so that ``lax.scan`` can carry them; ``reset`` depends on its key, ``step`` on state and action alone; ``jit`` and
+    ``vmap`` change nothing beyond rounding; no step from the start sets a bit of ``status``; ``step`` clips actions,
+    never resets, truncates exactly at ``episode_length`` and never together with terminating; the reward has a
+    finite, not identically zero gradient with respect to the actions; what ``particles`` and ``render_shapes`` give can
+    be drawn.
+
+    Args:
+      env: unbatched environment, without ``AutoReset``.
+      seed: of initial states and actions.
+      tolerance: relative difference that rounding may make within one step.
+      check_full_episode: also run to ``episode_length``; the one check that may take long.
+      gradient_steps: steps after a reset within which some action must change some reward.
+      notify: gets a line before each part, as compiling takes a while; None: silence.
+
+    Raises:
+      AssertionError: a sentence that names what is wrong, and what helps.
+      ValueError: gradient_steps is below 1.
+
+    Example:
+      >>> check_env(rewax.make("RollingFlat", scale="small"))
+    """
+    if gradient_steps < 1:
+        raise ValueError(f"gradient_steps is {gradient_steps}: use 1 or more")
+    say, key = _Report(type(env).__name__, notify), jax.random.key(seed)
+    say("specs and leaves")
+    states.check_specs(env)
+    states.check_leaves(env)
+    say("compiling reset and step")
+    reset, step = traced_reset(env), traced_step(env)
+    state = reset(key)
+    states.check_first_state(env, state)
+    functions.check_reset_key(reset, state, key)
+    action = random_action(env, jax.random.fold_in(key, 1))
+    new = step(state, action)
+    states.check_next_state(env, state, new)
+    for source, each in (("reset", state), ("step", new)):
+        states.check_pictures(env, each, source)
+    say("repeated, and without jit")
+    functions.check_purity(env, step, state, action, new, tolerance)
+    functions.check_action_bounds(env, step, state, tolerance)
+    say("three side by side")
+    functions.check_vmap(env, reset, step, key, tolerance)
+    say(f"gradient through {gradient_steps} steps")
+    functions.check_gradient(env, state, key, gradient_steps)
+    if check_full_episode:
+        say(f"an episode of {env.episode_length} steps")
+        functions.check_episode(env, step, state, key)
+    say("passed")
+
+
+class _Report:
+    """Says what is under way, and after how many seconds."""
+
+    def __init__(self, name: str, notify: Callable[[str], None] | None) -> None:
+        self._name, self._notify, self._began = name, notify, time.perf_counter()
+
+    def __call__(self, what: str) -> None:
+        if self._notify is not None:
+            self._notify(f"check_env {self._name}, {time.perf_counter() - self._began:.0f} s: {what}")

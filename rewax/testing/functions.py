@@ -1,0 +1,166 @@
+"""What ``reset`` and ``step`` do: pure functions, alike under every transformation, that gradients flow through."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.envs.base import Env, State
+from rewax.envs.leaves import EnvLeaves
+from rewax.status import FATAL, Status, describe
+from rewax.testing.states import check_values, finite
+from rewax.testing.traced import named, random_action
+from rewax.types import Array, Key, PyTree
+
+_Reset = Callable[[Key], State]
+_Step = Callable[[State, Array], State]
+
+
+def check_reset_key(reset: _Reset, state: State, key: Key) -> None:
+    """One key gives one state, other keys give others."""
+    pure = "let reset depend on its key alone"
+    _check_same(reset(key), state, 0.0, "two resets with one key", pure)
+    other = reset(jax.random.fold_in(key, 2))
+    differs = any(not np.array_equal(a, b) for a, b in zip(_floats(state), _floats(other), strict=True))
+    assert differs, "reset gives the same state for different keys: draw the initial state from the key"
+    differs = not np.array_equal(jax.random.key_data(state.key), jax.random.key_data(other.key))
+    assert differs, "reset leaves the same key in the state for different keys: derive state.key from the argument"
+
+
+def check_purity(env: Env, step: _Step, state: State, action: Array, new: State, tolerance: float) -> None:
+    """A step depends on state and action alone."""
+    pure = (
+        "let step depend on state and action alone: no Python state, no numpy random numbers, no callbacks that count"
+    )
+    _check_same(step(state, action), new, 0.0, "two steps from one state", pure)
+    _check_same(new, env.step(state, action), tolerance, "jit(step) and step", pure)
+
+
+def check_vmap(env: Env, reset: _Reset, step: _Step, key: Key, tolerance: float) -> None:
+    """Each of three environments side by side is as it would be alone."""
+    keys, actions = jax.random.split(key, 3), jax.vmap(lambda k: random_action(env, k))(jax.random.split(key, 3))
+    leaves = EnvLeaves.of(env)
+
+    def one(leaves: EnvLeaves, key: Key, action: Array) -> State:
+        env = leaves.build()
+        return env.step(env.reset(key), action)
+
+    batch = named("step", jax.jit(jax.vmap(one, in_axes=(None, 0, 0))), leaves, keys, actions)
+    alone = "let an environment depend on itself only: nothing shared, no mean over a batch"
+    for i in range(3):
+        row = jax.tree.map(lambda leaf, i=i: leaf[i], batch)
+        what = "vmap of reset and step, and a loop over them,"
+        _check_same(row, step(reset(keys[i]), actions[i]), tolerance, what, alone)
+
+
+def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -> None:
+    """An action beyond its bounds acts like that at the bound."""
+    spec = env.action_spec
+    for bound, direction in ((spec.low, -1.0), (spec.high, 1.0)):
+        beyond = step(state, jnp.full(spec.shape, bound + direction * 10.0 * (spec.high - spec.low)))
+        check_values(env, beyond, "step with an action beyond its bounds")
+        what = f"steps with an action beyond its bound {bound} and at it"
+        _check_same(beyond, step(state, jnp.full(spec.shape, bound)), tolerance, what, "clip the action in step")
+
+
+def check_gradient(env: Env, state: State, key: Key, num_steps: int) -> None:
+    """Reward after a few steps with respect to their actions; an action may act late, so zeros in some are fine."""
+    actions = 0.9 * jax.vmap(lambda k: random_action(env, k))(jax.random.split(key, num_steps))
+    leaves = EnvLeaves.of(env)
+
+    def total(actions: Array, leaves: EnvLeaves) -> tuple[Array, tuple[Array, State]]:
+        env = leaves.build()
+
+        def body(state: State, action: Array) -> tuple[State, tuple[Array, Array]]:
+            state = env.step(state, action)
+            return state, (state.reward, state.status)
+
+        last, (rewards, status) = jax.lax.scan(body, state, actions)
+        return jnp.sum(rewards), (status, last)
+
+    gradient, (status, _) = named("step", jax.jit(jax.grad(total, has_aux=True)), actions, leaves)
+    failed = Status(int(np.bitwise_or.reduce(np.asarray(status))))
+    assert failed == Status.OK, (
+        f"{num_steps} steps of random actions fail numerically ({failed!r}): shorter substeps or softer contacts help"
+    )
+    assert finite(gradient), (
+        "the gradient of the reward with respect to the actions holds a number that is not finite: a root, a norm or a "
+        "division at 0 does it, in the branch of a jnp.where that is not taken too; jax.debug_nans(True) finds it"
+    )
+    if not bool(jnp.any(gradient != 0)):
+        raise AssertionError(_no_gradient(total, actions, leaves, num_steps))
+
+
+def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, num_steps: int) -> str:
+    """The sentence about a reward without a gradient: do the actions move anything?"""
+
+    def end(actions: Array) -> dict[str, Array]:
+        _, (_, last) = total(actions, leaves)
+        named = jax.tree.leaves_with_path({"physics": last.physics, "obs": dict(last.obs)})
+        names = [jax.tree_util.keystr(path[:1], simple=True) + jax.tree_util.keystr(path[1:]) for path, _ in named]
+        pairs = zip(names, (leaf for _, leaf in named), strict=True)
+        return {name: leaf for name, leaf in pairs if jnp.issubdtype(leaf.dtype, jnp.floating)}
+
+    # Forward, along one direction of the actions: which arrays of the last state change?
+    _, changes = jax.jit(lambda a: jax.jvp(end, (a,), (jnp.ones_like(a),)))(actions)
+    moved = [name for name, change in changes.items() if bool(jnp.any(change != 0))]
+    what = f"the reward of {num_steps} steps has a zero gradient with respect to their actions"
+    if not moved:
+        return (
+            f"{what}, and so has the whole state: a stop_gradient, a rounding, a comparison or an integer cuts it; let "
+            "the action enter the physics through smooth operations"
+        )
+    return (
+        f"{what}, though {', '.join(moved[:3])} of the state follow them: the reward does not depend on what they "
+        "move, or not yet. Where a tool begins away from the material, begin within reach of it, or reward the tool "
+        "for coming nearer, or check with more gradient_steps, up to the horizon of the agent"
+    )
+
+
+def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
+    """Run to the end of the episode, and one step beyond."""
+    length = env.episode_length
+    for count in range(1, length + 1):
+        state = step(state, random_action(env, jax.random.fold_in(key, count)))
+        bits = int(state.status)
+        assert not bits & FATAL, (
+            f"step {count} of random actions fails numerically ({describe(bits)}): shorter substeps or softer contacts "
+            "help"
+        )
+        both = bool(state.terminated & state.truncated)
+        assert not both, f"step {count} is both terminated and truncated: terminated wins, truncated is then false"
+        reached = int(state.step_count)
+        assert reached == count, (
+            f"step_count is {reached} after {count} steps: step must not reset, AutoReset does that"
+        )
+        early = bool(state.truncated) and count < length
+        assert not early, (
+            f"the episode is truncated at step {count}, before episode_length {length}: set terminated, or a shorter "
+            "episode_length"
+        )
+        if bool(state.terminated):
+            return
+    assert bool(state.truncated), (
+        f"the episode is not truncated at episode_length {length}: set truncated where step_count reaches it, as "
+        "next_state does"
+    )
+    beyond = int(step(state, random_action(env, key)).step_count)
+    assert beyond == length + 1, "step resets after the end of an episode: leave that to AutoReset"
+
+
+def _floats(tree: PyTree) -> list[np.ndarray]:
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+
+
+def _check_same(a: PyTree, b: PyTree, tolerance: float, what: str, remedy: str) -> None:
+    """Leaves agree within ``tolerance`` relative to the largest number of the leaf; integers and keys exactly."""
+    assert jax.tree.structure(a) == jax.tree.structure(b), f"{what} return different structures: {remedy}"
+    for (path, x), y in zip(jax.tree.leaves_with_path(a), jax.tree.leaves(b), strict=True):
+        if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
+            x, y = jax.random.key_data(x), jax.random.key_data(y)
+        x, y = np.asarray(x), np.asarray(y)
+        slack = tolerance * max(1.0, np.max(np.abs(y), initial=0.0)) if jnp.issubdtype(x.dtype, jnp.floating) else 0
+        same = np.allclose(x, y, rtol=0.0, atol=slack, equal_nan=True)
+        assert same, f"{what} differ in {jax.tree_util.keystr(path)} of the state: {remedy}"
