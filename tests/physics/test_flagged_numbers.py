@@ -37,7 +37,7 @@ def scene() -> mpm.MPMScene:
             plasticity=Plasticity.VON_MISES, viscosity=0.1,
         ),
         particle_volume=1e-4,
-        colliders=(Collider(shape=Capsule(radius=0.05, half_length=0.1), friction=0.5),),
+        colliders=(Collider(shape=Capsule(radius=0.05, half_length=0.1), friction=0.5, softness=666.0),),
         walls=Walls(lower=(None, Wall(position=0.1, friction=0.3), None), upper=(None, None, None)),
     )  # fmt: skip
     return jax.tree.map(jnp.asarray, made)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, shape_pose
+from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, known_softness, shape_pose
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 from rewax.types import Array, Scalar
@@ -113,7 +113,7 @@ def _gaps(run: tuple[Collider, ...], poses: Pose, lower: Array, upper: Array) ->
     def gap(collider: Collider) -> Array:
         center = shape_pose(collider, body_pose(poses, collider.body)).position
         away = jnp.maximum(jnp.maximum(lower - center, center - upper), 0.0)
-        reach = bounding_radius(collider.shape) - math.log(MIN_INFLUENCE) / collider.softness
+        reach = bounding_radius(collider.shape) - math.log(MIN_INFLUENCE) / known_softness(collider)
         return jnp.sqrt(jnp.sum(away * away)) - reach
 
     return jax.lax.stop_gradient(jnp.stack([gap(c) for c in run]))

@@ -2,6 +2,7 @@
 
 import enum
 import functools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ from rewax.types import Array, Scalar
 
 MIN_INFLUENCE = 0.1
 """A collider acts where its influence exceeds this: within log(10) / softness of its surface."""
+REACH_IN_CELLS = 1.0
+"""Cells of a grid from which a collider acts whose softness is None."""
 
 
 @struct.dataclass
@@ -30,7 +33,9 @@ class Collider(struct.Replaceable):
       offset: origin of the shape's frame in the body's frame [m], shape (3,); by default zero.
       rotation: from the shape's frame to the body's, shape (3, 3); by default not turned.
       friction: Coulomb coefficient [-], >= 0.
-      softness: decay of the influence with distance [1/m], > 0; influence = min(exp(-softness * distance), 1).
+      softness: decay of the influence with distance [1/m], > 0; influence = min(exp(-softness * distance), 1). None:
+        log(10) / (the grid's spacing), with which it acts from one cell on, see ``with_softness``. The reference's is
+        666. It does not count for tetrahedra.
       body: index of the body that carries it (static).
     """
 
@@ -38,7 +43,7 @@ class Collider(struct.Replaceable):
     offset: Array = struct.field(default_factory=lambda: jnp.zeros(3))
     rotation: Array = struct.field(default_factory=lambda: jnp.eye(3))
     friction: Scalar
-    softness: Scalar = 666.0
+    softness: Scalar | None = None
     body: int = struct.static_field(default=0)
 
 
@@ -107,6 +112,31 @@ def apply_colliders(
     return contact_velocity(nearest(touches)[0], velocity)
 
 
+def with_softness(colliders: Sequence[Collider], spacing: float) -> tuple[Collider, ...]:
+    """Colliders whose softness is known: those that have none act from one cell on.
+
+    With a shorter reach nodes come into contact one after the other, at influences between 0.1 and 1; no derivative
+    sees these steps (``benchmarks/particle_contact_gradients.py``).
+
+    Args:
+      colliders: of a scene.
+      spacing: of its grid [m].
+    """
+    softness = -math.log(MIN_INFLUENCE) / (REACH_IN_CELLS * spacing)
+    return tuple(c.replace(softness=softness) if c.softness is None else c for c in colliders)
+
+
+def known_softness(collider: Collider) -> Scalar:
+    """Softness of a collider [1/m].
+
+    Raises:
+      ValueError: it is None, and no grid is known here.
+    """
+    if collider.softness is None:
+        raise ValueError("softness is None, and no grid is known here: give a decay per metre, or use with_softness")
+    return collider.softness
+
+
 def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: Pose, after: Pose, dt: float) -> Vec3:
     """Node velocities after contact with one moving shape.
 
@@ -147,7 +177,7 @@ def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> To
     lx, ly, lz, bx, by, bz = compute_once(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
-    influence = jnp.exp(-jnp.maximum(collider.softness * distance, 0.0))
+    influence = jnp.exp(-jnp.maximum(known_softness(collider) * distance, 0.0))
     # Once: each component of the velocity compares the influence with the least one that acts. It is faster too: XLA
     # would compute the whole chain, forward and backward, anew for every component.
     influence, local_normal = compute_once((influence, local_normal))

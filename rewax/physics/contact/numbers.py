@@ -26,8 +26,10 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
             Number(f"{name}.offset", collider.offset, FINITE, "give a position in metres", (3,)),
             Number(f"{name}.rotation", collider.rotation, FINITE, "give a rotation matrix", (3, 3)),
             Number(f"{name}.friction", collider.friction, NOT_NEGATIVE, _FRICTION),
-            Number(f"{name}.softness", collider.softness, POSITIVE, "give a decay per metre, 666 for a stiff surface"),
         ]
+        if collider.softness is not None:
+            remedy = "give a decay per metre, or None for a reach of one cell"
+            numbers.append(Number(f"{name}.softness", collider.softness, POSITIVE, remedy))
     if poses is not None and colliders:
         numbers += [
             Number("poses.position", poses.position, FINITE, "give positions in metres"),

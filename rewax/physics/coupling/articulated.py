@@ -130,7 +130,8 @@ def _exchanging_substep(scene: MPMScene, model: RigidModel, nodes: ActiveNodes, 
         qvel = qvel + dt * rate
         poses, now = Pose(kin.position, kin.rotation), _motions(model, kin, qvel)
         touches = [
-            touch(c, nodes.position, shape_pose(c, body_pose(poses, c.body)), now[c.body]) for c in scene.colliders
+            touch(c, nodes.position, shape_pose(c, body_pose(poses, c.body)), now[c.body])
+            for c in scene.sized_colliders
         ]
         change = _predicted_change(scene, model, nodes, mass, velocity, touches, kin, inertia)
         touches = at_velocity(scene, nodes.position, touches, _motions(model, kin, qvel + change))

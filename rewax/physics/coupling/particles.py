@@ -132,7 +132,7 @@ def _touches(
         before, after = (body_pose(p, collider.body - num_free) for p in interval)
         return chord_motion(before, after, scene.dt)
 
-    return [touch(c, position, shape_pose(c, body_pose(starts, c.body)), motion(c)) for c in scene.colliders]
+    return [touch(c, position, shape_pose(c, body_pose(starts, c.body)), motion(c)) for c in scene.sized_colliders]
 
 
 def _predict(

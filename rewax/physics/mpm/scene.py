@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
-from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose
+from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose, with_softness
 from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.laws import MAX_HARDENING, Plasticity
@@ -98,6 +98,11 @@ class MPMScene(struct.Replaceable):
 
     def __post_init__(self) -> None:
         check_enum("overlap", self.overlap, Overlap)
+
+    @property
+    def sized_colliders(self) -> tuple[Collider, ...]:
+        """The colliders; those without a softness have the one that suits the grid."""
+        return with_softness(self.colliders, self.grid.spacing)
 
 
 def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:

@@ -142,7 +142,7 @@ def check_status(
             jnp.min(both, axis=0) - 2.5 * scene.grid.spacing,
             jnp.max(both, axis=0) + 2.5 * scene.grid.spacing,
         )
-        excess = count_excess(scene.colliders, poses, lower, upper, scene.max_near_colliders)
+        excess = count_excess(scene.sized_colliders, poses, lower, upper, scene.max_near_colliders)
         status = status | flag(excess > 0, Status.FAR_COLLIDERS)
     if scene.max_active_nodes is not None:
         too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
@@ -221,12 +221,12 @@ def _colliders(
 ) -> list[tuple[Collider, Pose, Pose]]:
     """The colliders that are evaluated, with their bodies' poses."""
     if scene.max_near_colliders is None or len(scene.colliders) <= scene.max_near_colliders:
-        return [(c, body_pose(before, c.body), body_pose(after, c.body)) for c in scene.colliders]
+        return [(c, body_pose(before, c.body), body_pose(after, c.body)) for c in scene.sized_colliders]
     lower, upper = (
         jnp.stack([reduce(jnp.where(has_mass, a, far)) for a in nodes.position])
         for reduce, far in ((jnp.min, jnp.inf), (jnp.max, -jnp.inf))
     )
-    return near_colliders(scene.colliders, before, after, lower, upper, scene.max_near_colliders)
+    return near_colliders(scene.sized_colliders, before, after, lower, upper, scene.max_near_colliders)
 
 
 def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:

@@ -25,7 +25,7 @@ def colliders(
     model: RigidModel,
     *,
     friction: Scalar | None = None,
-    softness: Scalar = 666.0,
+    softness: Scalar | None = None,
     mesh_spacing: float | None = None,
     chosen: Callable[[str, str], bool] | None = None,
 ) -> tuple[Collider, ...]:
@@ -64,7 +64,7 @@ def colliders(
                 offset=model.parameters["geom_pos"][geom],
                 rotation=rotation @ jnp.asarray(along, rotation.dtype),
                 friction=own,
-                softness=jnp.asarray(softness),
+                softness=None if softness is None else jnp.asarray(softness),
                 body=int(mj.geom_bodyid[geom]),
             )
         )

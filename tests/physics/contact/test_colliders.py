@@ -14,6 +14,7 @@ from rewax.physics.contact.colliders import (
     check_bodies,
     nearest,
     touch,
+    with_softness,
 )
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
@@ -79,7 +80,7 @@ def test_a_rotating_body_has_the_velocity_of_its_points(x64):
     omega, radius = 2.0, 0.3
     c, s = np.cos(omega * DT), np.sin(omega * DT)
     turned = Pose(ORIGIN, jnp.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
-    ball = Collider(shape=Sphere(radius=radius), offset=ORIGIN, rotation=EYE, friction=100.0)
+    ball = Collider(shape=Sphere(radius=radius), offset=ORIGIN, rotation=EYE, friction=100.0, softness=666.0)
     got = contact(ball, [radius, 0.0, 0.0], [-1.0, 0.0, 0.0], REST, turned)
     np.testing.assert_allclose(got, [0.0, omega * radius, 0.0], atol=1.1 * 0.5 * omega**2 * DT * radius)
 
@@ -124,15 +125,27 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
 
 
 def test_derivatives_are_finite_deep_inside_in_float32():
-    """exp(softness depth) would overflow at 0.13 m with the default softness."""
+    """exp(softness depth) would overflow at 0.13 m with the reference's softness."""
 
     def after(height):
-        floor = Collider(shape=Plane(), offset=jnp.array([0.0, 1.0, 0.0]) * height, friction=0.5)
+        floor = Collider(shape=Plane(), offset=jnp.array([0.0, 1.0, 0.0]) * height, friction=0.5, softness=666.0)
         nodes = jnp.array([[0.0, -0.5, 0.0], [0.0, -0.001, 0.0], [0.0, 0.001, 0.0], [0.0, 0.9, 0.0]])
         return jnp.sum(after_contact(floor, nodes, jnp.full((4, 3), -1.0), REST, REST))
 
     slope = jax.grad(after)(jnp.float32(0.0))
     assert np.isfinite(slope) and float(slope) > 1.0
+
+
+def test_without_a_softness_contact_begins_one_cell_away(x64):
+    spacing = 0.025
+    soft, own = with_softness((ground(softness=None), ground(softness=7.0)), spacing)
+    np.testing.assert_allclose(soft.softness, np.log(10.0) / spacing)
+    assert own.softness == 7.0
+    near, far = (contact(soft, [0.0, f * spacing, 0.0], [0.0, -1.0, 0.0]) for f in (0.99, 1.01))
+    np.testing.assert_allclose(near, [0.0, -(1.0 - 0.1**0.99), 0.0], rtol=1e-12)
+    np.testing.assert_array_equal(far, [0.0, -1.0, 0.0])
+    with pytest.raises(ValueError, match=r"^softness is None, and no grid is known here: give a decay per metre"):
+        contact(ground(softness=None), UNDER, [0.0, -1.0, 0.0])
 
 
 def test_a_collider_of_a_body_without_pose_is_refused():

@@ -13,7 +13,7 @@ from rewax.physics.numerics import static_poses
 from rewax.physics.numerics.checks import any_illegal, check_numbers
 from rewax.physics.shapes import Sphere
 
-BALL = Collider(shape=Sphere(radius=0.1), friction=0.5)
+BALL = Collider(shape=Sphere(radius=0.1), friction=0.5, softness=666.0)
 LAW = PenaltyContact(stiffness=1.0)
 
 

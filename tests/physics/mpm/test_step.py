@@ -12,6 +12,7 @@ from rewax.physics.mpm import invariants
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Plasticity
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
+from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Sphere
 from rewax.physics.shapes.sampling import fill_box
 from rewax.status import Status
@@ -136,6 +137,54 @@ def test_a_collider_without_pose_is_refused():
     scene = scene.replace(colliders=(Collider(shape=Sphere(radius=0.04), friction=0.5),))
     with pytest.raises(ValueError, match="collider 0 belongs to body 0, but there are poses of 0 bodies"):
         mpm.step(scene, state, mpm.static_poses(2))
+
+
+def pressed_by(softness):
+    """A cube under a ball that comes down and rolls, and how its particles end: (poses, x) -> x."""
+    scene, state = cube()
+    ball = Collider(shape=Sphere(radius=0.06), friction=0.5, softness=softness)
+    scene = scene.replace(colliders=(ball,))
+    start = np.asarray(state.x).mean(0) + [0.003, 0.06 + 0.5 * np.ptp(np.asarray(state.x)[:, 1]), 0.002]
+    steps = np.arange(5)[:, None] * DT * np.array([0.3, -0.4, 0.1])
+    position = jnp.asarray((start + steps)[:, None])
+
+    def end(position, x):
+        poses = Pose(position, jnp.broadcast_to(jnp.eye(3), (5, 1, 3, 3)))
+        return mpm.step(scene, state.replace(x=x), poses).x
+
+    return jax.jit(end), (position, jnp.asarray(state.x, float))
+
+
+def test_without_a_softness_colliders_reach_one_cell(x64):
+    """Also through ``replace``, which checks nothing; bit for bit what the number itself gives."""
+    own, args = pressed_by(None)
+    given, _ = pressed_by(np.log(10.0) / GRID.spacing)
+    np.testing.assert_array_equal(own(*args), given(*args))
+    assert np.abs(own(*args) - args[1]).max() > 1e-6
+    free = cube()[0].replace(colliders=(Collider(shape=Sphere(radius=0.06), friction=0.5),))
+    assert not [path for path, _ in jax.tree.leaves_with_path(free) if "softness" in jax.tree_util.keystr(path)]
+
+
+def test_derivatives_through_colliders_without_a_softness(x64):
+    """Reverse, forward and central difference, by the ball's path and the particles' places."""
+    end, args = pressed_by(None)
+    rng = np.random.default_rng(0)
+    weights = jnp.asarray(rng.standard_normal(args[1].shape))
+    aside, faster = rng.standard_normal((2, 3))  # a path that jitters would meet the onset of contact at other nodes
+    path = jnp.asarray(aside + np.linspace(0.0, 0.1, len(args[0]))[:, None, None] * faster)
+    moves = (1e-3 * path, 1e-3 * jnp.asarray(rng.standard_normal(args[1].shape)))
+
+    def outcome(position, x):
+        return jnp.sum(weights * end(position, x))
+
+    gradient = jax.grad(outcome, argnums=(0, 1))(*args)
+    reverse = sum(jnp.sum(g * m) for g, m in zip(gradient, moves, strict=True))
+    forward = jax.jvp(outcome, args, moves)[1]
+    h = 1e-4
+    ahead, behind = (outcome(*(a + s * h * m for a, m in zip(args, moves, strict=True))) for s in (1, -1))
+    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
+    np.testing.assert_allclose(reverse, (ahead - behind) / (2 * h), rtol=1e-6)
+    assert float(jnp.abs(gradient[0]).max()) > 0.0
 
 
 def test_flattened_and_inverted_particles_are_flagged():
