@@ -117,5 +117,5 @@ def finite(value: Array) -> bool:
 
 def _check_status(state: State, source: str) -> None:
     bits = int(state.status)
-    remedy = "begin where the physics is sound; rewax.Status says what each bit asks for"
-    assert bits == 0, f"{source} sets the status {describe(bits)}: {remedy}"
+    remedy = "begin where the physics is sound" if source == "reset" else "shorter substeps or softer contacts help"
+    assert bits == 0, f"{source} sets the status {describe(bits)}: {remedy}; rewax.Status says what each bit means"
