@@ -13,29 +13,28 @@ from rewax import struct
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import ResetNoise, no_noise
 from rewax.envs.rigid_task import control_in_range
-from rewax.envs.soft_task import check_list_every, soft_at_rest
+from rewax.envs.soft_task import Scene, Soft, check_list_every, soft_at_rest, soft_status
 from rewax.envs.task import Task, against
-from rewax.physics import mpm, rigid
+from rewax.physics import rigid
 from rewax.physics.coupling import Wrench, articulated, no_wrench
-from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.rigid import RigidModel, RigidState
 from rewax.types import Array, Key, Observation, PyTree
 
 
 @struct.dataclass
 class CoupledPhysics(struct.Replaceable):
-    """What a task on a robot and particles simulates.
+    """What a task on a robot and a soft body simulates.
 
     Attributes:
       rigid: positions and velocities of the robot.
-      soft: the particles.
-      touch: mean force and torque of the particles on each body of the robot in the last control step.
+      soft: the particles, or the vertices.
+      touch: mean force and torque of the soft body on each body of the robot in the last control step.
       action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
       task: what else the task keeps (a goal, say), or None.
     """
 
     rigid: RigidState
-    soft: MPMState
+    soft: Soft
     touch: Wrench
     action: Array
     task: PyTree = None
@@ -43,24 +42,24 @@ class CoupledPhysics(struct.Replaceable):
 
 @struct.dataclass
 class CoupledTask(Task):
-    """A robot and particles. Subclasses define ``observe`` and ``reward``, and what else differs from the defaults.
+    """A robot and particles or tetrahedra. Subclasses define ``observe`` and ``reward``, and what else differs.
 
     Every array is a leaf: differentiate with respect to it or vmap over it.
 
     Attributes:
       model: the robot; the scene's colliders belong to its bodies (``rigid.colliders``).
-      scene: the particles and what bounds them; its dt divides the model's.
-      rest_positions: particles before the noise of a reset [m], shape (num_particles, 3).
+      scene: the soft body and what bounds it; its dt divides the model's.
+      rest_positions: points before the noise of a reset [m], shape (num_points, 3).
       noise: of a reset.
-      cloud: what a policy sees of the particles.
+      cloud: what a policy sees of the points.
       num_substeps: of the robot per control step (static).
       max_steps: control steps per episode (static).
-      list_every: substeps of the robot for which one list of active nodes serves, a divisor of num_substeps; None: a
-        whole control step (static).
+      list_every: particles only: substeps of the robot for which one list of active nodes serves, a divisor of
+        num_substeps; None: a whole control step (static).
     """
 
     model: RigidModel
-    scene: MPMScene
+    scene: Scene
     rest_positions: Array
     noise: ResetNoise = struct.field(default_factory=no_noise)
     cloud: PointCloud
@@ -71,21 +70,19 @@ class CoupledTask(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_list_every(self.list_every, self.num_substeps)
-        articulated.particle_substeps(self.scene, self.model)
+        articulated.soft_substeps(self.scene, self.model)
 
     # --- What a task defines, beside observe and reward ---
 
-    def start(self, positions: Array, key: Key) -> tuple[RigidState, MPMState, PyTree]:
-        """Robot and particles at the beginning of an episode, and what else the task keeps (None for nothing).
+    def start(self, positions: Array, key: Key) -> tuple[RigidState, Soft, PyTree]:
+        """Robot and soft body at the beginning of an episode, and what else the task keeps (None for nothing).
 
         Args:
           positions: ``rest_positions`` with the noise of a reset [m].
           key: for other draws.
         """
         del key
-        soft = soft_at_rest(self.scene, positions)
-        assert isinstance(soft, MPMState)
-        return rigid.initial_state(self.model), soft, None
+        return rigid.initial_state(self.model), soft_at_rest(self.scene, positions), None
 
     def control(self, action: Array) -> Array:
         """Controls of the model's actuators for an action within [-1, 1]: from end to end of limited ones' range."""
@@ -112,12 +109,10 @@ class CoupledTask(Task):
     def advance(self, physics: CoupledPhysics, action: Array) -> tuple[CoupledPhysics, Array]:
         control, every = self.control(action), self.list_every or self.num_substeps
 
-        def move(
-            carry: tuple[MPMState, RigidState], _: None
-        ) -> tuple[tuple[MPMState, RigidState], tuple[Wrench, Array]]:
+        def move(carry: tuple[Soft, RigidState], _: None) -> tuple[tuple[Soft, RigidState], tuple[Wrench, Array]]:
             before, bodies = carry
             soft, bodies, touch = articulated.step(self.scene, self.model, before, bodies, control, num_substeps=every)
-            return (soft, bodies), (touch, mpm.check_status(self.scene, soft, start=before))
+            return (soft, bodies), (touch, soft_status(self.scene, soft, start=before))
 
         start = (physics.soft, physics.rigid)
         (soft, bodies), (touch, status) = jax.lax.scan(move, start, None, length=self.num_substeps // every)
@@ -133,7 +128,7 @@ class CoupledTask(Task):
         return self.cloud.pick(physics.soft.x)
 
     def particles(self, physics: CoupledPhysics) -> Array:
-        """Positions for pictures [m], shape (num_particles, 3)."""
+        """Positions for pictures [m], shape (num_points, 3)."""
         return physics.soft.x
 
     def render_shapes(self, physics: CoupledPhysics) -> list[dict[str, Any]]:

@@ -193,11 +193,11 @@ class SoftTask(Task):
         if isinstance(scene, TetScene):
             assert isinstance(soft, TetState)
             vertices = tets.step(scene, soft, poses, store_every=self.store_every)
-            return vertices, tets.check_status(scene, vertices, poses=poses)
+            return vertices, soft_status(scene, vertices, start=soft, poses=poses)
 
         def move(particles: MPMState, poses: Pose) -> tuple[MPMState, Array]:
             end = mpm.step(scene, particles, poses, store_every=self.store_every)
-            return end, mpm.check_status(scene, end, start=particles, poses=poses)
+            return end, soft_status(scene, end, start=particles, poses=poses)
 
         assert isinstance(soft, MPMState)
         every = self.list_every or self.num_substeps
@@ -214,6 +214,15 @@ def soft_at_rest(scene: Scene, positions: Array) -> Soft:
         return tets.initial_state(positions)
     materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
     return mpm.initial_state(positions, scene if any(m.remembers for m in materials) else None)
+
+
+def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:
+    """Status bits of particles or vertices that began a step at ``start``; see ``mpm`` and ``tets.check_status``."""
+    if isinstance(scene, TetScene):
+        assert isinstance(soft, TetState)
+        return tets.check_status(scene, soft, poses=poses)
+    assert isinstance(soft, MPMState) and isinstance(start, MPMState)
+    return mpm.check_status(scene, soft, start=start, poses=poses)
 
 
 def check_list_every(list_every: int | None, num_substeps: int) -> None:

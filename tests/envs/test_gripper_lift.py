@@ -78,7 +78,7 @@ def test_observations_hold_points_joints_and_touch():
 
 
 def test_a_model_whose_substep_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match=r"^the particles' dt 0\.0015 s does not divide the model's 0\.002 s"):
+    with pytest.raises(ValueError, match=r"^the scene's dt 0\.0015 s does not divide the model's 0\.002 s"):
         ENV.replace(scene=ENV.scene.replace(dt=1.5e-3))
 
 

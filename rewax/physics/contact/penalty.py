@@ -1,5 +1,7 @@
 """Contact of vertices with the ground and with moving shapes by penalty forces."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 
 from rewax import struct
@@ -76,18 +78,33 @@ def collider_force(
 
     Gradient: exact with respect to positions, velocities, poses, sizes and parameters; see ``penalty_force``.
     """
-    rotation = cp.split_matrix(before.rotation)
-    # Place relative to the shape, in its body's frame and in its own.
-    in_body = cp.matvec(cp.transpose(rotation), cp.vector(lambda i: x[i] - before.position[i]))
-    own = cp.split_matrix(collider.rotation)
-    local = cp.matvec(cp.transpose(own), cp.vector(lambda i: in_body[i] - collider.offset[i]))
-    distance, normal = signed_distance_components(collider.shape, local)
-    normal = cp.matvec(rotation, cp.matvec(own, normal))
+    distance, normal, in_body = surface(collider, x, before)
     # Differences of poses, not of places: the surface of a body at rest is at rest, to the last digit.
     turned = cp.matvec(cp.split_matrix((after.rotation - before.rotation) / dt), in_body)
     shift = (after.position - before.position) / dt
     relative = cp.vector(lambda i: v[i] - turned[i] - shift[i])
     return penalty_force(contact, distance, normal, relative, collider.friction)
+
+
+def surface(collider: Collider, x: Vec3, body: Pose) -> tuple[Array, Vec3, Vec3]:
+    """Where vertices are, seen from a shape.
+
+    Args:
+      collider: the shape.
+      x: positions [m], components of shape (num_vertices,).
+      body: pose of its body, shapes (3,), (3, 3).
+
+    Returns:
+      Signed distances [m], unit normals away from the shape in the world's frame, and places in the body's frame [m].
+      Gradient: exact with respect to positions, pose and sizes.
+    """
+    rotation = cp.split_matrix(body.rotation)
+    # Place relative to the shape, in its body's frame and in its own.
+    in_body = cp.matvec(cp.transpose(rotation), cp.vector(lambda i: x[i] - body.position[i]))
+    own = cp.split_matrix(collider.rotation)
+    local = cp.matvec(cp.transpose(own), cp.vector(lambda i: in_body[i] - collider.offset[i]))
+    distance, normal = signed_distance_components(collider.shape, local)
+    return distance, cp.matvec(rotation, cp.matvec(own, normal)), in_body
 
 
 def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, velocity: Vec3, friction: Scalar) -> Vec3:
@@ -109,6 +126,31 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
       of height damping |v_n| that no derivative sees. At Coulomb's limit the derivative is that of sticking.
     Source: NVIDIA Warp's contact of particles with the ground; damping by depth as in DiffRL's dflex.
     """
+    push, drag, v_t, *_ = penalty_response(contact, distance, normal, velocity, friction)
+    return cp.vector(lambda i: push * normal[i] - drag * v_t[i])
+
+
+class PenaltyResponse(NamedTuple):
+    """The parts of ``penalty_force``, arrays of shape (num_vertices,)."""
+
+    push: Array
+    """Normal force [N], >= 0."""
+    drag: Array
+    """Tangential force per sliding speed [N s/m]."""
+    sliding: Vec3
+    """Tangential velocity relative to the surface [m/s]."""
+    separating: Array
+    """Normal velocity relative to the surface, negative while vertices approach [m/s]."""
+    gap: Array
+    """How far vertices are from touching, negative for those that touch [m]."""
+    damping: Array
+    """Normal force per approaching speed [N s/m]."""
+
+
+def penalty_response(
+    contact: PenaltyContact, distance: Array, normal: Vec3, velocity: Vec3, friction: Scalar
+) -> PenaltyResponse:
+    """The parts of ``penalty_force``, of the same arguments. Gradient: as there."""
     c = distance - contact.radius
     v_n = cp.dot(normal, velocity)
     gradual = jnp.asarray(contact.onset) > 0
@@ -122,7 +164,16 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
     slides = friction_damping * cp.safe_sqrt(square) > limit
     speed = jnp.sqrt(jnp.where(slides, square, 1.0))
     drag = jnp.where(slides, limit / speed, jnp.where(c < 0, friction_damping, 0.0))
-    return cp.vector(lambda i: push * normal[i] - drag * v_t[i])
+    return PenaltyResponse(push, drag, v_t, v_n, c, damping)
 
 
-__all__ = ["Ground", "PenaltyContact", "collider_force", "ground_force", "penalty_force"]
+__all__ = [
+    "Ground",
+    "PenaltyContact",
+    "PenaltyResponse",
+    "collider_force",
+    "ground_force",
+    "penalty_force",
+    "penalty_response",
+    "surface",
+]

@@ -1,4 +1,4 @@
-"""Rigid bodies and particles that push each other.
+"""Rigid bodies and soft ones (particles, tetrahedra) that push each other.
 
 ``articulated``, the coupling with robots, is imported when it is first used: it loads MuJoCo.
 """
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from rewax.physics.coupling import free_body
 from rewax.physics.coupling.exchange import Wrench, no_wrench
+from rewax.physics.coupling.free import step
 from rewax.physics.coupling.free_body import FreeBodies, Inertia, bodies_at_rest, inertia_of, poses, solid
-from rewax.physics.coupling.particles import step
 from rewax.physics.numerics.pose import static_poses
 
 if TYPE_CHECKING:

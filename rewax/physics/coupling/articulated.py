@@ -1,31 +1,26 @@
-"""Particles and articulated rigid bodies that push each other.
+"""Soft bodies and articulated rigid bodies that push each other.
 
-Colliders of the scene belong to bodies of a model from MJCF. What they take from the nodes acts on the joints through
-the model's mass matrix M. With S_b q' the twist of body b, the nodes in touch add S_b^T A_b S_b to M where the velocity
-is predicted that nodes are given (``exchange.contact_system`` has A_b). So a light finger in heavy dough is stable at
-the particles' own substep, whatever its mass.
+Colliders of the scene belong to bodies of a model from MJCF. What they take from the soft body acts on the joints
+through the model's mass matrix M. With S_b q' the twist of body b, what touches it adds S_b^T A_b S_b to M where the
+velocity is predicted with which contact acts (``exchange.System`` has A_b). So a light finger in heavy dough is stable
+at the soft body's own substep, whatever its mass.
 
 Forces of the model's own (gravity, actuators, springs, contacts and limits) are evaluated once in a rigid substep. It
-may last several substeps of the particles; mass matrix, poses and exchange of momentum are new in each of these.
+may last several substeps of the soft body; mass matrix, poses and exchange of momentum are new in each of these.
 """
 
 # pyright: reportAttributeAccessIssue=false
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.contact.colliders import Motion, check_bodies, shape_pose, touch
-from rewax.physics.coupling.exchange import Wrench, at_velocity, contact_system, exchange, no_wrench
-from rewax.physics.mpm.active_nodes import ActiveNodes
-from rewax.physics.mpm.scene import MPMScene, MPMState
-from rewax.physics.mpm.step import Particles, free_velocity, from_nodes, join, nodes_of_step, split, to_nodes
-from rewax.physics.mpm.walls import apply_walls
-from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.materialize import materialize
-from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.contact.colliders import Motion, check_bodies
+from rewax.physics.coupling.exchange import SoftContact, Wrench, no_wrench
+from rewax.physics.coupling.soft import Scene, Soft, solver_of
+from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.numerics.rotations import skew
 from rewax.physics.rigid import RigidModel, RigidState
@@ -38,7 +33,7 @@ from rewax.types import Array
 
 
 class _Carry(NamedTuple):
-    particles: Particles
+    soft: Any
     qpos: Array
     qvel: Array
     received: Wrench
@@ -46,42 +41,43 @@ class _Carry(NamedTuple):
 
 
 def step(
-    scene: MPMScene,
+    scene: Scene,
     model: RigidModel,
-    state: MPMState,
+    state: Soft,
     bodies: RigidState,
     ctrl: Array | None = None,
     *,
     num_substeps: int = 1,
     wrenches: Array | None = None,
-) -> tuple[MPMState, RigidState, Wrench]:
-    """Particles and a robot, ``num_substeps`` rigid substeps of ``model.dt`` later.
+) -> tuple[Soft, RigidState, Wrench]:
+    """A soft body and a robot, ``num_substeps`` rigid substeps of ``model.dt`` later.
 
     Args:
-      scene: the particles; its colliders belong to bodies of the model (``rigid.colliders``), 0 is the world. ``dt``
-        divides ``model.dt``. Its gravity acts on particles, the model's on bodies; its walls act on particles alone.
+      scene: particles or tetrahedra; its colliders belong to bodies of the model (``rigid.colliders``), 0 is the world.
+        ``dt`` divides ``model.dt``. Its gravity, walls and ground act on the soft body, the model's gravity on bodies.
       model: the robot.
-      state: particles.
+      state: particles or vertices.
       bodies: the robot's state.
       ctrl: controls, held meanwhile, shape (num_actuators,); None: zero.
       num_substeps: of the robot, at least 1 (static).
       wrenches: further forces and torques on the bodies, as for ``rigid.step``.
 
     Returns:
-      Particles, robot, and the mean force and torque about its frame's origin that every body got from the particles,
-      shapes (num_bodies, 3). What particles lose, bodies get.
+      The soft body, the robot, and the mean force and torque about its frame's origin that every body got from the soft
+      body, shapes (num_bodies, 3). What one loses, the other gets.
 
     Gradient: exact with respect to everything, forward and reverse, apart from the onset of contact (see
-      ``colliders.apply_collider``). The backward pass keeps particles and robot at each of the particles' substeps.
+      ``colliders.apply_collider`` and ``penalty.penalty_force``). The backward pass keeps both at each of the soft
+      body's substeps.
 
     Raises:
       ValueError: ``scene.dt`` does not divide ``model.dt``, or a shape does not fit.
     """
     dtype = state.x.dtype
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, dtype)
-    each = particle_substeps(scene, model)
+    each, solver = soft_substeps(scene, model), solver_of(scene)
     check_bodies(scene.colliders, model.num_bodies)
-    nodes = nodes_of_step(scene, state.x)
+    constants = solver.constants(scene, state)
 
     def rigid_substep(carry: tuple[_Carry, Array, Array], _: None) -> tuple[tuple[_Carry, Array, Array], None]:
         inner, act, qacc = carry
@@ -89,20 +85,20 @@ def step(
         rate, after = rates(model, robot, ctrl, wrenches)
 
         def substep(inner: _Carry, _: None) -> tuple[_Carry, None]:
-            return _substep(scene, model, nodes, rate, inner), None
+            return _substep(scene, model, constants, rate, inner), None
 
         inner = jax.lax.scan(substep, inner, None, length=each)[0]
         return (inner, after.act, after.qacc), None
 
-    start = _Carry(split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, dtype))
+    start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, dtype))
     carry = (start, bodies.act, bodies.qacc)
     (end, act, qacc), _ = jax.lax.scan(rigid_substep, carry, None, length=num_substeps)
     mean = jax.tree.map(lambda a: a / (num_substeps * each * scene.dt), end.received)
-    return join(end.particles), RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean
+    return solver.join(end.soft), RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean
 
 
-def particle_substeps(scene: MPMScene, model: RigidModel) -> int:
-    """How many substeps of the particles fit into one of the robot.
+def soft_substeps(scene: Scene, model: RigidModel) -> int:
+    """How many substeps of the soft body fit into one of the robot.
 
     Raises:
       ValueError: their number is not whole.
@@ -110,41 +106,31 @@ def particle_substeps(scene: MPMScene, model: RigidModel) -> int:
     each = model.dt / scene.dt
     if abs(each - round(each)) > 1e-6 * each or round(each) < 1:
         raise ValueError(
-            f"the particles' dt {scene.dt:g} s does not divide the model's {model.dt:g} s: choose a model.dt that is "
-            "once, twice, ... the scene's dt"
+            f"the scene's dt {scene.dt:g} s does not divide the model's {model.dt:g} s: choose a model.dt that is "
+            "once, twice, ... as long"
         )
     return round(each)
 
 
-def _exchanging_substep(scene: MPMScene, model: RigidModel, nodes: ActiveNodes, rate: Array, carry: _Carry) -> _Carry:
-    """One substep of the particles, in which the robot's own forces give it the acceleration ``rate``."""
-    particles, qpos, qvel, received = carry
-    particles, dt = materialize(particles), scene.dt
-    response, fields = to_nodes(scene, nodes, particles)
-    has_mass, velocity = free_velocity(scene, fields)
-    mass = jnp.where(has_mass, fields.mass, 0.0)
+def _exchanging_substep(scene: Scene, model: RigidModel, constants: Any, rate: Array, carry: _Carry) -> _Carry:
+    """One substep of the soft body, in which the robot's own forces give it the acceleration ``rate``."""
+    soft, qpos, before, received = carry
+    contact, dt = solver_of(scene).begin(scene, constants, soft), scene.dt
 
     with jax.default_matmul_precision("highest"):
         kin = kinematics(model, qpos)
         inertia = mass_matrix(model.static.topology, tree_parameters(model), kin)
-        qvel = qvel + dt * rate
-        poses, now = Pose(kin.position, kin.rotation), _motions(model, kin, qvel)
-        touches = [
-            touch(c, nodes.position, shape_pose(c, body_pose(poses, c.body)), now[c.body])
-            for c in scene.sized_colliders
-        ]
-        change = _predicted_change(scene, model, nodes, mass, velocity, touches, kin, inertia)
-        touches = at_velocity(scene, nodes.position, touches, _motions(model, kin, qvel + change))
-        velocity, impulse, moment = exchange(scene, nodes.position, mass, velocity, touches, kin.tree_com)
+        qvel = before + dt * rate
+        poses = Pose(kin.position, kin.rotation)
+        contact = contact.meet(poses, _motions(model, kin, qvel), lambda: _motions(model, kin, before))
+        change = _predicted_change(scene, model, contact, kin, inertia)
+        contact, (impulse, moment) = contact.exchange(_motions(model, kin, qvel + change), kin.tree_com)
         given = generalized_forces(model.static.topology, kin, jnp.concatenate([moment, impulse], axis=-1))
         qvel = qvel + _solve(inertia, given)
         qpos = integrate(model.static.topology, qpos, qvel, dt)
 
-    velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
-    velocity = cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
-    particles = from_nodes(scene, nodes, particles.x, response, velocity)
     about_frame = moment + jnp.cross(kin.tree_com - kin.position, impulse)
-    return _Carry(particles, qpos, qvel, Wrench(received.force + impulse, received.torque + about_frame))
+    return _Carry(contact.finish(), qpos, qvel, Wrench(received.force + impulse, received.torque + about_frame))
 
 
 _substep = recomputed(_exchanging_substep)
@@ -158,23 +144,14 @@ def _motions(model: RigidModel, kin: Kinematics, qvel: Array) -> list[Motion]:
     return [Motion(turn[b], shift[b]) for b in range(model.num_bodies)]
 
 
-def _predicted_change(
-    scene: MPMScene,
-    model: RigidModel,
-    nodes: ActiveNodes,
-    mass: Array,
-    velocity: tuple[Array, Array, Array],
-    touches: list,
-    kin: Kinematics,
-    inertia: Array,
-) -> Array:
-    """Change of the joints' velocities by contact, shape (num_dofs,); see ``exchange.contact_system``."""
+def _predicted_change(scene: Scene, model: RigidModel, contact: SoftContact, kin: Kinematics, inertia: Array) -> Array:
+    """Change of the joints' velocities by contact, shape (num_dofs,); see ``exchange.System``."""
     matrix, right = inertia, jnp.zeros_like(inertia[0])
     moves = model.static.topology.moves
     for body in sorted({collider.body for collider in scene.colliders}):
         if not np.any(moves[body]):
             continue
-        system = contact_system(scene, nodes.position, mass, velocity, touches, body, kin.tree_com[body])
+        system = contact.system(body, kin.tree_com[body])
         axes = kin.axes.T * moves[body]  # what each joint's rate gives this body, (6, num_dofs), angular first
         whole = jnp.block([[system.c, system.b.T], [system.b, system.a]])
         matrix = matrix + axes.T @ whole @ axes
@@ -188,4 +165,4 @@ def _solve(matrix: Array, right: Array) -> Array:
     return found - implicit_correction(matrix, matrix @ found - right)
 
 
-__all__ = ["particle_substeps", "step"]
+__all__ = ["soft_substeps", "step"]

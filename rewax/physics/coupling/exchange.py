@@ -1,30 +1,23 @@
-"""What nodes and the bodies that touch them give each other: momentum is exchanged, never made.
+"""What a soft body and the rigid bodies that touch it give each other: momentum is exchanged, never made.
 
-The contact of light bodies with heavy particles is stiff: a body that answered only after it took the particles'
-momentum would be thrown back and forth. So the velocity that nodes are given is that which the body will have: a linear
-system, formed from all nodes that approach it now. (Nodes that only the new velocity runs into are not in it: a light
-body squeezed between heavy ones from two sides is the hard case.)
+The contact of light bodies with heavy soft ones is stiff: a body that answered only after it took what contact gives
+would be thrown back and forth. So contact acts with the velocity that the body will have: a linear system of six
+equations, to which everything that touches the body adds.
+
+A solver of soft bodies takes part as a ``SoftContact`` (particles in ``nodes``, tetrahedra in ``vertices``). What holds
+the rigid bodies is none of its business: nothing in ``free``, joints in ``articulated``.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol, Self
 
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import (
-    MIN_INFLUENCE,
-    Motion,
-    Overlap,
-    Touch,
-    contact_velocity,
-    friction_factor,
-    nearest,
-    velocity_at,
-)
-from rewax.physics.mpm.scene import MPMScene
+from rewax.physics.contact.colliders import Motion
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
 
@@ -42,52 +35,12 @@ def no_wrench(num_bodies: int, dtype=None) -> Wrench:
     return Wrench(zeros, zeros)
 
 
-def at_velocity(scene: MPMScene, position: Vec3, touches: list[Touch], motions: Sequence[Motion | None]) -> list[Touch]:
-    """The same touches with other motions of their bodies; None: as they were."""
-    moved = [motions[collider.body] for collider in scene.colliders]
-    return [
-        t if motion is None else t._replace(velocity=velocity_at(motion, position))
-        for motion, t in zip(moved, touches, strict=True)
-    ]
-
-
-def exchange(
-    scene: MPMScene, position: Vec3, mass: Array, velocity: Vec3, touches: list[Touch], origins: Array
-) -> tuple[Vec3, Array, Array]:
-    """What nodes and bodies give each other.
-
-    Args:
-      scene: its colliders and how they overlap.
-      position, mass, velocity: of the nodes [m, kg, m/s], (num_nodes,) each; mass 0 where nothing is.
-      touches: of each collider, with the velocity that its body will have.
-      origins: point of each body about which angular impulses count [m], shape (num_bodies, 3).
-
-    Returns:
-      Node velocities after contact; impulse on each body and angular impulse, shapes (num_bodies, 3). Gradient: exact.
-    """
-    impulses, moments = [jnp.zeros_like(origins)] * 2
-
-    def give(body: int, before: Vec3, after: Vec3, weight: Array) -> None:
-        nonlocal impulses, moments
-        lost = cp.vector(lambda i: weight * (before[i] - after[i]))
-        arm = cp.vector(lambda i: position[i] - origins[body, i])
-        total, moment = (jnp.stack([jnp.sum(a) for a in v]) for v in (lost, cp.cross(arm, lost)))
-        impulses, moments = impulses.at[body].add(total), moments.at[body].add(moment)
-
-    if scene.overlap is Overlap.SEQUENTIAL or len(touches) < 2:
-        for collider, t in zip(scene.colliders, touches, strict=True):
-            before, velocity = velocity, materialize(contact_velocity(t, velocity))
-            give(collider.body, before, velocity, mass)
-        return velocity, impulses, moments
-    best, shares = nearest(touches)
-    after = materialize(contact_velocity(best, velocity))
-    for collider, share in zip(scene.colliders, shares, strict=True):
-        give(collider.body, velocity, after, share * mass)
-    return after, impulses, moments
-
-
 class System(NamedTuple):
-    """Symmetric 6 x 6 system ((a, b), (b^T, c)) of a body's change of velocity and angular velocity."""
+    """Symmetric 6 x 6 system ((a, b), (b^T, c)) of a body's change of velocity and angular velocity.
+
+    A place in touch takes the momentum p - W J dV from a body whose twist changes by dV; W is symmetric, J = (1, -r x),
+    r the place's arm about the body's origin. With the body's inertia M: (M + sum J^T W J) dV = sum J^T p.
+    """
 
     a: Array
     b: Array
@@ -95,47 +48,77 @@ class System(NamedTuple):
     right: Array
 
 
-def contact_system(
-    scene: MPMScene, position: Vec3, mass: Array, velocity: Vec3, touches: list[Touch], body: int, origin: Array
-) -> System:
-    """What contact adds to a body's equations of motion.
+def no_system(dtype) -> System:
+    """Of a body that nothing touches."""
+    zeros = jnp.zeros((3, 3), dtype)
+    return System(zeros, zeros, zeros, jnp.zeros(6, dtype))
 
-    It holds if nodes that approach now go on to, and friction acts as it would now. With J = (1, -r x) at each node, r
-    its arm about ``origin``, a touch takes the momentum m W (v - J V) with a symmetric W from a body of twist V. With
-    the body's inertia M: (M + sum m J^T W J) dV = sum m J^T W (v - J V).
+
+def add_contact(system: System, arm: Vec3, normal: Vec3, along: Array, whole: Array, lost: Vec3) -> System:
+    """The system with the places that a collider touches.
+
+    Args:
+      system: without them.
+      arm: of each place about the body's origin [m], components of shape (num_places,).
+      normal: unit vectors n [-].
+      along, whole: W = along n n^T + whole 1 [kg].
+      lost: p [kg m/s], what the place loses if the body's velocity does not change.
+
+    Gradient: exact.
     """
-    alone = scene.overlap is Overlap.SEQUENTIAL or len(touches) < 2
-    masses = [mass] * len(touches) if alone else [share * mass for share in nearest(touches)[1]]
-    zeros = jnp.zeros((3, 3), mass.dtype)
-    system = System(zeros, zeros, zeros, jnp.zeros(6, mass.dtype))
-    arm = cp.vector(lambda i: position[i] - origin[i])
-    for collider, t, weight in zip(scene.colliders, touches, masses, strict=True):
-        if collider.body == body:
-            system = _add_touch(system, arm, weight, velocity, t)
-    return system
-
-
-def _add_touch(system: System, arm: Vec3, mass: Array, velocity: Vec3, t: Touch) -> System:
-    relative = cp.subtract(velocity, t.velocity)
-    approach = jnp.minimum(cp.dot(relative, t.normal), 0.0)
-    tangential = cp.vector(lambda i: relative[i] - approach * t.normal[i])
-    sliding = friction_factor(tangential, approach, t.friction)
-    after = contact_velocity(t, velocity)
-    weight = jnp.where((approach < 0) & (t.influence > MIN_INFLUENCE), mass * t.influence, 0.0)
-    # W = sliding n n^T + (1 - sliding) 1: sticking nodes take their whole velocity from the body, sliding ones only
-    # that along the normal.
-    along, whole = materialize((weight * sliding, weight * (1.0 - sliding)))
-    q = materialize(jnp.stack([*t.normal, *cp.cross(arm, t.normal)]))
+    along, whole = materialize((along, whole))
+    q = materialize(jnp.stack([*normal, *cp.cross(arm, normal)]))
     s = materialize(jnp.stack([jnp.ones_like(arm[0]), *arm]))
-    normal = jnp.einsum("an,bn->ab", along * q, q, precision="highest")
+    twice = jnp.einsum("an,bn->ab", along * q, q, precision="highest")
     moments = jnp.einsum("an,bn->ab", whole * s, s, precision="highest")
     second = moments[1:, 1:]
     eye = jnp.eye(3, dtype=second.dtype)
-    lost = cp.vector(lambda i: mass * (velocity[i] - after[i]))
     right = jnp.stack([jnp.sum(a) for a in (*lost, *cp.cross(arm, lost))])
     return System(
-        system.a + normal[:3, :3] + moments[0, 0] * eye,
-        system.b + normal[:3, 3:] - skew(moments[0, 1:]),
-        system.c + normal[3:, 3:] + jnp.trace(second) * eye - second,
+        system.a + twice[:3, :3] + moments[0, 0] * eye,
+        system.b + twice[:3, 3:] - skew(moments[0, 1:]),
+        system.c + twice[3:, 3:] + jnp.trace(second) * eye - second,
         system.right + right,
     )
+
+
+class Received(NamedTuple):
+    """Impulse [kg m/s] and angular impulse [kg m^2/s] on each body, shapes (num_bodies, 3)."""
+
+    impulse: Array
+    moment: Array
+
+    def and_from(self, position: Vec3, lost: Vec3, body: int, origins: Array) -> "Received":
+        """With the momentum [kg m/s] that places lose to a body; moments count about origins [m], (num_bodies, 3)."""
+        arm = cp.vector(lambda i: position[i] - origins[body, i])
+        impulse, moment = (jnp.stack([jnp.sum(a) for a in v]) for v in (lost, cp.cross(arm, lost)))
+        return Received(self.impulse.at[body].add(impulse), self.moment.at[body].add(moment))
+
+
+class SoftContact(Protocol):
+    """A soft body in the middle of a substep: its own forces are known, what bodies give to it is not.
+
+    Motions are velocity fields, one for each body.
+    """
+
+    def meet(self, poses: Pose, now: Sequence[Motion], before: Callable[[], Sequence[Motion]]) -> Self:
+        """With the bodies at given poses (num_bodies, ...).
+
+        ``now`` are motions after the bodies' own forces, which act in the whole substep, ``before`` those without.
+        """
+        ...
+
+    def system(self, body: int, origin: Array) -> System:
+        """What contact adds to a body's equations of motion; its twist is that at the origin [m], shape (3,)."""
+        ...
+
+    def exchange(self, motions: Sequence[Motion | None], origins: Array) -> tuple[Self, Received]:
+        """After contact with bodies of these motions (None: as they were), and what the bodies got.
+
+        Moments count about origins [m], shape (num_bodies, 3).
+        """
+        ...
+
+    def finish(self) -> Any:
+        """The soft body at the end of the substep."""
+        ...

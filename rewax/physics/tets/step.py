@@ -23,14 +23,14 @@ from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
 
-class _Vertices(NamedTuple):
+class Vertices(NamedTuple):
     """``TetState`` by components, as the inner loop wants it."""
 
     x: Vec3
     v: Vec3
 
 
-class _Rest(NamedTuple):
+class Rest(NamedTuple):
     """What a substep needs of the scene's arrays, by components, taken apart once per step."""
 
     inverse_edges: Mat3
@@ -48,10 +48,10 @@ def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetS
 
     Gradient: exact with respect to the state, the poses and every array of the scene, forward and reverse; at the onset
       of contact and at Coulomb's limit one-sided, see ``penalty.penalty_force``.
-    Source: the soft meshes of NVIDIA Warp's semi-implicit integrator; deviation: damping, see ``tet_law``.
+    Source: the soft meshes of NVIDIA Warp's semi-implicit integrator; deviation: damping, see ``law``.
     """
     check_bodies(scene.colliders, before.position.shape[0])
-    return _join(_recomputed_substep(scene, rest(scene), _split(state), (before, after)))
+    return join(_recomputed_substep(scene, rest(scene), split(state), (before, after)))
 
 
 def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | None = 1) -> TetState:
@@ -71,10 +71,10 @@ def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | No
     constants = rest(scene)
     one = _substep if store_every is None else _recomputed_substep
 
-    def body(vertices: _Vertices, interval: tuple[Pose, Pose]) -> _Vertices:
+    def body(vertices: Vertices, interval: tuple[Pose, Pose]) -> Vertices:
         return one(scene, constants, vertices, interval)
 
-    return _join(scan_substeps(body, _split(state), poses, store_every))
+    return join(scan_substeps(body, split(state), poses, store_every))
 
 
 def internal_force(scene: TetScene, state: TetState) -> Array:
@@ -82,12 +82,12 @@ def internal_force(scene: TetScene, state: TetState) -> Array:
 
     Gradient: exact. Without damping it is minus the gradient of ``elastic_energy``.
     """
-    return cp.join_vector(_internal_force(scene, rest(scene), *_split(state)))
+    return cp.join_vector(vertex_forces(scene, rest(scene), *split(state)))
 
 
 def contact_force(scene: TetScene, state: TetState, before: Pose, after: Pose) -> Array:
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``."""
-    return cp.join_vector(_contact_force(scene, *_split(state), before, after))
+    return cp.join_vector(contact_forces(scene, *split(state), (before, after)))
 
 
 def deformation_gradient(scene: TetScene, x: Array) -> Array:
@@ -119,29 +119,36 @@ def check_status(scene: TetScene, state: TetState, *, poses: Pose | None = None)
 # --- One substep, by components ---------------------------------------------------------------------------------------
 
 
-def _substep(scene: TetScene, rest: _Rest, vertices: _Vertices, interval: tuple[Pose, Pose]) -> _Vertices:
+def _substep(scene: TetScene, rest: Rest, vertices: Vertices, interval: tuple[Pose, Pose]) -> Vertices:
     vertices = materialize(vertices)
     x, v = vertices
     with jax.named_scope("tets"):
-        force = _internal_force(scene, rest, x, v)
+        force = vertex_forces(scene, rest, x, v)
     with jax.named_scope("contact"):
-        contact = _contact_force(scene, x, v, *interval)
-    with jax.named_scope("update"):
-        g, dt = scene.gravity, scene.dt
-        gain = 1.0 if scene.mobility is None else scene.mobility
-        v = cp.vector(lambda i: v[i] + dt * gain * ((force[i] + contact[i]) * rest.inverse_mass + g[i]))
-        x = cp.vector(lambda i: x[i] + dt * v[i])
-    return _Vertices(x, v)
+        contact = contact_forces(scene, x, v, interval)
+    return moved(scene, rest, vertices, force, contact)
 
 
 _recomputed_substep = recomputed(_substep)
 
 
-def deformation(scene: TetScene, rest: _Rest, x: Vec3) -> Mat3:
+def moved(scene: TetScene, rest: Rest, vertices: Vertices, force: Vec3, contact: Vec3) -> Vertices:
+    """Vertices a substep later, of the forces of their tets and of contact [N]. Gradient: exact."""
+    x, v = vertices
+    with jax.named_scope("update"):
+        g, dt = scene.gravity, scene.dt
+        gain = 1.0 if scene.mobility is None else scene.mobility
+        v = cp.vector(lambda i: v[i] + dt * gain * ((force[i] + contact[i]) * rest.inverse_mass + g[i]))
+        x = cp.vector(lambda i: x[i] + dt * v[i])
+    return Vertices(x, v)
+
+
+def deformation(scene: TetScene, rest: Rest, x: Vec3) -> Mat3:
     return cp.matmul(edges(scene.topology, x), rest.inverse_edges)
 
 
-def _internal_force(scene: TetScene, rest: _Rest, x: Vec3, v: Vec3) -> Vec3:
+def vertex_forces(scene: TetScene, rest: Rest, x: Vec3, v: Vec3) -> Vec3:
+    """``internal_force`` by components."""
     damped = not (isinstance(scene.damping, (int, float)) and scene.damping == 0)
     F = materialize(deformation(scene, rest, x))
     rate = materialize(deformation(scene, rest, v)) if damped else None
@@ -159,28 +166,47 @@ def _internal_force(scene: TetScene, rest: _Rest, x: Vec3, v: Vec3) -> Vec3:
     return gather_forces(scene.topology, cp.matrix(lambda i, k: -rest.volume * columns[i][k]))
 
 
-def _contact_force(scene: TetScene, x: Vec3, v: Vec3, before: Pose, after: Pose) -> Vec3:
+def contact_forces(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose] | None) -> Vec3:
+    """``contact_force`` by components; None: of the ground alone."""
     total = cp.vector(lambda i: jnp.zeros_like(x[i]))
     if scene.contact is None:
         return total
     if scene.ground is not None:
         total = cp.add(total, ground_force(scene.ground, scene.contact, x, v))
-    for collider in scene.colliders:
-        start, end = body_pose(before, collider.body), body_pose(after, collider.body)
+    for collider in () if interval is None else scene.colliders:
+        start, end = (body_pose(poses, collider.body) for poses in interval)
         total = cp.add(total, collider_force(collider, scene.contact, x, v, start, end, scene.dt))
     return total
 
 
-def rest(scene: TetScene) -> _Rest:
-    return _Rest(cp.split_matrix(scene.inverse_rest_edges), scene.rest_volume, 1.0 / scene.mass)
+def rest(scene: TetScene) -> Rest:
+    """What substeps need of the scene."""
+    return Rest(cp.split_matrix(scene.inverse_rest_edges), scene.rest_volume, 1.0 / scene.mass)
 
 
-def _split(state: TetState) -> _Vertices:
-    return _Vertices(cp.split_vector(state.x), cp.split_vector(state.v))
+def split(state: TetState) -> Vertices:
+    """Components of a state."""
+    return Vertices(cp.split_vector(state.x), cp.split_vector(state.v))
 
 
-def _join(vertices: _Vertices) -> TetState:
+def join(vertices: Vertices) -> TetState:
+    """Inverse of ``split``."""
     return TetState(x=cp.join_vector(vertices.x), v=cp.join_vector(vertices.v))
 
 
-__all__ = ["check_status", "contact_force", "deformation_gradient", "internal_force", "step", "substep"]
+__all__ = [
+    "Rest",
+    "Vertices",
+    "check_status",
+    "contact_force",
+    "contact_forces",
+    "deformation_gradient",
+    "internal_force",
+    "join",
+    "moved",
+    "rest",
+    "split",
+    "step",
+    "substep",
+    "vertex_forces",
+]

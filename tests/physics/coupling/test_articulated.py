@@ -131,7 +131,7 @@ def test_a_robots_substep_may_last_several_of_the_particles(x64):
     for each in (1, 2, 4):
         model = model_of(FINGER.format(mass=0.03), dt=each * 2e-4)
         scene, state = dough_under(model, dt=2e-4)
-        assert articulated.particle_substeps(scene, model) == each
+        assert articulated.soft_substeps(scene, model) == each
         _, robot, _ = RUN(scene, model, state, thrown(model), num_substeps=200 // each)
         ends.append(np.asarray(robot.qpos))
     assert np.abs(ends[2] - ends[0]).max() < 2e-3
@@ -141,9 +141,7 @@ def test_a_robots_substep_may_last_several_of_the_particles(x64):
 def test_lengths_that_do_not_fit_say_what_to_do():
     model = model_of(dt=5e-4)
     scene, state = dough_under(model, dt=4e-4)
-    with pytest.raises(
-        ValueError, match=r"^the particles' dt 0\.0004 s does not divide the model's 0\.0005 s: choose "
-    ):
+    with pytest.raises(ValueError, match=r"^the scene's dt 0\.0004 s does not divide the model's 0\.0005 s: choose "):
         articulated.step(scene, model, state, thrown(model))
 
 

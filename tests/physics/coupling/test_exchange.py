@@ -1,96 +1,51 @@
-"""What one body and the nodes in touch with it give each other, against sums over the nodes written out."""
+"""Sums over the places in touch with a body, against the same written out."""
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-from rewax.physics import mpm
-from rewax.physics.contact import Collider, Overlap
-from rewax.physics.contact.colliders import Motion, touch
-from rewax.physics.coupling.exchange import at_velocity, contact_system, exchange, no_wrench
-from rewax.physics.mpm import Grid, Material
-from rewax.physics.numerics import Pose
-from rewax.physics.shapes import Sphere
-
-ORIGIN = np.array([0.1, -0.2, 0.3])
+from rewax.physics.coupling.exchange import Received, add_contact, no_system, no_wrench
 
 
-def scene_of(friction, overlap=Overlap.SEQUENTIAL):
-    ball = Collider(shape=Sphere(radius=jnp.asarray(0.5)), friction=jnp.asarray(friction), softness=jnp.asarray(50.0))
-    return mpm.make_scene(
-        grid=Grid(shape=(8, 8, 8), spacing=0.5), dt=1e-3, particle_volume=jnp.asarray(1e-3), overlap=overlap,
-        material=Material(youngs_modulus=jnp.asarray(1e3), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1e3)),
-        colliders=(ball,),
-    )  # fmt: skip
-
-
-def nodes(n=40, seed=0):
-    """Places about the ball, masses, and velocities of which about half approach it."""
+def drawn(n=20, seed=0):
+    """Arms, unit normals, what bodies are asked for along them and whole, momenta lost."""
     rng = np.random.default_rng(seed)
-    place = rng.normal(size=(3, n))
-    place *= rng.uniform(0.3, 0.6, n) / np.linalg.norm(place, axis=0)
-    return tuple(jnp.asarray(place)), jnp.asarray(rng.uniform(0.1, 1.0, n)), tuple(jnp.asarray(rng.normal(size=(3, n))))
+    arm, normal, lost = rng.normal(size=(3, 3, n))
+    return arm, normal / np.linalg.norm(normal, axis=0), rng.uniform(size=n), rng.uniform(size=n), lost
 
 
-def touched(scene, position):
-    still = Motion(jnp.zeros((3, 3)), jnp.zeros(3))
-    return [touch(scene.colliders[0], position, Pose(jnp.zeros(3), jnp.eye(3)), still)]
-
-
-@pytest.mark.parametrize("friction", [0.0, 0.5, 100.0])
-def test_bodies_get_what_nodes_lose(x64, friction):
-    scene, (position, mass, velocity) = scene_of(friction), nodes()
-    after, impulse, moment = exchange(
-        scene, position, mass, velocity, touched(scene, position), jnp.asarray(ORIGIN)[None]
+def test_a_system_is_the_sum_over_the_places(x64):
+    arm, normal, along, whole, lost = drawn()
+    half = (
+        [a[..., :7] for a in (arm, normal, along, whole, lost)],
+        [a[..., 7:] for a in (arm, normal, along, whole, lost)],
     )
-    lost = np.asarray(mass) * (np.stack(velocity) - np.stack(after))
-    arm = np.stack(position) - np.asarray(ORIGIN)[:, None]
-    np.testing.assert_allclose(impulse[0], lost.sum(axis=1), rtol=1e-12)
-    np.testing.assert_allclose(moment[0], np.cross(arm.T, lost.T).sum(axis=0), rtol=1e-12)
-    assert np.abs(lost).max() > 0.1
-
-
-@pytest.mark.parametrize("friction", [0.0, 100.0])
-def test_the_system_is_the_sum_over_approaching_nodes(x64, friction):
-    """Without friction a node asks for its normal velocity alone, with a lot of it for all three."""
-    scene, (position, mass, velocity) = scene_of(friction), nodes()
-    (found,) = touched(scene, position)
-    system = contact_system(scene, position, mass, velocity, [found], 0, ORIGIN)
+    system = no_system(jnp.float64)
+    for r, n, a, w, p in half:
+        system = add_contact(system, tuple(jnp.asarray(r)), tuple(jnp.asarray(n)), jnp.asarray(a), jnp.asarray(w), tuple(jnp.asarray(p)))  # fmt: skip
     matrix, right = np.zeros((6, 6)), np.zeros(6)
-    for k in range(len(mass)):
-        x, v, n = (np.array([float(a[k]) for a in vector]) for vector in (position, velocity, found.normal))
-        w = float(found.influence[k])
-        if v @ n >= 0 or w <= 0.1:
-            continue
-        W = np.outer(n, n) if friction == 0.0 else np.eye(3)
-        r = x - np.asarray(ORIGIN)
-        J = np.concatenate([np.eye(3), -np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])], axis=1)
-        matrix += float(mass[k]) * w * J.T @ W @ J
-        right += float(mass[k]) * w * J.T @ W @ v
-    whole = np.block([[np.asarray(system.a), np.asarray(system.b)], [np.asarray(system.b).T, np.asarray(system.c)]])
-    np.testing.assert_allclose(whole, matrix, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(system.right, right, rtol=1e-10, atol=1e-12)
+    for k in range(len(along)):
+        x, y, z = arm[:, k]
+        J = np.concatenate([np.eye(3), -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])], axis=1)
+        W = along[k] * np.outer(normal[:, k], normal[:, k]) + whole[k] * np.eye(3)
+        matrix, right = matrix + J.T @ W @ J, right + J.T @ lost[:, k]
+    found = np.block([[np.asarray(system.a), np.asarray(system.b)], [np.asarray(system.b).T, np.asarray(system.c)]])
+    np.testing.assert_allclose(found, matrix, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(system.right, right, rtol=1e-12)
 
 
-def test_another_body_adds_nothing(x64):
-    scene, (position, mass, velocity) = scene_of(0.5), nodes()
-    system = contact_system(scene, position, mass, velocity, touched(scene, position), 1, ORIGIN)
-    assert not any(np.any(part) for part in system)
-
-
-def test_touches_move_as_they_are_told():
-    scene, (position, _, _) = scene_of(0.5), nodes()
-    first = touched(scene, position)
-    turn = jnp.array([[0.0, -2.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    (moved,) = at_velocity(scene, position, first, [Motion(turn, jnp.array([0.0, 0.0, 1.0]))])
-    np.testing.assert_allclose(moved.velocity[0], -2.0 * position[1], rtol=1e-6)
-    np.testing.assert_allclose(moved.velocity[1], 2.0 * position[0], rtol=1e-6)
-    np.testing.assert_allclose(moved.velocity[2], 1.0)
-    assert at_velocity(scene, position, first, [None])[0] is first[0]
+def test_bodies_receive_about_their_own_origins(x64):
+    arm, _, _, _, lost = drawn()
+    position, origins = tuple(jnp.asarray(arm)), jnp.asarray([[0.0, 0.0, 0.0], [1.0, -2.0, 0.5]])
+    none = Received(jnp.zeros((2, 3)), jnp.zeros((2, 3)))
+    first = none.and_from(position, tuple(jnp.asarray(lost)), 1, origins)
+    np.testing.assert_allclose(first.impulse, [[0, 0, 0], lost.sum(1)], rtol=1e-12)
+    moment = np.cross((arm - np.asarray(origins[1])[:, None]).T, lost.T).sum(0)
+    np.testing.assert_allclose(first.moment, [[0, 0, 0], moment], rtol=1e-12)
+    twice = first.and_from(position, tuple(jnp.asarray(lost)), 1, origins)
+    np.testing.assert_allclose(twice.moment, 2 * first.moment, rtol=1e-12)
 
 
 def test_no_wrench_is_zero():
     wrench = no_wrench(3)
-    assert (
-        wrench.force.shape == wrench.torque.shape == (3, 3) and not np.any(wrench.force) and not np.any(wrench.torque)
-    )
+    assert wrench.force.shape == wrench.torque.shape == (3, 3)
+    assert not np.any(wrench.force) and not np.any(wrench.torque)

@@ -22,11 +22,11 @@ PULLED = """<mujoco><option timestep="0.004" iterations="100" ls_iterations="100
   <equality><weld body1="hand" body2="a" relpose=".3 .1 0 1 .1 .2 .3" anchor=".1 .05 0" torquescale=".7"/>
     <weld site1="sa" site2="sb"/><connect body1="a" body2="b" anchor=".2 0 0"/><weld body1="b" body2="world" active="false"/></equality>
   <keyframe><key mpos=".1 .2 1.1" mquat=".9 .1 .2 .3"/></keyframe></mujoco>"""
-PUSHED = """<mujoco><option timestep="0.004" iterations="100" ls_iterations="100" tolerance="1e-15"/><worldbody>
+PUSHED = f"""<mujoco><option timestep="0.004" iterations="100" ls_iterations="100" tolerance="1e-15"/><worldbody>
   <body name="far" mocap="true" pos="0 0 9"><geom size=".1"/></body>
-  <body name="fist" mocap="true" pos="-.2 0 .1"><geom size=".1" {soft}/></body>
-  <body name="box" pos="0 .02 .1"><joint type="slide" axis="1 0 0"/><joint axis="0 0 1"/><geom type="box" size=".1 .1 .1" {soft}/></body>
-  </worldbody></mujoco>""".format(soft=rigid_models.SOFT)
+  <body name="fist" mocap="true" pos="-.2 0 .1"><geom size=".1" {rigid_models.SOFT}/></body>
+  <body name="box" pos="0 .02 .1"><joint type="slide" axis="1 0 0"/><joint axis="0 0 1"/><geom type="box" size=".1 .1 .1" {rigid_models.SOFT}/></body>
+  </worldbody></mujoco>"""
 
 
 @functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)

@@ -1,0 +1,138 @@
+"""Tetrahedra in contact with bodies: vertices are pushed by a penalty force, and push back.
+
+A spring of stiffness k against a body of mass M is stiff where k dt^2 > M, however slow the vertices are. So the force
+on a vertex is the one of ``contact.penalty_force`` at the substep's beginning, plus what changes in it by the change of
+the body's velocity within the substep: with s the velocity of the body's surface,
+
+    f = f(x, v - s) + W (s' - s),    W = (dt k + damping) n n^T + drag (1 - n n^T),
+
+where dampings are those that act at the beginning. It is linear in the body's velocity, so that ``exchange.System``
+gives it exactly, and the body receives minus f. At rest it is the penalty force itself. Springs that the body's own
+forces close within the substep act too: else a light body that is pressed on a surface would hop on it.
+
+Vertices remain explicit. Whatever the bodies' masses, springs are stable at a substep at which they are stable against
+a body that is held. Eliminating s' leaves springs of stiffness S = (1/k + dt^2 J M^-1 J^T)^-1. Let x displace the
+vertices and X the bodies; C x - J X is what it compresses springs by. Then S stores at most the energy that k would
+with X = 0, plus X^T M X / (2 dt^2): it is two springs in series, and pulling them apart at any point stores no less.
+Symplectic Euler is stable up to 4 x^T m x / (2 dt^2) of the first and 4 X^T M X / (2 dt^2) of the second.
+
+A body that is thrown off may be held by springs in the substep in which it leaves.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Self
+
+import jax.numpy as jnp
+
+from rewax.physics.contact.colliders import Collider, Motion
+from rewax.physics.contact.penalty import PenaltyContact, penalty_response, surface
+from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.tets.scene import TetScene
+from rewax.physics.tets.step import Rest, Vertices, contact_forces, moved, vertex_forces
+from rewax.types import Array
+
+
+class VertexTouch(NamedTuple):
+    """A collider at all vertices, arrays of shape (num_vertices,)."""
+
+    force: Vec3
+    """On the vertices if the body kept its velocity from before the substep [N]."""
+    normal: Vec3
+    """Away from the collider."""
+    along: Array
+    """Change of the force along the normal per change of the surface's velocity [N s/m]."""
+    across: Array
+    """The same of the force across it."""
+    surface: Vec3
+    """Velocity of the body's surface before the substep [m/s]."""
+    pushed: Vec3
+    """Its change by the body's own forces [m/s]."""
+
+    def force_at(self, change: Vec3) -> Vec3:
+        """Force on the vertices [N] after a change of the surface's velocity [m/s]."""
+        onto = (self.along - self.across) * cp.dot(self.normal, change)
+        return cp.vector(lambda i: self.force[i] + self.across * change[i] + onto * self.normal[i])
+
+
+class VertexContact(NamedTuple):
+    """Vertices in the middle of a substep, see ``exchange.SoftContact``. Gradient: exact."""
+
+    scene: TetScene
+    rest: Rest
+    vertices: Vertices
+    internal: Vec3
+    """Forces of the tets on the vertices [N]."""
+    contact: Vec3
+    """Forces of the ground on the vertices, then of colliders too [N]."""
+    touches: tuple[VertexTouch, ...] = ()
+    """Of each collider."""
+
+    def meet(self, poses: Pose, now: Sequence[Motion], before: Callable[[], Sequence[Motion]]) -> Self:
+        x, v = self.vertices
+        scene, were = self.scene, before()
+        assert scene.contact is not None or not scene.colliders
+
+        def one(c: Collider) -> VertexTouch:
+            return _touch(c, scene.contact, scene.dt, x, v, body_pose(poses, c.body), now[c.body], were[c.body])
+
+        return self._replace(touches=tuple(one(c) for c in scene.colliders))
+
+    def system(self, body: int, origin: Array) -> System:
+        x, dt = self.vertices.x, self.scene.dt
+        system = no_system(x[0].dtype)
+        arm = cp.vector(lambda i: x[i] - origin[i])
+        for collider, t in zip(self.scene.colliders, self.touches, strict=True):
+            if collider.body == body:
+                lost = cp.scale(-dt, t.force_at(t.pushed))
+                system = add_contact(system, arm, t.normal, dt * (t.along - t.across), dt * t.across, lost)
+        return system
+
+    def exchange(self, motions: Sequence[Motion | None], origins: Array) -> tuple[Self, Received]:
+        x, total = self.vertices.x, self.contact
+        received = Received(*[jnp.zeros_like(origins)] * 2)
+        for c, t in zip(self.scene.colliders, self.touches, strict=True):
+            motion = motions[c.body]
+            change = t.pushed if motion is None else cp.subtract(_velocity(motion, x), t.surface)
+            force = materialize(t.force_at(change))
+            received = received.and_from(x, cp.scale(-self.scene.dt, force), c.body, origins)
+            total = cp.add(total, force)
+        return self._replace(contact=total), received
+
+    def finish(self) -> Vertices:
+        return moved(self.scene, self.rest, self.vertices, self.internal, self.contact)
+
+
+def begin(scene: TetScene, rest: Rest, vertices: Vertices) -> VertexContact:
+    """The forces of tets and ground. Gradient: exact."""
+    vertices = materialize(vertices)
+    x, v = vertices
+    return VertexContact(scene, rest, vertices, vertex_forces(scene, rest, x, v), contact_forces(scene, x, v, None))
+
+
+def _touch(
+    collider: Collider, law: PenaltyContact, dt: float, x: Vec3, v: Vec3, body: Pose, now: Motion, before: Motion
+) -> VertexTouch:
+    distance, normal, _ = surface(collider, x, body)
+    was = _velocity(before, x)
+    response = penalty_response(law, distance, normal, cp.subtract(v, was), collider.friction)
+    pushed = cp.subtract(_velocity(now, x), was)
+    touches = response.gap < 0
+    reached = ~touches & (response.gap < dt * cp.dot(normal, pushed))
+    damping = jnp.where(touches & (response.separating < 0), response.damping, 0.0)
+    along = jnp.where(touches | reached, dt * law.stiffness, 0.0) + damping
+    push = jnp.where(reached, -law.stiffness * response.gap, response.push)
+    force = cp.vector(lambda i: push * normal[i] - response.drag * response.sliding[i])
+    return materialize(VertexTouch(force, normal, along, response.drag, was, pushed))
+
+
+def _velocity(motion: Motion, x: Vec3) -> Vec3:
+    """Of a body's points [m/s]. Gradient: exact, with respect to the places too."""
+    turned = cp.matvec(cp.split_matrix(motion.turn), x)
+    return cp.vector(lambda i: turned[i] + motion.shift[i])
+
+
+__all__ = ["VertexContact", "VertexTouch", "begin"]

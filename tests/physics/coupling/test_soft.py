@@ -1,0 +1,49 @@
+"""Each kind of scene has its solver; splitting a state and joining it gives it back."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import tet_bodies
+
+from rewax.physics import mpm, tets
+from rewax.physics.coupling.soft import PARTICLES, TETRAHEDRA, solver_of
+from rewax.physics.mpm import Grid, Material
+
+
+def particles():
+    material = Material(youngs_modulus=1e3, poissons_ratio=0.3, density=1e3)
+    scene = mpm.make_scene(grid=Grid(shape=(8, 8, 8), spacing=0.5), dt=1e-3, particle_volume=1e-3, material=material)
+    x = jnp.asarray(np.random.default_rng(0).uniform(1.0, 2.0, (5, 3)), jnp.float32)
+    return scene, mpm.initial_state(x)
+
+
+def vertices():
+    scene, state = tet_bodies.body()
+    return scene, tet_bodies.shaken(state)
+
+
+@pytest.mark.parametrize(("body", "solver"), [(particles, PARTICLES), (vertices, TETRAHEDRA)])
+def test_a_scene_has_its_solver(body, solver):
+    scene, state = body()
+    assert solver_of(scene) is solver
+    back = solver.join(solver.split(state))
+    jax.tree.map(np.testing.assert_array_equal, back, state)
+
+
+@pytest.mark.parametrize("body", [particles, vertices])
+def test_a_substep_without_bodies_is_that_of_the_solver(body):
+    scene, state = body()
+    solver = solver_of(scene)
+
+    @jax.jit
+    def coupled(scene, state):
+        return solver.join(solver.begin(scene, solver.constants(scene, state), solver.split(state)).finish())
+
+    alone = jax.jit(mpm.step if body is particles else tets.step)(scene, state, mpm.static_poses(1))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), coupled(scene, state), alone)
+
+
+def test_what_is_no_scene_is_refused():
+    with pytest.raises(ValueError, match=r"^scene is dict: give one of mpm.make_scene or tets.make_scene"):
+        solver_of({})
