@@ -66,7 +66,7 @@ def make_fling() -> Fling:
         ),
         particle_volume=jnp.asarray(0.09 * 0.07 * 0.09 / len(block)),
         gravity=(0.0, -9.81, 0.0),  # the model's own
-        colliders=rigid.colliders(model, softness=60.0),  # of its geoms with conaffinity
+        colliders=rigid.colliders(model),  # of its geoms with conaffinity
         walls=Walls(
             lower=(None, Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=jnp.asarray(0.2)), sides[0]),
             upper=(Wall(position=1.15), None, sides[1]),

@@ -80,7 +80,7 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
         ),
         particle_volume=jnp.asarray(float(np.prod(SIZE) / np.prod(counts))),
         gravity=(0.0, -9.81, 0.0),
-        colliders=rigid.colliders(model, softness=200.0),
+        colliders=rigid.colliders(model),
         walls=Walls(
             lower=(sides[0], Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=jnp.asarray(0.3)), sides[0]),
             upper=(sides[1], None, sides[1]),
