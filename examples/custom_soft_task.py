@@ -66,7 +66,6 @@ def make_push_sand() -> PushSand:
             Collider(
                 shape=Box(half_size=jnp.array([0.025, 0.06, 0.06])),  # at least a cell thick, or sand passes through
                 friction=jnp.asarray(0.3),
-                softness=jnp.asarray(100.0),
             ),
         ),
         walls=Walls(lower=(sides[0], floor, sides[0]), upper=(sides[1], None, sides[1])),
