@@ -50,6 +50,10 @@ def _small(paper: SAPOConfig, **changes: Any) -> SAPOConfig:
     return dataclasses.replace(paper, **{**small, **shared, **changes})
 
 
+_JUMPER = dataclasses.replace(
+    SMALL, num_envs=16, horizon=32, num_iterations=200, critic_minibatches=4, initial_temperature=0.02
+)
+
 _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("RollingFlat", "paper"): SAPOConfig(num_iterations=4000),
     ("RollingFlat", "small"): SMALL,
@@ -58,9 +62,9 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("HandFlip", "paper"): SAPOConfig(num_iterations=6000),
     ("HandFlip", "small"): SMALL,
     ("SoftJumper", "paper"): SAPOConfig(num_iterations=6000),
-    ("SoftJumper", "small"): dataclasses.replace(
-        SMALL, num_envs=16, horizon=32, num_iterations=200, critic_minibatches=4, initial_temperature=0.02
-    ),
+    ("SoftJumper", "small"): _JUMPER,
+    ("SoftJumperMPM", "paper"): SAPOConfig(num_iterations=6000),
+    ("SoftJumperMPM", "small"): _JUMPER,
     ("AntRun", "paper"): dataclasses.replace(_RUNNER, num_iterations=2000),
     ("AntRun", "small"): _small(_RUNNER),
     ("Ant", "paper"): _RUNNER,

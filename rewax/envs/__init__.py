@@ -11,6 +11,7 @@ register("HandFlip", {scale: f"rewax.envs.hand_flip:{scale}" for scale in ("pape
 register("HandLift", {scale: f"rewax.envs.hand_lift:{scale}" for scale in ("paper", "small")})
 register("FluidMove", {scale: f"rewax.envs.fluid_move:{scale}" for scale in ("paper", "small")})
 register("SoftJumper", {scale: f"rewax.envs.soft_jumper:{scale}" for scale in ("paper", "small")})
+register("SoftJumperMPM", {scale: f"rewax.envs.soft_jumper_mpm:{scale}" for scale in ("paper", "small")})
 register("GripperLift", {scale: f"rewax.envs.gripper_lift:{scale}" for scale in ("paper", "small")})
 register("SteerFloat", {scale: f"rewax.envs.steer_float:{scale}" for scale in ("paper", "small")})
 register("AntRun", "rewax.envs.ant_run:make_ant_run")
