@@ -47,8 +47,9 @@ def initial_state(
       ValueError: a shape does not fit, or a number is not finite.
     """
     dtype = model.parameters["qpos0"].dtype
-    qpos = model.home if qpos is None else jnp.asarray(qpos, dtype)
-    qvel = jnp.zeros(model.num_dofs, dtype) if qvel is None else jnp.asarray(qvel, dtype)
+    # Copies: MuJoCo writes into its own arrays, which asarray may share.
+    qpos = model.home if qpos is None else jnp.array(qpos, dtype)
+    qvel = jnp.zeros(model.num_dofs, dtype) if qvel is None else jnp.array(qvel, dtype)
     for name, value, size in (("qpos", qpos, model.num_positions), ("qvel", qvel, model.num_dofs)):
         check_shape(name, value, (size,))
         if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(jnp.isfinite(value))):

@@ -67,6 +67,53 @@ def test_joint_damping_is_implicit_unless_the_model_says_no(x64):
         np.testing.assert_allclose(state.qpos, end, atol=1e-13)
 
 
+SERVOS = """<mujoco><compiler autolimits="true" angle="radian"/><option integrator="implicitfast" timestep="0.005"/><worldbody>
+  <body pos="0 0 1"><joint name="a" axis="0 1 0" damping=".3"/><geom size=".05" fromto="0 0 0 .3 0 0" type="capsule"/><site name="s"/>
+    <body pos=".3 0 0"><joint name="b" axis="0 1 .2" damping=".1"/><geom size=".04" fromto="0 0 0 .3 0 0" type="capsule"/>
+      <site name="t" pos=".1 0 .1"/><body pos=".3 0 0"><joint name="c" axis="1 .3 0"/><geom size=".04" fromto="0 0 0 .2 .1 0" type="capsule"/>
+  </body></body></body>
+  <body pos="2 0 1"><freejoint name="top"/><geom type="box" size=".1 .2 .05"/><geom size=".05" pos=".2 0 .1"/></body></worldbody>
+  <tendon><fixed name="cord" damping=".2" stiffness="3"><joint joint="b" coef="1"/><joint joint="c" coef="-.5"/></fixed>
+    <spatial name="rope" damping="1"><site site="s"/><site site="t"/></spatial></tendon>
+  <actuator><velocity joint="a" kv="2"/><position joint="b" kp="5" kv="1" forcerange="-.6 .6"/>
+    <general joint="c" gaintype="affine" gainprm="1 .2 -.7" biastype="affine" biasprm="0 -1 -.3" ctrlrange="-.5 .5"/>
+    <velocity tendon="cord" kv=".5"/><muscle name="muscle" joint="a" lengthrange="-1 1" force="3" ctrlrange="0 1"/>
+    <general joint="b" dyntype="filter" dynprm=".1" gaintype="affine" gainprm="1 0 -.5"/></actuator></mujoco>"""
+"""All that implicitfast is implicit in: damping of joints, tendons and actuators, the spin of a body that flies alone."""
+
+
+def test_implicitfast_is_mujocos(x64, derivatives, central_difference, random_like, inner):
+    """A hundred steps, some forces saturated; reverse, forward and difference agree for states, controls and numbers."""
+    mj, model = mujoco.MjModel.from_xml_string(SERVOS), rigid.load(SERVOS)
+    rng = np.random.default_rng(0)
+    qvel, ctrl = 4.0 * rng.standard_normal(mj.nv), rng.uniform(-1, 1, mj.nu)
+    qpos = mj.qpos0 + np.array([0.3, -0.2, 0.4, *np.zeros(7)])
+    data, _ = simulate_in_c(mj, qpos, qvel, ctrl)
+    start = rigid.initial_state(model, qpos, qvel)
+    state = start
+    for _ in range(CALLS):
+        state = advance(model, state, ctrl, np.zeros((mj.nbody, 6)))
+    for ours, theirs in ((state.qpos, data.qpos), (state.qvel, data.qvel), (state.act, data.act)):
+        np.testing.assert_allclose(ours, theirs, atol=1e-10)
+    mj.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    assert np.abs(simulate_in_c(mj, qpos, qvel, ctrl)[0].qpos - data.qpos).max() > 1e-3
+
+    names = ("dof_damping", "actuator_gainprm", "actuator_biasprm", "body_mass", "body_ipos")
+    x = (start.qpos, start.qvel, jnp.asarray(ctrl), {name: model.parameters[name] for name in names})
+    move = (*random_like(1, x[:3]), jax.tree.map(lambda a: a * rng.uniform(0.5, 1.0, a.shape), x[3]))
+
+    def end(x):
+        after = rigid.step(model.with_parameters(**x[3]), start.replace(qpos=x[0], qvel=x[1]), x[2], num_substeps=2)
+        return after.qpos, after.qvel
+
+    quick = rigid_models.QUICK_TO_COMPILE
+    _, forward, weights, reverse = derivatives(end, compiler_options=quick)(x, move, lambda v: random_like(2, v))
+    expected = central_difference(jax.jit(end, compiler_options=quick), x, move, 1e-6)
+    for found, true in zip(forward, expected, strict=True):
+        np.testing.assert_allclose(found, true, atol=1e-7 * np.abs(true).max())
+    assert inner(weights, forward) == pytest.approx(inner(reverse, move), rel=1e-9)
+
+
 def test_single_precision_stays_single():
     """Of every leaf, with an activation and several kinds of rows; integers are taken as reals."""
     with jax.enable_x64(False):

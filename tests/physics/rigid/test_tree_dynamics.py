@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from trees import compiled, draw, parameters_of
 
 from rewax.physics.numerics.rotations import quaternion_to_matrix
+from rewax.physics.rigid import mjcf
+from rewax.physics.rigid.kinematic_tree import tree_topology
 from rewax.physics.rigid.kinematics import (
     integrate,
     kinematics,
 )
-from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix
+from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spin_slopes
 
 
 @given(seed=st.integers(0, 10**6))
@@ -112,3 +114,30 @@ def test_derivatives_with_respect_to_every_parameter(x64, random_like, central_d
         assert forward == pytest.approx(inner(gradient, move), rel=1e-10)
         assert forward == pytest.approx(difference, rel=1e-6)
         assert forward != 0.0
+
+
+LONE = """<mujoco><worldbody><body><freejoint/><geom type="box" size=".1 .2 .05" pos=".1 0 .05"/>
+  <body pos=".3 .2 0"><geom size=".1"/></body></body>
+  <body pos="2 0 0"><freejoint/><geom size=".1"/><body pos=".3 0 0"><joint axis="0 1 0"/><geom size=".1"/></body></body>
+  </worldbody></mujoco>"""
+
+
+def test_slopes_of_spin_are_the_derivative_of_the_bias(x64):
+    """Of the body that flies alone, one that is fixed to it included; of the one with a joint nothing."""
+    mj = mujoco.MjModel.from_xml_string(LONE)
+    alone = mjcf.lone_dofs(mj)
+    np.testing.assert_array_equal(alone, [np.arange(6)])
+    topology = tree_topology(mj.body_parentid, mj.jnt_bodyid, mj.jnt_type)
+    qvel = jnp.asarray(np.random.default_rng(0).standard_normal(mj.nv))
+    parameters = parameters_of(mj)
+
+    @jax.jit
+    def both(qvel):
+        kin = kinematics(topology, parameters, jnp.asarray(mj.qpos0))
+        still, weightless = jnp.zeros(mj.nv), jnp.zeros(3)
+        bias = jax.jacfwd(lambda v: inverse_dynamics(topology, parameters, kin, v, still, weightless))(qvel)
+        return bias, spin_slopes(topology, parameters, kin, qvel, alone)
+
+    expected, found = (np.asarray(a) for a in both(qvel))
+    np.testing.assert_allclose(found[:6, :6], expected[:6, :6], atol=1e-12)
+    assert not found[6:].any() and not found[:, 6:].any() and np.abs(expected[:6, 3:6]).max() > 1.0
