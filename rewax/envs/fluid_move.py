@@ -63,7 +63,7 @@ class FluidMove(SoftTask):
         1e-5, whose derivative is zero almost everywhere.
       distance_scale: distance from the target that counts as 1 [m]; the reference has 1, in which the reward is flat.
       relative: whether water and target are observed from the container instead of from the world's origin, and the
-        container's own place is not (static).
+        container's own place and the water's middle are not (static).
     """
 
     target_lower: Array
@@ -84,8 +84,9 @@ class FluidMove(SoftTask):
     def observe(self, physics: SoftPhysics) -> Observation:
         obs = {**super().observe(physics), "target_q": physics.task - self._origin(physics)}
         if self.relative:
-            # Where the container is says where it came from, and a policy would learn to go on from there.
-            del obs["joint_q"]
+            # Normalised, the small motions of the water's middle would be a loud signal, and answering it feeds back
+            # on them. Where the container is says where it came from, and a policy would learn to go on from there.
+            del obs["com_q"], obs["joint_q"]
         return obs
 
     def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
