@@ -106,7 +106,8 @@ def _tool_step(env: SoftTask, scene: MPMScene, physics: Any, action: jax.Array) 
         action[: env.num_joints] * env.joint_step, env.joint_lower - physics.joint_q, env.joint_upper - physics.joint_q
     )
     along = physics.joint_q + jnp.linspace(0.0, 1.0, env.num_substeps + 1)[:, None] * motion
-    none = FreeBodies(*(jnp.zeros((0, n)) for n in (3, 4, 3, 3)))
+    parts = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}
+    none = FreeBodies(**{name: jnp.zeros((0, size)) for name, size in parts.items()})
     inertia = Inertia(mass=jnp.zeros(0), moment=jnp.zeros((0, 3, 3)))
     after, _, wrench = jax.jit(lambda s, poses: coupling.step(scene, inertia, s, none, poses))(
         physics.soft, env.poses(along)
