@@ -92,12 +92,13 @@ def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
 
 
 def without_idle_parts(mj: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy for MJX without what has no effect on the motion: energy, sensors and the integrator, which is ours."""
+    """A copy for MJX without what has no effect on the motion: energy, sensors, integrator and solver (ours)."""
     mj = copy.copy(mj)
     for flag in _IDLE_FLAGS:
         mj.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, f"mjENBL_{flag}"))
     mj.sensor_type[:] = mujoco.mjtSensor.mjSENS_CLOCK  # a kind that MJX knows; none is evaluated
     mj.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    mj.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     return mj
 
 

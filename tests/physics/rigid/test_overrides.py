@@ -14,7 +14,7 @@ from rewax.physics import rigid
 from rewax.physics.rigid.overrides import moving_geoms, with_overrides
 from rewax.physics.rigid.penalty import Penalty
 
-REFUSED_AS_WRITTEN = """<mujoco><option integrator="RK4" cone="elliptic" noslip_iterations="3" timestep="0.003" iterations="7"
+REFUSED_AS_WRITTEN = """<mujoco><option integrator="RK4" cone="elliptic" noslip_iterations="3" timestep="0.003" iterations="7" solver="PGS"
   gravity="0 0 -2"><flag energy="enable" fwdinv="enable" sleep="enable"/></option><worldbody>
   <geom name="floor" type="plane" size="1 1 1"/>
   <body name="ball" pos="0 0 .3"><freejoint/><geom size=".1"/></body></worldbody>
