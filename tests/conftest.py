@@ -23,6 +23,19 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("rewax")
 
 
+_MANY_MAPS = 20_000
+"""Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs() -> Iterator[None]:
+    """Compiled programs of earlier modules go before they are too many; the cache on disk keeps them."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.is_file() and maps.read_bytes().count(b"\n") > _MANY_MAPS:
+        jax.clear_caches()
+
+
 @pytest.fixture
 def x64() -> Iterator[None]:
     """The test runs with float64 as the default."""
