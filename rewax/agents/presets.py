@@ -65,6 +65,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("SoftJumper", "small"): _JUMPER,
     ("SoftJumperMPM", "paper"): SAPOConfig(num_iterations=6000),
     ("SoftJumperMPM", "small"): _JUMPER,
+    ("SteerFloat", "small"): dataclasses.replace(SMALL, num_iterations=60),
     ("AntRun", "paper"): dataclasses.replace(_RUNNER, num_iterations=2000),
     ("AntRun", "small"): _small(_RUNNER),
     ("Ant", "paper"): _RUNNER,
