@@ -129,14 +129,14 @@ def test_the_tutorial_of_a_soft_task_runs(capsys):
     env, rest = names["env"], float(names["FLOOR"])
     lowest = float(names["after"].x[:, 1].min())
     assert rest - 0.51 * names["SPACING"] < lowest < rest
-    assert "Press" in names["rewax"].list_envs() and names["agent"].env is not None and env.num_actions == 1
+    assert "Press" in names["rewax"].list_envs() and names["agent"].name == "sapo" and env.num_actions == 1
 
 
-@pytest.mark.parametrize("kind", ["soft", "tet", "coupled"])
+@pytest.mark.parametrize("kind", ["soft", "tet", pytest.param("coupled", marks=pytest.mark.slow)])
 def test_the_examples_of_soft_tasks_train(kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = ROOT / "examples" / f"custom_{kind}_task.py"
-    before, after = runpy.run_path(str(path))["main"](iterations=1)
+    before, after = runpy.run_path(str(path))["main"](iterations=1, check=False)
     assert np.isfinite([before, after]).all() and before != after
     (picture,) = tmp_path.glob("runs/*-0/episode.png")
     assert picture.stat().st_size > 10_000

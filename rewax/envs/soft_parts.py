@@ -59,7 +59,8 @@ def box_walls(
     """A floor (by default one that holds what presses on it), frictionless sides at (x, z) = lower and upper, and a
     ceiling or none.
     """
-    bottom = Wall(position=floor, kind=floor_kind, friction=jnp.asarray(floor_friction))
+    # Python's 0.0 stays one: the solver leaves out what is multiplied by it.
+    bottom = Wall(position=floor, kind=floor_kind, friction=jnp.asarray(floor_friction) if floor_friction else 0.0)
     return Walls(
         lower=(Wall(position=lower[0]), bottom, Wall(position=lower[1])),
         upper=(Wall(position=upper[0]), None if ceiling is None else Wall(position=ceiling), Wall(position=upper[1])),

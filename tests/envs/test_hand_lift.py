@@ -60,6 +60,7 @@ def test_closing_the_hand_lifts_the_cube():
     assert held & (Status.NAN | Status.OUT_OF_DOMAIN | Status.INACTIVE_NODES) == 0
 
 
+@pytest.mark.slow
 def test_gradient_by_actions_is_that_of_differences(x64):
     """A small cube between the fingers, three substeps a step; joints start at limits, which are exact."""
     assert SMALL.exact_limits and not PAPER.exact_limits
