@@ -58,7 +58,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("RollingFlat", "paper"): SAPOConfig(num_iterations=4000),
     ("RollingFlat", "small"): SMALL,
     ("FluidMove", "paper"): SAPOConfig(num_iterations=4000),
-    ("FluidMove", "small"): SMALL,
+    ("FluidMove", "small"): dataclasses.replace(SMALL, num_iterations=60, initial_log_std=-1.0, max_env_grad_norm=0.05),
     ("HandFlip", "paper"): SAPOConfig(num_iterations=6000),
     ("HandFlip", "small"): SMALL,
     ("SoftJumper", "paper"): SAPOConfig(num_iterations=6000),
@@ -97,6 +97,7 @@ _SIZES = (
     "critic_passes",
     "critic_minibatches",
     "differentiate",
+    "max_env_grad_norm",
 )
 """What all algorithms take over from SAPO's presets, as far as they have it."""
 _FAST_CRITICS = {"Ant": {"critic_learning_rate": 2e-3, "target_decay": 0.2}}
