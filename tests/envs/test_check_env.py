@@ -5,7 +5,7 @@ import pytest
 import rewax
 from rewax.testing import check_env
 
-QUICK = ("CartpoleSwingUp", "RollingFlat")
+QUICK = ("CartpoleSwingUp",)
 
 
 @pytest.mark.parametrize(

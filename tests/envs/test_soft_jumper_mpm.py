@@ -108,6 +108,7 @@ def test_the_box_goes_with_the_body():
     assert int(far.status) == int(near.status) == Status.OK
 
 
+@pytest.mark.slow
 def test_gradient_by_actions_is_that_of_differences(x64):
     """One control step on the ground."""
     env = soft_jumper_mpm.small()

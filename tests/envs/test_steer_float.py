@@ -83,6 +83,7 @@ def test_observations_are_seen_from_the_float():
     np.testing.assert_allclose(vector[14:], np.asarray(state.physics.task) - at[[0, 2]], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_gradient_by_actions_is_that_of_differences(x64):
     """The paddle at the float, three substeps a step; through both materials."""
     env = steer_float.small()

@@ -118,6 +118,7 @@ def test_a_light_finger_is_calm(x64, once, mass):
     assert int(tets.check_status(scene, state)) == 0
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences(x64):
     """By throw, motor and stiffness; reverse equals forward; two substeps of the tets in one of the robot."""
     upright = CLAW.replace("<freejoint/>", '<joint type="slide" axis="0 1 0"/>')
