@@ -52,6 +52,7 @@ def test_small_draws_where_the_cube_lies():
     soft_tasks.assert_reset_noise(SMALL)
 
 
+@pytest.mark.slow
 def test_closing_the_hand_lifts_the_cube():
     start = soft_tasks.start("HandLift")
     closed, left = (soft_tasks.run("HandLift", start, action, 40) for action in (1.0, 0.0))

@@ -125,6 +125,7 @@ def test_a_light_finger_in_heavy_dough_is_calm(x64, mass):
     assert int(mpm.check_status(scene, after)) == 0
 
 
+@pytest.mark.slow
 def test_a_robots_substep_may_last_several_of_the_particles(x64):
     """Four of them against one: the difference is that of the robot's own forces, first order in its substep."""
     ends = []
