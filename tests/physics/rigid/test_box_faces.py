@@ -88,6 +88,7 @@ def test_edges_that_cross_touch_once(x64):
     np.testing.assert_allclose(point[0], [0.03, 0.0, 0.1 / c - 0.005], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_finite_differences(x64, boxes, derivatives, central_difference, random_like, inner):
     """Of distances, points and normals that touch, by places, frames and sizes; not where the kind of contact changes."""
     place, _, rotation = boxes

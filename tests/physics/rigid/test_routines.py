@@ -64,6 +64,7 @@ ON_THE_FLOOR = """<mujoco><option timestep="0.004" iterations="100" ls_iteration
 <body pos="0 0 .2"><freejoint/><geom type="box" size=".05 .06 .07" density="700"/></body></worldbody></mujoco>"""
 
 
+@pytest.mark.slow
 def test_a_fall_is_that_of_mujoco(x64):
     """A box onto a capsule, both tumbling, with MuJoCo's own contact law: the acceleration of steps in contact."""
     mj = mujoco.MjModel.from_xml_string(ON_THE_FLOOR)

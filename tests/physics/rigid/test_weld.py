@@ -49,7 +49,7 @@ def paths(num: int, steps: int = 60):
     return 0.1 * place, turn
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+@pytest.mark.parametrize("integrator", [pytest.param("Euler", marks=pytest.mark.slow), "implicitfast"])
 def test_welded_bodies_follow_as_in_mujoco(x64, integrator):
     """A mocap body leads a tree that is welded to it, another body is welded to that one at sites and by a point."""
     mj = mujoco.MjModel.from_xml_string(PULLED.format(option=f'integrator="{integrator}"'))
@@ -92,6 +92,7 @@ def test_a_model_begins_where_its_keyframe_has_the_mocap_bodies(x64):
     np.testing.assert_allclose(pose.rotation[model.body("hand")].ravel(), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_by_mocap_poses_are_finite_differences(x64, derivatives, central_difference, random_like, inner):
     """Reverse, forward and by difference, of a state two steps later by place and turn, and by the state before."""
     model = rigid.load(LED)
