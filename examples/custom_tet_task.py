@@ -83,7 +83,7 @@ def make_crawl() -> Crawl:
 def main(iterations: int = 100, seed: int = 0, check: bool = True) -> tuple[float, float]:
     env = make_crawl()
     if check:
-        check_env(env, check_full_episode=False, notify=print)
+        check_env(env, check_full_episode=False)
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/crawl-{seed}", seed=seed, eval_every=iterations)
     train(make_sapo(env, SMALL), env, config)
     before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]

@@ -146,7 +146,7 @@ def paper() -> SteerFloat:
         counts=(48, 9, 36),
         per_edge=0.0083,
         dt=1e-3,
-        scene={"max_active_nodes": 12288},
+        scene={"max_active_nodes": 20480},
         joint_step=jnp.asarray((0.01, 0.01, 0.1)),
         cloud=PointCloud(num_points=250, stride=64),
         num_substeps=20,

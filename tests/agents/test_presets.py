@@ -2,7 +2,7 @@
 
 import pytest
 
-from rewax.agents.presets import sapo_preset
+from rewax.agents.presets import apg_preset, sapo_preset, shac_preset
 from rewax.agents.sapo import SAPOConfig
 from rewax.envs import list_envs
 
@@ -29,3 +29,9 @@ def test_networks_of_the_paper():
     ant, hand = (sapo_preset(name, "paper") for name in ("AntRun", "HandReorient"))
     assert (ant.num_envs, ant.actor_widths, ant.critic_widths) == (64, (128, 64, 32), (64, 64))
     assert (hand.num_envs, hand.actor_widths, hand.critic_widths) == (64, (512, 256), (256, 256))
+
+
+def test_other_algorithms_take_over_the_limit_of_each_environments_gradient():
+    limit = sapo_preset("FluidMove", "small").max_env_grad_norm
+    assert limit is not None
+    assert [preset("FluidMove", "small").max_env_grad_norm for preset in (shac_preset, apg_preset)] == [limit, limit]

@@ -87,6 +87,11 @@ def test_the_papers_container_is_lifted_to_its_lowest_place_by_the_first_step():
     assert int(state.status) == Status.OK
 
 
+def test_at_small_a_policy_sees_neither_the_containers_place_nor_the_waters_middle():
+    observed = {name: set(env.observation_spec) for name, env in (("paper", PAPER), ("small", SMALL))}
+    assert observed["paper"] - observed["small"] == {"com_q", "joint_q"}
+
+
 def test_water_stays_in_a_container_that_rests_or_moves_gently():
     for action in ([0.0, 0.0, 0.0], [0.2, 0.3, -0.2]):
         states = soft_tasks.run("FluidMove", soft_tasks.start("FluidMove"), action, 30)
