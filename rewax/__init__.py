@@ -20,7 +20,7 @@ _HOMES = {
     **dict.fromkeys(("AutoReset", "Vmap"), "rewax.envs.wrappers"),
     "Status": "rewax.status",
 }
-_MODULES = ("agents", "debug", "envs", "physics", "struct", "testing", "training", "viz")
+_MODULES = ("adapters", "agents", "debug", "envs", "physics", "struct", "testing", "training", "viz")
 
 __all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "make", "register"]
 

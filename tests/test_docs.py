@@ -12,9 +12,10 @@ import toys
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def code(page: str) -> str:
-    """All Python blocks of a page, one after the other."""
-    return "\n".join(re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), flags=re.MULTILINE | re.DOTALL))
+def code(page: str, needs: str = "") -> str:
+    """All Python blocks of a page, one after the other: those that need nothing, or a library that the fence names."""
+    fence = rf"^```python{' ' + needs if needs else ''}\n(.*?)^```"
+    return "\n".join(re.findall(fence, (ROOT / page).read_text(), flags=re.MULTILINE | re.DOTALL))
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +43,10 @@ def test_rigid_page_runs_and_does_what_it_says():
     assert names["distance"]._cache_size() == 1
 
 
-def run_page(page):
+def run_page(page, needs=""):
     """The names that a page's code leaves behind."""
     names = {}
-    exec(compile(code(page), page, "exec"), names)
+    exec(compile(code(page, needs), page, "exec"), names)
     return names
 
 
@@ -141,3 +142,15 @@ def test_the_examples_of_soft_tasks_train(kind, tmp_path, monkeypatch):
     (picture,) = tmp_path.glob("runs/*-0/episode.png")
     assert picture.stat().st_size > 10_000
     assert len(path.read_text().splitlines()) <= 101
+
+
+def test_adapters_page_runs_and_does_what_it_says():
+    names = run_page("docs/adapters.md")
+    assert names["info"]["status"] == "OK" and names["rewards"].shape == (16,)
+    assert names["timestep"].first()
+
+
+def test_adapters_page_carries_gradients_into_torch():
+    pytest.importorskip("torch", reason="pip install 'rewax[torch]'")
+    actions = run_page("docs/adapters.md", "torch")["actions"]
+    assert np.isfinite(actions.grad.numpy()).all() and float(actions.grad.abs().max()) > 0.0

@@ -13,6 +13,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 DISTRIBUTIONS = {"orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx"}
 """Where a distribution has another name than its top module."""
+EXTRA_MODULES = {"dm-env": "dm_env", "stable-baselines3": "stable_baselines3"}
+"""The same of extras."""
 
 
 def third_party(folder: Path) -> set[str]:
@@ -33,16 +35,26 @@ def declared(requirements: list[str]) -> set[str]:
     return {re.match(r"[\w.-]+", requirement)[0] for requirement in requirements}
 
 
+def extras(*names: str) -> set[str]:
+    """Modules that extras bring, those of the extras that they name included."""
+    found: set[str] = set()
+    for name in names:
+        requirements = PROJECT["optional-dependencies"][name]
+        found |= declared([r for r in requirements if not r.startswith("rewax[")])
+        for inner in (r for r in requirements if r.startswith("rewax[")):
+            found |= extras(*inner[len("rewax[") : inner.index("]")].split(","))
+    return {EXTRA_MODULES.get(name, name) for name in found}
+
+
 def test_every_dependency_is_imported_and_every_import_declared():
     used, core = third_party(ROOT / "rewax"), declared(PROJECT["dependencies"])
-    optional = declared(PROJECT["optional-dependencies"]["meshes"])
+    optional = extras("meshes", "gymnasium", "dm-env", "torch")
     assert core <= used, f"declared but not imported by rewax: {sorted(core - used)}"
     assert used - core == optional, f"imported by rewax but not declared: {sorted(used - core - optional)}"
 
 
 def test_tests_and_examples_import_only_what_is_declared():
-    test = declared(PROJECT["optional-dependencies"]["test"]) | declared(PROJECT["optional-dependencies"]["meshes"])
-    known = declared(PROJECT["dependencies"]) | test
+    known = declared(PROJECT["dependencies"]) | extras("test", "stable-baselines3")
     for folder in ("tests", "examples"):
         own = {path.stem for path in (ROOT / folder).rglob("*.py")} | {"tests", "benchmarks"}
         assert third_party(ROOT / folder) - known - own == set()

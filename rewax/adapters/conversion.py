@@ -1,0 +1,54 @@
+"""What the adapters share: NumPy arrays out of states, checks of what comes in."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from rewax.envs.base import Env, State
+from rewax.status import describe
+
+
+def missing(library: str, extra: str) -> ImportError:
+    """The error of an adapter whose library is not installed."""
+    return ImportError(f"{library} is not installed: pip install 'rewax[{extra}]'")
+
+
+def numpy_observation(state: State) -> dict[str, np.ndarray]:
+    """Observation as NumPy arrays of their own, with a leading axis where the state has one."""
+    return {name: np.array(value) for name, value in state.obs.items()}
+
+
+def numpy_metrics(state: State) -> dict[str, np.ndarray]:
+    """The task's metrics and the status bits as NumPy arrays."""
+    return {**{name: np.asarray(value) for name, value in state.metrics.items()}, "status": np.asarray(state.status)}
+
+
+def state_info(state: State) -> dict[str, Any]:
+    """What gymnasium calls info: metrics as numbers, status in words."""
+    numbers = {name: value.item() for name, value in numpy_metrics(state).items() if value.ndim == 0}
+    return {**numbers, "status": describe(int(state.status))}
+
+
+def key_from(generator: np.random.Generator) -> jax.Array:
+    """A JAX key drawn from a NumPy generator."""
+    return jax.random.key(int(generator.integers(2**31)))
+
+
+def check_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """An action as a float array.
+
+    Raises:
+      ValueError: it has another shape, or a number that is not finite.
+    """
+    array = np.asarray(action, np.float32)
+    if array.shape != shape:
+        raise ValueError(f"the action has shape {array.shape}: give one of shape {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("the action holds a number that is not finite: check the policy that made it")
+    return array
+
+
+def compiled(env: Env) -> tuple[Any, Any]:
+    """``reset`` and ``step``, each compiled when it is first called."""
+    return jax.jit(env.reset), jax.jit(env.step)

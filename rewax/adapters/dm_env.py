@@ -1,0 +1,59 @@
+"""Environments for dm_env and what builds on it (Acme, dm_control's suite of agents).
+
+    env = DmEnvironment(rewax.make("RollingFlat"), seed=0)
+
+No gradient passes through.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from rewax.adapters.conversion import check_action, compiled, key_from, missing, numpy_observation
+from rewax.envs.base import ArraySpec, Env, State
+
+try:
+    import dm_env
+    from dm_env import specs
+except ImportError as error:
+    raise missing("dm_env", "dm-env") from error
+
+
+class DmEnvironment(dm_env.Environment):
+    """One environment. A terminated episode ends with discount 0, one at its time limit with discount 1.
+
+    Args:
+      env: an environment of rewax, unbatched, without ``AutoReset``.
+      seed: of the beginnings of all episodes.
+    """
+
+    def __init__(self, env: Env, *, seed: int = 0) -> None:
+        self.env = env
+        self._generator = np.random.default_rng(seed)
+        self._reset, self._step = compiled(env)
+        self._state: State | None = None
+
+    def reset(self) -> dm_env.TimeStep:
+        self._state = state = self._reset(key_from(self._generator))
+        return dm_env.restart(numpy_observation(state))
+
+    def step(self, action: Any) -> dm_env.TimeStep:
+        """One control step; the first call, and that after the end of an episode, begins a new one."""
+        if self._state is None or bool(self._state.done):
+            return self.reset()
+        self._state = state = self._step(self._state, check_action(action, self.env.action_spec.shape))
+        reward, obs = float(state.reward), numpy_observation(state)
+        if bool(state.terminated):
+            return dm_env.termination(reward, obs)
+        return dm_env.truncation(reward, obs) if bool(state.truncated) else dm_env.transition(reward, obs)
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        return {name: bounded(spec, name) for name, spec in self.env.observation_spec.items()}
+
+    def action_spec(self) -> specs.BoundedArray:
+        return bounded(self.env.action_spec, "action")
+
+
+def bounded(spec: ArraySpec, name: str) -> specs.BoundedArray:
+    """The arrays of a spec, float32."""
+    return specs.BoundedArray(shape=spec.shape, dtype=np.float32, minimum=spec.low, maximum=spec.high, name=name)

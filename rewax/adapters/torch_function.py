@@ -1,0 +1,103 @@
+"""JAX functions for PyTorch, with gradients: a torch policy learns through the simulation.
+
+    def rewards(actions):                          # JAX: (T, num_actions) -> (T,)
+        def one(state, action):
+            state = env.step(state, action)
+            return state, state.reward
+        return jax.lax.scan(one, start, actions)[1]
+
+    loss = -torch_function(rewards)(policy(observation)).sum()
+    loss.backward()                                # through env.step into the policy
+
+Tensors are handed over by DLPack, on one device without a copy.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rewax.adapters.conversion import missing
+from rewax.types import Array, PyTree
+
+try:
+    import torch
+except ImportError as error:
+    raise missing("PyTorch", "torch") from error
+
+
+def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """A function of JAX arrays as one of torch tensors.
+
+    Args:
+      function: pure; arguments and results are trees (dicts, lists, tuples) of arrays.
+
+    Returns:
+      The same of tensors, compiled once for each set of shapes; change none of its results in place. Gradient: reverse
+      mode, once, from all results that hold floats to all such arguments. Calls that are not differentiated store
+      nothing for it.
+    """
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def with_pullback(treedef: Any, floats: dict[int, Array], others: dict[int, Array]) -> Any:
+        def of_floats(floats: dict[int, Array]) -> tuple[list[Array], PyTree]:
+            leaves = {**floats, **others}
+            results = function(*jax.tree.unflatten(treedef, [leaves[i] for i in range(len(leaves))]))
+            return [a for a in jax.tree.leaves(results) if _is_float(a)], results
+
+        _, pullback, results = jax.vjp(of_floats, floats, has_aux=True)
+        return results, pullback
+
+    forward = jax.jit(function)
+    pull_back = jax.jit(lambda pullback, cotangents: pullback(cotangents)[0])
+
+    class Call(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx: Any, treedefs: list[Any], *tensors: Any) -> Any:
+            leaves = [to_jax(t) for t in tensors]
+            if any(ctx.needs_input_grad):
+                floats = {i: a for i, a in enumerate(leaves) if _is_float(a)}
+                others = {i: a for i, a in enumerate(leaves) if not _is_float(a)}
+                results, ctx.pullback = with_pullback(treedefs[0], floats, others)
+            else:
+                results = forward(*jax.tree.unflatten(treedefs[0], leaves))
+            arrays, treedef = jax.tree.flatten(results)
+            treedefs.append(treedef)
+            ctx.kinds, ctx.num_inputs = [(a.shape, a.dtype) for a in arrays if _is_float(a)], len(leaves)
+            outputs = tuple(to_torch(a) for a in arrays)
+            ctx.mark_non_differentiable(*(t for t in outputs if not t.is_floating_point()))
+            return outputs
+
+        @staticmethod
+        @torch.autograd.function.once_differentiable
+        def backward(ctx: Any, *gradients: Any) -> Any:
+            given = [g for g in gradients if g is None or g.is_floating_point()]
+            cotangents = [
+                jnp.zeros(*kind) if g is None else to_jax(g) for kind, g in zip(ctx.kinds, given, strict=True)
+            ]
+            found = pull_back(ctx.pullback, cotangents)
+            return None, *(to_torch(found[i]) if i in found else None for i in range(ctx.num_inputs))
+
+    def of_tensors(*args: PyTree) -> PyTree:
+        leaves, treedef = jax.tree.flatten(args)
+        treedefs = [treedef]
+        results = Call.apply(treedefs, *(torch.as_tensor(leaf) for leaf in leaves))
+        return jax.tree.unflatten(treedefs[1], results)
+
+    return of_tensors
+
+
+def to_jax(tensor: Any) -> Array:
+    """A torch tensor as a JAX array on the same device. Gradient: none."""
+    return jnp.from_dlpack(tensor.detach().contiguous())
+
+
+def to_torch(array: Array) -> Any:
+    """A JAX array as a torch tensor on the same device. Gradient: none."""
+    return torch.from_dlpack(array)
+
+
+def _is_float(array: Array) -> bool:
+    return bool(jnp.issubdtype(array.dtype, jnp.floating))

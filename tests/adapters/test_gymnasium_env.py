@@ -1,0 +1,119 @@
+"""gymnasium's own checker, and the same numbers as the environment itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from toys import PointMass, point_mass
+
+gymnasium = pytest.importorskip("gymnasium", reason="pip install 'rewax[gymnasium]'")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from rewax.adapters.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv  # noqa: E402
+
+
+class EndsBeyondTwo(PointMass):
+    """Terminates where |x| > 2."""
+
+    def step(self, state, action):
+        x = state.physics + self.gain * jnp.clip(action, -1.0, 1.0)
+        return self.after(state, x, terminated=jnp.abs(x[0]) > 2.0)
+
+
+@pytest.mark.filterwarnings("ignore:.*Box.*infinity:UserWarning", "ignore:.*render.*:UserWarning")
+def test_gymnasiums_checker_passes():
+    check_env(GymnasiumEnv(point_mass()), skip_render_check=True)
+
+
+def test_an_episode_is_that_of_the_environment():
+    env = GymnasiumEnv(point_mass(length=3))
+    obs, info = env.reset(seed=1)
+    x = obs["x"]
+    assert obs["x"].dtype == np.float32 and info["status"] == "OK"
+    for step in range(3):
+        obs, reward, terminated, truncated, info = env.step(np.array([0.5]))
+        x = x + 0.5 * 0.5
+        np.testing.assert_allclose(obs["x"], x, rtol=1e-6)
+        np.testing.assert_allclose([reward, info["distance"]], [-(x[0] ** 2), x[0]], rtol=1e-6)
+        assert (terminated, truncated) == (False, step == 2)
+    again, _ = env.reset(seed=1)
+    other, _ = env.reset()
+    assert again["x"] == pytest.approx(x - 0.75) and other["x"] != again["x"]
+
+
+def test_a_task_ends_itself():
+    env = GymnasiumEnv(EndsBeyondTwo(gain=jnp.float32(3.0)))
+    env.reset(seed=0)
+    _, _, terminated, truncated, _ = env.step(np.ones(1))
+    assert terminated and not truncated
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [(np.zeros(2), r"shape \(2,\): give one of shape \(1,\)"), ([np.nan], "not finite: check the policy")],
+)
+def test_wrong_actions(action, message):
+    env = GymnasiumEnv(point_mass())
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        env.step(action)
+
+
+def test_step_before_reset():
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before step"):
+        GymnasiumEnv(point_mass()).step(np.zeros(1))
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before step"):
+        GymnasiumVectorEnv(point_mass(), 2).step(np.zeros((2, 1)))
+
+
+def test_many_at_once_begin_anew_in_the_step_that_ends_an_episode():
+    envs = GymnasiumVectorEnv(point_mass(length=2), num_envs=3)
+    first, infos = envs.reset(seed=[1, 2, 1])
+    assert first["x"][0] == first["x"][2] != first["x"][1] and infos["_distance"].all()
+    assert envs.observation_space.contains(first)
+    actions = np.full((3, 1), 0.5, np.float32)
+    _, _, _, _, infos = envs.step(actions)
+    assert "final_obs" not in infos
+    obs, rewards, terminated, truncated, infos = envs.step(actions)
+    last = first["x"] + 0.5
+    np.testing.assert_allclose(rewards, -(last[:, 0] ** 2), rtol=1e-6)
+    assert truncated.all() and not terminated.any() and infos["_final_obs"].all()
+    np.testing.assert_allclose([o["x"] for o in infos["final_obs"]], last, rtol=1e-6)
+    np.testing.assert_allclose(infos["final_info"]["distance"], last[:, 0], rtol=1e-6)
+    assert ((obs["x"] >= 0.5) & (obs["x"] <= 1.5)).all() and (obs["x"] != first["x"]).all()
+
+
+def test_only_environments_that_end_report_their_end():
+    envs = GymnasiumVectorEnv(EndsBeyondTwo(gain=jnp.float32(1.5)), num_envs=2)
+    x = envs.reset(seed=0)[0]["x"]
+    assert ((x > 0.5) & (x < 1.5)).all()
+    _, _, terminated, _, infos = envs.step(np.array([[1.0], [0.0]]))
+    assert terminated.tolist() == [True, False]
+    assert infos["final_obs"][1] is None and infos["final_info"]["_distance"].tolist() == [True, False]
+    np.testing.assert_allclose(infos["final_obs"][0]["x"], x[0] + 1.5, rtol=1e-6)
+
+
+def test_gymnasiums_wrappers_and_vector_wrappers_work():
+    env = gymnasium.wrappers.FlattenObservation(GymnasiumEnv(point_mass()))
+    assert env.reset(seed=0)[0].shape == (1,)
+    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(GymnasiumVectorEnv(point_mass(length=2), 2))
+    envs.reset(seed=0)
+    actions = np.zeros((2, 1))
+    rewards = envs.step(actions)[1] + (end := envs.step(actions))[1]
+    np.testing.assert_allclose(end[4]["episode"]["r"], rewards, rtol=1e-6)
+
+
+def test_wrong_numbers_of_environments_and_seeds():
+    with pytest.raises(ValueError, match="num_envs is 0"):
+        GymnasiumVectorEnv(point_mass(), 0)
+    with pytest.raises(ValueError, match="2 seeds for 3 environments"):
+        GymnasiumVectorEnv(point_mass(), 3).reset(seed=[0, 1])
+
+
+def test_the_same_seed_gives_the_same_numbers_as_jax():
+    env = point_mass()
+    adapted = GymnasiumEnv(env)
+    obs, _ = adapted.reset(seed=5)
+    key = jax.random.key(int(np.random.Generator(np.random.PCG64(np.random.SeedSequence(5))).integers(2**31)))
+    np.testing.assert_array_equal(obs["x"], env.reset(key).obs["x"])
