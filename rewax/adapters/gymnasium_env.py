@@ -92,7 +92,7 @@ class GymnasiumVectorEnv(VectorEnv):
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """seed: one number, or one per environment."""
         if seed is None or isinstance(seed, (int, np.integer)):
-            super().reset(seed=seed)
+            super().reset(seed=None if seed is None else int(seed))
             keys = jax.random.split(key_from(self.np_random), self.num_envs)
         else:
             if len(seed) != self.num_envs:

@@ -54,7 +54,7 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         )
     env = _recorded_env(config, run_dir) if env is None else env
     known = algorithm(name)
-    agent = known.make(env, _agent_config(known.config_type, config[name]))
+    agent = known.make(env, agent_config(known.config_type, config[name]))
     train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
     return SavedRun(env, agent, train_state, config)
 
@@ -69,7 +69,7 @@ def _recorded_env(config: Mapping[str, Any], run_dir: str | Path) -> Env:
     return registry.make(config["env"], scale=config["scale"], **kwargs)
 
 
-def _agent_config(config_type: type, stored: Mapping[str, Any]) -> Any:
+def agent_config(config_type: type, stored: Mapping[str, Any]) -> Any:
     """The agent's configuration from JSON; what a newer version has more keeps its default."""
     known = {field.name for field in dataclasses.fields(config_type)}
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}

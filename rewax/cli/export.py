@@ -1,0 +1,48 @@
+"""``rewax export``: a trained policy for programs without rewax."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import tyro
+
+from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.train import quiet
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      run_dir: directory of the run.
+      out: folder to write to; by default ``policy`` in the run's directory.
+      imports: module or .py file that registers environments or algorithms.
+      step: iteration of the checkpoint, the newest by default.
+    """
+
+    run_dir: tyro.conf.Positional[str]
+    out: str | None = None
+    imports: Imports = ()
+    step: int | None = None
+
+
+def run(argv: Sequence[str]) -> int:
+    """Export a run's policy and name the files.
+
+    Raises:
+      ValueError: there is no such run or checkpoint, or nothing to export; one sentence.
+    """
+    from rewax.training.export import export_policy
+    from rewax.training.saved import load_run
+
+    quiet()
+    options = parse(Options, argv, prog="rewax export", description="Write a trained policy as StableHLO and NumPy.")
+    import_modules(options.imports)
+    saved = load_run(options.run_dir, step=options.step)
+    for path in export_policy(saved, Path(options.run_dir) / "policy" if options.out is None else options.out):
+        print(f"wrote {path}")
+    return 0
+
+
+__all__ = ["Options", "run"]
