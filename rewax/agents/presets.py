@@ -76,7 +76,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("HalfCheetah", "paper"): _RUNNER,
     ("HalfCheetah", "small"): _small(_RUNNER),
     ("HandReorient", "paper"): SAPOConfig(num_envs=64, num_iterations=2000),
-    ("HandReorient", "small"): _small(_HUMANOID),
+    ("HandReorient", "small"): _small(_HUMANOID, num_iterations=800, max_env_grad_norm=1.0),
     ("Hopper", "paper"): _RUNNER,
     ("Hopper", "small"): _small(_RUNNER, num_iterations=400),
     ("Humanoid", "paper"): _HUMANOID,
