@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import AXES, Mat3, Vec3
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass, no_transpose
 from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array
 
@@ -36,13 +37,26 @@ def eigh_components(a: Mat3) -> tuple[Vec3, Mat3]:
     Gradient: cut (use ``spectral`` for functions of the eigenvalues).
     Source: Golub and Van Loan, Matrix Computations, 8.5.
     """
-    a = jax.lax.stop_gradient(a)
-    one, zero = jnp.ones_like(a[0][0]), jnp.zeros_like(a[0][0])
-    # A loop, not unrolled: it compiles faster, and XLA cannot recompute one sweep inside the next.
+    rows = jax.lax.stop_gradient(tuple(jnp.asarray(component) for row in a for component in row))
+    out = linear_pass(_SWEEPS, no_transpose, None, rows, (), like=[*rows[:3], *rows])
+    return (out[0], out[1], out[2]), (out[3:6], out[6:9], out[9:12])  # type: ignore[return-value]
+
+
+def _sweeps(static: None, residuals: Arrays, linear: Arrays, *, unroll: bool) -> Arrays:
+    """Eigenvalues and eigenvectors, 3 + 9 components, of matrices by their 9 components."""
+    del static, linear
+    one, zero = jnp.ones_like(residuals[0]), jnp.zeros_like(residuals[0])
+    a = (residuals[:3], residuals[3:6], residuals[6:])
+    identity = cp.matrix(lambda i, j: one if i == j else zero)
     s, u = jax.lax.fori_loop(
-        0, _num_sweeps(one.dtype), lambda _, carry: _sweep(*carry), (a, cp.matrix(lambda i, j: one if i == j else zero))
+        0, _num_sweeps(one.dtype), lambda _, carry: _sweep(*carry), (a, identity), unroll=True if unroll else None
     )
-    return (s[0][0], s[1][1], s[2][2]), u
+    return (s[0][0], s[1][1], s[2][2], *u[0], *u[1], *u[2])
+
+
+# On a CPU a loop: it compiles faster, and XLA cannot recompute one sweep inside the next. On a GPU each turn of a loop
+# would be kernels and copies of its own; unrolled, all sweeps are one kernel.
+_SWEEPS = ByPlatform(cpu=functools.partial(_sweeps, unroll=False), other=functools.partial(_sweeps, unroll=True))
 
 
 def _sweep(a: Mat3, eigenvectors: Mat3) -> tuple[Mat3, Mat3]:

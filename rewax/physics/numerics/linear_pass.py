@@ -7,7 +7,7 @@ primitive of our own (see "JAX internals: primitives" in JAX's documentation) ha
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,16 @@ Pass = Callable[[Any, Arrays, Arrays], Arrays]
 
 Shapes = tuple[tuple[tuple[int, ...], Any], ...]
 """Shape and dtype of each output."""
+
+
+class ByPlatform(NamedTuple):
+    """One pass written twice. Which one a program holds is decided when it is lowered for a platform."""
+
+    cpu: Pass
+    other: Pass
+
+    def __call__(self, static: Any, residuals: Arrays, linear: Arrays) -> Arrays:
+        return self.cpu(static, residuals, linear)
 
 
 @runtime_checkable
@@ -45,13 +55,14 @@ def linear_pass(
     residuals: Sequence[Array],
     linear: Sequence[Array],
     *,
-    like: Sequence[Array] | None = None,
+    like: Sequence[Any] | None = None,
 ) -> Arrays:
     """``function(static, residuals, linear)``, linear in ``linear``, with ``transpose`` as its transpose.
 
     Args:
       function: maps arrays to a tuple of arrays. Must accept leading batch axes: ``vmap`` calls it once with all
-        arrays batched along axis 0 instead of tracing it anew.
+        arrays batched along axis 0 instead of tracing it anew. ``ByPlatform`` where a CPU and a GPU want other
+        programs for the same numbers; so may ``transpose`` be.
       transpose: ``(static, residuals, cotangents of the outputs) -> cotangents of linear``.
       static: anything hashable. If it is ``Batchable``, residuals that a ``vmap`` does not touch are not repeated.
       residuals: arrays in which the function need not be linear. Gradient: none (wrap in ``jax.custom_jvp``).
@@ -84,6 +95,10 @@ def no_transpose(static: Any, residuals: Arrays, cotangents: Arrays) -> Arrays:
 def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residuals: int, out: Shapes) -> list[Array]:
     del transpose, out
     return list(function(static, args[:num_residuals], args[num_residuals:]))
+
+
+def _run_elsewhere(*args: Array, function: Pass, **params: Any) -> list[Array]:
+    return _run(*args, function=function.other if isinstance(function, ByPlatform) else function, **params)
 
 
 def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[ShapedArray]:
@@ -142,9 +157,13 @@ def _batch(args, dims, *, static: Any, num_residuals: int, out: Shapes, **params
     return results, [0] * len(results)
 
 
-linear_pass_p.def_impl(jax.jit(_run, static_argnames=("function", "transpose", "static", "num_residuals", "out")))
+# Outside of jit: as a program of its own, for whatever platform that is.
+linear_pass_p.def_impl(
+    jax.jit(linear_pass_p.bind, static_argnames=("function", "transpose", "static", "num_residuals", "out"))
+)
 linear_pass_p.def_abstract_eval(_abstract_eval)
 ad.primitive_jvps[linear_pass_p] = _jvp
 ad.primitive_transposes[linear_pass_p] = _transpose
 batching.primitive_batchers[linear_pass_p] = _batch
-mlir.register_lowering(linear_pass_p, mlir.lower_fun(_run, multiple_results=True))
+mlir.register_lowering(linear_pass_p, mlir.lower_fun(_run_elsewhere, multiple_results=True))
+mlir.register_lowering(linear_pass_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")

@@ -4,7 +4,8 @@ XLA fuses elementwise arithmetic into each of its consumers and recomputes it th
 can cost ten times the arithmetic, and each copy may round otherwise (a product and a sum become one operation here and
 two there). ``jax.lax.optimization_barrier`` should prevent that, but XLA's CPU pipeline drops it before it fuses. The
 operands of a while loop, though, must be stored: the boundary is a loop that runs zero times, which the compiler cannot
-know. On other platforms it is an optimization barrier.
+know. On other platforms a boundary for speed is nothing at all, for there what is stored between two kernels costs more
+than what is computed twice; one for correctness is an optimization barrier.
 """
 
 from typing import TypeVar
@@ -12,19 +13,19 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.numerics.linear_pass import Arrays, linear_pass
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 
 T = TypeVar("T")
 
 
 def materialize(tree: T) -> T:
-    """The same arrays, stored before their users, in the forward and in the backward pass: for speed.
+    """The same arrays, on a CPU stored before their users, in the forward and in the backward pass: for speed.
 
     A program without it gives the same numbers, up to rounding. Where that is not so, write ``compute_once``.
 
     Gradient: exact (the identity), forward and reverse.
     """
-    return _stored(tree)
+    return _stored(tree, _FOR_SPEED)
 
 
 def compute_once(tree: T) -> T:
@@ -35,20 +36,16 @@ def compute_once(tree: T) -> T:
 
     Gradient: exact (the identity), forward and reverse.
     """
-    return _stored(tree)
+    return _stored(tree, _FOR_CORRECTNESS)
 
 
-def _stored(tree: T) -> T:
+def _stored(tree: T, store: ByPlatform) -> T:
     leaves, treedef = jax.tree.flatten(tree)
-    return jax.tree.unflatten(treedef, linear_pass(_store, _store, None, (), leaves))
+    return jax.tree.unflatten(treedef, linear_pass(store, store, None, (), leaves, like=[jax.typeof(a) for a in leaves]))
 
 
-def _store(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
+def _store_on_cpu(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
     del static, residuals
-    return jax.lax.platform_dependent(*linear, cpu=_store_on_cpu, default=lambda *a: jax.lax.optimization_barrier(a))
-
-
-def _store_on_cpu(*arrays):
     first = jax.lax.slice(arrays[0].reshape(-1), (0,), (1,))[0]
     never = first.astype(jnp.float32) < -jnp.inf  # not even for NaN
     more, out = jax.lax.while_loop(
@@ -58,3 +55,17 @@ def _store_on_cpu(*arrays):
     )
     del more
     return out
+
+
+def _hand_on(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del static, residuals
+    return arrays
+
+
+def _barrier(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del static, residuals
+    return jax.lax.optimization_barrier(arrays)
+
+
+_FOR_SPEED = ByPlatform(cpu=_store_on_cpu, other=_hand_on)
+_FOR_CORRECTNESS = ByPlatform(cpu=_store_on_cpu, other=_barrier)
