@@ -8,38 +8,28 @@ s = p + A d what the particle sends there:
 * reverse of grid-to-particle (v, B), one scatter of w (v' + B' d), and for x' the sums of grad w g and grad w g d^T,
   which the forward direction takes from the nodes it has gathered anyway
 
-Every sum over the 27 nodes is separable: w, d w, grad w and d grad w are products of factors along x, y and z, so it
-is contracted axis by axis. Arrays come as separate components (see ``components``) and may carry leading batch axes:
-``vmap`` flattens environments and particles into one long particle axis over one long node axis.
+Arrays come as separate components (see ``components``). The passes are written twice, in ``transfer_cpu`` and in
+``transfer_gpu``; which ones a program holds is decided when it is lowered for a platform.
 """
 
 import functools
-import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
+from rewax.physics.mpm import transfer_cpu, transfer_gpu
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.splines import quadratic_bspline
+from rewax.physics.mpm.transfer_cpu import Layout, as_matrix, as_vector, flat, split
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, linear_pass, no_transpose
-from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass, no_transpose
 from rewax.types import Array
 
-_IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
-_SCATTER_ROWS = jax.lax.ScatterDimensionNumbers(
-    update_window_dims=(1,), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
-)
-_MAX_FIELDS = 4
-"""Numbers per node that one pass carries: mass and momentum."""
-_COLUMNS = np.asarray([[i, j] for i in range(3) for j in range(3)], np.int32)
-"""Steps from the lowest node to the 9 columns along z that a particle touches."""
-_GATHER_ROWS = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
+_SPREAD = ByPlatform(transfer_cpu.spread, transfer_gpu.spread)
+_GATHER_VALUES = ByPlatform(transfer_cpu.gather_values, transfer_gpu.gather_values)
+_GATHER_SLOPES = ByPlatform(transfer_cpu.gather_slopes, transfer_gpu.gather_slopes)
+_SPREAD_TANGENT_TRANSPOSE = ByPlatform(transfer_cpu.spread_tangent_transpose, transfer_gpu.spread_tangent_transpose)
 
 
 class GridFields(NamedTuple):
@@ -49,73 +39,6 @@ class GridFields(NamedTuple):
     """Node mass [kg]."""
     momentum: Vec3
     """Node momentum [kg m/s]."""
-
-
-class _Axis(NamedTuple):
-    """Factors of weights along one axis for its three nodes, arrays (3, particles), by the letters of moments."""
-
-    w: Array
-    """Weight [-]."""
-    o: Array
-    """Weight times offset of the node [m]."""
-    s: Array
-    """Slope of the weight [1/m]."""
-    t: Array
-    """Slope of the weight times offset of the node [-]."""
-    offset: Array
-    """Node position minus particle position [m]."""
-
-
-class _Layout(NamedTuple):
-    """What is known when a program is traced."""
-
-    grid: Grid
-    num_active: int | None
-    """Length of node arrays that hold active nodes only; None: they hold all nodes."""
-
-    @property
-    def num_nodes(self) -> int:
-        return self.grid.num_nodes if self.num_active is None else self.num_active
-
-    @property
-    def num_places(self) -> int:
-        """Arrays that say where particles and nodes are: x, y, z and the offsets of columns."""
-        return 3 if self.num_active is None else 4
-
-
-class _Stencils(NamedTuple):
-    """Where all particles of all copies of the grid meet the nodes."""
-
-    rows: Array
-    """Place of the lowest node of each of the 9 rows of 3 nodes along z that a particle touches, among the nodes of
-    all copies, shape (9, particles), int32."""
-    axes: tuple[_Axis, _Axis, _Axis]
-    batch: tuple[int, ...]
-    """Shape of the particle arrays before flattening."""
-
-    @property
-    def copies(self) -> int:
-        return math.prod(self.batch[:-1])
-
-
-class _Affine(NamedTuple):
-    """Fields that vary linearly around each particle: value + slope . d, arrays of shape (num_fields, particles)."""
-
-    value: Array
-    slope: tuple[Array, Array, Array]
-
-
-class _Term(NamedTuple):
-    """What particles send to a node: the product of three factors, one per axis, times an affine field."""
-
-    factors: tuple[Array, Array, Array]
-    field: _Affine
-
-
-_VALUE_MOMENTS = ("www", "oww", "wow", "wwo")
-"""Sums over the stencil of g, and of g times the offset along x, y, z: a factor of ``_Axis`` for each axis."""
-_SLOPE_MOMENTS = (("sww", "tww", "sow", "swo"), ("wsw", "osw", "wtw", "wso"), ("wws", "ows", "wos", "wwt"))
-"""How those change with the particle's position along x, y, z while its offsets stay."""
 
 
 def particle_to_grid(
@@ -142,7 +65,7 @@ def particle_to_grid(
     Source: Hu et al. 2018, MLS-MPM, eq. 29; Jiang et al. 2015, APIC.
     """
     layout, places = _layout(grid, x, active)
-    m, px, py, pz = _particle_to_grid(layout, *places, mass, *momentum, *_flat(affine))
+    m, px, py, pz = _particle_to_grid(layout, *places, mass, *momentum, *flat(affine))
     return GridFields(m, (px, py, pz))
 
 
@@ -164,77 +87,33 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes
     """
     layout, places = _layout(grid, x, active)
     out = _grid_to_particle(layout, *places, *velocity)
-    return _as_vector(out[:3]), _as_matrix(out[3:])
-
-
-# --- The passes ------------------------------------------------------------------------------------------------------
-
-
-def _spread(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
-    st, _ = _stencils(layout, residuals)
-    return _scatter(layout, st, [_Term(_weights(st), _affine(linear[:-9], _as_matrix(linear[-9:])))])
-
-
-def _gather_values(layout: _Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
-    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``_spread``; interpolation of velocities."""
-    st, _ = _stencils(layout, residuals)
-    return _values(st, _moments(st, nodes, _VALUE_MOMENTS))
-
-
-def _gather_slopes(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """All ``_SLOPE_MOMENTS`` of the node fields behind x in residuals: 3 x 4 x 3 arrays."""
-    del linear
-    st, rest = _stencils(layout, residuals)
-    moments = _moments(st, rest, sum(_SLOPE_MOMENTS, ()))
-    return tuple(a for name in sum(_SLOPE_MOMENTS, ()) for a in _unstack(st, moments[name]))
-
-
-def _spread_tangent(layout: _Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """Derivative of ``_spread`` in the direction (dx, dmass, dp, dA) at (x, mass, p, A)."""
-    st, rest = _stencils(layout, residuals)
-    mass, p, A = rest[0], rest[1:4], _as_matrix(rest[4:])
-    dx, dmass, dp, dA = _as_vector(linear[:3]), linear[3], _as_vector(linear[4:7]), _as_matrix(linear[7:])
-    terms = [_Term(_weights(st), _affine((dmass, *cp.subtract(dp, cp.matvec(A, dx))), dA))]
-    field = _affine((mass, *p), A)
-    for axis in cp.AXES:
-        factors = [a.s * dx[axis].reshape(-1) if i == axis else a.w for i, a in enumerate(st.axes)]
-        terms.append(_Term(_as_vector(factors), field))
-    return _scatter(layout, st, terms)
-
-
-def _spread_tangent_transpose(layout: _Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    st, rest = _stencils(layout, residuals)
-    A = _as_matrix(rest[4:])
-    field = _affine(rest[:4], A)
-    moments = _moments(st, cotangents, _VALUE_MOMENTS + sum(_SLOPE_MOMENTS, ()))
-    values = _values(st, moments)
-    work = cp.vector(lambda a: _work(st, field, [moments[name] for name in _SLOPE_MOMENTS[a]]))
-    return (*cp.subtract(work, cp.matvec(cp.transpose(A), _as_vector(values[1:4]))), *values)
+    return as_vector(out[:3]), as_matrix(out[3:])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _particle_to_grid(layout: _Layout, *args: Array) -> Arrays:
-    return linear_pass(_spread, _gather_values, layout, *_split(layout, args))
+def _particle_to_grid(layout: Layout, *args: Array) -> Arrays:
+    return linear_pass(_SPREAD, _GATHER_VALUES, layout, *split(layout, args))
 
 
 @_particle_to_grid.defjvp
-def _particle_to_grid_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
+def _particle_to_grid_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _particle_to_grid(layout, *args)
-    return out, linear_pass(_spread_tangent, _spread_tangent_transpose, layout, args, _without_list(layout, tangents))
+    return out, linear_pass(
+        transfer_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, _without_list(layout, tangents)
+    )
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _grid_to_particle(layout: _Layout, *args: Array) -> Arrays:
-    return linear_pass(_gather_values, _spread, layout, *_split(layout, args))
+def _grid_to_particle(layout: Layout, *args: Array) -> Arrays:
+    return linear_pass(_GATHER_VALUES, _SPREAD, layout, *split(layout, args))
 
 
 @_grid_to_particle.defjvp
-def _grid_to_particle_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
+def _grid_to_particle_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _grid_to_particle(layout, *args)
-    places, dx = _split(layout, args)[0], tangents[:3]
-    slopes = linear_pass(_gather_slopes, no_transpose, layout, args, ())
-    by_nodes = linear_pass(_gather_values, _spread, layout, places, _split(layout, tangents)[1])
+    places, dx = split(layout, args)[0], tangents[:3]
+    slopes = linear_pass(_GATHER_SLOPES, no_transpose, layout, args, ())
+    by_nodes = linear_pass(_GATHER_VALUES, _SPREAD, layout, places, split(layout, tangents)[1])
 
     def along(moment: int, component: int) -> Array:
         """Change of one moment of one component with the motion dx."""
@@ -242,152 +121,15 @@ def _grid_to_particle_jvp(layout: _Layout, args: Arrays, tangents: Arrays) -> tu
 
     dv = cp.vector(lambda c: by_nodes[c] + along(0, c))
     dB = cp.matrix(lambda c, b: by_nodes[3 + 3 * c + b] + along(1 + b, c) - out[c] * dx[b])
-    return out, (*dv, *_flat(dB))
+    return out, (*dv, *flat(dB))
 
 
-# --- Sums over the stencil -------------------------------------------------------------------------------------------
-
-
-def _as_vector(a: Sequence[Array]) -> Vec3:
-    return (a[0], a[1], a[2])
-
-
-def _as_matrix(a: Arrays) -> Mat3:
-    return (_as_vector(a[0:3]), _as_vector(a[3:6]), _as_vector(a[6:9]))
-
-
-def _flat(a: Mat3) -> Arrays:
-    return (*a[0], *a[1], *a[2])
-
-
-def _layout(grid: Grid, x: Vec3, active: ActiveNodes | None) -> tuple[_Layout, Arrays]:
+def _layout(grid: Grid, x: Vec3, active: ActiveNodes | None) -> tuple[Layout, Arrays]:
     if active is None:
-        return _Layout(grid, None), x
-    return _Layout(grid, active.index[0].shape[-1]), (*x, active.offset)
+        return Layout(grid, None), x
+    return Layout(grid, active.index[0].shape[-1]), (*x, active.offset)
 
 
-def _split(layout: _Layout, args: Arrays) -> tuple[Arrays, Arrays]:
-    return args[: layout.num_places], args[layout.num_places :]
-
-
-def _without_list(layout: _Layout, tangents: Arrays) -> Arrays:
+def _without_list(layout: Layout, tangents: Arrays) -> Arrays:
     """Tangents of everything but the offsets of columns, which have none."""
-    return (*tangents[:3], *_split(layout, tangents)[1])
-
-
-def _stencils(layout: _Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
-    """Stencils of all particles, and what of the residuals is not about places.
-
-    Batch axes are flattened away; the nodes of the copies of the grid lie one behind the other.
-    """
-    grid = layout.grid
-    places, rest = _split(layout, residuals)
-    batch = places[0].shape
-    copies = math.prod(batch[:-1])
-    _check_size(layout, copies)
-    # Which copy a particle belongs to, computed in the program: a constant would be as long as all particles.
-    copy = jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1)
-    axes, lowest = [], []
-    for a in cp.AXES:
-        x = places[a].reshape(-1)
-        st = quadratic_bspline(x, origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
-        st, copy = materialize((st, copy)) if a == 0 and copies > 1 else (materialize(st), copy)
-        w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
-        axes.append(_Axis(w, w * d, s, s * d, d))
-        lowest.append(st.base)
-    columns = lowest[0] * grid.shape[1] + lowest[1] + (_COLUMNS @ np.asarray([[grid.shape[1]], [1]], np.int32))
-    if layout.num_active is None:
-        rows = columns * grid.shape[2] + lowest[2]
-    else:
-        table = places[3].reshape(-1)
-        columns = materialize(columns + copy * grid.num_columns)
-        rows = table.at[columns].get(mode="promise_in_bounds") + lowest[2]
-        rows = jnp.clip(rows, 0, layout.num_nodes - 3)  # a particle that left the active nodes, see Status
-    rows, axes = materialize((rows + copy * layout.num_nodes, tuple(axes)))
-    return _Stencils(rows, axes, batch), rest
-
-
-def _check_size(layout: _Layout, copies: int) -> None:
-    """Raises ValueError if places among the numbers of all nodes do not fit into int32."""
-    largest = copies * max(_MAX_FIELDS * layout.num_nodes, layout.grid.num_columns)
-    if largest > np.iinfo(np.int32).max:
-        most = np.iinfo(np.int32).max // (largest // copies)
-        raise ValueError(
-            f"{copies} environments of {layout.num_nodes} nodes are stepped at once, but places among them are counted "
-            f"in int32, which holds {most} environments of that size: step fewer at once, with jax.lax.map over groups "
-            "of them, or give the scene max_active_nodes"
-        )
-
-
-def _weights(st: _Stencils) -> tuple[Array, Array, Array]:
-    return (st.axes[0].w, st.axes[1].w, st.axes[2].w)
-
-
-def _affine(value: Sequence[Array], matrix: Mat3) -> _Affine:
-    """Stack three or four fields; the last three have the matrix's rows as slopes, a mass before them has none."""
-    extra = [jnp.zeros_like(matrix[0][0])] * (len(value) - 3)
-    slopes = [_stack([*extra, *(row[a] for row in matrix)]) for a in cp.AXES]
-    return _Affine(_stack(value), (slopes[0], slopes[1], slopes[2]))
-
-
-def _stack(arrays: Sequence[Array]) -> Array:
-    """Shape (len(arrays), particles). The barrier keeps XLA from recomputing the stack in every one of its users."""
-    return materialize(jnp.stack(materialize([a.reshape(-1) for a in arrays])))
-
-
-def _unstack(st: _Stencils, a: Array) -> Arrays:
-    return tuple(a[c].reshape(st.batch) for c in range(a.shape[0]))
-
-
-def _scatter(layout: _Layout, st: _Stencils, terms: list[_Term]) -> Arrays:
-    """Sum the terms onto the 27 nodes around each particle, as 9 rows of 3 nodes along z."""
-    count, num = terms[0].field.value.shape
-    d = [axis.offset for axis in st.axes]
-    sums = []
-    for (wx, wy, wz), field in terms:
-        across = (wx[:, None] * wy[None])[:, :, None]  # (3, 3, 1, particles)
-        plane = field.value + field.slope[0] * d[0][:, None, None] + field.slope[1] * d[1][None, :, None]
-        plane, tilt, lever = materialize((across * plane, across * field.slope[2], wz * d[2]))
-        sums.append(wz[:, None] * plane[:, :, None] + lever[:, None] * tilt[:, :, None])
-    updates = sum(sums[1:], sums[0])  # (3, 3, 3, count, particles)
-    rows = materialize(updates.reshape(9, 3 * count, num))
-    rows = materialize(rows.transpose(0, 2, 1)).reshape(9 * num, 3 * count)
-    start = materialize(st.rows * count).reshape(-1, 1)
-    nodes = jnp.zeros((st.copies * layout.num_nodes * count,), rows.dtype)
-    nodes = jax.lax.scatter_add(nodes, start, rows, _SCATTER_ROWS, mode=_IN_BOUNDS)
-    fields = materialize(nodes.reshape(-1, count)).T.reshape(count, *st.batch[:-1], -1)
-    return tuple(fields[c] for c in range(count))
-
-
-def _moments(st: _Stencils, fields: Arrays, names: tuple[str, ...]) -> dict[str, Array]:
-    """Sums over the stencil of factor along x * factor along y * factor along z * g, each (num_fields, particles)."""
-    count, num = len(fields), st.rows.shape[1]
-    nodes = materialize(jnp.stack(materialize([f.reshape(-1) for f in fields]), axis=-1)).reshape(-1)
-    start = materialize(st.rows * count).reshape(-1, 1)
-    rows = jax.lax.gather(nodes, start, _GATHER_ROWS, (3 * count,), mode=_IN_BOUNDS)
-    rows = materialize(rows.reshape(9, num, 3 * count))
-    g = materialize(rows.transpose(0, 2, 1)).reshape(3, 3, 3, count, num)
-    along_z = {z: _contract(getattr(st.axes[2], z), g) for z in dict.fromkeys(n[2] for n in names)}
-    along_z = materialize(along_z)
-    along_y = {yz: _contract(getattr(st.axes[1], yz[0]), along_z[yz[1]]) for yz in dict.fromkeys(n[1:] for n in names)}
-    along_y = materialize(along_y)
-    return materialize({n: _contract(getattr(st.axes[0], n[0]), along_y[n[1:]]) for n in names})
-
-
-def _contract(factor: Array, g: Array) -> Array:
-    """Sum over the last of the node axes of g (..., 3, num_fields, particles), factor (3, particles)."""
-    return g[..., 0, :, :] * factor[0] + g[..., 1, :, :] * factor[1] + g[..., 2, :, :] * factor[2]
-
-
-def _values(st: _Stencils, moments: dict[str, Array]) -> Arrays:
-    """(sum w g of all fields, sum w g d^T of the last three) as flat components."""
-    q = _unstack(st, moments["www"])
-    first = [_unstack(st, moments[name])[-3:] for name in _VALUE_MOMENTS[1:]]
-    return (*q, *_flat(cp.matrix(lambda c, a: first[a][c])))
-
-
-def _work(st: _Stencils, field: _Affine, slopes: list[Array]) -> Array:
-    """sum grad w (g . (value + slope . d)) along one axis, from that axis' ``_SLOPE_MOMENTS``."""
-    terms = [field.value * slopes[0], *(field.slope[b] * slopes[1 + b] for b in cp.AXES)]
-    terms = materialize(terms[0] + terms[1] + terms[2] + terms[3])
-    return sum(_unstack(st, terms)[1:], _unstack(st, terms)[0])
+    return (*tangents[:3], *split(layout, tangents)[1])

@@ -1,0 +1,175 @@
+"""The passes of ``transfer`` as a GPU wants them: few kernels, and nothing stored between them that can be recomputed.
+
+Stored are the places of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed from
+positions wherever they are used. Nodes are rows of four numbers: a scatter adds one by a single vector atomic, a gather
+reads one at a time. The numbers are those of ``transfer_cpu``, up to rounding.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax.physics.mpm.transfer_cpu import SLOPE_MOMENTS, VALUE_MOMENTS, Layout, as_matrix, as_vector, flat, stencils
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Mat3
+from rewax.physics.numerics.linear_pass import Arrays
+from rewax.physics.numerics.materialize import compute_once
+from rewax.types import Array
+
+_IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+_WIDTH = 4
+"""Numbers per node, the vector that an atomic adds at once: mass and momentum, or momentum and nothing."""
+_ADD_ROWS = jax.lax.ScatterDimensionNumbers(
+    update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
+)
+_TAKE_ROW = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(0,), start_index_map=(0,))
+
+
+class _Stencils(NamedTuple):
+    """Where all particles of all copies of the grid meet the nodes; N particles in all."""
+
+    rows: Array
+    """Place of the lowest of three nodes along z in each of 9 columns, shape (N, 9), int32."""
+    fractions: Arrays
+    """Distance from the lowest node along each axis in cells, in [0.5, 1.5), arrays (N,)."""
+    spacing: float
+    batch: tuple[int, ...]
+    """Shape of the particle arrays before flattening."""
+    num_nodes: int
+    """Of all copies."""
+
+
+class _Axis(NamedTuple):
+    """Factors of a node along one axis, arrays that broadcast."""
+
+    w: Array
+    """Weight [-]."""
+    s: Array
+    """Its slope [1/m]."""
+    d: Array
+    """Offset of the node [m]."""
+
+
+def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
+    st, _ = _stencils(layout, residuals)
+    message = _message(linear[:-9], as_matrix(linear[-9:]))[:, :, None, None, None]  # (N, 4, x, y, z, 4)
+    shape = (len(message), 3, 3, 3, _WIDTH)
+    x, y, z = (_any_node(st, a, jax.lax.broadcasted_iota(jnp.int32, shape, 1 + a)) for a in cp.AXES)
+    sent = message[:, 0] + message[:, 1] * x.d + message[:, 2] * y.d + message[:, 3] * z.d
+    updates = (x.w * y.w * z.w * sent).reshape(-1, 3, _WIDTH)
+    nodes = jnp.zeros((st.num_nodes, _WIDTH), updates.dtype)
+    nodes = jax.lax.scatter_add(nodes, st.rows.reshape(-1, 1), updates, _ADD_ROWS, mode=_IN_BOUNDS)
+    return tuple(nodes[:, c].reshape(*st.batch[:-1], -1) for c in range(len(linear) - 9))
+
+
+def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
+    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``spread``; interpolation of velocities."""
+    st, _ = _stencils(layout, residuals)
+    return _values(st, len(nodes), _sums(st, nodes, dict.fromkeys(VALUE_MOMENTS, _itself)))
+
+
+def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """All ``SLOPE_MOMENTS`` of the node fields behind x in residuals: 3 x 4 x 3 arrays."""
+    del linear
+    st, fields = _stencils(layout, residuals)
+    names = sum(SLOPE_MOMENTS, ())
+    sums = _sums(st, fields, dict.fromkeys(names, _itself))
+    return tuple(column for name in names for column in _columns(st, sums[name], len(fields)))
+
+
+def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """Transpose of ``transfer_cpu.spread_tangent``."""
+    st, rest = _stencils(layout, residuals)
+    A = as_matrix(rest[4:])
+    message = _message(rest[:4], A)
+
+    def work(g: Array, x: _Axis, y: _Axis, z: _Axis) -> Array:
+        return g * (message[:, 0] + message[:, 1] * x.d + message[:, 2] * y.d + message[:, 3] * z.d)
+
+    moved = dict.fromkeys(("sww", "wsw", "wws"), work)
+    sums = _sums(st, cotangents, dict.fromkeys(VALUE_MOMENTS, _itself) | moved)
+    values = _values(st, len(cotangents), sums)
+    along = cp.vector(lambda a: sum(_columns(st, sums[tuple(moved)[a]], len(cotangents))))
+    return (*cp.subtract(along, cp.matvec(cp.transpose(A), as_vector(values[1:4]))), *values)
+
+
+# --- Sums over the stencil -------------------------------------------------------------------------------------------
+
+
+def _stencils(layout: Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
+    st, rest = stencils(layout, residuals)
+    grid, dtype = layout.grid, residuals[0].dtype
+
+    def fraction(a: int) -> Array:
+        return (residuals[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) - st.base[a].astype(dtype)
+
+    num_nodes = st.copies * layout.num_nodes
+    return _Stencils(compute_once(st.rows.T), cp.vector(fraction), grid.spacing, st.batch, num_nodes), rest
+
+
+def _message(value: Sequence[Array], matrix: Mat3) -> Array:
+    """Three or four fields and their slopes along x, y, z as rows of four, stored, shape (N, 4, 4)."""
+    zero = jnp.zeros_like(value[0])
+    before = [zero] * (len(value) - 3)  # a mass has no slope
+    fields = [value, *([*before, *(row[a] for row in matrix)] for a in cp.AXES)]
+    rows = [a.reshape(-1) for field in fields for a in (*field, *[zero] * (_WIDTH - len(field)))]
+    return compute_once(jnp.stack(rows, axis=-1)).reshape(-1, 4, _WIDTH)
+
+
+def _itself(g: Array, x: _Axis, y: _Axis, z: _Axis) -> Array:
+    del x, y, z
+    return g
+
+
+def _sums(
+    st: _Stencils, fields: Arrays, terms: dict[str, Callable[[Array, _Axis, _Axis, _Axis], Array]]
+) -> dict[str, Array]:
+    """Sums over the 27 nodes, each (N, 4): of factors that a name's letters stand for times what its function makes of
+    the node's numbers."""
+    pad = [jnp.zeros_like(fields[0].reshape(-1))] * (_WIDTH - len(fields))
+    nodes = compute_once(jnp.stack([*(f.reshape(-1) for f in fields), *pad], axis=-1))
+    axes = [[_node(st, a, i) for i in range(3)] for a in cp.AXES]
+    total: dict[str, Array] = {}
+    for i, x in enumerate(axes[0]):
+        for j, y in enumerate(axes[1]):
+            for k, z in enumerate(axes[2]):
+                place = st.rows[:, 3 * i + j, None] + k
+                g = jax.lax.gather(nodes, place, _TAKE_ROW, (1, _WIDTH), mode=_IN_BOUNDS)
+                for name, term in terms.items():
+                    factor = _factor(x, name[0]) * _factor(y, name[1]) * _factor(z, name[2])
+                    total[name] = total.get(name, 0.0) + factor * term(g, x, y, z)
+    # Once: what follows takes them apart, and would gather anew for every part.
+    return compute_once(total)
+
+
+def _factor(axis: _Axis, letter: str) -> Array:
+    return {"w": axis.w, "o": axis.w * axis.d, "s": axis.s, "t": axis.s * axis.d}[letter]
+
+
+def _node(st: _Stencils, axis: int, node: int) -> _Axis:
+    """Factors of one of the three nodes along an axis, arrays (N, 1)."""
+    f, inverse = st.fractions[axis][:, None], 1.0 / st.spacing
+    w = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)[node]
+    s = (-(1.5 - f) * inverse, -2.0 * (f - 1.0) * inverse, (f - 0.5) * inverse)[node]
+    return _Axis(w, s, (node - f) * st.spacing)
+
+
+def _any_node(st: _Stencils, axis: int, node: Array) -> _Axis:
+    """The same for an array of numbers 0, 1, 2, without slopes."""
+    f = st.fractions[axis].reshape(-1, 1, 1, 1, 1)
+    outer = jnp.where(node == 0, 1.5 - f, f - 0.5)
+    w = jnp.where(node == 1, 0.75 - (f - 1.0) ** 2, 0.5 * outer * outer)
+    return _Axis(w, jnp.zeros_like(f), (node.astype(f.dtype) - f) * st.spacing)
+
+
+def _columns(st: _Stencils, total: Array, count: int) -> Arrays:
+    return tuple(total[:, c].reshape(st.batch) for c in range(count))
+
+
+def _values(st: _Stencils, count: int, sums: dict[str, Array]) -> Arrays:
+    """(sum w g of all fields, sum w g d^T of the last three) as flat components."""
+    value, *first = (_columns(st, sums[name], count) for name in VALUE_MOMENTS)
+    return (*value, *flat(cp.matrix(lambda c, a: first[a][-3:][c])))
