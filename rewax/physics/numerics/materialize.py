@@ -41,7 +41,8 @@ def compute_once(tree: T) -> T:
 
 def _stored(tree: T, store: ByPlatform) -> T:
     leaves, treedef = jax.tree.flatten(tree)
-    return jax.tree.unflatten(treedef, linear_pass(store, store, None, (), leaves, like=[jax.typeof(a) for a in leaves]))
+    shapes = [jax.typeof(a) for a in leaves]
+    return jax.tree.unflatten(treedef, linear_pass(store, store, None, (), leaves, like=shapes))
 
 
 def _store_on_cpu(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
