@@ -21,6 +21,12 @@ class Stencil(NamedTuple):
     """Node position minus particle position [m]."""
 
 
+def lowest_node(x: Array, *, origin: float, spacing: float, num_nodes: int) -> Array:
+    """Index of the lowest of the three nodes along one axis, int32. Arguments as for ``quadratic_bspline``."""
+    cells = (x - origin) * (1.0 / spacing)
+    return jnp.clip(jnp.floor(cells - 0.5).astype(jnp.int32), 0, num_nodes - 3)
+
+
 def quadratic_bspline(x: Array, *, origin: float, spacing: float, num_nodes: int) -> Stencil:
     """Quadratic B-spline stencil along one axis.
 
@@ -37,10 +43,9 @@ def quadratic_bspline(x: Array, *, origin: float, spacing: float, num_nodes: int
     Gradient: none here; the transfers have theirs by hand.
     Source: Jiang et al. 2016, MPM course notes, eq. 123.
     """
-    cells = (x - origin) * (1.0 / spacing)
     # Of a particle midway between two nodes the rounding decides: all must see the same lowest node.
-    base = compute_once(jnp.clip(jnp.floor(cells - 0.5).astype(jnp.int32), 0, num_nodes - 3))
-    f = cells - base.astype(x.dtype)
+    base = compute_once(lowest_node(x, origin=origin, spacing=spacing, num_nodes=num_nodes))
+    f = (x - origin) * (1.0 / spacing) - base.astype(x.dtype)
     weights = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)
     inv = 1.0 / spacing
     slopes = (-(1.5 - f) * inv, -2.0 * (f - 1.0) * inv, (f - 0.5) * inv)

@@ -70,8 +70,6 @@ class Stencils(NamedTuple):
     rows: Array
     """Place of the lowest node of each of the 9 rows of 3 nodes along z that a particle touches, among the nodes of
     all copies, shape (9, particles), int32."""
-    base: Arrays
-    """Index of the lowest node along x, y, z, arrays (particles,), int32."""
     axes: tuple[Axis, Axis, Axis]
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
@@ -171,18 +169,35 @@ def stencils(layout: Layout, residuals: Arrays) -> tuple[Stencils, Arrays]:
     grid = layout.grid
     places, rest = split(layout, residuals)
     batch = places[0].shape
-    copies = math.prod(batch[:-1])
-    _check_size(layout, copies)
-    # Which copy a particle belongs to, computed in the program: a constant would be as long as all particles.
-    copy = jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1)
+    copy = copy_of_particles(layout, batch)
     axes, lowest = [], []
     for a in cp.AXES:
         x = places[a].reshape(-1)
         st = quadratic_bspline(x, origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
-        st, copy = materialize((st, copy)) if a == 0 and copies > 1 else (materialize(st), copy)
+        st, copy = materialize((st, copy)) if a == 0 and math.prod(batch[:-1]) > 1 else (materialize(st), copy)
         w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
         axes.append(Axis(w, w * d, s, s * d, d))
         lowest.append(st.base)
+    rows, axes = materialize((lowest_rows(layout, places, lowest, copy), tuple(axes)))
+    return Stencils(rows, axes, batch), rest
+
+
+def copy_of_particles(layout: Layout, batch: tuple[int, ...]) -> Array:
+    """Which copy of the grid each particle belongs to, shape (particles,), int32.
+
+    It is computed in the program: a constant would be as long as all particles.
+
+    Raises:
+      ValueError: places among the nodes of all copies do not fit into int32.
+    """
+    copies = math.prod(batch[:-1])
+    _check_size(layout, copies)
+    return jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1)
+
+
+def lowest_rows(layout: Layout, places: Arrays, lowest: Sequence[Array], copy: Array) -> Array:
+    """``Stencils.rows`` of particles with these lowest nodes along x, y and z."""
+    grid = layout.grid
     columns = lowest[0] * grid.shape[1] + lowest[1] + (_COLUMNS @ np.asarray([[grid.shape[1]], [1]], np.int32))
     if layout.num_active is None:
         rows = columns * grid.shape[2] + lowest[2]
@@ -191,8 +206,7 @@ def stencils(layout: Layout, residuals: Arrays) -> tuple[Stencils, Arrays]:
         columns = materialize(columns + copy * grid.num_columns)
         rows = table.at[columns].get(mode="promise_in_bounds") + lowest[2]
         rows = jnp.clip(rows, 0, layout.num_nodes - 3)  # a particle that left the active nodes, see Status
-    rows, axes = materialize((rows + copy * layout.num_nodes, tuple(axes)))
-    return Stencils(rows, tuple(lowest), axes, batch), rest
+    return rows + copy * layout.num_nodes
 
 
 def _check_size(layout: Layout, copies: int) -> None:

@@ -5,13 +5,25 @@ positions wherever they are used. Nodes are rows of four numbers: a scatter adds
 reads one at a time. The numbers are those of ``transfer_cpu``, up to rounding.
 """
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.mpm.transfer_cpu import SLOPE_MOMENTS, VALUE_MOMENTS, Layout, as_matrix, as_vector, flat, stencils
+from rewax.physics.mpm.splines import lowest_node
+from rewax.physics.mpm.transfer_cpu import (
+    SLOPE_MOMENTS,
+    VALUE_MOMENTS,
+    Layout,
+    as_matrix,
+    as_vector,
+    copy_of_particles,
+    flat,
+    lowest_rows,
+    split,
+)
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3
 from rewax.physics.numerics.linear_pass import Arrays
@@ -32,8 +44,8 @@ class _Stencils(NamedTuple):
 
     rows: Array
     """Place of the lowest of three nodes along z in each of 9 columns, shape (N, 9), int32."""
-    fractions: Arrays
-    """Distance from the lowest node along each axis in cells, in [0.5, 1.5), arrays (N,)."""
+    fractions: Array
+    """Distance from the lowest node along each axis in cells, in [0.5, 1.5), shape (N, 3)."""
     spacing: float
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
@@ -55,7 +67,8 @@ class _Axis(NamedTuple):
 def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
     st, _ = _stencils(layout, residuals)
-    message = _message(linear[:-9], as_matrix(linear[-9:]))[:, :, None, None, None]  # (N, 4, x, y, z, 4)
+    st, message = _apart(st, _message(linear[:-9], as_matrix(linear[-9:])))
+    message = message[:, :, None, None, None]  # (N, 4, x, y, z, 4)
     shape = (len(message), 3, 3, 3, _WIDTH)
     x, y, z = (_any_node(st, a, jax.lax.broadcasted_iota(jnp.int32, shape, 1 + a)) for a in cp.AXES)
     sent = message[:, 0] + message[:, 1] * x.d + message[:, 2] * y.d + message[:, 3] * z.d
@@ -94,14 +107,19 @@ def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 
 
 def _stencils(layout: Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
-    st, rest = stencils(layout, residuals)
-    grid, dtype = layout.grid, residuals[0].dtype
-
-    def fraction(a: int) -> Array:
-        return (residuals[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) - st.base[a].astype(dtype)
-
-    num_nodes = st.copies * layout.num_nodes
-    return _Stencils(compute_once(st.rows.T), cp.vector(fraction), grid.spacing, st.batch, num_nodes), rest
+    grid, (places, rest) = layout.grid, split(layout, residuals)
+    batch, dtype = places[0].shape, places[0].dtype
+    lowest = [
+        lowest_node(places[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
+        for a in cp.AXES
+    ]
+    rows = lowest_rows(layout, places, lowest, copy_of_particles(layout, batch))
+    # Once: of a particle midway between two nodes the rounding decides, and all must see the same lowest node.
+    stored = compute_once(jnp.concatenate([rows, jnp.stack(lowest)]).T)
+    cells = jnp.stack([(places[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES], axis=-1)
+    fractions = compute_once(cells - stored[:, len(rows) :].astype(dtype))
+    num_nodes = math.prod(batch[:-1]) * layout.num_nodes
+    return _Stencils(stored[:, : len(rows)], fractions, grid.spacing, batch, num_nodes), rest
 
 
 def _message(value: Sequence[Array], matrix: Mat3) -> Array:
@@ -110,7 +128,13 @@ def _message(value: Sequence[Array], matrix: Mat3) -> Array:
     before = [zero] * (len(value) - 3)  # a mass has no slope
     fields = [value, *([*before, *(row[a] for row in matrix)] for a in cp.AXES)]
     rows = [a.reshape(-1) for field in fields for a in (*field, *[zero] * (_WIDTH - len(field)))]
-    return compute_once(jnp.stack(rows, axis=-1)).reshape(-1, 4, _WIDTH)
+    return jnp.stack(rows, axis=-1).reshape(-1, 4, _WIDTH)
+
+
+def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
+    """Both behind one barrier, which keeps XLA from storing what passes could share: the weights of 27 nodes."""
+    fractions, stored = compute_once((st.fractions, stored))
+    return st._replace(fractions=fractions), stored
 
 
 def _sums(st: _Stencils, fields: Arrays, names: tuple[str, ...], message: Array | None = None) -> dict[str, Array]:
@@ -119,8 +143,7 @@ def _sums(st: _Stencils, fields: Arrays, names: tuple[str, ...], message: Array 
     A name with a dot before it multiplies with what the message sends to the node as well. Axis by axis, as in
     ``transfer_cpu``, for fewer operations.
     """
-    pad = [jnp.zeros_like(fields[0].reshape(-1))] * (_WIDTH - len(fields))
-    nodes = compute_once(jnp.stack([*(f.reshape(-1) for f in fields), *pad], axis=-1))
+    st, (nodes, message) = _apart(st, (_rows_of(fields), message))
     total: dict[str, Array] = {}
     for i in range(3):
         x, in_plane = _node(st, 0, i), {}
@@ -140,6 +163,15 @@ def _sums(st: _Stencils, fields: Arrays, names: tuple[str, ...], message: Array 
     return compute_once({name: total[name] for name in names})
 
 
+def _rows_of(fields: Arrays) -> Array:
+    """Node fields as rows of four numbers, (num_nodes, 4): by comparisons, which XLA fuses with what comes before."""
+    column = jax.lax.broadcasted_iota(jnp.int32, (fields[0].size, _WIDTH), 1)
+    rows = jnp.zeros(column.shape, fields[0].dtype)
+    for c, field in enumerate(fields):
+        rows = jnp.where(column == c, field.reshape(-1, 1), rows)
+    return rows
+
+
 def _add(sums: dict[str, Array], names: tuple[str, ...], axis: int, node: _Axis, inner: dict[str, Array]) -> None:
     """Add, to the sums over this axis and those after it, the part of one node of this axis."""
     wanted = dict.fromkeys(name[:-3] + name[-3 + axis :] for name in names)
@@ -154,7 +186,7 @@ def _factor(axis: _Axis, letter: str) -> Array:
 
 def _node(st: _Stencils, axis: int, node: int) -> _Axis:
     """Factors of one of the three nodes along an axis, arrays (N, 1)."""
-    f, inverse = st.fractions[axis][:, None], 1.0 / st.spacing
+    f, inverse = st.fractions[:, axis, None], 1.0 / st.spacing
     w = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)[node]
     s = (-(1.5 - f) * inverse, -2.0 * (f - 1.0) * inverse, (f - 0.5) * inverse)[node]
     return _Axis(w, s, (node - f) * st.spacing)
@@ -162,7 +194,7 @@ def _node(st: _Stencils, axis: int, node: int) -> _Axis:
 
 def _any_node(st: _Stencils, axis: int, node: Array) -> _Axis:
     """The same for an array of numbers 0, 1, 2, without slopes."""
-    f = st.fractions[axis].reshape(-1, 1, 1, 1, 1)
+    f = st.fractions[:, axis, None, None, None, None]
     outer = jnp.where(node == 0, 1.5 - f, f - 0.5)
     w = jnp.where(node == 1, 0.75 - (f - 1.0) ** 2, 0.5 * outer * outer)
     return _Axis(w, jnp.zeros_like(f), (node.astype(f.dtype) - f) * st.spacing)
