@@ -33,6 +33,7 @@ from rewax.physics.mpm.transfer import GridFields, grid_to_particle, particle_to
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.linear_pass import Arrays, linear_pass
 from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.recompute import recomputed, scan_substeps
@@ -69,7 +70,7 @@ def substep(
     """
     check_bodies(scene.colliders, before.position.shape[0])
     nodes = nodes_of_step(scene, state.x) if nodes is None else nodes
-    return join(_recomputed_substep(scene, nodes, split(state), (before, after)))
+    return join(_recomputed_substep(scene, nodes, pack(split(state)), (before, after)))
 
 
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
@@ -91,7 +92,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
     one = _substep if store_every is None else _recomputed_substep
 
     def body(particles: Particles, interval: tuple[Pose, Pose]) -> Particles:
-        return one(scene, nodes, particles, interval)
+        return one(scene, nodes, pack(particles), interval)
 
     return join(scan_substeps(body, split(state), poses, store_every))
 
@@ -160,9 +161,31 @@ def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
 # --- One substep, by components --------------------------------------------------------------------------------------
 
 
-def _substep(scene: MPMScene, nodes: ActiveNodes, particles: Particles, interval: tuple[Pose, Pose]) -> Particles:
+def pack(particles: Particles) -> Array:
+    """All components in one array, (24 or 25, num_particles): what the backward pass keeps is one copy. Gradient: exact."""
+    return linear_pass(_stack, _unstack, None, (), jax.tree.leaves(particles))[0]
+
+
+def unpack(packed: Array) -> Particles:
+    """Inverse of ``pack``. Gradient: exact."""
+    rows = linear_pass(_unstack, _stack, None, (), (packed,))
+    matrices = [(rows[k : k + 3], rows[k + 3 : k + 6], rows[k + 6 : k + 9]) for k in (6, 15)]
+    return Particles(rows[:3], rows[3:6], *matrices, rows[24] if len(rows) > 24 else None)  # type: ignore[arg-type]
+
+
+def _stack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del static, residuals
+    return (jnp.stack(arrays, axis=-2),)
+
+
+def _unstack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del static, residuals
+    return tuple(arrays[0][..., i, :] for i in range(arrays[0].shape[-2]))
+
+
+def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, interval: tuple[Pose, Pose]) -> Particles:
     # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
-    particles = materialize(particles)
+    particles = materialize(unpack(packed))
     response, fields = to_nodes(scene, nodes, particles)
     with jax.named_scope("grid"):
         velocity = grid_velocity(scene, nodes, fields, *interval)
