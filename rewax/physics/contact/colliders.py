@@ -12,9 +12,9 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.linear_pass import Arrays, linear_pass
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.physics.numerics.materialize import compute_once, materialize
-from rewax.physics.numerics.pose import Pose
+from rewax.physics.numerics.pose import Pose, product, turned
 from rewax.physics.shapes.primitives import Shape, signed_distance_components
 from rewax.types import Array, Scalar
 
@@ -170,11 +170,12 @@ def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> To
     Gradient: exact.
     """
     # Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
-    to_local = -jnp.matmul(start.rotation.T, start.position, precision="highest")
+    to_local = -turned(start.rotation.T, start.position)
     maps = jnp.concatenate([start.rotation.T, motion.turn]), jnp.concatenate([to_local, motion.shift])
     # Once: shapes compare places in their frame (faces of a box, cells of a grid), and all parts of distance and normal
     # must come from one face or cell.
-    lx, ly, lz, bx, by, bz = compute_once(linear_pass(_at_nodes, _at_nodes_transpose, None, position, maps))
+    at_nodes = linear_pass(_at_nodes, _AT_NODES_TRANSPOSE, None, position, maps)
+    (lx, ly, lz), (bx, by, bz) = compute_once(at_nodes[:3]), materialize(at_nodes[3:])
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
     influence = jnp.exp(-jnp.maximum(known_softness(collider) * distance, 0.0))
@@ -231,8 +232,8 @@ def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
 def shape_pose(collider: Collider, body: Pose) -> Pose:
     """Pose of a collider's shape, given that of its body. Gradient: exact."""
     return Pose(
-        body.position + jnp.matmul(body.rotation, collider.offset, precision="highest"),
-        jnp.matmul(body.rotation, collider.rotation, precision="highest"),
+        body.position + turned(body.rotation, collider.offset),
+        product(body.rotation, collider.rotation),
     )
 
 
@@ -243,13 +244,13 @@ def _start_and_motion(collider: Collider, before: Pose, after: Pose, dt: float) 
 
 def chord_motion(start: Pose, end: Pose, dt: float) -> Motion:
     """The motion that takes each point of a body along a straight line from one pose to another. Gradient: exact."""
-    turn = jnp.matmul((end.rotation - start.rotation) / dt, start.rotation.T, precision="highest")
-    return Motion(turn, (end.position - start.position) / dt - jnp.matmul(turn, start.position, precision="highest"))
+    turn = product((end.rotation - start.rotation) / dt, start.rotation.T)
+    return Motion(turn, (end.position - start.position) / dt - turned(turn, start.position))
 
 
 def velocity_at(motion: Motion, position: Vec3) -> Vec3:
     """Velocity of a body's points at the given nodes [m/s]. Gradient: exact with respect to the motion."""
-    x, y, z = linear_pass(_at_nodes, _at_nodes_transpose, None, position, tuple(motion))
+    x, y, z = linear_pass(_at_nodes, _AT_NODES_TRANSPOSE, None, position, tuple(motion))
     return x, y, z
 
 
@@ -271,6 +272,17 @@ def _at_nodes_transpose(static: None, residuals: Arrays, cotangents: Arrays) -> 
     rows = materialize(jnp.stack([*residuals, jnp.ones_like(residuals[0])], axis=-2))
     both = jnp.einsum("...kn,...cn->...kc", jnp.stack(cotangents, axis=-2), rows, precision="highest")
     return both[..., :3], both[..., 3]
+
+
+def _sums_over_nodes(static: None, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """The same as sums that one kernel of a GPU takes while it reads everything once."""
+    del static
+    offsets = jnp.stack([c.sum(-1) for c in cotangents], axis=-1)
+    matrix = jnp.stack([jnp.stack([(c * x).sum(-1) for x in residuals], axis=-1) for c in cotangents], axis=-2)
+    return matrix, offsets
+
+
+_AT_NODES_TRANSPOSE = ByPlatform(cpu=_at_nodes_transpose, other=_sums_over_nodes)
 
 
 def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:

@@ -162,7 +162,7 @@ def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
 
 
 def pack(particles: Particles) -> Array:
-    """All components in one array, (24 or 25, num_particles): what the backward pass keeps is one copy. Gradient: exact."""
+    """All components in one array, (24 or 25, num_particles): the backward pass keeps one copy. Gradient: exact."""
     return linear_pass(_stack, _unstack, None, (), jax.tree.leaves(particles))[0]
 
 

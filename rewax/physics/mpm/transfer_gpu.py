@@ -36,16 +36,16 @@ _WIDTH = 4
 _ADD_ROWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
-_TAKE_ROW = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(0,), start_index_map=(0,))
+_TAKE = jax.lax.GatherDimensionNumbers(offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,))
 
 
 class _Stencils(NamedTuple):
     """Where all particles of all copies of the grid meet the nodes; N particles in all."""
 
     rows: Array
-    """Place of the lowest of three nodes along z in each of 9 columns, shape (N, 9), int32."""
+    """Place of the lowest of three nodes along z in each of 9 columns, shape (9, N), int32."""
     fractions: Array
-    """Distance from the lowest node along each axis in cells, in [0.5, 1.5), shape (N, 3)."""
+    """Distance from the lowest node along each axis in cells, in [0.5, 1.5), shape (3, N)."""
     spacing: float
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
@@ -67,11 +67,12 @@ class _Axis(NamedTuple):
 def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
     st, _ = _stencils(layout, residuals)
-    st, message = _apart(st, _message(linear[:-9], as_matrix(linear[-9:])))
-    message = message[:, :, None, None, None]  # (N, 4, x, y, z, 4)
-    shape = (len(message), 3, 3, 3, _WIDTH)
-    x, y, z = (_any_node(st, a, jax.lax.broadcasted_iota(jnp.int32, shape, 1 + a)) for a in cp.AXES)
-    sent = message[:, 0] + message[:, 1] * x.d + message[:, 2] * y.d + message[:, 3] * z.d
+    st, message = _apart(st, jnp.stack(_message(linear[:-9], as_matrix(linear[-9:])), axis=-1))
+    shape = (3, 3, len(message), 3, _WIDTH)  # columns along x and y, particles, nodes along z, numbers
+    steps = [jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1, 3)]
+    x, y, z = (_any_node(st, a, steps[a]) for a in cp.AXES)
+    value, *slopes = (message[:, None, _WIDTH * i : _WIDTH * (i + 1)] for i in range(4))
+    sent = value + slopes[0] * x.d + slopes[1] * y.d + slopes[2] * z.d
     updates = (x.w * y.w * z.w * sent).reshape(-1, 3, _WIDTH)
     nodes = jnp.zeros((st.num_nodes, _WIDTH), updates.dtype)
     nodes = jax.lax.scatter_add(nodes, st.rows.reshape(-1, 1), updates, _ADD_ROWS, mode=_IN_BOUNDS)
@@ -97,7 +98,7 @@ def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
     """Transpose of ``transfer_cpu.spread_tangent``."""
     st, rest = _stencils(layout, residuals)
     A, moved = as_matrix(rest[4:]), (".sww", ".wsw", ".wws")
-    sums = _sums(st, cotangents, (*VALUE_MOMENTS, *moved), _message(rest[:4], A))
+    sums = _sums(st, cotangents, (*VALUE_MOMENTS, *moved), jnp.stack(_message(rest[:4], A)).reshape(4, _WIDTH, -1))
     values = _values(st, len(cotangents), sums)
     work = cp.vector(lambda a: sum(_columns(st, sums[moved[a]], len(cotangents))))
     return (*cp.subtract(work, cp.matvec(cp.transpose(A), as_vector(values[1:4]))), *values)
@@ -115,20 +116,19 @@ def _stencils(layout: Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
     ]
     rows = lowest_rows(layout, places, lowest, copy_of_particles(layout, batch))
     # Once: of a particle midway between two nodes the rounding decides, and all must see the same lowest node.
-    stored = compute_once(jnp.concatenate([rows, jnp.stack(lowest)]).T)
-    cells = jnp.stack([(places[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES], axis=-1)
-    fractions = compute_once(cells - stored[:, len(rows) :].astype(dtype))
+    stored = compute_once(jnp.concatenate([rows, jnp.stack(lowest)]))
+    cells = jnp.stack([(places[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES])
+    fractions = compute_once(cells - stored[len(rows) :].astype(dtype))
     num_nodes = math.prod(batch[:-1]) * layout.num_nodes
-    return _Stencils(stored[:, : len(rows)], fractions, grid.spacing, batch, num_nodes), rest
+    return _Stencils(stored[: len(rows)], fractions, grid.spacing, batch, num_nodes), rest
 
 
-def _message(value: Sequence[Array], matrix: Mat3) -> Array:
-    """Three or four fields and their slopes along x, y, z as rows of four, stored, shape (N, 4, 4)."""
+def _message(value: Sequence[Array], matrix: Mat3) -> list[Array]:
+    """Three or four fields and their slopes along x, y, z, four of four components: 16 arrays (N,)."""
     zero = jnp.zeros_like(value[0])
     before = [zero] * (len(value) - 3)  # a mass has no slope
     fields = [value, *([*before, *(row[a] for row in matrix)] for a in cp.AXES)]
-    rows = [a.reshape(-1) for field in fields for a in (*field, *[zero] * (_WIDTH - len(field)))]
-    return jnp.stack(rows, axis=-1).reshape(-1, 4, _WIDTH)
+    return [a.reshape(-1) for field in fields for a in (*field, *[zero] * (_WIDTH - len(field)))]
 
 
 def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
@@ -138,38 +138,30 @@ def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
 
 
 def _sums(st: _Stencils, fields: Arrays, names: tuple[str, ...], message: Array | None = None) -> dict[str, Array]:
-    """Sums over the 27 nodes of the factors that a name's letters stand for times the node's numbers, each (N, 4).
+    """Sums over the 27 nodes of the factors that a name's letters stand for times the node's numbers.
 
     A name with a dot before it multiplies with what the message sends to the node as well. Axis by axis, as in
-    ``transfer_cpu``, for fewer operations.
+    ``transfer_cpu``, for fewer operations. Each sum has shape (num_fields, N).
     """
-    st, (nodes, message) = _apart(st, (_rows_of(fields), message))
+    st, (nodes, message) = _apart(st, (jnp.concatenate([f.reshape(-1) for f in fields]), message))
+    first = st.num_nodes * jnp.arange(len(fields), dtype=jnp.int32)[:, None]
     total: dict[str, Array] = {}
     for i in range(3):
         x, in_plane = _node(st, 0, i), {}
-        sent_x = None if message is None else message[:, 0] + message[:, 1] * x.d
+        sent_x = None if message is None else message[0] + message[1] * x.d
         for j in range(3):
             y, in_column = _node(st, 1, j), {}
-            sent_y = None if message is None else sent_x + message[:, 2] * y.d
+            sent_y = None if message is None else sent_x + message[2] * y.d
             for k in range(3):
-                z, place = _node(st, 2, k), st.rows[:, 3 * i + j, None] + k
-                g = {"": jax.lax.gather(nodes, place, _TAKE_ROW, (1, _WIDTH), mode=_IN_BOUNDS)}
+                z, place = _node(st, 2, k), (st.rows[3 * i + j] + k) + first
+                g = {"": jax.lax.gather(nodes, place[..., None], _TAKE, (1,), mode=_IN_BOUNDS)}
                 if message is not None:
-                    g["."] = g[""] * (sent_y + message[:, 3] * z.d)
+                    g["."] = g[""] * (sent_y + message[3] * z.d)
                 _add(in_column, names, 2, z, g)
             _add(in_plane, names, 1, y, in_column)
         _add(total, names, 0, x, in_plane)
     # Once: what follows takes them apart, and would gather anew for every part.
     return compute_once({name: total[name] for name in names})
-
-
-def _rows_of(fields: Arrays) -> Array:
-    """Node fields as rows of four numbers, (num_nodes, 4): by comparisons, which XLA fuses with what comes before."""
-    column = jax.lax.broadcasted_iota(jnp.int32, (fields[0].size, _WIDTH), 1)
-    rows = jnp.zeros(column.shape, fields[0].dtype)
-    for c, field in enumerate(fields):
-        rows = jnp.where(column == c, field.reshape(-1, 1), rows)
-    return rows
 
 
 def _add(sums: dict[str, Array], names: tuple[str, ...], axis: int, node: _Axis, inner: dict[str, Array]) -> None:
@@ -185,8 +177,8 @@ def _factor(axis: _Axis, letter: str) -> Array:
 
 
 def _node(st: _Stencils, axis: int, node: int) -> _Axis:
-    """Factors of one of the three nodes along an axis, arrays (N, 1)."""
-    f, inverse = st.fractions[:, axis, None], 1.0 / st.spacing
+    """Factors of one of the three nodes along an axis, arrays (N,)."""
+    f, inverse = st.fractions[axis], 1.0 / st.spacing
     w = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)[node]
     s = (-(1.5 - f) * inverse, -2.0 * (f - 1.0) * inverse, (f - 0.5) * inverse)[node]
     return _Axis(w, s, (node - f) * st.spacing)
@@ -194,14 +186,14 @@ def _node(st: _Stencils, axis: int, node: int) -> _Axis:
 
 def _any_node(st: _Stencils, axis: int, node: Array) -> _Axis:
     """The same for an array of numbers 0, 1, 2, without slopes."""
-    f = st.fractions[:, axis, None, None, None, None]
+    f = st.fractions[axis][:, None, None]
     outer = jnp.where(node == 0, 1.5 - f, f - 0.5)
     w = jnp.where(node == 1, 0.75 - (f - 1.0) ** 2, 0.5 * outer * outer)
     return _Axis(w, jnp.zeros_like(f), (node.astype(f.dtype) - f) * st.spacing)
 
 
 def _columns(st: _Stencils, total: Array, count: int) -> Arrays:
-    return tuple(total[:, c].reshape(st.batch) for c in range(count))
+    return tuple(total[c].reshape(st.batch) for c in range(count))
 
 
 def _values(st: _Stencils, count: int, sums: dict[str, Array]) -> Arrays:

@@ -16,6 +16,16 @@ class Pose(NamedTuple):
     """Rotation matrix from the body's frame to the world's, shape (..., 3, 3)."""
 
 
+def turned(rotation: Array, vector: Array) -> Array:
+    """``rotation @ vector``, (3, 3) and (3,), as sums that can be a part of another kernel. Gradient: exact."""
+    return sum(rotation[:, k] * vector[k] for k in range(3))  # type: ignore[return-value]
+
+
+def product(a: Array, b: Array) -> Array:
+    """``a @ b`` of two (3, 3) matrices, in the same way. Gradient: exact."""
+    return sum(a[:, k, None] * b[None, k, :] for k in range(3))  # type: ignore[return-value]
+
+
 def body_pose(poses: Pose, body: int) -> Pose:
     """Pose of one body out of those of all, shapes (num_bodies, 3), (num_bodies, 3, 3)."""
     return Pose(poses.position[body], poses.rotation[body])
