@@ -1,8 +1,8 @@
 """The passes of ``transfer`` as a GPU wants them: few kernels, and nothing stored between them that can be recomputed.
 
 Stored are the places of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed from
-positions wherever they are used. Nodes are rows of four numbers: a scatter adds one by a single vector atomic, a gather
-reads one at a time. The numbers are those of ``transfer_cpu``, up to rounding.
+positions wherever they are used. The scatter sees nodes as rows of four numbers, and adds one by a single vector atomic.
+The numbers are those of ``transfer_cpu``, up to rounding.
 """
 
 import math
@@ -82,7 +82,7 @@ def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
 def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
     """(sum w g of all fields, sum w g d^T of the last three): transpose of ``spread``; interpolation of velocities."""
     st, _ = _stencils(layout, residuals)
-    return _values(st, len(nodes), _sums(st, nodes, VALUE_MOMENTS))
+    return _values(_sums(st, nodes, VALUE_MOMENTS))
 
 
 def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
@@ -91,16 +91,16 @@ def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     st, fields = _stencils(layout, residuals)
     names = sum(SLOPE_MOMENTS, ())
     sums = _sums(st, fields, names)
-    return tuple(column for name in names for column in _columns(st, sums[name], len(fields)))
+    return tuple(column for name in names for column in sums[name])
 
 
 def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
     """Transpose of ``transfer_cpu.spread_tangent``."""
     st, rest = _stencils(layout, residuals)
     A, moved = as_matrix(rest[4:]), (".sww", ".wsw", ".wws")
-    sums = _sums(st, cotangents, (*VALUE_MOMENTS, *moved), jnp.stack(_message(rest[:4], A)).reshape(4, _WIDTH, -1))
-    values = _values(st, len(cotangents), sums)
-    work = cp.vector(lambda a: sum(_columns(st, sums[moved[a]], len(cotangents))))
+    sums = _sums(st, cotangents, (*VALUE_MOMENTS, *moved), _message(rest[:4], A))
+    values = _values(sums)
+    work = cp.vector(lambda a: sum(sums[moved[a]]))
     return (*cp.subtract(work, cp.matvec(cp.transpose(A), as_vector(values[1:4]))), *values)
 
 
@@ -137,31 +137,43 @@ def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
     return st._replace(fractions=fractions), stored
 
 
-def _sums(st: _Stencils, fields: Arrays, names: tuple[str, ...], message: Array | None = None) -> dict[str, Array]:
+def _sums(
+    st: _Stencils, fields: Arrays, names: tuple[str, ...], message: list[Array] | None = None
+) -> dict[str, Arrays]:
     """Sums over the 27 nodes of the factors that a name's letters stand for times the node's numbers.
 
-    A name with a dot before it multiplies with what the message sends to the node as well. Axis by axis, as in
-    ``transfer_cpu``, for fewer operations. Each sum has shape (num_fields, N).
+    Axis by axis, as in ``transfer_cpu``, for fewer operations.
+
+    Args:
+      st: where particles are.
+      fields: of the nodes.
+      names: see ``SLOPE_MOMENTS``; with a dot before it one multiplies with what the message sends to the node as well.
+      message: from ``_message``.
+
+    Returns:
+      Of each name the sums of all fields, arrays of the particles' shape.
     """
-    st, (nodes, message) = _apart(st, (jnp.concatenate([f.reshape(-1) for f in fields]), message))
+    sent = [] if message is None else [jnp.stack(message[i : i + _WIDTH]) for i in range(0, len(message), _WIDTH)]
+    st, (nodes, sent) = _apart(st, (jnp.concatenate([f.reshape(-1) for f in fields]), sent))
     first = st.num_nodes * jnp.arange(len(fields), dtype=jnp.int32)[:, None]
     total: dict[str, Array] = {}
     for i in range(3):
         x, in_plane = _node(st, 0, i), {}
-        sent_x = None if message is None else message[0] + message[1] * x.d
+        sent_x = sent[0] + sent[1] * x.d if sent else None
         for j in range(3):
             y, in_column = _node(st, 1, j), {}
-            sent_y = None if message is None else sent_x + message[2] * y.d
+            sent_y = sent_x + sent[2] * y.d if sent else None
             for k in range(3):
                 z, place = _node(st, 2, k), (st.rows[3 * i + j] + k) + first
                 g = {"": jax.lax.gather(nodes, place[..., None], _TAKE, (1,), mode=_IN_BOUNDS)}
-                if message is not None:
-                    g["."] = g[""] * (sent_y + message[3] * z.d)
+                if sent:
+                    g["."] = g[""] * (sent_y + sent[3] * z.d)
                 _add(in_column, names, 2, z, g)
             _add(in_plane, names, 1, y, in_column)
         _add(total, names, 0, x, in_plane)
     # Once: what follows takes them apart, and would gather anew for every part.
-    return compute_once({name: total[name] for name in names})
+    total = compute_once(total)
+    return {name: tuple(total[name][c].reshape(st.batch) for c in range(len(fields))) for name in names}
 
 
 def _add(sums: dict[str, Array], names: tuple[str, ...], axis: int, node: _Axis, inner: dict[str, Array]) -> None:
@@ -192,11 +204,7 @@ def _any_node(st: _Stencils, axis: int, node: Array) -> _Axis:
     return _Axis(w, jnp.zeros_like(f), (node.astype(f.dtype) - f) * st.spacing)
 
 
-def _columns(st: _Stencils, total: Array, count: int) -> Arrays:
-    return tuple(total[c].reshape(st.batch) for c in range(count))
-
-
-def _values(st: _Stencils, count: int, sums: dict[str, Array]) -> Arrays:
+def _values(sums: dict[str, Arrays]) -> Arrays:
     """(sum w g of all fields, sum w g d^T of the last three) as flat components."""
-    value, *first = (_columns(st, sums[name], count) for name in VALUE_MOMENTS)
+    value, *first = (sums[name] for name in VALUE_MOMENTS)
     return (*value, *flat(cp.matrix(lambda c, a: first[a][-3:][c])))
