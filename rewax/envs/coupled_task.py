@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.appearance import soft_appearance, soft_values
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import ResetNoise, no_noise
 from rewax.envs.rigid_task import control_in_range
@@ -130,6 +131,15 @@ class CoupledTask(Task):
     def particles(self, physics: CoupledPhysics) -> Array:
         """Positions for pictures [m], shape (num_points, 3)."""
         return physics.soft.x
+
+    def particle_values(self, physics: CoupledPhysics) -> dict[str, Array]:
+        """Numbers that colour the points in pictures, shape (num_points,) each: ``speed`` [m/s], ``strain`` [-]."""
+        return soft_values(physics.soft)
+
+    @property
+    def appearance(self) -> dict[str, Any]:
+        """How pictures show the soft body, its floor and the camera; see ``rewax.viz.recording``."""
+        return {**soft_appearance(self.scene, self.up), "camera": self.camera}
 
     def render_shapes(self, physics: CoupledPhysics) -> list[dict[str, Any]]:
         """Drawings of the robot, see ``rewax.viz.shapes``."""

@@ -14,6 +14,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import round_unit
+from rewax.envs.appearance import MARKER
 from rewax.envs.soft_parts import box_walls, lattice_box, random_box, water
 from rewax.envs.soft_task import Soft, SoftPhysics, SoftTask
 from rewax.physics import mpm
@@ -111,8 +112,12 @@ class FluidMove(SoftTask):
         return reward, {"distance": distance, "spill": spill, "success": success.astype(spill.dtype)}
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
-        marker = {"kind": "sphere", "center": physics.task, "radius": jnp.asarray(0.02)}
-        return [*super().render_shapes(physics), marker]
+        marker = {"kind": "sphere", "center": physics.task, "radius": jnp.asarray(0.02), "color": MARKER}
+        return [*({**wall, "opacity": 0.3} for wall in super().render_shapes(physics)), marker]
+
+    @property
+    def camera(self) -> dict[str, Any]:
+        return {"elevation": 28.0}
 
 
 def container(

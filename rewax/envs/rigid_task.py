@@ -86,6 +86,11 @@ class RigidTask(Task):
         """Unit vector against gravity, for pictures, shape (3,); z without gravity."""
         return against(self.model.gravity, (0.0, 0.0, 1.0))
 
+    @property
+    def appearance(self) -> dict[str, Any]:
+        """The camera of pictures; see ``rewax.viz.recording``."""
+        return {"camera": self.camera}
+
     def render_shapes(self, physics: RigidPhysics) -> list[dict[str, Any]]:
         """Drawings of the geoms, see ``rewax.viz.shapes``."""
         return rigid.shapes(self.model, physics.rigid)

@@ -1,5 +1,7 @@
 """A Shadow hand whose joints move as prescribed, for tasks in which it handles soft bodies."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -27,6 +29,10 @@ class HandTask(SoftTask):
 
     def poses(self, joint_q: Array) -> Pose:
         return rigid.poses(self.hand, joint_q)
+
+    @property
+    def camera(self) -> dict[str, Any]:
+        return {"azimuth": 60.0, "elevation": 40.0}
 
 
 def load_hand(*, scale: float, position: tuple[float, float, float]) -> RigidModel:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.appearance import soft_appearance, soft_values
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import ResetNoise, no_noise
 from rewax.envs.task import Task, against
@@ -174,6 +175,15 @@ class SoftTask(Task):
     def particles(self, physics: SoftPhysics) -> Array:
         """Positions for pictures [m], shape (num_points, 3)."""
         return physics.soft.x
+
+    def particle_values(self, physics: SoftPhysics) -> dict[str, Array]:
+        """Numbers that colour the points in pictures, shape (num_points,) each: ``speed`` [m/s], ``strain`` [-]."""
+        return soft_values(physics.soft)
+
+    @property
+    def appearance(self) -> dict[str, Any]:
+        """How pictures show the soft body, its floor and the camera; see ``rewax.viz.recording``."""
+        return {**soft_appearance(self.scene, self.up), "camera": self.camera}
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         """Drawings of the tools, see ``rewax.viz.shapes``."""

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.appearance import MARKER
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.soft_parts import box_walls, lattice_box, turn_about_y, water
 from rewax.envs.soft_task import Soft, SoftPhysics, SoftTask
@@ -79,7 +80,11 @@ class SteerFloat(SoftTask):
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         center = jnp.array([physics.task[0], BASIN[1][0] + DEPTH, physics.task[1]])
-        return [*super().render_shapes(physics), {"kind": "sphere", "center": center, "radius": jnp.asarray(0.015)}]
+        return [*super().render_shapes(physics), {"kind": "sphere", "center": center, "radius": jnp.asarray(0.015), "color": MARKER}]
+
+    @property
+    def camera(self) -> dict[str, Any]:
+        return {"azimuth": 15.0, "elevation": 38.0}
 
 
 def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: float, dt: float, **changes) -> SteerFloat:

@@ -47,6 +47,11 @@ class Task(struct.Replaceable):
         del key
         return physics.task
 
+    @property
+    def camera(self) -> dict[str, Any]:
+        """How pictures look at the task; ``rewax.viz.camera.frame_recording`` has the keys, all optional."""
+        return {}
+
     # --- What a kind of physics defines ---
 
     @property

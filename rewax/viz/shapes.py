@@ -14,7 +14,8 @@ kind          keys                                 meaning
 
 ``center``: [m], shape (3,); of a plane, any point of it. ``radius`` and ``half_length``: [m], shape (). ``half_size``:
 half the edges along the box's axes [m], shape (3,). ``direction``: of the axis or the normal, shape (3,), of any length
-but zero. ``rotation``: shape (3, 3). Other keys are ignored.
+but zero. ``rotation``: shape (3, 3). Videos and the player also use ``color`` (red, green and blue between 0 and 1,
+shape (3,)) and ``opacity`` (between 0 and 1) where they are given. Other keys are ignored.
 """
 
 import dataclasses
@@ -34,6 +35,8 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "half_size": (3,),
     "direction": (3,),
     "rotation": (3, 3),
+    "color": (3,),
+    "opacity": (),
 }
 KEYS: dict[str, tuple[str, ...]] = {
     "sphere": ("center", "radius"),
@@ -96,6 +99,9 @@ def check_drawing(drawing: Drawing) -> None:
             instead = f", but has {close[0]!r}" if close else ""
             raise ValueError(f"the drawing of a {kind} has no {key!r}{instead}: give it {', '.join(KEYS[kind])}")
         _check_numbers(kind, key, drawing[key])
+    for key in ("color", "opacity"):
+        if key in drawing:
+            _check_numbers(kind, key, drawing[key])
 
 
 def _check_numbers(kind: str, key: str, value: Any) -> None:
@@ -111,6 +117,8 @@ def _check_numbers(kind: str, key: str, value: Any) -> None:
         raise ValueError(f"{name} is {numbers.tolist()}: give finite numbers")
     if key in ("radius", "half_length", "half_size") and not (numbers >= 0.0).all():
         raise ValueError(f"{name} is {numbers.tolist()}: give 0 or more")
+    if key in ("color", "opacity") and not ((numbers >= 0.0) & (numbers <= 1.0)).all():
+        raise ValueError(f"{name} is {numbers.tolist()}: give numbers from 0 to 1")
     if key == "direction" and not numbers.any():
         raise ValueError(f"{name} is zero: give a vector of any other length")
 

@@ -1,0 +1,61 @@
+"""How soft bodies look in pictures: what they are made of, how fast and how strained each particle is, the floor."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics import tets
+from rewax.physics.mpm import Elasticity, Material, MPMScene, MPMState, Plasticity
+from rewax.physics.tets import TetScene, TetState
+from rewax.types import Array
+
+MARKER = (0.90, 0.25, 0.20)
+"""Colour of targets and other signs that nothing touches: red, green and blue."""
+_FLUIDS = {Elasticity.FLUID, Elasticity.TAIT}
+_PLASTIC = {Plasticity.VON_MISES: "dough", Plasticity.DRUCKER_PRAGER: "sand", Plasticity.SNOW: "snow"}
+
+
+def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any]:
+    """What does not change during an episode; the keys are those of ``rewax.viz.recording.Recording``.
+
+    Args:
+      scene: the soft bodies and what bounds them.
+      up: unit vector that points up, shape (3,).
+    """
+    if isinstance(scene, TetScene):
+        mesh = tets.TetMesh(np.zeros((0, 3)), scene.tets)
+        active = np.any(np.asarray(scene.activation) != 0.0)
+        looks: dict[str, Any] = {
+            "triangles": np.asarray(tets.boundary_faces(mesh)),
+            "material_names": ("muscle" if active else "elastic",),
+        }
+        if scene.ground is not None and float(np.asarray(scene.ground.normal) @ up) > 0.99:
+            looks["floor"] = float(np.asarray(scene.ground.height))
+        return looks
+    parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
+    looks = {"material_names": tuple(_name(part) for part in parts)}
+    if scene.particle_counts is not None:
+        looks["materials"] = np.repeat(np.arange(len(parts)), scene.particle_counts)
+    axis = int(np.argmax(np.abs(up)))
+    wall = (scene.walls.lower if up[axis] > 0 else scene.walls.upper)[axis]
+    if wall is not None and abs(up[axis]) > 0.99:
+        looks["floor"] = float(np.sign(up[axis]) * wall.position)
+    return looks
+
+
+def soft_values(soft: MPMState | TetState) -> dict[str, Array]:
+    """Speed [m/s] and, of particles, strain [-] of each, shape (num_particles,): |F^T F - I| / 2 in Frobenius' norm."""
+    values = {"speed": jnp.sqrt(jnp.sum(soft.v**2, axis=-1))}
+    if isinstance(soft, MPMState):
+        green = 0.5 * (jnp.einsum("nki,nkj->nij", soft.F, soft.F) - jnp.eye(3, dtype=soft.F.dtype))
+        values["strain"] = jnp.sqrt(jnp.sum(green**2, axis=(-2, -1)))
+    return values
+
+
+def _name(material: Material) -> str:
+    if material.elasticity in _FLUIDS:
+        return "water"
+    if material.activation is not None:
+        return "muscle"
+    return _PLASTIC.get(material.plasticity, "elastic")

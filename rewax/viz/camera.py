@@ -1,0 +1,193 @@
+"""Where a picture is taken from: a perspective camera that looks at what happens."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from rewax.viz.recording import Recording, diameters
+from rewax.viz.shapes import bounds, side_view
+
+FIELD_OF_VIEW = 35.0
+"""Of the picture's height [degrees]."""
+_FILLED = 0.86
+"""Share of the picture, along either edge, that what is shown may fill."""
+_DEFAULTS: dict[str, Any] = {"azimuth": 25.0, "elevation": 22.0, "zoom": 1.0, "follow": None}
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """A camera.
+
+    Attributes:
+      eye: where it is [m], shape (3,).
+      right, up, forward: unit vectors; forward is where it looks, shape (3,) each.
+      distance: from the eye to what it looks at [m].
+    """
+
+    eye: np.ndarray
+    right: np.ndarray
+    up: np.ndarray
+    forward: np.ndarray
+    distance: float
+
+    def project(self, points: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Columns, rows and depths [m] of points of shape (..., 3) in a picture of so many pixels."""
+        offset = np.asarray(points) - self.eye
+        depth = offset @ self.forward
+        scale = focal_length(height) / np.maximum(depth, 1e-6)
+        return 0.5 * width + scale * (offset @ self.right), 0.5 * height - scale * (offset @ self.up), depth
+
+
+def focal_length(height: int) -> float:
+    """Pixels of a length that is as far away as it is long, for a picture of so many rows."""
+    return 0.5 * height / np.tan(np.radians(0.5 * FIELD_OF_VIEW))
+
+
+def look(
+    target: np.ndarray, *, up: np.ndarray, azimuth: float, elevation: float, distance: float
+) -> Camera:
+    """A camera that looks at a point.
+
+    Args:
+      target: the point [m], shape (3,).
+      up: unit vector that points up in the world, shape (3,).
+      azimuth: 0 looks along the depth of a side view (x to the right); positive goes to the right around it [degrees].
+      elevation: above the horizon, below 90 [degrees].
+      distance: of the eye from the target [m].
+    """
+    side = side_view(up)
+    turn, tilt = np.radians(azimuth), np.radians(np.clip(elevation, -89.0, 89.0))
+    level = np.cos(turn) * side.towards + np.sin(turn) * side.right
+    towards = np.cos(tilt) * level + np.sin(tilt) * side.up
+    right = np.cross(side.up, towards)
+    right = right / np.linalg.norm(right)
+    return Camera(
+        eye=np.asarray(target) + distance * towards,
+        right=right,
+        up=np.cross(towards, right),
+        forward=-towards,
+        distance=distance,
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Framing:
+    """What the camera shows of a recording.
+
+    Attributes:
+      targets: what it looks at in each frame [m], shape (num_frames, 3).
+      distance: of the eye from there [m].
+      azimuth, elevation: of the eye [degrees].
+      radius: of a ball about the target that holds all that is followed [m].
+      floor: height of the floor along ``up`` [m].
+      follow: whether the target moves.
+    """
+
+    targets: np.ndarray
+    distance: float
+    azimuth: float
+    elevation: float
+    radius: float
+    floor: float
+    follow: bool
+
+    def camera(self, frame: int, up: np.ndarray) -> Camera:
+        """The camera of a frame."""
+        return look(
+            self.targets[frame], up=up, azimuth=self.azimuth, elevation=self.elevation, distance=self.distance
+        )
+
+
+def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
+    """Choose a camera that shows everything that happens.
+
+    Args:
+      recording: what happens. Its ``camera`` may hold ``azimuth`` and ``elevation`` [degrees], ``zoom`` (above 1 is
+        nearer) and ``follow``: whether the camera goes with what moves. By default it does where things travel
+        further than twice their own size.
+      aspect: width of the picture divided by its height.
+
+    Raises:
+      ValueError: ``camera`` has an unknown key.
+    """
+    options = {**_DEFAULTS, **recording.camera}
+    if unknown := sorted(set(options) - set(_DEFAULTS)):
+        raise ValueError(f"camera has an unknown key {unknown[0]!r}: use {', '.join(_DEFAULTS)}")
+    boxes = np.stack([np.stack(_box(recording, i)) for i in range(recording.num_frames)])
+    middles, sizes = boxes.mean(axis=1), boxes[:, 1] - boxes[:, 0]
+    size = float(np.median(np.linalg.norm(sizes, axis=1)))
+    travel = float(np.linalg.norm(np.ptp(middles, axis=0)))
+    follow = travel > 2.0 * size if options["follow"] is None else bool(options["follow"])
+    if follow:
+        targets, radius = _smooth(middles), 0.6 * float(np.linalg.norm(sizes, axis=1).max())
+    else:
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        targets = np.broadcast_to(0.5 * (low + high), middles.shape)
+        radius = 0.5 * float(np.linalg.norm(high - low))
+    azimuth, elevation = float(options["azimuth"]), float(options["elevation"])
+    seen_from = look(np.zeros(3), up=recording.up, azimuth=azimuth, elevation=elevation, distance=1.0)
+    distance = _fitting_distance(boxes - targets[:, None], seen_from, aspect) / float(options["zoom"])
+    return Framing(
+        targets=targets,
+        distance=distance,
+        azimuth=azimuth,
+        elevation=elevation,
+        radius=radius,
+        floor=_floor(recording, boxes),
+        follow=follow,
+    )
+
+
+def _fitting_distance(boxes: np.ndarray, camera: Camera, aspect: float) -> float:
+    """How far away the eye must be for boxes to lie in the picture.
+
+    Args:
+      boxes: lower and upper corners, from what the camera looks at [m], shape (num_frames, 2, 3).
+      camera: with the directions.
+      aspect: width of the picture divided by its height.
+    """
+    low, high = boxes[:, 0], boxes[:, 1]
+    picks = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
+    corners = np.concatenate([np.where(pick, high, low) for pick in picks])
+    tangent = _FILLED * np.tan(np.radians(0.5 * FIELD_OF_VIEW))
+    nearness = -(corners @ camera.forward)
+    across, upwards = np.abs(corners @ camera.right) / (tangent * aspect), np.abs(corners @ camera.up) / tangent
+    reach = float(np.linalg.norm(corners, axis=1).max())
+    return max(float((nearness + np.maximum(across, upwards)).max()), 1.5 * reach, 1e-3)
+
+
+def _box(recording: Recording, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of a frame's particles and shapes, planes apart."""
+    low, high = bounds(recording.shapes(frame))
+    if recording.particles is not None:
+        margin = 0.5 * diameters(recording.take([0])).max()
+        cloud = recording.particles[frame]
+        low, high = np.minimum(low, cloud.min(axis=0) - margin), np.maximum(high, cloud.max(axis=0) + margin)
+    return low, high
+
+
+def _floor(recording: Recording, corners: np.ndarray) -> float:
+    """Height of the floor: the recording's own, that of a level plane, or just below everything."""
+    if recording.floor is not None:
+        return float(recording.floor)
+    up = np.asarray(recording.up, float)
+    heights = []
+    for shape in recording.shapes(0):
+        if shape["kind"] == "plane":
+            normal = np.asarray(shape["direction"], float)
+            if normal @ up > 0.99 * np.linalg.norm(normal):
+                heights.append(float(np.asarray(shape["center"], float) @ up))
+    lowest = float((np.where(up > 0, corners[:, 0], corners[:, 1]) * up).sum(axis=1).min())
+    return max(heights) if heights else lowest
+
+
+def _smooth(path: np.ndarray) -> np.ndarray:
+    """A path without its shaking: the mean over a window of about a tenth of it."""
+    width = max(1, len(path) // 20)
+    padded = np.concatenate([np.repeat(path[:1], width, 0), path, np.repeat(path[-1:], width, 0)])
+    sums = np.cumsum(np.concatenate([np.zeros((1, 3)), padded]), axis=0)
+    return (sums[2 * width + 1 :] - sums[: -2 * width - 1]) / (2 * width + 1)
+
+
+__all__ = ["FIELD_OF_VIEW", "Camera", "Framing", "focal_length", "frame_recording", "look"]

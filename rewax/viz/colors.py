@@ -1,0 +1,76 @@
+"""Colours of particles and shapes: by material, or by a number."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rewax.viz.recording import Recording
+from rewax.viz.shapes import Drawing
+
+MATERIALS: Mapping[str, tuple[float, float, float]] = {
+    "dough": (0.89, 0.62, 0.34),
+    "water": (0.22, 0.55, 0.88),
+    "sand": (0.83, 0.70, 0.44),
+    "snow": (0.88, 0.93, 0.98),
+    "elastic": (0.86, 0.40, 0.42),
+    "muscle": (0.80, 0.33, 0.38),
+}
+"""Colour of a material by its name, between 0 and 1."""
+OTHER = (0.45, 0.66, 0.42)
+SOLID = (0.62, 0.66, 0.72)
+"""Colour of a shape that does not say."""
+_SCALE = np.array(
+    [[0.19, 0.07, 0.23], [0.27, 0.42, 0.90], [0.16, 0.73, 0.92], [0.20, 0.94, 0.60], [0.71, 0.97, 0.22],
+     [0.98, 0.73, 0.22], [0.93, 0.36, 0.08], [0.70, 0.10, 0.01]]
+)  # fmt: skip
+"""Turbo, at equal distances (Mikhailov 2019)."""
+
+
+def material_colors(names: Sequence[str]) -> np.ndarray:
+    """Colour of each material, shape (num_materials, 3)."""
+    return np.array([MATERIALS.get(name, OTHER) for name in names] or [OTHER], np.float32)
+
+
+def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Colours from dark blue (low) through green to red (high) of values of shape (...,), shape (..., 3)."""
+    place = np.clip((np.asarray(values) - low) / max(high - low, 1e-12), 0.0, 1.0) * (len(_SCALE) - 1)
+    index = np.minimum(place.astype(int), len(_SCALE) - 2)
+    part = (place - index)[..., None]
+    return ((1.0 - part) * _SCALE[index] + part * _SCALE[index + 1]).astype(np.float32)
+
+
+def color_by(recording: Recording) -> tuple[str, ...]:
+    """What particles can be coloured by: the material, the height, and the recording's own values."""
+    return ("material", "height", *recording.values)
+
+
+def particle_colors(recording: Recording, by: str = "material") -> np.ndarray:
+    """Colours of particles, shape (num_particles, 3) for the material, else (num_frames, num_particles, 3).
+
+    Raises:
+      ValueError: there is nothing of this name.
+    """
+    assert recording.particles is not None
+    count = recording.particles.shape[1]
+    if by == "material":
+        index = np.zeros(count, int) if recording.materials is None else np.asarray(recording.materials)
+        return material_colors(recording.material_names)[index]
+    if by not in color_by(recording):
+        raise ValueError(f"particles cannot be coloured by {by!r}: use one of {', '.join(color_by(recording))}")
+    values = recording.particles @ np.asarray(recording.up) if by == "height" else recording.values[by]
+    low, high = value_range(values)
+    return scale_colors(values, low, high)
+
+
+def value_range(values: np.ndarray) -> tuple[float, float]:
+    """What the ends of the scale stand for: the 1st and the 99th percentile of all frames."""
+    low, high = np.percentile(values, (1.0, 99.0))
+    return float(low), float(max(high, low + 1e-9))
+
+
+def shape_color(drawing: Drawing) -> tuple[np.ndarray, float]:
+    """Colour and opacity of a shape."""
+    return np.asarray(drawing.get("color", SOLID), np.float32), float(drawing.get("opacity", 1.0))
+
+
+__all__ = ["MATERIALS", "color_by", "material_colors", "particle_colors", "scale_colors", "shape_color", "value_range"]
