@@ -1,0 +1,111 @@
+"""Pictures by MuJoCo's renderer, in a process of its own: a graphics driver that crashes ends that process alone."""
+
+import functools
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from rewax.viz.recording import Recording
+
+_BACKENDS = ("egl", "osmesa")
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software", "unknown")
+_PATIENCE = 60.0
+"""How long a driver may take to draw one small picture [s]."""
+
+
+class OpenGL(NamedTuple):
+    """How OpenGL draws without a screen.
+
+    Attributes:
+      name: ``egl`` or ``osmesa``.
+      renderer: what the driver calls itself.
+    """
+
+    name: str
+    renderer: str
+
+    @property
+    def hardware(self) -> bool:
+        """A graphics card draws, not the processor."""
+        return self.name == "egl" and not any(word in self.renderer.lower() for word in _SOFTWARE)
+
+
+@functools.cache
+def find_opengl() -> OpenGL | None:
+    """The first of EGL and OSMesa with which MuJoCo draws here, found by drawing; None without any.
+
+    The environment variable MUJOCO_GL, if it is set, says which one is tried, and ``disabled`` that none is.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    for name in _BACKENDS if wanted in ("", "glfw") else [name for name in _BACKENDS if name == wanted]:
+        try:
+            done = subprocess.run(
+                _command("probe"), env=_environment(name), capture_output=True, timeout=_PATIENCE, check=False
+            )
+        except (OSError, subprocess.SubprocessError):
+            continue
+        said = done.stdout.decode(errors="replace").strip()
+        if done.returncode == 0 and said:
+            return OpenGL(name, said.splitlines()[-1])
+    return None
+
+
+def mujoco_pictures(
+    recording: Recording, size: tuple[int, int], color_by: str, backend: str
+) -> Iterator[np.ndarray]:
+    """Draw every frame of a recording.
+
+    Args:
+      recording: what to show.
+      size: height and width in pixels.
+      color_by: what colours particles.
+      backend: ``egl`` or ``osmesa``.
+
+    Returns:
+      Pictures, uint8 of shape (height, width, 3).
+
+    Raises:
+      OSError: the process that draws failed; the message has the last line that it said.
+    """
+    process = subprocess.Popen(
+        _command("draw"), env=_environment(backend), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )  # fmt: skip
+    assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+    try:
+        try:
+            pickle.dump((recording, size, color_by), process.stdin)
+            process.stdin.close()
+        except OSError:  # it ended before it had read everything; what it said follows
+            pass
+        for _ in range(recording.num_frames):
+            yield _read_picture(process.stdout, process.stderr, size)
+    finally:
+        process.kill()
+        process.wait()
+        for pipe in (process.stdout, process.stderr):
+            pipe.close()
+
+
+def _read_picture(out: IO[bytes], error: IO[bytes], size: tuple[int, int]) -> np.ndarray:
+    count = size[0] * size[1] * 3
+    content = out.read(count)
+    if len(content) < count:
+        said = error.read().decode(errors="replace").strip().splitlines() or ["nothing"]
+        raise OSError(f"the process that draws with OpenGL ended early; it said: {said[-1]}")
+    return np.frombuffer(content, np.uint8).reshape(*size, 3)
+
+
+def _command(what: str) -> list[str]:
+    return [sys.executable, "-m", "rewax.viz.opengl_worker", what]
+
+
+def _environment(backend: str) -> dict[str, str]:
+    return {**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend, "JAX_PLATFORMS": "cpu"}
+
+
+__all__ = ["OpenGL", "find_opengl", "mujoco_pictures"]
