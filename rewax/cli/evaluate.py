@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
@@ -17,6 +18,7 @@ class Options:
       episodes: how many, from random starts.
       seed: draws the starts; the same seed gives the same ones to every policy.
       step: iteration of the checkpoint, the newest by default.
+      video: record an episode with deterministic actions as episode.mp4 in the run's directory.
     """
 
     run_dir: str
@@ -24,6 +26,7 @@ class Options:
     episodes: int = 64
     seed: int = 0
     step: int | None = None
+    video: bool = True
 
 
 def run(argv: Sequence[str]) -> int:
@@ -37,6 +40,8 @@ def run(argv: Sequence[str]) -> int:
     from rewax.statistics import bootstrap_interval
     from rewax.training.cache import enable_compilation_cache
     from rewax.training.evaluate import make_evaluate
+    from rewax.training.pictures import attempt, draw_video
+    from rewax.training.recording import can_record, record
     from rewax.training.saved import load_run
 
     quiet()
@@ -56,6 +61,16 @@ def run(argv: Sequence[str]) -> int:
         success = f", {float(result['success']):.0%} succeeded" if "success" in result else ""
         mean = f"mean {float(result['mean']):.4g} [{low:.4g}, {high:.4g}]"
         print(f"{name:13s} {mean}, {numbers}{success}, {int(result['failed'])} of {options.episodes} failed")
+    env = getattr(saved.env, "unwrapped", saved.env)
+    if options.video and can_record(env):
+        print(
+            attempt(
+                Path(options.run_dir) / "episode.mp4",
+                lambda path: draw_video(
+                    record(env, saved.agent.policy, saved.train_state, jax.random.key(options.seed)), path
+                ),
+            )
+        )
     return 0
 
 

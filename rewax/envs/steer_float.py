@@ -80,7 +80,10 @@ class SteerFloat(SoftTask):
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         center = jnp.array([physics.task[0], BASIN[1][0] + DEPTH, physics.task[1]])
-        return [*super().render_shapes(physics), {"kind": "sphere", "center": center, "radius": jnp.asarray(0.015), "color": MARKER}]
+        return [
+            *super().render_shapes(physics),
+            {"kind": "sphere", "center": center, "radius": jnp.asarray(0.015), "color": MARKER},
+        ]
 
     @property
     def camera(self) -> dict[str, Any]:

@@ -16,6 +16,7 @@ class ReportConfig:
       baselines: also evaluate no action and random actions, once, for comparison.
       plots: draw the learning curve and an episode's particles or bodies at the end.
       num_frames: moments of the episode in the latter.
+      video: with the plots, also write the episode as a video and as a page for a browser.
       tensorboard: write event files beside the CSV.
       max_failed_share: share of numerically failed episodes above which the run stops; 1 never stops it.
       failure_window: iterations over which that share is taken.
@@ -29,6 +30,7 @@ class ReportConfig:
     baselines: bool = True
     plots: bool = True
     num_frames: int = 6
+    video: bool = True
     tensorboard: bool = True
     max_failed_share: float = 0.5
     failure_window: int = 20

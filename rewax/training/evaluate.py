@@ -1,9 +1,9 @@
-"""Whole episodes without gradients: returns of policies, baselines and action sequences; frames for pictures."""
+"""Whole episodes without gradients: returns of policies, baselines and action sequences."""
 
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -28,20 +28,6 @@ Evaluation: TypeAlias = dict[str, Array]
 ``status/<BIT>``: episodes in which that bit of ``rewax.status.Status`` was set, shape (), int32.
 ``success``: share of episodes that ended with the metric ``success`` above 0.5, shape (); of tasks that have one.
 """
-
-
-class Frame(NamedTuple):
-    """One moment of a recorded episode.
-
-    Attributes:
-      step: control steps since the beginning.
-      physics: the environment's physical state then.
-      total: sum of rewards so far.
-    """
-
-    step: int
-    physics: PyTree
-    total: float
 
 
 def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
@@ -108,47 +94,6 @@ def uniform_policy(env: Env) -> Policy:
         return jax.random.uniform(key, spec.shape, minval=spec.low, maxval=spec.high)
 
     return policy
-
-
-def record_episode(
-    env: Env, policy: Policy, train_state: PyTree, key: Key, *, num_frames: int = 6, deterministic: bool = True
-) -> list[Frame]:
-    """Run one episode and keep ``num_frames`` physical states, equally spaced from first to last.
-
-    Args:
-      env: unbatched environment.
-      policy, train_state: as for ``make_evaluate``.
-      key: draws the initial state and the policy's samples.
-      num_frames: at least 2.
-      deterministic: passed to the policy.
-
-    Returns:
-      Frames in order; after the episode's end the last state is repeated.
-    """
-    if num_frames < 2:
-        raise ValueError(f"num_frames is {num_frames}: use 2 or more")
-    reset_key, act_key = jax.random.split(key)
-    told = told_the_step(policy)
-
-    @jax.jit
-    def advance(carry: tuple[State, Array], first: Array, last: Array) -> tuple[State, Array]:
-        def body(step: Array, carry: tuple[State, Array]) -> tuple[State, Array]:
-            state, total = carry
-            action = told(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
-            new = env.step(state, action)
-            return select(state.done, state, new), total + jnp.where(state.done, 0, new.reward)
-
-        return jax.lax.fori_loop(first, last, body, carry)
-
-    state = jax.jit(env.reset)(reset_key)
-    carry, frames, step = (state, jnp.zeros_like(state.reward)), [], 0
-    for index in range(num_frames):
-        target = round(index * env.episode_length / (num_frames - 1))
-        carry = advance(carry, jnp.int32(step), jnp.int32(target))
-        step = target
-        state, total = carry
-        frames.append(Frame(int(state.step_count), jax.device_get(state.physics), float(total)))
-    return frames
 
 
 @functools.partial(jax.jit, static_argnames="num_episodes")

@@ -120,7 +120,9 @@ def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
     return call
 
 
-def _recording(env: Any, seen: list[dict[str, Any]], steps: list[int], rewards: Any, status: Any, name: str) -> Recording:
+def _recording(
+    env: Any, seen: list[dict[str, Any]], steps: list[int], rewards: Any, status: Any, name: str
+) -> Recording:
     first = seen[0]
     options = dict(getattr(env, "appearance", {}))
     dt = getattr(env, "control_dt", None)

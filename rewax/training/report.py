@@ -1,7 +1,7 @@
 """Evaluations and pictures of a run, and the files that hold them."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,10 @@ import jax.numpy as jnp
 from rewax.envs.base import Env
 from rewax.status import Status
 from rewax.training.config import ReportConfig
-from rewax.training.evaluate import Frame, Policy, make_evaluate, record_episode, told_the_step, uniform_policy
+from rewax.training.evaluate import Policy, make_evaluate, told_the_step, uniform_policy
 from rewax.training.metrics import CsvWriter, read_csv
+from rewax.training.pictures import attempt, draw_page, draw_strip, draw_video, reason
+from rewax.training.recording import can_record, record
 from rewax.types import Key
 
 _STATISTICS = ("mean", "std", "min", "max", "failed", *(f"status/{bit.name}" for bit in Status if bit))
@@ -99,26 +101,34 @@ class Evaluator:
 
     def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[str]:
         """Draw the learning curve and, where the environment offers ``particles`` or ``render_shapes``, one
-        deterministic episode.
+        deterministic episode: ``episode.png``, and with ``config.video`` also ``episode.mp4`` and ``episode.html``.
 
         Returns:
-          A sentence about each picture: where it is, or why it could not be drawn. Nothing is raised.
+          A sentence about each file: where it is, or why it could not be drawn. Nothing is raised.
         """
         env: Any = getattr(self._env, "unwrapped", self._env)
-        said = [_attempt(self._run_dir / "learning_curve.png", lambda path: self._draw_curve(path, baselines))]
-        if hasattr(env, "particles") or hasattr(env, "render_shapes"):
-            said.append(_attempt(self._run_dir / "episode.png", lambda path: self._record(env, train_state, path)))
-        return said
+        said = [attempt(self._run_dir / "learning_curve.png", lambda path: self._draw_curve(path, baselines))]
+        if not can_record(env):
+            return said
+        try:
+            recording = record(env, self._policy, train_state, self._key, name=self._run_dir.resolve().name)
+        except Exception as error:  # an environment's own code is called
+            return [*said, f"warning: episode.png was not drawn ({reason(error)}); nothing else is affected"]
+        frames = self._config.num_frames
+        files = {"episode.png": lambda path: draw_strip(recording, path, num_frames=frames)}
+        if self._config.video:
+            files |= {
+                "episode.html": lambda path: draw_page(recording, path),
+                "episode.mp4": lambda path: draw_video(recording, path),
+            }
+        return said + [attempt(self._run_dir / name, draw) for name, draw in files.items()]
 
-    def _draw_curve(self, path: Path, baselines: Mapping[str, float]) -> Path:
+    def _draw_curve(self, path: Path, baselines: Mapping[str, float]) -> str:
         from rewax.viz import plots  # matplotlib is slow to import
 
         metrics, evaluation = read_csv(self._run_dir / "metrics.csv"), read_csv(self._run_dir / "eval.csv")
-        return plots.learning_curve(metrics, path, evaluation=evaluation, baselines=baselines)
-
-    def _record(self, env: Any, train_state: Any, path: Path) -> Path:
-        frames = record_episode(env, self._policy, train_state, self._key, num_frames=self._config.num_frames)
-        return _draw_episode(env, frames, path)
+        plots.learning_curve(metrics, path, evaluation=evaluation, baselines=baselines)
+        return ""
 
     def close(self) -> None:
         """Close ``eval.csv``."""
@@ -130,28 +140,6 @@ _MODES = ("sampled", "deterministic", "no action", "random actions")
 
 def _failed_of(failed: int, episodes: int) -> str:
     return f" ({failed} of {episodes} episodes failed)" if failed else ""
-
-
-def _attempt(path: Path, draw: Callable[[Path], Path]) -> str:
-    """Draw a picture; a run that has trained does not end with an exception over one."""
-    try:
-        return f"wrote {draw(path)}"
-    except Exception as error:  # an environment's own code is called, and a whole plotting library
-        reason = " ".join(str(error).split())[:200]
-        return f"warning: {path.name} was not drawn ({type(error).__name__}: {reason}); nothing else is affected"
-
-
-def _draw_episode(env: Any, frames: Sequence[Frame], out_png: Path) -> Path:
-    """Particles with what moves among them, or rigid bodies alone, up to the episode's end."""
-    from rewax.viz import bodies, plots
-
-    frames = [frame for i, frame in enumerate(frames) if i == 0 or frame.step > frames[i - 1].step]
-    labels = [f"step {f.step}\nreturn {f.total:{'.0f' if abs(f.total) >= 100 else '.3g'}}" for f in frames]
-    shapes = [env.render_shapes(frame.physics) if hasattr(env, "render_shapes") else [] for frame in frames]
-    if hasattr(env, "particles"):
-        clouds = [env.particles(frame.physics) for frame in frames]
-        return plots.particle_strip(clouds, out_png, labels=labels, shapes=shapes)
-    return bodies.body_strip(shapes, out_png, labels=labels, up=getattr(env, "up", (0.0, 1.0, 0.0)))
 
 
 def _any_of(env: Env, policy: Policy) -> Policy:

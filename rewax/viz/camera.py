@@ -44,9 +44,7 @@ def focal_length(height: int) -> float:
     return 0.5 * height / np.tan(np.radians(0.5 * FIELD_OF_VIEW))
 
 
-def look(
-    target: np.ndarray, *, up: np.ndarray, azimuth: float, elevation: float, distance: float
-) -> Camera:
+def look(target: np.ndarray, *, up: np.ndarray, azimuth: float, elevation: float, distance: float) -> Camera:
     """A camera that looks at a point.
 
     Args:
@@ -94,9 +92,7 @@ class Framing:
 
     def camera(self, frame: int, up: np.ndarray) -> Camera:
         """The camera of a frame."""
-        return look(
-            self.targets[frame], up=up, azimuth=self.azimuth, elevation=self.elevation, distance=self.distance
-        )
+        return look(self.targets[frame], up=up, azimuth=self.azimuth, elevation=self.elevation, distance=self.distance)
 
 
 def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:

@@ -19,7 +19,7 @@ MATERIALS: Mapping[str, tuple[float, float, float]] = {
 OTHER = (0.45, 0.66, 0.42)
 SOLID = (0.62, 0.66, 0.72)
 """Colour of a shape that does not say."""
-_SCALE = np.array(
+SCALE = np.array(
     [[0.19, 0.07, 0.23], [0.27, 0.42, 0.90], [0.16, 0.73, 0.92], [0.20, 0.94, 0.60], [0.71, 0.97, 0.22],
      [0.98, 0.73, 0.22], [0.93, 0.36, 0.08], [0.70, 0.10, 0.01]]
 )  # fmt: skip
@@ -33,10 +33,10 @@ def material_colors(names: Sequence[str]) -> np.ndarray:
 
 def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:
     """Colours from dark blue (low) through green to red (high) of values of shape (...,), shape (..., 3)."""
-    place = np.clip((np.asarray(values) - low) / max(high - low, 1e-12), 0.0, 1.0) * (len(_SCALE) - 1)
-    index = np.minimum(place.astype(int), len(_SCALE) - 2)
+    place = np.clip((np.asarray(values) - low) / max(high - low, 1e-12), 0.0, 1.0) * (len(SCALE) - 1)
+    index = np.minimum(place.astype(int), len(SCALE) - 2)
     part = (place - index)[..., None]
-    return ((1.0 - part) * _SCALE[index] + part * _SCALE[index + 1]).astype(np.float32)
+    return ((1.0 - part) * SCALE[index] + part * SCALE[index + 1]).astype(np.float32)
 
 
 def color_by(recording: Recording) -> tuple[str, ...]:

@@ -55,9 +55,7 @@ def find_opengl() -> OpenGL | None:
     return None
 
 
-def mujoco_pictures(
-    recording: Recording, size: tuple[int, int], color_by: str, backend: str
-) -> Iterator[np.ndarray]:
+def mujoco_pictures(recording: Recording, size: tuple[int, int], color_by: str, backend: str) -> Iterator[np.ndarray]:
     """Draw every frame of a recording.
 
     Args:

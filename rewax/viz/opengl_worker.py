@@ -58,7 +58,11 @@ class _Painter:
         model = mujoco.MjModel.from_xml_string(text)
         self._data = mujoco.MjData(model)
         mujoco.mj_forward(model, self._data)
-        count = 0 if recording.particles is None else max(recording.particles.shape[1], 0 if recording.triangles is None else len(recording.triangles))
+        count = (
+            0
+            if recording.particles is None
+            else max(recording.particles.shape[1], 0 if recording.triangles is None else len(recording.triangles))
+        )
         shapes = len(recording.shapes(0))
         self._renderer = mujoco.Renderer(model, height, width, max_geom=count + shapes + 16)
         self._radii = None if recording.particles is None else 0.5 * diameters(recording)

@@ -67,9 +67,7 @@ def _side(
     """The curved side of a cylinder."""
     along = rays @ axis
     across, begin = rays - along[:, None] * axis, start - (start @ axis) * axis
-    depth = _roots(
-        np.maximum(np.einsum("ni,ni->n", across, across), 1e-12), across @ begin, begin @ begin - radius**2
-    )
+    depth = _roots(np.maximum(np.einsum("ni,ni->n", across, across), 1e-12), across @ begin, begin @ begin - radius**2)
     finite = np.where(np.isfinite(depth), depth, 0.0)
     depth = np.where(np.abs(start @ axis + finite * along) <= half, depth, _FAR)
     return depth, _point(begin, across, depth) / max(radius, np.float32(1e-12))

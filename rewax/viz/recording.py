@@ -140,7 +140,7 @@ def diameters(recording: Recording) -> np.ndarray:
         members = cloud[materials == material]
         extent = np.maximum(np.ptp(members, axis=0), 1e-3)
         filling = float((np.prod(extent) / len(members)) ** (1 / 3))
-        found[materials == material] = 1.15 * min(filling, 2.0 * _neighbour_distance(members, filling))
+        found[materials == material] = 1.25 * min(filling, 2.0 * _neighbour_distance(members, filling))
     return found
 
 

@@ -135,7 +135,12 @@ class SoftwareRenderer:
         if low[2] < 0.02 * camera.distance:
             return np.zeros(2, int), whole
         scale = focal_length(self._rows)
-        sides = [scale * np.array([x, -y]) / z for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+        sides = [
+            scale * np.array([x, -y]) / z
+            for x in (low[0], high[0])
+            for y in (low[1], high[1])
+            for z in (low[2], high[2])
+        ]
         corner = np.stack(sides) + 0.5 * whole
         first, last = np.floor(corner.min(axis=0)).astype(int) - 1, np.ceil(corner.max(axis=0)).astype(int) + 1
         return np.clip(first, 0, whole), np.clip(last, 0, whole)

@@ -1,0 +1,89 @@
+"""``rewax play``: what runs have learnt, side by side in one page that a browser opens without a network."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import tyro
+
+from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.train import quiet
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      runs: directories of runs, one to eight.
+      out: page to write, an .html file.
+      imports: module or .py file that registers environments or algorithms.
+      seed: draws the start of the episode; the same one for runs of one environment.
+      sampled: draw the actions as in training, instead of taking the most likely ones.
+      step: iteration of the checkpoints, the newest by default.
+      frames: moments that are kept of an episode, at most.
+    """
+
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    out: str = "player.html"
+    imports: Imports = ()
+    seed: int = 0
+    sampled: tyro.conf.FlagCreatePairsOff[bool] = False
+    step: int | None = None
+    frames: int = 301
+
+
+def run(argv: Sequence[str]) -> int:
+    """Record an episode of each run and write the page.
+
+    Raises:
+      ValueError: no runs or too many, a run that cannot be read, an environment that shows nothing; one sentence.
+    """
+    import jax
+
+    from rewax.training.cache import enable_compilation_cache
+    from rewax.training.recording import record
+    from rewax.training.saved import load_run
+    from rewax.viz.player import MAX_RUNS, write_player
+
+    quiet()
+    options = parse(Options, argv, prog="rewax play", description="Show what runs have learnt in a browser.")
+    if not 1 <= len(options.runs) <= MAX_RUNS:
+        raise ValueError(f"rewax play needs 1 to {MAX_RUNS} run directories: rewax play runs/RollingFlat-small-0")
+    out = Path(options.out)
+    if out.suffix not in (".html", ".htm") or not out.parent.is_dir():
+        raise ValueError(f"out is {out}: give an .html file in a folder that exists")
+    if options.frames < 2:
+        raise ValueError(f"frames is {options.frames}: use 2 or more")
+    enable_compilation_cache()
+    import_modules(options.imports)
+    recordings = []
+    for directory, name in zip(options.runs, _names(options.runs), strict=True):
+        saved = load_run(directory, step=options.step)
+        recordings.append(
+            record(
+                getattr(saved.env, "unwrapped", saved.env),
+                saved.agent.policy,
+                saved.train_state,
+                jax.random.key(options.seed),
+                max_frames=options.frames,
+                deterministic=not options.sampled,
+                name=f"{name}, iteration {int(saved.train_state.iteration)}",
+            )
+        )
+        last = recordings[-1]
+        print(f"{directory}: {int(last.steps[-1])} steps, return {last.totals[-1]:.4g}")
+    write_player(recordings, out, title=", ".join(_names(options.runs)))
+    print(f"wrote {out}, {out.stat().st_size / 1e6:.1f} MB: open it in a browser")
+    return 0
+
+
+def _names(directories: Sequence[str]) -> list[str]:
+    """The last part of each path, or the whole of those whose last parts are the same."""
+    last = [Path(directory).resolve().name for directory in directories]
+    return [
+        name if last.count(name) == 1 else str(directory) for name, directory in zip(last, directories, strict=True)
+    ]
+
+
+__all__ = ["Options", "run"]
