@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.appearance import MARKER
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import round_unit
-from rewax.envs.appearance import MARKER
 from rewax.envs.soft_parts import box_walls, lattice_box, random_box, water
 from rewax.envs.soft_task import Soft, SoftPhysics, SoftTask
 from rewax.physics import mpm

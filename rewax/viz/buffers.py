@@ -4,7 +4,7 @@ import numpy as np
 
 _NOTHING = np.uint64(np.iinfo(np.uint64).max)
 _LOW = np.uint64(0xFFFFFFFF)
-_CHUNK = 2_000_000
+_CHUNK = 300_000
 """Pixels that are worked on at once, which bounds the memory."""
 
 
@@ -54,9 +54,10 @@ class NearestBuffer:
 
     def _add_squares(self, index: np.ndarray, corners: np.ndarray, low: np.ndarray, edge: int) -> None:
         """Triangles that lie in squares of so many pixels, whose first pixels are given."""
-        dy, dx = (part.reshape(-1) for part in np.mgrid[:edge, :edge])
-        x, y = low[:, :1] + dx, low[:, 1:] + dy
-        px, py = x + 0.5, y + 0.5
+        dy, dx = (part.reshape(-1) for part in np.mgrid[:edge, :edge].astype(np.int32))
+        x, y = low[:, :1].astype(np.int32) + dx, low[:, 1:].astype(np.int32) + dy
+        px, py = (part.astype(np.float32) + np.float32(0.5) for part in (x, y))
+        corners = corners.astype(np.float32)
         weights = []
         for i in range(3):
             (ax, ay), (bx, by) = (corners[:, (i + k) % 3, :2].T for k in (1, 2))

@@ -110,7 +110,8 @@ def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
     options = {**_DEFAULTS, **recording.camera}
     if unknown := sorted(set(options) - set(_DEFAULTS)):
         raise ValueError(f"camera has an unknown key {unknown[0]!r}: use {', '.join(_DEFAULTS)}")
-    boxes = np.stack([np.stack(_box(recording, i)) for i in range(recording.num_frames)])
+    margin = 0.0 if recording.particles is None else 0.5 * float(diameters(recording).max())
+    boxes = np.stack([np.stack(_box(recording, i, margin)) for i in range(recording.num_frames)])
     middles, sizes = boxes.mean(axis=1), boxes[:, 1] - boxes[:, 0]
     size = float(np.median(np.linalg.norm(sizes, axis=1)))
     travel = float(np.linalg.norm(np.ptp(middles, axis=0)))
@@ -153,11 +154,10 @@ def _fitting_distance(boxes: np.ndarray, camera: Camera, aspect: float) -> float
     return max(float((nearness + np.maximum(across, upwards)).max()), 1.5 * reach, 1e-3)
 
 
-def _box(recording: Recording, frame: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of a frame's particles and shapes, planes apart."""
+def _box(recording: Recording, frame: int, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of a frame's particles, with a margin, and shapes, planes apart [m]."""
     low, high = bounds(recording.shapes(frame))
     if recording.particles is not None:
-        margin = 0.5 * diameters(recording.take([0])).max()
         cloud = recording.particles[frame]
         low, high = np.minimum(low, cloud.min(axis=0) - margin), np.maximum(high, cloud.max(axis=0) + margin)
     return low, high

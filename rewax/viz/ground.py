@@ -134,7 +134,9 @@ class Ground:
         colors[pixels] = fade * colors[pixels] + floor
         corner = (self._light.project(np.asarray(target)) - self._reach).astype(np.float32)
         axes = np.stack([self._light.right, self._light.up], axis=1).astype(np.float32)
-        texels = ((points @ axes - corner) * np.float32(_TEXELS / (2.0 * self._reach))).astype(np.int32)
+        texels = ((np.einsum("ni,ij->nj", points, axes) - corner) * np.float32(_TEXELS / (2.0 * self._reach))).astype(
+            np.int32
+        )
         texels = np.clip(texels, 0, _TEXELS - 1) @ np.array([1, _TEXELS], np.int32)
         seen = _Seen(depth, pixels, floor.astype(np.float32), colors, corner, texels)
         self._seen = (key, seen)

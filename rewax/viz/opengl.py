@@ -70,9 +70,10 @@ def mujoco_pictures(recording: Recording, size: tuple[int, int], color_by: str, 
     Raises:
       OSError: the process that draws failed; the message has the last line that it said.
     """
+    pipe = subprocess.PIPE
     process = subprocess.Popen(
-        _command("draw"), env=_environment(backend), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )  # fmt: skip
+        _command("draw"), env=_environment(backend), stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True
+    )
     assert process.stdin is not None and process.stdout is not None and process.stderr is not None
     try:
         try:
@@ -85,8 +86,8 @@ def mujoco_pictures(recording: Recording, size: tuple[int, int], color_by: str, 
     finally:
         process.kill()
         process.wait()
-        for pipe in (process.stdout, process.stderr):
-            pipe.close()
+        process.stdout.close()
+        process.stderr.close()
 
 
 def _read_picture(out: IO[bytes], error: IO[bytes], size: tuple[int, int]) -> np.ndarray:

@@ -27,7 +27,8 @@ _SCENE = """
     <texture type="skybox" builtin="gradient" rgb1="{sky_bottom}" rgb2="{sky_top}" width="64" height="384"/>
     <texture name="tiles" type="2d" builtin="checker" rgb1="{floor}" rgb2="{tile}"
       width="256" height="256"/>
-    <material name="tiles" texture="tiles" texuniform="true" texrepeat="{repeat} {repeat}" specular="0" emission="0.25"/>
+    <material name="tiles" texture="tiles" texuniform="true" texrepeat="{repeat} {repeat}"
+      specular="0" emission="0.25"/>
   </asset>
   <worldbody>
     <light directional="true" dir="{light}" diffuse="0.5 0.5 0.5" specular="0.2 0.2 0.2"/>
@@ -52,9 +53,18 @@ class _Painter:
         self._turn = np.stack([side.right, -side.towards, side.up])
         radius = self._framing.radius
         text = _SCENE.format(
-            fov=FIELD_OF_VIEW, width=width, height=height, extent=radius, light=_words(_LIGHT), repeat=0.5 / grid_spacing(radius),
-            floor_height=self._framing.floor, sky_top=_words(SKY_TOP), sky_bottom=_words(SKY_BOTTOM), floor=_words(FLOOR), tile=_words(0.9 * FLOOR),
-        )  # fmt: skip
+            fov=FIELD_OF_VIEW,
+            width=width,
+            height=height,
+            extent=radius,
+            light=_words(_LIGHT),
+            repeat=0.5 / grid_spacing(radius),
+            floor_height=self._framing.floor,
+            sky_top=_words(SKY_TOP),
+            sky_bottom=_words(SKY_BOTTOM),
+            floor=_words(FLOOR),
+            tile=_words(0.9 * FLOOR),
+        )
         model = mujoco.MjModel.from_xml_string(text)
         self._data = mujoco.MjData(model)
         mujoco.mj_forward(model, self._data)

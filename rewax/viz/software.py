@@ -6,7 +6,7 @@ from rewax.viz.buffers import NearestBuffer
 from rewax.viz.camera import Camera, focal_length, frame_recording
 from rewax.viz.colors import particle_colors, shape_color
 from rewax.viz.ground import Ground, sky
-from rewax.viz.raycast import hit
+from rewax.viz.raycast import hit, turned
 from rewax.viz.recording import Recording, diameters
 from rewax.viz.shapes import Drawing, support
 
@@ -101,7 +101,7 @@ class SoftwareRenderer:
             x = (pixels % self._columns + 0.5 - column[which]) / radius[which]
             y = (row[which] - pixels // self._columns - 0.5) / radius[which]
             z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
-            normal, color = np.stack([x, y, z], axis=1) @ self._axes, colors[which]
+            normal, color = turned(np.stack([x, y, z], axis=1), self._axes), colors[which]
             at = at - self._radii[which] * z
             shown = at < depth[pixels]
             pixels, at, normal, color = pixels[shown], at[shown], normal[shown], color[shown]
@@ -135,13 +135,8 @@ class SoftwareRenderer:
         if low[2] < 0.02 * camera.distance:
             return np.zeros(2, int), whole
         scale = focal_length(self._rows)
-        sides = [
-            scale * np.array([x, -y]) / z
-            for x in (low[0], high[0])
-            for y in (low[1], high[1])
-            for z in (low[2], high[2])
-        ]
-        corner = np.stack(sides) + 0.5 * whole
+        x, y, z = (part.reshape(-1) for part in np.meshgrid(*np.stack([low, high], axis=1)))
+        corner = scale * np.stack([x, -y], axis=1) / z[:, None] + 0.5 * whole
         first, last = np.floor(corner.min(axis=0)).astype(int) - 1, np.ceil(corner.max(axis=0)).astype(int) + 1
         return np.clip(first, 0, whole), np.clip(last, 0, whole)
 

@@ -1,5 +1,6 @@
 """Videos of recordings: MP4 through ffmpeg, which comes with imageio-ffmpeg."""
 
+import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -54,8 +55,6 @@ def write_video(frames: Iterable[np.ndarray], out_mp4: str | Path, *, rate: floa
       ValueError: an odd size or a rate that is not positive.
       OSError: ffmpeg or the file fails.
     """
-    import imageio_ffmpeg
-
     height, width = size
     if height % 2 or width % 2 or min(size) < 2:
         raise ValueError(f"size is {height} x {width}: H.264 needs even numbers, from 2 on")
@@ -63,26 +62,45 @@ def write_video(frames: Iterable[np.ndarray], out_mp4: str | Path, *, rate: floa
         raise ValueError(f"rate is {rate}: give frames per second, above 0")
     out = Path(out_mp4)
     unfinished = out.with_name(f".{out.stem}.writing.mp4")
-    writer = imageio_ffmpeg.write_frames(
+    command = [
+        _ffmpeg(), "-y", "-loglevel", "error",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:.3f}", "-i", "-",
+        "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "veryfast", "-movflags", "+faststart",
         str(unfinished),
-        (width, height),
-        fps=round(rate, 3),
-        codec="libx264",
-        quality=None,
-        macro_block_size=1,
-        output_params=["-crf", "20", "-preset", "veryfast", "-movflags", "+faststart"],
-        ffmpeg_log_level="error",
-    )
+    ]  # fmt: skip
+    # A session of its own: Ctrl-C does not reach it, and the file is complete.
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
     try:
-        writer.send(None)
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
+        _feed(process, frames)
         unfinished.replace(out)
     finally:
-        writer.close()
+        process.kill()
+        process.wait()
         unfinished.unlink(missing_ok=True)
     return out
+
+
+def _feed(process: "subprocess.Popen[bytes]", frames: Iterable[np.ndarray]) -> None:
+    assert process.stdin is not None
+    try:
+        for frame in frames:
+            process.stdin.write(np.ascontiguousarray(frame).tobytes())
+    except BrokenPipeError:  # it ended early; what it said follows
+        pass
+    _, said = process.communicate()
+    if process.returncode:
+        lines = said.decode(errors="replace").strip().splitlines() or ["nothing"]
+        raise OSError(f"ffmpeg failed; it said: {lines[-1]}")
+
+
+def _ffmpeg() -> str:
+    """The program, the one that comes with imageio-ffmpeg or another one that it finds."""
+    import imageio_ffmpeg
+
+    try:
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError:
+        raise OSError("there is no ffmpeg: pip install --force-reinstall imageio-ffmpeg") from None
 
 
 __all__ = ["SIZE", "record_video", "write_video"]
