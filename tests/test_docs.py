@@ -80,6 +80,14 @@ def test_environments_page_runs_and_does_what_it_says():
     assert names["rewax"].make("SofterDough", scale="small").scene.material.youngs_modulus == 500.0
 
 
+def test_viz_page_runs_and_does_what_it_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/viz.md")
+    assert names["recording"].num_frames <= 61 and len(names["recording"].rewards) == names["recording"].steps[-1]
+    assert names["said"] == "in real time" and b"ftyp" in (tmp_path / "episode.mp4").read_bytes()[:16]
+    assert names["page"].stat().st_size > 20_000
+
+
 def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
     names = run_page("docs/algorithms.md")
     listing = code("docs/algorithms.md").split("from rewax.agents.actor_critic import")[1]

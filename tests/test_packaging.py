@@ -11,7 +11,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-DISTRIBUTIONS = {"orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx"}
+DISTRIBUTIONS = {
+    "orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx", "imageio_ffmpeg": "imageio-ffmpeg", "OpenGL": "pyopengl",
+}  # fmt: skip
 """Where a distribution has another name than its top module."""
 EXTRA_MODULES = {"dm-env": "dm_env", "stable-baselines3": "stable_baselines3"}
 """The same of extras."""
@@ -27,7 +29,7 @@ def third_party(folder: Path) -> set[str]:
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 modules |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     found = {distribution for module, distribution in DISTRIBUTIONS.items() if module in modules}
-    tops = {module.split(".")[0] for module in modules} - {"orbax", "rewax"}
+    tops = {module.split(".")[0] for module in modules} - {"orbax", "rewax", "imageio_ffmpeg", "OpenGL"}
     return found | (tops - set(sys.stdlib_module_names))
 
 
@@ -67,6 +69,14 @@ def test_an_import_and_a_dependency_too_many_are_found(tmp_path):
     assert third_party(tmp_path) == {"mujoco", "mujoco-mjx", "orbax-checkpoint", "jax"}
     (tmp_path / "b.py").write_text("from absent.part import name\n")
     assert third_party(tmp_path) == {"mujoco", "mujoco-mjx", "orbax-checkpoint", "jax", "absent"}
+
+
+def test_what_is_not_python_is_not_ignored_by_git_and_so_goes_into_the_wheel():
+    """Hatchling packs every file of the package that git would keep."""
+    ignored = [line.rstrip("/").lstrip("*") for line in (ROOT / ".gitignore").read_text().splitlines() if line]
+    assets = [path for path in (ROOT / "rewax").rglob("*") if path.suffix in (".html", ".css", ".js", ".xml", ".toml")]
+    assert {"player.html", "player.css", "player.js", "ant.xml"} <= {path.name for path in assets}
+    assert not [path for path in assets if path.suffix in ignored or set(path.relative_to(ROOT).parts) & set(ignored)]
 
 
 @pytest.mark.parametrize("name", PROJECT["scripts"])

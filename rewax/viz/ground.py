@@ -6,6 +6,7 @@ import numpy as np
 
 from rewax.viz.buffers import NearestBuffer
 from rewax.viz.camera import Camera
+from rewax.viz.raycast import turned
 from rewax.viz.shapes import Drawing, View, outline
 
 SKY_TOP, SKY_BOTTOM = np.array([0.86, 0.90, 0.95], np.float32), np.array([0.97, 0.98, 0.99], np.float32)
@@ -134,9 +135,8 @@ class Ground:
         colors[pixels] = fade * colors[pixels] + floor
         corner = (self._light.project(np.asarray(target)) - self._reach).astype(np.float32)
         axes = np.stack([self._light.right, self._light.up], axis=1).astype(np.float32)
-        texels = ((np.einsum("ni,ij->nj", points, axes) - corner) * np.float32(_TEXELS / (2.0 * self._reach))).astype(
-            np.int32
-        )
+        place = (turned(points, axes) - corner) * np.float32(_TEXELS / (2.0 * self._reach))
+        texels = place.astype(np.int32)
         texels = np.clip(texels, 0, _TEXELS - 1) @ np.array([1, _TEXELS], np.int32)
         seen = _Seen(depth, pixels, floor.astype(np.float32), colors, corner, texels)
         self._seen = (key, seen)

@@ -42,7 +42,7 @@ def hit(drawing: Drawing, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
 
 
 def turned(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """``vectors @ matrix``, shapes (n, 3) and (3, 3). A product this narrow costs BLAS's threads more than it saves."""
+    """``vectors @ matrix``, shapes (n, 3) and (3, m). A product this narrow costs BLAS's threads more than it saves."""
     return np.einsum("ni,ij->nj", vectors, matrix)
 
 

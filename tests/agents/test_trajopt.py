@@ -7,7 +7,8 @@ import pytest
 from agent_cases import ENV, agent, trained
 
 from rewax.agents.trajopt import TrajOptConfig, make_trajopt
-from rewax.training.evaluate import evaluate_actions, make_evaluate, record_episode
+from rewax.training.evaluate import evaluate_actions, make_evaluate
+from rewax.training.recording import record
 
 
 def test_it_finds_the_best_sequence():
@@ -23,8 +24,9 @@ def test_evaluation_plays_it_in_order():
     key = jax.random.key(0)
     played = make_evaluate(ENV, agent("trajopt").policy, 8)(marked, key)
     np.testing.assert_allclose(played["returns"], evaluate_actions(ENV, marked.actions, key, 8)["returns"], rtol=1e-6)
-    frames = record_episode(ENV, agent("trajopt").policy, marked, key, num_frames=6)
-    moved = np.diff([float(frame.physics[0]) for frame in frames])
+    recording = record(ENV, agent("trajopt").policy, marked, key)
+    assert recording.particles is not None
+    moved = np.diff(recording.particles[:, 0, 0])  # the cloud moves with the point
     np.testing.assert_allclose(moved, 0.5 * marked.actions[:, 0], atol=1e-6)
 
 

@@ -129,28 +129,3 @@ def test_impossible_arguments_are_refused():
         evaluate.make_evaluate(env, evaluate.uniform_policy(env), 0)
     with pytest.raises(ValueError, match=r"actions have shape \(3, 1\): this environment needs \(4, 1\)"):
         evaluate.evaluate_actions(env, jnp.zeros((3, 1)), jax.random.key(0), 1)
-    with pytest.raises(ValueError, match="num_frames is 1"):
-        evaluate.record_episode(env, evaluate.uniform_policy(env), None, jax.random.key(0), num_frames=1)
-
-
-def test_recorded_frames_are_equally_spaced_and_on_the_path():
-    env = toys.point_mass(length=6)
-    frames = evaluate.record_episode(
-        env, evaluate.constant_policy(jnp.array([0.2])), None, jax.random.key(0), num_frames=4
-    )
-    assert [frame.step for frame in frames] == [0, 2, 4, 6]
-    x0 = float(frames[0].physics[0])
-    np.testing.assert_allclose(
-        [float(frame.physics[0]) for frame in frames], x0 + 0.1 * np.array([0, 2, 4, 6]), rtol=1e-5
-    )
-    assert frames[0].total == 0.0
-    np.testing.assert_allclose(frames[1].total, -((x0 + 0.1) ** 2) - (x0 + 0.2) ** 2, rtol=1e-5)
-
-
-def test_recording_stays_at_the_end_of_the_episode():
-    env = Ending(gain=jnp.float32(0.5), limit=jnp.float32(1.9), length=6)
-    frames = evaluate.record_episode(
-        env, evaluate.constant_policy(jnp.array([1.0])), None, jax.random.key(0), num_frames=7
-    )
-    assert frames[-1].step == frames[-2].step < 6
-    assert np.isfinite(frames[-1].physics).all() and float(frames[-1].physics[0]) > 1.9

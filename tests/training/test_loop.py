@@ -229,5 +229,6 @@ def test_drawing_never_ends_a_run(tmp_path):
     config = TrainConfig(**{**QUIET, "num_iterations": 1, "run_dir": str(tmp_path), "plots": True})
     result = train(AGENT, env, config, console=console)
     text = console.file.getvalue()
-    assert "warning: episode.png was not drawn (" in text and "wrote" in text
+    assert text.count("warning: episode.png was not drawn (ValueError: the drawing of a sphere has no 'center'") == 1
+    assert "wrote" in text and not list(tmp_path.glob("episode.*"))
     assert int(result.train_state.iteration) == 1 and "deterministic_mean" in result.evaluation

@@ -1,0 +1,91 @@
+"""``rewax play`` and the videos of ``train`` and ``eval``: what is written, what is refused."""
+
+import json
+import re
+
+import pytest
+import toys
+
+from rewax.cli.main import main
+from rewax.envs import registry
+from rewax.training import pictures
+
+TINY = [
+    "--sapo.num-envs=2", "--sapo.horizon=2", "--sapo.num-iterations=1", "--sapo.critic-passes=1", "--sapo.critic-minibatches=1",
+    "--sapo.actor-widths", "4", "4", "--sapo.critic-widths", "4", "--sapo.vector-features=4",
+    "--train.no-baselines", "--train.no-tensorboard", "--train.num-eval-episodes=2",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def toy():
+    """A task with particles under a name, for this file alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(registry._FACTORIES, "ToyForPlay", lambda scale: toys.point_mass(4))
+        yield "ToyForPlay"
+
+
+@pytest.fixture(scope="module")
+def run(toy, tmp_path_factory):
+    """A trained run with everything that training leaves."""
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    assert main(["train", f"--env={toy}", "--scale=small", f"--run-dir={folder}", *TINY]) == 0
+    return folder
+
+
+def names_in(page):
+    data = re.search(r'<script id="data" type="application/json">(.*?)</script>', page.read_text(), re.DOTALL)[1]
+    return [run["name"] for run in json.loads(data)["runs"]], json.loads(data)["runs"]
+
+
+def test_training_ends_with_a_picture_a_video_and_a_page(run):
+    assert (run / "episode.png").stat().st_size > 5_000
+    assert b"ftyp" in (run / "episode.mp4").read_bytes()[:16]
+    names, (recorded,) = names_in(run / "episode.html")
+    assert names == ["first"] and len(recorded["rewards"]) == 4 and recorded["particles"]["count"] == 8
+
+
+def test_evaluation_ends_with_a_video_unless_it_should_not(run, capsys):
+    (run / "episode.mp4").unlink()
+    assert main(["eval", f"--run-dir={run}", "--episodes=2", "--no-video"]) == 0
+    assert not (run / "episode.mp4").exists() and "episode.mp4" not in capsys.readouterr().out
+    assert main(["eval", f"--run-dir={run}", "--episodes=2"]) == 0
+    assert (run / "episode.mp4").is_file()
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"wrote {run / 'episode.mp4'}, ")
+
+
+def test_a_video_that_fails_is_a_sentence_and_the_exit_code_is_0(run, monkeypatch, capsys):
+    def fail(recording, path):
+        raise OSError("ffmpeg failed; it said: no space left")
+
+    monkeypatch.setattr(pictures, "draw_video", fail)
+    assert main(["eval", f"--run-dir={run}", "--episodes=2"]) == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said.startswith("warning: episode.mp4 was not drawn (OSError: ffmpeg failed; it said: no space left)")
+
+
+def test_runs_are_played_side_by_side(run, tmp_path, capsys):
+    out = tmp_path / "player.html"
+    assert main(["play", str(run), str(run), "--out", str(out), "--frames=3", "--sampled"]) == 0
+    names, recorded = names_in(out)
+    assert names == [f"{run}, iteration 1"] * 2  # the same last part: the whole path
+    assert [len(each["times"]) for each in recorded] == [3, 3] and len(recorded[0]["rewards"]) == 4
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"{run}: 4 steps, return -") and lines[-1].endswith("MB: open it in a browser")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "rewax play needs 1 to 8 run directories: rewax play runs/RollingFlat-small-0"),
+        (["a"] * 9, "rewax play needs 1 to 8 run directories: rewax play runs/RollingFlat-small-0"),
+        (["nowhere"], "nowhere holds no complete checkpoint: check the path"),
+        (["a", "--out=a.mp4"], "out is a.mp4: give an .html file in a folder that exists"),
+        (["a", "--out=no/such/a.html"], "out is no/such/a.html: give an .html file in a folder that exists"),
+        (["a", "--frames=1"], "frames is 1: use 2 or more"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence_and_exit_code_2(arguments, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["play", *arguments]) == 2
+    assert capsys.readouterr() == ("", f"error: {said}\n")

@@ -1,0 +1,53 @@
+"""Cameras show everything that happens, right side up."""
+
+import numpy as np
+import pytest
+import recordings
+
+from rewax.viz.camera import frame_recording, look
+
+
+@pytest.mark.parametrize("up", [np.eye(3)[1], np.eye(3)[2]])
+def test_directions_are_a_right_handed_frame_and_up_is_up(up):
+    camera = look(np.ones(3), up=up, azimuth=35.0, elevation=20.0, distance=4.0)
+    axes = np.stack([camera.right, camera.up, -camera.forward])
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    np.testing.assert_allclose(camera.eye + 4.0 * camera.forward, np.ones(3))
+    column, row, depth = camera.project(np.ones(3) + 0.1 * up, 200, 300)
+    assert column == pytest.approx(150.0) and row < 100.0 and 3.5 < depth < 4.0
+    assert camera.right @ up == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("options", [{}, {"azimuth": 120.0, "elevation": 60.0}])
+def test_everything_is_within_the_picture_and_fills_much_of_it(options):
+    recording = recordings.cloud(travel=0.05, camera=options)
+    framing = frame_recording(recording)
+    places = np.stack(
+        [np.stack(framing.camera(i, recording.up).project(p, 300, 400)[:2]) for i, p in enumerate(recording.particles)]
+    )
+    assert places.min() > 0.0 and places[:, 0].max() < 400.0 and places[:, 1].max() < 300.0
+    extent = np.ptp(places, axis=(0, 2)) / [400.0, 300.0]
+    assert extent.max() > 0.45
+    assert not framing.follow and framing.floor == 0.0
+
+
+def test_the_camera_goes_with_what_travels_far():
+    framing = frame_recording(recordings.moving_ball(50, travel=0.5))
+    assert framing.follow
+    steps = np.diff(framing.targets[10:-10, 0])
+    np.testing.assert_allclose(steps, 0.5, rtol=1e-6)
+    still = frame_recording(recordings.moving_ball(50, travel=0.5, camera={"follow": False}))
+    assert not still.follow and still.distance > 3.0 * framing.distance
+
+
+def test_the_floor_is_the_plane_or_just_below_everything():
+    assert frame_recording(recordings.moving_ball()).floor == 0.0
+    alone = recordings.made(1, drawings=[[recordings.BALL]])
+    assert frame_recording(alone).floor == pytest.approx(0.3)
+    assert frame_recording(recordings.moving_ball(floor=-1.0)).floor == -1.0
+
+
+def test_an_unknown_key_is_refused():
+    with pytest.raises(ValueError, match="camera has an unknown key 'azimut': use azimuth, elevation, zoom, follow"):
+        frame_recording(recordings.moving_ball(camera={"azimut": 3.0}))

@@ -1,0 +1,132 @@
+"""The page holds what was recorded, needs no network, and moves what it shows when the time is moved."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import zlib
+
+import matplotlib.image
+import numpy as np
+import pytest
+import recordings
+
+from rewax.viz.player import MAX_RUNS, write_player
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+BROWSER = next((path for path in map(shutil.which, BROWSERS) if path), None)
+needs_browser = pytest.mark.skipif(BROWSER is None, reason=f"no browser: none of {', '.join(BROWSERS)} is installed")
+
+
+def scene(num_frames=5, travel=0.1):
+    """Particles and a half transparent capsule that move along x."""
+    capsule = {
+        "kind": "capsule",
+        "radius": 0.05,
+        "half_length": 0.2,
+        "direction": np.array([0.0, 1.0, 1.0]),
+        "opacity": 0.5,
+    }
+    drawings = [[{**capsule, "center": np.array([travel * i, 0.8, 0.0])}] for i in range(num_frames)]
+    status = np.array([0, 4, 0, 1] * num_frames)[: num_frames - 1]
+    return recordings.cloud(
+        num_frames, num_particles=200, travel=travel, drawings=drawings, status=status, camera={"follow": False}
+    )
+
+
+def data_of(path):
+    text = re.search(r'<script id="data" type="application/json">(.*?)</script>', path.read_text(), re.DOTALL)[1]
+    return json.loads(text)
+
+
+def decoded(blob):
+    """Numbers as the page's scripts read them."""
+    content = zlib.decompress(base64.b64decode(blob["z"]))
+    if "frames" not in blob:
+        return np.frombuffer(content, f"<{blob['type']}")
+    planes = np.frombuffer(content, np.uint8)
+    if blob["type"] == "u2":
+        low, high = planes.reshape(2, -1).astype(np.uint16)
+        planes = low | (high << 8)
+    return np.cumsum(planes.reshape(blob["frames"], -1), axis=0, dtype=planes.dtype)
+
+
+def test_positions_values_poses_and_curves_come_back(tmp_path):
+    recording = scene()
+    (run,) = data_of(write_player([recording], tmp_path / "a.html"))["runs"]
+    cloud = run["particles"]
+    positions = decoded(cloud["positions"]).reshape(5, 200, 3) / 65535.0 * cloud["size"] + cloud["low"]
+    np.testing.assert_allclose(positions, recording.particles, atol=max(cloud["size"]) / 65535.0)
+    speed = cloud["values"]["speed"]
+    values = decoded(speed["data"]) / 255.0 * (speed["high"] - speed["low"]) + speed["low"]
+    expected = np.clip(recording.values["speed"], speed["low"], speed["high"])
+    np.testing.assert_allclose(values, expected, atol=0.51 * (speed["high"] - speed["low"]) / 255.0)
+    poses = decoded(run["solids"][0]["poses"]).reshape(5, 7)
+    np.testing.assert_allclose(poses[:, :3], [shapes[0]["center"] for shapes in recording.drawings], atol=1e-6)
+    assert run["solids"][0]["opacity"] == 0.5 and decoded(run["solids"][0]["triangles"]).max() < 2000
+    assert run["rewards"] == [1.0] * 4 and run["status"] == [0, 4, 0, 1]
+    np.testing.assert_allclose(run["times"], recording.times)
+
+
+def test_the_page_is_one_file_that_asks_for_nothing_and_is_small(tmp_path):
+    frames, count = 300, 2500
+    walk = np.cumsum(np.random.default_rng(0).normal(0.0, 2e-4, (frames, count, 3)), axis=0)
+    particles = (np.random.default_rng(1).uniform(0.0, 0.4, (count, 3)) + walk).astype(np.float32)
+    values = {name: np.linalg.norm(walk, axis=-1) for name in ("speed", "strain")}
+    recording = recordings.made(frames, particles=particles, values=values, floor=0.0, name="</script><b>")
+    path = write_player([recording], tmp_path / "a.html", title="a < b")
+    text = path.read_text()
+    assert path.stat().st_size < 10e6
+    assert not re.search(r"\b(src|href)\s*=|https?://|@import|fetch\(|url\(", re.sub(r'"z":"[^"]*"', "", text))
+    assert "<title>a &lt; b</title>" in text and "{{" not in re.sub(r'"z":"[^"]*"', "", text)
+    assert data_of(path)["runs"][0]["name"] == "</script><b>"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.html"]
+
+
+def test_too_few_and_too_many_runs_are_refused(tmp_path):
+    for some in ([], [recordings.moving_ball()] * (MAX_RUNS + 1)):
+        with pytest.raises(ValueError, match=f"a page plays 1 to 8 recordings, not {len(some)}"):
+            write_player(some, tmp_path / "a.html")
+
+
+def browse(path, moment, screenshot):
+    """Open the page at a moment: its document when it has settled, and what it said on the console."""
+    done = subprocess.run(
+        [
+            str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--hide-scrollbars", "--window-size=1200,700",
+            f"--user-data-dir={screenshot.with_suffix('')}", "--enable-logging=stderr", "--virtual-time-budget=4000",
+            f"--screenshot={screenshot}", "--dump-dom", f"file://{path}#t={moment}",
+        ],
+        capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    return done.stdout, said, matplotlib.image.imread(screenshot)[..., :3]
+
+
+@needs_browser
+def test_a_browser_shows_it_without_errors_and_moving_the_time_moves_it(tmp_path):
+    path = write_player([scene(travel=0.1), recordings.moving_ball(name="a ball")], tmp_path / "a.html")
+    images = []
+    for moment in (0.0, 0.08):
+        document, said, image = browse(path, moment, tmp_path / f"{moment}.png")
+        assert not said, said
+        assert 'data-state="ready"' in document and "a ball" in document
+        images.append(image)
+    assert "step 4" in document and "NAN" in document  # the status of the last step
+    scenes = [image[60:450, 10:590] for image in images]
+    blue = [np.nonzero(image[..., 2] > 1.6 * image[..., 0])[1] for image in scenes]  # water
+    assert min(len(columns) for columns in blue) > 100
+    assert blue[1].mean() > blue[0].mean() + 20.0  # to the right
+    assert scenes[0].std() > 0.05
+    other = [image[60:450, 610:1190] for image in images]
+    np.testing.assert_allclose(other[0], other[1], atol=0.02)  # the ball rests
+
+
+@needs_browser
+def test_a_page_that_cannot_play_says_so(tmp_path):
+    path = write_player([recordings.moving_ball()], tmp_path / "a.html")
+    path.write_text(path.read_text().replace('"webgl2"', '"none"'))
+    document, _, _ = browse(path, 0, tmp_path / "a.png")
+    assert 'data-state="failed"' in document and "Cannot play this: this browser offers no WebGL 2" in document

@@ -1,0 +1,67 @@
+"""Recordings know their times and totals, and play as fast as they say."""
+
+import numpy as np
+import pytest
+import recordings
+
+from rewax.viz.recording import describe_speed, diameters, playback
+
+
+def test_times_and_totals_are_those_of_the_frames():
+    recording = recordings.moving_ball(
+        5, steps=np.array([0, 2, 4, 6, 7]), rewards=np.arange(7.0), status=np.zeros(7, int)
+    )
+    np.testing.assert_allclose(recording.times, [0.0, 0.04, 0.08, 0.12, 0.14])
+    np.testing.assert_array_equal(recording.totals, [0.0, 1.0, 6.0, 15.0, 21.0])
+    some = recording.take([0, 4])
+    np.testing.assert_array_equal(some.totals, [0.0, 21.0])
+    assert recording.spread(3).steps.tolist() == [0, 4, 7] and recording.spread(99).num_frames == 5
+
+
+@pytest.mark.parametrize(
+    ("num_frames", "dt", "rate", "speed", "said"),
+    [
+        (301, 0.02, 25.0, 1.0, "in real time"),  # 6 s, every second frame
+        (301, 1 / 60, 30.0, 1.0, "in real time"),
+        (61, 0.02, 50 / 3, 1 / 3, "3 times slower than real time"),
+        (61, 0.007, 1 / 0.056, 1 / 8, "8 times slower than real time"),
+        (6, 0.5, 10 / 5, 1.0, "2 times slower than real time"),
+        (101, None, 25.0, 1.0, "25 steps per second"),
+    ],
+)  # fmt: skip
+def test_videos_last_as_long_as_is_said(num_frames, dt, rate, speed, said):
+    recording = recordings.moving_ball(num_frames, control_dt=dt)
+    shown, found_rate, found_speed = playback(recording)
+    if num_frames == 6:  # fewer frames than ten a second: real time
+        assert (found_rate, found_speed) == (2.0, 1.0)
+        return
+    assert found_rate == pytest.approx(rate) and found_speed == pytest.approx(speed)
+    assert found_rate <= 30.0 + 1e-6
+    duration = (shown.num_frames - 1) / found_rate
+    assert duration == pytest.approx((num_frames - 1) * (dt or 0.04) / found_speed, rel=0.01)
+    assert describe_speed(shown, found_speed) == said
+
+
+def test_spheres_of_a_lattice_touch_and_each_material_has_its_own():
+    axis = np.arange(6) * 0.1
+    coarse = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    fine = 0.5 * coarse + 2.0
+    points = np.concatenate([coarse, fine])[None]
+    materials = np.repeat([0, 1], len(coarse))
+    found = diameters(recordings.cloud(1, particles=points, materials=materials, values={}))
+    assert np.ptp(found[materials == 0]) == 0.0
+    np.testing.assert_allclose(found[0], 0.1, rtol=0.25)
+    np.testing.assert_allclose(found[-1], 0.05, rtol=0.25)
+
+
+def test_what_cannot_be_shown_is_refused():
+    with pytest.raises(ValueError, match="nothing to show: give the environment particles or render_shapes"):
+        recordings.made(3)
+    with pytest.raises(ValueError, match="nothing to show"):
+        recordings.made(2, drawings=[recordings.moving_ball().drawings[0][:1]] * 2)
+    with pytest.raises(ValueError, match="other kinds of drawings in some frames"):
+        recordings.made(2, drawings=[[recordings.BALL], []])
+    with pytest.raises(ValueError, match="opacity of the drawing of a sphere is 2.0: give numbers from 0 to 1"):
+        recordings.made(1, drawings=[[{**recordings.BALL, "opacity": 2.0}]])
+    with pytest.raises(ValueError, match="a recording has no frames"):
+        recordings.made(1, steps=np.zeros(0, int), particles=np.zeros((0, 4, 3)))
