@@ -61,7 +61,7 @@ def test_what_cannot_be_shown_is_refused():
         recordings.made(2, drawings=[recordings.moving_ball().drawings[0][:1]] * 2)
     with pytest.raises(ValueError, match="other kinds of drawings in some frames"):
         recordings.made(2, drawings=[[recordings.BALL], []])
-    with pytest.raises(ValueError, match="opacity of the drawing of a sphere is 2.0: give numbers from 0 to 1"):
+    with pytest.raises(ValueError, match=r"opacity of the drawing of a sphere is 2\.0: give numbers from 0 to 1"):
         recordings.made(1, drawings=[[{**recordings.BALL, "opacity": 2.0}]])
     with pytest.raises(ValueError, match="a recording has no frames"):
         recordings.made(1, steps=np.zeros(0, int), particles=np.zeros((0, 4, 3)))

@@ -1,5 +1,7 @@
 """The renderer that is asked for draws; one that fails is replaced; MuJoCo and numpy draw the same things."""
 
+import itertools
+
 import numpy as np
 import pytest
 import recordings
@@ -22,7 +24,7 @@ def drawn(recording, **options):
 def test_without_opengl_every_frame_is_drawn_all_the_same(no_opengl):
     frames = drawn(recordings.cloud(11, travel=0.1))
     assert len(frames) == 11 and all(frame.shape == (*SIZE, 3) and frame.dtype == np.uint8 for frame in frames)
-    steps = [np.abs(a.astype(int) - b).mean() for a, b in zip(frames, frames[1:], strict=False)]
+    steps = [np.abs(a.astype(int) - b).mean() for a, b in itertools.pairwise(frames)]
     assert min(steps) > 0.1  # they are in order, and each one is another
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > max(steps)
 
@@ -52,7 +54,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(no_opengl):
 def test_a_process_that_ends_early_says_why():
     failing = recordings.cloud(1)
     object.__setattr__(failing, "camera", {"nonsense": 1})
-    with pytest.raises(OSError, match="ended early; it said: .*"):
+    with pytest.raises(OSError, match="ended early; it said: "):
         next(opengl.mujoco_pictures(failing, SIZE, "material", "none_such"))
 
 

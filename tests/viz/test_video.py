@@ -42,7 +42,7 @@ def test_what_cannot_be_is_refused_and_a_failure_leaves_no_file(tmp_path):
     ):
         with pytest.raises(ValueError, match=said):
             video.write_video([], tmp_path / "a.mp4", rate=rate, size=size)
-    with pytest.raises(OSError, match="ffmpeg failed; it said: .*No such file or directory"):
+    with pytest.raises(OSError, match=r"ffmpeg failed; it said: .*No such file or directory"):
         video.write_video([np.zeros((32, 48, 3), np.uint8)], tmp_path / "no" / "a.mp4", rate=10.0, size=(32, 48))
 
     def broken():
