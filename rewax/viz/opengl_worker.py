@@ -1,5 +1,7 @@
 """The process that draws with MuJoCo: ``python -m rewax.viz.opengl_worker probe | draw``, see ``rewax.viz.opengl``."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import pickle
 import sys
 from typing import Any

