@@ -39,12 +39,29 @@ class Curves {
   }
 
   draw(time, duration) {
-    const { canvas, run } = this, ratio = window.devicePixelRatio || 1;
-    const width = canvas.clientWidth, height = canvas.clientHeight;
-    [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
+    const { canvas } = this, ratio = window.devicePixelRatio || 1;
+    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+    if (!this.still || canvas.width !== width || canvas.height !== height) {
+      [canvas.width, canvas.height] = [width, height];
+      this.still = Object.assign(document.createElement("canvas"), { width, height });
+      this.drawStill(this.still.getContext("2d"), width / ratio, height / ratio, ratio, duration);
+    }
     const pen = canvas.getContext("2d");
+    pen.clearRect(0, 0, width, height);
+    pen.drawImage(this.still, 0, 0);
+    pen.fillStyle = "#c0392b";
+    pen.fillRect(ratio * this.x(time, width / ratio, duration), 16 * ratio, 1.4 * ratio, height - 20 * ratio);
+  }
+
+  x(time, width, duration) {
+    return 8 + (width - 16) * time / Math.max(duration, 1e-9);
+  }
+
+  // Everything but the cursor.
+  drawStill(pen, width, height, ratio, duration) {
+    const { run } = this, strip = 10;
     pen.scale(ratio, ratio);
-    const x = (t) => 8 + (width - 16) * t / Math.max(duration, 1e-9), strip = 10;
+    const x = (t) => this.x(t, width, duration);
     const y = (r) => 18 + (height - strip - 28) * (1 - (r - this.low) / (this.high - this.low));
     pen.strokeStyle = "#e3e8ee";
     pen.strokeRect(x(0), y(0), x(duration) - x(0), 0);
@@ -61,8 +78,6 @@ class Curves {
     pen.fillStyle = "#566573";
     pen.font = "11px system-ui, sans-serif";
     pen.fillText(`reward, ${this.low.toPrecision(3)} to ${this.high.toPrecision(3)}; status below`, 8, 12);
-    pen.strokeStyle = "#c0392b";
-    pen.strokeRect(x(time), 16, 0, height - 20);
   }
 }
 
@@ -199,7 +214,7 @@ class Player {
   // Fewer pixels while a slow machine plays; what rests is sharp.
   adapt(seconds) {
     this.slow = 0.8 * this.slow + 0.2 * seconds;
-    if (this.slow > 1 / 32 && this.sharpness > 0.35) [this.sharpness, this.slow] = [0.85 * this.sharpness, 1 / 60];
+    if (this.slow > 1 / 32 && this.sharpness > 0.55) [this.sharpness, this.slow] = [0.85 * this.sharpness, 1 / 60];
   }
 
   draw() {
