@@ -93,7 +93,8 @@ class Player {
     document.getElementById("runs").style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
     this.home();
     this.addControls(data);
-    new ResizeObserver(() => { this.dirty = true; }).observe(document.getElementById("runs"));
+    const resized = new ResizeObserver(() => this.draw());  // before the browser paints the new layout
+    for (const { scene } of this.views) resized.observe(scene.canvas);
     let before = null;
     const tick = (now) => {
       this.advance(before === null ? 0 : (now - before) / 1000);
