@@ -9,6 +9,7 @@ from typing import Any
 
 import griffe
 
+_KEYWORD_ONLY = griffe.ParameterKind.keyword_only
 _LABEL = re.compile(r"^(Gradient|Source):\s+(.*(?:\n[ \t]+\S.*)*)", flags=re.MULTILINE)
 
 
@@ -34,7 +35,7 @@ class Docstrings(griffe.Extension):
 
 def _constructor(cls: griffe.Class) -> griffe.Function:
     fields = [
-        griffe.Parameter(name, annotation=member.annotation, kind=griffe.ParameterKind.keyword_only, default=_default(member))
+        griffe.Parameter(name, annotation=member.annotation, kind=_KEYWORD_ONLY, default=_default(member))
         for name, member in cls.members.items()
         if isinstance(member, griffe.Attribute) and member.annotation is not None and "property" not in member.labels
     ]

@@ -1,9 +1,12 @@
-"""Files outside ``docs/`` that belong to the site, and links to them.
+"""Files outside ``docs/`` that belong to the site, links to them, and a check that no public name is left out.
 
 A link such as ``../examples/train_sapo.py`` works where the repository is browsed. In the site the same files lie
 beside the pages, so ``../`` goes.
 """
 
+import ast
+import logging
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +14,42 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md")
+log = logging.getLogger("mkdocs.hooks.rewax")
 
 
 def on_files(files: Any, config: Any) -> Any:
     """Add pages of the top level, and examples."""
-    examples = sorted(p for p in (ROOT / "examples").rglob("*") if p.suffix in (".py", ".ipynb"))
+    examples = sorted(path for path in (ROOT / "examples").rglob("*") if path.suffix in (".py", ".ipynb"))
     for path in [*(ROOT / page for page in PAGES), *examples]:
         files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links as they are in the site."""
+    """Links as they are in the site, and fences without what the tests read in them."""
     if page.file.src_uri in PAGES:
         return markdown.replace("](docs/", "](")
-    return markdown.replace("](../", "](") if "/" not in page.file.src_uri else markdown
+    if "/" not in page.file.src_uri:
+        markdown = markdown.replace("](../", "](")
+    return re.sub(r"^(```\w+) \w+$", r"\1", markdown, flags=re.MULTILINE)
+
+
+def on_post_build(config: Any) -> None:
+    """Warn, which ``--strict`` makes an error, of a public name of an API page's package that the page lacks."""
+    for page in sorted((ROOT / "docs" / "api").glob("*.md")):
+        shown = (Path(config.site_dir) / "api" / f"{page.stem}.html").read_text()
+        source = page.read_text()
+        package = source.splitlines()[0].removeprefix("# ").split(",")[0]
+        for name in _public(ROOT.joinpath(*package.split("."), "__init__.py")):
+            if not re.search(rf'id="rewax[.\w]*\.{name}"', shown) and not re.search(
+                rf"^(:::|##) .*\.{name}$", source, flags=re.MULTILINE
+            ):
+                log.warning(f"{package}.{name} is public, but docs/api/{page.name} does not show it")
+
+
+def _public(init: Path) -> list[str]:
+    """What ``__all__`` of a package lists."""
+    for node in ast.parse(init.read_text()).body if init.is_file() else ():
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+            return ast.literal_eval(node.value)
+    return []

@@ -274,5 +274,6 @@ def load(
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:
+    """Raises ValueError unless an array has the shape; ``what`` is said of the shape."""
     if jnp.shape(value) != shape:
         raise ValueError(f"{name} has shape {jnp.shape(value)}: give shape {shape}{what}")

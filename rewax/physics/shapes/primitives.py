@@ -68,6 +68,7 @@ class Plane:
 
 
 Shape: TypeAlias = Sphere | Capsule | Box | Cylinder | Cone | Ellipsoid | Plane | SampledDistance | HeightField
+"""Whatever has a signed distance."""
 
 
 def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
