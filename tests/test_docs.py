@@ -1,5 +1,6 @@
-"""The documentation's code runs, from top to bottom of each page."""
+"""The documentation's code runs, from top to bottom of each page, and so do the notebooks."""
 
+import json
 import re
 import runpy
 from pathlib import Path
@@ -8,6 +9,8 @@ import jax
 import numpy as np
 import pytest
 import toys
+
+import rewax
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -162,3 +165,83 @@ def test_adapters_page_carries_gradients_into_torch():
     pytest.importorskip("torch", reason="pip install 'rewax[torch]'")
     actions = run_page("docs/adapters.md", "torch")["actions"]
     assert np.isfinite(actions.grad.numpy()).all() and float(actions.grad.abs().max()) > 0.0
+
+
+def test_gradients_page_runs_and_does_what_it_says():
+    names = run_page("docs/gradients.md")
+    reverse, forward, central = (float(names[name]) for name in ("reverse", "forward", "central"))
+    np.testing.assert_allclose(reverse, 3.1656254, rtol=1e-6)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
+    np.testing.assert_allclose(reverse, central, rtol=1e-6)
+    assert abs(float(names["inside"][0])) > 0.1 and float(names["outside"][0]) == 0.0
+    assert not names["by_action"][:3].any() and (np.abs(names["by_action"][3:]) > 0.1).all()
+
+
+def test_units_page_has_the_right_table():
+    up = {"x": 0, "y": 1, "z": 2}
+    rows = re.findall(
+        r"^\| (`\w+`(?:, `\w+`)*) \| ([xyz]) \|(.*)\|$", (ROOT / "docs/units.md").read_text(), re.MULTILINE
+    )
+    found = []
+    for names, axis, rest in rows:
+        gravity, steps, density, observation = (cell.strip() for cell in rest.split("|"))
+        for name in re.findall(r"`(\w+)`", names):
+            paper, small = (rewax.make(name, scale=scale) for scale in ("paper", "small"))
+            scene = getattr(small, "scene", None)
+            assert np.argmax(small.up) == up[axis], name
+            pull = (small.model if scene is None else scene).gravity
+            assert float(np.linalg.norm(pull)) == pytest.approx(float(gravity)), name
+            times = [1e3 * env.control_dt for env in (paper, small)]
+            assert times == pytest.approx([float(time) for time in steps.split("/")], abs=0.005), name
+            shapes = {
+                key: tuple(map(int, shape.split(", "))) for key, shape in re.findall(r"`(\w+)` \((.*?)\)", observation)
+            }
+            assert shapes == {key: spec.shape for key, spec in small.observation_spec.items()}, name
+            material = getattr(scene, "material", None)
+            if material is not None:
+                parts = material if isinstance(material, tuple) else (material,)
+                assert [float(part.density) for part in parts] == [float(d) for d in density.split(", ")], name
+            found.append(name)
+    assert sorted(found) == rewax.list_envs()
+
+
+def test_troubleshooting_page_runs_and_does_what_it_says(capsys):
+    names = run_page("docs/troubleshooting.md")
+    text = (ROOT / "docs" / "troubleshooting.md").read_text()
+    assert str(names["found"]).startswith(
+        "v of particle 7 is not finite at the start; before: x [0.1562 0.1562 0.2438]"
+    )
+    assert capsys.readouterr().out.startswith("NAN physics.rigid.qpos\n")
+    assert f"{names['peak'] / 1e9:.3f}" == "0.901" and "0.901" in text
+    assert not [bit.name for bit in rewax.Status if f"| `{bit.name}` |" not in text]
+
+
+@pytest.mark.parametrize(
+    ("name", "shorter"),
+    [
+        ("gradient_through_mpm", {}),
+        ("identify_a_material", {"range(20)": "range(4)"}),
+        (
+            "train_and_watch",
+            {"NUM_ITERATIONS = 600": "NUM_ITERATIONS = 2", "eval_every=100": "num_eval_episodes=1, baselines=False"},
+        ),
+    ],
+)
+def test_notebooks_run(name, shorter, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    path = ROOT / "examples" / "notebooks" / f"{name}.ipynb"
+    cells = [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell["outputs"] or cell["execution_count"] for cell in cells), "strip the outputs"
+    source = "\n\n".join("".join(cell["source"]) for cell in cells)
+    for long, short in shorter.items():
+        assert source.count(long) == 1
+        source = source.replace(long, short)
+    names = {}
+    exec(compile(source, str(path), "exec"), names)
+    if name == "gradient_through_mpm":
+        assert names["error"] < 5e-3 and abs(names["history"][-1] - names["MARK"]) < 1e-4
+    elif name == "identify_a_material":
+        assert names["found"] == sorted(names["found"]) and names["found"][-1] > 0.85 * names["TRUE"]
+    else:
+        assert np.isfinite(names["rewards"]).all() and names["result"].failure == ""
