@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.linear_pass import linear_pass
+from rewax.physics.numerics.linear_pass import ByPlatform, linear_pass
 
 
 def _apply(power, residuals, linear):
@@ -70,3 +70,20 @@ def test_derivative_by_a_residual_is_refused_with_the_reason():
     scale, a, b = ARGS
     with pytest.raises(NotImplementedError, match="second derivatives"):
         jax.grad(lambda scale: jnp.sum(apply(scale, a, b)[0]))(scale)
+
+
+def test_a_program_holds_what_is_written_for_its_platform():
+    double = ByPlatform(
+        cpu=lambda s, r, linear: (jnp.sin(r[0]) * linear[0],), other=lambda s, r, linear: (jnp.cos(r[0]) * linear[0],)
+    )
+
+    def function(x, y):
+        return linear_pass(double, double, None, (x,), (y,))[0]
+
+    x, y = jnp.float32(0.3), jnp.float32(2.0)
+    np.testing.assert_allclose(function(x, y), 2.0 * np.sin(0.3), rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(jax.grad(function, 1))(x, y), np.sin(0.3), rtol=1e-6)
+    for differentiated in (function, jax.grad(function, 1)):
+        of = {p: jax.export.export(jax.jit(differentiated), platforms=[p])(x, y).mlir_module() for p in ("cpu", "cuda")}
+        assert "sine" in of["cpu"].replace("cosine", "") and "cosine" not in of["cpu"]
+        assert "cosine" in of["cuda"] and "sine" not in of["cuda"].replace("cosine", "")

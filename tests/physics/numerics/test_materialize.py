@@ -80,3 +80,12 @@ def test_users_of_a_number_rounded_down_see_one_and_the_same():
     number, again, gathered, total = split(a, b, c)
     np.testing.assert_allclose(again, number, atol=1e-5)
     np.testing.assert_allclose(jnp.sum(gathered), total, rtol=1e-5)
+
+
+def test_on_a_gpu_speed_costs_nothing_and_correctness_a_barrier():
+    def program(boundary):
+        exported = jax.export.export(jax.jit(lambda x: boundary(2.0 * x) + 1.0), platforms=["cuda"])
+        return exported(jax.ShapeDtypeStruct((3,), jnp.float32)).mlir_module()
+
+    assert "while" not in program(materialize) and "optimization_barrier" not in program(materialize)
+    assert "while" not in program(compute_once) and "optimization_barrier" in program(compute_once)
