@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass, no_transpose
 from rewax.types import Array
 
 
@@ -151,16 +152,29 @@ def _solve_batch(axis_size: int, batched: list[bool], matrix: Array, vector: Arr
 
 def _eliminate(matrix: Array, vector: Array) -> Array:
     """Solutions of a batch of systems, shapes (n, n, batch) and (n, batch)."""
-    table = jnp.concatenate([matrix, vector[:, None]], axis=1)
-    index = np.arange(len(vector))[:, None, None]
+    return linear_pass(_ELIMINATION, no_transpose, None, (matrix, vector), (), like=(vector,))[0]
+
+
+def _elimination(static: None, residuals: Arrays, linear: Arrays, *, unroll: bool) -> Arrays:
+    del static, linear
+    matrix, vector = residuals
+    num = vector.shape[-2]
+    index = np.arange(num)[:, None, None]
 
     def eliminate(k: Array, table: Array) -> Array:
-        column = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=1)
-        pivot_row = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=0)
-        pivot = jax.lax.dynamic_slice_in_dim(pivot_row, k, 1, axis=1)
+        column = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=-2)
+        pivot_row = jax.lax.dynamic_slice_in_dim(table, k, 1, axis=-3)
+        pivot = jax.lax.dynamic_slice_in_dim(pivot_row, k, 1, axis=-2)
         return table - (column - (index == k)) * (pivot_row / pivot)
 
-    return jax.lax.fori_loop(0, len(vector), eliminate, table)[:, -1]
+    table = jnp.concatenate([matrix, vector[..., None, :]], axis=-2)
+    return (jax.lax.fori_loop(0, num, eliminate, table, unroll=True if unroll else None)[..., -1, :],)
+
+
+# On a GPU each turn of a loop would be kernels and copies of its own.
+_ELIMINATION = ByPlatform(
+    cpu=functools.partial(_elimination, unroll=False), other=functools.partial(_elimination, unroll=True)
+)
 
 
 def _forces(rows: Rows, missed: Array) -> Array:
