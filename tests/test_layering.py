@@ -23,7 +23,7 @@ ALLOWED = {
     "agents": {"base", "envs"} | PHYSICS,
     "training": {"base", "envs", "agents", "viz"} | PHYSICS,
     "testing": {"base", "envs", "viz"} | PHYSICS,
-    "adapters": {"base", "envs"},
+    "adapters": {"base", "envs", "training", "viz"},
     "debug": {"base"} | PHYSICS,
     "cli": {"base", "envs", "agents", "training", "viz", "testing"} | PHYSICS,
     "top": {"base", "envs", "agents", "training", "viz", "testing", "cli"} | PHYSICS,

@@ -23,6 +23,8 @@ from rewax.adapters.conversion import (
 )
 from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.wrappers import AutoReset, Vmap
+from rewax.training.recording import snapshots
+from rewax.viz.render import pictures
 
 try:
     import gymnasium
@@ -40,12 +42,19 @@ class GymnasiumEnv(gymnasium.Env):
 
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
+      render_mode: ``"rgb_array"``: ``render`` draws the present state, uint8 (height, width, 3); None: nothing.
+      size: height and width of a picture.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 25}
 
-    def __init__(self, env: Env) -> None:
-        self.env = env
+    def __init__(self, env: Env, *, render_mode: str | None = None, size: tuple[int, int] = (360, 480)) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode is {render_mode!r}: give 'rgb_array' or None")
+        self.env, self.render_mode, self._size = env, render_mode, size
+        self._record = None if render_mode is None else snapshots(env)
+        if getattr(env, "control_dt", None):
+            self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / float(env.control_dt)))}  # type: ignore[attr-defined]
         self.observation_space = observation_space(env)
         self.action_space = box(env.action_spec)
         self._reset, self._step = compiled(env)
@@ -53,7 +62,7 @@ class GymnasiumEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
-        self._state = state = self._reset(key_from(self.np_random))
+        self._state = self._first = state = self._reset(key_from(self.np_random))
         return numpy_observation(state), state_info(state)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -62,6 +71,15 @@ class GymnasiumEnv(gymnasium.Env):
         self._state = state = self._step(self._state, check_action(action, self.env.action_spec.shape))
         ends = bool(state.terminated), bool(state.truncated)
         return numpy_observation(state), float(state.reward), *ends, state_info(state)
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """A picture of the present state; its frame holds the beginning of the episode too."""
+        if self._record is None:
+            return None
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("no episode has begun: call reset before render")
+        recording = self._record([self._first.physics, self._state.physics])
+        return list(pictures(recording, size=self._size, renderer="software"))[-1]
 
 
 class GymnasiumVectorEnv(VectorEnv):

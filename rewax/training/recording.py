@@ -68,6 +68,22 @@ def record(
     return _recording(env, seen, steps, rewards, status, name)
 
 
+def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
+    """A function that makes a recording of given physics, one frame each, without rewards.
+
+    Raises:
+      ValueError: the environment has nothing to show.
+    """
+    if not can_record(env):
+        raise ValueError(_NOTHING)
+    see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
+
+    def of(frames: list[PyTree]) -> Recording:
+        return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], [], "")
+
+    return of
+
+
 def _make_advance(env: Env, policy: Policy, act_key: Key, every: int, deterministic: bool) -> Callable[..., Any]:
     """``(train_state, state) -> state, (rewards, status)`` of at most ``every`` steps, none after the episode's end."""
     told = told_the_step(policy)
@@ -145,4 +161,4 @@ def _recording(
     )
 
 
-__all__ = ["can_record", "record"]
+__all__ = ["can_record", "record", "snapshots"]

@@ -117,3 +117,18 @@ def test_the_same_seed_gives_the_same_numbers_as_jax():
     obs, _ = adapted.reset(seed=5)
     key = jax.random.key(int(np.random.Generator(np.random.PCG64(np.random.SeedSequence(5))).integers(2**31)))
     np.testing.assert_array_equal(obs["x"], env.reset(key).obs["x"])
+
+
+def test_pictures_change_with_the_state():
+    env = GymnasiumEnv(point_mass(), render_mode="rgb_array", size=(48, 64))
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before render"):
+        env.render()
+    env.reset(seed=0)
+    before = env.render()
+    env.step(np.ones(1))
+    after = env.render()
+    assert before.shape == after.shape == (48, 64, 3) and before.dtype == np.uint8
+    assert before.std() > 0.0 and (before != after).any()
+    assert GymnasiumEnv(point_mass()).render() is None
+    with pytest.raises(ValueError, match="render_mode is 'human': give 'rgb_array' or None"):
+        GymnasiumEnv(point_mass(), render_mode="human")
