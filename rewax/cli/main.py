@@ -15,6 +15,7 @@ _COMMANDS = {
     "export": "write a trained policy for programs without rewax",
     "landscape": "draw the return around a trained policy",
     "envs": "list the environments",
+    "check": "check an environment of one's own",
     "doctor": "say what is installed and what is wrong with it",
 }
 _HOMES = {
@@ -26,6 +27,7 @@ _HOMES = {
     "export": "rewax.cli.export",
     "landscape": "rewax.cli.landscape",
     "envs": "rewax.cli.environments",
+    "check": "rewax.cli.check",
     "doctor": "rewax.cli.doctor",
 }
 _CLEAN_EXIT, _BAD_INPUT = 0, 2

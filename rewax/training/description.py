@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.metadata
 import json
+import platform
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,16 @@ def write_config(run_dir: str | Path, config: Mapping[str, Any]) -> None:
     content = plain(config) | {"versions": _versions()}
     unfinished.write_text(json.dumps(content, indent=2) + "\n")
     unfinished.replace(run_dir / "config.json")
+
+
+def write_environment(run_dir: str | Path) -> None:
+    """Keep Python, platform, devices and the versions of all installed packages in ``environment.txt``."""
+    import jax
+
+    packages = sorted({f"{d.name}=={d.version}" for d in importlib.metadata.distributions() if d.name}, key=str.lower)
+    devices = sorted({device.device_kind for device in jax.devices()})
+    head = f"# Python {platform.python_version()}, {platform.platform()}, {len(jax.devices())} x {', '.join(devices)}"
+    (Path(run_dir) / "environment.txt").write_text("\n".join([head, *packages]) + "\n")
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
@@ -95,4 +106,4 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-__all__ = ["changes", "describe_run", "plain", "read_config", "write_config"]
+__all__ = ["changes", "describe_run", "plain", "read_config", "write_config", "write_environment"]

@@ -12,7 +12,7 @@ from rich.console import Console
 from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig, TrainConfig
-from rewax.training.description import describe_run, read_config, write_config
+from rewax.training.description import describe_run, read_config, write_config, write_environment
 from rewax.training.interrupt import graceful_stop
 from rewax.training.progress import say
 from rewax.training.run import Run, TrainResult
@@ -95,6 +95,7 @@ def prepared(
         stored = read_config(run_dir) if config.resume else {}
         schedule = continued(stored, int(train_state.iteration), config)
         write_config(run_dir, {**description, "schedule": schedule})
+        write_environment(run_dir)
         key = jax.random.fold_in(seed_key, _EVALUATION_STREAM)
         run = Run(agent, env, config, run_dir, key, train_state, console)
         run.report_lost_rows(schedule)

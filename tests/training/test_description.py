@@ -9,7 +9,7 @@ import pytest
 import toys
 
 from rewax.training import description
-from rewax.training.description import changes, describe_run, read_config, write_config
+from rewax.training.description import changes, describe_run, read_config, write_config, write_environment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,3 +57,10 @@ def test_changes_are_those_of_entries_that_both_have():
     old = json.loads(json.dumps(description.plain({"toy": Options(), "seed": 1, "gone": 0})))
     new = description.plain({"toy": Options(widths=(8, 2)), "seed": 1, "more": 0})
     assert changes(old, new) == [("toy.widths", [4, 2], [8, 2])]
+
+
+def test_the_environment_of_a_run_can_be_installed_again(tmp_path):
+    write_environment(tmp_path)
+    head, *packages = (tmp_path / "environment.txt").read_text().splitlines()
+    assert head.startswith("# Python 3.") and jax.devices()[0].device_kind in head
+    assert f"jax=={jax.__version__}" in packages and len(packages) > 10

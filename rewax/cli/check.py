@@ -1,0 +1,59 @@
+"""``rewax check``: whether an environment keeps the protocol."""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+
+from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.train import quiet
+
+_PROBLEM_FOUND = 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      env: name of the environment, see ``rewax envs``.
+      scale: ``small`` or ``paper``.
+      imports: module or .py file that registers environments.
+      seed: of initial states and actions.
+      whole_episode: also run to the end of an episode, which may take long.
+    """
+
+    env: str
+    scale: str = "small"
+    imports: Imports = ()
+    seed: int = 0
+    whole_episode: bool = True
+
+
+def run(argv: Sequence[str]) -> int:
+    """Check an environment part by part.
+
+    Returns:
+      Exit code: 0 if it keeps the protocol; 1 after a sentence about what is wrong.
+
+    Raises:
+      ValueError: there is no such environment or scale.
+    """
+    from rewax.envs import registry
+    from rewax.testing import check_env
+    from rewax.training.cache import enable_compilation_cache
+
+    quiet()
+    options = parse(Options, argv, prog="rewax check", description="Check an environment against the protocol.")
+    enable_compilation_cache()
+    import_modules(options.imports)
+    env = registry.make(options.env, scale=options.scale)
+    try:
+        check_env(env, seed=options.seed, check_full_episode=options.whole_episode)
+    except AssertionError as problem:
+        print(f"problem: {problem}", file=sys.stderr)
+        return _PROBLEM_FOUND
+    print(f"{options.env} at scale {options.scale} keeps the protocol")
+    return 0
+
+
+__all__ = ["Options", "run"]
