@@ -113,11 +113,13 @@ def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
 
-    def loss(params: tuple[PyTree, Array], env: AutoReset, env_state: State, key: Key) -> tuple[Array, Stretch]:
-        return actor_loss(networks, state, params, env, env_state, key)
+    def loss(
+        params: tuple[PyTree, Array], common: AHACState, env: AutoReset, env_state: State, key: Key
+    ) -> tuple[Array, Stretch]:
+        return actor_loss(networks, common, params, env, env_state, key)
 
     params = (state.actor_params, jnp.zeros(config.horizon))
-    losses, data, (grads, norms) = per_env_gradients(loss, params, state.environments, rollout_key)
+    losses, data, (grads, norms) = per_env_gradients(loss, params, state, rollout_key)
     actor, actor_metrics = actor_step(networks, state, losses, grads)
     critics, critic_metrics = critic_update(networks, state, data, data.transitions.reward)
     growth = gradient_growth(norms, data.transitions)

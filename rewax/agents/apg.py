@@ -59,8 +59,8 @@ def train_step(config: APGConfig, state: PolicyState) -> tuple[PolicyState, Metr
     if config.horizon == 0:
         state = state.replace(environments=state.environments.restarted(reset_key))
 
-    def loss(actor_params: PyTree, env: AutoReset, env_state: State, key: Key):
-        return actor_loss(actor, state, actor_params, env, env_state, key, horizon)
+    def loss(actor_params: PyTree, common: PolicyState, env: AutoReset, env_state: State, key: Key):
+        return actor_loss(actor, common, actor_params, env, env_state, key, horizon)
 
     changes, (end, transitions), actor_metrics = actor_update(actor, state, loss, rollout_key)
     new = advanced(config, state, end, transitions, key=key, **changes)

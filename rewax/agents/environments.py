@@ -7,13 +7,14 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.agents.devices import divided
 from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
 from rewax.agents.rollout import Transition
 from rewax.envs.base import State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize, Randomized, check_hook
 from rewax.envs.wrappers import AutoReset
-from rewax.types import Array, Key
+from rewax.types import Array, Key, PyTree
 
 
 @struct.dataclass
@@ -41,17 +42,22 @@ class Environments(struct.Replaceable):
         """A key for each environment."""
         return jax.random.split(key, self.num_envs)
 
-    def map(self, function: Callable[..., Any], *args: Any) -> Any:
-        """``function(env, state, *args)`` of every environment behind ``AutoReset``.
+    def map(self, function: Callable[..., Any], shared: PyTree, *args: Any) -> Any:
+        """``function(shared, env, state, *args)`` of every environment behind ``AutoReset``.
 
         Args:
-          function: of one environment.
+          function: of one environment; it closes over nothing that is computed, see ``divided``.
+          shared: what is the same for all environments.
           args: trees with a leading axis of environments.
         """
-        axes = (self.env.axis, 0, *[0] * len(args))
-        return jax.vmap(lambda env, *rest: function(AutoReset(env=env.build()), *rest), axes)(
-            self.env.replace(axis=None), self.state, *args
-        )
+        axes = (None, self.env.axis, 0, *[0] * len(args))
+        mapped = jax.vmap(lambda shared, env, *rest: function(shared, AutoReset(env=env.build()), *rest), axes)
+        return divided(mapped, (shared, self.env.replace(axis=None), self.state, *args), [axis == 0 for axis in axes])
+
+    def common(self) -> "Environments":
+        """What all environments share: the statistics. All else is None."""
+        nothing: Any = None
+        return self.replace(env=nothing, state=nothing, episode_return=nothing)
 
     def restarted(self, key: Key) -> "Environments":
         """All environments at the beginning of new episodes."""

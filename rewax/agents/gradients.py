@@ -8,30 +8,31 @@ import jax.numpy as jnp
 import optax
 
 from rewax.agents.base import Metrics
-from rewax.agents.environments import Environments
 from rewax.envs.wrappers import AutoReset
 from rewax.status import all_finite
 from rewax.types import Array, Key, PyTree
 
-Loss = Callable[[PyTree, AutoReset, Any, Key], tuple[Array, Any]]
-"""``(params, env, state, key) -> (loss, data)`` of one environment."""
+Loss = Callable[[PyTree, Any, AutoReset, Any, Key], tuple[Array, Any]]
+"""``(params, common, env, state, key) -> (loss, data)`` of one environment; common: ``RunState.common()``."""
 
 
-def per_env_gradients(loss: Loss, params: PyTree, environments: Environments, key: Key) -> tuple[Array, Any, PyTree]:
+def per_env_gradients(loss: Loss, params: PyTree, run: Any, key: Key) -> tuple[Array, Any, PyTree]:
     """Loss, data and gradient of every environment.
 
     Args:
       loss: of one environment behind ``AutoReset``, from its state.
       params: what the gradient is taken with respect to.
-      environments: ``num_envs`` of them.
+      run: ``RunState`` with ``num_envs`` environments.
       key: split into one key per environment.
 
     Returns:
       Losses, shape (num_envs,); data, no gradient flows out of it; gradients. All have a leading axis of environments.
     """
     value_and_grad = jax.value_and_grad(loss, has_aux=True)
-    (losses, data), grads = environments.map(
-        lambda env, state, key: value_and_grad(params, env, state, key), environments.split(key)
+    (losses, data), grads = run.environments.map(
+        lambda shared, env, state, key: value_and_grad(*shared, env, state, key),
+        (params, run.common()),
+        run.environments.split(key),
     )
     return losses, jax.lax.stop_gradient(data), grads
 

@@ -130,16 +130,16 @@ def train_step(config: PPOConfig, state: PPOState) -> tuple[PPOState, Metrics]:
     key, rollout_key, epoch_key = jax.random.split(state.key, 3)
     statistics = state.environments.statistics
 
-    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-        distribution = networks.action_distribution(state.actor_params, statistics, obs)
-        raw = distribution.sample_raw(key)
-        said = {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
-        return jnp.tanh(raw), {**said, "log_prob": distribution.log_prob_raw(raw)}
+    def act(common: PPOState, env: Any, env_state: Any, key: Key):
+        def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
+            distribution = networks.action_distribution(common.actor_params, common.environments.statistics, obs)
+            raw = distribution.sample_raw(key)
+            said = {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
+            return jnp.tanh(raw), {**said, "log_prob": distribution.log_prob_raw(raw)}
 
-    def act(env: Any, env_state: Any, key: Key):
         return rollout(env, env_state, policy, key, horizon=config.horizon, differentiate="none")
 
-    end, t = state.environments.map(act, state.environments.split(rollout_key))
+    end, t = state.environments.map(act, state.common(), state.environments.split(rollout_key))
     targets, advantages, value_statistics = _targets(networks, state, t)
     batch = {
         "obs": jax.tree.map(lambda a: _masked(a, t.valid), networks.seen(statistics, t.obs)),

@@ -89,12 +89,14 @@ def train_step(config: RPOConfig, state: FirstOrderState) -> tuple[FirstOrderSta
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
 
-    def loss(shift: Array, env: AutoReset, env_state: State, key: Key) -> tuple[Array, Stretch]:
-        return shifted_loss(networks, state, shift, env, env_state, key)
+    def loss(
+        shift: Array, common: FirstOrderState, env: AutoReset, env_state: State, key: Key
+    ) -> tuple[Array, Stretch]:
+        return shifted_loss(networks, common, shift, env, env_state, key)
 
     # Every environment's actions are shifted by the same zeros; their derivatives are its own.
     shift = jnp.zeros((config.horizon, networks.action_size))
-    losses, data, by_action = per_env_gradients(loss, shift, state.environments, rollout_key)
+    losses, data, by_action = per_env_gradients(loss, shift, state, rollout_key)
     if config.max_env_grad_norm is not None:
         by_action = clip_per_env(by_action, config.max_env_grad_norm)
     finite = jnp.isfinite(losses) & jnp.all(jnp.isfinite(by_action), axis=(1, 2))

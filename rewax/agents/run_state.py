@@ -1,7 +1,7 @@
 """The state of a run: what every algorithm's has, and how it begins."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,10 @@ class RunState(struct.Replaceable):
     key: Key
     iteration: Array
     env_steps: Array
+
+    def common(self) -> Self:
+        """What all environments share, without what each has of its own."""
+        return self.replace(environments=self.environments.common())
 
 
 @struct.dataclass

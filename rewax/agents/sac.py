@@ -145,18 +145,20 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key, update_key = jax.random.split(state.key, 3)
     warming_up = state.iteration * config.horizon < config.warmup_steps
-    statistics = state.environments.statistics
 
-    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-        distribution = networks.action_distribution(state.actor_params, statistics, obs)
-        chosen = distribution.sample(key)
-        random = jax.random.uniform(key, chosen.shape, chosen.dtype, -1.0, 1.0)
-        return jnp.where(warming_up, random, chosen), {}
+    def act(common: tuple[PyTree, Any, Array], env: Any, env_state: Any, key: Key):
+        actor_params, statistics, warming_up = common
 
-    def act(env: Any, env_state: Any, key: Key):
+        def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
+            distribution = networks.action_distribution(actor_params, statistics, obs)
+            chosen = distribution.sample(key)
+            random = jax.random.uniform(key, chosen.shape, chosen.dtype, -1.0, 1.0)
+            return jnp.where(warming_up, random, chosen), {}
+
         return rollout(env, env_state, policy, key, horizon=config.horizon, differentiate="none")
 
-    end, t = state.environments.map(act, state.environments.split(rollout_key))
+    common = (state.actor_params, state.environments.statistics, warming_up)
+    end, t = state.environments.map(act, common, state.environments.split(rollout_key))
     seen = Step(t.obs, t.action, t.reward, t.next_obs, t.terminated, t.done, t.valid)
     replay = replays.add(state.replay, jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), seen))
     new = advanced(config, state, end, t, key=key, replay=replay)

@@ -62,8 +62,10 @@ def train_step(config: SHACConfig, state: FirstOrderState) -> tuple[FirstOrderSt
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
 
-    def loss(actor_params: PyTree, env: AutoReset, env_state: State, key: Key) -> tuple[Array, Stretch]:
-        return actor_loss(networks, state, actor_params, env, env_state, key)
+    def loss(
+        actor_params: PyTree, common: FirstOrderState, env: AutoReset, env_state: State, key: Key
+    ) -> tuple[Array, Stretch]:
+        return actor_loss(networks, common, actor_params, env, env_state, key)
 
     actor, data, actor_metrics = actor_update(networks, state, loss, rollout_key)
     critics, critic_metrics = critic_update(networks, state, data, data.transitions.reward)

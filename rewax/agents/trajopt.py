@@ -8,7 +8,7 @@ environments, by Adam. The actions are clipped to their bounds after each update
 """
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +110,11 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
     key, loss_key, reset_key = jax.random.split(state.key, 3)
     environments = state.environments.restarted(reset_key)
 
-    def loss(actions: Array, env: AutoReset, env_state: State, key: Key) -> tuple[Array, tuple[State, Transition]]:
+    def loss(
+        actions: Array, common: Any, env: AutoReset, env_state: State, key: Key
+    ) -> tuple[Array, tuple[State, Transition]]:
+        del common
+
         def play(obs: Observation, key: Key, action: Array) -> tuple[Array, dict[str, Array]]:
             del obs, key
             return action, {}
@@ -120,7 +124,8 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
         first = jnp.cumsum(t.done) - t.done == 0  # up to the first end of the episode
         return -jnp.sum(jnp.where(first & t.valid, t.reward, 0.0)), (end, t)
 
-    losses, (end, transitions), grads = per_env_gradients(loss, state.actions, environments, loss_key)
+    begun = state.replace(environments=environments)
+    losses, (end, transitions), grads = per_env_gradients(loss, state.actions, begun, loss_key)
     grad, metrics = mean_gradient(losses, grads, max_norm=config.max_env_grad_norm)
     actions, opt_state = apply(config.optimizer, grad, state.opt_state, state.actions)
     actions = jnp.clip(actions, spec.low, spec.high)

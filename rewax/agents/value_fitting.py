@@ -1,12 +1,15 @@
 """Regression of critics onto targets."""
 
+import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 
 from rewax.agents.base import Metrics
+from rewax.agents.devices import divided, mean_over_devices
 from rewax.agents.gradients import finite_or_zero
 from rewax.agents.optimizers import apply
 from rewax.envs.base import ArraySpec
@@ -51,12 +54,34 @@ def fit_values(
     obs = jax.tree.map(lambda a: jnp.where(_expand(valid, a), a, 0.0), dict(obs))
     targets = jnp.where(valid, targets, 0.0)
 
+    def fit(params: PyTree, opt_state: PyTree, *samples: Any) -> tuple[PyTree, PyTree, Metrics]:
+        size = len(samples[1]) * samples[1].shape[1] // minibatches
+        return _fit(values, optimizer, params, opt_state, *samples, passes, minibatches, math.gcd(chunk, size))
+
+    given = (params, opt_state, obs, targets, valid)
+    if targets.shape[1] % minibatches:  # minibatches that begin amid a time step are those of all environments
+        return fit(*given)
+    return divided(fit, given, (False, False, True, True, True), same=True)
+
+
+def _fit(
+    values: Values,
+    optimizer: optax.GradientTransformation,
+    params: PyTree,
+    opt_state: PyTree,
+    obs: Observation,
+    targets: Array,
+    valid: Array,
+    passes: int,
+    minibatches: int,
+    chunk: int,
+) -> tuple[PyTree, PyTree, Metrics]:
     def parts(a: Array) -> Array:
         by_time = jnp.swapaxes(a, 0, 1)
         return by_time.reshape(minibatches, -1, chunk, *a.shape[2:])
 
     weight = parts(valid.astype(targets.dtype))
-    share = weight.mean(axis=(1, 2), keepdims=True)
+    share = mean_over_devices(weight.mean(axis=(1, 2), keepdims=True))
     weight = weight / jnp.where(share > 0, share, 1.0)  # exactly 1 where all samples count
     batches = (jax.tree.map(parts, obs), parts(targets), weight)
 
@@ -65,7 +90,9 @@ def fit_values(
 
     def update(carry: tuple[PyTree, PyTree], batch: tuple[Observation, Array, Array]):
         params, opt_state = carry
-        value, grad = mean_over_chunks(lambda *chunk: jax.value_and_grad(loss)(params, *chunk), batch)
+        value, grad = mean_over_devices(
+            mean_over_chunks(lambda *chunk: jax.value_and_grad(loss)(params, *chunk), batch)
+        )
         grad = finite_or_zero(grad)
         return apply(optimizer, grad, opt_state, params), (value, optax.tree.norm(grad))
 

@@ -30,6 +30,8 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: an input that cannot be; one sentence.
     """
+    import jax
+
     from rewax.training.cache import enable_compilation_cache
     from rewax.training.config import ReportConfig, TrainConfig
     from rewax.training.loop import train
@@ -40,6 +42,8 @@ def run(argv: Sequence[str]) -> int:
     console = Console(highlight=False)
     enable_compilation_cache()
     first = _look_ahead(argv)
+    if first.devices > 1:
+        jax.config.update("jax_num_cpu_devices", first.devices)  # where JAX computes on a CPU: before it begins to
     import_modules(first.imports)
     chosen = algorithm(first.algo)
     scale = first.scale or registry.default_scale()
@@ -59,6 +63,7 @@ def run(argv: Sequence[str]) -> int:
             run_dir=_run_dir(args, first, scale, seed),
             seed=seed,
             resume=args.resume,
+            devices=args.devices,
         )
         for seed in range(args.seed, args.seed + args.num_seeds)
     ]
@@ -99,6 +104,7 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--env", default="RollingFlat")
     parser.add_argument("--scale", default=None)
     parser.add_argument("--algo", default="sapo")
+    parser.add_argument("--devices", type=int, default=0)
     parser.add_argument("--import", dest="imports", action="append", default=[])
     try:
         known, _ = parser.parse_known_args(list(argv))
@@ -126,6 +132,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
             ("steps", int | None, None),
             ("run_dir", str | None, None),
             ("resume", tyro.conf.FlagCreatePairsOff[bool], False),
+            ("devices", int, 0),
             (first.algo, type(agent_config), nested(agent_config)),
             ("train", type(report), nested(report)),
         ],
@@ -144,6 +151,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
       steps: environment steps in all, rounded up to whole iterations; by default what the preset says.
       run_dir: directory of the run; runs/<env>-<scale>[-<algo>]-<seed> by default.
       resume: continue the run in run-dir from its newest checkpoint.
+      devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
     """
     return options
 

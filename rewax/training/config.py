@@ -53,17 +53,21 @@ class TrainConfig(ReportConfig):
       run_dir: directory of the run.
       seed: everything random follows from it.
       resume: continue the run in ``run_dir`` from its newest checkpoint.
+      devices: over how many its environments are divided; 0: as many of JAX's as divide them. A checkpoint knows
+        nothing of devices.
     """
 
     num_iterations: int
     run_dir: str
     seed: int = 0
     resume: bool = False
+    devices: int = 0
 
 
 _LEAST = {
     "num_iterations": 1,
     "seed": 0,
+    "devices": 0,
     "log_every": 1,
     "eval_every": 0,
     "num_eval_episodes": 1,

@@ -13,6 +13,7 @@ from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig, TrainConfig
 from rewax.training.description import describe_run, read_config, write_config, write_environment
+from rewax.training.devices import ONE_DEVICE, Placement, placement
 from rewax.training.interrupt import graceful_stop
 from rewax.training.progress import say
 from rewax.training.run import Run, TrainResult
@@ -65,10 +66,11 @@ def train(
         graceful_stop(functools.partial(say, console)) as stop,
     ):
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
-        train_state, open_run = prepared(agent, env, config, describe, console)
+        where = placement(getattr(agent.config, "num_envs", None), config.devices)
+        train_state, open_run = prepared(agent, env, config, describe, console, where)
         train_step = None
         if int(train_state.iteration) < config.num_iterations:
-            train_step = compile_train_step(agent, train_state, console)
+            train_step = compile_train_step(agent, train_state, console, where)
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
         run = open_run()
         try:
@@ -81,7 +83,12 @@ def train(
 
 
 def prepared(
-    agent: Agent, env: Env, config: TrainConfig, describe: Mapping[str, Any] | None, console: Console
+    agent: Agent,
+    env: Env,
+    config: TrainConfig,
+    describe: Mapping[str, Any] | None,
+    console: Console,
+    where: Placement = ONE_DEVICE,
 ) -> tuple[Any, Callable[[], Run]]:
     """The training state to begin with, and a function that opens the run's files; before it nothing is written.
 
@@ -89,7 +96,7 @@ def prepared(
     """
     run_dir, seed_key = Path(config.run_dir).absolute(), jax.random.key(config.seed)
     description = {**describe_run(agent, env, describe), "train": config}
-    train_state = first_state(agent, config, run_dir, seed_key, description, console)
+    train_state = where.place(first_state(agent, config, run_dir, seed_key, description, console))
 
     def open_run() -> Run:
         stored = read_config(run_dir) if config.resume else {}
@@ -104,7 +111,7 @@ def prepared(
     return train_state, open_run
 
 
-def compile_train_step(agent: Agent, train_state: Any, console: Console) -> Any:
+def compile_train_step(agent: Agent, train_state: Any, console: Console, where: Placement = ONE_DEVICE) -> Any:
     """Compile ``agent.train_step`` ahead of the first iteration, telling the user how long it takes.
 
     Returns:
@@ -113,8 +120,9 @@ def compile_train_step(agent: Agent, train_state: Any, console: Console) -> Any:
     say(console, "compiling train_step ...")
     began = time.perf_counter()
     train_step = agent.train_step if hasattr(agent.train_step, "lower") else jax.jit(agent.train_step)
-    compiled = train_step.lower(train_state).compile()  # type: ignore[union-attr]
-    say(console, f"compiled in {time.perf_counter() - began:.1f} s")
+    compiled = where.compiled(train_step, train_state, donate=agent.consumes)
+    divided = f", environments on {where.num_devices} devices" if where.num_devices > 1 else ""
+    say(console, f"compiled in {time.perf_counter() - began:.1f} s{divided}")
     return compiled
 
 

@@ -12,6 +12,7 @@ from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.training import checkpoint
 from rewax.training.config import TrainConfig
+from rewax.training.devices import on_one_device
 from rewax.training.failure import FailureWatch, FiniteCheck
 from rewax.training.interrupt import Stop
 from rewax.training.metrics import CsvWriter, TensorBoardWriter
@@ -164,7 +165,7 @@ class Run:
             self._healthy = self.iteration
 
     def _evaluate(self) -> dict[str, Any]:
-        row = self.evaluator.evaluate(self.iteration, self.env_steps, self.train_state)
+        row = self.evaluator.evaluate(self.iteration, self.env_steps, on_one_device(self.train_state))
         if self.board is not None:
             self.board.write(self.iteration, row, prefix="eval")
         for sentence in self.evaluator.sentences(row):

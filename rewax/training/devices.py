@@ -1,0 +1,89 @@
+"""Where a run computes: its environments divided over devices."""
+
+import contextlib
+import dataclasses
+from typing import Any
+
+import jax
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from rewax.agents.devices import AXIS, mesh_of
+
+
+@dataclasses.dataclass(frozen=True)
+class Placement:
+    """Devices of a run: environments are divided, all else is the same on each.
+
+    Attributes:
+      mesh: None for one device.
+    """
+
+    mesh: Mesh | None
+
+    @property
+    def num_devices(self) -> int:
+        return 1 if self.mesh is None else self.mesh.size
+
+    def context(self) -> Any:
+        """Programs that are traced in it divide environments over the mesh."""
+        return contextlib.nullcontext() if self.mesh is None else jax.set_mesh(self.mesh)
+
+    def place(self, train_state: Any) -> Any:
+        """The training state on the devices of the mesh."""
+        return train_state if self.mesh is None else jax.device_put(train_state, self.shardings(train_state))
+
+    def shardings(self, train_state: Any) -> Any:
+        """Where each leaf of a training state lies."""
+        assert self.mesh is not None
+        same, split = (NamedSharding(self.mesh, PartitionSpec(*axis)) for axis in ((), (AXIS,)))
+
+        def all_of(tree: Any, sharding: NamedSharding) -> Any:
+            return jax.tree.map(lambda _: sharding, tree)
+
+        environments = train_state.environments
+        env = all_of(environments.env, same if environments.env.axis is None else split)
+        own = {"state": all_of(environments.state, split), "episode_return": split, "env": env}
+        return all_of(train_state, same).replace(environments=all_of(environments, same).replace(**own))
+
+    def compiled(self, train_step: Any, train_state: Any, *, donate: bool = False) -> Any:
+        """``train_step``, jitted, compiled for a state that is placed; the state that it returns is placed too."""
+        if self.mesh is None:
+            return train_step.lower(train_state).compile()
+        out = (self.shardings(train_state), None)
+        placed = jax.jit(lambda state: train_step(state), out_shardings=out, donate_argnums=0 if donate else ())
+        with self.context():
+            return placed.lower(train_state).compile()
+
+
+ONE_DEVICE = Placement(None)
+
+
+def placement(num_envs: int | None, wanted: int) -> Placement:
+    """Devices for so many environments.
+
+    Args:
+      num_envs: of the run; None: the algorithm does not say, and one device is used.
+      wanted: how many devices; 0: as many of JAX's as divide the environments.
+
+    Raises:
+      ValueError: there are fewer devices, or they do not divide the environments.
+    """
+    devices = jax.devices()
+    if wanted > len(devices):
+        kind = devices[0].platform
+        remedy = "; on a CPU set jax_num_cpu_devices before JAX computes anything" if kind == "cpu" else ""
+        raise ValueError(f"devices is {wanted}, but JAX has {len(devices)} ({kind}): ask for that many at most{remedy}")
+    if wanted > 1 and (num_envs is None or num_envs % wanted):
+        raise ValueError(f"devices is {wanted}, which does not divide num_envs {num_envs}: give a divisor of it, or 1")
+    most = 1 if num_envs is None else len(devices)
+    count = wanted or max(n for n in range(1, most + 1) if n == 1 or num_envs % n == 0)
+    return Placement(None if count == 1 else mesh_of(devices[:count]))
+
+
+def on_one_device(tree: Any) -> Any:
+    """The arrays on one of the devices that hold them, for programs that are not divided."""
+    devices = jax.tree.leaves(tree)[0].devices()
+    return tree if len(devices) == 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
+
+
+__all__ = ["ONE_DEVICE", "Placement", "on_one_device", "placement"]
