@@ -7,7 +7,7 @@ import tyro
 from rich.console import Console
 
 from rewax.cli.options import Imports, import_modules, parse
-from rewax.cli.train import quiet
+from rewax.cli.train import cores_as_devices, quiet
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -46,6 +46,7 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(Options, argv, prog="rewax bench", description="Compare algorithms on tasks.")
+    cores_as_devices()
     enable_compilation_cache()
     import_modules(options.imports)
     suite = read_suite(options.suite)

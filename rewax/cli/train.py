@@ -1,9 +1,11 @@
 """``rewax train``: environment, scale, algorithm and every hyper-parameter, defaults from the presets."""
 
 import argparse
+import contextlib
 import dataclasses
 import logging
 import math
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,8 +32,6 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: an input that cannot be; one sentence.
     """
-    import jax
-
     from rewax.training.cache import enable_compilation_cache
     from rewax.training.config import ReportConfig, TrainConfig
     from rewax.training.loop import train
@@ -42,8 +42,7 @@ def run(argv: Sequence[str]) -> int:
     console = Console(highlight=False)
     enable_compilation_cache()
     first = _look_ahead(argv)
-    if first.devices > 1:
-        jax.config.update("jax_num_cpu_devices", first.devices)  # where JAX computes on a CPU: before it begins to
+    cores_as_devices(first.devices)
     import_modules(first.imports)
     chosen = algorithm(first.algo)
     scale = first.scale or registry.default_scale()
@@ -90,6 +89,20 @@ def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
         return args.run_dir if args.num_seeds == 1 else f"{args.run_dir}/{seed}"
     algorithm_name = "" if first.algo == "sapo" else f"-{first.algo}"
     return f"runs/{first.env}-{scale}{algorithm_name}-{seed}"
+
+
+def cores_as_devices(num_devices: int = 0) -> None:
+    """Let JAX see the cores of a CPU as devices, each of which computes a few environments.
+
+    It has an effect only before JAX computes anything, and none on an accelerator.
+
+    Args:
+      num_devices: how many; 0: all cores.
+    """
+    import jax
+
+    with contextlib.suppress(RuntimeError):  # JAX has begun to compute
+        jax.config.update("jax_num_cpu_devices", num_devices or os.cpu_count() or 1)
 
 
 def quiet() -> None:
