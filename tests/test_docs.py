@@ -13,6 +13,8 @@ import toys
 import rewax
 
 ROOT = Path(__file__).resolve().parent.parent
+ENVS = rewax.list_envs()
+"""Before any page registers one of its own."""
 
 
 def code(page: str, needs: str = "") -> str:
@@ -116,6 +118,7 @@ def test_every_page_with_code_is_run_here():
     assert not [page.name for page in pages if f'"{page.relative_to(ROOT)}"' not in here]
 
 
+@pytest.mark.slow
 def test_the_example_of_a_rigid_task_trains(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     main = runpy.run_path(str(ROOT / "examples" / "custom_rigid_task.py"))["main"]
@@ -202,7 +205,7 @@ def test_units_page_has_the_right_table():
                 parts = material if isinstance(material, tuple) else (material,)
                 assert [float(part.density) for part in parts] == [float(d) for d in density.split(", ")], name
             found.append(name)
-    assert sorted(found) == rewax.list_envs()
+    assert sorted(found) == ENVS
 
 
 def test_troubleshooting_page_runs_and_does_what_it_says(capsys):

@@ -120,6 +120,7 @@ def test_the_target_is_drawn():
     np.testing.assert_array_equal(shapes[-1]["center"], physics.task)
 
 
+@pytest.mark.slow
 def test_gradient_by_actions_is_that_of_differences(x64):
     """The water splashes against the walls; three substeps a step."""
     env = fluid_move.small()

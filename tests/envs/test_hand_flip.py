@@ -105,6 +105,7 @@ def test_closing_the_hand_folds_the_dough():
     assert int(closed.status) & (Status.NAN | Status.OUT_OF_DOMAIN | Status.INACTIVE_NODES) == 0
 
 
+@pytest.mark.slow
 def test_gradient_by_actions_is_that_of_differences(x64):
     """64 particles between palm and two fingers, three substeps a step, all of them observed."""
     env = hand_flip.small(softness=60.0)

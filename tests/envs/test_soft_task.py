@@ -64,6 +64,7 @@ def test_a_tool_moves_linearly_and_pushes_what_it_meets():
     assert int(state.status) == rewax.Status.OK
 
 
+@pytest.mark.slow
 def test_a_task_with_tets_passes_check_env():
     check_env(poke())
 

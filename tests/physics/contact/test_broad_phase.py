@@ -82,6 +82,7 @@ def test_value_and_gradient_are_those_of_all_colliders(scene_and_state):
     assert float(jnp.abs(value_and_slope(-0.5, 1)[0][1] - every).max()) > 1e-2
 
 
+@pytest.mark.slow
 def test_a_step_uses_the_nearest_and_tells_when_more_are_near(scene_and_state):
     scene, state = scene_and_state
     step = jax.jit(mpm.step)

@@ -146,6 +146,7 @@ def test_lengths_that_do_not_fit_say_what_to_do():
         articulated.step(scene, model, state, thrown(model))
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences(x64):
     """By throw, motor, mass and stiffness; reverse equals forward; two particle substeps in one of the robot."""
     finger = FINGER.format(mass=0.03)

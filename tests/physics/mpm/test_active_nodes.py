@@ -75,6 +75,7 @@ GRADIENT = jax.jit(jax.value_and_grad(combination, has_aux=True))
 STEP = jax.jit(mpm.step)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10**6), corner=st.tuples(*[st.floats(0.0, 1.0)] * 3))
 def test_a_tight_step_equals_one_on_the_whole_grid(x64, relative_error, seed, corner):
