@@ -119,7 +119,7 @@ def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics
         return actor_loss(networks, common, params, env, env_state, key)
 
     params = (state.actor_params, jnp.zeros(config.horizon))
-    losses, data, (grads, norms) = per_env_gradients(loss, params, state, rollout_key)
+    losses, data, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
     actor, actor_metrics = actor_step(networks, state, losses, grads)
     critics, critic_metrics = critic_update(networks, state, data, data.transitions.reward)
     growth = gradient_growth(norms, data.transitions)

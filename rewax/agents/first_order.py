@@ -87,7 +87,7 @@ def actor_update(actor: Actor, state: PolicyState, loss: Loss, key: Key) -> tupl
       The fields of the state that change, ``actor_params`` and ``actor_opt``; the loss's data (leading axis of
       environments); and the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``.
     """
-    losses, data, grads = per_env_gradients(loss, state.actor_params, state, key)
+    losses, data, grads = per_env_gradients(loss, state.actor_params, state.common(), state.environments, key)
     changes, metrics = actor_step(actor, state, losses, grads)
     return changes, data, metrics
 

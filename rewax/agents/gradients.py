@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from rewax.agents.base import Metrics
+from rewax.agents.environments import Environments
 from rewax.envs.wrappers import AutoReset
 from rewax.status import all_finite
 from rewax.types import Array, Key, PyTree
@@ -16,23 +17,26 @@ Loss = Callable[[PyTree, Any, AutoReset, Any, Key], tuple[Array, Any]]
 """``(params, common, env, state, key) -> (loss, data)`` of one environment; common: ``RunState.common()``."""
 
 
-def per_env_gradients(loss: Loss, params: PyTree, run: Any, key: Key) -> tuple[Array, Any, PyTree]:
+def per_env_gradients(
+    loss: Loss, params: PyTree, common: Any, environments: Environments, key: Key
+) -> tuple[Array, Any, PyTree]:
     """Loss, data and gradient of every environment.
 
     Args:
       loss: of one environment behind ``AutoReset``, from its state.
       params: what the gradient is taken with respect to.
-      run: ``RunState`` with ``num_envs`` environments.
+      common: what else all environments share, ``RunState.common()``. The loss must close over nothing computed.
+      environments: ``num_envs`` of them.
       key: split into one key per environment.
 
     Returns:
       Losses, shape (num_envs,); data, no gradient flows out of it; gradients. All have a leading axis of environments.
     """
     value_and_grad = jax.value_and_grad(loss, has_aux=True)
-    (losses, data), grads = run.environments.map(
+    (losses, data), grads = environments.map(
         lambda shared, env, state, key: value_and_grad(*shared, env, state, key),
-        (params, run.common()),
-        run.environments.split(key),
+        (params, common),
+        environments.split(key),
     )
     return losses, jax.lax.stop_gradient(data), grads
 

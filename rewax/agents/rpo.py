@@ -96,7 +96,7 @@ def train_step(config: RPOConfig, state: FirstOrderState) -> tuple[FirstOrderSta
 
     # Every environment's actions are shifted by the same zeros; their derivatives are its own.
     shift = jnp.zeros((config.horizon, networks.action_size))
-    losses, data, by_action = per_env_gradients(loss, shift, state, rollout_key)
+    losses, data, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
     if config.max_env_grad_norm is not None:
         by_action = clip_per_env(by_action, config.max_env_grad_norm)
     finite = jnp.isfinite(losses) & jnp.all(jnp.isfinite(by_action), axis=(1, 2))

@@ -8,7 +8,7 @@ environments, by Adam. The actions are clipped to their bounds after each update
 """
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -111,7 +111,7 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
     environments = state.environments.restarted(reset_key)
 
     def loss(
-        actions: Array, common: Any, env: AutoReset, env_state: State, key: Key
+        actions: Array, common: None, env: AutoReset, env_state: State, key: Key
     ) -> tuple[Array, tuple[State, Transition]]:
         del common
 
@@ -124,8 +124,7 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
         first = jnp.cumsum(t.done) - t.done == 0  # up to the first end of the episode
         return -jnp.sum(jnp.where(first & t.valid, t.reward, 0.0)), (end, t)
 
-    begun = state.replace(environments=environments)
-    losses, (end, transitions), grads = per_env_gradients(loss, state.actions, begun, loss_key)
+    losses, (end, transitions), grads = per_env_gradients(loss, state.actions, None, environments, loss_key)
     grad, metrics = mean_gradient(losses, grads, max_norm=config.max_env_grad_norm)
     actions, opt_state = apply(config.optimizer, grad, state.opt_state, state.actions)
     actions = jnp.clip(actions, spec.low, spec.high)

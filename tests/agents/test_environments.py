@@ -39,14 +39,15 @@ def double():
 
 
 def test_a_batch_is_each_environment_alone():
-    def loss(params, env, state, key):
+    def loss(params, common, env, state, key):
+        assert common is None
         _, t = rollout(env, state, lambda obs, k: (params, {}), key, horizon=4, differentiate="full")
         return -t.reward.sum(), t
 
     params, key = jnp.array([0.3]), jax.random.key(1)
-    losses, data, grads = per_env_gradients(loss, params, start(stack(ENVS)), key)
+    losses, data, grads = per_env_gradients(loss, params, None, start(stack(ENVS)), key)
     for i, env in enumerate(ENVS):
-        one = per_env_gradients(loss, params, start(env), key)
+        one = per_env_gradients(loss, params, None, start(env), key)
         np.testing.assert_allclose(losses[i], one[0][i], rtol=1e-6)
         np.testing.assert_allclose(grads[i], one[2][i], rtol=1e-5)
         np.testing.assert_allclose(data.obs["x"][i], one[1].obs["x"][i], rtol=1e-6)

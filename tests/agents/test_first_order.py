@@ -49,7 +49,9 @@ def data(start):
         key = jax.random.split(state.key)[1]
         envs = state.environments
         return envs.map(
-            lambda env, s, k: sapo.actor_loss(networks, state, state.actor_params, env, s, k)[1], envs.split(key)
+            lambda common, env, s, k: sapo.actor_loss(networks, common, common.actor_params, env, s, k)[1],
+            state.common(),
+            envs.split(key),
         )
 
     return collect(start)

@@ -30,10 +30,10 @@ def rolled(start):
 
     @jax.jit
     def roll(state):
-        def loss(shift, env, env_state, key):
-            return rpo.shifted_loss(NETWORKS, state, shift, env, env_state, key)
+        def loss(shift, common, env, env_state, key):
+            return rpo.shifted_loss(NETWORKS, common, shift, env, env_state, key)
 
-        return per_env_gradients(loss, jnp.zeros((CONFIG.horizon, 1)), state.environments, KEY)
+        return per_env_gradients(loss, jnp.zeros((CONFIG.horizon, 1)), state.common(), state.environments, KEY)
 
     return roll(start)
 
@@ -52,10 +52,12 @@ def slope(params, start, rolled, config=CONFIG, counts=None):
 
 
 def test_the_first_epoch_follows_the_gradient_of_shac(start, rolled):
-    def loss(params, env, env_state, key):
-        return shac.actor_loss(NETWORKS, start, params, env, env_state, key)
+    def loss(params, common, env, env_state, key):
+        return shac.actor_loss(NETWORKS, common, params, env, env_state, key)
 
-    losses, _, grads = jax.jit(lambda p: per_env_gradients(loss, p, start.environments, KEY))(start.actor_params)
+    losses, _, grads = jax.jit(lambda p: per_env_gradients(loss, p, start.common(), start.environments, KEY))(
+        start.actor_params
+    )
     expected, _ = mean_of_finite(losses, grads)
     (_, said), found = slope(start.actor_params, start, rolled)
     assert said["kept"] == 1.0 and abs(said["kl"]) < 1e-6

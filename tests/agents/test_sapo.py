@@ -101,11 +101,11 @@ def per_env_gradients(config):
 
     @jax.jit
     def gradients(state):
-        def loss(params, env, env_state, key):
-            return sapo.actor_loss(networks, state, params, env, env_state, key)
+        def loss(params, common, env, env_state, key):
+            return sapo.actor_loss(networks, common, params, env, env_state, key)
 
         losses, data, grads = all_gradients(
-            loss, state.actor_params, state.environments, jax.random.split(state.key)[1]
+            loss, state.actor_params, state.common(), state.environments, jax.random.split(state.key)[1]
         )
         return (losses, data), grads
 
