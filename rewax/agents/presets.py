@@ -58,7 +58,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("RollingFlat", "paper"): SAPOConfig(num_iterations=4000),
     ("RollingFlat", "small"): SMALL,
     ("FluidMove", "paper"): SAPOConfig(num_iterations=4000),
-    ("FluidMove", "small"): dataclasses.replace(SMALL, num_iterations=60, initial_log_std=-1.0, max_env_grad_norm=0.05),
+    ("FluidMove", "small"): dataclasses.replace(SMALL, initial_log_std=-1.0, max_env_grad_norm=0.05),
     ("HandFlip", "paper"): SAPOConfig(num_iterations=6000),
     ("HandFlip", "small"): SMALL,
     ("SoftJumper", "paper"): SAPOConfig(num_iterations=6000),
