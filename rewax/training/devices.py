@@ -1,6 +1,5 @@
 """Where a run computes: its environments divided over devices."""
 
-import contextlib
 import dataclasses
 from typing import Any
 
@@ -24,13 +23,13 @@ class Placement:
     def num_devices(self) -> int:
         return 1 if self.mesh is None else self.mesh.size
 
-    def context(self) -> Any:
-        """Programs that are traced in it divide environments over the mesh."""
-        return contextlib.nullcontext() if self.mesh is None else jax.set_mesh(self.mesh)
+    def divides(self, train_state: Any) -> bool:
+        """Whether it does anything for this state: one of an algorithm of one's own may have no ``environments``."""
+        return self.mesh is not None and hasattr(train_state, "environments")
 
     def place(self, train_state: Any) -> Any:
         """The training state on the devices of the mesh."""
-        return train_state if self.mesh is None else jax.device_put(train_state, self.shardings(train_state))
+        return jax.device_put(train_state, self.shardings(train_state)) if self.divides(train_state) else train_state
 
     def shardings(self, train_state: Any) -> Any:
         """Where each leaf of a training state lies."""
@@ -47,11 +46,11 @@ class Placement:
 
     def compiled(self, train_step: Any, train_state: Any, *, donate: bool = False) -> Any:
         """``train_step``, jitted, compiled for a state that is placed; the state that it returns is placed too."""
-        if self.mesh is None:
+        if self.mesh is None or not self.divides(train_state):
             return train_step.lower(train_state).compile()
         out = (self.shardings(train_state), None)
         placed = jax.jit(lambda state: train_step(state), out_shardings=out, donate_argnums=0 if donate else ())
-        with self.context():
+        with jax.set_mesh(self.mesh):
             return placed.lower(train_state).compile()
 
 
@@ -82,8 +81,9 @@ def placement(num_envs: int | None, wanted: int) -> Placement:
 
 def on_one_device(tree: Any) -> Any:
     """The arrays on one of the devices that hold them, for programs that are not divided."""
-    devices = jax.tree.leaves(tree)[0].devices()
-    return tree if len(devices) == 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
+    arrays = (leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array))
+    devices = next((array.devices() for array in arrays), set())
+    return tree if len(devices) <= 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
 
 
 __all__ = ["ONE_DEVICE", "Placement", "on_one_device", "placement"]

@@ -121,7 +121,7 @@ def compile_train_step(agent: Agent, train_state: Any, console: Console, where: 
     began = time.perf_counter()
     train_step = agent.train_step if hasattr(agent.train_step, "lower") else jax.jit(agent.train_step)
     compiled = where.compiled(train_step, train_state, donate=agent.consumes)
-    divided = f", environments on {where.num_devices} devices" if where.num_devices > 1 else ""
+    divided = f", environments on {where.num_devices} devices" if where.divides(train_state) else ""
     say(console, f"compiled in {time.perf_counter() - began:.1f} s{divided}")
     return compiled
 
