@@ -1,44 +1,63 @@
-"""How long each algorithm's train step takes to trace and compile, without a cache.
+"""How long programs take to trace and compile, without a cache: ``reset`` and ``step``, and train steps.
 
-python benchmarks/compile_times.py --task Hopper
+python benchmarks/compile_times.py                                     # all tasks, SAPO
+python benchmarks/compile_times.py --tasks Hopper --algorithms sapo shac apg ahac rpo ppo sac trajopt
 """
 
 import argparse
 import time
+from collections.abc import Callable
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from rewax.agents.registry import algorithm
 from rewax.envs import make
+from rewax.envs.registry import list_envs
 
-ALGORITHMS = ("sapo", "shac", "apg", "ahac", "rpo", "ppo", "sac", "trajopt")
 
-
-def seconds(task: str, scale: str, name: str, repeats: int) -> tuple[float, float]:
-    """Tracing, and both together [s]; the fastest of several."""
-    known, env = algorithm(name), make(task, scale=scale)
-    agent, best = known.make(env, known.preset(task, scale)), (float("inf"), float("inf"))
-    state = jax.block_until_ready(agent.init(jax.random.key(0)))
+def best(lower: Callable[[], list[Any]], repeats: int) -> tuple[float, float]:
+    """Seconds to trace some programs, and to trace and compile them; the fastest of several."""
+    found = (float("inf"), float("inf"))
     for _ in range(repeats):
         jax.clear_caches()
         start = time.perf_counter()
-        lowered = agent.train_step.lower(state)
+        lowered = lower()
         traced = time.perf_counter() - start
-        lowered.compile()
-        best = min(best, (time.perf_counter() - start, traced))
-    return best[1], best[0]
+        for program in lowered:
+            program.compile()
+        found = min(found, (time.perf_counter() - start, traced))
+    return found[1], found[0]
+
+
+def reset_and_step(task: str, scale: str) -> Callable[[], list[Any]]:
+    env = make(task, scale=scale)
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    action = jnp.zeros(env.action_spec.shape)
+    return lambda: [jax.jit(env.reset).lower(jax.random.key(0)), jax.jit(env.step).lower(state, action)]
+
+
+def train_step(task: str, scale: str, name: str) -> Callable[[], list[Any]]:
+    known, env = algorithm(name), make(task, scale=scale)
+    agent = known.make(env, known.preset(task, scale))
+    state = jax.eval_shape(agent.init, jax.random.key(0))
+    return lambda: [agent.train_step.lower(state)]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", default="Hopper")
+    parser.add_argument("--tasks", nargs="+", default=list_envs())
     parser.add_argument("--scale", default="small")
-    parser.add_argument("--algorithms", nargs="+", default=ALGORITHMS)
-    parser.add_argument("--repeats", type=int, default=2)
+    parser.add_argument("--algorithms", nargs="*", default=["sapo"])
+    parser.add_argument("--repeats", type=int, default=1)
     args = parser.parse_args()
-    for name in args.algorithms:
-        traced, whole = seconds(args.task, args.scale, name, args.repeats)
-        print(f"{args.task} {name}: {traced:.1f} s to trace, {whole:.1f} s in all", flush=True)
+    for task in args.tasks:
+        programs = {"reset + step": reset_and_step(task, args.scale)}
+        programs |= {name: train_step(task, args.scale, name) for name in args.algorithms}
+        for name, lower in programs.items():
+            traced, whole = best(lower, args.repeats)
+            print(f"{task} {args.scale}, {name}: {traced:.1f} s to trace, {whole:.1f} s in all", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
 """What trained policies earn, beside no action, the best of random action sequences, and the untrained policy.
 
     for s in 0 1 2; do rewax train --env HandFlip --scale small --seed $s; done
-    python benchmarks/learning.py runs/HandFlip-small-*
+    python benchmarks/learning.py runs/HandFlip-small-* --out docs/tasks/results.csv
+
+Rows of other runs stay in the file that ``--out`` names; ``benchmarks/gallery.py`` makes pages of it.
 
 Returns over 64 episodes from the same starts. The best of 64 random sequences is the largest of the 64 returns, each
 of another sequence; the policies' are means, with sampled and with deterministic actions. Minutes are those of the
@@ -30,6 +32,24 @@ class Args:
     runs: tyro.conf.Positional[tuple[str, ...]]
     episodes: int = 64
     seed: int = 1234
+    out: Path | None = None
+
+
+COLUMNS = (
+    "env",
+    "scale",
+    "agent",
+    "seed",
+    "env_steps",
+    "sampled",
+    "deterministic",
+    "success",
+    "untrained",
+    "no_action",
+    "random_mean",
+    "random_best",
+    "minutes",
+)
 
 
 def baselines(env: Any, args: Args) -> dict[str, np.ndarray]:
@@ -45,30 +65,70 @@ def baselines(env: Any, args: Args) -> dict[str, np.ndarray]:
     }
 
 
+def measured(run: str, args: Args, known: dict[tuple[str, str], Any]) -> dict[str, Any]:
+    """A row; what belongs to the task alone is computed once and kept in ``known``."""
+    saved = load_run(run)
+    kind = (saved.config["env"], saved.config["scale"])
+    if kind not in known:
+        known[kind] = (
+            baselines(saved.env, args),
+            saved.agent,
+            make_evaluate(saved.env, saved.agent.policy, args.episodes),
+        )
+    without, agent, evaluate = known[kind]
+    if agent.config != saved.agent.config:
+        evaluate = make_evaluate(saved.env, saved.agent.policy, args.episodes)
+    key, seed = jax.random.key(args.seed), int(saved.config.get("seed", saved.config["train"]["seed"]))
+    untrained = evaluate(saved.agent.init(jax.random.key(seed)), key, deterministic=True)
+    sampled, fixed = (evaluate(saved.train_state, key, deterministic=d) for d in (False, True))
+    with (Path(run) / "timing.csv").open() as file:
+        minutes = sum(float(row["seconds"]) for row in csv.DictReader(file)) / 60.0
+    return {
+        "env": kind[0],
+        "scale": kind[1],
+        "agent": saved.config["agent"],
+        "seed": seed,
+        "env_steps": int(saved.train_state.env_steps),
+        "sampled": round(float(sampled["mean"]), 2),
+        "deterministic": round(float(fixed["mean"]), 2),
+        "success": round(float(fixed["success"]), 3) if "success" in fixed else "",
+        "untrained": round(float(untrained["mean"]), 2),
+        "no_action": round(float(without["no action"].mean()), 2),
+        "random_mean": round(float(without["random"].mean()), 2),
+        "random_best": round(float(without["random"].max()), 2),
+        "minutes": round(minutes, 1),
+    }
+
+
 def main(args: Args) -> int:
     enable_compilation_cache()
     print("| task | seed | sampled / deterministic | success | untrained | no action | best of random | minutes |")
     print("|---|---|---|---|---|---|---|---|", flush=True)
-    known: dict[tuple[str, str], tuple[dict[str, np.ndarray], Any]] = {}
+    known: dict[tuple[str, str], Any] = {}
     for run in args.runs:
-        saved = load_run(run)
-        kind = (saved.config["env"], saved.config["scale"])
-        if kind not in known:
-            evaluate = make_evaluate(saved.env, saved.agent.policy, args.episodes)
-            known[kind] = baselines(saved.env, args), evaluate
-        without, evaluate = known[kind]
-        key, seed = jax.random.key(args.seed), int(saved.config["seed"])
-        untrained = float(evaluate(saved.agent.init(jax.random.key(seed)), key, deterministic=True)["mean"])
-        sampled, fixed = (evaluate(saved.train_state, key, deterministic=d) for d in (False, True))
-        success = f"{float(fixed['success']):.0%}" if "success" in fixed else "-"
-        with (Path(run) / "timing.csv").open() as file:
-            minutes = sum(float(row["seconds"]) for row in csv.DictReader(file)) / 60.0
+        row = measured(run, args, known)
+        success = f"{row['success']:.0%}" if row["success"] != "" else "-"
         print(
-            f"| `{kind[0]}` | {seed} | {float(sampled['mean']):.1f} / {float(fixed['mean']):.1f} | {success} "
-            f"| {untrained:.1f} | {without['no action'].mean():.1f} | {without['random'].max():.1f} | {minutes:.1f} |",
+            f"| `{row['env']}` | {row['seed']} | {row['sampled']:.1f} / {row['deterministic']:.1f} | {success} "
+            f"| {row['untrained']:.1f} | {row['no_action']:.1f} | {row['random_best']:.1f} | {row['minutes']:.1f} |",
             flush=True,
         )
+        if args.out is not None:
+            keep(row, args.out)
     return 0
+
+
+def keep(row: dict[str, Any], path: Path) -> None:
+    """Write a row into a CSV file, in place of an older one of the same run."""
+    name = ("env", "scale", "agent", "seed")
+    rows = list(csv.DictReader(path.open())) if path.is_file() else []
+    rows = [old for old in rows if [old[n] for n in name] != [str(row[n]) for n in name]]
+    rows = sorted([*rows, row], key=lambda r: tuple(str(r[n]) for n in name))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 if __name__ == "__main__":

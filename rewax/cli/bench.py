@@ -21,6 +21,8 @@ class Options:
       tasks: only these of the suite's tasks.
       algorithms: only these of the suite's algorithms.
       seeds: only these of the suite's seeds.
+      devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
+        Several benchmarks of one core each, side by side, do more in an hour than one on all cores.
     """
 
     suite: tyro.conf.Positional[str]
@@ -29,6 +31,7 @@ class Options:
     tasks: tuple[str, ...] = ()
     algorithms: tuple[str, ...] = ()
     seeds: tuple[int, ...] = ()
+    devices: int = 0
 
 
 def run(argv: Sequence[str]) -> int:
@@ -46,7 +49,9 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(Options, argv, prog="rewax bench", description="Compare algorithms on tasks.")
-    cores_as_devices()
+    if options.devices < 0:
+        raise ValueError(f"devices is {options.devices}: use 0 for all, or 1 or more")
+    cores_as_devices(options.devices)
     enable_compilation_cache()
     import_modules(options.imports)
     suite = read_suite(options.suite)
@@ -56,7 +61,7 @@ def run(argv: Sequence[str]) -> int:
             raise ValueError(f"{name} of the suite {suite.name} are {', '.join(map(str, known))}, without {odd[0]}")
     chosen = {name: getattr(options, name) or getattr(suite, name) for name in ("tasks", "algorithms", "seeds")}
     out = options.out or f"bench/{suite.name}"
-    signum = run_suite(suite, out, Console(highlight=False), part=suite.only(**chosen))
+    signum = run_suite(suite, out, Console(highlight=False), part=suite.only(**chosen), devices=options.devices)
     return 128 + signum if signum else 0
 
 

@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+import tyro
+
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
@@ -19,6 +21,8 @@ class Options:
       seed: draws the starts; the same seed gives the same ones to every policy.
       step: iteration of the checkpoint, the newest by default.
       video: record an episode with deterministic actions as episode.mp4 in the run's directory.
+      color_by: what colours particles in it: material, height, or what the environment offers (speed, strain).
+      surface: show particles in it by the surfaces of their materials; needs rewax[surfaces].
     """
 
     run_dir: str
@@ -27,6 +31,8 @@ class Options:
     seed: int = 0
     step: int | None = None
     video: bool = True
+    color_by: str = "material"
+    surface: tyro.conf.FlagCreatePairsOff[bool] = False
 
 
 def run(argv: Sequence[str]) -> int:
@@ -43,11 +49,14 @@ def run(argv: Sequence[str]) -> int:
     from rewax.training.pictures import attempt, draw_video
     from rewax.training.recording import can_record, record
     from rewax.training.saved import load_run
+    from rewax.viz.surface import need_marching_cubes
 
     quiet()
     options = parse(Options, argv, prog="rewax eval", description="Evaluate what a run has learnt.")
     if options.episodes < 1:
         raise ValueError(f"episodes is {options.episodes}: use 1 or more")
+    if options.surface:
+        need_marching_cubes()
     enable_compilation_cache()
     import_modules(options.imports)
     saved = load_run(options.run_dir, step=options.step)
@@ -63,14 +72,12 @@ def run(argv: Sequence[str]) -> int:
         print(f"{name:13s} {mean}, {numbers}{success}, {int(result['failed'])} of {options.episodes} failed")
     env = getattr(saved.env, "unwrapped", saved.env)
     if options.video and can_record(env):
-        print(
-            attempt(
-                Path(options.run_dir) / "episode.mp4",
-                lambda path: draw_video(
-                    record(env, saved.agent.policy, saved.train_state, jax.random.key(options.seed)), path
-                ),
-            )
-        )
+
+        def draw(path: Path) -> str:
+            recording = record(env, saved.agent.policy, saved.train_state, jax.random.key(options.seed))
+            return draw_video(recording, path, color_by=options.color_by, surface=options.surface)
+
+        print(attempt(Path(options.run_dir) / "episode.mp4", draw))
     return 0
 
 

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
-_COMMANDS = {
+_WHAT = {
     "train": "train a policy on an environment",
     "eval": "evaluate what a run has learnt",
     "bench": "compare algorithms on tasks, one table",
@@ -17,8 +17,9 @@ _COMMANDS = {
     "envs": "list the environments",
     "check": "check an environment of one's own",
     "doctor": "say what is installed and what is wrong with it",
+    "completion": "print what teaches a shell these commands",
 }
-_HOMES = {
+COMMANDS = {
     "train": "rewax.cli.train",
     "eval": "rewax.cli.evaluate",
     "bench": "rewax.cli.bench",
@@ -29,7 +30,9 @@ _HOMES = {
     "envs": "rewax.cli.environments",
     "check": "rewax.cli.check",
     "doctor": "rewax.cli.doctor",
+    "completion": "rewax.cli.completion",
 }
+"""Modules of the commands by name."""
 _CLEAN_EXIT, _BAD_INPUT = 0, 2
 
 
@@ -63,15 +66,15 @@ def _run(argv: list[str]) -> int:
     if not argv or argv[0] in ("-h", "--help", "help"):
         print(_help())
         return _CLEAN_EXIT if argv else _BAD_INPUT
-    if argv[0] not in _COMMANDS:
-        raise ValueError(f"there is no command {argv[0]!r}: use one of {', '.join(_COMMANDS)}, or --help")
-    command = importlib.import_module(_HOMES[argv[0]])
+    if argv[0] not in COMMANDS:
+        raise ValueError(f"there is no command {argv[0]!r}: use one of {', '.join(COMMANDS)}, or --help")
+    command = importlib.import_module(COMMANDS[argv[0]])
     return command.run(argv[1:])
 
 
 def _help() -> str:
-    lines = [f"  rewax {name:10s} {what}" for name, what in _COMMANDS.items()]
+    lines = [f"  rewax {name:10s} {what}" for name, what in _WHAT.items()]
     return "\n".join(["usage: rewax COMMAND [OPTIONS]", "", *lines, "", "rewax COMMAND --help lists the options."])
 
 
-__all__ = ["main"]
+__all__ = ["COMMANDS", "main"]

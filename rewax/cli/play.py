@@ -1,6 +1,8 @@
-"""``rewax play``: what runs have learnt, side by side in one page that a browser opens without a network."""
+"""``rewax play``: what runs have learnt, side by side in one page that a browser opens without a network, or live."""
 
 import dataclasses
+import signal
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +10,9 @@ import tyro
 
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
+
+_POLL = 1.0
+"""Between looks for a new checkpoint of a live run [s]."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,6 +27,9 @@ class Options:
       sampled: draw the actions as in training, instead of taking the most likely ones.
       step: iteration of the checkpoints, the newest by default.
       frames: moments that are kept of an episode, at most.
+      live: instead of writing a page, serve one that shows each new checkpoint of one run, while it trains.
+      host: where the live page is served; 127.0.0.1 is seen by this machine alone.
+      port: of the live page.
     """
 
     runs: tyro.conf.Positional[tuple[str, ...]]
@@ -31,10 +39,16 @@ class Options:
     sampled: tyro.conf.FlagCreatePairsOff[bool] = False
     step: int | None = None
     frames: int = 301
+    live: tyro.conf.FlagCreatePairsOff[bool] = False
+    host: str = "127.0.0.1"
+    port: int = 8080
 
 
 def run(argv: Sequence[str]) -> int:
-    """Record an episode of each run and write the page.
+    """Record an episode of each run and write the page, or serve a live one.
+
+    Returns:
+      Exit code: 0; 128 + signal after a live view that was interrupted.
 
     Raises:
       ValueError: no runs or too many, a run that cannot be read, an environment that shows nothing; one sentence.
@@ -57,6 +71,8 @@ def run(argv: Sequence[str]) -> int:
         raise ValueError(f"frames is {options.frames}: use 2 or more")
     enable_compilation_cache()
     import_modules(options.imports)
+    if options.live:
+        return _live(options)
     recordings = []
     for directory, name in zip(options.runs, _names(options.runs), strict=True):
         saved = load_run(directory, step=options.step)
@@ -76,6 +92,41 @@ def run(argv: Sequence[str]) -> int:
     write_player(recordings, out, title=", ".join(_names(options.runs)))
     print(f"wrote {out}, {out.stat().st_size / 1e6:.1f} MB: open it in a browser")
     return 0
+
+
+def _live(options: Options) -> int:
+    """Show the newest checkpoint of a run, and each that follows, until interrupted."""
+    import jax
+
+    from rewax.training import checkpoint
+    from rewax.training.recording import make_record
+    from rewax.training.saved import load_run
+    from rewax.viz.live import LiveViewer
+
+    if len(options.runs) != 1 or options.step is not None:
+        raise ValueError("a live view shows the newest checkpoint of one run: give one run directory, and no step")
+    directory = options.runs[0]
+    saved, (name,) = load_run(directory), _names(options.runs)
+    env = getattr(saved.env, "unwrapped", saved.env)
+    record = make_record(env, saved.agent.policy, max_frames=options.frames, deterministic=not options.sampled)
+    viewer = LiveViewer(host=options.host, port=options.port)
+    print(f"{viewer.url} shows {directory}; Ctrl-C ends it", flush=True)
+    train_state, shown = saved.train_state, -1
+    try:
+        while True:
+            iteration = int(train_state.iteration)
+            recording = record(train_state, jax.random.key(options.seed), name)
+            said = f"iteration {iteration}: {int(recording.steps[-1])} steps, return {recording.totals[-1]:.4g}"
+            print(said, flush=True)
+            viewer.show(recording, f"**{name}**, {said}")
+            shown = iteration
+            while (checkpoint.latest_step(directory) or shown) == shown:
+                time.sleep(_POLL)
+            train_state = checkpoint.restore(directory, train_state)
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    finally:
+        viewer.close()
 
 
 def _names(directories: Sequence[str]) -> list[str]:

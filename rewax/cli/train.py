@@ -62,6 +62,7 @@ def run(argv: Sequence[str]) -> int:
             run_dir=_run_dir(args, first, scale, seed),
             seed=seed,
             resume=args.resume,
+            init_from=args.init_from,
             devices=args.devices,
         )
         for seed in range(args.seed, args.seed + args.num_seeds)
@@ -145,6 +146,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
             ("steps", int | None, None),
             ("run_dir", str | None, None),
             ("resume", tyro.conf.FlagCreatePairsOff[bool], False),
+            ("init_from", str, ""),
             ("devices", int, 0),
             (first.algo, type(agent_config), nested(agent_config)),
             ("train", type(report), nested(report)),
@@ -164,6 +166,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
       steps: environment steps in all, rounded up to whole iterations; by default what the preset says.
       run_dir: directory of the run; runs/<env>-<scale>[-<algo>]-<seed> by default.
       resume: continue the run in run-dir from its newest checkpoint.
+      init_from: directory of a run of the same algorithm: begin with its networks, temperature and statistics.
       devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
     """
     return options

@@ -49,7 +49,9 @@ def cells(suite: Suite) -> Iterator[Cell]:
                 yield Cell(task, name, seed)
 
 
-def run_suite(suite: Suite, out_dir: str | Path, console: Console, *, part: Suite | None = None) -> int:
+def run_suite(
+    suite: Suite, out_dir: str | Path, console: Console, *, part: Suite | None = None, devices: int = 0
+) -> int:
     """Do all runs that are not done yet, and write ``results.csv``, ``table.md`` and learning curves after each.
 
     A run that fails, or stops with an error, is written down as such, and the next one is done.
@@ -59,6 +61,7 @@ def run_suite(suite: Suite, out_dir: str | Path, console: Console, *, part: Suit
       out_dir: holds the results, and the run directories in ``runs/<task>/<algorithm>/<seed>``.
       console: where to print.
       part: what to run of it; by default all.
+      devices: over how many environments are divided, see ``TrainConfig``.
 
     Returns:
       The signal that stopped it, 0 if all runs are done.
@@ -77,7 +80,7 @@ def run_suite(suite: Suite, out_dir: str | Path, console: Console, *, part: Suit
         if read_result(cell.folder(out_dir)):
             continue
         say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
-        if signum := _run(suite, cell, out_dir, console):
+        if signum := _run(suite, cell, out_dir, console, devices):
             say(console, f"stopped: the same command continues {out_dir}")
             return signum
         write_results(suite, rows(suite, out_dir), out_dir)
@@ -120,7 +123,7 @@ def read_result(folder: Path) -> dict[str, Any]:
     return result if whole else {}
 
 
-def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console) -> int:
+def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int) -> int:
     """One run, from its newest checkpoint if it has one; the signal that stopped it."""
     folder, known, env = cell.folder(out_dir), algorithm(cell.algorithm), make(cell.task, scale=suite.scale)
     config = suite.config(cell.task, cell.algorithm)
@@ -132,6 +135,7 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console) -> int:
         num_iterations=config.num_iterations,
         run_dir=str(folder),
         seed=cell.seed,
+        devices=devices,
         resume=checkpoint.latest_step(folder) is not None,
         num_eval_episodes=suite.num_eval_episodes,
         eval_every=0,

@@ -18,6 +18,7 @@ class ReportConfig:
       num_frames: moments of the episode in the latter.
       video: with the plots, also write the episode as a video and as a page for a browser.
       tensorboard: write event files beside the CSV.
+      wandb: project of Weights & Biases that gets the numbers too (needs rewax[wandb]); empty for none.
       max_failed_share: share of numerically failed episodes above which the run stops; 1 never stops it.
       failure_window: iterations over which that share is taken.
     """
@@ -32,6 +33,7 @@ class ReportConfig:
     num_frames: int = 6
     video: bool = True
     tensorboard: bool = True
+    wandb: str = ""
     max_failed_share: float = 0.5
     failure_window: int = 20
 
@@ -53,6 +55,7 @@ class TrainConfig(ReportConfig):
       run_dir: directory of the run.
       seed: everything random follows from it.
       resume: continue the run in ``run_dir`` from its newest checkpoint.
+      init_from: directory of a run whose networks, temperature and statistics a new run begins with; empty for none.
       devices: over how many its environments are divided; 0: as many of JAX's as divide them. A checkpoint knows
         nothing of devices.
     """
@@ -61,6 +64,7 @@ class TrainConfig(ReportConfig):
     run_dir: str
     seed: int = 0
     resume: bool = False
+    init_from: str = ""
     devices: int = 0
 
 

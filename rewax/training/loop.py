@@ -15,6 +15,7 @@ from rewax.training.config import ReportConfig, TrainConfig
 from rewax.training.description import describe_run, read_config, write_config, write_environment
 from rewax.training.devices import ONE_DEVICE, Placement, placement
 from rewax.training.interrupt import graceful_stop
+from rewax.training.metrics import need_wandb
 from rewax.training.progress import say
 from rewax.training.run import Run, TrainResult
 from rewax.training.run_directory import hold
@@ -57,8 +58,8 @@ def train(
       console: where to print; standard output by default.
 
     Raises:
-      ValueError: ``run_dir`` cannot be used, another process uses it, it holds a run already and ``resume`` is off, or
-        its run cannot be resumed.
+      ValueError: ``run_dir`` cannot be used, another process uses it, it holds a run already and ``resume`` is off,
+        its run cannot be resumed, or ``wandb`` is asked for and not installed.
     """
     console = console or Console()
     with (
@@ -94,6 +95,8 @@ def prepared(
 
     The directory has to be held.
     """
+    if config.wandb:
+        need_wandb()
     run_dir, seed_key = Path(config.run_dir).absolute(), jax.random.key(config.seed)
     description = {**describe_run(agent, env, describe), "train": config}
     train_state = where.place(first_state(agent, config, run_dir, seed_key, description, console))

@@ -1,10 +1,11 @@
-"""Numbers of a run on disk: CSV always, TensorBoard beside it.
+"""Numbers of a run: CSV always, TensorBoard beside it, Weights & Biases where one asks for it.
 
 ``metrics.csv`` and ``eval.csv`` hold nothing that depends on the clock, so two runs with one seed write the same bytes
 on a CPU, and so does a resumed run; times are in ``timing.csv``.
 """
 
 import csv
+import importlib.util
 import io
 import math
 from collections.abc import Mapping
@@ -91,6 +92,58 @@ class TensorBoardWriter:
     def close(self) -> None:
         """Write what is buffered and close the file."""
         self._writer.close()
+
+
+class WandbWriter:
+    """Sends scalars to Weights & Biases, against the iteration; numbers that are not finite are left out.
+
+    A resumed run goes on in the same place: its identifier is kept in ``wandb_id`` in the run's directory.
+
+    Args:
+      project: name of the project.
+      run_dir: directory of the run, whose name the run gets; ``wandb``'s own files go there too.
+      config: what the run is, for its page.
+
+    Raises:
+      ValueError: wandb is not installed.
+    """
+
+    def __init__(self, project: str, run_dir: Path, config: Mapping[str, Any]) -> None:
+        need_wandb()
+        import wandb  # slow to import, and only needed here
+
+        path = run_dir / "wandb_id"
+        if not path.is_file():
+            path.write_text(wandb.util.generate_id() + "\n")
+        self._run = wandb.init(
+            project=project,
+            name=run_dir.name,
+            id=path.read_text().strip(),
+            resume="allow",
+            dir=str(run_dir),
+            config=dict(config),
+        )
+        self._run.define_metric("iteration")
+        self._run.define_metric("*", step_metric="iteration")
+
+    def write(self, iteration: int, values: Mapping[str, Any], *, prefix: str = "train") -> None:
+        """Send ``<prefix>/<name>`` for every value."""
+        finite = {f"{prefix}/{name}": float(value) for name, value in values.items() if math.isfinite(value)}
+        self._run.log({"iteration": iteration, **finite})
+
+    def close(self) -> None:
+        """Send what is left."""
+        self._run.finish()
+
+
+def need_wandb() -> None:
+    """Check that the package is there.
+
+    Raises:
+      ValueError: it is not.
+    """
+    if importlib.util.find_spec("wandb") is None:
+        raise ValueError("train.wandb needs Weights & Biases: pip install 'rewax[wandb]'")
 
 
 def read_csv(path: str | Path) -> dict[str, np.ndarray]:

@@ -48,11 +48,11 @@ def draw_strip(recording: Recording, out_png: Path, *, num_frames: int) -> str:
     return ""
 
 
-def draw_video(recording: Recording, out_mp4: Path) -> str:
+def draw_video(recording: Recording, out_mp4: Path, *, color_by: str = "material", surface: bool = False) -> str:
     """An episode as a video; returns how fast it plays."""
     from rewax.viz.video import record_video
 
-    return record_video(recording, out_mp4)
+    return record_video(recording, out_mp4, color_by=color_by, surface=surface)
 
 
 def draw_page(recording: Recording, out_html: Path) -> str:

@@ -47,25 +47,41 @@ def record(
     Raises:
       ValueError: too few frames, or nothing to show.
     """
+    made = make_record(env, policy, max_frames=max_frames, deterministic=deterministic)
+    return made(train_state, key, name)
+
+
+def make_record(
+    env: Env, policy: Policy, *, max_frames: int = 301, deterministic: bool = True
+) -> Callable[[PyTree, Key, str], Recording]:
+    """``record`` for several training states: ``(train_state, key, name) -> recording``, compiled once.
+
+    Raises:
+      ValueError: too few frames, or nothing to show.
+    """
     if max_frames < 2:
         raise ValueError(f"max_frames is {max_frames}: use 2 or more")
     if not can_record(env):
         raise ValueError(_NOTHING)
     every = max(1, -(-env.episode_length // (max_frames - 1)))
-    reset_key, act_key = jax.random.split(key)
-    advance = _make_advance(env, policy, act_key, every, deterministic)
-    state = jax.jit(env.reset)(reset_key)
-    see = _make_see(env, state.physics)
-    seen, steps, rewards, status = [see(state.physics)], [0], [], []
-    while not bool(state.done) and steps[-1] < env.episode_length:
-        state, of_steps = advance(train_state, state)
-        count = int(state.step_count) - steps[-1]
-        reward, bits = jax.device_get(of_steps)
-        rewards.append(reward[:count])
-        status.append(bits[:count])
-        steps.append(int(state.step_count))
-        seen.append(see(state.physics))
-    return _recording(env, seen, steps, rewards, status, name)
+    reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
+    see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
+
+    def made(train_state: PyTree, key: Key, name: str = "") -> Recording:
+        reset_key, act_key = jax.random.split(key)
+        state = reset(reset_key)
+        seen, steps, rewards, status = [see(state.physics)], [0], [], []
+        while not bool(state.done) and steps[-1] < env.episode_length:
+            state, of_steps = advance(train_state, state, act_key)
+            count = int(state.step_count) - steps[-1]
+            reward, bits = jax.device_get(of_steps)
+            rewards.append(reward[:count])
+            status.append(bits[:count])
+            steps.append(int(state.step_count))
+            seen.append(see(state.physics))
+        return _recording(env, seen, steps, rewards, status, name)
+
+    return made
 
 
 def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
@@ -84,12 +100,14 @@ def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
     return of
 
 
-def _make_advance(env: Env, policy: Policy, act_key: Key, every: int, deterministic: bool) -> Callable[..., Any]:
-    """``(train_state, state) -> state, (rewards, status)`` of at most ``every`` steps, none after the episode's end."""
+def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> Callable[..., Any]:
+    """``(train_state, state, key) -> state, (rewards, status)`` of at most ``every`` steps, none after the episode's
+    end.
+    """
     told = told_the_step(policy)
 
     @jax.jit
-    def advance(train_state: PyTree, state: State) -> tuple[State, tuple[Array, Array]]:
+    def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, tuple[Array, Array]]:
         def body(state: State, _: None) -> tuple[State, tuple[Array, Array]]:
             step = state.step_count
             action = told(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
@@ -161,4 +179,4 @@ def _recording(
     )
 
 
-__all__ = ["can_record", "record", "snapshots"]
+__all__ = ["can_record", "make_record", "record", "snapshots"]

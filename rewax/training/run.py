@@ -12,10 +12,11 @@ from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.training import checkpoint
 from rewax.training.config import TrainConfig
+from rewax.training.description import read_config
 from rewax.training.devices import on_one_device
 from rewax.training.failure import FailureWatch, FiniteCheck
 from rewax.training.interrupt import Stop
-from rewax.training.metrics import CsvWriter, TensorBoardWriter
+from rewax.training.metrics import CsvWriter, TensorBoardWriter, WandbWriter
 from rewax.training.progress import ProgressReport, say
 from rewax.training.report import Evaluator
 from rewax.training.schedule import Schedule, due_rows, lost_rows
@@ -59,7 +60,7 @@ class Run:
         resume_at = self.iteration
         self.metrics = CsvWriter(run_dir / "metrics.csv", resume_at=resume_at)
         self.timing = CsvWriter(run_dir / "timing.csv", resume_at=resume_at)
-        self.board = TensorBoardWriter(run_dir / "tensorboard", resume_at=resume_at) if config.tensorboard else None
+        self.boards = _boards(config, run_dir, resume_at)
         self.evaluator = Evaluator(env, agent.policy, config, run_dir, key, resume_at=resume_at)
         self.watch, self.finite = FailureWatch(env, config), FiniteCheck(train_state)
         self._healthy: int | None = checkpoint.latest_step(run_dir)
@@ -131,8 +132,8 @@ class Run:
             times = {"seconds": round(seconds, 6), "steps_per_second": round(speed, 3)}
             self.metrics.write(iteration, {"env_steps": env_steps, **metrics})
             self.timing.write(iteration, times)
-            if self.board is not None:
-                self.board.write(iteration, {**metrics, **times})
+            for board in self.boards:
+                board.write(iteration, {**metrics, **times})
         if self._progress is not None:
             self._progress.update(iteration, env_steps, metrics, speed)
         self.say(self.watch.add(iteration, env_steps - before, metrics))
@@ -166,8 +167,8 @@ class Run:
 
     def _evaluate(self) -> dict[str, Any]:
         row = self.evaluator.evaluate(self.iteration, self.env_steps, on_one_device(self.train_state))
-        if self.board is not None:
-            self.board.write(self.iteration, row, prefix="eval")
+        for board in self.boards:
+            board.write(self.iteration, row, prefix="eval")
         for sentence in self.evaluator.sentences(row):
             self.say(sentence)
         return row
@@ -202,6 +203,15 @@ class Run:
 
     def close(self) -> None:
         """Close every file."""
-        for writer in (self.metrics, self.timing, self.board, self.evaluator):
-            if writer is not None:
-                writer.close()
+        for writer in (self.metrics, self.timing, *self.boards, self.evaluator):
+            writer.close()
+
+
+def _boards(config: TrainConfig, run_dir: Path, resume_at: int) -> list[TensorBoardWriter | WandbWriter]:
+    """Where numbers go beside the CSV files."""
+    found: list[TensorBoardWriter | WandbWriter] = []
+    if config.tensorboard:
+        found.append(TensorBoardWriter(run_dir / "tensorboard", resume_at=resume_at))
+    if config.wandb:
+        found.append(WandbWriter(config.wandb, run_dir, read_config(run_dir)))
+    return found

@@ -12,6 +12,7 @@ from rewax.training import checkpoint
 from rewax.training.config import TrainConfig
 from rewax.training.description import changes, plain, read_config
 from rewax.training.progress import say
+from rewax.training.warm_start import warm_started
 from rewax.types import Key
 
 _FLAGS = {"env": "--env", "scale": "--scale", "agent": "--algo"}
@@ -31,7 +32,8 @@ def first_state(
       console: notes what is different from the run that is resumed.
 
     Raises:
-      ValueError: the directory holds a run and ``config.resume`` is off, or one that this configuration cannot resume.
+      ValueError: the directory holds a run and ``config.resume`` is off, or one that this configuration cannot resume;
+        ``config.init_from`` does not fit.
     """
     if not config.resume:
         metrics = run_dir / "metrics.csv"
@@ -39,7 +41,11 @@ def first_state(
             raise ValueError(
                 f"{run_dir} holds a run already: resume it (--resume) or choose another directory (--run-dir)"
             )
-        return jax.jit(agent.init)(key)
+        fresh = jax.jit(agent.init)(key)
+        if not config.init_from:
+            return fresh
+        say(console, f"beginning with what {config.init_from} has learnt")
+        return warm_started(fresh, config.init_from)
     differences = changes(read_config(run_dir), plain(description))
     for name, old, new in differences:
         if name in _FLAGS:

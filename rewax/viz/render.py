@@ -8,12 +8,18 @@ import numpy as np
 
 from rewax.viz.colors import color_by as colors_of
 from rewax.viz.recording import Recording
+from rewax.viz.surface import need_marching_cubes
 
 RENDERERS = ("auto", "mujoco", "software")
 
 
 def pictures(
-    recording: Recording, *, size: tuple[int, int] = (360, 480), renderer: str = "auto", color_by: str = "material"
+    recording: Recording,
+    *,
+    size: tuple[int, int] = (360, 480),
+    renderer: str = "auto",
+    color_by: str = "material",
+    surface: bool = False,
 ) -> Iterator[np.ndarray]:
     """Draw every frame of a recording.
 
@@ -23,19 +29,26 @@ def pictures(
       renderer: ``mujoco`` needs OpenGL through EGL or OSMesa; ``software`` needs nothing; ``auto`` takes MuJoCo's where
         a graphics card draws, and goes on with the other one if it fails.
       color_by: what colours particles: ``material``, ``height``, ``speed``, ``strain``.
+      surface: show particles by the surfaces of their materials, which ``software`` alone draws; it needs scikit-image.
 
     Returns:
       Pictures in order, uint8 of shape (height, width, 3).
 
     Raises:
-      ValueError: an unknown renderer, nothing of the name ``color_by``, or no OpenGL for ``mujoco``.
+      ValueError: an unknown renderer, nothing of the name ``color_by``, no OpenGL for ``mujoco``, surfaces with it or
+        without scikit-image.
     """
     if renderer not in RENDERERS:
         raise ValueError(f"renderer is {renderer!r}: use one of {', '.join(RENDERERS)}")
     if recording.particles is not None and color_by not in colors_of(recording):
         raise ValueError(f"particles cannot be coloured by {color_by!r}: use one of {', '.join(colors_of(recording))}")
+    if surface:
+        if renderer == "mujoco":
+            raise ValueError("the renderer mujoco draws no surfaces of particles: use software or auto")
+        need_marching_cubes()
+        renderer = "software"
     if renderer == "software":
-        return software_pictures(recording, size, color_by)
+        return software_pictures(recording, size, color_by, surface=surface)
     from rewax.viz.opengl import find_opengl
 
     found = find_opengl()
@@ -53,11 +66,13 @@ def pictures(
     return _or_software(recording, size, color_by, found.name)
 
 
-def software_pictures(recording: Recording, size: tuple[int, int], color_by: str) -> Iterator[np.ndarray]:
+def software_pictures(
+    recording: Recording, size: tuple[int, int], color_by: str, *, surface: bool = False
+) -> Iterator[np.ndarray]:
     """Pictures by numpy alone, a few at a time in as many threads."""
     from rewax.viz.software import SoftwareRenderer
 
-    drawn = SoftwareRenderer(recording, height=size[0], width=size[1], color_by=color_by)
+    drawn = SoftwareRenderer(recording, height=size[0], width=size[1], color_by=color_by, surface=surface)
     threads = max(1, min(4, os.cpu_count() or 1))
     with ThreadPoolExecutor(threads) as pool:
         for first in range(0, recording.num_frames, 4 * threads):  # no more are kept than these

@@ -9,6 +9,7 @@ from rewax.viz.ground import Ground, sky
 from rewax.viz.raycast import hit, turned
 from rewax.viz.recording import Recording, diameters
 from rewax.viz.shapes import Drawing, support
+from rewax.viz.surface import has_surfaces, surfaces
 
 _SAMPLES = 2
 """Samples along either edge of a pixel; colours are their mean."""
@@ -21,10 +22,14 @@ class SoftwareRenderer:
       recording: what to show.
       height, width: of a picture in pixels.
       color_by: what colours particles, see ``rewax.viz.colors.color_by``.
+      surface: show particles by the surfaces of their materials (``rewax.viz.surface``) instead of spheres.
     """
 
-    def __init__(self, recording: Recording, *, height: int, width: int, color_by: str = "material") -> None:
+    def __init__(
+        self, recording: Recording, *, height: int, width: int, color_by: str = "material", surface: bool = False
+    ) -> None:
         self._recording, self._size = recording, (height, width)
+        self._surface = surface and has_surfaces(recording)
         self._rows, self._columns = _SAMPLES * height, _SAMPLES * width
         self._framing = frame_recording(recording, aspect=width / height)
         self._up = np.asarray(recording.up, float)
@@ -74,37 +79,70 @@ class SoftwareRenderer:
     def _draw_cloud(
         self, camera: Camera, cloud: np.ndarray, frame: int, depth: np.ndarray, picture: np.ndarray
     ) -> None:
-        """Spheres, or the surface of a mesh."""
-        assert self._radii is not None and self._colors is not None
+        """Spheres, or the surface of a mesh, or surfaces around particles."""
+        assert self._colors is not None
         colors = self._colors if self._colors.ndim == 2 else self._colors[frame]
-        buffer = NearestBuffer(self._rows, self._columns)
-        column, row, far = (a.astype(np.float32) for a in camera.project(cloud, self._rows, self._columns))
         triangles = self._recording.triangles
         if triangles is not None:
-            buffer.add_triangles(np.stack([column, row, far], axis=-1)[triangles])
-            pixels, which, at = buffer.result()
-            shown = at < depth[pixels]
-            pixels, which, at = pixels[shown], which[shown], at[shown]
             corners = cloud[triangles]
             faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             faces /= np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-12)
-            normal, color = faces[which].astype(np.float32), colors[triangles].mean(axis=1)[which]
+            self._draw_triangles(camera, corners, faces, colors[triangles].mean(axis=1), depth, picture)
+        elif self._surface:
+            for part in surfaces(self._recording, frame):
+                normals = part.normals[part.triangles].mean(axis=1)
+                color = colors[part.nearest][part.triangles].mean(axis=1)
+                self._draw_triangles(camera, part.vertices[part.triangles], normals, color, depth, picture)
+                self._draw_spheres(camera, cloud, part.loose, colors, depth, picture)
         else:
-            seen = np.flatnonzero(far > 0.02 * camera.distance)
-            radius = np.zeros_like(far)
-            radius[seen] = np.clip(self._radii[seen] * focal_length(self._rows) / far[seen], 0.75, 400.0)
-            buffer.add_spheres(column[seen], row[seen], far[seen], radius[seen])
-            pixels, which, at = buffer.result()
-            which = seen[which]
-            shown = at - self._radii[which] < depth[pixels]
-            pixels, which, at = pixels[shown], which[shown], at[shown]
-            x = (pixels % self._columns + 0.5 - column[which]) / radius[which]
-            y = (row[which] - pixels // self._columns - 0.5) / radius[which]
-            z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
-            normal, color = turned(np.stack([x, y, z], axis=1), self._axes), colors[which]
-            at = at - self._radii[which] * z
-            shown = at < depth[pixels]
-            pixels, at, normal, color = pixels[shown], at[shown], normal[shown], color[shown]
+            self._draw_spheres(camera, cloud, np.arange(len(cloud)), colors, depth, picture)
+
+    def _draw_triangles(
+        self,
+        camera: Camera,
+        corners: np.ndarray,
+        normals: np.ndarray,
+        colors: np.ndarray,
+        depth: np.ndarray,
+        picture: np.ndarray,
+    ) -> None:
+        """Triangles with corners of shape (n, 3, 3) and a normal and a colour each."""
+        buffer = NearestBuffer(self._rows, self._columns)
+        buffer.add_triangles(np.stack(camera.project(corners, self._rows, self._columns), axis=-1).astype(np.float32))
+        pixels, which, at = buffer.result()
+        shown = at < depth[pixels]
+        pixels, which, at = pixels[shown], which[shown], at[shown]
+        depth[pixels] = at
+        picture[pixels] = self._shade(normals[which].astype(np.float32), colors[which])
+
+    def _draw_spheres(
+        self,
+        camera: Camera,
+        cloud: np.ndarray,
+        members: np.ndarray,
+        colors: np.ndarray,
+        depth: np.ndarray,
+        picture: np.ndarray,
+    ) -> None:
+        """Some of the particles as spheres."""
+        assert self._radii is not None
+        buffer = NearestBuffer(self._rows, self._columns)
+        column, row, far = (a.astype(np.float32) for a in camera.project(cloud, self._rows, self._columns))
+        seen = members[far[members] > 0.02 * camera.distance]
+        radius = np.zeros_like(far)
+        radius[seen] = np.clip(self._radii[seen] * focal_length(self._rows) / far[seen], 0.75, 400.0)
+        buffer.add_spheres(column[seen], row[seen], far[seen], radius[seen])
+        pixels, which, at = buffer.result()
+        which = seen[which]
+        shown = at - self._radii[which] < depth[pixels]
+        pixels, which, at = pixels[shown], which[shown], at[shown]
+        x = (pixels % self._columns + 0.5 - column[which]) / radius[which]
+        y = (row[which] - pixels // self._columns - 0.5) / radius[which]
+        z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+        normal, color = turned(np.stack([x, y, z], axis=1), self._axes), colors[which]
+        at = at - self._radii[which] * z
+        shown = at < depth[pixels]
+        pixels, at, normal, color = pixels[shown], at[shown], normal[shown], color[shown]
         depth[pixels] = at
         picture[pixels] = self._shade(normal, color)
 

@@ -19,6 +19,7 @@ def record_video(
     size: tuple[int, int] = SIZE,
     renderer: str = "auto",
     color_by: str = "material",
+    surface: bool = False,
 ) -> str:
     """Draw a recording as a video.
 
@@ -26,19 +27,20 @@ def record_video(
       recording: what to show.
       out_mp4: video to write.
       size: height and width in pixels, even numbers.
-      renderer, color_by: as for ``rewax.viz.render.pictures``.
+      renderer, color_by, surface: as for ``rewax.viz.render.pictures``.
 
     Returns:
       How fast it plays: ``in real time``, ``4 times slower than real time``.
 
     Raises:
-      ValueError: an odd size, an unknown renderer, or nothing of the name ``color_by``.
+      ValueError: an odd size, or what ``pictures`` refuses.
       OSError: ffmpeg or the file fails.
     """
     from rewax.viz.render import pictures
 
     shown, rate, speed = playback(recording)
-    write_video(pictures(shown, size=size, renderer=renderer, color_by=color_by), out_mp4, rate=rate, size=size)
+    drawn = pictures(shown, size=size, renderer=renderer, color_by=color_by, surface=surface)
+    write_video(drawn, out_mp4, rate=rate, size=size)
     return describe_speed(shown, speed)
 
 

@@ -55,7 +55,7 @@ def test_evaluation_ends_with_a_video_unless_it_should_not(run, capsys):
 
 
 def test_a_video_that_fails_is_a_sentence_and_the_exit_code_is_0(run, monkeypatch, capsys):
-    def fail(recording, path):
+    def fail(recording, path, **options):
         raise OSError("ffmpeg failed; it said: no space left")
 
     monkeypatch.setattr(pictures, "draw_video", fail)
@@ -89,3 +89,33 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(arguments, said, tmp_pat
     monkeypatch.chdir(tmp_path)
     assert main(["play", *arguments]) == 2
     assert capsys.readouterr() == ("", f"error: {said}\n")
+
+
+def test_a_live_view_shows_each_new_checkpoint_until_interrupted(run, monkeypatch, capsys):
+    pytest.importorskip("viser")
+    import jax
+
+    from rewax.cli import play
+    from rewax.training import checkpoint
+    from rewax.training.saved import load_run
+
+    saved, looks = load_run(run), []
+
+    def look(seconds):
+        """What a training run does between two looks of the viewer; then the user interrupts."""
+        looks.append(seconds)
+        if len(looks) > 1:
+            raise KeyboardInterrupt
+        later = saved.train_state.replace(iteration=saved.train_state.iteration + 1)
+        checkpoint.save(run, jax.block_until_ready(later))
+
+    monkeypatch.setattr(play.time, "sleep", look)
+    assert main(["play", str(run), "--live", "--port=0", "--frames=3"]) == 130
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("http://127.0.0.1:") and said[0].endswith(f"{run}; Ctrl-C ends it")
+    assert [line.split(":")[0] for line in said[1:]] == ["iteration 1", "iteration 2"]
+
+
+def test_a_live_view_is_of_one_run(run, capsys):
+    assert main(["play", str(run), str(run), "--live"]) == 2
+    assert capsys.readouterr().err.startswith("error: a live view shows the newest checkpoint of one run: give one run")

@@ -1,9 +1,13 @@
 """CSV files that a resumed run continues as if it had never stopped."""
 
+import importlib.machinery
+import sys
+import types
+
 import numpy as np
 import pytest
 
-from rewax.training.metrics import CsvWriter, TensorBoardWriter, read_csv
+from rewax.training.metrics import CsvWriter, TensorBoardWriter, WandbWriter, read_csv
 
 
 def rows(first, last):
@@ -91,3 +95,48 @@ def test_a_file_without_its_header_is_set_aside(tmp_path):
     write(path, rows(5, 5), resume_at=4)
     np.testing.assert_array_equal(read_csv(path)["iteration"], [5])
     assert (tmp_path / "a.csv.damaged").read_text() == beheaded
+
+
+class FakeWandb(types.ModuleType):
+    """What rewax uses of wandb, kept in lists; the real one needs an account or seconds of another process."""
+
+    def __init__(self):
+        super().__init__("wandb")
+        self.__spec__ = importlib.machinery.ModuleSpec("wandb", None)
+        self.util = types.SimpleNamespace(generate_id=lambda: "abc123")
+        self.begun, self.logged, self.axes, self.ended = [], [], [], 0
+
+    def init(self, **options):
+        self.begun.append(options)
+        return self
+
+    def define_metric(self, name, step_metric=None):
+        self.axes.append((name, step_metric))
+
+    def log(self, values):
+        self.logged.append(values)
+
+    def finish(self):
+        self.ended += 1
+
+
+def test_weights_and_biases_get_finite_numbers_and_resumed_runs_go_on_in_their_place(tmp_path, monkeypatch):
+    fake = FakeWandb()
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    for iteration in (1, 2):
+        writer = WandbWriter("dough", tmp_path, {"env": "RollingFlat"})
+        writer.write(iteration, {"return": np.float32(0.5), "loss": np.float32(np.nan)})
+        writer.write(iteration, {"mean": 2.0}, prefix="eval")
+        writer.close()
+    assert [(one["project"], one["name"], one["id"]) for one in fake.begun] == [("dough", tmp_path.name, "abc123")] * 2
+    assert fake.begun[0]["resume"] == "allow" and fake.begun[0]["config"] == {"env": "RollingFlat"}
+    assert fake.logged[:2] == [{"iteration": 1, "train/return": 0.5}, {"iteration": 1, "eval/mean": 2.0}]
+    assert ("*", "iteration") in fake.axes and fake.ended == 2
+
+
+def test_without_weights_and_biases_there_is_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "meta_path", [])
+    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.delitem(sys.modules, "wandb", raising=False)
+    with pytest.raises(ValueError, match=r"train.wandb needs Weights & Biases: pip install 'rewax\[wandb\]'"):
+        WandbWriter("dough", tmp_path, {})

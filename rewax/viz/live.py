@@ -1,0 +1,216 @@
+"""A viewer in the browser that shows another episode while the page stays open; viser serves it."""
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from rewax.viz.camera import FIELD_OF_VIEW, Framing, frame_recording
+from rewax.viz.colors import color_by, particle_colors, shape_color
+from rewax.viz.ground import grid_spacing
+from rewax.viz.meshes import mesh, pose
+from rewax.viz.recording import Recording, diameters, playback
+
+_TICK = 1.0 / 30.0
+"""Between frames on the page [s]."""
+
+
+class LiveViewer:
+    """A page that shows recordings, one after the other, over and over.
+
+    Args:
+      host, port: where the page is served; 127.0.0.1 is seen by this machine alone. Port 0 takes a free one.
+
+    Attributes:
+      url: of the page.
+
+    Raises:
+      ValueError: viser is not installed, or the port is taken.
+    """
+
+    def __init__(self, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+        try:
+            import viser
+        except ImportError:
+            raise ValueError("a live view needs viser: pip install 'rewax[live]'") from None
+        port = _free(host, port)
+        self._server: Any = viser.ViserServer(host=host, port=port, label="rewax", verbose=False)
+        self.url = f"http://{host}:{port}"
+        self._lock, self._closed = threading.RLock(), threading.Event()
+        self._recording: Recording | None = None
+        self._framing: Framing | None = None
+        self._solids: list[tuple[int, Any]] = []
+        self._cloud: Any = None
+        self._colors = np.zeros((0, 3), np.float32)
+        self._time, self._duration, self._speed, self._shown = 0.0, 0.0, 1.0, -1
+        gui = self._server.gui
+        self._text = gui.add_markdown("")
+        self._playing = gui.add_checkbox("play", True)
+        self._rate = gui.add_slider("speed", min=0.05, max=2.0, step=0.05, initial_value=1.0)
+        self._timeline = gui.add_slider("time [%]", min=0.0, max=100.0, step=0.1, initial_value=0.0)
+        self._by = gui.add_dropdown("colour by", ("material",))
+        self._timeline.on_update(lambda event: self.seek(self._timeline.value / 100.0) if event.client else None)
+        self._by.on_update(lambda _: self._recolor())
+        self._server.on_client_connect(self._place_camera)
+        threading.Thread(target=self._animate, daemon=True).start()
+
+    def show(self, recording: Recording, said: str = "") -> None:
+        """Show an episode from its beginning, instead of the one before.
+
+        Args:
+          recording: the episode.
+          said: what stands beside it, in Markdown.
+        """
+        with self._lock:
+            self._server.scene.reset()
+            first = self._recording is None
+            self._recording, self._framing = recording, frame_recording(recording)
+            self._duration, self._speed = float(recording.times[-1]), playback(recording)[2]
+            self._time, self._shown, self._text.content = 0.0, -1, said
+            self._build(recording, self._framing)
+            self._draw(0)
+            if first:
+                for client in self._server.get_clients().values():
+                    self._place_camera(client)
+
+    def seek(self, part: float) -> int:
+        """Go to a part of the episode, 0 its beginning and 1 its end; returns the frame that is shown."""
+        with self._lock:
+            if self._recording is None:
+                return 0
+            self._time = float(np.clip(part, 0.0, 1.0)) * self._duration
+            frame = int(np.argmin(np.abs(self._recording.times - self._time)))
+            self._draw(frame)
+            return frame
+
+    def positions(self) -> np.ndarray:
+        """Where the particles are that the page shows [m], shape (num_particles, 3); none without particles."""
+        with self._lock:
+            if self._cloud is None:
+                return np.zeros((0, 3), np.float32)
+            mesh_shown = self._recording is not None and self._recording.triangles is not None
+            return np.asarray(self._cloud.vertices if mesh_shown else self._cloud.points)
+
+    def close(self) -> None:
+        """Stop serving the page."""
+        self._closed.set()
+        with self._lock:
+            self._server.stop()
+
+    def _build(self, recording: Recording, framing: Framing) -> None:
+        """What the page shows of an episode, as in its first frame."""
+        scene, up = self._server.scene, np.asarray(recording.up, float)
+        scene.set_up_direction(tuple(float(x) for x in up))
+        size = 4.0 * framing.radius
+        planes = {0: "yz", 1: "xz", 2: "xy"}
+        scene.add_grid(
+            "/floor",
+            width=size,
+            height=size,
+            plane=planes[int(np.argmax(np.abs(up)))],
+            cell_size=grid_spacing(framing.radius),
+            position=tuple(framing.targets[0] + (framing.floor - framing.targets[0] @ up) * up),
+        )
+        self._solids = []
+        for i, shape in enumerate(recording.shapes(0)):
+            if shape["kind"] == "plane":
+                continue
+            surface, (color, opacity) = mesh(shape), shape_color(shape)
+            handle = scene.add_mesh_simple(
+                f"/solids/{i}",
+                np.asarray(surface.vertices, np.float32),
+                np.asarray(surface.triangles, np.uint32),
+                color=tuple(float(x) for x in color),
+                opacity=None if opacity >= 1.0 else opacity,
+            )
+            self._solids.append((i, handle))
+        self._cloud = None
+        if recording.particles is None:
+            return
+        self._by.options = color_by(recording)
+        self._colors = particle_colors(recording, self._by.value)
+        first = np.asarray(recording.particles[0], np.float32)
+        if recording.triangles is not None:
+            color = tuple(float(x) for x in self._colors.reshape(-1, 3)[0])
+            self._cloud = scene.add_mesh_simple("/body", first, np.asarray(recording.triangles, np.uint32), color=color)
+        else:
+            self._cloud = scene.add_point_cloud(
+                "/particles",
+                first,
+                self._frame_colors(0),
+                point_size=float(np.median(diameters(recording))),
+                point_shape="circle",
+                precision="float32",
+            )
+
+    def _draw(self, frame: int) -> None:
+        """Move everything to where it is in a frame."""
+        recording = self._recording
+        if recording is None or frame == self._shown:
+            return
+        with self._server.atomic():
+            for i, handle in self._solids:
+                place, turn = pose(recording.shapes(frame)[i])
+                handle.position, handle.wxyz = tuple(place), (turn[3], *turn[:3])
+            if self._cloud is not None and recording.particles is not None:
+                cloud = np.asarray(recording.particles[frame], np.float32)
+                if recording.triangles is not None:
+                    self._cloud.vertices = cloud
+                else:
+                    self._cloud.points = cloud
+                    if self._colors.ndim == 3:
+                        self._cloud.colors = self._frame_colors(frame)
+        self._timeline.value = 100.0 * float(recording.times[frame]) / max(self._duration, 1e-9)
+        self._shown = frame
+
+    def _frame_colors(self, frame: int) -> np.ndarray:
+        colors = self._colors if self._colors.ndim == 2 else self._colors[frame]
+        return np.round(255.0 * colors).astype(np.uint8)
+
+    def _recolor(self) -> None:
+        with self._lock:
+            recording = self._recording
+            if recording is None or recording.particles is None or recording.triangles is not None:
+                return
+            self._colors = particle_colors(recording, self._by.value)
+            self._cloud.colors = self._frame_colors(max(self._shown, 0))
+
+    def _place_camera(self, client: Any) -> None:
+        with self._lock:
+            if self._framing is None or self._recording is None:
+                return
+            camera = self._framing.camera(0, np.asarray(self._recording.up, float))
+            client.camera.up_direction = tuple(float(x) for x in self._recording.up)
+            client.camera.position = tuple(camera.eye)
+            client.camera.look_at = tuple(self._framing.targets[0])
+            client.camera.fov = float(np.radians(FIELD_OF_VIEW))
+
+    def _animate(self) -> None:
+        before = time.monotonic()
+        while not self._closed.wait(_TICK):
+            now = time.monotonic()
+            with self._lock:
+                if self._closed.is_set():
+                    return
+                if self._recording is not None and self._playing.value and self._duration > 0.0:
+                    self._time += (now - before) * self._speed * self._rate.value
+                    self._time = 0.0 if self._time > self._duration else self._time
+                    self._draw(int(np.searchsorted(self._recording.times, self._time, side="right")) - 1)
+            before = now
+
+
+def _free(host: str, port: int) -> int:
+    """A port that can be served, the one asked for or, for 0, any."""
+    import socket
+
+    with socket.socket() as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind((host, port))
+        except OSError as error:
+            raise ValueError(f"{host}:{port} cannot be served ({error.strerror}): choose another port") from None
+        return int(tried.getsockname()[1])
+
+
+__all__ = ["LiveViewer"]

@@ -1,0 +1,74 @@
+"""The live page: served, moving, and another episode while it stays open."""
+
+import sys
+import time
+import urllib.request
+
+import numpy as np
+import pytest
+import recordings
+
+from rewax.viz.live import LiveViewer
+
+
+@pytest.fixture
+def viewer():
+    pytest.importorskip("viser")
+    found = LiveViewer(port=0)
+    yield found
+    found.close()
+
+
+def test_the_page_is_served_and_the_timeline_moves_particles(viewer):
+    with urllib.request.urlopen(viewer.url, timeout=10) as page:
+        assert page.status == 200 and b"<html" in page.read().lower()
+    recording = recordings.cloud(5, travel=0.1)
+    viewer.show(recording, "**iteration 1**")
+    viewer._playing.value = False
+    assert [viewer.seek(part) for part in (0.0, 0.5, 1.0)] == [0, 2, 4]
+    np.testing.assert_allclose(viewer.positions(), recording.particles[4], atol=1e-6)
+    viewer.seek(0.0)
+    np.testing.assert_allclose(viewer.positions(), recording.particles[0], atol=1e-6)
+
+
+def test_it_plays_by_itself_and_begins_again(viewer):
+    viewer.show(recordings.cloud(5, travel=0.1))
+    seen, deadline = set(), time.monotonic() + 20.0
+    while len(seen) < 3 and time.monotonic() < deadline:
+        seen.add(float(viewer.positions()[0, 0]))
+        time.sleep(0.02)
+    assert len(seen) >= 3
+
+
+def test_the_next_episode_replaces_the_last_one(viewer):
+    viewer.show(recordings.cloud(5))
+    viewer.show(recordings.moving_ball(3, travel=0.5))
+    viewer._playing.value = False
+    assert viewer.positions().shape == (0, 3)
+    viewer.seek(1.0)
+    ((_, ball),) = viewer._solids
+    assert ball.position[0] == pytest.approx(1.0)
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = np.stack([corners, corners + 1.0]).astype(np.float32)
+    viewer.show(recordings.made(2, particles=moved, triangles=np.array([[0, 2, 1], [0, 1, 3]])))
+    viewer.seek(1.0)
+    np.testing.assert_allclose(viewer.positions(), moved[1])
+
+
+def test_colours_are_those_of_the_recording(viewer):
+    viewer.show(recordings.cloud(5))
+    viewer._playing.value = False
+    viewer.seek(0.0)
+    before = np.asarray(viewer._cloud.colors).copy()
+    viewer._by.value = "speed"
+    viewer._recolor()
+    assert "speed" in viewer._by.options and not np.array_equal(before, viewer._cloud.colors)
+
+
+def test_a_taken_port_and_a_missing_package_are_sentences(viewer, monkeypatch):
+    taken = int(viewer.url.rsplit(":", 1)[1])
+    with pytest.raises(ValueError, match=f"127.0.0.1:{taken} cannot be served .*: choose another port"):
+        LiveViewer(port=taken)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(ValueError, match=r"a live view needs viser: pip install 'rewax\[live\]'"):
+        LiveViewer()
