@@ -1,5 +1,9 @@
 """A viewer in the browser that shows another episode while the page stays open; viser serves it."""
 
+import contextlib
+import io
+import itertools
+import socket
 import threading
 import time
 from typing import Any
@@ -14,6 +18,8 @@ from rewax.viz.recording import Recording, diameters, playback
 
 _TICK = 1.0 / 30.0
 """Between frames on the page [s]."""
+_GAMMA = 2.2
+"""The page takes colours of many equal bodies as they are before a screen's."""
 
 
 class LiveViewer:
@@ -35,7 +41,8 @@ class LiveViewer:
         except ImportError:
             raise ValueError("a live view needs viser: pip install 'rewax[live]'") from None
         port = _free(host, port)
-        self._server: Any = viser.ViserServer(host=host, port=port, label="rewax", verbose=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # the address is the caller's to print
+            self._server: Any = viser.ViserServer(host=host, port=port, label="rewax", verbose=False)
         self.url = f"http://{host}:{port}"
         self._lock, self._closed = threading.RLock(), threading.Event()
         self._recording: Recording | None = None
@@ -52,7 +59,6 @@ class LiveViewer:
         self._by = gui.add_dropdown("colour by", ("material",))
         self._timeline.on_update(lambda event: self.seek(self._timeline.value / 100.0) if event.client else None)
         self._by.on_update(lambda _: self._recolor())
-        self._server.on_client_connect(self._place_camera)
         threading.Thread(target=self._animate, daemon=True).start()
 
     def show(self, recording: Recording, said: str = "") -> None:
@@ -64,15 +70,15 @@ class LiveViewer:
         """
         with self._lock:
             self._server.scene.reset()
-            first = self._recording is None
+            first = self._recording is None  # later ones keep the camera as the user has turned it
             self._recording, self._framing = recording, frame_recording(recording)
             self._duration, self._speed = float(recording.times[-1]), playback(recording)[2]
             self._time, self._shown, self._text.content = 0.0, -1, said
             self._build(recording, self._framing)
             self._draw(0)
             if first:
-                for client in self._server.get_clients().values():
-                    self._place_camera(client)
+                for camera in (self._server.initial_camera, *(c.camera for c in self._server.get_clients().values())):
+                    self._place(camera)
 
     def seek(self, part: float) -> int:
         """Go to a part of the episode, 0 its beginning and 1 its end; returns the frame that is shown."""
@@ -90,18 +96,19 @@ class LiveViewer:
             if self._cloud is None:
                 return np.zeros((0, 3), np.float32)
             mesh_shown = self._recording is not None and self._recording.triangles is not None
-            return np.asarray(self._cloud.vertices if mesh_shown else self._cloud.points)
+            return np.asarray(self._cloud.vertices if mesh_shown else self._cloud.batched_positions)
 
     def close(self) -> None:
         """Stop serving the page."""
         self._closed.set()
-        with self._lock:
+        with self._lock, contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
     def _build(self, recording: Recording, framing: Framing) -> None:
         """What the page shows of an episode, as in its first frame."""
         scene, up = self._server.scene, np.asarray(recording.up, float)
         scene.set_up_direction(tuple(float(x) for x in up))
+        scene.configure_environment_map("city", environment_intensity=0.25)
         size = 4.0 * framing.radius
         planes = {0: "yz", 1: "xz", 2: "xy"}
         scene.add_grid(
@@ -135,13 +142,16 @@ class LiveViewer:
             color = tuple(float(x) for x in self._colors.reshape(-1, 3)[0])
             self._cloud = scene.add_mesh_simple("/body", first, np.asarray(recording.triangles, np.uint32), color=color)
         else:
-            self._cloud = scene.add_point_cloud(
+            vertices, triangles = _ball()
+            self._cloud = scene.add_batched_meshes_simple(
                 "/particles",
-                first,
-                self._frame_colors(0),
-                point_size=float(np.median(diameters(recording))),
-                point_shape="circle",
-                precision="float32",
+                vertices,
+                triangles,
+                batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(first), 1)),
+                batched_positions=first,
+                batched_scales=(0.5 * diameters(recording)).astype(np.float32),
+                batched_colors=self._frame_colors(0),
+                lod="off",
             )
 
     def _draw(self, frame: int) -> None:
@@ -158,15 +168,15 @@ class LiveViewer:
                 if recording.triangles is not None:
                     self._cloud.vertices = cloud
                 else:
-                    self._cloud.points = cloud
+                    self._cloud.batched_positions = cloud
                     if self._colors.ndim == 3:
-                        self._cloud.colors = self._frame_colors(frame)
+                        self._cloud.batched_colors = self._frame_colors(frame)
         self._timeline.value = 100.0 * float(recording.times[frame]) / max(self._duration, 1e-9)
         self._shown = frame
 
     def _frame_colors(self, frame: int) -> np.ndarray:
         colors = self._colors if self._colors.ndim == 2 else self._colors[frame]
-        return np.round(255.0 * colors).astype(np.uint8)
+        return np.round(255.0 * colors**_GAMMA).astype(np.uint8)
 
     def _recolor(self) -> None:
         with self._lock:
@@ -174,17 +184,16 @@ class LiveViewer:
             if recording is None or recording.particles is None or recording.triangles is not None:
                 return
             self._colors = particle_colors(recording, self._by.value)
-            self._cloud.colors = self._frame_colors(max(self._shown, 0))
+            self._cloud.batched_colors = self._frame_colors(max(self._shown, 0))
 
-    def _place_camera(self, client: Any) -> None:
-        with self._lock:
-            if self._framing is None or self._recording is None:
-                return
-            camera = self._framing.camera(0, np.asarray(self._recording.up, float))
-            client.camera.up_direction = tuple(float(x) for x in self._recording.up)
-            client.camera.position = tuple(camera.eye)
-            client.camera.look_at = tuple(self._framing.targets[0])
-            client.camera.fov = float(np.radians(FIELD_OF_VIEW))
+    def _place(self, camera: Any) -> None:
+        """Put a camera of the page where pictures of the recording are taken from."""
+        assert self._recording is not None and self._framing is not None
+        up = np.asarray(self._recording.up, float)
+        seen = self._framing.camera(0, up)
+        setattr(camera, "up" if hasattr(camera, "up") else "up_direction", tuple(up))
+        camera.position, camera.look_at = tuple(seen.eye), tuple(self._framing.targets[0])
+        camera.fov = float(np.radians(FIELD_OF_VIEW))
 
     def _animate(self) -> None:
         before = time.monotonic()
@@ -200,10 +209,27 @@ class LiveViewer:
             before = now
 
 
+def _ball() -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a sphere of radius 1: an icosahedron whose faces are divided into four."""
+    golden = 0.5 * (1.0 + 5.0**0.5)
+    corners = [np.roll([0.0, a, b * golden], shift) for shift in range(3) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
+    vertices = np.stack(corners) / np.hypot(1.0, golden)
+    edge = np.linalg.norm(vertices[:, None] - vertices, axis=-1).round(6)
+    near = edge == edge[edge > 0.0].min()
+    triangles = []
+    for i, j, k in itertools.combinations(range(len(vertices)), 3):
+        if near[i, j] and near[j, k] and near[i, k]:
+            a, b, c = vertices[[i, j, k]]
+            if np.linalg.det(np.stack([a, b, c])) < 0.0:
+                b, c = c, b
+            ab, bc, ca = (m / np.linalg.norm(m) for m in (a + b, b + c, c + a))
+            triangles += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    found, index = np.unique(np.round(np.reshape(triangles, (-1, 3)), 6), axis=0, return_inverse=True)
+    return found.astype(np.float32), index.reshape(-1, 3).astype(np.uint32)
+
+
 def _free(host: str, port: int) -> int:
     """A port that can be served, the one asked for or, for 0, any."""
-    import socket
-
     with socket.socket() as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -6,7 +6,7 @@ import numpy as np
 
 from rewax.viz.recording import Recording, diameters
 
-_CELLS_PER_DIAMETER = 1.25
+_CELLS_PER_DIAMETER = 2.5
 """Cells of the density's grid along a particle's diameter."""
 _SMOOTHING = 0.75
 """Standard deviation of the Gaussian that spreads a particle, in diameters."""
@@ -58,7 +58,7 @@ def surfaces(recording: Recording, frame: int) -> list[Surface]:
     """The surface of each material's particles in a frame; none for a material without particles.
 
     A particle is spread by a Gaussian over the nodes of a grid. The surface (Lorensen and Cline 1987) lies where the
-    density is half that of the interior. Particles where it is lower still are loose.
+    density is half that of the interior. Particles outside, further than a diameter from it, are loose.
 
     Raises:
       ValueError: scikit-image is not installed.
@@ -88,7 +88,9 @@ def _surface(cloud: np.ndarray, members: np.ndarray, diameter: float) -> Surface
     vertices, triangles, normals, _ = marching_cubes(density, level, spacing=(cell,) * 3, gradient_direction="descent")
     vertices = vertices + low
     nearest = members[cKDTree(points).query(vertices)[1]]
-    return Surface(vertices, normals, triangles, nearest, members[at_particles < level])
+    away = cKDTree(vertices).query(points)[0] > diameter
+    # scikit-image lists corners clockwise seen from outside.
+    return Surface(vertices, normals, triangles[:, ::-1], nearest, members[(at_particles < level) & away])
 
 
 def _spread(where: np.ndarray, shape: np.ndarray) -> np.ndarray:

@@ -48,7 +48,8 @@ def test_every_option_of_every_command_is_completed(script):
     trained = completed(script, "rewax", "train", "--")
     named = {f"--train.{field.name.replace('_', '-')}" for field in dataclasses.fields(ReportConfig)}
     assert named <= set(trained) and {"--train.no-plots", "--resume", "--devices", "--import"} <= set(trained)
-    assert all(any(name.startswith(f"--{algorithm}.") for name in trained) for algorithm in list_algorithms())
+    for algorithm in list_algorithms():
+        assert any(name.startswith(f"--{algorithm.replace('_', '-')}.") for name in trained), algorithm
     for command in COMMANDS:
         if command not in ("doctor", "completion"):
             assert len(completed(script, "rewax", command, "--")) >= 2, command

@@ -2,6 +2,7 @@
 
 import json
 import re
+import types
 
 import pytest
 import toys
@@ -109,7 +110,7 @@ def test_a_live_view_shows_each_new_checkpoint_until_interrupted(run, monkeypatc
         later = saved.train_state.replace(iteration=saved.train_state.iteration + 1)
         checkpoint.save(run, jax.block_until_ready(later))
 
-    monkeypatch.setattr(play.time, "sleep", look)
+    monkeypatch.setattr(play, "time", types.SimpleNamespace(sleep=look))
     assert main(["play", str(run), "--live", "--port=0", "--frames=3"]) == 130
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("http://127.0.0.1:") and said[0].endswith(f"{run}; Ctrl-C ends it")

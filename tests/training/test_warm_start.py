@@ -1,6 +1,5 @@
 """A new run begins with what an old one has learnt, and with nothing else of it."""
 
-
 import jax
 import numpy as np
 import pytest

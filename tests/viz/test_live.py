@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import recordings
 
-from rewax.viz.live import LiveViewer
+from rewax.viz.live import LiveViewer, _ball
 
 
 @pytest.fixture
@@ -59,10 +59,10 @@ def test_colours_are_those_of_the_recording(viewer):
     viewer.show(recordings.cloud(5))
     viewer._playing.value = False
     viewer.seek(0.0)
-    before = np.asarray(viewer._cloud.colors).copy()
+    before = np.asarray(viewer._cloud.batched_colors).copy()
     viewer._by.value = "speed"
     viewer._recolor()
-    assert "speed" in viewer._by.options and not np.array_equal(before, viewer._cloud.colors)
+    assert "speed" in viewer._by.options and not np.array_equal(before, viewer._cloud.batched_colors)
 
 
 def test_a_taken_port_and_a_missing_package_are_sentences(viewer, monkeypatch):
@@ -72,3 +72,12 @@ def test_a_taken_port_and_a_missing_package_are_sentences(viewer, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(ValueError, match=r"a live view needs viser: pip install 'rewax\[live\]'"):
         LiveViewer()
+
+
+def test_a_particle_is_a_ball():
+    vertices, triangles = _ball()
+    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 1.0, atol=1e-5)
+    assert (len(vertices), len(triangles)) == (42, 80)
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    volumes = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6.0
+    assert volumes.min() > 0.0 and volumes.sum() == pytest.approx(4.0 / 3.0 * np.pi, rel=0.15)
