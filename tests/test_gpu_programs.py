@@ -9,7 +9,7 @@ import rewax
 from rewax.agents.registry import algorithm
 from rewax.envs import list_envs
 
-FEW = ("RollingFlat", "SoftJumper", "GripperLift", "AntRun")
+FEW = ("RollingFlat", "SoftJumper", "AntRun")
 TASKS = [name if name in FEW else pytest.param(name, marks=pytest.mark.slow) for name in list_envs()]
 
 

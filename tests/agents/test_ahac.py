@@ -34,7 +34,7 @@ def test_growth_is_the_mean_logarithm_of_the_ratio_of_norms():
     assert gradient_growth(norms.at[0, 1].set(jnp.nan), transitions(no, yes)) == pytest.approx(np.log(2.0))
 
 
-@pytest.mark.parametrize(("bound", "way"), [(100.0, 1), (0.01, -1)])
+@pytest.mark.parametrize(("bound", "way"), [pytest.param(100.0, 1, marks=pytest.mark.slow), (0.01, -1)])
 def test_the_horizon_shrinks_where_the_gradient_grows_faster_than_allowed(bound, way):
     config = dataclasses.replace(CASES["ahac"].config, max_growth=bound)
     slow = make_agent("ahac", ENV, config)

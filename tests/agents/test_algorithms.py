@@ -61,7 +61,10 @@ def test_it_reports_what_the_loop_needs(name):
         assert int(state.env_steps) == per_iteration * CASES[name].num_iterations
 
 
-@pytest.mark.parametrize("name", ALL)
+FEW = ("sapo", "sac", "ppo")
+
+
+@pytest.mark.parametrize("name", [name if name in FEW else pytest.param(name, marks=pytest.mark.slow) for name in ALL])
 def test_many_seeds_at_once_are_their_solo_runs(name):
     keys = jax.random.split(jax.random.key(7), 2)
     together = jax.jit(jax.vmap(agent(name).init))(keys)

@@ -54,7 +54,9 @@ def test_a_batch_is_each_environment_alone():
     assert abs(grads[0] - grads[2]).min() > 1e-3
 
 
-@pytest.mark.parametrize("kind", ["one", "batch", "randomized", "randomized batch"])
+@pytest.mark.parametrize(
+    "kind", ["one", *(pytest.param(k, marks=pytest.mark.slow) for k in ("batch", "randomized")), "randomized batch"]
+)
 def test_the_second_step_with_other_leaves_compiles_nothing(kind):
     env = stack(ENVS) if "batch" in kind else ENVS[1]
     agent = make_sapo(env, CONFIG, randomize=double() if "randomized" in kind else None)

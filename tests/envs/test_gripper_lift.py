@@ -82,6 +82,7 @@ def test_a_model_whose_substep_does_not_fit_is_refused():
         ENV.replace(scene=ENV.scene.replace(dt=1.5e-3))
 
 
+@pytest.mark.slow
 def test_gradient_by_actions_is_that_of_differences(x64):
     """Fingers that close on the block, and lift."""
     env = rewax.make("GripperLift", scale="small").replace(num_substeps=3, list_every=None)

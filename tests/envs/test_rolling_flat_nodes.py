@@ -69,6 +69,7 @@ def spread(env):
     return state.replace(physics=state.physics.replace(soft=dough, joint_q=jnp.array([0.3, 0.1325, 0.0])))
 
 
+@pytest.mark.slow
 def test_paper_with_dough_all_over_the_table_is_the_same_on_all_nodes():
     env = paper()
     state = jax.tree.map(lambda a: a[None], spread(env))

@@ -78,7 +78,7 @@ def momentum(model, scene, state, robot):
     return np.asarray(invariants.momentum(scene, state) + own.sum(0))
 
 
-@pytest.mark.parametrize("mass", [0.03, 0.0005])
+@pytest.mark.parametrize("mass", [pytest.param(0.03, marks=pytest.mark.slow), 0.0005])
 def test_momentum_of_particles_and_robot_is_conserved(x64, mass):
     """The robot's own integrator turns its links by a whole substep at a time: that is all that is lost."""
     drifts = []
@@ -113,7 +113,7 @@ def test_torques_are_about_the_frames_origins(x64):
     np.testing.assert_allclose(given, lost, atol=1e-3 * float(jnp.abs(lost).max()))
 
 
-@pytest.mark.parametrize("mass", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("mass", [*(pytest.param(mass, marks=pytest.mark.slow) for mass in (1e-2, 1e-4)), 1e-6])
 def test_a_light_finger_in_heavy_dough_is_calm(x64, mass):
     """Pressed into the dough by its weight: no mass makes it or the dough fast."""
     model = model_of(FINGER.format(mass=mass))

@@ -70,7 +70,11 @@ def inertia_of(mass):
     return free_body.Inertia(mass=jnp.asarray([mass]), moment=moment[None])
 
 
-@pytest.mark.parametrize(("mass", "tilt"), [(0.3, 0.0), (0.01, 0.0), (0.0003, 0.6)], ids=["heavy", "light", "sheet"])
+@pytest.mark.parametrize(
+    ("mass", "tilt"),
+    [pytest.param(0.3, 0.0, marks=pytest.mark.slow), (0.01, 0.0), (0.0003, 0.6)],
+    ids=["heavy", "light", "sheet"],
+)
 def test_momentum_of_particles_and_body_is_conserved_over_1000_substeps(dough, run, mass, tilt):
     """The dough weighs 0.26 kg: a body that answered late would be thrown by it."""
     scene, state = dough

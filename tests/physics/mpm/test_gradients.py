@@ -44,7 +44,10 @@ def moves_of_each_leaf(random_like, args):
 
 LAWS = [
     (Elasticity.HENCKY, Plasticity.VON_MISES, "capsule", Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.3)),
-    (Elasticity.FIXED_COROTATED, Plasticity.NONE, "box", Wall(position=FLOOR, kind=WallKind.GRIPPING)),
+    pytest.param(
+        (Elasticity.FIXED_COROTATED, Plasticity.NONE, "box", Wall(position=FLOOR, kind=WallKind.GRIPPING)),
+        marks=pytest.mark.slow, id="fixed_corotated",
+    ),
     pytest.param(
         (Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, "cylinder", Wall(position=FLOOR, kind=WallKind.SLIP)),
         marks=pytest.mark.slow, id="neo_hookean",

@@ -34,7 +34,7 @@ def make(num_colliders: int, max_active_nodes: int | None, plasticity: Plasticit
     ("scene", "particles", "substeps", "envs", "horizon", "store_every"),
     [
         (make(0, 1000, Plasticity.NONE), 700, 10, 4, 3, 1),
-        (make(1, 900, Plasticity.VON_MISES), 300, 32, 2, 20, 8),
+        pytest.param(make(1, 900, Plasticity.VON_MISES), 300, 32, 2, 20, 8, marks=pytest.mark.slow),
         pytest.param(make(2, None, Plasticity.VON_MISES), 1500, 4, 1, 2, 1, marks=pytest.mark.slow),
     ],
 )

@@ -141,7 +141,7 @@ RUN = jax.jit(value_and_gradient, static_argnums=0)
     [
         (Elasticity.HENCKY, Plasticity.VON_MISES, {"max_active_nodes": 600}, np.float32),
         (Elasticity.HENCKY, Plasticity.VON_MISES, {"max_active_nodes": 600}, np.float64),
-        (Elasticity.FIXED_COROTATED, Plasticity.NONE, {}, np.float64),
+        pytest.param(Elasticity.FIXED_COROTATED, Plasticity.NONE, {}, np.float64, marks=pytest.mark.slow),
         pytest.param(Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, {}, np.float64, marks=pytest.mark.slow),
     ],
 )

@@ -31,7 +31,7 @@ def places(batch, listed):
 
 
 @pytest.mark.parametrize("listed", [False, True])
-@pytest.mark.parametrize("batch", [(), (2,)])
+@pytest.mark.parametrize("batch", [pytest.param((), marks=pytest.mark.slow), (2,)])
 def test_the_passes_agree(x64, batch, listed):
     layout, where = places(batch, listed)
     draw = np.random.default_rng(1)
