@@ -5,6 +5,15 @@ import jax.numpy as jnp
 from rewax.types import Array, Scalar
 
 
+def normalized(a: Array) -> Array:
+    """Vectors of length 1, (..., n) -> (..., n). Gradient: exact; not finite for a vector of zeros.
+
+    The sum is written out: each user of a reduction and a quotient would get a kernel of its own on a GPU.
+    """
+    square = sum(a[..., i] * a[..., i] for i in range(a.shape[-1]))
+    return a / jnp.sqrt(square)[..., None]
+
+
 def quaternion_to_matrix(q: Array) -> Array:
     """Rotation matrix of a unit quaternion, (..., 4) -> (..., 3, 3). Gradient: exact."""
     w, x, y, z = (q[..., i] for i in range(4))
@@ -30,7 +39,7 @@ def matrix_to_quaternion(matrix: Array) -> Array:
     table = jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
     largest = jnp.argmax(jnp.diagonal(table, axis1=-2, axis2=-1), axis=-1)
     row = jnp.take_along_axis(table, largest[..., None, None], axis=-2)[..., 0, :]
-    return row / jnp.sqrt(jnp.sum(row * row, axis=-1, keepdims=True))
+    return normalized(row)
 
 
 def quaternion_product(a: Array, b: Array) -> Array:
@@ -70,7 +79,7 @@ def turn_quaternion(q: Array, angular_velocity: Array, dt: Scalar) -> Array:
     """
     rate = jnp.concatenate([jnp.zeros_like(q[..., :1]), angular_velocity.astype(q.dtype)], axis=-1)
     turned = q + 0.5 * dt * quaternion_product(rate, q)
-    return turned / jnp.sqrt(jnp.sum(turned * turned, axis=-1, keepdims=True))
+    return normalized(turned)
 
 
 def skew(a: Array) -> Array:

@@ -25,7 +25,7 @@ from rewax.physics.rigid.mjcf import is_disabled
 from rewax.physics.rigid.model import RigidModel, RigidState, mjx, mujoco
 from rewax.physics.rigid.penalty import Penalty, contact_wrenches, limit_forces
 from rewax.physics.rigid.routines import own_routines
-from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select
+from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select, spread
 from rewax.physics.rigid.solver import Rows
 from rewax.physics.rigid.sphere_box import sphere_box
 from rewax.physics.rigid.weld import weld_drifts
@@ -111,7 +111,8 @@ def applied_forces(
         joint = np.flatnonzero(mj.jnt_limited)
         position, dof = mj.jnt_qposadr[joint], mj.jnt_dofadr[joint]
         limits = model.parameters["jnt_range"][joint] + model.parameters["jnt_margin"][joint, None] * np.array([1, -1])
-        force = force.at[dof].add(limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof]))
+        found = limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof])
+        force = force + spread(dof, found, model.num_dofs)
     return force, d.act_dot
 
 
@@ -145,8 +146,8 @@ def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
     d = d.replace(actuator_length=_actuator_lengths(model, m, d))
     return d.tree_replace(  # pyright: ignore[reportReturnType]
         {
-            "_impl.actuator_velocity": d._impl.actuator_moment @ d.qvel,
-            "_impl.ten_velocity": d._impl.ten_J @ d.qvel,
+            "_impl.actuator_velocity": dot(d._impl.actuator_moment, d.qvel),
+            "_impl.ten_velocity": dot(d._impl.ten_J, d.qvel),
         }
     )
 
@@ -162,12 +163,13 @@ def _spring_forces(model: RigidModel, qpos: Array) -> Array:
 
     place = joined(mj.jnt_qposadr[simple], mj.jnt_qposadr[free])
     dof = joined(mj.jnt_dofadr[simple], mj.jnt_dofadr[free])
-    stretch = jnp.zeros(model.num_dofs, qpos.dtype).at[dof].set(qpos[place] - rest[place])
+    stretch = spread(dof, qpos[place] - rest[place], model.num_dofs)
     if np.any(free | ball):
         place = np.concatenate([mj.jnt_qposadr[free] + 3, mj.jnt_qposadr[ball]])[:, None] + np.arange(4)
         dof = np.concatenate([mj.jnt_dofadr[free] + 3, mj.jnt_dofadr[ball]])[:, None] + np.arange(3)
         back = rest[place] * np.array([1.0, -1.0, -1.0, -1.0])
-        stretch = stretch.at[dof].set(rotation_vector(quaternion_product(back, qpos[place])))
+        turn = rotation_vector(quaternion_product(back, qpos[place]))
+        stretch = stretch + spread(dof.ravel(), turn.ravel(), model.num_dofs)
     return -model.parameters["jnt_stiffness"][mj.dof_jntid] * stretch
 
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics.rotations import quaternion_product, quaternion_to_matrix, skew
+from rewax.physics.numerics.rotations import normalized, quaternion_product, quaternion_to_matrix, skew
 from rewax.physics.rigid.kinematic_tree import JointType, TreeParameters, TreeTopology, is_ball
 from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select
 from rewax.types import Array, Scalar
@@ -179,7 +179,7 @@ def _link_frames(topology: TreeTopology, parameters: TreeParameters, qpos: Array
     rotation = eye + jnp.where(hinge[:, None, None], turned, 0.0)
     for quaternion, joint_number in zip([q for q, _ in topology.quaternions], topology.ball_joints, strict=True):
         row = (topology.link_joint == joint_number).astype(float)[:, None, None]
-        rotation = rotation + row * (quaternion_to_matrix(_unit(qpos[quaternion : quaternion + 4])) - eye)
+        rotation = rotation + row * (quaternion_to_matrix(normalized(qpos[quaternion : quaternion + 4])) - eye)
     shift = anchor - rotate(rotation, anchor) + jnp.where(slide[:, None], axis * amount[:, :, 0], 0.0)
     for joint_number in np.flatnonzero(topology.joint_type == JointType.FREE):
         row, start = (topology.link_joint == joint_number).astype(float)[:, None], topology.joint_qpos[joint_number]
@@ -210,8 +210,4 @@ def _turn(q: Array, angle: Array) -> Array:
     half = jnp.sqrt(jnp.where(small, 1.0, square))
     sine = jnp.where(small, 1.0 - square / 6.0 * (1.0 - square / 20.0), jnp.sin(half) / half)
     cosine = jnp.where(small, 1.0 - square / 2.0 * (1.0 - square / 12.0), jnp.cos(half))
-    return _unit(quaternion_product(_unit(q), jnp.concatenate([cosine[None], 0.5 * sine * angle])))
-
-
-def _unit(q: Array) -> Array:
-    return q / jnp.sqrt(jnp.sum(q * q))
+    return normalized(quaternion_product(normalized(q), jnp.concatenate([cosine[None], 0.5 * sine * angle])))

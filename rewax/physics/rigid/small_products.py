@@ -1,9 +1,12 @@
 """Products of small matrices that fuse, and in full precision."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
 
@@ -14,14 +17,96 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def dot(a: np.ndarray | Array, b: Array) -> Array:
-    """Matrix product in full precision (accelerators round float32 products otherwise)."""
-    return jnp.matmul(jnp.asarray(a, b.dtype), b, precision=jax.lax.Precision.HIGHEST)
+    """Matrix product in full precision (accelerators round float32 products otherwise).
+
+    Args:
+      a: shape (n, k). A constant, an array of NumPy, becomes sums on a GPU, which fuse with what is around them.
+      b: shape (k,) or (k, m).
+    """
+    if isinstance(a, np.ndarray):
+        table = jnp.asarray(a, b.dtype)
+        return linear_pass(_TIMES, _TRANSPOSED, _Table(b.ndim == 1), (table,), (b,))[0]
+    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+
+class _Table(NamedTuple):
+    """A constant matrix and what it is multiplied with: a vector or a matrix, either with more axes in front."""
+
+    vector: bool
+
+    def batched(self, which: tuple[bool, ...]) -> "_Table":
+        del which  # the passes take a matrix with or without the axes of what it is multiplied with
+        return self
+
+
+def _product(static: _Table, tables: Arrays, arrays: Arrays) -> Arrays:
+    (a,), (b,) = tables, arrays
+
+    def product(a: Array, b: Array) -> Array:
+        return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+    batch = b.ndim - (1 if static.vector else 2)
+    for axis in range(batch):
+        product = jax.vmap(product, (0 if batch - axis <= a.ndim - 2 else None, 0))
+    return (product(a, b),)
+
+
+def _product_of_transposed(static: _Table, tables: Arrays, arrays: Arrays) -> Arrays:
+    return _product(static, (jnp.swapaxes(tables[0], -1, -2),), arrays)
+
+
+def _sums(static: _Table, tables: Arrays, arrays: Arrays) -> Arrays:
+    (a,), (b,) = tables, arrays
+    return (jnp.sum(a * b[..., None, :], axis=-1) if static.vector else jnp.sum(a[..., None] * b[..., None, :, :], -2),)
+
+
+def _sums_of_transposed(static: _Table, tables: Arrays, arrays: Arrays) -> Arrays:
+    return _sums(static, (jnp.swapaxes(tables[0], -1, -2),), arrays)
+
+
+_TIMES = ByPlatform(cpu=_product, other=_sums)
+_TRANSPOSED = ByPlatform(cpu=_product_of_transposed, other=_sums_of_transposed)
 
 
 def select(index: np.ndarray, table: Array) -> Array:
     """``table[index]`` for a constant index; as a matrix product, whose transpose needs no scatter."""
     onehot = np.eye(table.shape[0])[index]
     return dot(onehot, table.reshape(table.shape[0], -1)).reshape(len(index), *table.shape[1:])
+
+
+def spread(index: np.ndarray, values: Array, size: int) -> Array:
+    """An array of ``size`` entries that has the values at constant places, shape (len(index),), and zeros elsewhere."""
+    places = _Places(tuple(int(i) for i in index), size)
+    return linear_pass(_SPREAD, _PICK, places, (), (values,))[0]
+
+
+class _Places(NamedTuple):
+    """Different places in a vector."""
+
+    index: tuple[int, ...]
+    size: int
+
+
+def _spread(static: _Places, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del residuals
+    (values,) = arrays
+    zeros = jnp.zeros((*values.shape[:-1], static.size), values.dtype)
+    return (zeros.at[..., np.array(static.index, int)].set(values, unique_indices=True),)
+
+
+def _pick(static: _Places, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del residuals
+    return (arrays[0][..., np.array(static.index, int)],)
+
+
+def _spread_as_sums(static: _Places, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del residuals
+    onehot = jnp.asarray(np.eye(static.size)[:, np.array(static.index, int)], arrays[0].dtype)
+    return _sums(_Table(vector=True), (onehot,), arrays)
+
+
+_SPREAD = ByPlatform(cpu=_spread, other=_spread_as_sums)
+_PICK = ByPlatform(cpu=_pick, other=_pick)
 
 
 def compose(a: Array, b: Array) -> Array:

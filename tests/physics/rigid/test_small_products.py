@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as hs
 
-from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select
+from rewax.physics.rigid import small_products
+from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select, spread
 
 
 @given(seed=hs.integers(0, 10_000))
@@ -50,3 +51,48 @@ def test_matrix_products_ask_for_full_precision():
     """Accelerators would round the factors of a float32 product."""
     text = str(jax.make_jaxpr(lambda a: dot(np.eye(3), a))(jnp.ones((3, 3))))
     assert "HIGHEST" in text
+
+
+@pytest.mark.parametrize("shape", [(5,), (5, 3), (2, 5), (2, 4, 5, 3)])
+def test_constant_matrices_do_the_same_on_every_platform(x64, shape):
+    """Products with them and with their transposes, batched or not; the matrix with the batch's axes too."""
+    rng = np.random.default_rng(0)
+    vector = len(shape) in (1, 2) and shape[-1] == 5
+    static, batch = small_products._Table(vector), shape[: -1 if vector else -2]
+    there, back = small_products._TIMES, small_products._TRANSPOSED
+    b = jnp.asarray(rng.standard_normal(shape))
+    for a in (rng.standard_normal((4, 5)), rng.standard_normal((*batch, 4, 5))):
+        expected = (a @ b[..., None])[..., 0] if vector else a @ b
+        for one in (there.cpu, there.other):
+            np.testing.assert_allclose(one(static, (jnp.asarray(a),), (b,))[0], expected, atol=1e-12)
+        again = (np.swapaxes(a, -1, -2) @ expected[..., None])[..., 0] if vector else np.swapaxes(a, -1, -2) @ expected
+        for one in (back.cpu, back.other):
+            np.testing.assert_allclose(one(static, (jnp.asarray(a),), (jnp.asarray(expected),))[0], again, atol=1e-12)
+
+
+def test_products_with_constant_matrices_have_both_derivatives_twice(x64):
+    rng = np.random.default_rng(0)
+    a, x, move = rng.standard_normal((4, 5)), *(jnp.asarray(rng.standard_normal((3, 5))) for _ in range(2))
+
+    def outcome(x):
+        return jnp.sum(jnp.sin(jax.vmap(lambda row: dot(a, row))(x)))
+
+    def written_out(x):
+        return jnp.sum(jnp.sin(x @ a.T))
+
+    for order in (jax.grad, lambda f: jax.grad(lambda x: jnp.vdot(jax.grad(f)(x), move))):
+        np.testing.assert_allclose(order(outcome)(x), order(written_out)(x), atol=1e-12)
+    slopes = [jax.jvp(f, (x,), (move,))[1] for f in (outcome, written_out)]
+    assert float(slopes[0]) == pytest.approx(float(slopes[1]), rel=1e-12)
+
+
+def test_values_are_spread_to_their_places_and_picked_from_them(x64):
+    index, values = np.array([4, 0, 3]), jnp.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    expected = np.array([[2.0, 0.0, 0.0, 3.0, 1.0], [5.0, 0.0, 0.0, 6.0, 4.0]])
+    np.testing.assert_array_equal(jax.vmap(lambda v: spread(index, v, 5))(values), expected)
+    places = small_products._Places((4, 0, 3), 5)
+    for one in (small_products._SPREAD.cpu, small_products._SPREAD.other):
+        np.testing.assert_array_equal(one(places, (), (values,))[0], expected)
+    weights = jnp.arange(10.0).reshape(2, 5)
+    found = jax.grad(lambda v: jnp.vdot(weights, jax.vmap(lambda v: spread(index, v, 5))(v)))(values)
+    np.testing.assert_array_equal(found, weights[:, index])
