@@ -26,6 +26,7 @@ from rewax.training.recording import record
 from rewax.training.saved import load_run
 from rewax.viz.curves import curves_with_intervals
 from rewax.viz.render import pictures
+from rewax.viz.surface import has_surfaces
 
 FRAMES = 5
 SIZE = (204, 272)
@@ -46,7 +47,7 @@ def strip(runs: list[Any], path: Path, args: Args) -> None:
     saved = runs[0]
     env = getattr(saved.env, "unwrapped", saved.env)
     recording = record(env, saved.agent.policy, saved.train_state, jax.random.key(args.seed)).spread(FRAMES)
-    frames = list(pictures(recording, size=SIZE, renderer="software"))
+    frames = list(pictures(recording, size=SIZE, renderer="software", surface=has_surfaces(recording)))
     image = Image.fromarray(np.concatenate(frames, axis=1))
     image.quantize(args.num_colors, dither=Image.Dither.NONE).save(path, optimize=True)
 

@@ -5,8 +5,8 @@
 
 Rows of other runs stay in the file that ``--out`` names; ``benchmarks/gallery.py`` makes pages of it.
 
-Returns over 64 episodes from the same starts. The best of 64 random sequences is the largest of the 64 returns, each
-of another sequence; the policies' are means, with sampled and with deterministic actions. Minutes are those of the
+Mean returns of 64 episodes from the same starts, with sampled and with deterministic actions. Of 64 random sequences of
+actions, each one taken from the same four starts: the mean, and that of the best sequence. Minutes are those of the
 iterations, without compilation.
 """
 
@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 from rewax.training.cache import enable_compilation_cache
-from rewax.training.evaluate import make_evaluate
+from rewax.training.evaluate import constant_policy, evaluate_actions, make_evaluate
 from rewax.training.saved import load_run
 
 
@@ -31,6 +31,8 @@ class Args:
 
     runs: tyro.conf.Positional[tuple[str, ...]]
     episodes: int = 64
+    sequences: int = 64
+    starts: int = 4
     seed: int = 1234
     out: Path | None = None
 
@@ -52,17 +54,16 @@ COLUMNS = (
 )
 
 
-def baselines(env: Any, args: Args) -> dict[str, np.ndarray]:
-    """Returns of no action and of uniformly random actions, by episode."""
-
-    def policy(size: jax.Array, obs: Any, key: jax.Array, deterministic: bool = False) -> jax.Array:
-        return size * jax.random.uniform(key, env.action_spec.shape, minval=-1.0, maxval=1.0)
-
-    evaluate = make_evaluate(env, policy, args.episodes)
-    sizes = {"no action": 0.0, "random": 1.0}
-    return {
-        name: np.asarray(evaluate(jnp.asarray(s), jax.random.key(args.seed))["returns"]) for name, s in sizes.items()
-    }
+def baselines(env: Any, args: Args) -> dict[str, float]:
+    """Mean returns of no action, and of uniformly random sequences: their mean, and that of the best of them."""
+    key, shape = jax.random.key(args.seed), (env.episode_length, *env.action_spec.shape)
+    without = make_evaluate(env, constant_policy(jnp.zeros(env.action_spec.shape)), args.episodes)(None, key)
+    low, high = env.action_spec.low, env.action_spec.high
+    sequences = (
+        jax.random.uniform(jax.random.fold_in(key, i), shape, minval=low, maxval=high) for i in range(args.sequences)
+    )
+    found = np.array([float(evaluate_actions(env, actions, key, args.starts)["mean"]) for actions in sequences])
+    return {"no_action": float(without["mean"]), "random_mean": float(found.mean()), "random_best": float(found.max())}
 
 
 def measured(run: str, args: Args, known: dict[tuple[str, str], Any]) -> dict[str, Any]:
@@ -93,9 +94,7 @@ def measured(run: str, args: Args, known: dict[tuple[str, str], Any]) -> dict[st
         "deterministic": round(float(fixed["mean"]), 2),
         "success": round(float(fixed["success"]), 3) if "success" in fixed else "",
         "untrained": round(float(untrained["mean"]), 2),
-        "no_action": round(float(without["no action"].mean()), 2),
-        "random_mean": round(float(without["random"].mean()), 2),
-        "random_best": round(float(without["random"].max()), 2),
+        **{name: round(value, 2) for name, value in without.items()},
         "minutes": round(minutes, 1),
     }
 

@@ -8,6 +8,7 @@ import csv
 import importlib.util
 import io
 import math
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -114,7 +115,7 @@ class WandbWriter:
 
         path = run_dir / "wandb_id"
         if not path.is_file():
-            path.write_text(wandb.util.generate_id() + "\n")
+            path.write_text(f"{secrets.token_hex(4)}\n")
         self._run = wandb.init(
             project=project,
             name=run_dir.name,
