@@ -15,7 +15,7 @@ DISTRIBUTIONS = {
     "orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx", "imageio_ffmpeg": "imageio-ffmpeg", "OpenGL": "pyopengl",
 }  # fmt: skip
 """Where a distribution has another name than its top module."""
-EXTRA_MODULES = {"dm-env": "dm_env", "stable-baselines3": "stable_baselines3"}
+EXTRA_MODULES = {"scikit-image": "skimage", "dm-env": "dm_env", "stable-baselines3": "stable_baselines3"}
 """The same of extras."""
 
 
@@ -50,7 +50,7 @@ def extras(*names: str) -> set[str]:
 
 def test_every_dependency_is_imported_and_every_import_declared():
     used, core = third_party(ROOT / "rewax"), declared(PROJECT["dependencies"])
-    optional = extras("meshes", "gymnasium", "dm-env", "torch")
+    optional = extras("meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch")
     assert core <= used, f"declared but not imported by rewax: {sorted(core - used)}"
     assert used - core == optional, f"imported by rewax but not declared: {sorted(used - core - optional)}"
 
