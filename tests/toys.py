@@ -146,3 +146,11 @@ def subprocess_environment() -> dict[str, str]:
     paths = os.pathsep.join([str(tests), str(tests.parent)])
     # 3: XLA prints an "error" for each program that it loads from its own cache.
     return {**os.environ, "PYTHONPATH": paths, "COLUMNS": "200", "TF_CPP_MIN_LOG_LEVEL": "3"}
+
+
+TINY = [
+    "--sapo.num-envs=2", "--sapo.horizon=2", "--sapo.num-iterations=1", "--sapo.critic-passes=1", "--sapo.critic-minibatches=1",
+    "--sapo.actor-widths", "4", "4", "--sapo.critic-widths", "4", "--sapo.vector-features=4",
+    "--train.no-baselines", "--train.no-tensorboard", "--train.num-eval-episodes=2",
+]  # fmt: skip
+"""Options of the smallest run of ``rewax train``."""

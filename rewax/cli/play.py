@@ -111,7 +111,7 @@ def _live(options: Options) -> int:
     record = make_record(env, saved.agent.policy, max_frames=options.frames, deterministic=not options.sampled)
     viewer = LiveViewer(host=options.host, port=options.port)
     print(f"{viewer.url} shows {directory}; Ctrl-C ends it", flush=True)
-    train_state, shown = saved.train_state, -1
+    train_state, newest = saved.train_state, checkpoint.latest_step(directory)
     try:
         while True:
             iteration = int(train_state.iteration)
@@ -119,9 +119,9 @@ def _live(options: Options) -> int:
             said = f"iteration {iteration}: {int(recording.steps[-1])} steps, return {recording.totals[-1]:.4g}"
             print(said, flush=True)
             viewer.show(recording, f"**{name}**, {said}")
-            shown = iteration
-            while (checkpoint.latest_step(directory) or shown) == shown:
+            while checkpoint.latest_step(directory) in (None, newest):
                 time.sleep(_POLL)
+            newest = checkpoint.latest_step(directory)  # one that is damaged is passed over, and not tried again
             train_state = checkpoint.restore(directory, train_state)
     except KeyboardInterrupt:
         return 128 + signal.SIGINT

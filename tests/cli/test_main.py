@@ -17,11 +17,7 @@ from rewax.envs import register
 
 register("Mine", lambda scale: toys.point_mass(4))
 """
-TINY = [
-    "--sapo.num-envs=2", "--sapo.horizon=2", "--sapo.num-iterations=1", "--sapo.critic-passes=1", "--sapo.critic-minibatches=1",
-    "--sapo.actor-widths", "4", "4", "--sapo.critic-widths", "4", "--sapo.vector-features=4",
-    "--train.no-plots", "--train.no-baselines", "--train.no-tensorboard", "--train.num-eval-episodes=2",
-]  # fmt: skip
+TINY = [*toys.TINY, "--train.no-plots"]
 
 
 def rewax(folder, *argv):

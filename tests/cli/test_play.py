@@ -11,11 +11,7 @@ from rewax.cli.main import main
 from rewax.envs import registry
 from rewax.training import pictures
 
-TINY = [
-    "--sapo.num-envs=2", "--sapo.horizon=2", "--sapo.num-iterations=1", "--sapo.critic-passes=1", "--sapo.critic-minibatches=1",
-    "--sapo.actor-widths", "4", "4", "--sapo.critic-widths", "4", "--sapo.vector-features=4",
-    "--train.no-baselines", "--train.no-tensorboard", "--train.num-eval-episodes=2",
-]  # fmt: skip
+TINY = toys.TINY
 
 
 @pytest.fixture(scope="module")

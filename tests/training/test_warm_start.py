@@ -12,11 +12,7 @@ from rewax.envs import registry
 from rewax.training import checkpoint
 from rewax.training.warm_start import warm_started
 
-OPTIONS = [
-    "--sapo.num-envs=2", "--sapo.horizon=2", "--sapo.critic-passes=1", "--sapo.critic-minibatches=1",
-    "--sapo.actor-widths", "4", "4", "--sapo.critic-widths", "4", "--sapo.vector-features=4",
-    "--train.no-baselines", "--train.no-tensorboard", "--train.no-plots", "--train.num-eval-episodes=2",
-]  # fmt: skip
+OPTIONS = [*toys.TINY, "--train.no-plots"]
 
 
 @pytest.fixture(scope="module")
