@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import types
 
 import pytest
@@ -111,6 +112,32 @@ def test_a_live_view_shows_each_new_checkpoint_until_interrupted(run, monkeypatc
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("http://127.0.0.1:") and said[0].endswith(f"{run}; Ctrl-C ends it")
     assert [line.split(":")[0] for line in said[1:]] == ["iteration 1", "iteration 2"]
+
+
+def test_a_live_view_passes_over_a_damaged_checkpoint_once(run, monkeypatch, capsys, recwarn):
+    pytest.importorskip("viser")
+    from rewax.cli import play
+    from rewax.training import checkpoint
+
+    newest, looks = checkpoint.latest_step(run), []
+
+    def look(seconds):
+        """A checkpoint that cannot be read appears; at the third look the user interrupts."""
+        looks.append(seconds)
+        if len(looks) == 1:
+            damaged = run / "checkpoints" / str(newest + 1)
+            shutil.copytree(run / "checkpoints" / str(newest), damaged)
+            for path in damaged.rglob("*"):
+                if path.is_file() and path.name != "leaves.json":
+                    path.write_bytes(b"")
+        if len(looks) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(play, "time", types.SimpleNamespace(sleep=look))
+    assert main(["play", str(run), "--live", "--port=0", "--frames=3"]) == 130
+    said = capsys.readouterr().out.splitlines()[1:]
+    assert [line.split(":")[0] for line in said] == [f"iteration {newest}"] * 2
+    shutil.rmtree(run / "checkpoints" / str(newest + 1))
 
 
 def test_a_live_view_is_of_one_run(run, capsys):

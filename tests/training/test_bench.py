@@ -122,3 +122,16 @@ def test_the_table_stands_beside_the_papers():
     assert lines[2] == "| AntRun |  | 4501 [4500, 4502] |"
     assert lines[3] == "| the paper's | 3621.0 ± 54.4 | 4535.9 ± 24.5 |"
     assert lines[-1] == "| AntRun |  | 4501 |"
+
+
+def test_every_run_is_divided_over_as_many_devices_as_asked(suite, tmp_path, monkeypatch):
+    real, asked = bench.train, []
+
+    def noting(agent, env, config, **kwargs):
+        asked.append(config.devices)
+        return real(agent, env, config, **kwargs)
+
+    monkeypatch.setattr(bench, "train", noting)
+    part = suite.only(tasks=suite.tasks[:1], algorithms=suite.algorithms[:1], seeds=suite.seeds[:1])
+    assert bench.run_suite(suite, tmp_path, Console(file=io.StringIO()), part=part, devices=1) == 0
+    assert asked == [1]
