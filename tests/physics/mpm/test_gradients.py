@@ -42,12 +42,10 @@ def moves_of_each_leaf(random_like, args):
         yield jax.tree_util.keystr(path), treedef.unflatten(move)
 
 
+GRIPPED = (Elasticity.FIXED_COROTATED, Plasticity.NONE, "box", Wall(position=FLOOR, kind=WallKind.GRIPPING))
 LAWS = [
     (Elasticity.HENCKY, Plasticity.VON_MISES, "capsule", Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.3)),
-    pytest.param(
-        (Elasticity.FIXED_COROTATED, Plasticity.NONE, "box", Wall(position=FLOOR, kind=WallKind.GRIPPING)),
-        marks=pytest.mark.slow, id="fixed_corotated",
-    ),
+    pytest.param(GRIPPED, marks=pytest.mark.slow, id="fixed_corotated"),
     pytest.param(
         (Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, "cylinder", Wall(position=FLOOR, kind=WallKind.SLIP)),
         marks=pytest.mark.slow, id="neo_hookean",
@@ -145,7 +143,7 @@ def test_store_every_changes_memory_and_not_results(x64, random_like):
 
 def test_environments_do_not_see_each_other(x64, random_like):
     """Values and gradients of an env depend neither on its place in the batch nor, by a bit, on env 1 being NaN."""
-    scene, state, poses = squeezed(*LAWS[1])
+    scene, state, poses = squeezed(*GRIPPED)
     scene = scene.replace(colliders=())
     num_envs = 3
     noise = random_like(0, jax.tree.map(lambda a: jnp.zeros((num_envs, *a.shape)), state))
