@@ -3,8 +3,10 @@
 from rewax.physics.contact.colliders import (
     Collider,
     Overlap,
+    Placed,
     apply_colliders,
     check_bodies,
+    place,
     shape_pose,
     with_softness,
 )
@@ -12,6 +14,6 @@ from rewax.physics.contact.drawings import drawings
 from rewax.physics.contact.penalty import Ground, PenaltyContact, collider_force, ground_force, penalty_force
 
 __all__ = [
-    "Collider", "Ground", "Overlap", "PenaltyContact", "apply_colliders", "check_bodies", "collider_force",
-    "drawings", "ground_force", "penalty_force", "shape_pose", "with_softness",
+    "Collider", "Ground", "Overlap", "PenaltyContact", "Placed", "apply_colliders", "check_bodies", "collider_force",
+    "drawings", "ground_force", "penalty_force", "place", "shape_pose", "with_softness",
 ]  # fmt: skip

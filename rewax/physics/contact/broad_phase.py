@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, known_softness, shape_pose
-from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, Placed, known_softness, shape_pose
+from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 from rewax.types import Array, Scalar
 
@@ -23,30 +23,30 @@ T = TypeVar("T")
 
 
 def near_colliders(
-    colliders: tuple[Collider, ...], before: Pose, after: Pose, lower: Array, upper: Array, max_near: int
-) -> list[tuple[Collider, Pose, Pose]]:
-    """The colliders to evaluate, in the order given, with the poses of their bodies at both ends of a substep.
+    colliders: tuple[Collider, ...], placed: Placed, lower: Array, upper: Array, max_near: int
+) -> list[tuple[Collider, Placed]]:
+    """The colliders to evaluate, in the order given, with their placements.
 
     Args:
       colliders: all of them. Neighbours in the tuple that are of one kind of shape form a run; a run of at most
         ``max_near`` is kept as it is.
-      before, after: poses of all bodies, (num_bodies, 3), (num_bodies, 3, 3).
+      placed: all of them, in a substep, leading axis num_colliders; see ``colliders.place``.
       lower, upper: corners of a box that holds whatever can be touched [m], shape (3,). Gradient: none.
       max_near: how many of each run are kept.
 
-    Gradient: exact with respect to colliders and poses that are kept.
+    Gradient: exact with respect to colliders and placements that are kept.
     """
     kept = []
-    for run in _runs(colliders):
+    for run, among in _runs(colliders):
+        of_run = _take(placed, among)
         if len(run) <= max_near:
-            kept += [(c, body_pose(before, c.body), body_pose(after, c.body)) for c in run]
+            kept += [(c, _take(of_run, k)) for k, c in enumerate(run)]
             continue
-        _, chosen = jax.lax.top_k(-_gaps(run, before, lower, upper), max_near)
+        _, chosen = jax.lax.top_k(-_gaps(run, of_run.pose.position, lower, upper), max_near)
         chosen = jnp.sort(chosen)
         # The body's index is static, part of the structure: without it colliders of several bodies can be stacked.
         stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(a) for a in leaves]), *_bodiless(run))
-        bodies = jnp.asarray([c.body for c in run])[chosen]
-        moving = (_take(stacked, chosen), _take(before, bodies), _take(after, bodies))
+        moving = _take((stacked, of_run), chosen)
         kept += [_take(moving, k) for k in range(max_near)]
     return kept
 
@@ -63,10 +63,11 @@ def count_excess(colliders: tuple[Collider, ...], poses: Pose, lower: Array, upp
     """
 
     def near(run: tuple[Collider, ...]) -> Array:
-        gaps = jax.vmap(lambda p: _gaps(run, p, lower, upper))(poses)
+        centers = jnp.stack([shape_pose(c, Pose(*(a[:, c.body] for a in poses))).position for c in run], axis=1)
+        gaps = jax.vmap(lambda centers: _gaps(run, centers, lower, upper))(centers)
         return jnp.max(jnp.sum(gaps < 0, axis=-1, dtype=jnp.int32))
 
-    counts = [near(run) for run in _runs(colliders)]
+    counts = [near(run) for run, _ in _runs(colliders)]
     return jnp.max(jnp.stack(counts)) - max_near if counts else jnp.int32(-max_near)
 
 
@@ -89,14 +90,16 @@ def bounding_radius(shape: Shape) -> Scalar:
     return jnp.inf
 
 
-def _runs(colliders: tuple[Collider, ...]) -> list[tuple[Collider, ...]]:
-    """Consecutive colliders that can be stacked: shapes of one kind with parameters of the same form."""
+def _runs(colliders: tuple[Collider, ...]) -> list[tuple[tuple[Collider, ...], slice]]:
+    """Consecutive colliders that can be stacked (shapes of one kind with parameters of the same form), and which."""
 
     def kind(collider: Collider) -> Any:
         leaves, treedef = jax.tree.flatten(_bodiless((collider,)))
         return type(collider.shape), treedef, tuple(jnp.shape(leaf) for leaf in leaves)
 
-    return [tuple(run) for _, run in itertools.groupby(colliders, kind)]
+    runs = [tuple(run) for _, run in itertools.groupby(colliders, kind)]
+    ends = list(itertools.accumulate(map(len, runs)))
+    return [(run, slice(end - len(run), end)) for run, end in zip(runs, ends, strict=True)]
 
 
 def _bodiless(run: tuple[Collider, ...]) -> list[Collider]:
@@ -107,13 +110,12 @@ def _take(tree: T, index: Any) -> T:
     return jax.tree.map(lambda a: a[index], tree)
 
 
-def _gaps(run: tuple[Collider, ...], poses: Pose, lower: Array, upper: Array) -> Array:
-    """How far beyond their reach the colliders of a run are from the box [m], (len(run),); negative: they may act."""
-
-    def gap(collider: Collider) -> Array:
-        center = shape_pose(collider, body_pose(poses, collider.body)).position
-        away = jnp.maximum(jnp.maximum(lower - center, center - upper), 0.0)
-        reach = bounding_radius(collider.shape) - math.log(MIN_INFLUENCE) / known_softness(collider)
-        return jnp.sqrt(jnp.sum(away * away)) - reach
-
-    return jax.lax.stop_gradient(jnp.stack([gap(c) for c in run]))
+def _gaps(run: tuple[Collider, ...], centers: Array, lower: Array, upper: Array) -> Array:
+    """How far beyond their reach the colliders of a run, of the given origins (len(run), 3), are from the box [m],
+    (len(run),); negative: they may act.
+    """
+    away = jnp.maximum(jnp.maximum(lower - centers, centers - upper), 0.0)
+    reach = jnp.stack(
+        [jnp.asarray(bounding_radius(c.shape) - math.log(MIN_INFLUENCE) / known_softness(c)) for c in run]
+    )
+    return jax.lax.stop_gradient(jnp.sqrt(jnp.sum(away * away, axis=-1)) - reach)

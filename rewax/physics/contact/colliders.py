@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.physics.numerics.materialize import compute_once, materialize
-from rewax.physics.numerics.pose import Pose, product, turned
+from rewax.physics.numerics.pose import Pose, placed_at, product, turned
 from rewax.physics.shapes.primitives import Shape, signed_distance_components
 from rewax.types import Array, Scalar
 
@@ -62,9 +63,23 @@ class Motion(NamedTuple):
     """Velocity of a rigid body's points: that of the point r [m] is ``turn @ r + shift`` [m/s]."""
 
     turn: Array
-    """Shape (3, 3) [1/s]."""
+    """Shape (..., 3, 3) [1/s]."""
     shift: Array
-    """Shape (3,) [m/s]."""
+    """Shape (..., 3) [m/s]."""
+
+
+class Placed(NamedTuple):
+    """Where a shape is during a substep and how it moves. Leading axes (time, colliders) as the context says.
+
+    Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
+    """
+
+    pose: Pose
+    """Of the shape at the substep's beginning, shapes (..., 3), (..., 3, 3)."""
+    matrix: Array
+    """Shape (..., 6, 3): first rows for the place [-], last for the velocity [1/s]."""
+    offset: Array
+    """Shape (..., 6) [m], [m/s]."""
 
 
 class Touch(NamedTuple):
@@ -83,33 +98,27 @@ class Touch(NamedTuple):
 
 
 def apply_colliders(
-    colliders: Sequence[tuple[Collider, Pose, Pose]],
+    colliders: Sequence[tuple[Collider, Placed]],
     position: Vec3,
     velocity: Vec3,
-    dt: float,
     *,
     overlap: Overlap = Overlap.SEQUENTIAL,
 ) -> Vec3:
     """Node velocities after contact with several moving shapes.
 
     Args:
-      colliders: the shapes, each with the poses of its body at the beginning and end of the substep, (3,), (3, 3).
+      colliders: the shapes, each with its placement in the substep, see ``place``.
       position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
       velocity: node velocities [m/s], components of shape (num_nodes,).
-      dt: duration of the substep [s].
       overlap: how they act together (static).
 
     Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, the mean of theirs.
     """
     if overlap is Overlap.SEQUENTIAL or len(colliders) < 2:
-        for collider, before, after in colliders:
-            velocity = apply_collider(collider, position, velocity, before, after, dt)
+        for collider, placed in colliders:
+            velocity = contact_velocity(touch(collider, position, placed), velocity)
         return velocity
-    touches = [
-        touch(collider, position, *_start_and_motion(collider, before, after, dt))
-        for collider, before, after in colliders
-    ]
-    return contact_velocity(nearest(touches)[0], velocity)
+    return contact_velocity(nearest([touch(c, position, placed) for c, placed in colliders])[0], velocity)
 
 
 def with_softness(colliders: Sequence[Collider], spacing: float) -> tuple[Collider, ...]:
@@ -155,26 +164,23 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
       at influence 0.1 is a step that no derivative sees.
     Source: Huang et al. 2021, PlasticineLab, appendix; the law used by Rewarped.
     """
-    return contact_velocity(touch(collider, position, *_start_and_motion(collider, before, after, dt)), velocity)
+    start, end = shape_pose(collider, before), shape_pose(collider, after)
+    return contact_velocity(touch(collider, position, placed(start, chord_motion(start, end, dt))), velocity)
 
 
-def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> Touch:
+def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
     """A collider at the given nodes.
 
     Args:
       collider: the shape.
       position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
-      start: pose of the shape (not of its body), see ``shape_pose``, shapes (3,), (3, 3).
-      motion: of its body.
+      placed: the shape, without leading axes.
 
     Gradient: exact.
     """
-    # Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
-    to_local = -turned(start.rotation.T, start.position)
-    maps = jnp.concatenate([start.rotation.T, motion.turn]), jnp.concatenate([to_local, motion.shift])
     # Once: shapes compare places in their frame (faces of a box, cells of a grid), and all parts of distance and normal
     # must come from one face or cell.
-    at_nodes = linear_pass(_at_nodes, _AT_NODES_TRANSPOSE, None, position, maps)
+    at_nodes = linear_pass(_at_nodes, _AT_NODES_TRANSPOSE, None, position, (placed.matrix, placed.offset))
     (lx, ly, lz), (bx, by, bz) = compute_once(at_nodes[:3]), materialize(at_nodes[3:])
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
@@ -182,7 +188,7 @@ def touch(collider: Collider, position: Vec3, start: Pose, motion: Motion) -> To
     # Once: each component of the velocity compares the influence with the least one that acts. It is faster too: XLA
     # would compute the whole chain, forward and backward, anew for every component.
     influence, local_normal = compute_once((influence, local_normal))
-    normal = cp.matvec(cp.split_matrix(start.rotation), local_normal)
+    normal = cp.matvec(cp.split_matrix(placed.pose.rotation), local_normal)
     return Touch(distance, influence, normal, collider.friction, (bx, by, bz))
 
 
@@ -208,7 +214,7 @@ def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
     influence, body = touch.influence, touch.velocity
     normal, relative = materialize((touch.normal, cp.subtract(velocity, body)))
     approach = materialize(jnp.minimum(cp.dot(relative, normal), 0.0))
-    tangential = materialize(cp.vector(lambda i: relative[i] - approach * normal[i]))
+    tangential = cp.vector(lambda i: relative[i] - approach * normal[i])
     slipping = materialize(friction_factor(tangential, approach, touch.friction))
     active = influence > MIN_INFLUENCE
 
@@ -231,20 +237,52 @@ def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
 
 def shape_pose(collider: Collider, body: Pose) -> Pose:
     """Pose of a collider's shape, given that of its body. Gradient: exact."""
-    return Pose(
-        body.position + turned(body.rotation, collider.offset),
-        product(body.rotation, collider.rotation),
+    return placed_at(Pose(collider.offset, collider.rotation), body)
+
+
+def place(colliders: Sequence[Collider], before: Pose, after: Pose, dt: float) -> Placed:
+    """Where shapes are in a substep, or in many, and how they move: for all at once, or programs of hands are long.
+
+    Args:
+      colliders: the shapes.
+      before, after: poses of all bodies at the beginning and end of each substep, (..., num_bodies, 3), (...,
+        num_bodies, 3, 3).
+      dt: duration of a substep [s].
+
+    Returns:
+      Leading axes (..., num_colliders).
+
+    Gradient: exact.
+    """
+    mounts = Pose(_rows([c.offset for c in colliders], (3,)), _rows([c.rotation for c in colliders], (3, 3)))
+    bodies = np.array([c.body for c in colliders], int)
+    start, end = (
+        placed_at(mounts, Pose(pose.position[..., bodies, :], pose.rotation[..., bodies, :, :]))
+        for pose in (before, after)
+    )
+    return placed(start, chord_motion(start, end, dt))
+
+
+def _rows(arrays: list[Array], shape: tuple[int, ...]) -> Array:
+    # All numbers in a row first: XLA is slow at putting many small matrices side by side.
+    return jnp.concatenate([jnp.zeros(0, jnp.result_type(*arrays, np.float32)), *map(jnp.ravel, arrays)]).reshape(
+        -1, *shape
     )
 
 
-def _start_and_motion(collider: Collider, before: Pose, after: Pose, dt: float) -> tuple[Pose, Motion]:
-    start = shape_pose(collider, before)
-    return start, chord_motion(start, shape_pose(collider, after), dt)
+def placed(pose: Pose, motion: Motion) -> Placed:
+    """A shape, or many, of the given pose (not that of its body) and motion. Gradient: exact."""
+    to_local = jnp.swapaxes(pose.rotation, -1, -2)
+    return Placed(
+        pose,
+        jnp.concatenate([to_local, motion.turn], axis=-2),
+        jnp.concatenate([-turned(to_local, pose.position), motion.shift], axis=-1),
+    )
 
 
 def chord_motion(start: Pose, end: Pose, dt: float) -> Motion:
     """The motion that takes each point of a body along a straight line from one pose to another. Gradient: exact."""
-    turn = product((end.rotation - start.rotation) / dt, start.rotation.T)
+    turn = product((end.rotation - start.rotation) / dt, jnp.swapaxes(start.rotation, -1, -2))
     return Motion(turn, (end.position - start.position) / dt - turned(turn, start.position))
 
 

@@ -17,7 +17,7 @@ from rewax.physics.coupling.free_body import FreeBodies, Inertia, inertia_number
 from rewax.physics.coupling.soft import Scene, Soft, solver_of
 from rewax.physics.numerics.checks import check_numbers
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.numerics.recompute import recomputed, scan_substeps
+from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
 from rewax.types import Array
 
 
@@ -72,7 +72,7 @@ def step(
         return one(scene, inertia, wrench, constants, carry, interval)
 
     start = _Carry(solver.split(state), bodies, no_wrench(num_bodies, state.x.dtype))
-    end = scan_substeps(body, start, poses, store_every)
+    end = scan_substeps(body, start, both_ends(poses), store_every)
     mean = jax.tree.map(lambda a: a / (num_substeps * scene.dt), end.received)
     return solver.join(end.soft), end.bodies, mean
 

@@ -18,6 +18,7 @@ from rewax.physics.contact.colliders import (
     contact_velocity,
     friction_factor,
     nearest,
+    placed,
     shape_pose,
     touch,
     velocity_at,
@@ -57,7 +58,7 @@ class NodeContact(NamedTuple):
         position = self.nodes.position
         return self._replace(
             touches=tuple(
-                touch(c, position, shape_pose(c, body_pose(poses, c.body)), now[c.body])
+                touch(c, position, placed(shape_pose(c, body_pose(poses, c.body)), now[c.body]))
                 for c in self.scene.sized_colliders
             )
         )

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax.physics.contact.broad_phase import count_excess, near_colliders
-from rewax.physics.contact.colliders import Collider, apply_colliders, check_bodies
+from rewax.physics.contact.colliders import Collider, Placed, apply_colliders, check_bodies, place
 from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Response, respond
@@ -35,8 +35,8 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.linear_pass import Arrays, linear_pass
 from rewax.physics.numerics.materialize import materialize
-from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.numerics.recompute import recomputed, scan_substeps
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array
 
@@ -70,7 +70,7 @@ def substep(
     """
     check_bodies(scene.colliders, before.position.shape[0])
     nodes = nodes_of_step(scene, state.x) if nodes is None else nodes
-    return join(_recomputed_substep(scene, nodes, pack(split(state)), (before, after)))
+    return join(_recomputed_substep(scene, nodes, pack(split(state)), place(scene.colliders, before, after, scene.dt)))
 
 
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
@@ -91,10 +91,11 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
     nodes = nodes_of_step(scene, state.x)
     one = _substep if store_every is None else _recomputed_substep
 
-    def body(particles: Particles, interval: tuple[Pose, Pose]) -> Particles:
-        return one(scene, nodes, pack(particles), interval)
+    def body(particles: Particles, placed: Placed) -> Particles:
+        return one(scene, nodes, pack(particles), placed)
 
-    return join(scan_substeps(body, split(state), poses, store_every))
+    placed = place(scene.colliders, *both_ends(poses), scene.dt)
+    return join(scan_substeps(body, split(state), placed, store_every))
 
 
 def check_status(
@@ -183,12 +184,12 @@ def _unstack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
     return tuple(arrays[0][..., i, :] for i in range(arrays[0].shape[-2]))
 
 
-def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, interval: tuple[Pose, Pose]) -> Particles:
+def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, placed: Placed) -> Particles:
     # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
     particles = materialize(unpack(packed))
     response, fields = to_nodes(scene, nodes, particles)
     with jax.named_scope("grid"):
-        velocity = grid_velocity(scene, nodes, fields, *interval)
+        velocity = grid_velocity(scene, nodes, fields, placed)
     return from_nodes(scene, nodes, particles.x, response, velocity)
 
 
@@ -226,30 +227,30 @@ def from_nodes(scene: MPMScene, nodes: ActiveNodes, x: Vec3, response: Response,
     return Particles(x, v, C, F_trial, response.plastic_volume)
 
 
-def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, before: Pose, after: Pose) -> Vec3:
+def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, placed: Placed) -> Vec3:
     """Velocities of the given nodes [m/s] after gravity, colliders and walls, components of shape (num_nodes,).
 
-    Gradient: exact with respect to fields, poses and every leaf of the scene.
+    ``placed`` are all of the scene's colliders.
+
+    Gradient: exact with respect to fields, placements and every leaf of the scene.
     """
     has_mass, velocity = free_velocity(scene, fields)
-    velocity = apply_colliders(
-        _colliders(scene, nodes, has_mass, before, after), nodes.position, velocity, scene.dt, overlap=scene.overlap
-    )
+    colliders = _colliders(scene, nodes, has_mass, placed)
+    velocity = apply_colliders(colliders, nodes.position, velocity, overlap=scene.overlap)
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
-def _colliders(
-    scene: MPMScene, nodes: ActiveNodes, has_mass: Array, before: Pose, after: Pose
-) -> list[tuple[Collider, Pose, Pose]]:
-    """The colliders that are evaluated, with their bodies' poses."""
-    if scene.max_near_colliders is None or len(scene.colliders) <= scene.max_near_colliders:
-        return [(c, body_pose(before, c.body), body_pose(after, c.body)) for c in scene.sized_colliders]
+def _colliders(scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Placed) -> list[tuple[Collider, Placed]]:
+    """The colliders that are evaluated."""
+    colliders = scene.sized_colliders
+    if scene.max_near_colliders is None or len(colliders) <= scene.max_near_colliders:
+        return [(c, jax.tree.map(lambda a, i=i: a[i], placed)) for i, c in enumerate(colliders)]
     lower, upper = (
         jnp.stack([reduce(jnp.where(has_mass, a, far)) for a in nodes.position])
         for reduce, far in ((jnp.min, jnp.inf), (jnp.max, -jnp.inf))
     )
-    return near_colliders(scene.sized_colliders, before, after, lower, upper, scene.max_near_colliders)
+    return near_colliders(colliders, placed, lower, upper, scene.max_near_colliders)
 
 
 def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:

@@ -17,13 +17,18 @@ class Pose(NamedTuple):
 
 
 def turned(rotation: Array, vector: Array) -> Array:
-    """``rotation @ vector``, (3, 3) and (3,), as sums that can be a part of another kernel. Gradient: exact."""
-    return sum(rotation[:, k] * vector[k] for k in range(3))  # type: ignore[return-value]
+    """``rotation @ vector``, (..., 3, 3), (..., 3), as sums that can be a part of another kernel. Gradient: exact."""
+    return sum(rotation[..., k] * vector[..., k, None] for k in range(3))  # type: ignore[return-value]
 
 
 def product(a: Array, b: Array) -> Array:
-    """``a @ b`` of two (3, 3) matrices, in the same way. Gradient: exact."""
-    return sum(a[:, k, None] * b[None, k, :] for k in range(3))  # type: ignore[return-value]
+    """``a @ b`` of matrices (..., 3, 3), in the same way. Gradient: exact."""
+    return sum(a[..., k, None] * b[..., None, k, :] for k in range(3))  # type: ignore[return-value]
+
+
+def placed_at(mount: Pose, body: Pose) -> Pose:
+    """The world's pose of what has the pose ``mount`` in a body's frame. Gradient: exact."""
+    return Pose(body.position + turned(body.rotation, mount.position), product(body.rotation, mount.rotation))
 
 
 def body_pose(poses: Pose, body: int) -> Pose:

@@ -15,7 +15,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.numerics.recompute import recomputed, scan_substeps
+from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
 from rewax.physics.tets.edges import edges, gather_forces
 from rewax.physics.tets.law import first_piola_stress
 from rewax.physics.tets.scene import TetScene, TetState, has_invalid_parameters
@@ -74,7 +74,7 @@ def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | No
     def body(vertices: Vertices, interval: tuple[Pose, Pose]) -> Vertices:
         return one(scene, constants, vertices, interval)
 
-    return join(scan_substeps(body, split(state), poses, store_every))
+    return join(scan_substeps(body, split(state), both_ends(poses), store_every))
 
 
 def internal_force(scene: TetScene, state: TetState) -> Array:

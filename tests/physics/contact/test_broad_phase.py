@@ -9,7 +9,7 @@ import pytest
 
 from rewax.physics import mpm
 from rewax.physics.contact.broad_phase import bounding_radius, near_colliders
-from rewax.physics.contact.colliders import Collider, apply_colliders
+from rewax.physics.contact.colliders import Collider, apply_colliders, place
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics import components as cp
@@ -67,8 +67,9 @@ def test_value_and_gradient_are_those_of_all_colliders(scene_and_state):
     def value_and_slope(push, max_near):
         def loss(push):
             before, after = (jax.tree.map(lambda p, t=t: p[t], poses(push)) for t in (0, 1))
-            near = near_colliders(scene.colliders, before, after, lower, upper, max_near)
-            v = jnp.stack(apply_colliders(near, nodes, tuple(jnp.ones((3, 2000))), scene.dt))
+            placed = place(scene.colliders, before, after, scene.dt)
+            near = near_colliders(scene.colliders, placed, lower, upper, max_near)
+            v = jnp.stack(apply_colliders(near, nodes, tuple(jnp.ones((3, 2000)))))
             return jnp.sum(weights * v), v
 
         return jax.value_and_grad(loss, has_aux=True)(push)
