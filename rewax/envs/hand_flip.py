@@ -15,7 +15,6 @@ from rewax.envs.shadow_hand import HandTask, hand_colliders, joint_limits, load_
 from rewax.envs.soft_parts import box_walls, dough
 from rewax.envs.soft_task import Soft, SoftPhysics
 from rewax.physics import mpm
-from rewax.physics.contact import Overlap
 from rewax.physics.mpm import Grid
 from rewax.types import Array, Key, PyTree
 
@@ -166,7 +165,6 @@ def small(
         gravity=(0.0, r["gravity"], 0.0),
         colliders=hand_colliders(hand, friction=r["friction"], softness=softness),
         walls=box_walls(floor=0.2, lower=(0.25, 0.35), upper=(0.72, 0.82)),
-        overlap=Overlap.NEAREST,
         max_active_nodes=704,
         reach=0.5,
     )

@@ -14,7 +14,6 @@ from rewax.envs.shadow_hand import NUM_JOINTS, HandTask, hand_colliders, joint_l
 from rewax.envs.soft_parts import box_walls, dough, lattice_box, random_box
 from rewax.envs.soft_task import SoftPhysics
 from rewax.physics import mpm
-from rewax.physics.contact import Overlap
 from rewax.physics.mpm import Grid, WallKind
 from rewax.types import Array
 
@@ -126,7 +125,7 @@ def small() -> HandLift:
         dt=2e-4,
         softness=150.0,
         walls={"floor": 0.16, "lower": (0.36, 0.34), "upper": (0.64, 0.66)},
-        scene={"max_active_nodes": 768, "overlap": Overlap.NEAREST},
+        scene={"max_active_nodes": 768},
         rest_positions=lattice_box(center, (r["edge"],) * 3, (6, 6, 6)),
         cloud=PointCloud(num_points=72, stride=3),
         noise=reset_noise((-0.015, 0.0, -0.015), (0.015, 0.0, 0.015)),

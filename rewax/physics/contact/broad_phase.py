@@ -7,14 +7,13 @@ more than that number are near; ``count_excess`` tells. (Under
 leaving it out makes a difference.)
 """
 
-import itertools
 import math
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, Placed, known_softness, shape_pose
+from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, Placed, known_softness, runs, shape_pose
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 from rewax.types import Array, Scalar
@@ -37,8 +36,8 @@ def near_colliders(
     Gradient: exact with respect to colliders and placements that are kept.
     """
     kept = []
-    for run, among in _runs(colliders):
-        of_run = _take(placed, among)
+    for where in runs(colliders):
+        run, of_run = colliders[where], _take(placed, where)
         if len(run) <= max_near:
             kept += [(c, _take(of_run, k)) for k, c in enumerate(run)]
             continue
@@ -67,7 +66,7 @@ def count_excess(colliders: tuple[Collider, ...], poses: Pose, lower: Array, upp
         gaps = jax.vmap(lambda centers: _gaps(run, centers, lower, upper))(centers)
         return jnp.max(jnp.sum(gaps < 0, axis=-1, dtype=jnp.int32))
 
-    counts = [near(run) for run, _ in _runs(colliders)]
+    counts = [near(colliders[where]) for where in runs(colliders)]
     return jnp.max(jnp.stack(counts)) - max_near if counts else jnp.int32(-max_near)
 
 
@@ -88,18 +87,6 @@ def bounding_radius(shape: Shape) -> Scalar:
         case Ellipsoid():
             return jnp.max(jnp.asarray(shape.semi_axes), axis=-1)
     return jnp.inf
-
-
-def _runs(colliders: tuple[Collider, ...]) -> list[tuple[tuple[Collider, ...], slice]]:
-    """Consecutive colliders that can be stacked (shapes of one kind with parameters of the same form), and which."""
-
-    def kind(collider: Collider) -> Any:
-        leaves, treedef = jax.tree.flatten(_bodiless((collider,)))
-        return type(collider.shape), treedef, tuple(jnp.shape(leaf) for leaf in leaves)
-
-    runs = [tuple(run) for _, run in itertools.groupby(colliders, kind)]
-    ends = list(itertools.accumulate(map(len, runs)))
-    return [(run, slice(end - len(run), end)) for run, end in zip(runs, ends, strict=True)]
 
 
 def _bodiless(run: tuple[Collider, ...]) -> list[Collider]:

@@ -2,9 +2,10 @@
 
 import enum
 import functools
+import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.physics.numerics.materialize import compute_once, materialize
 from rewax.physics.numerics.pose import Pose, placed_at, product, turned
+from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.shapes.primitives import Shape, signed_distance_components
 from rewax.types import Array, Scalar
 
@@ -114,11 +116,25 @@ def apply_colliders(
 
     Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, the mean of theirs.
     """
+    colliders = [(collider.replace(body=0), placed) for collider, placed in colliders]
     if overlap is Overlap.SEQUENTIAL or len(colliders) < 2:
-        for collider, placed in colliders:
-            velocity = contact_velocity(touch(collider, position, placed), velocity)
-        return velocity
-    return contact_velocity(nearest([touch(c, position, placed) for c, placed in colliders])[0], velocity)
+        if len(colliders) < _LONG_RUN:
+            return _in_turn(colliders, position, velocity)
+        # XLA for a CPU compiles a kernel for each step of each collider; on a GPU one kernel holds many colliders.
+        return jax.lax.platform_dependent(colliders, position, velocity, cpu=_in_loops, default=_in_turn)
+    touches = [_touch_of_kind(collider, position, placed) for collider, placed in colliders]
+    return contact_velocity(nearest(touches)[0], velocity)
+
+
+def runs(colliders: Sequence[Collider]) -> list[slice]:
+    """Neighbours that can be stacked: shapes of one kind with parameters of the same form, whatever their bodies."""
+
+    def kind(collider: Collider) -> Any:
+        leaves, treedef = jax.tree.flatten(collider.replace(body=0))
+        return treedef, tuple(jnp.shape(leaf) for leaf in leaves)
+
+    ends = list(itertools.accumulate(len(list(run)) for _, run in itertools.groupby(colliders, kind)))
+    return [slice(*ends) for ends in itertools.pairwise([0, *ends])]
 
 
 def with_softness(colliders: Sequence[Collider], spacing: float) -> tuple[Collider, ...]:
@@ -165,7 +181,7 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
     Source: Huang et al. 2021, PlasticineLab, appendix; the law used by Rewarped.
     """
     start, end = shape_pose(collider, before), shape_pose(collider, after)
-    return contact_velocity(touch(collider, position, placed(start, chord_motion(start, end, dt))), velocity)
+    return apply_colliders([(collider, placed(start, chord_motion(start, end, dt)))], position, velocity)
 
 
 def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
@@ -190,6 +206,39 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
     influence, local_normal = compute_once((influence, local_normal))
     normal = cp.matvec(cp.split_matrix(placed.pose.rotation), local_normal)
     return Touch(distance, influence, normal, collider.friction, (bx, by, bz))
+
+
+_touch_of_kind = jax.jit(touch)
+"""Traced once for shapes of one kind. (The body's index is static: ``apply_colliders`` leaves it out.)"""
+
+_LONG_RUN = 4
+"""So many colliders of one kind are worth a loop."""
+
+
+@jax.jit
+def _velocity_after(collider: Collider, placed: Placed, position: Vec3, velocity: Vec3) -> Vec3:
+    return contact_velocity(touch(collider, position, placed), velocity)
+
+
+_recomputed_velocity_after = recomputed(_velocity_after)
+
+
+def _in_turn(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velocity: Vec3) -> Vec3:
+    for collider, placed in colliders:
+        velocity = _velocity_after(collider, placed, position, velocity)
+    return velocity
+
+
+def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velocity: Vec3) -> Vec3:
+    """The same, long runs of one kind of shape in a loop: less to compile, and less to keep for the backward pass."""
+    for where in runs([collider for collider, _ in colliders]):
+        run = colliders[where]
+        if len(run) < _LONG_RUN:
+            velocity = _in_turn(run, position, velocity)
+            continue
+        stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(a) for a in leaves]), *run)
+        velocity, _ = jax.lax.scan(lambda v, c: (_recomputed_velocity_after(*c, position, v), None), velocity, stacked)
+    return velocity
 
 
 def nearest(touches: list[Touch]) -> tuple[Touch, list[Array]]:
