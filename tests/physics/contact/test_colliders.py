@@ -13,12 +13,15 @@ from rewax.physics.contact.colliders import (
     apply_colliders,
     check_bodies,
     nearest,
+    place,
+    placed,
+    runs,
     touch,
     with_softness,
 )
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Box, Plane, Sphere
+from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.shapes.primitives import Box, Capsule, Plane, Sphere
 
 EYE, ORIGIN, DT = jnp.eye(3), jnp.zeros(3), 1e-3
 REST = Pose(ORIGIN, EYE)
@@ -159,8 +162,58 @@ def test_a_collider_of_a_body_without_pose_is_refused():
 def several(colliders, nodes, velocity, before, after, overlap):
     """Velocities (N, 3) of nodes (N, 3) after contact with all of them."""
     position, v = cp.split_vector(nodes), cp.split_vector(velocity)
-    moving = [(c, *(Pose(p.position[c.body], p.rotation[c.body]) for p in (before, after))) for c in colliders]
-    return cp.join_vector(apply_colliders(moving, position, v, DT, overlap=overlap))
+    placed = place(colliders, before, after, DT)
+    moving = [(c, jax.tree.map(lambda a, i=i: a[i], placed)) for i, c in enumerate(colliders)]
+    return cp.join_vector(apply_colliders(moving, position, v, overlap=overlap))
+
+
+def fingers(rotations):
+    """Five capsules, a box, four capsules on three moving bodies, all over each other, and nodes among them."""
+    rng = np.random.default_rng(5)
+
+    def one(k):
+        sizes = {"radius": jnp.asarray(rng.uniform(0.1, 0.2)), "half_length": jnp.asarray(rng.uniform(0.1, 0.3))}
+        shape = Box(half_size=jnp.asarray(rng.uniform(0.1, 0.2, 3))) if k == 5 else Capsule(**sizes)
+        return Collider(
+            shape=shape, offset=jnp.asarray(rng.uniform(-0.2, 0.2, 3)), rotation=jnp.asarray(rotations(k, 1)[0]),
+            friction=jnp.asarray(rng.uniform(0.1, 0.6)), softness=jnp.asarray(rng.uniform(20.0, 60.0)), body=k % 3,
+        )  # fmt: skip
+
+    turns = jnp.asarray(rotations(20, 6))
+    before = Pose(jnp.asarray(rng.uniform(-0.1, 0.1, (3, 3))), turns[:3])
+    after = Pose(before.position + jnp.asarray(rng.uniform(-2e-3, 2e-3, (3, 3))), turns[:3] + 1e-3 * turns[3:])
+    nodes, velocity = (jnp.asarray(rng.uniform(-0.5, 0.5, (300, 3))) for _ in range(2))
+    return tuple(map(one, range(10))), nodes, velocity, before, after
+
+
+def test_long_runs_of_one_kind_act_one_after_the_other(x64, rotations):
+    colliders, nodes, velocity, before, after = fingers(rotations)
+    assert runs(colliders) == [slice(0, 5), slice(5, 6), slice(6, 10)]
+    together = several(colliders, nodes, velocity, before, after, Overlap.SEQUENTIAL)
+    one_by_one = velocity
+    for c in colliders:
+        one_by_one = after_contact(c, nodes, one_by_one, body_pose(before, c.body), body_pose(after, c.body))
+    np.testing.assert_allclose(together, one_by_one, atol=1e-13)
+    assert np.mean(np.any(together != velocity, axis=1)) > 0.3
+
+
+def test_derivatives_through_long_runs(
+    x64, rotations, random_like, central_difference, relative_error, derivatives, inner
+):
+    colliders, nodes, *others = fingers(rotations)
+    args = (colliders, *others)
+    program = derivatives(lambda args: several(args[0], nodes, *args[1:], Overlap.SEQUENTIAL))
+    direction = random_like(1, args)
+
+    def result(args):
+        return program(args, direction, weights=weights)[0]
+
+    def weights(value):
+        return random_like(2, value)
+
+    _, tangent, cotangent, gradient = program(args, direction, weights=weights)
+    assert relative_error(tangent, central_difference(result, args, direction, 1e-8)) < 1e-6
+    np.testing.assert_allclose(inner(gradient, direction), inner(cotangent, tangent), rtol=1e-11)
 
 
 def two_boxes(half, apart, friction=0.3):
@@ -233,7 +286,9 @@ def test_shares_of_the_nearest_sum_to_one_in_a_compiled_program():
 
     @jax.jit
     def shares_and_distance(boxes, nodes, before):
-        touches = [touch(box, cp.split_vector(nodes), Pose(before.position[box.body], turn), still) for box in boxes]
+        touches = [
+            touch(box, cp.split_vector(nodes), placed(Pose(before.position[box.body], turn), still)) for box in boxes
+        ]
         best, shares = nearest(touches)
         return sum(shares), best.distance, jnp.minimum(*(t.distance for t in touches))
 
