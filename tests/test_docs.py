@@ -147,7 +147,8 @@ def test_the_tutorial_of_a_soft_task_runs(capsys):
     assert "Press" in names["rewax"].list_envs() and names["agent"].name == "sapo" and env.num_actions == 1
 
 
-@pytest.mark.parametrize("kind", ["tet", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("soft", "coupled"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["tet", "soft", "coupled"])
 def test_the_examples_of_soft_tasks_train(kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = ROOT / "examples" / f"custom_{kind}_task.py"

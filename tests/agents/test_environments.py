@@ -55,7 +55,7 @@ def test_a_batch_is_each_environment_alone():
 
 
 @pytest.mark.parametrize(
-    "kind", ["one", *(pytest.param(k, marks=pytest.mark.slow) for k in ("batch", "randomized")), "randomized batch"]
+    "kind", ["one", *(pytest.param(k, marks=pytest.mark.slow) for k in ("batch", "randomized", "randomized batch"))]
 )
 def test_the_second_step_with_other_leaves_compiles_nothing(kind):
     env = stack(ENVS) if "batch" in kind else ENVS[1]

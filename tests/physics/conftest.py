@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rigid_models import QUICK_TO_COMPILE
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -92,11 +93,11 @@ def derivatives():
     """``derivatives(f)(x, dx, weights)``: f(x), its forward derivative along dx, its reverse derivative of weights.
 
     One compiled program; ``weights`` is a function of f(x) that is called while tracing. Further arguments of
-    ``derivatives`` are ``jax.jit``'s.
+    ``derivatives`` are ``jax.jit``'s. It is compiled quickly rather than well.
     """
 
     def of(f, **options):
-        @functools.partial(jax.jit, static_argnames="weights", **options)
+        @functools.partial(jax.jit, static_argnames="weights", **{"compiler_options": QUICK_TO_COMPILE, **options})
         def all_three(x, dx, weights):
             value, forward = jax.linearize(f, x)
             chosen = weights(value)

@@ -9,7 +9,10 @@ from benchmarks.validation import CASES, __main__
 from benchmarks.validation.common import Check, fit_oscillation, relative
 
 
-@pytest.mark.parametrize("name", CASES)
+# The third notebook identifies a material too.
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "identification" else name for name in CASES]
+)
 def test_case(name):
     """Scale "tiny"; the tolerances are the cases' own: those of "full" but for toes and fronts thinner than a cell."""
     checks = CASES[name].run("tiny")["checks"]

@@ -70,7 +70,7 @@ def batch(size, seed=0):
     ("name", "changes"),
     [
         ("sapo", {}),
-        ("shac", {"state_dependent_std": False, "observation_clip": 0.5}),
+        pytest.param("shac", {"state_dependent_std": False, "observation_clip": 0.5}, marks=pytest.mark.slow),
         ("ppo", {"activation": "tanh", "normalize_observations": False}),
     ],
 )

@@ -51,6 +51,7 @@ def thrown(model, velocity=(0.02, -0.4, 0.01), spin=(1.0, 2.0, -3.0)):
 RUN = jax.jit(articulated.step, static_argnames="num_substeps")
 
 
+@pytest.mark.slow
 def test_a_model_of_one_free_body_does_what_a_free_body_does(x64):
     model = claw(finger="")
     scene, state = block_under(model)

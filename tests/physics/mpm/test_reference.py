@@ -139,8 +139,10 @@ RUN = jax.jit(value_and_gradient, static_argnums=0)
 @pytest.mark.parametrize(
     ("elasticity", "plasticity", "options", "dtype"),
     [
-        (Elasticity.HENCKY, Plasticity.VON_MISES, {"max_active_nodes": 600}, np.float32),
         (Elasticity.HENCKY, Plasticity.VON_MISES, {"max_active_nodes": 600}, np.float64),
+        pytest.param(
+            Elasticity.HENCKY, Plasticity.VON_MISES, {"max_active_nodes": 600}, np.float32, marks=pytest.mark.slow
+        ),
         pytest.param(Elasticity.FIXED_COROTATED, Plasticity.NONE, {}, np.float64, marks=pytest.mark.slow),
         pytest.param(Elasticity.NEO_HOOKEAN, Plasticity.VON_MISES, {}, np.float64, marks=pytest.mark.slow),
     ],

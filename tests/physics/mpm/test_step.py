@@ -165,6 +165,7 @@ def test_without_a_softness_colliders_reach_one_cell(x64):
     assert not [path for path, _ in jax.tree.leaves_with_path(free) if "softness" in jax.tree_util.keystr(path)]
 
 
+@pytest.mark.slow
 def test_derivatives_through_colliders_without_a_softness(x64):
     """Reverse, forward and central difference, by the ball's path and the particles' places."""
     end, args = pressed_by(None)

@@ -72,6 +72,7 @@ def derivatives(args):
     return one_substep(args), jax.grad(loss)(args), jax.jvp(loss, (args,), (jax.tree.map(jnp.ones_like, args),))[1]
 
 
+@pytest.mark.slow
 def test_a_substep_and_its_derivatives_agree(x64, request):
     args = squeezed(Elasticity.HENCKY, Plasticity.VON_MISES, "capsule", Wall(position=0.1, kind=WallKind.STICKY))
     expected = jax.jit(derivatives)(args)

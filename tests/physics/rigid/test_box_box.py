@@ -143,6 +143,7 @@ def test_derivatives_are_finite_where_boxes_are_parallel_or_coincide(precision):
         np.testing.assert_allclose(np.linalg.norm(box_box(*inputs)[2], axis=1), 1.0, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_box_lies_flat_on_its_one_contact(x64):
     """m g / stiffness deep; tilted to either side it is turned back. MJX's four points carry it a quarter as deep."""
     for law, share in ((LAW, 1.0), (LAW.replace(boxes_touch_once=False), 0.25)):

@@ -172,6 +172,7 @@ def test_numbers_of_pairs_may_be_changed_and_disabled_contacts_are_none(x64):
     np.testing.assert_allclose(step(none, state).qvel[6], 9.0)
 
 
+@pytest.mark.slow
 def test_a_listed_pair_that_could_touch_anyway_counts_once():
     """As in MuJoCo, where listing a pair replaces what its geoms' types say."""
     body = '<body pos="0 0 .199"><freejoint/><geom name="ball" size=".1" mass="1"/></body>'

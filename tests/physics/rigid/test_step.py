@@ -82,15 +82,11 @@ SERVOS = """<mujoco><compiler autolimits="true" angle="radian"/><option integrat
 """All that implicitfast is implicit in: damping of joints, tendons and actuators, the spin of a body that flies alone."""
 
 
-def test_implicitfast_is_mujocos(x64, derivatives, central_difference, random_like, inner):
-    """A hundred steps, some forces saturated; reverse, forward and difference agree for states, controls and numbers."""
-    mj, model = mujoco.MjModel.from_xml_string(SERVOS), rigid.load(SERVOS)
-    rng = np.random.default_rng(0)
-    qvel, ctrl = 4.0 * rng.standard_normal(mj.nv), rng.uniform(-1, 1, mj.nu)
-    qpos = mj.qpos0 + np.array([0.3, -0.2, 0.4, *np.zeros(7)])
+def test_implicitfast_is_mujocos(x64):
+    """A hundred steps, some forces saturated."""
+    mj, model, qpos, qvel, ctrl = servos()
     data, _ = simulate_in_c(mj, qpos, qvel, ctrl)
-    start = rigid.initial_state(model, qpos, qvel)
-    state = start
+    state = rigid.initial_state(model, qpos, qvel)
     for _ in range(CALLS):
         state = advance(model, state, ctrl, np.zeros((mj.nbody, 6)))
     for ours, theirs in ((state.qpos, data.qpos), (state.qvel, data.qvel), (state.act, data.act)):
@@ -98,6 +94,19 @@ def test_implicitfast_is_mujocos(x64, derivatives, central_difference, random_li
     mj.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     assert np.abs(simulate_in_c(mj, qpos, qvel, ctrl)[0].qpos - data.qpos).max() > 1e-3
 
+
+def servos():
+    """The model twice, and a state and controls at which some of its forces are saturated."""
+    mj, rng = mujoco.MjModel.from_xml_string(SERVOS), np.random.default_rng(0)
+    qvel, ctrl = 4.0 * rng.standard_normal(mj.nv), rng.uniform(-1, 1, mj.nu)
+    return mj, rigid.load(SERVOS), mj.qpos0 + np.array([0.3, -0.2, 0.4, *np.zeros(7)]), qvel, ctrl
+
+
+@pytest.mark.slow
+def test_derivatives_of_implicitfast(x64, derivatives, central_difference, random_like, inner):
+    """Reverse, forward and difference agree for states, controls and numbers."""
+    _, model, qpos, qvel, ctrl = servos()
+    start, rng = rigid.initial_state(model, qpos, qvel), np.random.default_rng(1)
     names = ("dof_damping", "actuator_gainprm", "actuator_biasprm", "body_mass", "body_ipos")
     x = (start.qpos, start.qvel, jnp.asarray(ctrl), {name: model.parameters[name] for name in names})
     move = (*random_like(1, x[:3]), jax.tree.map(lambda a: a * rng.uniform(0.5, 1.0, a.shape), x[3]))
