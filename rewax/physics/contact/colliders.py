@@ -236,7 +236,7 @@ def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velo
         if len(run) < _LONG_RUN:
             velocity = _in_turn(run, position, velocity)
             continue
-        stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(a) for a in leaves]), *run)
+        stacked = jax.tree.map(functools.partial(_stack_like, velocity[0]), *run)
         velocity, _ = jax.lax.scan(lambda v, c: (_recomputed_velocity_after(*c, position, v), None), velocity, stacked)
     return velocity
 
@@ -287,6 +287,11 @@ def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
 def shape_pose(collider: Collider, body: Pose) -> Pose:
     """Pose of a collider's shape, given that of its body. Gradient: exact."""
     return placed_at(Pose(collider.offset, collider.rotation), body)
+
+
+def _stack_like(other: Array, *leaves: Array | float) -> Array:
+    """Numbers side by side; Python's take the type of another array."""
+    return jnp.stack([jnp.asarray(a, jnp.result_type(a, other)) for a in leaves])
 
 
 def place(colliders: Sequence[Collider], before: Pose, after: Pose, dt: float) -> Placed:

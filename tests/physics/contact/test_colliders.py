@@ -216,6 +216,17 @@ def test_derivatives_through_long_runs(
     np.testing.assert_allclose(inner(gradient, direction), inner(cotangent, tangent), rtol=1e-11)
 
 
+def test_pythons_numbers_in_a_long_run_take_the_type_of_the_velocities(x64):
+    nodes, velocity = jnp.ones((2, 3), jnp.float32), -jnp.ones((2, 3), jnp.float32)
+    rest = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32)[None], REST)
+    balls = tuple(
+        Collider(shape=Sphere(radius=2.0), offset=ORIGIN, rotation=EYE, friction=0.1 * k, softness=30.0)
+        for k in range(4)
+    )
+    after = several(balls, nodes, velocity, rest, rest, Overlap.SEQUENTIAL)
+    assert after.dtype == jnp.float32 and float(after.min()) > -0.5
+
+
 def two_boxes(half, apart, friction=0.3):
     """A box on each of two bodies, side by side along x, and random nodes that cover them."""
     boxes = tuple(
