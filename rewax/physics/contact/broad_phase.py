@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, Placed, known_softness, runs, shape_pose
+from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, Placed, known_softness, runs, shape_pose, stacked
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 from rewax.types import Array, Scalar
@@ -44,8 +44,8 @@ def near_colliders(
         _, chosen = jax.lax.top_k(-_gaps(run, of_run.pose.position, lower, upper), max_near)
         chosen = jnp.sort(chosen)
         # The body's index is static, part of the structure: without it colliders of several bodies can be stacked.
-        stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(a) for a in leaves]), *_bodiless(run))
-        moving = _take((stacked, of_run), chosen)
+        bodiless = stacked([c.replace(body=0) for c in run], placed.offset)
+        moving = _take((bodiless, of_run), chosen)
         kept += [_take(moving, k) for k in range(max_near)]
     return kept
 
@@ -87,10 +87,6 @@ def bounding_radius(shape: Shape) -> Scalar:
         case Ellipsoid():
             return jnp.max(jnp.asarray(shape.semi_axes), axis=-1)
     return jnp.inf
-
-
-def _bodiless(run: tuple[Collider, ...]) -> list[Collider]:
-    return [c.replace(body=0) for c in run]
 
 
 def _take(tree: T, index: Any) -> T:

@@ -5,7 +5,7 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,8 @@ from rewax.physics.numerics.pose import Pose, placed_at, product, turned
 from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.shapes.primitives import Shape, signed_distance_components
 from rewax.types import Array, Scalar
+
+T = TypeVar("T")
 
 MIN_INFLUENCE = 0.1
 """A collider acts where its influence exceeds this: within log(10) / softness of its surface."""
@@ -236,8 +238,9 @@ def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velo
         if len(run) < _LONG_RUN:
             velocity = _in_turn(run, position, velocity)
             continue
-        stacked = jax.tree.map(functools.partial(_stack_like, velocity[0]), *run)
-        velocity, _ = jax.lax.scan(lambda v, c: (_recomputed_velocity_after(*c, position, v), None), velocity, stacked)
+        velocity, _ = jax.lax.scan(
+            lambda v, c: (_recomputed_velocity_after(*c, position, v), None), velocity, stacked(run, velocity[0])
+        )
     return velocity
 
 
@@ -289,9 +292,9 @@ def shape_pose(collider: Collider, body: Pose) -> Pose:
     return placed_at(Pose(collider.offset, collider.rotation), body)
 
 
-def _stack_like(other: Array, *leaves: Array | float) -> Array:
-    """Numbers side by side; Python's take the type of another array."""
-    return jnp.stack([jnp.asarray(a, jnp.result_type(a, other)) for a in leaves])
+def stacked(run: Sequence[T], like: Array) -> T:
+    """Trees of one structure side by side, leading axis len(run); Python's numbers take the type of ``like``."""
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(a, jnp.result_type(a, like)) for a in leaves]), *run)
 
 
 def place(colliders: Sequence[Collider], before: Pose, after: Pose, dt: float) -> Placed:
