@@ -65,7 +65,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("SoftJumper", "small"): _JUMPER,
     ("SoftJumperMPM", "paper"): SAPOConfig(num_iterations=6000),
     ("SoftJumperMPM", "small"): _JUMPER,
-    ("SteerFloat", "small"): dataclasses.replace(SMALL, num_iterations=60),
+    ("SteerFloat", "small"): dataclasses.replace(SMALL, num_iterations=160),
     ("GripperLift", "small"): dataclasses.replace(SMALL, num_iterations=60, max_env_grad_norm=0.3),
     ("AntRun", "paper"): dataclasses.replace(_RUNNER, num_iterations=2000),
     ("AntRun", "small"): _small(_RUNNER),
