@@ -3,7 +3,6 @@
 from rewax.physics.contact.colliders import (
     Collider,
     Overlap,
-    Placed,
     apply_colliders,
     check_bodies,
     place,
@@ -11,6 +10,7 @@ from rewax.physics.contact.colliders import (
     with_softness,
 )
 from rewax.physics.contact.drawings import drawings
+from rewax.physics.contact.motion import Placed
 from rewax.physics.contact.penalty import Ground, PenaltyContact, collider_force, ground_force, penalty_force
 
 __all__ = [

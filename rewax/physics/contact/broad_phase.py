@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, Placed, known_softness, runs, shape_pose, stacked
+from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, known_softness, runs, shape_pose, stacked
+from rewax.physics.contact.motion import Placed
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 from rewax.types import Array, Scalar

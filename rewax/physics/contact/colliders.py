@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.physics.contact.motion import Placed, at_nodes, chord_motion, placed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.physics.numerics.materialize import compute_once, materialize
-from rewax.physics.numerics.pose import Pose, placed_at, product, turned
+from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.shapes.primitives import Shape, signed_distance_components
 from rewax.types import Array, Scalar
@@ -61,29 +61,6 @@ class Overlap(enum.Enum):
     """Only the one whose surface is nearest (inside several: the one in which the node lies deepest): the colliders
     act like the union of their shapes, in whichever order they are given. With many shapes it is also faster, as the
     law is evaluated once per node."""
-
-
-class Motion(NamedTuple):
-    """Velocity of a rigid body's points: that of the point r [m] is ``turn @ r + shift`` [m/s]."""
-
-    turn: Array
-    """Shape (..., 3, 3) [1/s]."""
-    shift: Array
-    """Shape (..., 3) [m/s]."""
-
-
-class Placed(NamedTuple):
-    """Where a shape is during a substep and how it moves. Leading axes (time, colliders) as the context says.
-
-    Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
-    """
-
-    pose: Pose
-    """Of the shape at the substep's beginning, shapes (..., 3), (..., 3, 3)."""
-    matrix: Array
-    """Shape (..., 6, 3): first rows for the place [-], last for the velocity [1/s]."""
-    offset: Array
-    """Shape (..., 6) [m], [m/s]."""
 
 
 class Touch(NamedTuple):
@@ -198,8 +175,8 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
     """
     # Once: shapes compare places in their frame (faces of a box, cells of a grid), and all parts of distance and normal
     # must come from one face or cell.
-    at_nodes = linear_pass(_at_nodes, _AT_NODES_TRANSPOSE, None, position, (placed.matrix, placed.offset))
-    (lx, ly, lz), (bx, by, bz) = compute_once(at_nodes[:3]), materialize(at_nodes[3:])
+    local, body = at_nodes(placed, position)
+    (lx, ly, lz), (bx, by, bz) = compute_once(local), materialize(body)
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
     influence = jnp.exp(-jnp.maximum(known_softness(collider) * distance, 0.0))
@@ -226,8 +203,8 @@ _recomputed_velocity_after = recomputed(_velocity_after)
 
 
 def _in_turn(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velocity: Vec3) -> Vec3:
-    for collider, placed in colliders:
-        velocity = _velocity_after(collider, placed, position, velocity)
+    for collider, place_of_it in colliders:
+        velocity = _velocity_after(collider, place_of_it, position, velocity)
     return velocity
 
 
@@ -325,59 +302,6 @@ def _rows(arrays: list[Array], shape: tuple[int, ...]) -> Array:
     return jnp.concatenate([jnp.zeros(0, jnp.result_type(*arrays, np.float32)), *map(jnp.ravel, arrays)]).reshape(
         -1, *shape
     )
-
-
-def placed(pose: Pose, motion: Motion) -> Placed:
-    """A shape, or many, of the given pose (not that of its body) and motion. Gradient: exact."""
-    to_local = jnp.swapaxes(pose.rotation, -1, -2)
-    return Placed(
-        pose,
-        jnp.concatenate([to_local, motion.turn], axis=-2),
-        jnp.concatenate([-turned(to_local, pose.position), motion.shift], axis=-1),
-    )
-
-
-def chord_motion(start: Pose, end: Pose, dt: float) -> Motion:
-    """The motion that takes each point of a body along a straight line from one pose to another. Gradient: exact."""
-    turn = product((end.rotation - start.rotation) / dt, jnp.swapaxes(start.rotation, -1, -2))
-    return Motion(turn, (end.position - start.position) / dt - turned(turn, start.position))
-
-
-def velocity_at(motion: Motion, position: Vec3) -> Vec3:
-    """Velocity of a body's points at the given nodes [m/s]. Gradient: exact with respect to the motion."""
-    x, y, z = linear_pass(_at_nodes, _AT_NODES_TRANSPOSE, None, position, tuple(motion))
-    return x, y, z
-
-
-def _at_nodes(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
-    """Affine functions M (x, y, z) + m of positions (..., n): M (..., k, 3), m (..., k) -> k arrays (..., n)."""
-    del static
-    x, y, z = residuals
-    matrix, offset = (a[..., None] for a in linear)
-    return tuple(
-        matrix[..., c, 0, :] * x + matrix[..., c, 1, :] * y + matrix[..., c, 2, :] * z + offset[..., c, :]
-        for c in range(offset.shape[-2])
-    )
-
-
-def _at_nodes_transpose(static: None, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Sums over the nodes of cotangent times (x, y, z, 1)."""
-    del static
-    # One product of matrices whose rows are contiguous: many small ones, or sums by component, cost four times as much.
-    rows = materialize(jnp.stack([*residuals, jnp.ones_like(residuals[0])], axis=-2))
-    both = jnp.einsum("...kn,...cn->...kc", jnp.stack(cotangents, axis=-2), rows, precision="highest")
-    return both[..., :3], both[..., 3]
-
-
-def _sums_over_nodes(static: None, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """The same as sums that one kernel of a GPU takes while it reads everything once."""
-    del static
-    offsets = jnp.stack([c.sum(-1) for c in cotangents], axis=-1)
-    matrix = jnp.stack([jnp.stack([(c * x).sum(-1) for x in residuals], axis=-1) for c in cotangents], axis=-2)
-    return matrix, offsets
-
-
-_AT_NODES_TRANSPOSE = ByPlatform(cpu=_at_nodes_transpose, other=_sums_over_nodes)
 
 
 def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:

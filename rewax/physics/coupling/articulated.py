@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.contact.colliders import Motion, check_bodies
+from rewax.physics.contact.colliders import check_bodies
+from rewax.physics.contact.motion import Motion
 from rewax.physics.coupling.exchange import SoftContact, Wrench, no_wrench
 from rewax.physics.coupling.soft import Scene, Soft, solver_of
 from rewax.physics.numerics.pose import Pose

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import Motion
+from rewax.physics.contact.motion import Motion
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.materialize import materialize

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import Motion, check_bodies, chord_motion
+from rewax.physics.contact.colliders import check_bodies
+from rewax.physics.contact.motion import Motion, chord_motion
 from rewax.physics.coupling import free_body
 from rewax.physics.coupling.exchange import SoftContact, System, Wrench, no_wrench
 from rewax.physics.coupling.free_body import FreeBodies, Inertia, inertia_numbers, solve3

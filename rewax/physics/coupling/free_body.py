@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.physics.contact.colliders import Motion
+from rewax.physics.contact.motion import Motion
 from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_number, check_numbers
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix, skew, turn_quaternion

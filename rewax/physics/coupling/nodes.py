@@ -12,17 +12,15 @@ import jax.numpy as jnp
 
 from rewax.physics.contact.colliders import (
     MIN_INFLUENCE,
-    Motion,
     Overlap,
     Touch,
     contact_velocity,
     friction_factor,
     nearest,
-    placed,
     shape_pose,
     touch,
-    velocity_at,
 )
+from rewax.physics.contact.motion import Motion, placed, velocity_at
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.materials import Response

@@ -24,7 +24,8 @@ from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import Collider, Motion
+from rewax.physics.contact.colliders import Collider
+from rewax.physics.contact.motion import Motion
 from rewax.physics.contact.penalty import PenaltyContact, penalty_response, surface
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.numerics import components as cp

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from rewax.physics.contact.broad_phase import count_excess, near_colliders
-from rewax.physics.contact.colliders import Collider, Placed, apply_colliders, check_bodies, place
+from rewax.physics.contact.colliders import Collider, apply_colliders, check_bodies, place
+from rewax.physics.contact.motion import Placed
 from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Response, respond

@@ -7,18 +7,17 @@ import pytest
 
 from rewax.physics.contact.colliders import (
     Collider,
-    Motion,
     Overlap,
     apply_collider,
     apply_colliders,
     check_bodies,
     nearest,
     place,
-    placed,
     runs,
     touch,
     with_softness,
 )
+from rewax.physics.contact.motion import Motion, placed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes.primitives import Box, Capsule, Plane, Sphere

@@ -8,7 +8,7 @@ import pytest
 
 from rewax.physics import mpm
 from rewax.physics.contact import Collider, Overlap
-from rewax.physics.contact.colliders import Motion
+from rewax.physics.contact.motion import Motion
 from rewax.physics.coupling.nodes import NodeContact
 from rewax.physics.mpm import Grid, Material
 from rewax.physics.numerics import Pose

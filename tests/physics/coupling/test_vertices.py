@@ -7,7 +7,7 @@ import pytest
 
 from rewax.physics import coupling, tets
 from rewax.physics.contact import Collider, Ground, PenaltyContact
-from rewax.physics.contact.colliders import Motion
+from rewax.physics.contact.motion import Motion
 from rewax.physics.coupling import free_body
 from rewax.physics.coupling.soft import TETRAHEDRA
 from rewax.physics.numerics import Pose
