@@ -34,6 +34,7 @@ def run(argv: Sequence[str]) -> int:
     """
     from rewax.training.cache import enable_compilation_cache
     from rewax.training.config import ReportConfig, TrainConfig
+    from rewax.training.hosts import connect, leads, num_processes
     from rewax.training.loop import train
     from rewax.training.progress import say
     from rewax.training.seeds import train_seeds
@@ -42,7 +43,12 @@ def run(argv: Sequence[str]) -> int:
     console = Console(highlight=False)
     enable_compilation_cache()
     first = _look_ahead(argv)
-    cores_as_devices(first.devices)
+    if first.distributed:
+        cores_as_devices(first.devices // (num_processes() or 1))
+        connect()
+        console.quiet = not leads()
+    else:
+        cores_as_devices(first.devices)
     import_modules(first.imports)
     chosen = algorithm(first.algo)
     scale = first.scale or registry.default_scale()
@@ -51,6 +57,8 @@ def run(argv: Sequence[str]) -> int:
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
     if args.num_seeds < 1:
         raise ValueError(f"num-seeds is {args.num_seeds}: use 1 or more")
+    if args.num_seeds > 1 and args.distributed:
+        raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
     agent_config, num_iterations = _length(getattr(args, first.algo), env, args.steps)
     say(console, _scale_sentence(scale, first.scale))
@@ -119,6 +127,7 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--scale", default=None)
     parser.add_argument("--algo", default="sapo")
     parser.add_argument("--devices", type=int, default=0)
+    parser.add_argument("--distributed", action="store_true")
     parser.add_argument("--import", dest="imports", action="append", default=[])
     try:
         known, _ = parser.parse_known_args(list(argv))
@@ -148,6 +157,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
             ("resume", tyro.conf.FlagCreatePairsOff[bool], False),
             ("init_from", str, ""),
             ("devices", int, 0),
+            ("distributed", tyro.conf.FlagCreatePairsOff[bool], False),
             (first.algo, type(agent_config), nested(agent_config)),
             ("train", type(report), nested(report)),
         ],
@@ -168,6 +178,8 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
       resume: continue the run in run-dir from its newest checkpoint.
       init_from: directory of a run of the same algorithm: begin with its networks, temperature and statistics.
       devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
+      distributed: several processes train this run, on one machine or many, each started with this command and
+        JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID, or by Slurm or MPI.
     """
     return options
 

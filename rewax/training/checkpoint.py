@@ -57,7 +57,7 @@ def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int |
     described = {name: describe_leaf(leaf, leaves[name]) for name, leaf in named_leaves(train_state)}
     # Orbax refuses arrays without elements; their description says all there is to know.
     stored = {name: value for name, value in leaves.items() if value.size}
-    with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
+    with _checkpointer() as checkpointer:
         checkpointer.save(unfinished / "arrays", args=ocp.args.StandardSave(stored))
     (unfinished / "leaves.json").write_text(json.dumps(described, indent=1))
     if _is_checkpoint(final):
@@ -190,7 +190,7 @@ def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, np.ndarray]
     try:
         empty = {name: np.empty(entry["stored_shape"], entry["stored_dtype"]) for name, entry in described.items()}
         stored = {name: value for name, value in empty.items() if value.size}
-        with ocp.Checkpointer(ocp.StandardCheckpointHandler()) as checkpointer:
+        with _checkpointer() as checkpointer:
             arrays = checkpointer.restore(path / "arrays", args=ocp.args.StandardRestore(stored))
     except Exception as error:  # Orbax raises many kinds
         raise _unreadable(path, error) from error
@@ -199,6 +199,14 @@ def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, np.ndarray]
         if checksum(value) != described[name]["crc32"]:
             raise _unreadable(path, f"checksum of {name} differs")
     return arrays
+
+
+def _checkpointer() -> ocp.Checkpointer:
+    """Of this process alone: Orbax's own would wait for the others."""
+    alone = ocp.options.MultiprocessingOptions(primary_host=jax.process_index(), active_processes={jax.process_index()})
+    if jax.process_count() == 1:
+        alone = ocp.options.MultiprocessingOptions()
+    return ocp.Checkpointer(ocp.StandardCheckpointHandler(multiprocessing_options=alone), multiprocessing_options=alone)
 
 
 def _unreadable(path: Path, error: object) -> DamagedCheckpoint:

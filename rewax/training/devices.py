@@ -7,6 +7,7 @@ import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from rewax.agents.devices import AXIS, mesh_of
+from rewax.training.leaves import is_key, to_numpy
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +30,12 @@ class Placement:
 
     def place(self, train_state: Any) -> Any:
         """The training state on the devices of the mesh."""
-        return jax.device_put(train_state, self.shardings(train_state)) if self.divides(train_state) else train_state
+        if not self.divides(train_state):
+            return train_state
+        shardings = self.shardings(train_state)
+        if jax.process_count() == 1:
+            return jax.device_put(train_state, shardings)
+        return jax.tree.map(_own_part, train_state, shardings)
 
     def shardings(self, train_state: Any) -> Any:
         """Where each leaf of a training state lies."""
@@ -54,6 +60,13 @@ class Placement:
             return placed.lower(train_state).compile()
 
 
+def _own_part(leaf: Any, sharding: NamedSharding) -> Any:
+    """Of an array that all processes have, the part that each of them keeps."""
+    numbers = to_numpy(leaf)
+    array = jax.make_array_from_callback(numbers.shape, sharding, lambda part: numbers[part])
+    return jax.random.wrap_key_data(array, impl=str(jax.random.key_impl(leaf))) if is_key(leaf) else array
+
+
 ONE_DEVICE = Placement(None)
 
 
@@ -76,12 +89,22 @@ def placement(num_envs: int | None, wanted: int) -> Placement:
         raise ValueError(f"devices is {wanted}, which does not divide num_envs {num_envs}: give a divisor of it, or 1")
     most = 1 if num_envs is None else len(devices)
     count = wanted or max(n for n in range(1, most + 1) if n == 1 or num_envs % n == 0)
+    if jax.process_count() > 1 and count != len(devices):
+        raise ValueError(
+            f"{jax.process_count()} processes have {len(devices)} devices, which do not divide num_envs {num_envs} or "
+            f"are not the {wanted or count} asked for: give --devices 0 and a multiple of {len(devices)} environments"
+        )
     return Placement(None if count == 1 else mesh_of(devices[:count]))
 
 
 def on_one_device(tree: Any) -> Any:
-    """The arrays on one of the devices that hold them, for programs that are not divided."""
-    arrays = (leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array))
+    """The arrays on one of the devices that hold them, for programs that are not divided.
+
+    Of environments that are divided over several processes it is a part.
+    """
+    arrays = [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array)]
+    if not all(array.is_fully_addressable for array in arrays):
+        return jax.tree.map(lambda a: a.addressable_data(0) if isinstance(a, jax.Array) else a, tree)
     devices = next((array.devices() for array in arrays), set())
     return tree if len(devices) <= 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
 

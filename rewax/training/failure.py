@@ -13,6 +13,7 @@ from rewax.agents.replay import Replay
 from rewax.envs.base import Env, State, failed_leaf_name
 from rewax.status import all_finite
 from rewax.training.config import ReportConfig
+from rewax.training.devices import on_one_device
 
 _SEEN = (State, Replay)
 _REMEDY = "shorter substeps, softer contacts and materials, or smaller learning rates help"
@@ -108,12 +109,12 @@ class FiniteCheck:
     """
 
     def __init__(self, train_state: Any) -> None:
-        self._names = {name for name, leaf in _learnt(train_state).items() if _is_finite(leaf)}
+        self._names = {name for name, leaf in on_one_device(_learnt(train_state)).items() if _is_finite(leaf)}
         self._all_finite = jax.jit(all_finite)
 
     def first_bad(self, train_state: Any) -> str:
         """Name of the first leaf that is not finite, such as ``.critic_params['bias']``; empty if there is none."""
-        leaves = {name: leaf for name, leaf in _learnt(train_state).items() if name in self._names}
+        leaves = on_one_device({name: leaf for name, leaf in _learnt(train_state).items() if name in self._names})
         if self._all_finite(list(leaves.values())):
             return ""
         return next(name for name, leaf in leaves.items() if not _is_finite(leaf))

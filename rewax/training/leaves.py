@@ -23,7 +23,7 @@ def named_leaves(tree: Any) -> list[tuple[str, Any]]:
 
 def to_numpy(leaf: Any) -> np.ndarray:
     """A leaf as it is stored: a typed key as its data."""
-    return np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+    return np.asarray(jax.random.key_data(leaf) if is_key(leaf) else leaf)
 
 
 def from_numpy(value: np.ndarray, like: Any, impl: str | None) -> Any:
@@ -35,7 +35,7 @@ def from_numpy(value: np.ndarray, like: Any, impl: str | None) -> Any:
 def describe_leaf(leaf: Any, value: np.ndarray) -> dict[str, Any]:
     """Shape, type and checksum of a leaf and of ``value``, the array stored for it."""
     stored = {"stored_shape": value.shape, "stored_dtype": str(value.dtype), "crc32": checksum(value)}
-    return _signature(leaf) | stored | {"impl": str(jax.random.key_impl(leaf)) if _is_key(leaf) else None}
+    return _signature(leaf) | stored | {"impl": str(jax.random.key_impl(leaf)) if is_key(leaf) else None}
 
 
 def checksum(value: np.ndarray) -> int:
@@ -71,7 +71,7 @@ def check_structure(described: dict[str, Any], wanted: dict[str, Any], path: Pat
             )
 
 
-def _is_key(leaf: Any) -> bool:
+def is_key(leaf: Any) -> bool:
     return jnp.issubdtype(getattr(leaf, "dtype", np.float32), jax.dtypes.prng_key)
 
 

@@ -1,8 +1,9 @@
 """Training from beginning to end: start or resume, iterate, finish."""
 
+import contextlib
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from rewax.envs.base import Env
 from rewax.training.config import ReportConfig, TrainConfig
 from rewax.training.description import describe_run, read_config, write_config, write_environment
 from rewax.training.devices import ONE_DEVICE, Placement, placement
+from rewax.training.hosts import Leader, follow, leads, received
 from rewax.training.interrupt import graceful_stop
 from rewax.training.metrics import need_wandb
 from rewax.training.progress import say
@@ -49,6 +51,9 @@ def train(
     loss is not finite as often. It stops at once when a number that it has learnt is not finite. No checkpoint holds
     such a number, and the newest one from before the failures stays.
 
+    Where several processes have joined (``jax.distributed.initialize``), each of them calls this: the first one does
+    all that is said here, and the others compute their share.
+
     Args:
       agent: algorithm bound to ``env``.
       env: unbatched environment to evaluate in.
@@ -62,13 +67,17 @@ def train(
         its run cannot be resumed, or ``wandb`` is asked for and not installed.
     """
     console = console or Console()
+    if not leads():
+        return _follow(agent, config)
+    leader = Leader()
     with (
+        _ended(leader),
         hold(Path(config.run_dir).absolute(), must_exist=config.resume),
         graceful_stop(functools.partial(say, console)) as stop,
     ):
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
-        train_state, open_run = prepared(agent, env, config, describe, console, where)
+        train_state, open_run = prepared(agent, env, config, describe, console, where, leader)
         train_step = None
         if int(train_state.iteration) < config.num_iterations:
             train_step = compile_train_step(agent, train_state, console, where)
@@ -83,6 +92,30 @@ def train(
             run.close()
 
 
+@contextlib.contextmanager
+def _ended(leader: Leader) -> Iterator[None]:
+    """At the end, and after an input that is refused, the other processes leave too."""
+    try:
+        yield
+    except ValueError:
+        leader.end()
+        raise
+    leader.end()
+
+
+def _follow(agent: Agent, config: TrainConfig) -> TrainResult:
+    """What the processes do that do not lead. A signal to stop is for the leader; a second one ends the process."""
+    with graceful_stop(lambda _: None):
+        train_state = received(jax.jit(agent.init)(jax.random.key(config.seed)))
+        if train_state is None:
+            return TrainResult(None, {}, failure="the first process did not begin")
+        where = placement(getattr(agent.config, "num_envs", None), config.devices)
+        train_state, train_step = where.place(train_state), None
+        if int(train_state.iteration) < config.num_iterations:
+            train_step = compile_train_step(agent, train_state, Console(quiet=True), where)
+        return TrainResult(follow(train_step, train_state), {})
+
+
 def prepared(
     agent: Agent,
     env: Env,
@@ -90,6 +123,7 @@ def prepared(
     describe: Mapping[str, Any] | None,
     console: Console,
     where: Placement = ONE_DEVICE,
+    leader: Leader | None = None,
 ) -> tuple[Any, Callable[[], Run]]:
     """The training state to begin with, and a function that opens the run's files; before it nothing is written.
 
@@ -99,7 +133,8 @@ def prepared(
         need_wandb()
     run_dir, seed_key = Path(config.run_dir).absolute(), jax.random.key(config.seed)
     description = {**describe_run(agent, env, describe), "train": config}
-    train_state = where.place(first_state(agent, config, run_dir, seed_key, description, console))
+    leader = leader or Leader()
+    train_state = where.place(leader.hand_out(first_state(agent, config, run_dir, seed_key, description, console)))
 
     def open_run() -> Run:
         stored = read_config(run_dir) if config.resume else {}
@@ -107,7 +142,7 @@ def prepared(
         write_config(run_dir, {**description, "schedule": schedule})
         write_environment(run_dir)
         key = jax.random.fold_in(seed_key, _EVALUATION_STREAM)
-        run = Run(agent, env, config, run_dir, key, train_state, console)
+        run = Run(agent, env, config, run_dir, key, train_state, console, leader)
         run.report_lost_rows(schedule)
         return run
 

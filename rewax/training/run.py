@@ -15,6 +15,7 @@ from rewax.training.config import TrainConfig
 from rewax.training.description import read_config
 from rewax.training.devices import on_one_device
 from rewax.training.failure import FailureWatch, FiniteCheck
+from rewax.training.hosts import Leader
 from rewax.training.interrupt import Stop
 from rewax.training.metrics import CsvWriter, TensorBoardWriter, WandbWriter
 from rewax.training.progress import ProgressReport, say
@@ -50,12 +51,21 @@ class Run:
       run_dir: directory of the run, which exists.
       key: draws the initial states of evaluations.
       train_state: to begin with.
+      leader: speaks to the other processes of this run.
     """
 
     def __init__(
-        self, agent: Agent, env: Env, config: TrainConfig, run_dir: Path, key: Key, train_state: Any, console: Console
+        self,
+        agent: Agent,
+        env: Env,
+        config: TrainConfig,
+        run_dir: Path,
+        key: Key,
+        train_state: Any,
+        console: Console,
+        leader: Leader,
     ) -> None:
-        self.config, self.run_dir, self.console = config, run_dir, console
+        self.config, self.run_dir, self.console, self._leader = config, run_dir, console, leader
         self.train_state, self.failure = train_state, ""
         resume_at = self.iteration
         self.metrics = CsvWriter(run_dir / "metrics.csv", resume_at=resume_at)
@@ -70,6 +80,11 @@ class Run:
     @property
     def iteration(self) -> int:
         return int(self.train_state.iteration)
+
+    @property
+    def seen(self) -> Any:
+        """The training state for programs of this process alone."""
+        return on_one_device(self.train_state)
 
     @property
     def env_steps(self) -> int:
@@ -96,6 +111,7 @@ class Run:
             self.begin(stop)
             while not (self.over or stop.requested):
                 began = time.perf_counter()
+                self._leader.step()
                 new, metrics = jax.block_until_ready(train_step(self.train_state))
                 self.take(new, jax.device_get(metrics), time.perf_counter() - began)
         finally:
@@ -161,12 +177,13 @@ class Run:
             return  # an iteration was interrupted that had consumed it
         if self.iteration not in checkpoint.steps(self.run_dir):
             protect = None if self.watch.healthy else self._healthy
-            checkpoint.save(self.run_dir, self.train_state, keep=self.config.keep_checkpoints, protect=protect)
+            whole = self._leader.gathered(self.train_state)
+            checkpoint.save(self.run_dir, whole, keep=self.config.keep_checkpoints, protect=protect)
         if self.watch.healthy:
             self._healthy = self.iteration
 
     def _evaluate(self) -> dict[str, Any]:
-        row = self.evaluator.evaluate(self.iteration, self.env_steps, on_one_device(self.train_state))
+        row = self.evaluator.evaluate(self.iteration, self.env_steps, self.seen)
         for board in self.boards:
             board.write(self.iteration, row, prefix="eval")
         for sentence in self.evaluator.sentences(row):
@@ -182,10 +199,10 @@ class Run:
             self.failure = self.watch.reason(final=True)
             row = self.evaluator.last if self.evaluator.last.get("env_steps") == self.env_steps else self._evaluate()
             if self.config.baselines:
-                baselines = self.evaluator.baselines(self.train_state)
+                baselines = self.evaluator.baselines(self.seen)
                 self.say("baselines: " + ", ".join(f"{name} {value:.4g}" for name, value in baselines.items()))
         if self.config.plots:
-            for sentence in self.evaluator.draw(self.train_state, baselines):
+            for sentence in self.evaluator.draw(self.seen, baselines):
                 self.say(sentence)
         if self.failure:
             self.say(self._how_it_failed())

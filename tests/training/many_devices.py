@@ -1,6 +1,7 @@
 """Trains tiny agents, by their names as arguments, on one and on several devices of a CPU; a process of its own, for JAX counts devices once."""
 
 import dataclasses
+import os
 import re
 import sys
 import tempfile
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import jax
 
-jax.config.update("jax_num_cpu_devices", 4)
+jax.config.update("jax_num_cpu_devices", int(os.environ.get("DEVICES", "8")))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np  # noqa: E402
@@ -21,7 +22,7 @@ from rewax.training.devices import placement  # noqa: E402
 from rewax.training.loop import train  # noqa: E402
 
 SIZES = {
-    "num_envs": 4,
+    "num_envs": 8,
     "horizon": 4,
     "num_iterations": 4,
     "actor_widths": (4,),
@@ -71,13 +72,14 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         for name in sys.argv[1:]:
             one = run(name, 1, f"{folder}/{name}-1")
-            two = run(name, 2, f"{folder}/{name}-2")
-            assert len(two.environments.episode_return.devices()) == 2, name
-            compare(one, two)
-        run("sapo", 4, f"{folder}/resumed", iterations=2)
+            for count in (2, 8):
+                several = run(name, count, f"{folder}/{name}-{count}")
+                assert len(several.environments.episode_return.devices()) == count, name
+                compare(one, several)
+        run("sapo", 8, f"{folder}/resumed", iterations=2)
         compare(run("sapo", 1, f"{folder}/resumed", resume=True), run("sapo", 1, f"{folder}/sapo-1b"))
     _, agent = make("sapo")
-    where = placement(4, 2)
+    where = placement(8, 2)
     state = where.place(jax.jit(agent.init)(jax.random.key(0)))
     program = where.compiled(agent.train_step, state).as_text()
     gathered = re.findall(r"= (\w+\[[\d,]*\])\S* all-gather\(", program)

@@ -63,7 +63,7 @@ class _Model:
         self.mj = compiled
         self.topology: TreeTopology = tree_topology(compiled.body_parentid, compiled.jnt_bodyid, compiled.jnt_type)
         with jax.ensure_compile_time_eval():
-            self.mjx = mjx.put_model(without_idle_parts(compiled), impl="jax")
+            self.mjx = mjx.put_model(without_idle_parts(compiled), jax.local_devices()[0], impl="jax")
             none = (np.zeros(0, int),) * 3
             self.sphere_boxes = mjcf.own_pairs(compiled, "sphere", "box") if penalty else none
             self.capsules = mjcf.own_pairs(compiled, "capsule", "capsule") if penalty else none
@@ -75,7 +75,7 @@ class _Model:
                 kept = {name: getattr(self.mjx, name)[self.mjx_pairs] for name in fields}
                 self.mjx = self.mjx.replace(npair=len(self.mjx_pairs), **kept)
             with own_routines(penalty is not None):
-                self.data = mjx.make_data(self.mjx, impl="jax")
+                self.data = mjx.make_data(self.mjx, jax.local_devices()[0], impl="jax")
         self.has_contacts = self.data._impl.ncon + len(own) > 0
         self.moving_geoms = moving_geoms(compiled)
         self.is_implicit = compiled.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
