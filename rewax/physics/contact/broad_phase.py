@@ -45,7 +45,7 @@ def near_colliders(
         _, chosen = jax.lax.top_k(-_gaps(run, of_run.pose.position, lower, upper), max_near)
         chosen = jnp.sort(chosen)
         # The body's index is static, part of the structure: without it colliders of several bodies can be stacked.
-        bodiless = stacked([c.replace(body=0) for c in run], placed.offset)
+        bodiless = stacked([c.replace(body=0) for c in run])
         moving = _take((bodiless, of_run), chosen)
         kept += [_take(moving, k) for k in range(max_near)]
     return kept

@@ -216,7 +216,7 @@ def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velo
             velocity = _in_turn(run, position, velocity)
             continue
         velocity, _ = jax.lax.scan(
-            lambda v, c: (_recomputed_velocity_after(*c, position, v), None), velocity, stacked(run, velocity[0])
+            lambda v, c: (_recomputed_velocity_after(*c, position, v), None), velocity, stacked(run)
         )
     return velocity
 
@@ -269,9 +269,9 @@ def shape_pose(collider: Collider, body: Pose) -> Pose:
     return placed_at(Pose(collider.offset, collider.rotation), body)
 
 
-def stacked(run: Sequence[T], like: Array) -> T:
-    """Trees of one structure side by side, leading axis len(run); Python's numbers take the type of ``like``."""
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(a, jnp.result_type(a, like)) for a in leaves]), *run)
+def stacked(run: Sequence[T]) -> T:
+    """Trees of one structure side by side, leading axis len(run); Python's numbers stay weakly typed."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *run)
 
 
 def place(colliders: Sequence[Collider], before: Pose, after: Pose, dt: float) -> Placed:
