@@ -7,7 +7,7 @@ import numpy as np
 from rewax.viz.buffers import NearestBuffer
 from rewax.viz.camera import Camera
 from rewax.viz.raycast import turned
-from rewax.viz.shapes import Drawing, View, outline
+from rewax.viz.shapes import Drawing, View, outline, placed
 
 SKY_TOP, SKY_BOTTOM = np.array([0.86, 0.90, 0.95], np.float32), np.array([0.97, 0.98, 0.99], np.float32)
 FLOOR = np.array([0.80, 0.82, 0.85], np.float32)
@@ -166,17 +166,30 @@ class Ground:
         dark = np.zeros((_TEXELS, _TEXELS), np.float32)
         if cloud is not None and radii is not None:
             place = (self._light.project(cloud) - corner) / texel
-            buffer = NearestBuffer(_TEXELS, _TEXELS)
             if triangles is None:
+                buffer = NearestBuffer(_TEXELS, _TEXELS)
                 buffer.add_spheres(place[:, 0], place[:, 1], np.ones(len(place)), np.clip(radii / texel, 1.0, 24.0))
+                dark.reshape(-1)[buffer.result()[0]] = 1.0
             else:
-                corners = np.concatenate([place, np.ones((len(place), 1))], axis=1)[triangles]
-                buffer.add_triangles(corners)
-            dark.reshape(-1)[buffer.result()[0]] = 1.0
+                _fill_triangles(place, triangles, dark, 1.0)
         for shape, opacity in shapes:
-            _fill((outline(shape, self._light, num_points=24) - corner) / texel, dark, opacity)
+            if shape["kind"] == "mesh":
+                vertices = placed(shape, np.asarray(shape["vertices"], float))
+                place = (self._light.project(vertices) - corner) / texel
+                _fill_triangles(place, np.asarray(shape["triangles"], int), dark, opacity)
+            else:
+                _fill((outline(shape, self._light, num_points=24) - corner) / texel, dark, opacity)
         dark[[0, -1]] = dark[:, [0, -1]] = 0.0  # beyond the picture there is no shadow
         return _blur(_blur(dark))
+
+
+def _fill_triangles(place: np.ndarray, triangles: np.ndarray, dark: np.ndarray, value: float) -> None:
+    """Darken the inside of triangles with corners at places in the picture, shape (num_vertices, 2) [texels]."""
+    buffer = NearestBuffer(_TEXELS, _TEXELS)
+    buffer.add_triangles(np.concatenate([place, np.ones((len(place), 1))], axis=1)[triangles])
+    inside = buffer.result()[0]
+    flat = dark.reshape(-1)
+    flat[inside] = np.maximum(flat[inside], value)
 
 
 def _fill(polygon: np.ndarray, dark: np.ndarray, value: float) -> None:

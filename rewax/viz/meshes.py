@@ -4,10 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rewax.viz.shapes import Drawing
+from rewax.viz.shapes import KEYS, Drawing
 
 _AROUND, _ALONG = 28, 14
 """Corners around a round shape, and rows of them from pole to pole (an even number)."""
+_CREASE = 40.0
+"""Faces of a mesh that meet at a larger angle than this keep their edge [degrees]."""
 
 
 class Mesh(NamedTuple):
@@ -27,18 +29,23 @@ class Mesh(NamedTuple):
 def mesh(drawing: Drawing) -> Mesh:
     """The surface of a shape that is not a plane; the axis of round shapes is y."""
     kind = drawing["kind"]
+    if kind == "mesh":
+        return _creased(np.asarray(drawing["vertices"], float), np.asarray(drawing["triangles"], int))
     if kind == "box":
         return _box(np.asarray(drawing["half_size"], float))
+    if kind == "ellipsoid":
+        ball, semi_axes = _capsule(1.0, 0.0), np.asarray(drawing["semi_axes"], float)
+        return Mesh(semi_axes * ball.vertices, _unit(ball.normals / semi_axes), ball.triangles)
     radius = float(drawing["radius"])
-    if kind == "cylinder":
-        return _cylinder(radius, float(drawing["half_length"]))
+    if kind in ("cylinder", "cone"):
+        return _cylinder(radius, float(drawing["half_length"]), radius if kind == "cylinder" else 0.0)
     return _capsule(radius, 0.0 if kind == "sphere" else float(drawing["half_length"]))
 
 
 def pose(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
     """Place [m], shape (3,), and orientation, a unit quaternion (x, y, z, w), of a shape's own frame."""
     center = np.asarray(drawing["center"], float)
-    if drawing["kind"] == "box":
+    if "rotation" in KEYS[drawing["kind"]]:
         return center, _quaternion(np.asarray(drawing["rotation"], float))
     if drawing["kind"] == "sphere":
         return center, np.array([0.0, 0.0, 0.0, 1.0])
@@ -82,15 +89,17 @@ def _capsule(radius: float, half_length: float) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), directions.reshape(-1, 3), _rings(len(polar)))
 
 
-def _cylinder(radius: float, half_length: float) -> Mesh:
+def _cylinder(radius: float, half_length: float, top: float) -> Mesh:
+    """With another radius at its upper end; 0 makes a cone."""
     around = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
     ring = np.stack([np.cos(around), np.zeros(_AROUND), -np.sin(around)], axis=-1)
     up = np.eye(3)[1]
-    parts = [
-        Mesh(np.concatenate([radius * ring + s * half_length * up for s in (-1, 1)]), np.tile(ring, (2, 1)), _rings(2))
-    ]
-    for sign in (-1.0, 1.0):
-        rim = np.concatenate([np.zeros((1, 3)), radius * ring]) + sign * half_length * up
+    ends = [(-1.0, radius), (1.0, top)]
+    side = np.concatenate([size * ring + sign * half_length * up for sign, size in ends])
+    slope = _unit(2.0 * half_length * ring + (radius - top) * up)
+    parts = [Mesh(side, np.tile(slope, (2, 1)), _rings(2))]
+    for sign, size in ends[: 2 if top else 1]:
+        rim = np.concatenate([np.zeros((1, 3)), size * ring]) + sign * half_length * up
         index = np.arange(_AROUND)
         after = 1 + (index + 1) % _AROUND
         fan = np.stack([0 * index, 1 + index, after] if sign > 0 else [0 * index, after, 1 + index], axis=1)
@@ -98,6 +107,34 @@ def _cylinder(radius: float, half_length: float) -> Mesh:
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     triangles = np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)])
     return Mesh(np.concatenate([p.vertices for p in parts]), np.concatenate([p.normals for p in parts]), triangles)
+
+
+def _creased(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
+    """A mesh with normals: round where its faces meet at small angles, with a vertex for each side of an edge."""
+    vertices, index = np.unique(vertices, axis=0, return_inverse=True)  # files may repeat them for every face
+    triangles = index.reshape(-1)[triangles]
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    areas = np.cross(b - a, c - a)  # twice them, along the faces' normals
+    triangles, areas = triangles[areas.any(axis=1)], areas[areas.any(axis=1)]
+    faces = _unit(areas)
+    corners = triangles.reshape(-1)
+    order = np.argsort(corners, kind="stable")  # corners 3 f + i, those of one vertex side by side
+    count = np.bincount(corners, minlength=len(vertices))
+    start = np.cumsum(count) - count
+    normals = np.zeros((len(corners), 3))
+    for turn in range(int(count.max())):  # each corner with the first, the second, ... corner at its vertex
+        some = np.flatnonzero(turn < count[corners])
+        other = order[start[corners[some]] + turn] // 3
+        near = np.einsum("ni,ni->n", faces[some // 3], faces[other]) > np.cos(np.radians(_CREASE))
+        normals[some[near]] += areas[other[near]]
+    normals = np.round(_unit(normals), 6)
+    _, first, index = np.unique(np.column_stack([corners, normals]), axis=0, return_index=True, return_inverse=True)
+    return Mesh(vertices[corners[first]], _unit(normals[first]), index.reshape(-1, 3))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors of length 1, shape (n, 3); zero stays zero."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 
 def _rings(count: int) -> np.ndarray:

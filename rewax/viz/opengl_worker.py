@@ -12,6 +12,7 @@ import numpy as np
 from rewax.viz.camera import FIELD_OF_VIEW, frame_recording
 from rewax.viz.colors import particle_colors, shape_color
 from rewax.viz.ground import FLOOR, SKY_BOTTOM, SKY_TOP, grid_spacing
+from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, diameters
 from rewax.viz.shapes import Drawing, side_view
 
@@ -40,6 +41,8 @@ _SCENE = """
 """
 
 
+_AS_MESHES = ("cone", "mesh")
+"""Kinds of shapes for which the model of the scene has a mesh."""
 _LIGHT = np.array([-0.3, 0.3, -0.9])
 """Direction in which the lamp shines."""
 
@@ -67,7 +70,8 @@ class _Painter:
             floor=_words(FLOOR),
             tile=_words(0.9 * FLOOR),
         )
-        model = mujoco.MjModel.from_xml_string(text)
+        self._meshes: dict[int, int] = {}
+        model = self._with_meshes(mujoco.MjSpec.from_string(text)).compile()
         self._data = mujoco.MjData(model)
         mujoco.mj_forward(model, self._data)
         count = (
@@ -103,10 +107,26 @@ class _Painter:
                 light.pos[:] = camera.lookat - 6.0 * self._framing.radius * _LIGHT / np.linalg.norm(_LIGHT)
         if self._recording.particles is not None:
             self._add_cloud(self._recording.particles[frame].astype(float) @ self._turn.T, frame)
-        for shape in self._recording.shapes(frame):
-            if shape["kind"] != "plane":
+        for i, shape in enumerate(self._recording.shapes(frame)):
+            if i in self._meshes:
+                self._add_mesh(shape, self._meshes[i])
+            elif shape["kind"] not in ("plane", *_AS_MESHES):
                 self._add_shape(shape)
         return self._renderer.render()
+
+    def _with_meshes(self, scene: Any) -> Any:
+        """The scene with the surfaces of cones and meshes; what has no area is not drawn."""
+        surfaces = {i: mesh(s) for i, s in enumerate(self._recording.shapes(0)) if s["kind"] in _AS_MESHES}
+        for i, (vertices, normals, triangles) in surfaces.items():
+            a, b, c = (vertices[triangles[:, k]] for k in range(3))
+            if np.abs(np.cross(b - a, c - a)).sum() < 1e-12:
+                continue
+            self._meshes[i], added = len(self._meshes), scene.add_mesh(name=f"mesh {i}")
+            added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # needs no closed surface
+            rows = (np.concatenate([part, part[:1]]) for part in (vertices, normals))  # four vertices are the fewest
+            added.uservert, added.usernormal = (part.reshape(-1) for part in rows)
+            added.userface = added.userfacenormal = triangles.reshape(-1)
+        return scene
 
     def _add_cloud(self, cloud: np.ndarray, frame: int) -> None:
         assert self._colors is not None and self._radii is not None
@@ -128,14 +148,24 @@ class _Painter:
         kind, (color, opacity) = shape["kind"], shape_color(shape)
         center = self._turn @ np.asarray(shape["center"], float)
         geom = getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
-        if kind == "box":
+        if kind in ("box", "ellipsoid"):
             rotation = self._turn @ np.asarray(shape["rotation"], float)
-            self._add(geom, np.asarray(shape["half_size"], float), center, rotation, color, opacity)
+            size = np.asarray(shape["half_size" if kind == "box" else "semi_axes"], float)
+            self._add(geom, size, center, rotation, color, opacity)
             return
         radius = float(shape["radius"])
         length = radius if kind == "sphere" else float(shape["half_length"])
         axis = np.array([0.0, 0.0, 1.0]) if kind == "sphere" else self._turn @ np.asarray(shape["direction"], float)
         self._add(geom, np.array([radius, length, 0.0]), center, _along(axis), color, opacity)
+
+    def _add_mesh(self, shape: Drawing, number: int) -> None:
+        """A shape that is a mesh of the scene's model, which has moved it to its own middle and axes of inertia."""
+        (color, opacity), (center, quaternion), model = shape_color(shape), pose(shape), self._renderer.model
+        rotation = self._turn @ _rotation(quaternion[[3, 0, 1, 2]])
+        center = self._turn @ center + rotation @ model.mesh_pos[number]
+        turn = rotation @ _rotation(model.mesh_quat[number])
+        self._add(mujoco.mjtGeom.mjGEOM_MESH, np.ones(3), center, turn, color, opacity)
+        self._renderer.scene.geoms[self._renderer.scene.ngeom - 1].dataid = 2 * number  # odd: its convex hull
 
     def _add(
         self, kind: Any, size: np.ndarray, center: np.ndarray, rotation: np.ndarray, color: np.ndarray, opacity: float
@@ -152,6 +182,13 @@ def _along(axis: np.ndarray) -> np.ndarray:
     first = np.cross(third, np.eye(3)[int(np.argmin(np.abs(third)))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(third, first), third], axis=1)
+
+
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Matrix of a unit quaternion (w, x, y, z)."""
+    found = np.zeros(9)
+    mujoco.mju_quat2Mat(found, quaternion)
+    return found.reshape(3, 3)
 
 
 def _words(color: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""Where rays meet spheres, capsules, cylinders and boxes: exact depths and normals for the software renderer."""
+"""Where rays meet shapes that are not meshes: exact depths and normals for the software renderer."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ def hit(drawing: Drawing, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
     """Where rays meet a shape first.
 
     Args:
-      drawing: of a shape that is not a plane, checked.
+      drawing: of a shape that is neither a plane nor a mesh, checked.
       eye: where all rays begin [m], shape (3,).
       rays: their directions, of any length, shape (num_rays, 3).
 
@@ -25,12 +25,18 @@ def hit(drawing: Drawing, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
         axes = np.asarray(drawing["rotation"], np.float32)
         depth, normal = _box(np.asarray(drawing["half_size"], np.float32), start @ axes, turned(rays, axes))
         return depth, turned(normal, axes.T)
+    if kind == "ellipsoid":
+        axes = np.asarray(drawing["rotation"], float)
+        depth, normal = _ellipsoid(np.asarray(drawing["semi_axes"], float), start @ axes, turned(rays, axes))
+        return depth, turned(normal, axes.T).astype(np.float32)
     radius = np.float32(drawing["radius"])
     if kind == "sphere":
         return _sphere(radius, start, rays)
     axis = np.asarray(drawing["direction"], np.float32)
     axis = axis / np.linalg.norm(axis)
     half = np.float32(drawing["half_length"])
+    if kind == "cone":
+        return _nearest([*_slant(radius, half, axis, start, rays), _cap(radius, half, -axis, start, rays)])
     side = _side(radius, half, axis, start, rays)
     ends = [
         _sphere(radius, start - end * half * axis, rays)
@@ -92,6 +98,40 @@ def _cap(
     across = point - (point @ outward)[:, None] * outward
     depth = np.where(np.einsum("ni,ni->n", across, across) <= radius**2, depth, _FAR)
     return depth, np.broadcast_to(outward.astype(np.float32), rays.shape)
+
+
+def _ellipsoid(semi_axes: np.ndarray, start: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """In its own axes, where it is a ball of radius 1 once lengths are divided by the semi-axes."""
+    start, rays = start / semi_axes, rays / semi_axes
+    depth = _roots(np.einsum("ni,ni->n", rays, rays), rays @ start, start @ start - 1.0)
+    normal = _point(start, rays, depth) / semi_axes
+    return depth.astype(np.float32), normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+
+
+def _slant(
+    radius: np.float32, half: np.float32, axis: np.ndarray, start: np.ndarray, rays: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The curved side of a cone, met up to twice: the distance from the axis is ``slope`` times that below the tip."""
+    height = max(2.0 * float(half), 1e-6)
+    slope, axis = float(radius) / height, axis.astype(float)
+    begin = start - float(half) * axis  # from the tip
+    fall, below = -(rays @ axis), -float(begin @ axis)
+    across, aside = rays + fall[:, None] * axis, begin + below * axis
+    a = np.einsum("ni,ni->n", across, across) - slope**2 * fall**2
+    a = np.where(np.abs(a) < 1e-12, 1e-12, a)
+    b, c = across @ aside - slope**2 * fall * below, aside @ aside - slope**2 * below**2
+    square = b * b - a * c
+    root = np.sqrt(np.maximum(square, 0.0))
+    hits = []
+    for depth in ((-b - root) / a, (-b + root) / a):
+        fallen = below + depth * fall
+        met = (square > 0.0) & (depth > 0.0) & (fallen >= 0.0) & (fallen <= height)
+        depth = np.where(met, depth, np.inf)
+        outward = _point(aside, across, depth)
+        outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-300)
+        normal = (outward + slope * axis) / np.sqrt(1.0 + slope**2)
+        hits.append((depth.astype(np.float32), normal.astype(np.float32)))
+    return hits
 
 
 def _box(half_size: np.ndarray, start: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -26,7 +26,7 @@ class Recording:
       status: bits of ``rewax.status.Status`` after every control step, shape (num_steps,).
       particles: positions [m], shape (num_frames, num_particles, 3); None without particles.
       values: named numbers of each particle (``speed``, ``strain``), shape (num_frames, num_particles) each.
-      drawings: rigid shapes of each frame (``rewax.viz.shapes``).
+      drawings: rigid shapes of each frame (``rewax.viz.shapes``): the same kinds, meshes with the same triangles.
       control_dt: duration of a control step [s]; None where the environment does not say.
       up: unit vector that points up, shape (3,).
       triangles: surface of the particles where they are vertices of a mesh, shape (num_triangles, 3).
@@ -61,6 +61,10 @@ class Recording:
         kinds = [tuple(check_drawing(drawing) or drawing["kind"] for drawing in frame) for frame in self.drawings]
         if len(set(kinds)) > 1:
             raise ValueError("render_shapes gives other kinds of drawings in some frames: give the same ones in all")
+        for frame in self.drawings[1:]:
+            for i, (first, later) in enumerate(zip(self.drawings[0], frame, strict=True)):
+                if first["kind"] == "mesh" and not _same_mesh(first, later):
+                    raise ValueError(f"drawing {i} is a mesh that changes: give the same vertices and triangles always")
         if self.particles is None and not any(kind != "plane" for kind in (kinds or [()])[0]):
             raise ValueError("there is nothing to show: give the environment particles or render_shapes")
 
@@ -101,6 +105,11 @@ class Recording:
     def spread(self, num_frames: int) -> "Recording":
         """At most so many frames, equally spaced from first to last."""
         return self.take(np.unique(np.linspace(0, self.num_frames - 1, num_frames).round().astype(int)))
+
+
+def _same_mesh(first: Drawing, later: Drawing) -> bool:
+    keys = ("vertices", "triangles")
+    return all(first[key] is later[key] or np.array_equal(first[key], later[key]) for key in keys)
 
 
 def playback(recording: Recording) -> tuple[Recording, float, float]:

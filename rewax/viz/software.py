@@ -6,9 +6,10 @@ from rewax.viz.buffers import NearestBuffer
 from rewax.viz.camera import Camera, focal_length, frame_recording
 from rewax.viz.colors import particle_colors, shape_color
 from rewax.viz.ground import Ground, sky
+from rewax.viz.meshes import Mesh, mesh
 from rewax.viz.raycast import hit, turned
 from rewax.viz.recording import Recording, diameters
-from rewax.viz.shapes import Drawing, support
+from rewax.viz.shapes import Drawing, placed, support
 from rewax.viz.surface import has_surfaces, surfaces
 
 _SAMPLES = 2
@@ -49,6 +50,8 @@ class SoftwareRenderer:
         )
         self._radii = None if recording.particles is None else (0.5 * diameters(recording)).astype(np.float32)
         self._colors = None if recording.particles is None else particle_colors(recording, color_by)
+        first = [shape for shape in recording.shapes(0) if shape["kind"] != "plane"]
+        self._meshes = [mesh(shape) if shape["kind"] == "mesh" else None for shape in first]
 
     def render(self, frame: int) -> np.ndarray:
         """Picture of a frame, uint8 of shape (height, width, 3)."""
@@ -67,11 +70,12 @@ class SoftwareRenderer:
         picture = self._enlarge(back)
         if cloud is not None:
             self._draw_cloud(camera, cloud, frame, depth, picture)
-        behind_first = sorted(shapes, key=lambda shape: -float(np.asarray(shape["center"]) @ camera.forward))
+        far = [float(np.asarray(shape["center"]) @ camera.forward) for shape in shapes]
+        behind_first = np.argsort(-np.array(far), kind="stable")
         for opaque in (True, False):
-            for shape in behind_first:
-                if (shape_color(shape)[1] >= 1.0) == opaque:
-                    self._draw_shape(camera, shape, depth, picture)
+            for i in behind_first:
+                if (shape_color(shapes[i])[1] >= 1.0) == opaque:
+                    self._draw_shape(camera, shapes[i], self._meshes[i], depth, picture)
         grid = picture.reshape(self._rows, self._columns, 3)
         total = sum(grid[i::_SAMPLES, j::_SAMPLES] for i in range(_SAMPLES) for j in range(_SAMPLES))
         return (np.clip(total, 0.0, _SAMPLES**2) * np.float32(255.0 / _SAMPLES**2) + np.float32(0.5)).astype(np.uint8)
@@ -146,14 +150,12 @@ class SoftwareRenderer:
         depth[pixels] = at
         picture[pixels] = self._shade(normal, color)
 
-    def _draw_shape(self, camera: Camera, shape: Drawing, depth: np.ndarray, picture: np.ndarray) -> None:
-        """A rigid shape where it is nearer than what is there."""
-        low, high = self._rectangle(camera, shape)
-        if np.any(high <= low):
-            return
-        rows, columns = np.arange(low[1], high[1]), np.arange(low[0], high[0])
-        pixels = (rows[:, None] * self._columns + columns).reshape(-1)
-        at, normal = hit(shape, camera.eye, self._rays[pixels])
+    def _draw_shape(
+        self, camera: Camera, shape: Drawing, surface: Mesh | None, depth: np.ndarray, picture: np.ndarray
+    ) -> None:
+        """A rigid shape, or the mesh that it is, where it is nearer than what is there."""
+        seen = self._see_shape(camera, shape) if surface is None else self._see_mesh(camera, shape, surface)
+        pixels, at, normal = seen
         shown = np.flatnonzero(at < depth[pixels])
         pixels, normal = pixels[shown], normal[shown].astype(np.float32)
         color, opacity = shape_color(shape)
@@ -162,6 +164,29 @@ class SoftwareRenderer:
             depth[pixels], picture[pixels] = at[shown], shaded
         else:
             picture[pixels] += opacity * (shaded - picture[pixels])
+
+    def _see_shape(self, camera: Camera, shape: Drawing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels that may show a shape; depths, infinite where they do not, and normals there."""
+        low, high = self._rectangle(camera, shape)
+        rows, columns = np.arange(low[1], high[1]), np.arange(low[0], high[0])
+        pixels = (rows[:, None] * self._columns + columns).reshape(-1)
+        return pixels, *hit(shape, camera.eye, self._rays[pixels])
+
+    def _see_mesh(self, camera: Camera, shape: Drawing, surface: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels that show a mesh; depths and normals there, the latter between those of the triangle's corners."""
+        vertices = placed(shape, surface.vertices)
+        projected = np.stack(camera.project(vertices, self._rows, self._columns), axis=-1)
+        buffer = NearestBuffer(self._rows, self._columns)
+        buffer.add_triangles(projected[surface.triangles].astype(np.float32))
+        pixels, which, at = buffer.result()
+        points = camera.eye + at[:, None] * self._rays[pixels]
+        corners = vertices[surface.triangles[which]]
+        opposite = [np.cross(corners[:, i - 2] - points, corners[:, i - 1] - points) for i in range(3)]
+        face = sum(opposite)
+        share = np.stack([np.einsum("ni,ni->n", part, face) for part in opposite], axis=1)
+        normals = np.einsum("nc,nci->ni", np.maximum(share, 0.0), surface.normals[surface.triangles[which]])
+        normals = turned(normals, np.asarray(shape["rotation"], float).T)
+        return pixels, at, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
     def _rectangle(self, camera: Camera, shape: Drawing) -> tuple[np.ndarray, np.ndarray]:
         """First and last column and row that may show a shape; all of them for one that reaches behind the eye."""

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rewax.viz.bodies import body_strip
+from rewax.viz.meshes import mesh
 
 SKY, SOIL, INK = (1.0, 1.0, 1.0), (0.93, 0.93, 0.93), (0.22, 0.42, 0.65)
 
@@ -57,6 +58,20 @@ def test_what_is_nearer_to_the_eye_covers_what_is_behind(tmp_path):
         assert len(far[0]) < 0.5 * len(near[0])
 
 
+def test_a_ball_by_another_name_looks_the_same(tmp_path):
+    ground, ball = scene(0.0)
+    surface = mesh(ball)
+    egg = {"kind": "ellipsoid", "center": ball["center"], "semi_axes": np.full(3, 0.2), "rotation": np.eye(3)}
+    body = {"kind": "mesh", "center": ball["center"], "vertices": surface.vertices, "triangles": surface.triangles}
+    images = [
+        matplotlib.image.imread(body_strip([[ground, shape]], tmp_path / "a.png"))
+        for shape in (ball, egg, {**body, "rotation": np.eye(3)})
+    ]
+    for image in images[1:]:
+        assert image.shape == images[0].shape
+        assert np.mean(np.abs(image - images[0]).max(axis=-1) > 0.1) < 0.01  # edges
+
+
 def test_planes_that_face_the_eye_are_left_out(tmp_path):
     wall = {"kind": "plane", "center": np.zeros(3), "direction": np.array([0.0, 0.0, 1.0])}
     path = body_strip([[wall, scene(0.0)[1]]], tmp_path / "a.png")
@@ -66,5 +81,5 @@ def test_planes_that_face_the_eye_are_left_out(tmp_path):
 def test_frames_without_anything_to_follow_are_refused(tmp_path):
     with pytest.raises(ValueError, match="nothing to follow"):
         body_strip([scene(0.0)[:1]], tmp_path / "a.png")
-    with pytest.raises(ValueError, match="cannot draw a shape of kind 'cone'"):
-        body_strip([[{**scene(0.0)[1], "kind": "cone"}]], tmp_path / "a.png")
+    with pytest.raises(ValueError, match="cannot draw a shape of kind 'torus'"):
+        body_strip([[{**scene(0.0)[1], "kind": "torus"}]], tmp_path / "a.png")

@@ -55,6 +55,38 @@ def test_the_next_episode_replaces_the_last_one(viewer):
     np.testing.assert_allclose(viewer.positions(), moved[1])
 
 
+def test_ellipsoids_cones_and_meshes_are_solids_with_the_poses_of_the_frame(viewer):
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # about z
+
+    def shapes(x, turn):
+        egg = {
+            "kind": "ellipsoid",
+            "center": np.array([x, 0.5, 0.0]),
+            "semi_axes": np.array([0.1, 0.2, 0.3]),
+            "rotation": turn,
+        }
+        cone = {
+            "kind": "cone",
+            "center": np.array([x, 1.0, 0.0]),
+            "radius": 0.1,
+            "half_length": 0.2,
+            "direction": turn[:, 1],
+        }
+        body = {"kind": "mesh", "vertices": np.eye(4, 3), "triangles": np.array([[0, 1, 2]])}
+        return [egg, cone, {**body, "center": np.array([x, 2.0, 0.0]), "rotation": turn}]
+
+    viewer.show(recordings.made(2, drawings=[shapes(0.0, np.eye(3)), shapes(1.0, quarter)], floor=0.0))
+    viewer._playing.value = False
+    viewer.seek(1.0)
+    egg, cone, body = (handle for _, handle in viewer._solids)
+    np.testing.assert_allclose([egg.position, cone.position, body.position], [[1, 0.5, 0], [1, 1, 0], [1, 2, 0]])
+    for handle in (egg, cone, body):
+        np.testing.assert_allclose(np.abs(np.dot(handle.wxyz, np.sqrt([0.5, 0.0, 0.0, 0.5]))), 1.0, atol=1e-6)
+    np.testing.assert_allclose(egg.vertices.max(axis=0), [0.1, 0.2, 0.3], atol=0.01)
+    np.testing.assert_allclose(cone.vertices[np.argmax(cone.vertices[:, 1])], [0.0, 0.2, 0.0], atol=1e-6)
+    assert len(body.vertices) == 3 and len(body.faces) == 1
+
+
 def test_colours_are_those_of_the_recording(viewer):
     viewer.show(recordings.cloud(5))
     viewer._playing.value = False

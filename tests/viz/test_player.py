@@ -73,6 +73,26 @@ def test_positions_values_poses_and_curves_come_back(tmp_path):
     np.testing.assert_allclose(run["times"], recording.times)
 
 
+def test_a_mesh_is_in_the_page_once_and_its_poses_once_a_frame(tmp_path):
+    rng = np.random.default_rng(0)
+    body = {"kind": "mesh", "vertices": rng.uniform(-1.0, 1.0, (3000, 3)), "triangles": np.arange(3000).reshape(-1, 3)}
+    sizes = []
+    for num_frames in (2, 60):
+        drawings = [
+            [{**body, "center": np.array([0.1 * i, 2.0, 0.0]), "rotation": np.eye(3)}] for i in range(num_frames)
+        ]
+        path = write_player([recordings.made(num_frames, drawings=drawings)], tmp_path / "a.html")
+        sizes.append(path.stat().st_size)
+    assert sizes[1] < sizes[0] + 20_000 < 400_000
+    (solid,) = data_of(path)["runs"][0]["solids"]
+    vertices, triangles = decoded(solid["vertices"]).reshape(-1, 3), decoded(solid["triangles"]).reshape(-1, 3)
+    found = vertices[triangles].sum(axis=1)
+    np.testing.assert_allclose(found, body["vertices"].reshape(-1, 3, 3).sum(axis=1), atol=1e-5)
+    np.testing.assert_allclose(
+        decoded(solid["poses"]).reshape(60, 7)[-1], [5.9, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0], atol=1e-6
+    )
+
+
 def test_the_page_is_one_file_that_asks_for_nothing_and_is_small(tmp_path):
     frames, count = 300, 2500
     walk = np.cumsum(np.random.default_rng(0).normal(0.0, 2e-4, (frames, count, 3)), axis=0)

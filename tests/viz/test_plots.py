@@ -63,5 +63,5 @@ def test_a_ground_is_no_reason_to_zoom_out():
 
 
 def test_unknown_shapes_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="cannot draw a shape of kind 'cone': use one of 'sphere', 'capsule'"):
-        plots.particle_strip([np.eye(3)], tmp_path / "a.png", shapes=[[{**capsule(), "kind": "cone"}]])
+    with pytest.raises(ValueError, match="cannot draw a shape of kind 'torus': use one of 'sphere', 'ellipsoid'"):
+        plots.particle_strip([np.eye(3)], tmp_path / "a.png", shapes=[[{**capsule(), "kind": "torus"}]])

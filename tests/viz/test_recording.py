@@ -61,6 +61,19 @@ def test_what_cannot_be_shown_is_refused():
         recordings.made(2, drawings=[recordings.moving_ball().drawings[0][:1]] * 2)
     with pytest.raises(ValueError, match="other kinds of drawings in some frames"):
         recordings.made(2, drawings=[[recordings.BALL], []])
+    body = {
+        "kind": "mesh",
+        "center": np.zeros(3),
+        "vertices": np.eye(4, 3),
+        "triangles": [(0, 1, 2)],
+        "rotation": np.eye(3),
+    }
+    recordings.made(2, drawings=[[body], [{**body, "center": np.ones(3), "vertices": np.eye(4, 3)}]])
+    for changed in ({"vertices": 2.0 * np.eye(4, 3)}, {"triangles": [(0, 2, 1)]}):
+        with pytest.raises(
+            ValueError, match="drawing 1 is a mesh that changes: give the same vertices and triangles always"
+        ):
+            recordings.made(2, drawings=[[recordings.BALL, body], [recordings.BALL, {**body, **changed}]])
     with pytest.raises(ValueError, match=r"opacity of the drawing of a sphere is 2\.0: give numbers from 0 to 1"):
         recordings.made(1, drawings=[[{**recordings.BALL, "opacity": 2.0}]])
     with pytest.raises(ValueError, match="a recording has no frames"):

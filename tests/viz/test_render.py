@@ -74,8 +74,14 @@ def test_mujoco_and_numpy_show_the_same():
         "kind": "capsule", "center": np.array([0.0, 0.4, 0.0]), "radius": 0.1, "half_length": 0.3,
         "direction": np.array([1.0, 0.0, 0.0]), "color": (0.9, 0.1, 0.1),
     }  # fmt: skip
+    turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    egg = {**capsule, "kind": "ellipsoid", "semi_axes": np.array([0.4, 0.1, 0.2]), "rotation": turn}
+    cone = {**capsule, "kind": "cone", "radius": 0.2, "direction": np.array([0.3, 1.0, 0.2])}
+    corner = {**capsule, "kind": "mesh", "vertices": 0.7 * np.eye(4, 3), "rotation": turn}
+    corner["triangles"] = np.array([(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)])
+    leaf = {**corner, "triangles": corner["triangles"][:1]}  # not closed
     for recording in (
-        recordings.made(1, drawings=[[capsule]], floor=0.0),
+        *(recordings.made(1, drawings=[[shape]], floor=0.0) for shape in (capsule, egg, cone, corner, leaf)),
         recordings.cloud(1, values={}, materials=np.zeros(60, int), material_names=("muscle",)),
     ):
         ours, theirs = (
@@ -86,3 +92,12 @@ def test_mujoco_and_numpy_show_the_same():
         assert red[0].sum() > 100
         overlap = (red[0] & red[1]).sum() / (red[0] | red[1]).sum()
         assert overlap > 0.85
+    speck = {**cone, "radius": 0.0}  # has no area: neither draws it, nor minds
+    without, with_ = (
+        next(opengl.mujoco_pictures(recordings.made(1, drawings=[shapes]), SIZE, "material", found.name))
+        for shapes in (
+            [recordings.BALL],
+            [recordings.BALL, {**speck, "center": recordings.BALL["center"], "half_length": 0.1}],
+        )
+    )
+    np.testing.assert_array_equal(without, with_)

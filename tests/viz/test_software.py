@@ -5,6 +5,7 @@ import pytest
 import recordings
 
 from rewax.viz.camera import frame_recording
+from rewax.viz.meshes import mesh
 from rewax.viz.software import SoftwareRenderer
 
 SIZE = (120, 160)
@@ -78,6 +79,61 @@ def test_glass_shows_what_is_behind():
     at = place(clear, glass["center"])
     assert red(picture(solid))[at] and not red(picture(clear))[at]
     assert np.abs(picture(clear)[at] - picture(solid)[at]).max() > 0.1
+
+
+TURN, _ = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))
+TURN = TURN * np.sign(np.linalg.det(TURN))
+
+
+def pictured(shape, **options):
+    """One shape over a floor, its colour red unless it says another."""
+    return picture(recordings.made(1, drawings=[[colored(**shape)]], floor=0.0, **options))
+
+
+@pytest.mark.parametrize("opacity", [1.0, 0.4])
+def test_a_mesh_of_a_box_is_drawn_like_the_box(opacity):
+    box = {"kind": "box", "center": np.array([0.2, 0.5, 0.1]), "half_size": np.array([0.3, 0.2, 0.1]), "rotation": TURN}
+    surface = mesh(box)
+    other = {"kind": "mesh", "center": box["center"], "rotation": TURN, "opacity": opacity}
+    ours = pictured({**other, "vertices": surface.vertices, "triangles": surface.triangles})
+    expected = pictured({**box, "opacity": opacity})
+    assert red(pictured(box)).sum() > 500
+    assert np.mean(np.abs(ours - expected).max(axis=-1) > 0.02) < 0.02  # pixels at edges and at the shadow's
+
+
+def test_a_mesh_of_a_ball_is_shaded_like_the_ball():
+    ball = {"kind": "sphere", "center": np.array([0.0, 0.5, 0.0]), "radius": 0.3}
+    surface = mesh(ball)
+    body = {"kind": "mesh", "vertices": surface.vertices, "triangles": surface.triangles, "rotation": TURN}
+    ours, expected = pictured({**body, "center": ball["center"]}), pictured(ball)
+    both = red(ours) & red(expected)
+    assert both.sum() > 0.97 * red(expected).sum()
+    difference = np.abs(ours - expected)[both].max(axis=-1)
+    assert np.percentile(difference, 95) < 0.025  # with one colour a triangle it is 0.05
+
+
+def test_an_ellipsoid_of_equal_axes_is_drawn_like_the_sphere():
+    ball = {"kind": "sphere", "center": np.array([0.0, 0.5, 0.0]), "radius": 0.3}
+    egg = {"kind": "ellipsoid", "center": ball["center"], "semi_axes": np.full(3, 0.3), "rotation": TURN}
+    difference = np.abs(pictured(egg) - pictured(ball)).max(axis=-1)
+    assert red(pictured(ball)).sum() > 500 and np.mean(difference > 0.02) < 0.001
+
+
+def test_light_falls_through_the_hole_of_a_ring():
+    """A frame of four bars over the floor: the shadow is the frame's, not that of its convex hull."""
+    bars = [mesh({"kind": "box", "half_size": np.array([0.5, 0.02, 0.06])}) for _ in range(4)]
+    places = [([0.0, 0.0, z], np.eye(3)) for z in (-0.44, 0.44)]
+    places += [([x, 0.0, 0.0], np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])) for x in (-0.44, 0.44)]
+    vertices = np.concatenate([b.vertices @ turn.T + at for b, (at, turn) in zip(bars, places, strict=True)])
+    triangles = np.concatenate([b.triangles + 24 * i for i, b in enumerate(bars)])
+    frame = {"kind": "mesh", "center": np.array([0.0, 0.2, 0.0]), "vertices": vertices, "triangles": triangles,
+             "rotation": np.eye(3)}  # fmt: skip
+    recording = recordings.made(1, drawings=[[frame]], floor=0.0, camera={"elevation": 60.0})
+    empty = recordings.made(1, drawings=[[{**frame, "opacity": 0.0}]], floor=0.0, camera={"elevation": 60.0})
+    change = (picture(empty) - picture(recording)).mean(axis=-1)
+    row, column = place(recording, [0.0, 0.0, 0.0])
+    assert np.abs(change[row - 2 : row + 3, column - 2 : column + 3]).max() < 0.01
+    assert change.max() > 0.1
 
 
 def test_a_surface_of_triangles_is_filled():
