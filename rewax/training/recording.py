@@ -136,10 +136,10 @@ def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
     kept: dict[str, Any] = {}
 
     def arrays(physics: PyTree) -> list[Any]:
-        """What a program can return; the rest, the kinds of drawings among it, is kept while it is traced."""
+        """What changes; the rest, the kinds of drawings and the triangles of meshes, is kept while it is traced."""
         leaves, kept["tree"] = jax.tree.flatten(see(physics))
-        kept["words"] = [leaf if isinstance(leaf, str) else None for leaf in leaves]
-        return [leaf for leaf in leaves if not isinstance(leaf, str)]
+        kept["rest"] = [leaf if isinstance(leaf, str | np.ndarray) else None for leaf in leaves]
+        return [leaf for leaf in leaves if not isinstance(leaf, str | np.ndarray)]
 
     try:
         jax.eval_shape(arrays, physics)
@@ -149,7 +149,7 @@ def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
 
     def call(physics: PyTree) -> dict[str, Any]:
         values = iter(jax.device_get(compiled(physics)))
-        return jax.tree.unflatten(kept["tree"], [next(values) if w is None else w for w in kept["words"]])
+        return jax.tree.unflatten(kept["tree"], [next(values) if a is None else a for a in kept["rest"]])
 
     return call
 

@@ -2,9 +2,11 @@
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
+import functools
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.rigid.forces import (
@@ -49,7 +51,8 @@ def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
 def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
     """Drawings of the geoms for pictures; ``rewax.viz.shapes`` has a table of their keys.
 
-    Kinds are plane, sphere, capsule, cylinder and box; others are left out.
+    Height fields and geoms given by a signed distance (``type="sdf"``) are left out. Vertices and triangles of meshes
+    are the same numpy arrays every time.
     """
     mj, pose = model.static.mj, geom_poses(model, state)
     found = []
@@ -65,7 +68,23 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
             found.append({**shape, "radius": size[0], "half_length": size[1], "direction": rotation[:, 2]})
         elif kind == "box":
             found.append({**shape, "rotation": rotation, "half_size": size})
+        elif kind == "ellipsoid":
+            found.append({**shape, "rotation": rotation, "semi_axes": size})
+        elif kind == "mesh":
+            vertices, triangles = _mesh(model.static, int(mj.geom_dataid[geom]))
+            found.append({**shape, "rotation": rotation, "vertices": vertices, "triangles": triangles})
     return found
+
+
+@functools.lru_cache(maxsize=256)
+def _mesh(static: Any, mesh: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] and triangles of a mesh of the model, in the frame that MuJoCo gives its geoms."""
+    mj = static.mj
+    vertices, triangles = (
+        slice(first[mesh], first[mesh] + count[mesh])
+        for first, count in ((mj.mesh_vertadr, mj.mesh_vertnum), (mj.mesh_faceadr, mj.mesh_facenum))
+    )
+    return np.array(mj.mesh_vert[vertices]), np.array(mj.mesh_face[triangles])
 
 
 def contact_distances(model: RigidModel, state: RigidState, *, body: str | None = None) -> Array:

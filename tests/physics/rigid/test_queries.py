@@ -67,11 +67,11 @@ def test_what_is_measured_agrees_with_mujoco(x64):
 ALL_KINDS = """<mujoco><worldbody><geom type="plane" size="1 1 1" pos="0 0 -1" quat="0.7071068 0.7071068 0 0"/>
   <body pos="1 2 3" quat="0 1 0 0"><freejoint/><geom type="sphere" size=".2" pos=".1 0 .5"/>
     <geom type="capsule" size=".1 .3" quat="0.7071068 0 0.7071068 0"/><geom type="cylinder" size=".05 .4" pos="0 1 0"/>
-    <geom type="box" size=".1 .2 .3"/><geom type="ellipsoid" size=".1 .2 .3"/></body></worldbody></mujoco>"""
+    <geom type="box" size=".1 .2 .3"/><geom type="ellipsoid" size=".1 .2 .4"/></body></worldbody></mujoco>"""
 
 
 def test_pictures_of_every_kind_of_geom():
-    """Of a body turned by half a turn about x; ellipsoids are left out."""
+    """Of a body turned by half a turn about x."""
     model = rigid.load(ALL_KINDS)
     kinds = []
 
@@ -81,13 +81,14 @@ def test_pictures_of_every_kind_of_geom():
         kinds.extend(shape.pop("kind") for shape in found)
         return found
 
-    plane, sphere, capsule, cylinder, box = numbers(rigid.initial_state(model))
+    plane, sphere, capsule, cylinder, box, ellipsoid = numbers(rigid.initial_state(model))
     assert kinds == [
         "plane",
         "sphere",
         "capsule",
         "cylinder",
         "box",
+        "ellipsoid",
     ]
     place = [next(value for key, value in s.items() if key.startswith("cent")) for s in (plane, sphere, cylinder)]
     np.testing.assert_allclose(place, [[0, 0, -1], [1.1, 2, 2.5], [1, 1, 3]], atol=1e-6)
@@ -96,9 +97,36 @@ def test_pictures_of_every_kind_of_geom():
     assert float(sphere["radius"]) == pytest.approx(0.2)
     assert (float(capsule["radius"]), float(capsule["half_length"])) == pytest.approx((0.1, 0.3))
     assert (float(cylinder["radius"]), float(cylinder["half_length"])) == pytest.approx((0.05, 0.4))
-    np.testing.assert_allclose(box["rotation"], np.diag([1, -1, -1]), atol=1e-6)
+    for shape in (box, ellipsoid):
+        np.testing.assert_allclose(shape["rotation"], np.diag([1, -1, -1]), atol=1e-6)
+    np.testing.assert_allclose(ellipsoid["semi_axes"], [0.1, 0.2, 0.4], rtol=1e-6)
     size = next(value for key, value in box.items() if key.startswith("half_size"))
     np.testing.assert_allclose(size, [0.1, 0.2, 0.3], rtol=1e-6)
+
+
+WEDGES = """<mujoco><asset><mesh name="first" vertex="1 1 -1 1 0 0 0 1 0 0 0 1 0 0 0"/>
+  <mesh name="second" vertex="0 0 0 .2 0 0 0 .4 0 0 0 .6 .2 .4 .6"/></asset><worldbody>
+  <body pos="1 2 3"><freejoint/><geom type="mesh" mesh="second" pos=".1 0 0" contype="0" conaffinity="0"/></body>
+  <body pos="0 0 9"><freejoint/><geom type="mesh" mesh="first" contype="0" conaffinity="0"/></body></worldbody></mujoco>"""
+
+
+def test_meshes_are_drawn_where_the_model_has_their_vertices():
+    """MuJoCo moves meshes to their own middle and axes of inertia; what is drawn is back where the MJCF has it."""
+    model = rigid.load(WEDGES)
+    state = rigid.initial_state(model)
+    second, first = rigid.shapes(model, state)
+    corners = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.4, 0], [0, 0, 0.6], [0.2, 0.4, 0.6]]) + [1.1, 2.0, 3.0]
+    others = np.array([[0, 0, 0], [1, 1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) + [0, 0, 9]
+    for shape, expected in ((second, corners), (first, others)):
+        assert shape["kind"] == "mesh"
+        points = np.asarray(shape["center"]) + shape["vertices"] @ np.asarray(shape["rotation"]).T
+        order = [np.lexsort(np.round(p, 4).T) for p in (points, expected)]
+        np.testing.assert_allclose(points[order[0]], expected[order[1]], atol=1e-5)
+        a, b, c = (shape["vertices"][shape["triangles"][:, i]] for i in range(3))
+        assert np.einsum("ni,ni->n", a, np.cross(b, c)).sum() > 0.0  # counter-clockwise from outside
+        edges = np.sort(shape["triangles"][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        assert np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2)  # closed
+    assert rigid.shapes(model, state)[0]["vertices"] is second["vertices"]
 
 
 def test_velocities_of_a_body_that_flies_and_turns(x64):
