@@ -58,6 +58,21 @@ def test_a_chain_is_computed_once_and_not_in_each_of_its_users(boundary):
     assert sines(boundary) <= 2 and sines(lambda a: a) >= 4
 
 
+@BOTH
+def test_each_of_several_arrays_is_computed_once(boundary):
+    """Those of one form change places in the empty loop; left where they are, the compiler would see through it."""
+    x = jnp.linspace(0.0, 1.0, 4096).reshape(64, 64)
+
+    def sines(store) -> int:
+        def reductions(x):
+            a, b = store((jnp.sin(x), jnp.sin(2.0 * x)))
+            return jnp.sum(a, axis=0), jnp.sum(a * b, axis=1), jnp.max(b[::-1] - a, axis=0), jnp.min(b * x, axis=1)
+
+        return jax.jit(reductions).lower(x).compile().as_text().count(" sine(")
+
+    assert sines(boundary) <= 3 and sines(lambda arrays: arrays) >= 5
+
+
 def test_users_of_a_number_rounded_down_see_one_and_the_same():
     """Whole part and rest make the number again, although it lies on the edge between two whole parts.
 
