@@ -25,8 +25,10 @@ def episode_metrics(environments: Environments, transitions: Transition) -> Metr
     _, finished = running_returns(environments.episode_return, transitions)
     counted = jnp.isfinite(finished)
     failed = transitions.failed
-    first = jnp.argmax(failed.reshape(-1))
-    env, leaf = first // failed.shape[1], transitions.failed_leaf.reshape(-1)[first]
+    # Reductions alone, no index: where environments are divided over devices none of them has to be sent.
+    place = jnp.arange(failed.size, dtype=jnp.int32).reshape(failed.shape)
+    first = jnp.min(jnp.where(failed, place, failed.size))
+    env, leaf = first // failed.shape[1], jnp.max(jnp.where(place == first, transitions.failed_leaf, NO_LEAF))
     bits = {
         f"status/{bit.name}": jnp.sum((transitions.status & int(bit)) != 0) for bit in Status if bit is not Status.OK
     }

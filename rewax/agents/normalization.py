@@ -99,12 +99,35 @@ def normalize(statistics: RunningStatistics, obs: Observation, *, clip: float | 
 def _winsorised(batch: Array, keep: Array, mean: Array, variance: Array) -> Array:
     """Samples moved to the border of what is usual; those that do not count are zero."""
     keep = keep.reshape(-1, *[1] * (batch.ndim - 1))
-    quartiles = jnp.nanquantile(jnp.where(keep, batch, jnp.nan), jnp.array([0.25, 0.75], batch.dtype), axis=0)
-    low, high = jnp.where(jnp.isfinite(quartiles), quartiles, mean)
+    low, high = (jnp.where(jnp.any(keep), _order_statistic(batch, keep, share), mean) for share in (0.25, 0.75))
     deviation, between = jnp.sqrt(variance), high - low
     low = jnp.minimum(mean - WINSOR_WIDTH * deviation, low - WINSOR_WIDTH * between)
     high = jnp.maximum(mean + WINSOR_WIDTH * deviation, high + WINSOR_WIDTH * between)
     return jnp.where(keep, jnp.clip(batch, low, high), 0.0)
+
+
+def _order_statistic(batch: Array, keep: Array, share: float) -> Array:
+    """The least sample that at least this share of the samples that count do not exceed, by component.
+
+    Bisection of the numbers' bits: its counts are sums, which devices take of their own samples. A sort would have to
+    see all samples.
+    """
+    size = jnp.finfo(batch.dtype).bits
+    integer = jnp.dtype(f"int{size}")
+    bits = jax.lax.bitcast_convert_type(batch, integer)
+    ordered = jnp.where(bits < 0, bits ^ jnp.iinfo(integer).max, bits)  # in the numbers' order
+    wanted = share * jnp.sum(keep)
+
+    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        middle = (low >> 1) + (high >> 1) + (low & high & 1)  # their sum could overflow
+        enough = jnp.sum(keep & (ordered <= middle), axis=0) >= wanted
+        return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
+
+    whole = jnp.full(batch.shape[1:], jnp.iinfo(integer).min), jnp.full(batch.shape[1:], jnp.iinfo(integer).max)
+    found, _ = jax.lax.fori_loop(0, size, halve, tuple(end.astype(integer) for end in whole))
+    bits = jnp.where(found < 0, found ^ jnp.iinfo(integer).max, found)
+    return jax.lax.bitcast_convert_type(bits, batch.dtype)
 
 
 def _moments(batch: Array, keep: Array, count: Array) -> tuple[Array, Array]:

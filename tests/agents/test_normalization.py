@@ -5,7 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.agents.normalization import EPSILON, WINSOR_WIDTH, init_statistics, normalize, update_statistics
+from rewax.agents.normalization import (
+    EPSILON,
+    WINSOR_WIDTH,
+    _order_statistic,
+    init_statistics,
+    normalize,
+    update_statistics,
+)
 from rewax.envs.base import ArraySpec
 
 SPEC = {"points": ArraySpec((5, 3)), "q": ArraySpec((4,)), "height": ArraySpec(())}
@@ -96,7 +103,7 @@ def test_one_wild_observation_hardly_moves_the_statistics(wild):
     spoilt[1][7] = wild
     clean, got = learnt(ordinary), learnt(spoilt)
     assert abs(got.mean["x"] - clean.mean["x"]) < WINSOR_WIDTH * 2 / 384
-    assert 0.9 < got.variance["x"] / clean.variance["x"] < 1 + 2 * WINSOR_WIDTH**2 / 384
+    assert 0.9 < got.variance["x"] / clean.variance["x"] < 1 + 2.2 * WINSOR_WIDTH**2 / 384
 
 
 def test_a_wild_observation_in_the_first_batch_of_few_is_held_too():
@@ -141,3 +148,14 @@ def test_normalized_observations_are_clipped_and_pass_no_gradient_there():
     np.testing.assert_allclose(seen(x, None), x, rtol=1e-4)
     slope = jax.grad(lambda x: seen(x, 5.0).sum())(x)
     np.testing.assert_allclose(slope, [1.0, 0.0], rtol=1e-4)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 100])
+@pytest.mark.parametrize("share", [0.25, 0.75])
+def test_order_statistics_are_those_of_a_sort(count, share):
+    rng = np.random.default_rng(count)
+    batch = rng.normal(size=(count, 3)) * 10.0 ** rng.integers(-30, 30, size=(count, 3))
+    batch, keep = batch.astype(np.float32), np.arange(count) % 3 != 1
+    expected = np.sort(batch[keep], axis=0)[max(int(np.ceil(share * keep.sum())), 1) - 1]
+    batch[~keep] = np.nan
+    np.testing.assert_array_equal(_order_statistic(jnp.asarray(batch), jnp.asarray(keep)[:, None], share), expected)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import re
 import sys
 import tempfile
 from pathlib import Path
@@ -82,9 +81,7 @@ def main():
     where = placement(8, 2)
     state = where.place(jax.jit(agent.init)(jax.random.key(0)))
     program = where.compiled(agent.train_step, state).as_text()
-    gathered = re.findall(r"= (\w+\[[\d,]*\])\S* all-gather\(", program)
-    sizes = [int(np.prod([int(n) for n in re.findall(r"\d+", shape.split("[")[1])] or [1])) for shape in gathered]
-    assert max(sizes, default=0) <= 32, gathered  # one number of each observation for quartiles, what failed
+    assert " all-reduce(" in program and " all-gather(" not in program
     print("the same on one and on several devices")
 
 
