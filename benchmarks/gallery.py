@@ -144,7 +144,9 @@ def index(results: dict[str, list[dict[str, str]]], out: Path) -> None:
     lines = [
         "# The environments",
         "",
-        "At scale `small`, mean returns of 64 episodes after training with SAPO, deterministic actions, over seeds:",
+        "At scale `small`, returns of 64 episodes after training with SAPO, deterministic actions, mean over seeds:",
+        "",
+        "    python benchmarks/learning.py runs/* --out docs/tasks/results.csv && python benchmarks/gallery.py runs/*",
         "",
         "| | environment | trained | seeds | no action | best of 64 random | minutes |",
         "|---|---|---|---|---|---|---|",

@@ -11,7 +11,7 @@ from rewax.training.hosts import connect, leads
 def train(count, index, port, folder):
     where = {"JAX_COORDINATOR_ADDRESS": f"127.0.0.1:{port}", "JAX_NUM_PROCESSES": count, "JAX_PROCESS_ID": index}
     connect(where)
-    state = run("sapo", 0, folder)
+    state = run("sapo", 0, folder, iterations=2)
     returns = state.environments.episode_return
     assert len(returns.sharding.device_set) == int(count) * len(returns.addressable_shards) > 1
     try:
@@ -22,7 +22,7 @@ def train(count, index, port, folder):
 
 
 def compared(folder):
-    together = run("sapo", 1, folder, resume=True)  # its last checkpoint: there is nothing left to train
+    together = run("sapo", 1, folder, resume=True)  # the rest of its four iterations
     compare(together, run("sapo", 1, Path(folder).with_name("alone")))
     print("the same in several processes and in one")
 
