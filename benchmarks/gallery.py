@@ -127,7 +127,7 @@ def page(name: str, rows: list[dict[str, str]], out: Path) -> None:
             "",
             *earned(rows),
             "",
-            "Minutes are those of the iterations, some with other work on the machine; compilation comes on top.",
+            "Minutes are the number of iterations times the median of their times; compilation comes on top.",
             "",
         ]
     else:
