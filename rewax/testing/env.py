@@ -9,7 +9,9 @@ from rewax.envs.base import Env
 from rewax.testing import functions, states
 from rewax.testing.traced import random_action, traced_reset, traced_step
 
-_JIT_TOLERANCE = 1e-4  # relative; a compiled program may fuse and reorder single-precision sums
+_JIT_TOLERANCE = 1e-3
+"""Relative. A compiled program may fuse and reorder sums in single precision, and stiff material amplifies what that
+changes: to 2e-4 in a step of HandLift."""
 
 
 def check_env(
