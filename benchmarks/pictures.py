@@ -1,6 +1,6 @@
 """How long pictures take, how large a page is, and how fast Chromium plays it without a graphics card.
 
-python benchmarks/pictures.py                       # RollingFlat at scale paper, 300 frames
+python benchmarks/pictures.py                       # RollingFlat at scale paper, 301 frames
 pip install playwright && python benchmarks/pictures.py --browser /usr/bin/chromium
 """
 
@@ -49,7 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="RollingFlat")
     parser.add_argument("--scale", default="paper")
-    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--frames", type=int, default=301)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--browser", help="path of Chromium")
     args = parser.parse_args()

@@ -64,10 +64,10 @@ def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Ar
         keep = keep & jnp.all(jnp.isfinite(batch).reshape(len(keep), -1), axis=1)
     added = jnp.sum(keep).astype(statistics.count.dtype)
     total = statistics.count + added
-    mean, variance = {}, {}
+    mean, variance, quartiles = {}, {}, _quartiles(flat, keep)
     for name, batch in flat.items():
         old, spread = statistics.mean[name], statistics.variance[name]
-        batch = _winsorised(batch, keep, old, spread)
+        batch = _winsorised(batch, quartiles[name], keep, old, spread)
         batch_mean, batch_variance = _moments(batch, keep, added)
         delta = batch_mean - old
         mean[name] = old + delta * (added / total)
@@ -96,38 +96,56 @@ def normalize(statistics: RunningStatistics, obs: Observation, *, clip: float | 
     return {name: one(name, a) for name, a in obs.items()}
 
 
-def _winsorised(batch: Array, keep: Array, mean: Array, variance: Array) -> Array:
+def _quartiles(flat: dict[str, Array], keep: Array) -> dict[str, Array]:
+    """First and third quartile of each component, (2, ...) by name; those of all names are found together."""
+    columns = jnp.concatenate([batch.reshape(len(keep), -1) for batch in flat.values()], axis=1)
+    found, start = {}, 0
+    both = _order_statistics(columns, keep, (0.25, 0.75))
+    for name, batch in flat.items():
+        size = batch[0].size
+        found[name] = both[:, start : start + size].reshape(2, *batch.shape[1:])
+        start += size
+    return found
+
+
+def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) -> Array:
+    """Of each column the least sample that at least such a share of the samples that count do not exceed.
+
+    Two bits of the answer at a time, by counting: the counts are sums, which devices take of their own samples. A sort
+    would have to see all samples, and takes longer.
+
+    Args:
+      columns: shape (n, d).
+      keep: which samples count, shape (n,).
+
+    Returns:
+      Shape (len(shares), d).
+    """
+    size = jnp.finfo(columns.dtype).bits
+    unsigned = jnp.dtype(f"uint{size}")
+    top = jnp.array(1 << (size - 1), unsigned)
+    bits = jax.lax.bitcast_convert_type(columns, unsigned)
+    ordered = jnp.where(bits >= top, ~bits, bits | top)  # in the numbers' order
+    wanted = jnp.array(shares)[:, None] * jnp.sum(keep)
+    digits = jnp.arange(1, 4, dtype=unsigned)[:, None, None]
+
+    def two_bits(i: Array, found: Array) -> Array:
+        shift = (size - 2 - 2 * i).astype(unsigned)
+        limits = found | (digits << shift)
+        below = jnp.sum(keep[:, None] & (ordered < limits[:, :, None]), axis=2)
+        return found | (jnp.sum(below < wanted, axis=0).astype(unsigned) << shift)
+
+    found = jax.lax.fori_loop(0, size // 2, two_bits, jnp.zeros((len(shares), columns.shape[1]), unsigned))
+    return jax.lax.bitcast_convert_type(jnp.where(found >= top, found ^ top, ~found), columns.dtype)
+
+
+def _winsorised(batch: Array, quartiles: Array, keep: Array, mean: Array, variance: Array) -> Array:
     """Samples moved to the border of what is usual; those that do not count are zero."""
-    keep = keep.reshape(-1, *[1] * (batch.ndim - 1))
-    low, high = (jnp.where(jnp.any(keep), _order_statistic(batch, keep, share), mean) for share in (0.25, 0.75))
+    low, high = jnp.where(jnp.any(keep), quartiles, mean)
     deviation, between = jnp.sqrt(variance), high - low
     low = jnp.minimum(mean - WINSOR_WIDTH * deviation, low - WINSOR_WIDTH * between)
     high = jnp.maximum(mean + WINSOR_WIDTH * deviation, high + WINSOR_WIDTH * between)
-    return jnp.where(keep, jnp.clip(batch, low, high), 0.0)
-
-
-def _order_statistic(batch: Array, keep: Array, share: float) -> Array:
-    """The least sample that at least this share of the samples that count do not exceed, by component.
-
-    Bisection of the numbers' bits: its counts are sums, which devices take of their own samples. A sort would have to
-    see all samples.
-    """
-    size = jnp.finfo(batch.dtype).bits
-    integer = jnp.dtype(f"int{size}")
-    bits = jax.lax.bitcast_convert_type(batch, integer)
-    ordered = jnp.where(bits < 0, bits ^ jnp.iinfo(integer).max, bits)  # in the numbers' order
-    wanted = share * jnp.sum(keep)
-
-    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = (low >> 1) + (high >> 1) + (low & high & 1)  # their sum could overflow
-        enough = jnp.sum(keep & (ordered <= middle), axis=0) >= wanted
-        return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
-
-    whole = jnp.full(batch.shape[1:], jnp.iinfo(integer).min), jnp.full(batch.shape[1:], jnp.iinfo(integer).max)
-    found, _ = jax.lax.fori_loop(0, size, halve, tuple(end.astype(integer) for end in whole))
-    bits = jnp.where(found < 0, found ^ jnp.iinfo(integer).max, found)
-    return jax.lax.bitcast_convert_type(bits, batch.dtype)
+    return jnp.where(keep.reshape(-1, *[1] * (batch.ndim - 1)), jnp.clip(batch, low, high), 0.0)
 
 
 def _moments(batch: Array, keep: Array, count: Array) -> tuple[Array, Array]:
