@@ -20,6 +20,7 @@ import tyro
 from PIL import Image
 
 import rewax
+from rewax.statistics import learning_curve
 from rewax.training.cache import enable_compilation_cache
 from rewax.training.metrics import read_csv
 from rewax.training.recording import record
@@ -55,9 +56,9 @@ def strip(runs: list[Any], path: Path, args: Args) -> None:
 
 def curve(directories: list[str], name: str, agent: str, rows: list[dict[str, str]], path: Path) -> None:
     """Returns while the seeds were trained."""
-    columns = [read_csv(Path(directory) / "metrics.csv") for directory in directories]
+    curves = [learning_curve(read_csv(Path(directory) / "metrics.csv")) for directory in directories]
     levels = {"no action": float(rows[0]["no_action"]), "random actions": float(rows[0]["random_mean"])} if rows else {}
-    curves_with_intervals({agent: columns}, path, title=f"{name}, small", levels=levels)
+    curves_with_intervals({agent: curves}, path, title=f"{name}, small", levels=levels)
     Image.open(path).convert("RGB").quantize(32, dither=Image.Dither.NONE).save(path, optimize=True)
 
 

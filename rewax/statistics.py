@@ -1,6 +1,7 @@
-"""How sure a mean is: bootstrap intervals and interquartile means of returns."""
+"""How sure a mean is: bootstrap intervals and interquartile means of returns; learning curves."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,3 +38,35 @@ def interquartile_mean(values: Sequence[float] | np.ndarray) -> float:
     quarter = len(values) / 4.0
     weight = np.clip(np.minimum(place + 1, len(values) - quarter) - np.maximum(place, quarter), 0.0, 1.0)
     return float(np.sum(weight * values) / np.sum(weight))
+
+
+class Curve(NamedTuple):
+    """A learning curve.
+
+    Attributes:
+      steps: of the environments, increasing, shape (points,).
+      returns: mean of the episodes up to there, shape (points,).
+    """
+
+    steps: np.ndarray
+    returns: np.ndarray
+
+    def at(self, steps: np.ndarray) -> "Curve":
+        """The curve at other steps, interpolated."""
+        return Curve(steps, np.interp(steps, self.steps, self.returns))
+
+
+def learning_curve(columns: Mapping[str, np.ndarray], *, decay: float = 0.9) -> Curve:
+    """Exponentially weighted means of the returns of the episodes that ended; without points if none did.
+
+    Args:
+      columns: ``env_steps`` and ``return``, NaN where no episode ended; of a run's ``metrics.csv``.
+      decay: weight of the past per row.
+    """
+    ended = np.isfinite(columns.get("return", np.zeros(0)))
+    steps, returns = (columns[name][ended] if ended.any() else np.zeros(0) for name in ("env_steps", "return"))
+    means, total, weight = np.empty_like(returns), 0.0, 0.0
+    for i, value in enumerate(returns):
+        total, weight = decay * total + value, decay * weight + 1.0
+        means[i] = total / weight
+    return Curve(steps, means)

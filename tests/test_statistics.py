@@ -1,10 +1,10 @@
-"""Bootstrap intervals and interquartile means."""
+"""Bootstrap intervals, interquartile means, learning curves."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from rewax.statistics import bootstrap_interval, interquartile_mean
+from rewax.statistics import bootstrap_interval, interquartile_mean, learning_curve
 
 
 def test_the_interval_of_many_samples_is_that_of_the_normal_distribution():
@@ -27,3 +27,12 @@ def test_the_interquartile_mean_is_a_trimmed_mean(count):
 def test_a_value_at_the_border_counts_in_part():
     assert interquartile_mean([1.0, 2.0, 9.0]) == pytest.approx((0.25 * 1 + 2 + 0.25 * 9) / 1.5)
     assert interquartile_mean([5.0]) == 5.0
+
+
+def test_a_learning_curve_weighs_the_past_and_leaves_out_what_is_unknown():
+    columns = {"env_steps": np.arange(4.0), "return": np.array([1.0, np.nan, 3.0, 5.0])}
+    steps, means = learning_curve(columns, decay=0.5)
+    np.testing.assert_array_equal(steps, [0.0, 2.0, 3.0])
+    np.testing.assert_allclose(means, [1.0, (0.5 + 3.0) / 1.5, (0.25 + 1.5 + 5.0) / 1.75])
+    for nothing in ({"env_steps": np.arange(2.0), "return": np.full(2, np.nan)}, {}):
+        assert learning_curve(nothing).steps.size == 0

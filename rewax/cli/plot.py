@@ -4,10 +4,10 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import tyro
 
 from rewax.cli.options import parse
+from rewax.statistics import Curve, learning_curve
 
 _FORMATS = (".png", ".svg", ".pdf")
 
@@ -45,17 +45,17 @@ def run(argv: Sequence[str]) -> int:
     out = Path(options.out)
     if out.suffix not in _FORMATS:
         raise ValueError(f"{options.out} does not end in {', '.join(_FORMATS)}: choose one of these")
-    curves: dict[str, list[dict[str, np.ndarray]]] = {}
+    curves: dict[str, list[Curve]] = {}
     for directory in options.runs:
-        name, columns = _curve(Path(directory), options.by)
-        curves.setdefault(name, []).append(columns)
+        name, curve = _curve(Path(directory), options.by)
+        curves.setdefault(name, []).append(curve)
     out.parent.mkdir(parents=True, exist_ok=True)
     print(f"wrote {curves_with_intervals(curves, out, title=options.title)}")
     return 0
 
 
-def _curve(directory: Path, by: str) -> tuple[str, dict[str, np.ndarray]]:
-    """Name of a run's curve, and its columns."""
+def _curve(directory: Path, by: str) -> tuple[str, Curve]:
+    """A run's curve and its name."""
     from rewax.training.description import read_config
     from rewax.training.metrics import read_csv
 
@@ -68,7 +68,7 @@ def _curve(directory: Path, by: str) -> tuple[str, dict[str, np.ndarray]]:
     if missing := [name for name in ("env_steps", "return") if name not in columns]:
         raise ValueError(f"{path} has no column {missing[0]}: it is not that of a training run")
     if by == "run":
-        return directory.name, columns
+        return directory.name, learning_curve(columns)
     config = read_config(directory)
     parts = [str(config[name]) for name in ("agent", "env", "scale") if config.get(name)]
-    return " ".join(parts) or directory.name, columns
+    return " ".join(parts) or directory.name, learning_curve(columns)

@@ -1,4 +1,8 @@
-"""Runs of a suite, one after the other: skips what is done, resumes what was interrupted, keeps one table."""
+"""Runs of a suite, one after the other: skips what is done, resumes what was interrupted, keeps one table.
+
+``results.csv`` and ``curves.csv`` say all that the table and the pictures need. A directory that holds these two alone,
+from another machine for example, is continued like any other.
+"""
 
 import dataclasses
 import json
@@ -23,7 +27,7 @@ from rewax.training.metrics import read_csv
 from rewax.training.progress import say
 from rewax.training.run_directory import hold
 from rewax.training.suite import Suite
-from rewax.training.tables import COLUMNS, write_results
+from rewax.training.tables import COLUMNS, read_results, write_results
 
 _EVALUATION_KEY = 1234
 BASELINES = ("no action", "random actions")
@@ -54,11 +58,13 @@ def run_suite(
 ) -> int:
     """Do all runs that are not done yet, and write ``results.csv``, ``table.md`` and learning curves after each.
 
-    A run that fails, or stops with an error, is written down as such, and the next one is done.
+    A run that fails, or stops with an error, is written down as such, and the next one is done. A run is done if its
+    directory says so, or ``results.csv``.
 
     Args:
       suite: whose results are written.
-      out_dir: holds the results, and the run directories in ``runs/<task>/<algorithm>/<seed>``.
+      out_dir: holds the results, and the run directories in ``runs/<task>/<algorithm>/<seed>``. Those of finished runs
+        may be removed.
       console: where to print.
       part: what to run of it; by default all.
       devices: over how many environments are divided, see ``TrainConfig``.
@@ -77,7 +83,7 @@ def run_suite(
         _baselines(suite, task, out_dir)
     everything = list(cells(part))
     for number, cell in enumerate(everything, start=1):
-        if read_result(cell.folder(out_dir)):
+        if cell in results(suite, out_dir):
             continue
         say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
         if signum := _run(suite, cell, out_dir, console, devices):
@@ -105,12 +111,19 @@ def _claim(suite: Suite, out_dir: Path) -> None:
 
 
 def rows(suite: Suite, out_dir: Path) -> list[dict[str, Any]]:
-    """What is known so far: one row per finished run, and one per baseline."""
+    """What is known so far: one row per baseline, and one per finished run."""
     found = []
     for task in suite.tasks:
-        for name, mean in _baselines(suite, task, out_dir).items():
+        for name, mean in _known_baselines(out_dir, task).items():
             found.append({"task": task, "algorithm": name, "seed": 0, "sampled": mean, "deterministic": mean})
-    return found + [result for cell in cells(suite) if (result := read_result(cell.folder(out_dir)))]
+    return found + list(results(suite, out_dir).values())
+
+
+def results(suite: Suite, out_dir: Path) -> dict[Cell, dict[str, Any]]:
+    """Rows of the runs that are done: of their directories, and of ``results.csv`` where a directory is gone."""
+    kept = read_results(out_dir)
+    found = {cell: read_result(cell.folder(out_dir)) or kept.get(cell, {}) for cell in cells(suite)}
+    return {cell: row for cell, row in found.items() if row}
 
 
 def read_result(folder: Path) -> dict[str, Any]:
@@ -162,6 +175,7 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
         **cell._asdict(),
         "sampled": math.nan,
         "deterministic": math.nan,
+        "success": math.nan,
     }
     try:
         result = train(agent, env, options, describe=describe, console=console)
@@ -177,6 +191,7 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
             "env_steps": int(result.train_state.env_steps),
             "sampled": float(result.evaluation.get("sampled_mean", math.nan)),
             "deterministic": float(result.evaluation.get("deterministic_mean", math.nan)),
+            "success": float(result.evaluation.get("sampled_success", math.nan)),
             "failed": int(result.evaluation.get("sampled_failed", 0)),
             "failure": result.failure,
         }
@@ -187,22 +202,34 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
     return 0
 
 
-def _baselines(suite: Suite, task: str, out_dir: Path) -> dict[str, float]:
-    """Mean returns of doing nothing and of random actions, from initial states of their own; computed once."""
-    path = out_dir / "runs" / task / "baselines.json"
+def _known_baselines(out_dir: Path, task: str) -> dict[str, float]:
+    """Those of ``baselines.json``, or of ``results.csv``; empty if one is missing."""
     try:
-        return {name: float(json.loads(path.read_text())[name]) for name in BASELINES}
+        stored = json.loads(_baselines_path(out_dir, task).read_text())
+        return {name: float(stored[name]) for name in BASELINES}
     except (OSError, ValueError, KeyError, TypeError):
-        pass
+        kept = read_results(out_dir)
+        found = {name: kept[task, name, 0]["sampled"] for name in BASELINES if (task, name, 0) in kept}
+        return found if len(found) == len(BASELINES) else {}
+
+
+def _baselines_path(out_dir: Path, task: str) -> Path:
+    return out_dir / "runs" / task / "baselines.json"
+
+
+def _baselines(suite: Suite, task: str, out_dir: Path) -> None:
+    """Mean returns of doing nothing and of random actions, from initial states of their own; computed once."""
+    if _known_baselines(out_dir, task):
+        return
     env = make(task, scale=suite.scale)
     policies = (constant_policy(jnp.zeros(env.action_spec.shape)), uniform_policy(env))
     returns = {
         name: float(_mean_return(env, policy, suite.num_eval_episodes))
         for name, policy in zip(BASELINES, policies, strict=True)
     }
+    path = _baselines_path(out_dir, task)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(returns, indent=1) + "\n")
-    return returns
 
 
 def _mean_return(env: Any, policy: Any, num_episodes: int) -> Any:

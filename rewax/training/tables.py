@@ -1,13 +1,15 @@
-"""Results of a suite: one CSV, a Markdown table beside the paper's numbers, learning curves."""
+"""Results of a suite: a CSV, a Markdown table beside the paper's numbers, learning curves."""
 
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
-from rewax.statistics import bootstrap_interval, interquartile_mean
+import numpy as np
+
+from rewax.statistics import Curve, bootstrap_interval, interquartile_mean, learning_curve
 from rewax.training.metrics import read_csv
 from rewax.training.suite import Suite
 
@@ -18,10 +20,18 @@ COLUMNS: tuple[str, ...] = (
     "env_steps",
     "sampled",
     "deterministic",
+    "success",
     "failed",
     "seconds",
     "failure",
 )
+
+_MEASURED = ("sampled", "deterministic", "success", "seconds")
+_CURVE_COLUMNS = ("task", "algorithm", "seed", "env_steps", "return")
+_POINTS = 60  # of a learning curve that is kept
+
+Run: TypeAlias = tuple[str, str, int]
+"""Task, algorithm, seed."""
 
 PAPER: dict[str, dict[str, str]] = {
     "AntRun": {
@@ -80,7 +90,7 @@ PAPER: dict[str, dict[str, str]] = {
 
 
 def write_results(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -> list[str]:
-    """Write ``results.csv``, ``table.md`` and one ``<task>.png`` per task.
+    """Write ``results.csv``, ``curves.csv``, ``table.md`` and one ``<task>.png`` per task.
 
     Args:
       suite: that was run.
@@ -91,19 +101,85 @@ def write_results(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -
       A sentence about each file.
     """
     out_dir.mkdir(parents=True, exist_ok=True)
-    written = [out_dir / "results.csv", out_dir / "table.md"]
-    written[0].write_text(results_csv(rows))
-    written[1].write_text(markdown(suite, rows))
-    return [f"wrote {path}" for path in written] + _draw_curves(suite, rows, out_dir)
+    curves = _curves(rows, out_dir)
+    texts = {"results.csv": results_csv(rows), "curves.csv": _curves_csv(curves), "table.md": markdown(suite, rows)}
+    for name, text in texts.items():
+        unfinished = out_dir / f"{name}.writing"
+        unfinished.write_text(text)
+        unfinished.replace(out_dir / name)
+    return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, rows, curves, out_dir)
+
+
+def read_results(out_dir: Path) -> dict[Run, dict[str, Any]]:
+    """Rows of ``results.csv``; none if it is missing. Rows that cannot be read are left out."""
+    try:
+        lines = (out_dir / "results.csv").read_text().splitlines()
+        read = [_typed(row) for row in csv.DictReader(lines)]
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return {}
+    return {(row["task"], row["algorithm"], row["seed"]): row for row in read if row}
+
+
+def _typed(row: dict[str, Any]) -> dict[str, Any]:
+    """A row of text as numbers, without what is empty; empty if it is damaged."""
+    kinds = {"seed": int, "env_steps": int, "failed": int} | dict.fromkeys(_MEASURED, float)
+    try:
+        typed = {name: kinds.get(name, str)(row[name]) for name in COLUMNS if row[name] != "" or name == "failure"}
+    except (KeyError, TypeError, ValueError):
+        return {}
+    return typed if {"task", "algorithm", "seed", "sampled"} <= set(typed) else {}
 
 
 def results_csv(rows: Sequence[dict[str, Any]]) -> str:
     """All runs, one row each."""
+    return _csv(COLUMNS, rows)
+
+
+def _csv(columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> str:
     buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, COLUMNS, restval="", lineterminator="\n")
+    writer = csv.DictWriter(buffer, columns, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return buffer.getvalue()
+
+
+def _curves(rows: Sequence[dict[str, Any]], out_dir: Path) -> dict[Run, Curve]:
+    """Learning curves of the finished runs: of their directories, and of ``curves.csv`` where a directory is gone."""
+    kept, curves = _read_curves(out_dir / "curves.csv"), {}
+    for row in rows:
+        run = (row["task"], row["algorithm"], row["seed"])
+        if "env_steps" in row:
+            curve = learning_curve(read_csv(out_dir.joinpath("runs", *map(str, run)) / "metrics.csv"))
+            curves[run] = _thinned(curve) if curve.steps.size else kept.get(run, curve)
+    return curves
+
+
+def _thinned(curve: Curve) -> Curve:
+    if curve.steps.size <= _POINTS:
+        return curve
+    return curve.at(np.round(np.linspace(curve.steps[0], curve.steps[-1], _POINTS)))
+
+
+def _curves_csv(curves: Mapping[Run, Curve]) -> str:
+    return _csv(
+        _CURVE_COLUMNS,
+        (
+            dict(zip(_CURVE_COLUMNS, (*run, int(steps), f"{value:.6g}"), strict=True))
+            for run, curve in curves.items()
+            for steps, value in zip(*curve, strict=True)
+        ),
+    )
+
+
+def _read_curves(path: Path) -> dict[Run, Curve]:
+    points: dict[Run, list[tuple[float, float]]] = {}
+    try:
+        for row in csv.DictReader(path.read_text().splitlines()):
+            run = (row["task"], row["algorithm"], int(row["seed"]))
+            points.setdefault(run, []).append((float(row["env_steps"]), float(row["return"])))
+    except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError):
+        return {}
+    return {run: Curve(*np.array(pairs).T) for run, pairs in points.items()}
 
 
 def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
@@ -148,17 +224,16 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.1f}" if abs(value) >= 1 else f"{value:.2g}"
 
 
-def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -> list[str]:
+def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], curves: Mapping[Run, Curve], out_dir: Path) -> list[str]:
     from rewax.viz.curves import curves_with_intervals  # matplotlib is slow to import
 
     said = []
     for task in suite.tasks:
-        curves: dict[str, list[Any]] = {}
-        for row in rows:
-            folder = out_dir / "runs" / task / row["algorithm"] / str(row["seed"])
-            if row["task"] == task and "env_steps" in row:
-                curves.setdefault(row["algorithm"], []).append(read_csv(folder / "metrics.csv"))
+        drawn: dict[str, list[Curve]] = {}
+        for (name, algorithm, _), curve in curves.items():
+            if name == task:
+                drawn.setdefault(algorithm, []).append(curve)
         levels = {row["algorithm"]: row["sampled"] for row in rows if row["task"] == task and "env_steps" not in row}
-        if curves:
-            said.append(f"wrote {curves_with_intervals(curves, out_dir / f'{task}.png', title=task, levels=levels)}")
+        if drawn:
+            said.append(f"wrote {curves_with_intervals(drawn, out_dir / f'{task}.png', title=task, levels=levels)}")
     return said

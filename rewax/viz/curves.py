@@ -8,15 +8,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from rewax.statistics import bootstrap_interval
-from rewax.viz.plots import STYLE, Columns
+from rewax.statistics import Curve, bootstrap_interval
+from rewax.viz.plots import STYLE
 
 _COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
 _POINTS = 80
 
 
 def curves_with_intervals(
-    runs: Mapping[str, Sequence[Columns]],
+    runs: Mapping[str, Sequence[Curve]],
     out_png: str | Path,
     *,
     title: str = "",
@@ -25,7 +25,7 @@ def curves_with_intervals(
     """Draw the mean return over seeds against environment steps, with a 95 % bootstrap band.
 
     Args:
-      runs: by name, the columns ``env_steps`` and ``return`` of each seed's ``metrics.csv``.
+      runs: by name, each seed's learning curve; those without points are left out.
       out_png: picture to write.
       title: above it.
       levels: name and return of horizontal lines.
@@ -37,12 +37,12 @@ def curves_with_intervals(
         figure = Figure(figsize=(6.4, 4.0), layout="constrained")
         axes = figure.subplots()
         for (name, seeds), color in zip(runs.items(), _COLORS * 4, strict=False):
-            curves = [curve for columns in seeds if (curve := smoothed(columns)) is not None]
+            curves = [curve for curve in seeds if curve.steps.size]
             if not curves:
                 continue
-            first, last = max(c[0][0] for c in curves), min(c[0][-1] for c in curves)
+            first, last = max(c.steps[0] for c in curves), min(c.steps[-1] for c in curves)
             grid = np.linspace(first, max(first, last), _POINTS)
-            values = np.stack([np.interp(grid, *curve) for curve in curves])
+            values = np.stack([curve.at(grid).returns for curve in curves])
             axes.plot(grid, values.mean(axis=0), color=color, lw=1.5, label=f"{name} ({len(curves)})")
             if len(curves) > 1:
                 band = np.array([bootstrap_interval(column, num_resamples=500) for column in values.T])
@@ -55,24 +55,6 @@ def curves_with_intervals(
             axes.legend(loc="best", fontsize=8)
         figure.savefig(out_png)
     return Path(out_png)
-
-
-def smoothed(columns: Columns, *, decay: float = 0.9) -> tuple[np.ndarray, np.ndarray] | None:
-    """Steps and exponentially weighted means of the returns of the episodes that ended; None if none did.
-
-    Args:
-      columns: ``env_steps`` and ``return``, NaN where no episode ended.
-      decay: weight of the past per row.
-    """
-    ended = np.isfinite(columns.get("return", np.zeros(0)))
-    if not ended.any():
-        return None
-    steps, returns = columns["env_steps"][ended], columns["return"][ended]
-    means, total, weight = np.empty_like(returns), 0.0, 0.0
-    for i, value in enumerate(returns):
-        total, weight = decay * total + value, decay * weight + 1.0
-        means[i] = total / weight
-    return steps, means
 
 
 def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | Path, *, title: str = "") -> Path:

@@ -44,7 +44,7 @@ def test_seeds_of_a_configuration_are_one_curve(runs, tmp_path, monkeypatch, cap
         "sapo RollingFlat small": 2,
         "shac RollingFlat small": 2,
     }
-    np.testing.assert_array_equal(seen["sapo RollingFlat small"][0]["return"], [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(seen["sapo RollingFlat small"][0].steps, [100.0, 200.0, 300.0])
     assert imread(out).std() > 0.01
     assert capsys.readouterr().out == f"wrote {out}\n"
 

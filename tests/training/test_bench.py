@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import io
+import shutil
 import signal
 
 import numpy as np
@@ -72,6 +73,28 @@ def test_what_is_done_is_skipped_and_the_rest_continued(suite, tmp_path, monkeyp
     assert len(calls) == 5 and calls[2] == (calls[1][0], True)  # the interrupted one, from its checkpoint
     assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path)) == before
     assert run(suite, tmp_path)[0] == 0 and len(calls) == 5
+
+
+def test_results_and_curves_outlive_the_directories_of_runs(suite, tmp_path, monkeypatch):
+    assert run(suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=suite.seeds), tmp_path)[0] == 0
+    before = {name: (tmp_path / name).read_text() for name in ("results.csv", "curves.csv")}
+    curves = list(csv.DictReader(io.StringIO(before["curves.csv"])))
+    assert {(row["algorithm"], row["seed"]) for row in curves} == {("calm", "0"), ("calm", "1")}
+    shutil.rmtree(tmp_path / "runs")
+    monkeypatch.setattr(bench, "_mean_return", lambda *arguments: pytest.fail("baselines were computed again"))
+    signum, text = run(suite, tmp_path)
+    assert signum == 0 and "run 2 of 4: wild" in text and "calm on" not in text
+    for name, text in before.items():
+        assert set(text.splitlines()) < set((tmp_path / name).read_text().splitlines())
+    assert not (tmp_path / "runs" / "PointMass" / "calm").exists()
+
+
+def test_damaged_results_are_computed_again(suite, tmp_path):
+    part = suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=(0,))
+    (tmp_path / "results.csv").write_text("task,algorithm,seed,sampled\nPointMass,calm,0,3.0\nPointMass\n")
+    (tmp_path / "curves.csv").write_bytes(b"\xff\xfe\n1,2")
+    assert run(part, tmp_path)[0] == 0
+    assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
 
 
 def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path, monkeypatch):

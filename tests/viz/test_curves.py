@@ -4,25 +4,18 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from rewax.viz.curves import curves_with_intervals, landscape_picture, smoothed
+from rewax.statistics import Curve
+from rewax.viz.curves import curves_with_intervals, landscape_picture
 
 
-def columns(offset, n=40):
+def curve(offset, n=40):
     steps = np.arange(1.0, n + 1) * 10
-    returns = offset + np.log(steps)
-    returns[::3] = np.nan
-    return {"env_steps": steps, "return": returns}
-
-
-def test_smoothing_weighs_the_past_and_leaves_out_what_is_unknown():
-    steps, means = smoothed({"env_steps": np.arange(4.0), "return": np.array([1.0, np.nan, 3.0, 5.0])}, decay=0.5)
-    np.testing.assert_array_equal(steps, [0.0, 2.0, 3.0])
-    np.testing.assert_allclose(means, [1.0, (0.5 + 3.0) / 1.5, (0.25 + 1.5 + 5.0) / 1.75])
-    assert smoothed({"env_steps": np.arange(2.0), "return": np.full(2, np.nan)}) is None
+    return Curve(steps, offset + np.log(steps))
 
 
 def test_curves_are_drawn_for_any_number_of_seeds(tmp_path):
-    runs = {"sapo": [columns(0.0), columns(1.0), columns(2.0, 30)], "shac": [columns(3.0)], "never": []}
+    nothing = Curve(np.zeros(0), np.zeros(0))
+    runs = {"sapo": [curve(0.0), curve(1.0), curve(2.0, 30)], "shac": [curve(3.0), nothing], "never": []}
     path = curves_with_intervals(runs, tmp_path / "a.png", title="Task", levels={"no action": 2.0})
     assert matplotlib.image.imread(path).std() > 0.05
 
