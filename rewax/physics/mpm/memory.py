@@ -43,7 +43,7 @@ def predict_peak_bytes(
 
     Example:
       >>> predict_peak_bytes(env.scene, num_particles=2592, num_substeps=40, num_envs=32, horizon=32) / 1e9
-      0.83
+      0.901
     """
     if store_every < 1 or num_substeps % store_every:
         raise ValueError(f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them")
