@@ -184,7 +184,8 @@ def _read_curves(path: Path) -> dict[Run, Curve]:
 
 def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
     """One line per task, one column per algorithm: mean return with sampled actions, and its 95 % bootstrap interval
-    over seeds. Brackets say where seeds have failed, which are left out, or are not done yet.
+    over seeds. Brackets say where seeds have failed, which are left out, or are not done yet. Below it interquartile
+    means, and how long runs took, without compilation.
     """
     names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
     names += suite.algorithms
@@ -193,31 +194,45 @@ def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
         lines.append(f"| {task} | " + " | ".join(_cell(suite, rows, task, name) for name in names) + " |")
         if suite.scale == "paper" and task in PAPER:
             lines.append("| the paper's | " + " | ".join(PAPER[task].get(name, "") for name in names) + " |")
-    middle = ["", "Interquartile means over seeds:", "", lines[0], lines[1]]
-    for task in suite.tasks:
-        cells = [_returns(rows, task, name) for name in names]
-        middle.append(f"| {task} | " + " | ".join(_number(interquartile_mean(c)) if c else "" for c in cells) + " |")
-    return "\n".join(lines + middle) + "\n"
+    for title, digest in (
+        ("Interquartile means over seeds:", _middle),
+        ("Minutes of a run, median over seeds:", _minutes),
+    ):
+        lines += ["", title, "", *lines[:2]]
+        for task in suite.tasks:
+            cells = (digest([r for r in rows if (r["task"], r["algorithm"]) == (task, name)]) for name in names)
+            lines.append(f"| {task} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _middle(rows: Sequence[dict[str, Any]]) -> str:
+    returns = _finite(rows)
+    return _number(interquartile_mean(returns)) if returns else ""
+
+
+def _minutes(rows: Sequence[dict[str, Any]]) -> str:
+    seconds = [row["seconds"] for row in rows if "seconds" in row]
+    return f"{float(np.median(seconds)) / 60.0:.1f}" if seconds else ""
 
 
 def _cell(suite: Suite, rows: Sequence[dict[str, Any]], task: str, name: str) -> str:
-    returns = _returns(rows, task, name)
+    done = [row for row in rows if (row["task"], row["algorithm"]) == (task, name)]
+    returns = _finite(done)
     if not returns:
-        return "failed" if any(row["task"] == task and row["algorithm"] == name for row in rows) else ""
+        return "failed" if done else ""
     if len(returns) == 1:
         text = _number(returns[0])
     else:
         low, high = bootstrap_interval(returns)
         text = f"{_number(sum(returns) / len(returns))} [{_number(low)}, {_number(high)}]"
-    done = [row for row in rows if row["task"] == task and row["algorithm"] == name]
     left = len(suite.seeds) - len(done) if name in suite.algorithms else 0
     notes = [f"{count} {what}" for count, what in ((len(done) - len(returns), "failed"), (left, "to do")) if count]
     return text + (f" ({', '.join(notes)})" if notes else "")
 
 
-def _returns(rows: Sequence[dict[str, Any]], task: str, name: str) -> list[float]:
-    found = [row["sampled"] for row in rows if row["task"] == task and row["algorithm"] == name]
-    return [value for value in found if math.isfinite(value)]
+def _finite(rows: Sequence[dict[str, Any]]) -> list[float]:
+    """Returns of the runs that did not fail."""
+    return [row["sampled"] for row in rows if math.isfinite(row["sampled"])]
 
 
 def _number(value: float) -> str:

@@ -140,11 +140,14 @@ def test_results_of_other_options_are_not_mixed(suite, tmp_path):
 
 def test_the_table_stands_beside_the_papers():
     suite = Suite(name="p", scale="paper", tasks=("AntRun",), algorithms=("shac", "sapo"), seeds=(0, 1, 2))
-    rows = [{"task": "AntRun", "algorithm": "sapo", "seed": s, "sampled": 4500.0 + s} for s in range(3)]
+    rows = [
+        {"task": "AntRun", "algorithm": "sapo", "seed": s, "sampled": 4500.0 + s, "seconds": 60.0 * s} for s in range(3)
+    ]
     lines = markdown(suite, rows).splitlines()
     assert lines[2] == "| AntRun |  | 4501 [4500, 4502] |"
     assert lines[3] == "| the paper's | 3621.0 ± 54.4 | 4535.9 ± 24.5 |"
-    assert lines[-1] == "| AntRun |  | 4501 |"
+    assert lines[9:11] == ["| AntRun |  | 4501 |", ""]
+    assert lines[-1] == "| AntRun |  | 1.0 |"
 
 
 def test_every_run_is_divided_over_as_many_devices_as_asked(suite, tmp_path, monkeypatch):
