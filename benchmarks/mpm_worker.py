@@ -63,6 +63,9 @@ class Worker:
             new = mpm.step(self.scene, state, poses, store_every=store_every)
             return new, mpm.check_status(self.scene, new, start=state)
 
+        if num_substeps % CONTROL_STEP:
+            raise ValueError(f"{num_substeps} substeps: give a multiple of {CONTROL_STEP}")
+
         def run(v: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
             state = mpm.initial_state(x).replace(v=v)
             state, status = jax.lax.scan(control_step, state, length=num_substeps // CONTROL_STEP)
