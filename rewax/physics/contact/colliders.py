@@ -15,10 +15,10 @@ from rewax import struct
 from rewax.physics.contact.motion import Placed, at_nodes, chord_motion, placed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import compute_once, materialize
+from rewax.physics.numerics.materialize import compute_once, materialize, stored
 from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.numerics.recompute import recomputed
-from rewax.physics.shapes.primitives import Shape, signed_distance_components
+from rewax.physics.shapes.primitives import Shape, has_edges, signed_distance_components
 from rewax.types import Array, Scalar
 
 T = TypeVar("T")
@@ -173,16 +173,20 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
 
     Gradient: exact.
     """
-    # Once: shapes compare places in their frame (faces of a box, cells of a grid), and all parts of distance and normal
-    # must come from one face or cell.
+    # Once where shapes compare places in their frame (faces of a box, cells of a grid): all parts of distance and
+    # normal must come from one face or cell.
+    edges = has_edges(collider.shape)
     local, body = at_nodes(placed, position)
-    (lx, ly, lz), (bx, by, bz) = compute_once(local), materialize(body)
+    (lx, ly, lz), (bx, by, bz) = compute_once(local) if edges else materialize(local), materialize(body)
     distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
     # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
     influence = jnp.exp(-jnp.maximum(known_softness(collider) * distance, 0.0))
     # Once: each component of the velocity compares the influence with the least one that acts. It is faster too: XLA
     # would compute the whole chain, forward and backward, anew for every component.
-    influence, local_normal = compute_once((influence, local_normal))
+    if edges:
+        influence, local_normal = compute_once((influence, local_normal))
+    else:
+        influence, local_normal = stored(influence, local_normal)
     normal = cp.matvec(cp.split_matrix(placed.pose.rotation), local_normal)
     return Touch(distance, influence, normal, collider.friction, (bx, by, bz))
 

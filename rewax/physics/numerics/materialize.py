@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 
 T = TypeVar("T")
+S = TypeVar("S")
 
 
 def materialize(tree: T) -> T:
@@ -39,13 +40,18 @@ def compute_once(tree: T) -> T:
     return _stored(tree, _FOR_CORRECTNESS)
 
 
-def _stored(tree: T, store: ByPlatform) -> T:
+def stored(once: T, fast: S) -> tuple[T, S]:
+    """``(compute_once(once), materialize(fast))``, together: one loop on a CPU. Gradient: exact."""
+    return _stored((once, fast), _FOR_BOTH, len(jax.tree.leaves(once)))
+
+
+def _stored(tree: T, store: ByPlatform, num_once: int | None = None) -> T:
     leaves, treedef = jax.tree.flatten(tree)
     shapes = [jax.typeof(a) for a in leaves]
-    return jax.tree.unflatten(treedef, linear_pass(store, store, None, (), leaves, like=shapes))
+    return jax.tree.unflatten(treedef, linear_pass(store, store, num_once, (), leaves, like=shapes))
 
 
-def _store_on_cpu(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
+def _store_on_cpu(static: int | None, residuals: Arrays, arrays: Arrays) -> Arrays:
     del static, residuals
     first = jax.lax.slice(arrays[0].reshape(-1), (0,), (1,))[0]
     never = first.astype(jnp.float32) < -jnp.inf  # not even for NaN
@@ -81,5 +87,11 @@ def _barrier(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
     return jax.lax.optimization_barrier(arrays)
 
 
+def _barrier_of_first(num_once: int, residuals: Arrays, arrays: Arrays) -> Arrays:
+    del residuals
+    return (*jax.lax.optimization_barrier(arrays[:num_once]), *arrays[num_once:])
+
+
 _FOR_SPEED = ByPlatform(cpu=_store_on_cpu, other=_hand_on)
 _FOR_CORRECTNESS = ByPlatform(cpu=_store_on_cpu, other=_barrier)
+_FOR_BOTH = ByPlatform(cpu=_store_on_cpu, other=_barrier_of_first)

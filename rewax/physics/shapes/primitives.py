@@ -71,6 +71,11 @@ Shape: TypeAlias = Sphere | Capsule | Box | Cylinder | Cone | Ellipsoid | Plane 
 """Whatever has a signed distance."""
 
 
+def has_edges(shape: Shape) -> bool:
+    """Whether the normal jumps from one face or cell to the next, so that all its users must see the same one."""
+    return not isinstance(shape, Sphere | Capsule | Plane)
+
+
 def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
     """Distance to a shape's surface, and the direction away from it.
 

@@ -305,3 +305,23 @@ def test_shares_of_the_nearest_sum_to_one_in_a_compiled_program():
     total, distance, least = shares_and_distance(boxes, jnp.asarray(nodes, jnp.float32), before)
     np.testing.assert_array_equal(total, 1.0)
     np.testing.assert_allclose(distance, least, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "stored"),
+    [
+        (Plane(), [1]),
+        (Sphere(radius=0.1), [1]),
+        (Capsule(radius=0.1, half_length=0.2), [1]),
+        (Box(half_size=jnp.full(3, 0.1)), [3, 4]),
+    ],
+    ids=["plane", "sphere", "capsule", "box"],
+)
+def test_on_a_gpu_only_shapes_with_edges_store_places_and_normals(shape, stored):
+    """What a barrier holds is stored between kernels. The influence is always: it is compared."""
+    collider = Collider(shape=shape, friction=0.5, softness=100.0)
+    where = placed(REST, Motion(jnp.zeros((3, 3)), ORIGIN))
+    exported = jax.export.export(jax.jit(lambda *p: touch(collider, p, where)), platforms=["cuda"])
+    module = exported(*[jax.ShapeDtypeStruct((5,), jnp.float32)] * 3).mlir_module()
+    lines = [line for line in module.splitlines() if "stablehlo.optimization_barrier" in line]
+    assert [line.count("tensor<") for line in lines] == stored

@@ -5,9 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.materialize import compute_once, materialize
+from rewax.physics.numerics.materialize import compute_once, materialize, stored
 
-BOTH = pytest.mark.parametrize("boundary", [materialize, compute_once])
+
+def half_and_half(tree):
+    """The first leaf once, the others fast."""
+    leaves, treedef = jax.tree.flatten(tree)
+    once, fast = stored(leaves[0], leaves[1:])
+    return jax.tree.unflatten(treedef, [once, *fast])
+
+
+BOTH = pytest.mark.parametrize("boundary", [materialize, compute_once, half_and_half])
 
 
 def tree(first):
@@ -104,3 +112,6 @@ def test_on_a_gpu_speed_costs_nothing_and_correctness_a_barrier():
 
     assert "while" not in program(materialize) and "optimization_barrier" not in program(materialize)
     assert "while" not in program(compute_once) and "optimization_barrier" in program(compute_once)
+    both = program(lambda y: sum(jax.tree.leaves(stored(y, (y + 2.0, y + 3.0)))))
+    barriers = [line.count("tensor<") for line in both.splitlines() if "stablehlo.optimization_barrier" in line]
+    assert "while" not in both and barriers == [1]
