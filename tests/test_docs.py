@@ -11,6 +11,7 @@ import pytest
 import toys
 
 import rewax
+from rewax.training.suite import read_suite
 
 ROOT = Path(__file__).resolve().parent.parent
 ENVS = rewax.list_envs()
@@ -249,3 +250,12 @@ def test_notebooks_run(name, shorter, tmp_path, monkeypatch):
         assert names["found"] == sorted(names["found"]) and names["found"][-1] > 0.85 * names["TRUE"]
     else:
         assert np.isfinite(names["rewards"]).all() and names["result"].failure == ""
+
+
+def test_the_page_of_a_suite_shows_its_results():
+    """Fill it with ``benchmarks/suite_page.py`` after ``rewax bench``."""
+    names = runpy.run_path(str(ROOT / "benchmarks" / "suite_page.py"))
+    folder, page = ROOT / "docs" / "suites" / "small", ROOT / "docs" / "small_suite.md"
+    shown = names["results"](read_suite("small"), folder, page)
+    assert names["filled"](page.read_text(), shown) == page.read_text() and "| RollingFlat |" in shown
+    assert (folder / "table.md").read_text() in shown

@@ -246,7 +246,7 @@ def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], curves: Mapping[R
     for task in suite.tasks:
         drawn: dict[str, list[Curve]] = {}
         for (name, algorithm, _), curve in curves.items():
-            if name == task:
+            if name == task and curve.steps.size:
                 drawn.setdefault(algorithm, []).append(curve)
         levels = {row["algorithm"]: row["sampled"] for row in rows if row["task"] == task and "env_steps" not in row}
         if drawn:

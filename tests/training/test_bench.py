@@ -87,6 +87,11 @@ def test_results_and_curves_outlive_the_directories_of_runs(suite, tmp_path, mon
     for name, text in before.items():
         assert set(text.splitlines()) < set((tmp_path / name).read_text().splitlines())
     assert not (tmp_path / "runs" / "PointMass" / "calm").exists()
+    (tmp_path / "curves.csv").unlink()
+    (tmp_path / "PointMass.png").unlink()
+    shutil.rmtree(tmp_path / "runs")
+    assert run(suite, tmp_path)[0] == 0  # nothing to do, and no curve to draw
+    assert not (tmp_path / "PointMass.png").exists()
 
 
 def test_damaged_results_are_computed_again(suite, tmp_path):

@@ -1,0 +1,55 @@
+"""Tables and curves of a suite's results, on a page of the documentation.
+
+    rewax bench small --out docs/suites/small --devices 1     # continues where the results end
+    python benchmarks/suite_page.py docs/suites/small docs/small_suite.md
+
+Draws nothing anew but what ``results.csv`` and ``curves.csv`` in that folder say. The page keeps its text; what stands
+between its two markers is replaced.
+"""
+
+import dataclasses
+import os
+from pathlib import Path
+
+import tyro
+from PIL import Image
+
+from rewax.training.bench import rows
+from rewax.training.suite import Suite, read_suite
+from rewax.training.tables import markdown, write_results
+
+BEGIN, END = "<!-- results -->\n", "<!-- end of results -->\n"
+
+
+@dataclasses.dataclass(frozen=True)
+class Args:
+    """Options of this page."""
+
+    folder: tyro.conf.Positional[Path]
+    page: tyro.conf.Positional[Path]
+
+
+def results(suite: Suite, folder: Path, page: Path) -> str:
+    """What stands between the markers."""
+    pictures = [folder / f"{task}.png" for task in suite.tasks]
+    curves = [f"![{p.stem}: learning curves]({os.path.relpath(p, page.parent)})" for p in pictures if p.is_file()]
+    return f"{markdown(suite, rows(suite, folder))}\n{chr(10).join(curves)}\n"
+
+
+def filled(text: str, middle: str) -> str:
+    """A page with other results."""
+    head, rest = text.split(BEGIN)
+    return f"{head}{BEGIN}{middle}{END}{rest.split(END)[1]}"
+
+
+def main(args: Args) -> int:
+    suite = read_suite(args.folder.name)
+    print("\n".join(write_results(suite, rows(suite, args.folder), args.folder)))
+    for picture in args.folder.glob("*.png"):
+        Image.open(picture).convert("RGB").quantize(32, dither=Image.Dither.NONE).save(picture, optimize=True)
+    args.page.write_text(filled(args.page.read_text(), results(suite, args.folder, args.page)))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(tyro.cli(Args, description=__doc__)))
