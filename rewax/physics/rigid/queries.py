@@ -51,12 +51,17 @@ def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
 def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
     """Drawings of the geoms for pictures; ``rewax.viz.shapes`` has a table of their keys.
 
-    Height fields and geoms given by a signed distance (``type="sdf"``) are left out. Vertices and triangles of meshes
-    are the same numpy arrays every time.
+    Height fields and geoms given by a signed distance (``type="sdf"``) are left out, and geoms of the groups 3 to 5,
+    which MuJoCo's viewer hides, of a body that has others. Vertices and triangles of meshes are the same numpy arrays
+    every time.
     """
     mj, pose = model.static.mj, geom_poses(model, state)
+    hidden = mj.geom_group > 2
+    shown = set(mj.geom_bodyid[~hidden])
     found = []
     for geom in range(mj.ngeom):
+        if hidden[geom] and mj.geom_bodyid[geom] in shown:
+            continue
         kind = mujoco.mjtGeom(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
         size, rotation = model.parameters["geom_size"][geom], pose.rotation[geom]
         shape = {"kind": kind, "center": pose.position[geom]}

@@ -137,3 +137,11 @@ def test_velocities_of_a_body_that_flies_and_turns(x64):
     np.testing.assert_allclose(velocity[1], [1.0, 2.0, 3.0], atol=1e-12)
     np.testing.assert_allclose(turning[1], [0.1, -0.2, -0.3], atol=1e-12)
     np.testing.assert_array_equal(velocity[0], 0.0)
+
+
+def test_geoms_that_mujocos_viewer_hides_are_drawn_where_a_body_has_no_others():
+    model = rigid.load("""<mujoco><worldbody>
+      <body><freejoint/><geom size="0.1" group="3"/><geom type="box" size="1 1 1" contype="0" conaffinity="0"/></body>
+      <body pos="0 0 9"><freejoint/><geom type="capsule" size="0.1 0.2" group="4"/></body>
+      </worldbody></mujoco>""")
+    assert [drawing["kind"] for drawing in rigid.shapes(model, rigid.initial_state(model))] == ["box", "capsule"]
