@@ -5,16 +5,25 @@ from typing import Any
 
 from rewax.physics.contact.colliders import Collider, shape_pose
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, SampledDistance, Sphere
-from rewax.physics.shapes.sampled_surface import sampled_surface
+from rewax.physics.shapes.primitives import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    HeightField,
+    SampledDistance,
+    Sphere,
+)
+from rewax.physics.shapes.sampled_surface import height_surface, sampled_surface
 
 
 def drawings(colliders: Sequence[Collider], bodies: Pose) -> list[dict[str, Any]]:
     """Drawings of colliders; ``rewax.viz.shapes`` has a table of their keys.
 
     Args:
-      colliders: of any shape. Planes and height fields are left out; so is a sampled distance whose numbers are traced,
-        and any without scikit-image, which makes its triangles.
+      colliders: of any shape. Planes are left out; so are sampled distances and height fields whose numbers are
+        traced, and any sampled distance without scikit-image, which makes its triangles.
       bodies: poses of the bodies that carry them, shapes (num_bodies, 3), (num_bodies, 3, 3).
     """
     found = []
@@ -32,8 +41,8 @@ def drawings(colliders: Sequence[Collider], bodies: Pose) -> list[dict[str, Any]
                 found.append({**drawing, "kind": "box", "half_size": shape.half_size, "rotation": pose.rotation})
             case Ellipsoid():
                 found.append({**drawing, "kind": "ellipsoid", "semi_axes": shape.semi_axes, "rotation": pose.rotation})
-            case SampledDistance():
-                surface = sampled_surface(shape)
+            case SampledDistance() | HeightField():
+                surface = height_surface(shape) if isinstance(shape, HeightField) else sampled_surface(shape)
                 if surface is not None:
                     mesh = {"kind": "mesh", "vertices": surface[0], "triangles": surface[1]}
                     found.append({**drawing, **mesh, "rotation": pose.rotation})

@@ -1,11 +1,11 @@
-"""Surfaces of sampled distances as triangles, for pictures."""
+"""Surfaces of sampled distances and of height fields as triangles, for pictures."""
 
 import functools
 
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.shapes.sampled import SampledDistance
+from rewax.physics.shapes.sampled import HeightField, SampledDistance
 
 _MAX_NODES = 64
 """Along an axis of the grid; finer grids are drawn from every second node, every third, ..."""
@@ -26,13 +26,47 @@ def sampled_surface(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray] | N
     """
     if any(isinstance(number, Tracer) for number in (shape.values, shape.origin, shape.spacing)):
         return None
-    values, spacing = np.asarray(shape.values, np.float32), float(shape.spacing)
+    coarse, step = _coarse(np.asarray(shape.values, np.float32))
+    origin = np.asarray(shape.origin, np.float64)
+    return _surface(coarse.tobytes(), coarse.shape, origin.tobytes(), step * float(shape.spacing))
+
+
+def height_surface(shape: HeightField) -> tuple[np.ndarray, np.ndarray] | None:
+    """The surface of a height field over its grid, made once for equal shapes.
+
+    Args:
+      shape: ground whose numbers are known, not traced.
+
+    Returns:
+      Vertices in the shape's frame [m], float32 of shape (num_nodes, 3), and triangles, indices of shape
+      (num_triangles, 3), counter-clockwise seen from above. None for numbers that are traced.
+
+    Gradient: none.
+    """
+    if any(isinstance(number, Tracer) for number in (shape.heights, shape.origin, shape.spacing)):
+        return None
+    coarse, step = _coarse(np.asarray(shape.heights, np.float32))
+    origin = np.asarray(shape.origin, np.float64)
+    return _ground(coarse.tobytes(), coarse.shape, origin.tobytes(), step * float(shape.spacing))
+
+
+def _coarse(values: np.ndarray) -> tuple[np.ndarray, int]:
+    """Values at few enough nodes, and the step between them."""
     step = -(-(max(values.shape) - 1) // (_MAX_NODES - 1))
     # Where the steps do not end at the last node, its value stands for the one beyond.
     nodes = (np.minimum(np.arange(0, n - 1 + step, step), n - 1) for n in values.shape)
-    coarse = np.ascontiguousarray(values[np.ix_(*nodes)])
-    origin = np.asarray(shape.origin, np.float64)
-    return _surface(coarse.tobytes(), coarse.shape, origin.tobytes(), step * spacing)
+    return np.ascontiguousarray(values[np.ix_(*nodes)]), step
+
+
+@functools.lru_cache(maxsize=64)
+def _ground(heights: bytes, shape: tuple[int, int], origin: bytes, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    x, z = (np.arange(n) * spacing + o for n, o in zip(shape, np.frombuffer(origin), strict=True))
+    x, z = np.meshgrid(x, z, indexing="ij")
+    vertices = np.stack([x, np.frombuffer(heights, np.float32).reshape(shape), z], axis=-1).reshape(-1, 3)
+    nodes = np.arange(x.size).reshape(shape)
+    a, b, c, d = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, :-1], nodes[1:, 1:]
+    triangles = np.stack([a, b, c, c, b, d], axis=-1).reshape(-1, 3)
+    return vertices.astype(np.float32), triangles
 
 
 @functools.lru_cache(maxsize=64)

@@ -1,11 +1,12 @@
-"""Surfaces of sampled distances lie where the distance is zero, face outwards and are closed, however fine the grid."""
+"""Surfaces lie where the distance is zero, however fine the grid; those of solids are closed and face outwards."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.shapes import SampledDistance, signed_distance
-from rewax.physics.shapes.sampled_surface import sampled_surface
+from rewax.physics.shapes import HeightField, SampledDistance, signed_distance
+from rewax.physics.shapes.sampled_surface import height_surface, sampled_surface
 
 pytest.importorskip("skimage")
 SEMI_AXES = np.array([0.8, 0.5, 0.6])
@@ -62,3 +63,24 @@ def test_a_solid_that_fills_its_grid_ends_a_little_beyond_it():
 def test_a_grid_without_a_surface_has_none():
     nothing = egg((8,) * 3)
     assert sampled_surface(nothing.replace(values=jnp.ones((8, 8, 8)))) is None
+
+
+@pytest.mark.parametrize("num_nodes", [(2, 3), (9, 5), (130, 70)])
+def test_ground_is_drawn_where_its_distance_is_zero_and_faces_up(num_nodes):
+    nx, nz = num_nodes
+    x, z = np.meshgrid(np.arange(nx), np.arange(nz), indexing="ij")
+    heights = jnp.asarray(0.3 * np.sin(0.05 * x) * np.cos(0.04 * z), jnp.float32)
+    shape = HeightField(heights=heights, origin=jnp.array([1.0, -2.0]), spacing=0.1)
+    vertices, triangles = height_surface(shape)
+    assert height_surface(shape)[0] is vertices and vertices.dtype == np.float32 and len(triangles) < 10_000
+    assert np.abs(signed_distance(shape, jnp.asarray(vertices))[0]).max() < 0.01
+    np.testing.assert_allclose(vertices[[0, -1]][:, [0, 2]], [[1.0, -2.0], vertices[:, [0, 2]].max(axis=0)])
+    assert (vertices[:, [0, 2]].max(axis=0) > [0.1 * (nx - 1) + 0.99, 0.1 * (nz - 1) - 2.01]).all()
+    a, b, c = (vertices[triangles[:, i]].astype(float) for i in range(3))
+    area = np.cross(b - a, c - a)[:, 1] / 2.0
+    assert (area > 0).all() and area.sum() == pytest.approx(np.ptp(vertices[:, 0]) * np.ptp(vertices[:, 2]), rel=1e-4)
+
+
+def test_ground_of_traced_numbers_is_left_out():
+    ground = HeightField(heights=jnp.zeros((3, 3)), origin=jnp.zeros(2), spacing=0.1)
+    jax.jit(lambda heights: [height_surface(ground.replace(heights=heights))] == [None] or 1 / 0)(jnp.zeros((3, 3)))
