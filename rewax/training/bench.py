@@ -25,7 +25,7 @@ from rewax.training.evaluate import constant_policy, make_evaluate, uniform_poli
 from rewax.training.loop import train
 from rewax.training.metrics import read_csv
 from rewax.training.progress import say
-from rewax.training.run_directory import hold
+from rewax.training.run_directory import InUse, hold
 from rewax.training.suite import Suite
 from rewax.training.tables import COLUMNS, read_results, write_results
 
@@ -59,7 +59,7 @@ def run_suite(
     """Do all runs that are not done yet, and write ``results.csv``, ``table.md`` and learning curves after each.
 
     A run that fails, or stops with an error, is written down as such, and the next one is done. A run is done if its
-    directory says so, or ``results.csv``.
+    directory says so, or ``results.csv``; one that another process is at is left out.
 
     Args:
       suite: whose results are written.
@@ -86,7 +86,12 @@ def run_suite(
         if cell in results(suite, out_dir):
             continue
         say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
-        if signum := _run(suite, cell, out_dir, console, devices):
+        try:
+            signum = _run(suite, cell, out_dir, console, devices)
+        except InUse:  # benchmarks side by side
+            say(console, "another process is at it: left out")
+            continue
+        if signum:
             say(console, f"stopped: the same command continues {out_dir}")
             return signum
         write_results(suite, rows(suite, out_dir), out_dir)

@@ -17,6 +17,10 @@ _FILES = ("config.json", "metrics.csv", "eval.csv", "timing.csv", "baselines.jso
 _REMEDY = "choose another directory (--run-dir)"
 
 
+class InUse(ValueError):
+    """Another process uses the directory."""
+
+
 @contextlib.contextmanager
 def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[None]:
     """Within the block, this process alone uses the directory. The lock ends with the process, however it ends.
@@ -26,7 +30,8 @@ def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[None]:
       must_exist: refuse to make it.
 
     Raises:
-      ValueError: in one sentence: the directory is missing, cannot be made or written to, or another process uses it.
+      ValueError: in one sentence: the directory is missing, cannot be made or written to, or another process uses it
+        (``InUse``).
     """
     if must_exist and not os.path.isdir(run_dir):
         raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
@@ -67,7 +72,7 @@ def _take(lock: IO[str], run_dir: Path) -> None:
     except BlockingIOError:
         lock.seek(0)
         holder = lock.read().strip() or "another process"
-        raise ValueError(f"{run_dir} is in use by {holder}: wait until it ends, stop it, or {_REMEDY}") from None
+        raise InUse(f"{run_dir} is in use by {holder}: wait until it ends, stop it, or {_REMEDY}") from None
     except OSError:  # a file system without locks
         return
     lock.truncate(0)
@@ -75,4 +80,4 @@ def _take(lock: IO[str], run_dir: Path) -> None:
     lock.flush()
 
 
-__all__ = ["hold"]
+__all__ = ["InUse", "hold"]

@@ -16,6 +16,7 @@ from rewax.agents.registry import Algorithm
 from rewax.envs import registry
 from rewax.training import bench
 from rewax.training.bench import Cell, read_result, run_suite
+from rewax.training.run_directory import hold
 from rewax.training.suite import Suite
 from rewax.training.tables import COLUMNS, markdown
 
@@ -128,6 +129,14 @@ def test_an_error_in_one_run_does_not_end_the_suite(suite, tmp_path, monkeypatch
     signum, text = run(suite, tmp_path)
     assert signum == 0 and "failed: MemoryError: no room at all" in text
     assert "| failed |" in (tmp_path / "table.md").read_text()
+
+
+def test_benchmarks_side_by_side_leave_out_what_the_other_is_at(suite, tmp_path):
+    with hold(Cell("PointMass", "calm", 1).folder(tmp_path)):
+        signum, text = run(suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=suite.seeds), tmp_path)
+    assert signum == 0 and text.count("another process is at it") == 1
+    assert not read_result(Cell("PointMass", "calm", 1).folder(tmp_path))
+    assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
 
 
 def test_results_of_other_options_are_not_mixed(suite, tmp_path):
