@@ -81,9 +81,9 @@ def run_suite(
     _claim(suite, out_dir)
     for task in part.tasks:
         _baselines(suite, task, out_dir)
-    everything = list(cells(part))
+    everything, kept = list(cells(part)), read_results(out_dir)
     for number, cell in enumerate(everything, start=1):
-        if cell in results(suite, out_dir):
+        if read_result(cell.folder(out_dir)) or cell in kept:
             continue
         say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
         try:

@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -104,7 +105,7 @@ def write_results(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -
     curves = _curves(rows, out_dir)
     texts = {"results.csv": results_csv(rows), "curves.csv": _curves_csv(curves), "table.md": markdown(suite, rows)}
     for name, text in texts.items():
-        unfinished = out_dir / f"{name}.writing"
+        unfinished = out_dir / f"{name}.{os.getpid()}.writing"  # its own: benchmarks side by side
         unfinished.write_text(text)
         unfinished.replace(out_dir / name)
     return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, rows, curves, out_dir)
