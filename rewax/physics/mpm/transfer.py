@@ -5,11 +5,12 @@ as one pass over the particles. With g a node's cotangent, w its weight, d its o
 s = p + A d what the particle sends there:
 
 * reverse of particle-to-grid, one gather:  p' = sum w g,  A' = sum w g d^T,  x' = sum grad w (g . s) - A^T sum w g
-* reverse of grid-to-particle (v, B), one scatter of w (v' + B' d), and for x' the sums of grad w g and grad w g d^T,
-  which the forward direction takes from the nodes it has gathered anyway
+* reverse of grid-to-particle (v, B), one scatter of s = v' + B' d, and one gather:
+  x' = sum grad w (g . s) - B'^T sum w g
 
-Arrays come as separate components (see ``components``). The passes are written twice, in ``transfer_cpu`` and in
-``transfer_gpu``; which ones a program holds is decided when it is lowered for a platform.
+Arrays come as separate components (see ``components``). The passes are written three times: in C++ for CPUs
+(``transfer_native``), and with JAX for CPUs without a compiler (``transfer_cpu``) and for GPUs (``transfer_gpu``);
+which ones a program holds is decided when it is lowered for a platform.
 """
 
 import functools
@@ -17,19 +18,19 @@ from typing import NamedTuple
 
 import jax
 
-from rewax.physics.mpm import transfer_cpu, transfer_gpu
+from rewax.physics.mpm import transfer_cpu, transfer_gpu, transfer_native
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.transfer_cpu import Layout, as_matrix, as_vector, flat, split
-from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass, no_transpose
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.types import Array
 
-_SPREAD = ByPlatform(transfer_cpu.spread, transfer_gpu.spread)
-_GATHER_VALUES = ByPlatform(transfer_cpu.gather_values, transfer_gpu.gather_values)
-_GATHER_SLOPES = ByPlatform(transfer_cpu.gather_slopes, transfer_gpu.gather_slopes)
-_SPREAD_TANGENT_TRANSPOSE = ByPlatform(transfer_cpu.spread_tangent_transpose, transfer_gpu.spread_tangent_transpose)
+_SPREAD = ByPlatform(transfer_native.spread, transfer_gpu.spread)
+_GATHER_VALUES = ByPlatform(transfer_native.gather_values, transfer_gpu.gather_values)
+_SPREAD_TANGENT_TRANSPOSE = ByPlatform(transfer_native.spread_tangent_transpose, transfer_gpu.spread_tangent_transpose)
+_GATHER_TANGENT = ByPlatform(transfer_cpu.gather_tangent, transfer_gpu.gather_tangent)
+_GATHER_TANGENT_TRANSPOSE = ByPlatform(transfer_native.gather_tangent_transpose, transfer_gpu.gather_tangent_transpose)
 
 
 class GridFields(NamedTuple):
@@ -111,17 +112,9 @@ def _grid_to_particle(layout: Layout, *args: Array) -> Arrays:
 @_grid_to_particle.defjvp
 def _grid_to_particle_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _grid_to_particle(layout, *args)
-    places, dx = split(layout, args)[0], tangents[:3]
-    slopes = linear_pass(_GATHER_SLOPES, no_transpose, layout, args, ())
-    by_nodes = linear_pass(_GATHER_VALUES, _SPREAD, layout, places, split(layout, tangents)[1])
-
-    def along(moment: int, component: int) -> Array:
-        """Change of one moment of one component with the motion dx."""
-        return sum(slopes[12 * a + 3 * moment + component] * dx[a] for a in cp.AXES)  # type: ignore[return-value]
-
-    dv = cp.vector(lambda c: by_nodes[c] + along(0, c))
-    dB = cp.matrix(lambda c, b: by_nodes[3 + 3 * c + b] + along(1 + b, c) - out[c] * dx[b])
-    return out, (*dv, *flat(dB))
+    return out, linear_pass(
+        _GATHER_TANGENT, _GATHER_TANGENT_TRANSPOSE, layout, (*args, *out[:3]), _without_list(layout, tangents)
+    )
 
 
 def _layout(grid: Grid, x: Vec3, active: ActiveNodes | None) -> tuple[Layout, Arrays]:

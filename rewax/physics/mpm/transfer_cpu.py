@@ -17,7 +17,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.splines import quadratic_bspline
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays
+from rewax.physics.numerics.linear_pass import Arrays, Pass
 from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array
 
@@ -142,7 +142,47 @@ def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
     return (*cp.subtract(work, cp.matvec(cp.transpose(A), as_vector(values[1:4]))), *values)
 
 
+def gather_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Derivative of interpolation, ``gather_values`` of three fields, in the direction (dx, dg) at (x, g).
+
+    residuals: places, g, and the values sum w g.
+    """
+    return tangent_by_slopes(gather_slopes, gather_values, layout, residuals, linear)
+
+
+def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    return cotangent_by_slopes(gather_slopes, spread, layout, residuals, cotangents)
+
+
 # --- Sums over the stencil -------------------------------------------------------------------------------------------
+
+
+def tangent_by_slopes(slopes_of: Pass, values_of: Pass, layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """``gather_tangent``, from the passes ``gather_slopes`` and ``gather_values``."""
+    (places, rest), dx, dg = split(layout, residuals), linear[:3], linear[3:]
+    slopes, value = slopes_of(layout, (*places, *rest[:3]), ()), rest[3:]
+    by_nodes = values_of(layout, places, dg)
+
+    def along(moment: int, component: int) -> Array:
+        """Change of one moment of one component with the motion dx."""
+        return sum(slopes[12 * a + 3 * moment + component] * dx[a] for a in cp.AXES)  # type: ignore[return-value]
+
+    dv = cp.vector(lambda c: by_nodes[c] + along(0, c))
+    dB = cp.matrix(lambda c, b: by_nodes[3 + 3 * c + b] + along(1 + b, c) - value[c] * dx[b])
+    return (*dv, *flat(dB))
+
+
+def cotangent_by_slopes(slopes_of: Pass, spread: Pass, layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """``gather_tangent_transpose``, from the passes ``gather_slopes`` and ``spread``."""
+    (places, rest), v, B = split(layout, residuals), cotangents[:3], as_matrix(cotangents[3:])
+    slopes, value = slopes_of(layout, (*places, *rest[:3]), ()), rest[3:]
+
+    def work(a: int) -> Array:
+        terms = [slopes[12 * a + c] * v[c] for c in cp.AXES]
+        terms += [slopes[12 * a + 3 + 3 * b + c] * B[c][b] for b in cp.AXES for c in cp.AXES]
+        return sum(terms[1:], terms[0]) - sum(value[c] * B[c][a] for c in cp.AXES)
+
+    return (*cp.vector(work), *spread(layout, places, cotangents))
 
 
 def split(layout: Layout, args: Arrays) -> tuple[Arrays, Arrays]:

@@ -20,9 +20,11 @@ from rewax.physics.mpm.transfer_cpu import (
     as_matrix,
     as_vector,
     copy_of_particles,
+    cotangent_by_slopes,
     flat,
     lowest_rows,
     split,
+    tangent_by_slopes,
 )
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3
@@ -102,6 +104,15 @@ def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
     values = _values(sums)
     work = cp.vector(lambda a: sum(sums[moved[a]]))
     return (*cp.subtract(work, cp.matvec(cp.transpose(A), as_vector(values[1:4]))), *values)
+
+
+def gather_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """As ``transfer_cpu.gather_tangent``."""
+    return tangent_by_slopes(gather_slopes, gather_values, layout, residuals, linear)
+
+
+def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    return cotangent_by_slopes(gather_slopes, spread, layout, residuals, cotangents)
 
 
 # --- Sums over the stencil -------------------------------------------------------------------------------------------

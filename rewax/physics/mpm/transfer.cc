@@ -1,0 +1,510 @@
+// The passes of transfer.py for CPUs: one particle at a time, all of its 27 nodes while they are in registers.
+//
+// transfer_native.py says what each pass computes, builds this file and calls it through XLA's foreign function interface.
+// A node is a vector of four numbers: a vector field along x, y, z, and the mass (or nothing). Weights are computed for
+// a block of particles at once. Every environment's nodes are summed in an order that neither other environments nor
+// the number of threads change, so results are reproducible bit for bit.
+
+#include <algorithm>
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+#include <mutex>
+#include <vector>
+
+#include "xla/ffi/api/ffi.h"
+
+namespace ffi = xla::ffi;
+
+namespace {
+
+constexpr int kBlock = 16;               // particles whose weights are computed at once
+constexpr int kFields = 16;              // numbers of a particle's affine field: value and three slopes, four each
+constexpr int64_t kChunk = 1024;         // particles that a thread gathers for at a time
+constexpr int64_t kPiece = 4096;         // particles that share one sum on the nodes
+constexpr int64_t kMostPieces = 8;
+
+template <typename T>
+struct Vec;
+template <>
+struct Vec<float> {
+  typedef float type __attribute__((vector_size(16)));
+};
+template <>
+struct Vec<double> {
+  typedef double type __attribute__((vector_size(32)));
+};
+template <typename T>
+using V4 = typename Vec<T>::type;
+
+struct Layout {
+  int64_t shape[3];
+  double origin[3];
+  double spacing;
+  int64_t nodes;      // of one environment
+  bool listed;        // the nodes are a list: offsets of columns say where each column lies
+  int64_t copies;     // environments
+  int64_t particles;  // of one environment
+  int64_t columns() const { return shape[0] * shape[1]; }
+};
+
+template <typename T>
+struct Places {
+  const T* x[3];
+  const int32_t* offset;
+};
+
+// --- Threads -------------------------------------------------------------------------------------------------------
+
+// Runs task(0), ..., task(count - 1). The caller works, too, so that a pool whose threads are all busy cannot block it.
+template <typename Task>
+void ForEach(ffi::ThreadPool& pool, int64_t count, const Task& task) {
+  const int64_t helpers = std::min<int64_t>(pool.num_threads(), count) - 1;
+  if (helpers < 1) {
+    for (int64_t i = 0; i < count; ++i) task(i);
+    return;
+  }
+  struct Shared {
+    std::atomic<int64_t> next{0}, done{0};
+    std::mutex mutex;
+    std::condition_variable all;
+  };
+  auto shared = std::make_shared<Shared>();
+  // A helper that starts when nothing is left touches only `shared`: `task` may be gone by then.
+  auto work = [shared, count, &task] {
+    for (int64_t i; (i = shared->next.fetch_add(1)) < count;) {
+      task(i);
+      if (shared->done.fetch_add(1) + 1 == count) {
+        std::lock_guard<std::mutex> lock(shared->mutex);
+        shared->all.notify_one();
+      }
+    }
+  };
+  for (int64_t i = 0; i < helpers; ++i) pool.Schedule(decltype(work)(work));
+  work();
+  std::unique_lock<std::mutex> lock(shared->mutex);
+  shared->all.wait(lock, [&] { return shared->done.load() == count; });
+}
+
+// --- Weights -------------------------------------------------------------------------------------------------------
+
+template <typename T>
+struct Axis {
+  T w[3][kBlock];  // weights
+  T s[3][kBlock];  // their slopes
+  T d[3][kBlock];  // offsets of the nodes from the particle
+};
+
+template <typename T>
+struct Stencils {
+  Axis<T> axis[3];
+  int32_t rows[9][kBlock];  // the lowest of three nodes along z in each of nine columns
+};
+
+// Not inlined: rounding decides which nodes a particle between two cells meets, and all passes must decide alike.
+template <typename T>
+__attribute__((noinline)) void Weigh(const Layout& layout, const Places<T>& places, int64_t copy, int64_t first,
+                                     int count, Stencils<T>& st) {
+  int32_t lowest[3][kBlock];
+  const T spacing = T(layout.spacing), inverse = T(1.0 / layout.spacing);
+  for (int a = 0; a < 3; ++a) {
+    const T* source = places.x[a] + copy * layout.particles + first;
+    const T origin = T(layout.origin[a]), highest = T(layout.shape[a] - 3);
+    Axis<T>& axis = st.axis[a];
+    T x[kBlock];
+    for (int l = 0; l < kBlock; ++l) x[l] = source[l < count ? l : count - 1];
+    for (int l = 0; l < kBlock; ++l) {
+      const T cells = (x[l] - origin) * inverse;
+      T low = cells - T(0.5);
+      low = low > T(0) ? low : T(0);  // of NaN, too
+      low = low < highest ? low : highest;
+      const int32_t base = static_cast<int32_t>(low);
+      lowest[a][l] = base;
+      const T f = cells - T(base);
+      axis.w[0][l] = T(0.5) * (T(1.5) - f) * (T(1.5) - f);
+      axis.w[1][l] = T(0.75) - (f - T(1)) * (f - T(1));
+      axis.w[2][l] = T(0.5) * (f - T(0.5)) * (f - T(0.5));
+      axis.s[0][l] = -(T(1.5) - f) * inverse;
+      axis.s[1][l] = T(-2) * (f - T(1)) * inverse;
+      axis.s[2][l] = (f - T(0.5)) * inverse;
+      axis.d[0][l] = -f * spacing;
+      axis.d[1][l] = (T(1) - f) * spacing;
+      axis.d[2][l] = (T(2) - f) * spacing;
+    }
+  }
+  const int32_t ny = static_cast<int32_t>(layout.shape[1]), nz = static_cast<int32_t>(layout.shape[2]);
+  const int32_t last = static_cast<int32_t>(layout.nodes) - 3;
+  const int32_t* offset = layout.listed ? places.offset + copy * layout.columns() : nullptr;
+  for (int c = 0; c < 9; ++c) {
+    for (int l = 0; l < kBlock; ++l) {
+      const int32_t column = (lowest[0][l] + c / 3) * ny + lowest[1][l] + c % 3;
+      // A particle that left the listed nodes reads and writes others; the step's status says so.
+      const int32_t row = (offset ? offset[column] : column * nz) + lowest[2][l];
+      st.rows[c][l] = std::min(std::max(row, 0), last);
+    }
+  }
+}
+
+// --- Nodes as vectors ----------------------------------------------------------------------------------------------
+
+template <typename T>
+void Interleave(const T* const* fields, int count, int64_t first, int64_t nodes, V4<T>* out) {
+  const T *x = fields[count - 3] + first, *y = fields[count - 2] + first, *z = fields[count - 1] + first;
+  if (count == 4) {
+    const T* mass = fields[0] + first;
+    for (int64_t i = 0; i < nodes; ++i) out[i] = V4<T>{x[i], y[i], z[i], mass[i]};
+  } else {
+    for (int64_t i = 0; i < nodes; ++i) out[i] = V4<T>{x[i], y[i], z[i], T(0)};
+  }
+}
+
+template <typename T>
+void Separate(const V4<T>* nodes, int64_t count, int64_t first, int num_fields, T* const* fields) {
+  T *x = fields[num_fields - 3] + first, *y = fields[num_fields - 2] + first, *z = fields[num_fields - 1] + first;
+  T* mass = num_fields == 4 ? fields[0] + first : nullptr;
+  for (int64_t i = 0; i < count; ++i) {
+    x[i] = nodes[i][0];
+    y[i] = nodes[i][1];
+    z[i] = nodes[i][2];
+  }
+  if (mass) {
+    for (int64_t i = 0; i < count; ++i) mass[i] = nodes[i][3];
+  }
+}
+
+// Room that a thread keeps from call to call.
+template <typename T>
+V4<T>* Room(std::vector<char>& bytes, int64_t count) {
+  constexpr size_t alignment = 64;
+  const size_t wanted = static_cast<size_t>(count) * sizeof(V4<T>) + alignment;
+  if (bytes.size() < wanted) bytes.resize(wanted);
+  const auto address = reinterpret_cast<uintptr_t>(bytes.data());
+  return reinterpret_cast<V4<T>*>((address + alignment - 1) / alignment * alignment);
+}
+
+thread_local std::vector<char> room_of_call, room_of_task;
+
+// --- One particle --------------------------------------------------------------------------------------------------
+
+template <typename T>
+struct Affine {
+  V4<T> value, slope[3];
+};
+
+// Columns of the particles' affine field, in the order value, slope along x, y, z of the vector field, then the mass.
+template <typename T>
+struct FieldColumns {
+  const T* value[3];
+  const T* slope[3][3];  // [component][axis]
+  const T* mass;         // or nullptr
+
+  Affine<T> At(int64_t i) const {
+    Affine<T> field;
+    field.value = V4<T>{value[0][i], value[1][i], value[2][i], mass ? mass[i] : T(0)};
+    for (int a = 0; a < 3; ++a) field.slope[a] = V4<T>{slope[0][a][i], slope[1][a][i], slope[2][a][i], T(0)};
+    return field;
+  }
+};
+
+template <typename T>
+inline void SpreadOne(const Stencils<T>& st, int l, const Affine<T>& field, V4<T>* nodes) {
+  const Axis<T>&X = st.axis[0], &Y = st.axis[1], &Z = st.axis[2];
+  T lever[3];
+  for (int k = 0; k < 3; ++k) lever[k] = Z.w[k][l] * Z.d[k][l];
+  for (int i = 0; i < 3; ++i) {
+    const V4<T> along_x = field.value + field.slope[0] * X.d[i][l];
+    for (int j = 0; j < 3; ++j) {
+      const T across = X.w[i][l] * Y.w[j][l];
+      const V4<T> plane = (along_x + field.slope[1] * Y.d[j][l]) * across, tilt = field.slope[2] * across;
+      V4<T>* node = nodes + st.rows[3 * i + j][l];
+      for (int k = 0; k < 3; ++k) node[k] += plane * Z.w[k][l] + tilt * lever[k];
+    }
+  }
+}
+
+// Sums over the nodes of w g, and of w g times the offset along x, y, z.
+template <typename T>
+struct Moments {
+  V4<T> value, first[3];
+};
+
+template <typename T>
+inline Moments<T> GatherOne(const Stencils<T>& st, int l, const V4<T>* nodes) {
+  const Axis<T>&X = st.axis[0], &Y = st.axis[1], &Z = st.axis[2];
+  Moments<T> m = {};
+  T lever[3];
+  for (int k = 0; k < 3; ++k) lever[k] = Z.w[k][l] * Z.d[k][l];
+  for (int i = 0; i < 3; ++i) {
+    V4<T> ww = {}, ow = {}, wo = {};
+    for (int j = 0; j < 3; ++j) {
+      const V4<T>* g = nodes + st.rows[3 * i + j][l];
+      const V4<T> w = g[0] * Z.w[0][l] + g[1] * Z.w[1][l] + g[2] * Z.w[2][l];
+      const V4<T> o = g[0] * lever[0] + g[1] * lever[1] + g[2] * lever[2];
+      const V4<T> weighted = w * Y.w[j][l];
+      ww += weighted;
+      ow += weighted * Y.d[j][l];
+      wo += o * Y.w[j][l];
+    }
+    const V4<T> weighted = ww * X.w[i][l];
+    m.value += weighted;
+    m.first[0] += weighted * X.d[i][l];
+    m.first[1] += ow * X.w[i][l];
+    m.first[2] += wo * X.w[i][l];
+  }
+  return m;
+}
+
+// How sum over nodes of w g . (value + slope . offset) changes with the particle's position, less the change of the
+// offsets, slope^T (sum w g), which `value` is: sum w g.
+template <typename T>
+inline void WorkOne(const Stencils<T>& st, int l, const Affine<T>& field, const V4<T>* nodes, const V4<T>& value,
+                    T work[3]) {
+  const Axis<T>&X = st.axis[0], &Y = st.axis[1], &Z = st.axis[2];
+  V4<T> sum[3] = {};
+  for (int i = 0; i < 3; ++i) {
+    const V4<T> along_x = field.value + field.slope[0] * X.d[i][l];
+    V4<T> ww = {}, sw = {}, ws = {};
+    for (int j = 0; j < 3; ++j) {
+      const V4<T>* g = nodes + st.rows[3 * i + j][l];
+      const V4<T> plane = along_x + field.slope[1] * Y.d[j][l];
+      V4<T> w = {}, s = {};
+      for (int k = 0; k < 3; ++k) {
+        const V4<T> product = g[k] * (plane + field.slope[2] * Z.d[k][l]);
+        w += product * Z.w[k][l];
+        s += product * Z.s[k][l];
+      }
+      ww += w * Y.w[j][l];
+      sw += w * Y.s[j][l];
+      ws += s * Y.w[j][l];
+    }
+    sum[0] += ww * X.s[i][l];
+    sum[1] += sw * X.w[i][l];
+    sum[2] += ws * X.w[i][l];
+  }
+  for (int a = 0; a < 3; ++a) {
+    const V4<T> all = sum[a] - field.slope[a] * value;
+    work[a] = (all[0] + all[1]) + (all[2] + all[3]);
+  }
+}
+
+// --- Passes over all particles -------------------------------------------------------------------------------------
+
+template <typename T, typename One>
+void ForBlocks(const Layout& layout, const Places<T>& places, int64_t copy, int64_t first, int64_t end, const One& one) {
+  Stencils<T> st;
+  for (int64_t start = first; start < end; start += kBlock) {
+    const int count = static_cast<int>(std::min<int64_t>(kBlock, end - start));
+    Weigh(layout, places, copy, start, count, st);
+    for (int l = 0; l < count; ++l) one(st, l, copy * layout.particles + start + l);
+  }
+}
+
+template <typename T>
+void SpreadAll(ffi::ThreadPool& pool, const Layout& layout, const Places<T>& places, const FieldColumns<T>& field,
+               int num_fields, T* const* out) {
+  const int64_t pieces = std::clamp<int64_t>(layout.particles / kPiece, 1, kMostPieces);
+  const int64_t size = (layout.particles + pieces - 1) / pieces;
+  auto spread = [&](int64_t copy, int64_t piece, V4<T>* nodes) {
+    std::memset(nodes, 0, layout.nodes * sizeof(V4<T>));
+    ForBlocks(layout, places, copy, piece * size, std::min((piece + 1) * size, layout.particles),
+              [&](const Stencils<T>& st, int l, int64_t i) { SpreadOne(st, l, field.At(i), nodes); });
+  };
+  if (pieces == 1) {
+    ForEach(pool, layout.copies, [&](int64_t copy) {
+      V4<T>* nodes = Room<T>(room_of_task, layout.nodes);
+      spread(copy, 0, nodes);
+      Separate<T>(nodes, layout.nodes, copy * layout.nodes, num_fields, out);
+    });
+    return;
+  }
+  V4<T>* sums = Room<T>(room_of_call, pieces * layout.nodes);
+  for (int64_t copy = 0; copy < layout.copies; ++copy) {
+    ForEach(pool, pieces, [&](int64_t piece) { spread(copy, piece, sums + piece * layout.nodes); });
+    const int64_t parts = (layout.nodes + kChunk - 1) / kChunk;
+    ForEach(pool, parts, [&](int64_t part) {
+      const int64_t first = part * kChunk, count = std::min(kChunk, layout.nodes - first);
+      for (int64_t piece = 1; piece < pieces; ++piece) {
+        for (int64_t i = first; i < first + count; ++i) sums[i] += sums[piece * layout.nodes + i];
+      }
+      Separate<T>(sums + first, count, copy * layout.nodes + first, num_fields, out);
+    });
+  }
+}
+
+// one(stencils, lane, particle, nodes) for all particles, where nodes are those of the particle's environment.
+template <typename T, typename One>
+void GatherAll(ffi::ThreadPool& pool, const Layout& layout, const Places<T>& places, const T* const* fields,
+               int num_fields, const One& one) {
+  auto gather = [&](int64_t copy, int64_t first, int64_t end, const V4<T>* nodes) {
+    ForBlocks(layout, places, copy, first, end,
+              [&](const Stencils<T>& st, int l, int64_t i) { one(st, l, i, nodes); });
+  };
+  const int64_t chunks = (layout.particles + kChunk - 1) / kChunk;
+  if (layout.copies >= pool.num_threads() || chunks == 1) {
+    ForEach(pool, layout.copies, [&](int64_t copy) {
+      V4<T>* nodes = Room<T>(room_of_task, layout.nodes);
+      Interleave<T>(fields, num_fields, copy * layout.nodes, layout.nodes, nodes);
+      gather(copy, 0, layout.particles, nodes);
+    });
+    return;
+  }
+  V4<T>* nodes = Room<T>(room_of_call, layout.nodes);
+  for (int64_t copy = 0; copy < layout.copies; ++copy) {
+    Interleave<T>(fields, num_fields, copy * layout.nodes, layout.nodes, nodes);
+    ForEach(pool, chunks, [&](int64_t chunk) {
+      gather(copy, chunk * kChunk, std::min((chunk + 1) * kChunk, layout.particles), nodes);
+    });
+  }
+}
+
+// --- XLA's interface -----------------------------------------------------------------------------------------------
+
+// Operands and results one after the other.
+template <typename T>
+struct Reader {
+  ffi::RemainingArgs& args;
+  ffi::RemainingRets& rets;
+  size_t next_in = 0, next_out = 0;
+
+  template <typename U>
+  const U* In() { return static_cast<const U*>(args.get<ffi::AnyBuffer>(next_in++)->untyped_data()); }
+  T* Out() { return static_cast<T*>((*rets.get<ffi::AnyBuffer>(next_out++))->untyped_data()); }
+  template <int N>
+  void Ins(const T* (&out)[N]) { for (auto& a : out) a = In<T>(); }
+  template <int N>
+  void Outs(T* (&out)[N]) { for (auto& a : out) a = Out(); }
+
+  Places<T> ReadPlaces(const Layout& layout) {
+    Places<T> places;
+    Ins(places.x);
+    places.offset = layout.listed ? In<int32_t>() : nullptr;
+    return places;
+  }
+  FieldColumns<T> ReadField(bool has_mass) {
+    FieldColumns<T> field;
+    field.mass = has_mass ? In<T>() : nullptr;
+    Ins(field.value);
+    for (auto& row : field.slope) Ins(row);
+    return field;
+  }
+};
+
+Layout ReadLayout(ffi::RemainingArgs& args, ffi::Span<const int64_t> sizes, ffi::Span<const double> box) {
+  Layout layout;
+  std::copy_n(sizes.begin(), 3, layout.shape);
+  layout.nodes = sizes[3];
+  layout.listed = sizes[4] != 0;
+  std::copy_n(box.begin(), 3, layout.origin);
+  layout.spacing = box[3];
+  const auto dims = args.get<ffi::AnyBuffer>(0)->dimensions();
+  layout.particles = dims.back();
+  layout.copies = 1;
+  for (size_t i = 0; i + 1 < dims.size(); ++i) layout.copies *= dims[i];
+  return layout;
+}
+
+template <typename T>
+void Spread(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int num_fields) {
+  const Places<T> places = io.ReadPlaces(layout);
+  const FieldColumns<T> field = io.ReadField(num_fields == 4);
+  T* out[4];
+  for (int c = 0; c < num_fields; ++c) out[c] = io.Out();
+  SpreadAll(pool, layout, places, field, num_fields, out);
+}
+
+// Where the moments of a particle go: values of all fields, then the first moments of the vector field, row by row.
+template <typename T>
+struct MomentColumns {
+  T *mass, *value[3], *first[3][3];
+  explicit MomentColumns(Reader<T>& io, bool has_mass) {
+    mass = has_mass ? io.Out() : nullptr;
+    io.Outs(value);
+    for (auto& row : first) io.Outs(row);
+  }
+  void Put(int64_t i, const Moments<T>& m) const {
+    if (mass) mass[i] = m.value[3];
+    for (int c = 0; c < 3; ++c) {
+      value[c][i] = m.value[c];
+      for (int a = 0; a < 3; ++a) first[c][a][i] = m.first[a][c];
+    }
+  }
+};
+
+template <typename T>
+void GatherValues(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int num_fields) {
+  const Places<T> places = io.ReadPlaces(layout);
+  const T* fields[4];
+  for (int c = 0; c < num_fields; ++c) fields[c] = io.template In<T>();
+  const MomentColumns<T> out(io, num_fields == 4);
+  GatherAll(pool, layout, places, fields, num_fields,
+            [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) { out.Put(i, GatherOne(st, l, nodes)); });
+}
+
+template <typename T>
+void SpreadTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int) {
+  const Places<T> places = io.ReadPlaces(layout);
+  const FieldColumns<T> field = io.ReadField(true);
+  const T* fields[4];
+  io.Ins(fields);
+  T* dx[3];
+  io.Outs(dx);
+  const MomentColumns<T> out(io, true);
+  GatherAll(pool, layout, places, fields, 4, [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) {
+    const Moments<T> m = GatherOne(st, l, nodes);
+    out.Put(i, m);
+    T work[3];
+    WorkOne(st, l, field.At(i), nodes, m.value, work);
+    for (int a = 0; a < 3; ++a) dx[a][i] = work[a];
+  });
+}
+
+template <typename T>
+void GatherTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int) {
+  const Places<T> places = io.ReadPlaces(layout);
+  const T *nodes_of[3], *value_of[3];
+  io.Ins(nodes_of);
+  io.Ins(value_of);
+  const FieldColumns<T> field = io.ReadField(false);
+  T *dx[3], *out[3];
+  io.Outs(dx);
+  io.Outs(out);
+  GatherAll(pool, layout, places, nodes_of, 3, [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) {
+    const V4<T> value = {value_of[0][i], value_of[1][i], value_of[2][i], T(0)};
+    T work[3];
+    WorkOne(st, l, field.At(i), nodes, value, work);
+    for (int a = 0; a < 3; ++a) dx[a][i] = work[a];
+  });
+  SpreadAll(pool, layout, places, field, 3, out);
+}
+
+#define REWAX_PASS(name)                                                                                         \
+  ffi::Error Run##name(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets,                   \
+                       ffi::Span<const int64_t> sizes, ffi::Span<const double> box) {                            \
+    const Layout layout = ReadLayout(args, sizes, box);                                                          \
+    const int num_fields = static_cast<int>(sizes[5]);                                                           \
+    if (args.get<ffi::AnyBuffer>(0)->element_type() == ffi::DataType::F64) {                                     \
+      name<double>(pool, layout, Reader<double>{args, rets}, num_fields);                                        \
+    } else {                                                                                                     \
+      name<float>(pool, layout, Reader<float>{args, rets}, num_fields);                                          \
+    }                                                                                                            \
+    return ffi::Error::Success();                                                                                \
+  }
+
+REWAX_PASS(Spread)
+REWAX_PASS(GatherValues)
+REWAX_PASS(SpreadTangentTranspose)
+REWAX_PASS(GatherTangentTranspose)
+
+}  // namespace
+
+#define REWAX_EXPORT(symbol, name)                                                                                 \
+  XLA_FFI_DEFINE_HANDLER_SYMBOL(symbol, Run##name,                                                                 \
+                                ffi::Ffi::Bind().Ctx<ffi::ThreadPool>().RemainingArgs().RemainingRets()            \
+                                    .Attr<ffi::Span<const int64_t>>("sizes").Attr<ffi::Span<const double>>("box"))
+
+REWAX_EXPORT(rewax_spread, Spread);
+REWAX_EXPORT(rewax_gather_values, GatherValues);
+REWAX_EXPORT(rewax_spread_tangent_transpose, SpreadTangentTranspose);
+REWAX_EXPORT(rewax_gather_tangent_transpose, GatherTangentTranspose);

@@ -1,0 +1,119 @@
+"""C++ that XLA calls on a CPU: built where it is used, by the compiler that is there, once.
+
+A wheel stays free of binaries, and the code is that of the machine's own instructions. Without a compiler, or with
+``REWAX_NATIVE=0`` in the environment, ``load`` gives None and callers do without: whatever is written in C++ is written
+with JAX, too.
+"""
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+
+_COMPILERS = ("c++", "g++", "clang++")
+_FLAGS = ("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-w")
+_NATIVE = {"x86_64": "-march=native", "AMD64": "-march=native"}
+_SECONDS = 300
+
+
+class Loaded(NamedTuple):
+    """A library, or why there is none."""
+
+    library: ctypes.CDLL | None
+    reason: str
+    """Where the library is, or a sentence about what is missing."""
+
+
+def register(source: Path, symbols: tuple[str, ...]) -> bool:
+    """Make functions of a C++ file known to XLA as targets of ``jax.ffi.ffi_call`` on a CPU.
+
+    Args:
+      source: the file; it uses the headers of ``jax.ffi``.
+      symbols: names of its handlers, which are the targets' names, too.
+
+    Returns:
+      Whether they can be called.
+    """
+    return _register(source, symbols)
+
+
+@functools.cache
+def _register(source: Path, symbols: tuple[str, ...]) -> bool:
+    library = load(source).library
+    if library is None:
+        return False
+    for symbol in symbols:
+        jax.ffi.register_ffi_target(symbol, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
+    return True
+
+
+@functools.cache
+def load(source: Path) -> Loaded:
+    """The library of a C++ file, built if this machine has not built it before.
+
+    Libraries are kept in ``$XDG_CACHE_HOME/rewax/native`` (``~/.cache/rewax/native``), one for each version of the
+    source, the compiler, jaxlib and the processor. The compiler is ``$CXX``, else the first of c++, g++ and clang++.
+    """
+    if os.environ.get("REWAX_NATIVE") == "0":
+        return Loaded(None, "REWAX_NATIVE=0 is set")
+    compiler = _compiler()
+    if compiler is None:
+        return Loaded(None, "there is no C++ compiler")
+    flags = [*_FLAGS, *filter(None, [_NATIVE.get(platform.machine())])]
+    try:
+        version = _output([compiler, "--version"])
+        parts = (source.read_text(), version, *flags, jax.lib.__version__, platform.machine(), _processor())
+        name = f"{source.stem}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:16]}.so"
+        path = _folder() / name
+        if not path.is_file():
+            with tempfile.TemporaryDirectory(dir=path.parent) as folder:  # others may build it at the same time
+                unfinished = Path(folder) / name
+                _output([compiler, *flags, "-I", jax.ffi.include_dir(), str(source), "-o", str(unfinished)])
+                unfinished.replace(path)
+        return Loaded(ctypes.CDLL(str(path)), str(path))
+    except subprocess.CalledProcessError as error:
+        said = (error.stderr or "").strip().splitlines()
+        return Loaded(None, f"{compiler} failed ({said[0] if said else f'exit status {error.returncode}'})")
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Loaded(None, f"it could not be built or loaded ({error})")
+
+
+def _compiler() -> str | None:
+    if os.environ.get("CXX"):
+        return shutil.which(os.environ["CXX"])
+    if sys.platform == "win32":
+        return None
+    return next(filter(None, map(shutil.which, _COMPILERS)), None)
+
+
+def _output(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=_SECONDS)
+    return done.stdout
+
+
+def _processor() -> str:
+    """What tells processors with different instructions apart: a cache may be shared between machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+
+
+def _folder() -> Path:
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rewax" / "native"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder):
+            return folder
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="rewax-native-"))
