@@ -61,6 +61,8 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("FluidMove", "small"): dataclasses.replace(SMALL, initial_log_std=-1.0, max_env_grad_norm=0.05),
     ("HandFlip", "paper"): SAPOConfig(num_iterations=6000),
     ("HandFlip", "small"): SMALL,
+    ("HandLift", "paper"): SAPOConfig(num_iterations=6000),
+    ("HandLift", "small"): dataclasses.replace(SMALL, max_env_grad_norm=0.3),
     ("SoftJumper", "paper"): SAPOConfig(num_iterations=6000),
     ("SoftJumper", "small"): _JUMPER,
     ("SoftJumperMPM", "paper"): SAPOConfig(num_iterations=6000),

@@ -121,7 +121,7 @@ def small() -> HandLift:
     r, spacing = REFERENCE, 1.0 / 48
     center = (0.5, 0.265, 0.5)
     return _hand_lift(
-        grid=Grid(shape=(17, 20, 19), spacing=spacing, origin=(16 * spacing, 6 * spacing, 15 * spacing)),
+        grid=Grid(shape=(17, 36, 19), spacing=spacing, origin=(16 * spacing, 6 * spacing, 15 * spacing)),
         dt=2e-4,
         softness=150.0,
         walls={"floor": 0.16, "lower": (0.36, 0.34), "upper": (0.64, 0.66)},

@@ -1,15 +1,17 @@
 """How much memory a gradient through a simulation takes, before it is compiled."""
 
+from rewax.physics.mpm import transfer_native
 from rewax.physics.mpm.step import MPMScene
 
 _PARTICLE_FLOATS = 24
 """Position, velocity, affine field and deformation gradient: what is stored of a particle."""
 _CONTROL_STEP_FLOATS = 27
 """What a rollout keeps of a particle at the beginning of each control step."""
-_WORKSPACE_FLOATS = 498
-"""Per particle, while one substep is differentiated; two thirds are the 27 nodes' values of 4 fields, three times."""
+_WORKSPACE_FLOATS = {True: 104, False: 498}
+"""Per particle, while one substep is differentiated, with transfers in C++ and in JAX. JAX stores the 27 nodes' values
+of 4 fields, three times; C++ stores none of them."""
 _NODE_FLOATS = 11
-_COLLIDER_FLOATS = 42
+_COLLIDER_FLOATS = {True: 34, False: 42}
 """Per active node and collider, while contact is differentiated."""
 
 
@@ -49,6 +51,7 @@ def predict_peak_bytes(
         raise ValueError(f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them")
     stored = num_substeps // store_every + (store_every if store_every > 1 else 0)
     nodes = scene.grid.num_nodes if scene.max_active_nodes is None else scene.max_active_nodes
-    per_particle = _PARTICLE_FLOATS * stored + _CONTROL_STEP_FLOATS * horizon + _WORKSPACE_FLOATS
-    per_node = _NODE_FLOATS + _COLLIDER_FLOATS * len(scene.colliders)
+    native = transfer_native.is_used()
+    per_particle = _PARTICLE_FLOATS * stored + _CONTROL_STEP_FLOATS * horizon + _WORKSPACE_FLOATS[native]
+    per_node = _NODE_FLOATS + _COLLIDER_FLOATS[native] * len(scene.colliders)
     return bytes_per_float * num_envs * (num_particles * per_particle + nodes * per_node)

@@ -54,9 +54,14 @@ def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
     return _call("rewax_gather_tangent_transpose", layout, (*residuals, *cotangents), lengths, 3)
 
 
+def is_used() -> bool:
+    """Whether programs for CPUs hold these passes: whether they could be built."""
+    return native.register(SOURCE, _TARGETS)
+
+
 def _available(*arrays: Arrays) -> bool:
     types = {a.dtype for group in arrays for a in group if jnp.issubdtype(a.dtype, jnp.floating)}
-    return len(types) == 1 and types <= set(_TYPES) and native.register(SOURCE, _TARGETS)
+    return len(types) == 1 and types <= set(_TYPES) and is_used()
 
 
 def _call(target: str, layout: Layout, operands: Arrays, lengths: Sequence[int], num_fields: int) -> Arrays:
