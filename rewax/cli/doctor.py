@@ -34,6 +34,7 @@ def run(argv: Sequence[str]) -> int:
     problems = list(version_problems(versions))
     if versions["jax"]:
         problems += _device_problems()
+        problems += native_problems()
         problems += cache_problems()
         problems += flag_problems(os.environ.get("XLA_FLAGS", ""))
     for problem, remedy in problems:
@@ -81,6 +82,21 @@ def _device_problems() -> Iterator[tuple[str, str]]:
         yield "double precision is on (JAX_ENABLE_X64): training takes about twice as long", "unset it for training"
     if devices[0].platform == "cpu" and shutil.which("nvidia-smi") and "cpu" not in os.environ.get("JAX_PLATFORMS", ""):
         yield "there is an NVIDIA driver, but JAX computes on the CPU", "pip install 'rewax[cuda]'"
+
+
+def native_problems() -> Iterator[tuple[str, str]]:
+    """Whether particles' transfers are those in C++."""
+    from rewax.physics.mpm import transfer_native
+    from rewax.physics.numerics import native
+
+    library, reason = native.load(transfer_native.SOURCE)
+    if library is not None or native.is_off():
+        print(f"particles' transfers on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
+        return
+    yield (
+        f"particles' transfers are not those in C++ ({reason}): on a CPU particles take about twice as long",
+        "install a C++ compiler, g++ or clang++, or set CXX to one",
+    )
 
 
 def cache_problems() -> Iterator[tuple[str, str]]:

@@ -4,12 +4,14 @@ import pytest
 
 from rewax.cli import doctor
 from rewax.cli.main import main
+from rewax.physics.numerics import native
 
 GOOD = {"jax": "0.10.1", "jaxlib": "0.10.1", "flax": "0.12.8", "mujoco-mjx": "3.17.0"}
 
 
 def test_a_working_installation_has_no_problems(capsys, monkeypatch):
-    monkeypatch.setattr(doctor, "_device_problems", list)
+    for name in ("_device_problems", "native_problems"):
+        monkeypatch.setattr(doctor, name, list)
     monkeypatch.delenv("XLA_FLAGS", raising=False)
     assert main(["doctor"]) == 0
     said = capsys.readouterr().out
@@ -56,3 +58,24 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("rewax.training.cache.enable_compilation_cache", lambda: blocked / "cache")
     ((problem, remedy),) = doctor.cache_problems()
     assert "every start compiles anew" in problem and "JAX_COMPILATION_CACHE_DIR" in remedy
+
+
+@pytest.mark.parametrize(
+    ("found", "off", "said"),
+    [
+        (native.Loaded(object(), "/a/place.so"), False, "in C++, /a/place.so\n"),
+        (native.Loaded(None, "REWAX_NATIVE=0 is set"), True, "with JAX, for REWAX_NATIVE=0 is set\n"),
+    ],
+)
+def test_says_which_transfers_a_cpu_has(monkeypatch, capsys, found, off, said):
+    monkeypatch.setattr(native, "load", lambda source: found)
+    monkeypatch.setattr(native, "is_off", lambda: off)
+    assert not list(doctor.native_problems())
+    assert capsys.readouterr().out.endswith(said)
+
+
+def test_a_missing_compiler_is_a_problem(monkeypatch):
+    monkeypatch.setattr(native, "load", lambda source: native.Loaded(None, "there is no C++ compiler"))
+    monkeypatch.setattr(native, "is_off", lambda: False)
+    ((problem, remedy),) = doctor.native_problems()
+    assert "(there is no C++ compiler)" in problem and "install a C++ compiler" in remedy

@@ -63,7 +63,7 @@ def load(source: Path) -> Loaded:
     Libraries are kept in ``$XDG_CACHE_HOME/rewax/native`` (``~/.cache/rewax/native``), one for each version of the
     source, the compiler, jaxlib and the processor. The compiler is ``$CXX``, else the first of c++, g++ and clang++.
     """
-    if os.environ.get("REWAX_NATIVE") == "0":
+    if is_off():
         return Loaded(None, "REWAX_NATIVE=0 is set")
     compiler = _compiler()
     if compiler is None:
@@ -85,6 +85,11 @@ def load(source: Path) -> Loaded:
         return Loaded(None, f"{compiler} failed ({said[0] if said else f'exit status {error.returncode}'})")
     except (OSError, subprocess.TimeoutExpired) as error:
         return Loaded(None, f"it could not be built or loaded ({error})")
+
+
+def is_off() -> bool:
+    """Whether the user wants no C++."""
+    return os.environ.get("REWAX_NATIVE") == "0"
 
 
 def _compiler() -> str | None:
