@@ -66,7 +66,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("SoftJumper", "paper"): SAPOConfig(num_iterations=6000),
     ("SoftJumper", "small"): _JUMPER,
     ("SoftJumperMPM", "paper"): SAPOConfig(num_iterations=6000),
-    ("SoftJumperMPM", "small"): _JUMPER,
+    ("SoftJumperMPM", "small"): dataclasses.replace(_JUMPER, num_iterations=100),
     ("SteerFloat", "small"): dataclasses.replace(SMALL, num_iterations=160),
     ("GripperLift", "small"): dataclasses.replace(SMALL, num_iterations=60, max_env_grad_norm=0.3),
     ("AntRun", "paper"): dataclasses.replace(_RUNNER, num_iterations=2000),
