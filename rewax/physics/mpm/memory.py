@@ -41,11 +41,12 @@ def predict_peak_bytes(
       store_every: as for ``mpm.step``.
       bytes_per_float: 4, or 8 in float64.
 
-    The constants are fitted to what XLA allocates on CPUs (jax 0.10; tests hold it to 15 %).
+    The constants are fitted to what XLA allocates on CPUs, with transfers in C++ or in JAX, whichever this process uses
+    (jax 0.10; tests hold it to 15 %).
 
     Example:
       >>> predict_peak_bytes(env.scene, num_particles=2592, num_substeps=40, num_envs=32, horizon=32) / 1e9
-      0.901
+      0.748
     """
     if store_every < 1 or num_substeps % store_every:
         raise ValueError(f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them")
