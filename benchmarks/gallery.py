@@ -31,8 +31,8 @@ from rewax.viz.surface import has_surfaces
 
 FRAMES = 5
 SIZE = (204, 272)
-THIN = ("HandFlip",)
-"""Tasks whose material is a few particles thick: spheres show it better than a surface."""
+THIN = ("HandFlip", "SoftJumperMPM")
+"""Tasks whose material is a few particles thick somewhere: spheres show it better than a surface."""
 
 
 @dataclasses.dataclass(frozen=True)
