@@ -74,8 +74,10 @@ def test_an_import_and_a_dependency_too_many_are_found(tmp_path):
 def test_what_is_not_python_is_not_ignored_by_git_and_so_goes_into_the_wheel():
     """Hatchling packs every file of the package that git would keep."""
     ignored = [line.rstrip("/").lstrip("*") for line in (ROOT / ".gitignore").read_text().splitlines() if line]
-    assets = [path for path in (ROOT / "rewax").rglob("*") if path.suffix in (".html", ".css", ".js", ".xml", ".toml")]
-    assert {"player.html", "player.css", "player.js", "ant.xml"} <= {path.name for path in assets}
+    assets = [
+        path for path in (ROOT / "rewax").rglob("*") if path.suffix in (".html", ".css", ".js", ".xml", ".toml", ".cc")
+    ]
+    assert {"player.html", "player.css", "player.js", "ant.xml", "transfer.cc"} <= {path.name for path in assets}
     assert not [path for path in assets if path.suffix in ignored or set(path.relative_to(ROOT).parts) & set(ignored)]
 
 

@@ -231,7 +231,7 @@ def copy_of_particles(layout: Layout, batch: tuple[int, ...]) -> Array:
       ValueError: places among the nodes of all copies do not fit into int32.
     """
     copies = math.prod(batch[:-1])
-    _check_size(layout, copies)
+    check_size(layout, copies)
     return jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1)
 
 
@@ -249,7 +249,7 @@ def lowest_rows(layout: Layout, places: Arrays, lowest: Sequence[Array], copy: A
     return rows + copy * layout.num_nodes
 
 
-def _check_size(layout: Layout, copies: int) -> None:
+def check_size(layout: Layout, copies: int) -> None:
     """Raises ValueError if places among the numbers of all nodes do not fit into int32."""
     largest = copies * max(_MAX_FIELDS * layout.num_nodes, layout.grid.num_columns)
     if largest > np.iinfo(np.int32).max:

@@ -5,6 +5,7 @@ where XLA stores the 27 values of every particle. ``transfer.cc`` has the loops;
 ``transfer_cpu`` up to rounding. Environments are shared out among the threads of the device.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -67,6 +68,7 @@ def _available(*arrays: Arrays) -> bool:
 def _call(target: str, layout: Layout, operands: Arrays, lengths: Sequence[int], num_fields: int) -> Arrays:
     """One pass over arrays (..., particles) and (..., nodes); all results have the operands' leading axes."""
     grid, first = layout.grid, operands[0]
+    transfer_cpu.check_size(layout, math.prod(first.shape[:-1]))
     sizes = (*grid.shape, layout.num_nodes, layout.num_active is not None, num_fields)
     shapes = [jax.ShapeDtypeStruct((*first.shape[:-1], length), first.dtype) for length in lengths]
     run = jax.ffi.ffi_call(target, shapes)
