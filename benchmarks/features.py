@@ -97,7 +97,7 @@ def colliders(args: Args) -> None:
     grid = Grid(shape=(48, 32, 48), spacing=spacing)
     for name, changes in (
         ("20 colliders, all", {}),
-        ("20 colliders, as a union", {"contact": Overlap.NEAREST}),
+        ("20 colliders, as a union", {"overlap": Overlap.NEAREST}),
         ("20 colliders, the 4 nearest", {"max_near_colliders": 4}),
     ):
         scene = mpm.make_scene(
