@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,7 +72,7 @@ def load(source: Path) -> Loaded:
     flags = [*_FLAGS, *filter(None, [_NATIVE.get(platform.machine())])]
     try:
         version = _output([compiler, "--version"])
-        parts = (source.read_text(), version, *flags, jax.lib.__version__, platform.machine(), _processor())
+        parts = (source.read_text(), version, *flags, metadata.version("jaxlib"), platform.machine(), _processor())
         name = f"{source.stem}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:16]}.so"
         path = _folder() / name
         if not path.is_file():
