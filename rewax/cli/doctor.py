@@ -85,13 +85,17 @@ def _device_problems() -> Iterator[tuple[str, str]]:
 
 
 def native_problems() -> Iterator[tuple[str, str]]:
-    """Whether particles' transfers are those in C++."""
+    """Whether particles' transfers are those in C++, where a CPU is what JAX computes on."""
+    import jax
+
     from rewax.physics.mpm import transfer_native
     from rewax.physics.numerics import native
 
     library, reason = native.load(transfer_native.SOURCE)
     if library is not None or native.is_off():
         print(f"particles' transfers on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
+        return
+    if jax.default_backend() != "cpu":
         return
     yield (
         f"particles' transfers are not those in C++ ({reason}): on a CPU particles take about twice as long",

@@ -34,6 +34,7 @@ class Loaded(NamedTuple):
     """Where the library is, or a sentence about what is missing."""
 
 
+@functools.cache
 def register(source: Path, symbols: tuple[str, ...]) -> bool:
     """Make functions of a C++ file known to XLA as targets of ``jax.ffi.ffi_call`` on a CPU.
 
@@ -44,11 +45,6 @@ def register(source: Path, symbols: tuple[str, ...]) -> bool:
     Returns:
       Whether they can be called.
     """
-    return _register(source, symbols)
-
-
-@functools.cache
-def _register(source: Path, symbols: tuple[str, ...]) -> bool:
     library = load(source).library
     if library is None:
         return False
@@ -66,24 +62,24 @@ def load(source: Path) -> Loaded:
     """
     if is_off():
         return Loaded(None, "REWAX_NATIVE=0 is set")
-    compiler = _compiler()
-    if compiler is None:
+    chosen = compiler()
+    if chosen is None:
         return Loaded(None, "there is no C++ compiler")
     flags = [*_FLAGS, *filter(None, [_NATIVE.get(platform.machine())])]
     try:
-        version = _output([compiler, "--version"])
+        version = _output([chosen, "--version"])
         parts = (source.read_text(), version, *flags, metadata.version("jaxlib"), platform.machine(), _processor())
         name = f"{source.stem}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:16]}.so"
         path = _folder() / name
         if not path.is_file():
             with tempfile.TemporaryDirectory(dir=path.parent) as folder:  # others may build it at the same time
                 unfinished = Path(folder) / name
-                _output([compiler, *flags, "-I", jax.ffi.include_dir(), str(source), "-o", str(unfinished)])
+                _output([chosen, *flags, "-I", jax.ffi.include_dir(), str(source), "-o", str(unfinished)])
                 unfinished.replace(path)
         return Loaded(ctypes.CDLL(str(path)), str(path))
     except subprocess.CalledProcessError as error:
         said = (error.stderr or "").strip().splitlines()
-        return Loaded(None, f"{compiler} failed ({said[0] if said else f'exit status {error.returncode}'})")
+        return Loaded(None, f"{chosen} failed ({said[0] if said else f'exit status {error.returncode}'})")
     except (OSError, subprocess.TimeoutExpired) as error:
         return Loaded(None, f"it could not be built or loaded ({error})")
 
@@ -93,7 +89,8 @@ def is_off() -> bool:
     return os.environ.get("REWAX_NATIVE") == "0"
 
 
-def _compiler() -> str | None:
+def compiler() -> str | None:
+    """Path of the C++ compiler that is used, None without one."""
     if os.environ.get("CXX"):
         return shutil.which(os.environ["CXX"])
     if sys.platform == "win32":

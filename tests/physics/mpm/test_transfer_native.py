@@ -8,9 +8,17 @@ from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, i
 
 from rewax.physics.mpm import transfer_cpu, transfer_native
 from rewax.physics.mpm.grid import Grid
+from rewax.physics.numerics import native
 
 PASSES = ("spread", "gather_values", "spread_tangent_transpose", "gather_tangent_transpose")
-pytestmark = pytest.mark.skipif(not transfer_native.is_used(), reason="there is no C++ compiler, or REWAX_NATIVE=0")
+pytestmark = pytest.mark.skipif(
+    native.compiler() is None or native.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0"
+)
+
+
+def test_a_compiler_that_is_there_builds_them():
+    """Else all other tests would compare transfer_cpu with itself."""
+    assert transfer_native.is_used(), native.load(transfer_native.SOURCE).reason
 
 
 @pytest.mark.parametrize("listed", [False, True])

@@ -8,7 +8,7 @@ from rewax.physics.mpm import transfer_native
 from rewax.physics.numerics import native
 
 EMPTY = 'extern "C" int one() { return 1; }\n'
-needs_compiler = pytest.mark.skipif(native._compiler() is None, reason="there is no C++ compiler")
+needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="there is no C++ compiler")
 
 
 @pytest.fixture
@@ -16,10 +16,10 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("REWAX_NATIVE", raising=False)
     native.load.cache_clear()
-    native._register.cache_clear()
+    native.register.cache_clear()
     yield tmp_path
     native.load.cache_clear()
-    native._register.cache_clear()
+    native.register.cache_clear()
 
 
 def written(folder, text=EMPTY):
