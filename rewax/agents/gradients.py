@@ -9,6 +9,7 @@ import optax
 
 from rewax.agents.base import Metrics
 from rewax.agents.environments import Environments
+from rewax.agents.optimizers import Packing
 from rewax.envs.wrappers import AutoReset
 from rewax.status import all_finite
 from rewax.types import Array, Key, PyTree
@@ -51,10 +52,12 @@ def mean_gradient(losses: Array, grads: PyTree, *, max_norm: float | None = None
     Returns:
       The gradient, and the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``.
     """
+    packing = Packing(jax.eval_shape(lambda: jax.tree.map(lambda g: g[0], grads)))
+    grads = jax.vmap(packing.pack)(grads)
     if max_norm is not None:
         grads = clip_per_env(grads, max_norm)
     grad, kept = mean_of_finite(losses, grads)
-    return grad, {
+    return packing.unpack(grad), {
         "actor_loss": jnp.sum(jnp.where(kept, losses, 0.0)) / jnp.maximum(kept.sum(), 1),
         "actor_grad_norm": optax.tree.norm(grad),
         "dropped_gradients": jnp.sum(~kept),

@@ -1,9 +1,16 @@
 """Optimizers that the algorithms share."""
 
+import itertools
+import math
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import optax
 
-from rewax.types import PyTree
+from rewax import struct
+from rewax.physics.numerics.materialize import materialize
+from rewax.types import Array, PyTree
 
 
 def clipped_adamw(
@@ -31,9 +38,76 @@ def linear_fall(start: float, end: float, num_iterations: int, *, updates_per_it
     return lambda count: schedule(jnp.asarray(count) // updates_per_iteration)
 
 
+@struct.dataclass
+class Packed:
+    """Parameters, or what is built like them, as one vector, shape (number of parameters,)."""
+
+    vector: Array
+
+
+class Packing:
+    """Parameters as one vector: an optimizer's arithmetic is then a few kernels, not a few for each layer.
+
+    One array alone, and arrays of several types, stay as they are.
+    """
+
+    def __init__(self, params: PyTree) -> None:
+        leaves, self._treedef = jax.tree.flatten(params)
+        self._shapes = [jnp.shape(leaf) for leaf in leaves]
+        self._pays = len(leaves) > 1 and _have_one_type(leaves)
+
+    def pack(self, tree: PyTree) -> PyTree:
+        """The tree with ``Packed`` in place of each of its subtrees that is built like the parameters."""
+        return jax.tree.map(lambda part: self._packed(part) if self._fits(part) else part, tree, is_leaf=self._fits)
+
+    def unpack(self, tree: PyTree) -> PyTree:
+        """A packed tree as it was."""
+        parts, treedef = jax.tree.flatten(tree, is_leaf=_is_packed)
+        where = [i for i, part in enumerate(parts) if _is_packed(part)]
+        for i, packed in zip(where, _stored([parts[i] for i in where]), strict=True):
+            parts[i] = self._parts(packed)
+        return jax.tree.unflatten(treedef, parts)
+
+    def _fits(self, part: Any) -> bool:
+        if not self._pays or jax.tree.structure(part) != self._treedef:
+            return False
+        leaves = jax.tree.leaves(part)
+        return [jnp.shape(leaf) for leaf in leaves] == self._shapes and _have_one_type(leaves)
+
+    def _packed(self, part: PyTree) -> Packed:
+        return Packed(vector=jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(part)]))
+
+    def _parts(self, packed: Packed) -> PyTree:
+        ends = itertools.accumulate(math.prod(shape) for shape in self._shapes)
+        parts = jnp.split(packed.vector, list(ends)[:-1])
+        leaves = [part.reshape(shape) for part, shape in zip(parts, self._shapes, strict=True)]
+        return jax.tree.unflatten(self._treedef, leaves)
+
+
+def _have_one_type(leaves: list[Any]) -> bool:
+    return len({jnp.result_type(leaf) for leaf in leaves}) == 1
+
+
+def _stored(packed: list[Packed]) -> list[Packed]:
+    """Else each part of a vector would compute its own share of it, in a kernel of its own."""
+    return materialize(packed) if packed else []
+
+
+def _is_packed(part: Any) -> bool:
+    return isinstance(part, Packed)
+
+
 def apply(
-    optimizer: optax.GradientTransformation, grad: PyTree, opt_state: PyTree, params: PyTree
+    optimizer: optax.GradientTransformation,
+    grad: PyTree,
+    opt_state: PyTree,
+    params: PyTree,
+    *,
+    scale: Array | float = 1.0,
 ) -> tuple[PyTree, PyTree]:
-    """Parameters and optimizer state after one update."""
+    """Parameters and optimizer state after one update, ``scale`` times as long as the optimizer says."""
+    packing = Packing(params)
+    grad, opt_state, params = packing.pack((grad, opt_state, params))
     updates, opt_state = optimizer.update(grad, opt_state, params)
-    return optax.apply_updates(params, updates), opt_state
+    params = optax.apply_updates(params, optax.tree.scale(scale, updates))
+    return packing.unpack((params, opt_state))

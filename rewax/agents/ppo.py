@@ -22,6 +22,7 @@ from rewax.agents.episodes import episode_metrics
 from rewax.agents.gradients import finite_or_zero
 from rewax.agents.minibatches import shuffled
 from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
+from rewax.agents.optimizers import apply
 from rewax.agents.returns import td_lambda
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.run_state import PolicyState, advanced, fields, first_observation, run_keys, start_policy
@@ -187,10 +188,8 @@ def _epochs(networks: ActorCritic, state: PPOState, batch: dict[str, Any], key: 
     def update(carry: tuple[PyTree, PyTree, Array], part: dict[str, Any]):
         params, opt, learning_rate = carry
         grad, said = jax.grad(lambda p: ppo_loss(networks, p, part), has_aux=True)(params)
-        norm = optax.tree.norm(grad)
-        updates, opt = networks.optimizer(1.0).update(finite_or_zero(grad), opt, params)
-        params = optax.apply_updates(params, optax.tree.scale(learning_rate, updates))
-        return (params, opt, learning_rate), {**said, "actor_grad_norm": norm}
+        updated = apply(networks.optimizer(1.0), finite_or_zero(grad), opt, params, scale=learning_rate)
+        return (*updated, learning_rate), {**said, "actor_grad_norm": optax.tree.norm(grad)}
 
     def epoch(carry: tuple[PyTree, PyTree, Array], key: Key):
         (params, opt, learning_rate), said = jax.lax.scan(update, carry, shuffled(key, batch, config.minibatches))

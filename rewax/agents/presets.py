@@ -106,6 +106,8 @@ _SIZES = (
 _FAST_CRITICS = {"Ant": {"critic_learning_rate": 2e-3, "target_decay": 0.2}}
 _FAST_CRITICS["Hopper"] = _FAST_CRITICS["Ant"]
 """Tasks in which SHAC's critics learn faster than its defaults, as in the paper."""
+_LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
+"""Tasks in which a fast change of a sequence of actions leads nowhere: whole episodes of them are chaotic."""
 
 
 def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
@@ -178,7 +180,7 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
     """Hyper-parameters of TrajOpt; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
-    fast = scale == "small" or env_name == "HandReorient"
+    fast = env_name == "HandReorient" or (scale == "small" and env_name not in _LOCOMOTION)
     return TrajOptConfig(
         num_envs=base.num_envs,
         num_iterations=_whole_episodes(env_name, scale, base),

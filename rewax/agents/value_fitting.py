@@ -11,7 +11,7 @@ import optax
 from rewax.agents.base import Metrics
 from rewax.agents.devices import divided, mean_over_devices
 from rewax.agents.gradients import finite_or_zero
-from rewax.agents.optimizers import apply
+from rewax.agents.optimizers import Packing, apply
 from rewax.envs.base import ArraySpec
 from rewax.types import Array, Observation, PyTree
 
@@ -88,18 +88,21 @@ def _fit(
     def loss(params: PyTree, obs: Observation, target: Array, weight: Array) -> Array:
         return jnp.mean(weight[:, None] * (values(params, obs) - target[:, None]) ** 2)
 
+    packing = Packing(params)
+
     def update(carry: tuple[PyTree, PyTree], batch: tuple[Observation, Array, Array]):
-        params, opt_state = carry
+        params = packing.unpack(carry[0])
         value, grad = mean_over_devices(
-            mean_over_chunks(lambda *chunk: jax.value_and_grad(loss)(params, *chunk), batch)
+            mean_over_chunks(lambda *chunk: packing.pack(jax.value_and_grad(loss)(params, *chunk)), batch)
         )
         grad = finite_or_zero(grad)
-        return apply(optimizer, grad, opt_state, params), (value, optax.tree.norm(grad))
+        return apply(optimizer, grad, carry[1], carry[0]), (value, optax.tree.norm(grad))
 
     def one_pass(carry: tuple[PyTree, PyTree], _: None):
         return jax.lax.scan(update, carry, batches)
 
-    (params, opt_state), (losses, norms) = jax.lax.scan(one_pass, (params, opt_state), None, length=passes)
+    end, (losses, norms) = jax.lax.scan(one_pass, packing.pack((params, opt_state)), None, length=passes)
+    params, opt_state = packing.unpack(end)
     return params, opt_state, {"critic_loss": losses[-1].mean(), "critic_grad_norm": norms.mean()}
 
 

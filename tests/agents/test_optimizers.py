@@ -3,8 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
+import pytest
 
-from rewax.agents.optimizers import apply, clipped_adamw, linear_fall
+from rewax.agents.optimizers import Packing, apply, clipped_adamw, linear_fall
 
 ADAM = {"b1": 0.7, "b2": 0.95, "weight_decay": 0.01, "max_grad_norm": 0.5}
 
@@ -44,3 +46,41 @@ def test_weights_decay_even_without_a_gradient():
     params = jnp.array([2.0])
     new, _ = apply(optimizer, jnp.zeros(1), optimizer.init(params), params)
     np.testing.assert_allclose(new, 2.0 * (1 - 0.1 * 0.01), rtol=1e-6)
+
+
+PARAMS = {
+    "layers": [{"w": jnp.arange(6.0).reshape(2, 3), "b": jnp.array([7.0, -1.0])}, {"w": jnp.ones((1, 2, 2))}],
+    "scale": jnp.float32(3.0),
+}
+
+
+def test_packed_parameters_come_back_as_they_were():
+    packing = Packing(PARAMS)
+    trap = jnp.arange(13.0)  # as long as the parameters, but not made of them
+    tree = (PARAMS, {"mu": jax.tree.map(lambda a: 2 * a, PARAMS), "trap": trap, "count": jnp.int32(4)})
+    packed = packing.pack(tree)
+    assert [leaf.shape for leaf in jax.tree.leaves(packed)] == [(13,), (), (13,), (13,)]
+    back = packing.unpack(packed)
+    assert jax.tree.structure(back) == jax.tree.structure(tree)
+    jax.tree.map(np.testing.assert_array_equal, back, tree)
+
+
+def test_what_gains_nothing_is_not_packed():
+    assert Packing(jnp.ones(3)).pack(jnp.ones(3)).shape == (3,)
+    mixed = {"a": jnp.ones(2), "b": jnp.ones(2, jnp.bfloat16)}
+    assert jax.tree.structure(Packing(mixed).pack(mixed)) == jax.tree.structure(mixed)
+
+
+@pytest.mark.parametrize(
+    "optimizer", [clipped_adamw(0.1, **ADAM), optax.adam(optax.constant_schedule(0.1)), optax.sgd(0.1)]
+)
+def test_an_update_is_that_of_the_parameters_apart(optimizer):
+    grad = jax.tree.map(lambda a: jnp.cos(a) + a, PARAMS)
+    params, state = PARAMS, optimizer.init(PARAMS)
+    for _ in range(3):
+        updates, expected_state = optimizer.update(grad, state, params)
+        expected = optax.apply_updates(params, updates)
+        params, state = apply(optimizer, grad, state, params)
+        assert jax.tree.structure((params, state)) == jax.tree.structure((expected, expected_state))
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), params, expected)
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), state, expected_state)
