@@ -4,7 +4,7 @@
     python benchmarks/suite_page.py docs/suites/small docs/small_suite.md
 
 Draws nothing anew but what ``results.csv`` and ``curves.csv`` in that folder say. The page keeps its text; what stands
-between its two markers is replaced.
+between the two markers of the suite is replaced.
 """
 
 import dataclasses
@@ -18,7 +18,6 @@ from rewax.training.bench import rows
 from rewax.training.suite import Suite, read_suite
 from rewax.training.tables import markdown, write_results
 
-BEGIN, END = "<!-- results -->\n", "<!-- end of results -->\n"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +28,13 @@ class Args:
     page: tyro.conf.Positional[Path]
 
 
+def filled(text: str, suite: Suite, folder: Path, page: Path) -> str:
+    """The page's text with the results of a suite."""
+    begin, end = f"<!-- results of {suite.name} -->\n", f"<!-- end of {suite.name} -->\n"
+    head, rest = text.split(begin)
+    return f"{head}{begin}{results(suite, folder, page)}{end}{rest.split(end)[1]}"
+
+
 def results(suite: Suite, folder: Path, page: Path) -> str:
     """What stands between the markers."""
     pictures = [folder / f"{task}.png" for task in suite.tasks]
@@ -36,18 +42,12 @@ def results(suite: Suite, folder: Path, page: Path) -> str:
     return f"{markdown(suite, rows(suite, folder))}\n{chr(10).join(curves)}\n"
 
 
-def filled(text: str, middle: str) -> str:
-    """A page with other results."""
-    head, rest = text.split(BEGIN)
-    return f"{head}{BEGIN}{middle}{END}{rest.split(END)[1]}"
-
-
 def main(args: Args) -> int:
     suite = read_suite(args.folder.name)
     print("\n".join(write_results(suite, rows(suite, args.folder), args.folder)))
     for picture in args.folder.glob("*.png"):
         Image.open(picture).convert("RGB").quantize(32, dither=Image.Dither.NONE).save(picture, optimize=True)
-    args.page.write_text(filled(args.page.read_text(), results(suite, args.folder, args.page)))
+    args.page.write_text(filled(args.page.read_text(), suite, args.folder, args.page))
     return 0
 
 

@@ -254,10 +254,11 @@ def test_notebooks_run(name, shorter, tmp_path, monkeypatch):
         assert np.isfinite(names["rewards"]).all() and names["result"].failure == ""
 
 
-def test_the_page_of_a_suite_shows_its_results():
+@pytest.mark.parametrize(("suite", "page"), [("small", "small_suite"), ("ablations", "ablations")])
+def test_the_page_of_a_suite_shows_its_results(suite, page):
     """Fill it with ``benchmarks/suite_page.py`` after ``rewax bench``."""
     names = runpy.run_path(str(ROOT / "benchmarks" / "suite_page.py"))
-    folder, page = ROOT / "docs" / "suites" / "small", ROOT / "docs" / "small_suite.md"
-    shown = names["results"](read_suite("small"), folder, page)
-    assert names["filled"](page.read_text(), shown) == page.read_text() and "| RollingFlat |" in shown
-    assert (folder / "table.md").read_text() in shown
+    folder, page = ROOT / "docs" / "suites" / suite, ROOT / "docs" / f"{page}.md"
+    text = page.read_text()
+    assert names["filled"](text, read_suite(suite), folder, page) == text and "| RollingFlat |" in text
+    assert (folder / "table.md").read_text() in text

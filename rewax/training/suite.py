@@ -10,7 +10,7 @@ from typing import Any
 from rewax.agents.registry import algorithm
 from rewax.envs import registry
 
-BUILT_IN = ("smoke", "small", "paper", "ablations")
+BUILT_IN = ("smoke", "small", "paper", "ablations", "ablations_paper")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -60,7 +60,6 @@ def test_an_option_that_no_algorithm_has(tmp_path):
     path.write_text(TASK + "[options.ppo]\nnum_env = 4\n")
     with pytest.raises(ValueError, match="ppo has no option num_env: correct the suite mine"):
         read_suite(path).config("Hopper", "ppo")
-    with pytest.raises(
-        ValueError, match="there is no suite 'nowhere': use smoke, small, paper, ablations, or the path"
-    ):
+    known = "smoke, small, paper, ablations, ablations_paper"
+    with pytest.raises(ValueError, match=f"there is no suite 'nowhere': use {known}, or the path"):
         read_suite("nowhere")
