@@ -1,5 +1,6 @@
 """The documentation's code runs, from top to bottom of each page, and so do the notebooks."""
 
+import csv
 import json
 import re
 import runpy
@@ -9,10 +10,13 @@ import jax
 import numpy as np
 import pytest
 import toys
+from matplotlib.colors import to_rgb
+from PIL import Image
 
 import rewax
 from rewax.physics.mpm import transfer_native
 from rewax.training.suite import read_suite
+from rewax.viz.curves import CURVE_COLORS
 
 ROOT = Path(__file__).resolve().parent.parent
 ENVS = rewax.list_envs()
@@ -262,3 +266,10 @@ def test_the_page_of_a_suite_shows_its_results(suite, page):
     text = page.read_text()
     assert names["filled"](text, read_suite(suite), folder, page) == text and "| RollingFlat |" in text
     assert (folder / "table.md").read_text() in text
+    table = list(csv.DictReader((folder / "curves.csv").read_text().splitlines()))
+    for picture in folder.glob("*.png"):  # its curves must be told apart, however small the file was made
+        shades = np.unique(np.asarray(Image.open(picture).convert("RGB"), float).reshape(-1, 3), axis=0)
+        drawn = {row["algorithm"] for row in table if row["task"] == picture.stem}
+        for name, color in zip(read_suite(suite).algorithms, CURVE_COLORS, strict=False):
+            distance = np.abs(shades - 255 * np.asarray(to_rgb(color))).max(axis=1).min()
+            assert name not in drawn or distance < 16, (picture.name, name)

@@ -245,11 +245,13 @@ def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], curves: Mapping[R
 
     said = []
     for task in suite.tasks:
-        drawn: dict[str, list[Curve]] = {}
+        drawn: dict[str, list[Curve]] = {
+            name: [] for name in suite.algorithms
+        }  # a color each, the same in all pictures
         for (name, algorithm, _), curve in curves.items():
             if name == task and curve.steps.size:
-                drawn.setdefault(algorithm, []).append(curve)
+                drawn[algorithm].append(curve)
         levels = {row["algorithm"]: row["sampled"] for row in rows if row["task"] == task and "env_steps" not in row}
-        if drawn:
+        if any(drawn.values()):
             said.append(f"wrote {curves_with_intervals(drawn, out_dir / f'{task}.png', title=task, levels=levels)}")
     return said

@@ -11,7 +11,7 @@ from matplotlib.ticker import EngFormatter
 from rewax.statistics import Curve, bootstrap_interval
 from rewax.viz.plots import STYLE
 
-_COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
+CURVE_COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
 _POINTS = 80
 
 
@@ -36,7 +36,7 @@ def curves_with_intervals(
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 4.0), layout="constrained")
         axes = figure.subplots()
-        for (name, seeds), color in zip(runs.items(), _COLORS * 4, strict=False):
+        for (name, seeds), color in zip(runs.items(), CURVE_COLORS * 4, strict=False):
             curves = [curve for curve in seeds if curve.steps.size]
             if not curves:
                 continue
