@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 
 from rewax import struct
 from rewax.physics.numerics.materialize import materialize
@@ -64,8 +65,9 @@ class Packing:
         """A packed tree as it was."""
         parts, treedef = jax.tree.flatten(tree, is_leaf=_is_packed)
         where = [i for i, part in enumerate(parts) if _is_packed(part)]
-        for i, packed in zip(where, _stored([parts[i] for i in where]), strict=True):
-            parts[i] = self._parts(packed)
+        if where:  # stored: else each part of a vector would compute its own share of it, in a kernel of its own
+            for i, packed in zip(where, materialize([parts[i] for i in where]), strict=True):
+                parts[i] = self._parts(packed)
         return jax.tree.unflatten(treedef, parts)
 
     def _fits(self, part: Any) -> bool:
@@ -75,7 +77,7 @@ class Packing:
         return [jnp.shape(leaf) for leaf in leaves] == self._shapes and _have_one_type(leaves)
 
     def _packed(self, part: PyTree) -> Packed:
-        return Packed(vector=jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(part)]))
+        return Packed(vector=ravel_pytree(part)[0])
 
     def _parts(self, packed: Packed) -> PyTree:
         ends = itertools.accumulate(math.prod(shape) for shape in self._shapes)
@@ -86,11 +88,6 @@ class Packing:
 
 def _have_one_type(leaves: list[Any]) -> bool:
     return len({jnp.result_type(leaf) for leaf in leaves}) == 1
-
-
-def _stored(packed: list[Packed]) -> list[Packed]:
-    """Else each part of a vector would compute its own share of it, in a kernel of its own."""
-    return materialize(packed) if packed else []
 
 
 def _is_packed(part: Any) -> bool:

@@ -245,9 +245,8 @@ def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], curves: Mapping[R
 
     said = []
     for task in suite.tasks:
-        drawn: dict[str, list[Curve]] = {
-            name: [] for name in suite.algorithms
-        }  # a color each, the same in all pictures
+        # All algorithms, in the suite's order: each has its color in all pictures.
+        drawn: dict[str, list[Curve]] = {name: [] for name in suite.algorithms}
         for (name, algorithm, _), curve in curves.items():
             if name == task and curve.steps.size:
                 drawn[algorithm].append(curve)

@@ -68,7 +68,8 @@ def test_packed_parameters_come_back_as_they_were():
 def test_what_gains_nothing_is_not_packed():
     assert Packing(jnp.ones(3)).pack(jnp.ones(3)).shape == (3,)
     mixed = {"a": jnp.ones(2), "b": jnp.ones(2, jnp.bfloat16)}
-    assert jax.tree.structure(Packing(mixed).pack(mixed)) == jax.tree.structure(mixed)
+    for part in (mixed, {"a": jnp.ones(2), "b": jnp.ones(2)}):  # a moment of one type beside parameters of two
+        assert jax.tree.structure(Packing(mixed).pack(part)) == jax.tree.structure(part)
 
 
 @pytest.mark.parametrize(
@@ -84,3 +85,9 @@ def test_an_update_is_that_of_the_parameters_apart(optimizer):
         assert jax.tree.structure((params, state)) == jax.tree.structure((expected, expected_state))
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), params, expected)
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), state, expected_state)
+
+
+def test_an_update_can_be_longer_or_shorter():
+    optimizer = optax.sgd(0.1)
+    new, _ = apply(optimizer, PARAMS, optimizer.init(PARAMS), PARAMS, scale=0.5)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, 0.95 * b, rtol=1e-6), new, PARAMS)
