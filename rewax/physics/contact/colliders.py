@@ -16,6 +16,7 @@ from rewax.physics.contact.motion import Placed, at_nodes, chord_motion, placed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.materialize import compute_once, materialize, stored
+from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.shapes.primitives import Shape, has_edges, signed_distance_components
@@ -198,8 +199,11 @@ _LONG_RUN = 4
 """So many colliders of one kind are worth a loop."""
 
 
+@pointwise
 @jax.jit
-def _velocity_after(collider: Collider, placed: Placed, position: Vec3, velocity: Vec3) -> Vec3:
+def _velocity_after(moving: tuple[Collider, Placed], nodes: tuple[Vec3, Vec3]) -> Vec3:
+    collider, placed = moving
+    position, velocity = nodes
     return contact_velocity(touch(collider, position, placed), velocity)
 
 
@@ -208,7 +212,7 @@ _recomputed_velocity_after = recomputed(_velocity_after)
 
 def _in_turn(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velocity: Vec3) -> Vec3:
     for collider, place_of_it in colliders:
-        velocity = _velocity_after(collider, place_of_it, position, velocity)
+        velocity = _velocity_after((collider, place_of_it), (position, velocity))
     return velocity
 
 
@@ -220,7 +224,7 @@ def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velo
             velocity = _in_turn(run, position, velocity)
             continue
         velocity, _ = jax.lax.scan(
-            lambda v, c: (_recomputed_velocity_after(*c, position, v), None), velocity, stacked(run)
+            lambda v, c: (_recomputed_velocity_after(c, (position, v)), None), velocity, stacked(run)
         )
     return velocity
 

@@ -8,6 +8,7 @@ maps principal stretches s to principal Kirchhoff stresses tau, a return map map
 Kirchhoff stress tau = J sigma. Stretches of an inverted particle (det F < 0) carry a minus sign on the smallest one.
 """
 
+import enum
 import functools
 from typing import NamedTuple
 
@@ -132,6 +133,21 @@ def respond(
     return Response(F_new, tau, plastic_volume if material.remembers else None)
 
 
+def split_parameters(material: Material) -> tuple[Material, dict[str, Array]]:
+    """Parameters that all particles share, and those of which each has its own, (num_particles,), fibres (3, ...)."""
+    own = {}
+    for name, value in vars(material).items():
+        if isinstance(value, (type(None), enum.Enum)) or jnp.ndim(value) < (2 if name == "fibre" else 1):
+            continue
+        own[name] = jnp.asarray(value).T
+    return material.replace(**dict.fromkeys(own)), own
+
+
+def joined_parameters(material: Material, own: dict[str, Array]) -> Material:
+    """Inverse of ``split_parameters``, for some of the particles."""
+    return material.replace(**{name: value.T for name, value in own.items()})
+
+
 def kirchhoff_stress(material: Material, F: Array) -> Array:
     """Kirchhoff stress of the elastic law alone.
 
@@ -250,8 +266,10 @@ __all__ = [
     "Plasticity",
     "Response",
     "elastic_energy_density",
+    "joined_parameters",
     "kirchhoff_stress",
     "respond",
     "return_map",
     "sound_speed",
+    "split_parameters",
 ]

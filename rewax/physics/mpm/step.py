@@ -6,6 +6,7 @@ stored substeps and not with their grids.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ from rewax.physics.contact.colliders import Collider, apply_colliders, check_bod
 from rewax.physics.contact.motion import Placed
 from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Material, Response, respond
+from rewax.physics.mpm.materials import Material, Response, joined_parameters, respond, split_parameters
 from rewax.physics.mpm.scene import (
     STABLE_COURANT_NUMBER,
     MPMScene,
@@ -36,10 +37,11 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.linear_pass import Arrays, linear_pass
 from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
 from rewax.status import Status, all_finite, flag
-from rewax.types import Array
+from rewax.types import Array, Scalar
 
 MIN_NODE_MASS = 2e-11
 """Nodes with less than this share of a particle's mass [-] have velocity zero."""
@@ -199,16 +201,34 @@ def to_nodes(scene: MPMScene, nodes: ActiveNodes, particles: Particles) -> tuple
 
     Gradient: exact.
     """
-    x, v, C, _, _ = particles
-    grid, dt = scene.grid, scene.dt
+    x, grid = particles.x, scene.grid
     mass = particle_mass(scene, x[0])
-    impulse = -dt * _inertia(grid) * scene.particle_volume
+    volume = jnp.broadcast_to(scene.particle_volume, mass.shape).astype(mass.dtype)
+    factor = -scene.dt * _inertia(grid)
+
+    def one(material: Material, part: tuple[Particles, Array, Array]) -> tuple[Response, Mat3, Vec3]:
+        shared, own = split_parameters(material)
+        return stress_and_momentum((shared, factor), (own, *part))
+
     with jax.named_scope("law"):
-        response = materialize(_respond(scene, particles))
-        affine = cp.matrix(lambda i, j: impulse * response.stress[i][j] + mass * C[i][j])
+        response, affine, momentum = per_material(scene, one, (particles._replace(x=None), mass, volume))
     with jax.named_scope("particle_to_grid"):
-        momentum = cp.vector(lambda i: mass * v[i])
         return response, particle_to_grid(grid, x, mass, momentum, affine, active=_active(scene, nodes))
+
+
+@pointwise
+def stress_and_momentum(
+    shared: tuple[Material, Scalar], particles: tuple[dict[str, Array], Particles, Array, Array]
+) -> tuple[Response, Mat3, Vec3]:
+    (material, factor), (own, p, mass, volume) = shared, particles
+    material = joined_parameters(material, own)
+    response = respond(material, p.F, velocity_gradient=p.C, plastic_volume=p.plastic_volume)
+    if not material.remembers:  # beside snow, others keep the number that they do not use
+        response = response._replace(plastic_volume=p.plastic_volume)
+    response = materialize(response)
+    impulse = factor * volume
+    affine = cp.matrix(lambda i, j: impulse * response.stress[i][j] + mass * p.C[i][j])
+    return response, affine, cp.vector(lambda i: mass * p.v[i])
 
 
 def from_nodes(scene: MPMScene, nodes: ActiveNodes, x: Vec3, response: Response, velocity: Vec3) -> Particles:
@@ -216,16 +236,24 @@ def from_nodes(scene: MPMScene, nodes: ActiveNodes, x: Vec3, response: Response,
 
     Gradient: exact.
     """
-    grid, dt, F = scene.grid, scene.dt, response.F
+    grid = scene.grid
     with jax.named_scope("grid_to_particle"):
-        v, moment = materialize(grid_to_particle(grid, x, velocity, active=_active(scene, nodes)))
+        v, moment = grid_to_particle(grid, x, velocity, active=_active(scene, nodes))
     with jax.named_scope("update"):
-        C = cp.matrix(lambda i, j: _inertia(grid) * moment[i][j])
-        CF = cp.matmul(C, F)
-        F_trial = cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
-        lower, upper = grid.lower, grid.upper
-        x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
-    return Particles(x, v, C, F_trial, response.plastic_volume)
+        x, C, F = _moved((scene.dt, _inertia(grid), grid.lower, grid.upper), (x, v, moment, response.F))
+    return Particles(x, v, C, F, response.plastic_volume)
+
+
+@pointwise
+def _moved(
+    shared: tuple[Scalar, Scalar, Sequence[Scalar], Sequence[Scalar]], particles: tuple[Vec3, Vec3, Mat3, Mat3]
+) -> tuple[Vec3, Mat3, Mat3]:
+    (dt, inertia, lower, upper), (x, v, moment, F) = shared, particles
+    v, moment = materialize((v, moment))
+    C = cp.matrix(lambda i, j: inertia * moment[i][j])
+    CF = cp.matmul(C, F)
+    x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
+    return x, C, cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
 
 
 def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, placed: Placed) -> Vec3:
@@ -239,6 +267,13 @@ def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, place
     colliders = _colliders(scene, nodes, has_mass, placed)
     velocity = apply_colliders(colliders, nodes.position, velocity, overlap=scene.overlap)
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
+    return _where_mass((), (has_mass, velocity))
+
+
+@pointwise
+def _where_mass(shared: tuple[()], nodes: tuple[Array, Vec3]) -> Vec3:
+    del shared
+    has_mass, velocity = nodes
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
@@ -260,8 +295,14 @@ def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
     # Masses in a unit near that of a cell: in kg the square of 1 / mass, which the derivative has, overflows float32
     # for small cells. The unit is a power of two, so nothing is rounded.
     unit = 2.0 ** round(-3.0 * math.log2(scene.grid.spacing))
+    return has_mass, _free((unit, scene.dt, scene.gravity), (has_mass, fields))
+
+
+@pointwise
+def _free(shared: tuple[Scalar, Scalar, Array], nodes: tuple[Array, GridFields]) -> Vec3:
+    (unit, dt, gravity), (has_mass, fields) = shared, nodes
     inverse = jnp.where(has_mass, unit / jnp.where(has_mass, unit * fields.mass, 1.0), 0.0)
-    return has_mass, cp.vector(lambda i: fields.momentum[i] * inverse + scene.dt * scene.gravity[i])
+    return cp.vector(lambda i: fields.momentum[i] * inverse + dt * gravity[i])
 
 
 def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:

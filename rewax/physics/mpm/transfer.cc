@@ -1,22 +1,14 @@
 // The passes of transfer.py for CPUs: one particle at a time, all of its 27 nodes while they are in registers.
 //
-// transfer_native.py says what each pass computes, builds this file and calls it through XLA's foreign function interface.
+// transfer_native.py says what each pass computes, builds this file after threads.h and calls it through XLA's foreign function interface.
 // A node is a vector of four numbers: a vector field along x, y, z, and the mass (or nothing). Weights are computed for
 // a block of particles at once. Every environment's nodes are summed in an order that neither other environments nor
 // the number of threads change, so results are reproducible bit for bit.
 
 #include <algorithm>
-#include <atomic>
-#include <condition_variable>
 #include <cstdint>
 #include <cstring>
-#include <memory>
-#include <mutex>
 #include <vector>
-
-#include "xla/ffi/api/ffi.h"
-
-namespace ffi = xla::ffi;
 
 namespace {
 
@@ -55,38 +47,6 @@ struct Places {
   const T* x[3];
   const int32_t* offset;
 };
-
-// --- Threads -------------------------------------------------------------------------------------------------------
-
-// Runs task(0), ..., task(count - 1). The caller works, too, so that a pool whose threads are all busy cannot block it.
-template <typename Task>
-void ForEach(ffi::ThreadPool& pool, int64_t count, const Task& task) {
-  const int64_t helpers = std::min<int64_t>(pool.num_threads(), count) - 1;
-  if (helpers < 1) {
-    for (int64_t i = 0; i < count; ++i) task(i);
-    return;
-  }
-  struct Shared {
-    std::atomic<int64_t> next{0}, done{0};
-    std::mutex mutex;
-    std::condition_variable all;
-  };
-  auto shared = std::make_shared<Shared>();
-  // A helper that starts when nothing is left touches only `shared`: `task` may be gone by then.
-  auto work = [shared, count, &task] {
-    for (int64_t i; (i = shared->next.fetch_add(1)) < count;) {
-      task(i);
-      if (shared->done.fetch_add(1) + 1 == count) {
-        std::lock_guard<std::mutex> lock(shared->mutex);
-        shared->all.notify_one();
-      }
-    }
-  };
-  for (int64_t i = 0; i < helpers; ++i) pool.Schedule(decltype(work)(work));
-  work();
-  std::unique_lock<std::mutex> lock(shared->mutex);
-  shared->all.wait(lock, [&] { return shared->done.load() == count; });
-}
 
 // --- Weights -------------------------------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from rewax.physics.mpm.transfer_cpu import Layout
 from rewax.physics.numerics import native
 from rewax.physics.numerics.linear_pass import Arrays
 
-SOURCE = Path(__file__).with_name("transfer.cc")
+SOURCE = native.Source("transfer", native.THREADS.read_text() + Path(__file__).with_name("transfer.cc").read_text())
 _TARGETS = ("rewax_spread", "rewax_gather_values", "rewax_spread_tangent_transpose", "rewax_gather_tangent_transpose")
 _TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 

@@ -14,6 +14,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, static_number
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.pointwise import pointwise
 from rewax.types import Array, Scalar
 
 
@@ -103,12 +104,38 @@ def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], vel
 
     Gradient: exact with respect to velocities and friction.
     """
+    sides = [
+        (axis, inward, wall)
+        for axis in cp.AXES
+        for wall, inward in ((walls.lower[axis], 1.0), (walls.upper[axis], -1.0))
+        if wall is not None
+    ]
+    if not sides:
+        return velocity
+    behind = [_behind(grid, wall, axis, inward, index[axis]) for axis, inward, wall in sides]
+    # A wall without friction stays one: a whole number is part of the program.
+    simplified = Walls(lower=_simplified(walls.lower), upper=_simplified(walls.upper))
+    return _after_walls(simplified, (behind, velocity))
+
+
+@pointwise
+def _after_walls(walls: Walls, nodes: tuple[list[Array], Vec3]) -> Vec3:
+    behind, velocity = nodes
+    rest = iter(behind)
     for axis in cp.AXES:
         for wall, inward in ((walls.lower[axis], 1.0), (walls.upper[axis], -1.0)):
             if wall is not None:
-                behind = _behind(grid, wall, axis, inward, index[axis])
-                velocity = _apply_wall(wall, axis, inward, behind, velocity)
+                velocity = _apply_wall(wall, axis, inward, next(rest), velocity)
     return velocity
+
+
+def _simplified(side: tuple[Wall | None, Wall | None, Wall | None]) -> tuple[Wall | None, Wall | None, Wall | None]:
+    x, y, z = (Wall(position=w.position, kind=w.kind, friction=0) if w and _frictionless(w) else w for w in side)
+    return x, y, z
+
+
+def _frictionless(wall: Wall) -> bool:
+    return isinstance(wall.friction, (int, float)) and wall.friction == 0
 
 
 def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Any) -> Any:
@@ -128,8 +155,7 @@ def _apply_wall(wall: Wall, axis: int, inward: float, behind: Array, velocity: V
         return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]))
     if wall.kind is WallKind.SLIP:
         return cp.vector(lambda i: jnp.where(behind, 0.0, velocity[i]) if i == axis else velocity[i])
-    frictionless = isinstance(wall.friction, (int, float)) and wall.friction == 0
-    if frictionless:
+    if _frictionless(wall):
         return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]) if i == axis else velocity[i])
     zero = jnp.zeros_like(normal_velocity)
     tangential = cp.vector(lambda i: zero if i == axis else velocity[i])

@@ -97,7 +97,7 @@ def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residua
     return list(function(static, args[:num_residuals], args[num_residuals:]))
 
 
-def _run_elsewhere(*args: Array, function: Pass, **params: Any) -> list[Array]:
+def run_elsewhere(*args: Array, function: Pass, **params: Any) -> list[Array]:
     return _run(*args, function=function.other if isinstance(function, ByPlatform) else function, **params)
 
 
@@ -165,5 +165,5 @@ linear_pass_p.def_abstract_eval(_abstract_eval)
 ad.primitive_jvps[linear_pass_p] = _jvp
 ad.primitive_transposes[linear_pass_p] = _transpose
 batching.primitive_batchers[linear_pass_p] = _batch
-mlir.register_lowering(linear_pass_p, mlir.lower_fun(_run_elsewhere, multiple_results=True))
+mlir.register_lowering(linear_pass_p, mlir.lower_fun(run_elsewhere, multiple_results=True))
 mlir.register_lowering(linear_pass_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")

@@ -20,10 +20,21 @@ from typing import NamedTuple
 
 import jax
 
+THREADS = Path(__file__).with_name("threads.h")
+"""Text to begin a program with that shares its work out among threads."""
+
 _COMPILERS = ("c++", "g++", "clang++")
 _FLAGS = ("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-w")
 _NATIVE = {"x86_64": "-march=native", "AMD64": "-march=native"}
 _SECONDS = 300
+
+
+class Source(NamedTuple):
+    """A C++ program."""
+
+    stem: str
+    """Beginning of its library's name."""
+    text: str
 
 
 class Loaded(NamedTuple):
@@ -35,11 +46,11 @@ class Loaded(NamedTuple):
 
 
 @functools.cache
-def register(source: Path, symbols: tuple[str, ...]) -> bool:
-    """Make functions of a C++ file known to XLA as targets of ``jax.ffi.ffi_call`` on a CPU.
+def register(source: Source, symbols: tuple[str, ...]) -> bool:
+    """Make functions of a C++ program known to XLA as targets of ``jax.ffi.ffi_call`` on a CPU.
 
     Args:
-      source: the file; it uses the headers of ``jax.ffi``.
+      source: the program; it may include the headers of ``jax.ffi``.
       symbols: names of its handlers, which are the targets' names, too.
 
     Returns:
@@ -54,8 +65,8 @@ def register(source: Path, symbols: tuple[str, ...]) -> bool:
 
 
 @functools.cache
-def load(source: Path) -> Loaded:
-    """The library of a C++ file, built if this machine has not built it before.
+def load(source: Source) -> Loaded:
+    """The library of a C++ program, built if this machine has not built it before.
 
     Libraries are kept in ``$XDG_CACHE_HOME/rewax/native`` (``~/.cache/rewax/native``), one for each version of the
     source, the compiler, jaxlib and the processor. The compiler is ``$CXX``, else the first of c++, g++ and clang++.
@@ -68,13 +79,14 @@ def load(source: Path) -> Loaded:
     flags = [*_FLAGS, *filter(None, [_NATIVE.get(platform.machine())])]
     try:
         version = _output([chosen, "--version"])
-        parts = (source.read_text(), version, *flags, metadata.version("jaxlib"), platform.machine(), _processor())
+        parts = (source.text, version, *flags, metadata.version("jaxlib"), platform.machine(), _processor())
         name = f"{source.stem}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:16]}.so"
         path = _folder() / name
         if not path.is_file():
             with tempfile.TemporaryDirectory(dir=path.parent) as folder:  # others may build it at the same time
-                unfinished = Path(folder) / name
-                _output([chosen, *flags, "-I", jax.ffi.include_dir(), str(source), "-o", str(unfinished)])
+                unfinished, text = Path(folder) / name, Path(folder) / f"{source.stem}.cc"
+                text.write_text(source.text)
+                _output([chosen, *flags, "-I", jax.ffi.include_dir(), str(text), "-o", str(unfinished)])
                 unfinished.replace(path)
         return Loaded(ctypes.CDLL(str(path)), str(path))
     except subprocess.CalledProcessError as error:

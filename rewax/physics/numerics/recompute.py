@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from rewax.physics.numerics.linear_pass import Arrays, linear_pass, no_transpose
+from rewax.physics.numerics.linear_pass import Arrays, Pass, linear_pass, no_transpose
 from rewax.types import Array
 
 T = TypeVar("T")
@@ -32,13 +32,8 @@ def recomputed(function: Callable[..., T], surrogate: Callable[..., T] | None = 
 
     @functools.wraps(function)
     def call(*args: Any) -> T:
-        leaves, treedef = jax.tree.flatten(args)
-        # Python numbers stay what they are: as arrays they would take part in the promotion of types.
-        # With their types: 1, 1.0 and True are equal, but make different programs.
-        constants = tuple((type(leaf), leaf) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves)
-        arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
-        program = _Program(function, surrogate, treedef, constants, (), ())
-        return jax.tree.unflatten(program.out_tree(arrays), _call(program, *arrays))
+        arrays, treedef, constants = split_arguments(args)
+        return run_program(Program(RECOMPUTED, function, surrogate, treedef, constants), arrays)
 
     return call
 
@@ -75,20 +70,31 @@ def both_ends(boundaries: T) -> tuple[T, T]:
     return jax.tree.map(lambda b: b[:-1], boundaries), jax.tree.map(lambda b: b[1:], boundaries)
 
 
-class _Program(NamedTuple):
+class Passes(NamedTuple):
+    """How a ``Program`` and its derivatives are evaluated."""
+
+    value: Pass
+    tangent: Pass
+    cotangent: Pass
+
+
+class Program(NamedTuple):
     """A function of flat arrays, under any number of ``vmap``."""
 
+    passes: Passes
     function: Callable[..., Any]
     surrogate: Callable[..., Any] | None
     treedef: Any
     constants: tuple[Any, ...]
     """For each leaf of the arguments: type and value if it is a Python number, None if it is an array."""
-    perturbed: tuple[bool, ...]
+    varies: tuple[bool, ...] = ()
+    """Of a pointwise function: which of the arrays have an axis of elements, the last one."""
+    perturbed: tuple[bool, ...] = ()
     """Which of the arrays have a derivative."""
-    batches: tuple[tuple[bool, ...], ...]
+    batches: tuple[tuple[bool, ...], ...] = ()
     """For each vmap, innermost first: which of the arrays have its axis."""
 
-    def batched(self, which: tuple[bool, ...]) -> "_Program":
+    def batched(self, which: tuple[bool, ...]) -> "Program":
         return self._replace(batches=(*self.batches, which))
 
     def arguments(self, arrays: Arrays) -> Any:
@@ -124,34 +130,50 @@ class _Program(NamedTuple):
         return function, tuple(a for a, p in zip(arrays, self.perturbed, strict=True) if p)
 
 
+def run_program(program: Program, arrays: list[Array]) -> Any:
+    """What the program's function returns. Gradient: by the program's passes."""
+    return jax.tree.unflatten(program.out_tree(arrays), _call(program, *arrays))
+
+
+def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
+    """Arrays of a pytree, and what a ``Program`` says of the rest: its structure and its Python numbers."""
+    leaves, treedef = jax.tree.flatten(args)
+    # Python numbers stay what they are: as arrays they would take part in the promotion of types.
+    # With their types: 1, 1.0 and True are equal, but make different programs.
+    constants = tuple((type(leaf), leaf) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves)
+    arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
+    return arrays, treedef, constants
+
+
 @functools.lru_cache(maxsize=1024)
-def _out_tree(program: _Program, shapes: tuple) -> Any:
+def _out_tree(program: Program, shapes: tuple) -> Any:
     arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
     return jax.tree.structure(jax.eval_shape(program.apply, arrays))
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _call(program: _Program, *arrays: Array) -> Arrays:
-    return linear_pass(_value, no_transpose, program, arrays, ())
+def _call(program: Program, *arrays: Array) -> Arrays:
+    return linear_pass(program.passes.value, no_transpose, program, arrays, ())
 
 
-def _call_jvp(program: _Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
+def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     perturbed = tuple(not isinstance(t, SymbolicZero) and t.dtype != jax.dtypes.float0 for t in tangents)
     program = program._replace(perturbed=perturbed)
     linear = [t for t, p in zip(tangents, perturbed, strict=True) if p]
     out = _call(program._replace(perturbed=()), *arrays)
     known = () if program.surrogate is None else tuple(out)
-    return out, linear_pass(_tangent, _cotangent, program, (*arrays, *known), linear, like=out)
+    forward, reverse = program.passes.tangent, program.passes.cotangent
+    return out, linear_pass(forward, reverse, program, (*arrays, *known), linear, like=out)
 
 
 _call.defjvp(_call_jvp, symbolic_zeros=True)
 
 
-def _value(program: _Program, arrays: Arrays, nothing: Arrays) -> Arrays:
+def _value(program: Program, arrays: Arrays, nothing: Arrays) -> Arrays:
     return program.under_vmap(lambda arrays, _: tuple(jax.tree.leaves(program.apply(arrays))))(arrays, nothing)
 
 
-def _tangent(program: _Program, arrays: Arrays, tangents: Arrays) -> Arrays:
+def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
     def tangent(arrays: Arrays, tangents: Arrays) -> Arrays:
         function, values = program.of_perturbed(arrays)
         return jax.jvp(function, values, tangents)[1]
@@ -159,9 +181,12 @@ def _tangent(program: _Program, arrays: Arrays, tangents: Arrays) -> Arrays:
     return program.under_vmap(tangent)(arrays, tangents)
 
 
-def _cotangent(program: _Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
+def _cotangent(program: Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
     def cotangent(arrays: Arrays, cotangents: Arrays) -> Arrays:
         function, values = program.of_perturbed(arrays)
         return jax.vjp(function, *values)[1](cotangents)
 
     return program.under_vmap(cotangent)(arrays, cotangents)
+
+
+RECOMPUTED = Passes(_value, _tangent, _cotangent)

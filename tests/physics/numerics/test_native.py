@@ -22,15 +22,13 @@ def folder(tmp_path, monkeypatch):
     native.register.cache_clear()
 
 
-def written(folder, text=EMPTY):
-    source = folder / "one.cc"
-    source.write_text(text)
-    return source
+def written(text=EMPTY):
+    return native.Source("one", text)
 
 
 @needs_compiler
 def test_is_built_once_for_each_version_of_the_source(folder):
-    source = written(folder)
+    source = written()
     first = native.load(source)
     assert first.library.one() == 1
     (built,) = (folder / "cache" / "rewax" / "native").glob("*")
@@ -39,29 +37,29 @@ def test_is_built_once_for_each_version_of_the_source(folder):
     native.load.cache_clear()
     assert native.load(source).reason == first.reason and built.stat().st_mtime_ns == when
     native.load.cache_clear()
-    assert native.load(written(folder, EMPTY.replace("1", "2"))).library.one() == 2
+    assert native.load(written(EMPTY.replace("1", "2"))).library.one() == 2
 
 
 @needs_compiler
 def test_a_cache_that_cannot_be_written_does_not_matter(folder, monkeypatch):
     (folder / "cache").write_text("a file")
-    assert native.load(written(folder)).library.one() == 1
+    assert native.load(written()).library.one() == 1
 
 
 @needs_compiler
 def test_code_that_does_not_compile_gives_the_compilers_sentence(folder):
-    found = native.load(written(folder, "not C++"))
+    found = native.load(written("not C++"))
     assert found.library is None and "failed (" in found.reason and "error" in found.reason
-    assert not native.register(folder / "one.cc", ("one",))
+    assert not native.register(written("not C++"), ("one",))
 
 
 def test_without_a_compiler(folder, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     monkeypatch.delenv("CXX", raising=False)
-    assert native.load(written(folder)) == (None, "there is no C++ compiler")
+    assert native.load(written()) == (None, "there is no C++ compiler")
     assert not transfer_native.is_used()
 
 
 def test_can_be_turned_off(folder, monkeypatch):
     monkeypatch.setenv("REWAX_NATIVE", "0")
-    assert native.load(written(folder)) == (None, "REWAX_NATIVE=0 is set")
+    assert native.load(written()) == (None, "REWAX_NATIVE=0 is set")

@@ -1,0 +1,198 @@
+// What generated kernels (codegen.py) are made of: vectors of numbers, and functions of them. Few headers: they would be
+// most of the time that a kernel takes to compile.
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+namespace {
+
+#if defined(__AVX512F__)
+constexpr int kBytes = 64;
+#elif defined(__AVX__)
+constexpr int kBytes = 32;
+#else
+constexpr int kBytes = 16;
+#endif
+
+constexpr int kLanes = kBytes / static_cast<int>(sizeof(T));
+constexpr T kInfinity = static_cast<T>(__builtin_inf()), kNaN = static_cast<T>(__builtin_nan(""));
+
+typedef T V __attribute__((vector_size(kBytes)));      // several elements
+typedef T U __attribute__((vector_size(sizeof(T))));   // one number for all of them
+typedef decltype(V{} < V{}) VI;                        // integers and truth values (0, -1) of the same width
+typedef decltype(U{} < U{}) UI;
+
+template <typename X>
+constexpr int kSize = static_cast<int>(sizeof(X) / sizeof(T));
+
+#define REWAX_LANES(X, expression)                \
+  X r;                                            \
+  for (int l = 0; l < kSize<X>; ++l) r[l] = (expression); \
+  return r
+
+inline V Wide(U a) { return a[0] - V{}; }
+inline VI Wide(UI a) { return a[0] + VI{}; }
+
+template <typename X>
+X Full(T a) {
+  return a - X{};
+}
+
+// NaN if either is.
+template <typename X>
+X Max(X a, X b) {
+  return ((a > b) | (a != a)) ? a : b;
+}
+template <typename X>
+X Min(X a, X b) {
+  return ((a < b) | (a != a)) ? a : b;
+}
+template <typename X>
+X Abs(X a) {
+  REWAX_LANES(X, std::fabs(a[l]));
+}
+template <typename X>
+X Sqrt(X a) {
+  REWAX_LANES(X, std::sqrt(a[l]));
+}
+template <typename X>
+X Floor(X a) {
+  REWAX_LANES(X, std::floor(a[l]));
+}
+template <typename X>
+X Ceil(X a) {
+  REWAX_LANES(X, std::ceil(a[l]));
+}
+template <typename X>
+X Sign(X a) {
+  return a > 0 ? X{} + 1 : a < 0 ? X{} - 1 : a;
+}
+template <typename X>
+X Sin(X a) {
+  REWAX_LANES(X, std::sin(a[l]));
+}
+template <typename X>
+X Cos(X a) {
+  REWAX_LANES(X, std::cos(a[l]));
+}
+template <typename X>
+X Tanh(X a) {
+  REWAX_LANES(X, std::tanh(a[l]));
+}
+template <typename X>
+X Cbrt(X a) {
+  REWAX_LANES(X, std::cbrt(a[l]));
+}
+template <typename X>
+X Pow(X a, X b) {
+  REWAX_LANES(X, std::pow(a[l], b[l]));
+}
+template <typename X>
+X Atan2(X a, X b) {
+  REWAX_LANES(X, std::atan2(a[l], b[l]));
+}
+template <typename X>
+auto IsFinite(X a) {
+  return Abs(a) < Full<X>(kInfinity);
+}
+
+// Exponential and logarithm of all lanes at once, with the reductions and polynomials of Moshier's Cephes library; in
+// double precision, where only tests compute, those of the C library.
+template <typename X>
+X Exp(X a) {
+  if constexpr (sizeof(T) == 8) {
+    REWAX_LANES(X, std::exp(a[l]));
+  } else {
+    typedef decltype(X{} < X{}) I;
+    const X x = Min(Max(a, Full<X>(-104.0f)), Full<X>(89.0f));
+    const X n = Floor(x * 1.44269504088896341f + 0.5f);
+    const X r = (x - n * 0.693359375f) + n * 2.12194440e-4f;
+    X p = Full<X>(1.9875691500e-4f);
+    p = p * r + 1.3981999507e-3f;
+    p = p * r + 8.3334519073e-3f;
+    p = p * r + 4.1665795894e-2f;
+    p = p * r + 1.6666665459e-1f;
+    p = p * r + 5.0000001201e-1f;
+    p = p * (r * r) + r + 1.0f;
+    // 2^n in two factors: n = 128 and n < -126 have no exponent of their own.
+    const I whole = __builtin_convertvector(n == n ? n : X{}, I), half = whole >> 1;
+    const I first = (half + 127) << 23, second = (whole - half + 127) << 23;
+    return p * (X)first * (X)second;
+  }
+}
+template <typename X>
+X Log(X a) {
+  if constexpr (sizeof(T) == 8) {
+    REWAX_LANES(X, std::log(a[l]));
+  } else {
+    typedef decltype(X{} < X{}) I;
+    const auto small = a < 1.17549435e-38f;
+    const X x = small ? a * 8388608.0f : a;
+    const I bits = (I)x;
+    I e = ((bits >> 23) & 255) - 126;
+    X m = (X)((bits & 0x007fffff) | 0x3f000000);  // in [1/2, 1)
+    const auto low = m < 0.707106781186547524f;
+    e = e + low;
+    m = (low ? m + m : m) - 1.0f;
+    const X n = __builtin_convertvector(e, X) - (small ? Full<X>(23.0f) : X{});
+    const X z = m * m;
+    X p = Full<X>(7.0376836292e-2f);
+    p = p * m - 1.1514610310e-1f;
+    p = p * m + 1.1676998740e-1f;
+    p = p * m - 1.2420140846e-1f;
+    p = p * m + 1.4249322787e-1f;
+    p = p * m - 1.6668057665e-1f;
+    p = p * m + 2.0000714765e-1f;
+    p = p * m - 2.4999993993e-1f;
+    p = p * m + 3.3333331174e-1f;
+    p = p * m * z - n * 2.12194440e-4f - 0.5f * z;
+    const X y = m + p + n * 0.693359375f;
+    const X special = a == 0.0f ? Full<X>(-kInfinity) : a < 0.0f ? Full<X>(kNaN) : a;
+    return (a > 0.0f) & (a < kInfinity) ? y : special;
+  }
+}
+template <typename X>
+X Log1p(X a) {
+  REWAX_LANES(X, std::log1p(a[l]));
+}
+template <typename X>
+X Expm1(X a) {
+  REWAX_LANES(X, std::expm1(a[l]));
+}
+
+inline V Load(const T* from, int count) {
+  V r;
+  if (count == kLanes) {
+    std::memcpy(&r, from, sizeof(V));
+  } else {
+    for (int l = 0; l < kLanes; ++l) r[l] = from[l < count ? l : count - 1];
+  }
+  return r;
+}
+template <typename S>
+VI LoadWhole(const S* from, int count) {
+  VI r;
+  for (int l = 0; l < kLanes; ++l) r[l] = static_cast<decltype(+r[0])>(from[l < count ? l : count - 1]);
+  return r;
+}
+inline VI LoadTruth(const bool* from, int count) { return -LoadWhole(from, count); }
+inline void Store(T* to, V a, int count) { std::memcpy(to, &a, static_cast<size_t>(count) * sizeof(T)); }
+inline void StoreTruth(bool* to, VI a, int count) {
+  for (int l = 0; l < count; ++l) to[l] = a[l] != 0;
+}
+
+// The sum over a chunk's elements: what is beyond the last one does not count.
+inline V Part(V a, int count) {
+  if (count < kLanes) {
+    for (int l = count; l < kLanes; ++l) a[l] = 0;
+  }
+  return a;
+}
+inline T Total(V a) {
+  T sum = 0;
+  for (int l = 0; l < kLanes; ++l) sum += a[l];
+  return sum;
+}
+
+}  // namespace

@@ -1,0 +1,223 @@
+"""Arithmetic on each particle or node alone: on a CPU one loop for all of it, and one for each of its derivatives."""
+
+import ctypes
+import functools
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.numerics import native
+from rewax.physics.numerics.codegen import KERNEL, kernel_source
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
+from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program, run_program, split_arguments
+from rewax.physics.numerics.straight_line import UnsupportedError
+from rewax.types import Array
+
+S = TypeVar("S")
+P = TypeVar("P")
+T = TypeVar("T")
+
+_CHUNK = 1024
+"""Elements that a thread computes at a time, and that share a sum."""
+
+_CALLER = native.Source("pointwise", native.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text())
+
+
+def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
+    """``function`` of many elements, computed element by element.
+
+    On a CPU with a C++ compiler value, forward and reverse derivative are one loop each, written by ``codegen``, built
+    at the first use and kept; the derivatives keep nothing but the arguments. Without a compiler it is the function
+    itself, and on a GPU XLA's kernels of it.
+
+    Args:
+      function: ``(shared, elements) -> results``, pure, defined once (it is traced once for arguments of one form).
+        ``elements`` and the results are pytrees of arrays (..., num_elements), the results of floating-point;
+        ``shared`` is a pytree of small arrays and numbers that all elements use. It consists of arithmetic,
+        comparisons and selections, and what it does with one element it does with all: none knows another.
+
+    Gradient: exact, forward and reverse, once, with respect to both arguments.
+    """
+
+    @functools.wraps(function)
+    def call(shared: S, elements: P) -> T:
+        if native.is_off() or native.compiler() is None:
+            return function(shared, elements)
+        dtype = jnp.result_type(*(a for a in jax.tree.leaves(elements) if jnp.issubdtype(a.dtype, jnp.floating)))
+        # As arrays: a number inside the kernel would make another kernel of every number.
+        shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
+        first, *_ = split_arguments(shared)
+        arrays, treedef, constants = split_arguments((shared, elements))
+        varies = tuple(k >= len(first) for k in range(len(arrays)))
+        return run_program(Program(POINTWISE, _spread(function), None, treedef, constants, varies), arrays)
+
+    return call
+
+
+def _adapts(number: Any) -> bool:
+    """It takes the precision of what it meets."""
+    if not isinstance(number, jax.Array):
+        return isinstance(number, float)
+    return bool(number.weak_type) and jnp.issubdtype(number.dtype, jnp.floating)
+
+
+class _Target(NamedTuple):
+    """A kernel that XLA can call."""
+
+    number: int
+    outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
+    """Shape and type of each result for one element, and whether it is summed over all elements."""
+
+
+@functools.cache
+def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The same function, whose results all have the elements' shape."""
+
+    def spread(shared: Any, elements: Any) -> Any:
+        count = jax.tree.leaves(elements)[0].shape[-1]
+        return jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], count)), function(shared, elements))
+
+    return spread
+
+
+def _value(program: Program, arrays: Arrays, nothing: Arrays) -> Arrays:
+    return _run("value", program, arrays, nothing)
+
+
+def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
+    return _run("tangent", program, arrays, tangents)
+
+
+def _cotangent(program: Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
+    return _run("cotangent", program, arrays, cotangents)
+
+
+POINTWISE = Passes(
+    ByPlatform(_value, RECOMPUTED.value),
+    ByPlatform(_tangent, RECOMPUTED.tangent),
+    ByPlatform(_cotangent, RECOMPUTED.cotangent),
+)
+
+
+def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
+    """One pass: through a kernel if there is one."""
+    perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
+    of_linear = {"value": [], "tangent": perturbed, "cotangent": [True] * len(linear)}[which]
+    varies = (*program.varies, *of_linear)
+    present = [tuple(batch[k] for batch in reversed(program.batches)) for k in range(len(arrays))]
+    present += [(True,) * len(program.batches)] * len(linear)
+    operands = [
+        _Operand(array, sum(here), varying, here)
+        for array, varying, here in zip((*arrays, *linear), varies, present, strict=True)
+    ]
+    target = _target(which, program._replace(batches=()), tuple(o.of_one_element for o in operands), varies)
+    if target is None:
+        return _with_jax(which, program, arrays, linear)
+    count = next(o.array.shape[-1] for o in operands if o.varies)
+    batch = _batch_shape(operands)
+    chunks = -(-count // _CHUNK)
+    sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
+    own = [(s, dtype) for s, dtype, summed in target.outputs if not summed]
+    shapes = [jax.ShapeDtypeStruct((*batch, *s[:-1], count), dtype) for s, dtype in own]
+    if sums:
+        shapes.append(jax.ShapeDtypeStruct((*batch, chunks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
+    sizes = np.asarray([math.prod(batch), count, chunks, _CHUNK, *(o.step for o in operands)], np.int64)
+    call = jax.ffi.ffi_call("rewax_pointwise", shapes)
+    found = call(*(o.laid_out(batch) for o in operands), number=np.int64(target.number), sizes=sizes)
+    mine = iter(found)
+    total = iter(_split(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
+    return tuple(next(total) if summed else next(mine) for _, _, summed in target.outputs)
+
+
+def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
+    """The same without a kernel."""
+    return getattr(RECOMPUTED, which)(program, arrays, linear)
+
+
+class _Operand(NamedTuple):
+    """An array on its way into a kernel: axes of ``vmap``, its own, and that of the elements if it varies."""
+
+    array: Array
+    depth: int
+    """How many axes of ``vmap`` it has."""
+    varies: bool
+    present: tuple[bool, ...]
+    """Which axes of ``vmap`` it has, outermost first."""
+
+    @property
+    def of_one_element(self) -> tuple[tuple[int, ...], Any, bool]:
+        shape = self.array.shape[self.depth :]
+        return (*shape[:-1], 1) if self.varies else shape, self.array.dtype, bool(jax.typeof(self.array).weak_type)
+
+    @property
+    def step(self) -> int:
+        """How far apart copies are; 0: there is one for all."""
+        return math.prod(self.array.shape[self.depth :]) if self.varies or self.depth else 0
+
+    def laid_out(self, batch: tuple[int, ...]) -> Array:
+        """With all axes of ``vmap``, or none."""
+        if all(self.present) or not self.step:
+            return self.array
+        sizes = iter(self.array.shape)
+        own = tuple(next(sizes) if here else 1 for here in self.present)
+        rest = self.array.shape[self.depth :]
+        return jnp.broadcast_to(self.array.reshape(*own, *rest), (*batch, *rest))
+
+
+def _batch_shape(operands: Sequence[_Operand]) -> tuple[int, ...]:
+    """Sizes of all axes of ``vmap``."""
+    sizes = {}
+    for operand in operands:
+        axes = [axis for axis, here in enumerate(operand.present) if here]
+        sizes |= zip(axes, operand.array.shape, strict=False)
+    return tuple(sizes[axis] for axis in sorted(sizes))
+
+
+def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Arrays of the given shapes that lie one after the other along the last axis."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = jnp.split(numbers, ends[:-1], axis=-1)
+    return [part.reshape(*part.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]) -> tuple[str, tuple]:
+    """C++ of one pass, and shape, type and sum of its results as in ``_Target``.
+
+    Raises:
+      UnsupportedError: it cannot be written so.
+    """
+    count = len(program.varies)
+    passes = {
+        "value": lambda *a: tuple(jax.tree.leaves(program.apply(a))),
+        "tangent": lambda *a: RECOMPUTED.tangent(program, a[:count], a[count:]),
+        "cotangent": lambda *a: RECOMPUTED.cotangent(program, a[:count], a[count:]),
+    }
+    structs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in avals]
+    traced = jax.make_jaxpr(passes[which])(*structs)
+    summed = [False] * len(traced.out_avals)
+    if which == "cotangent":
+        summed = [not v for v, p in zip(program.varies, program.perturbed, strict=True) if p]
+    outputs = tuple((a.shape, a.dtype, s) for a, s in zip(traced.out_avals, summed, strict=True))
+    return kernel_source(traced, varies, summed), outputs
+
+
+@functools.lru_cache(maxsize=1024)
+def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]) -> _Target | None:
+    """The kernel of one pass, built and known to XLA; None if there is none."""
+    try:
+        text, outputs = source(which, program, avals, varies)
+    except UnsupportedError:
+        return None
+    caller, kernel = native.load(_CALLER).library, native.load(native.Source("kernel", text)).library
+    if caller is None or kernel is None or not native.register(_CALLER, ("rewax_pointwise",)):
+        return None
+    # The same in every process, for compiled programs are kept.
+    number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:7])
+    caller.rewax_add_kernel(ctypes.c_int64(number), getattr(kernel, KERNEL))
+    return _Target(number, outputs)

@@ -1,0 +1,79 @@
+"""C++ of operations: the numbers of JAX, at ordinary arguments and at the others."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.physics.numerics import native
+from rewax.physics.numerics import pointwise as module
+from rewax.physics.numerics.codegen import _TEXT, kernel_source
+from rewax.physics.numerics.pointwise import pointwise
+from rewax.physics.numerics.straight_line import ARITHMETIC, UnsupportedError
+
+
+def test_every_operation_can_be_written():
+    assert set(_TEXT) >= ARITHMETIC
+
+
+def test_whole_numbers_are_not_returned():
+    with pytest.raises(UnsupportedError, match="returns whole numbers"):
+        kernel_source(jax.make_jaxpr(lambda a: a.astype(int))(jnp.ones(1)), [True], [False])
+
+
+@pytest.mark.skipif(native.compiler() is None or native.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0")
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_operations(x64, monkeypatch, dtype):
+    """Each of them, at ordinary numbers and at the others."""
+    monkeypatch.delattr(module, "_with_jax")
+    info = np.finfo(dtype)
+    special = [
+        0.0,
+        -0.0,
+        np.inf,
+        -np.inf,
+        np.nan,
+        info.tiny,
+        info.tiny / 8,
+        info.max,
+        -info.max,
+        88.9,
+        -88.9,
+        -103.0,
+        1.0,
+    ]
+    x = np.concatenate([special, np.random.default_rng(0).normal(size=300) * 3, np.logspace(-30, 30, 100)]).astype(
+        dtype
+    )
+    y = np.roll(x, 7)
+    unary = {
+        "abs": jnp.abs, "sign": jnp.sign, "neg": jnp.negative, "sqrt": jnp.sqrt, "rsqrt": jax.lax.rsqrt, "exp": jnp.exp,
+        "log": jnp.log, "log1p": jnp.log1p, "expm1": jnp.expm1, "cbrt": jnp.cbrt, "tanh": jnp.tanh, "floor": jnp.floor,
+        "ceil": jnp.ceil, "is_finite": jnp.isfinite, "logistic": jax.nn.sigmoid, "cube": lambda a: a**3,
+        "inverse": lambda a: a**-2, "clip": lambda a: jnp.clip(a, -1.0, 1.0), "whole": lambda a: jnp.clip(a, -9, 9).astype(int),
+    }  # fmt: skip
+    binary = {
+        "max": jnp.maximum, "min": jnp.minimum, "div": jnp.divide, "lt": jnp.less, "le": jnp.less_equal,
+        "eq": jnp.equal, "ne": jnp.not_equal, "gt": jnp.greater, "ge": jnp.greater_equal,
+        "xor": lambda a, b: (a > 0) ^ (b > 0), "or": lambda a, b: (a > 0) | (b > 1), "atan2": jnp.arctan2,
+    }  # fmt: skip
+
+    def all_of_them(shared, elements):
+        a, b = elements
+        found = {name: f(a) for name, f in unary.items()} | {name: f(a, b) for name, f in binary.items()}
+        return {name: value.astype(a.dtype) for name, value in found.items()}
+
+    args = ((), (jnp.asarray(x), jnp.asarray(y)))
+    found, expected = pointwise(all_of_them)(*args), jax.jit(all_of_them)(*args)
+    for name, want in expected.items():
+        got, want = np.asarray(found[name]), np.asarray(want)
+        if name in ("log", "sqrt", "rsqrt", "cbrt", "sign", "log1p"):  # XLA takes the smallest numbers for zero
+            kept = (np.abs(x) >= info.tiny) | (x == 0)
+            got, want = got[kept], want[kept]
+        tiny = np.abs(want) < 4 * info.tiny  # and makes them zero
+        np.testing.assert_allclose(
+            np.where(tiny, 0, got),
+            np.where(tiny, 0, want),
+            rtol=(100 if name in ("cbrt", "log1p") else 8) * info.eps,
+            err_msg=name,
+        )

@@ -1,0 +1,209 @@
+"""Arithmetic element by element: the numbers and derivatives of JAX, from one loop of C++."""
+
+import jax
+import jax.numpy as jnp
+import material_cases as cases
+import numpy as np
+import pytest
+
+from rewax.physics.mpm.step import Particles, stress_and_momentum
+from rewax.physics.numerics import native
+from rewax.physics.numerics import pointwise as module
+from rewax.physics.numerics.pointwise import pointwise
+from rewax.physics.numerics.straight_line import UnsupportedError, straight_line
+
+needs_compiler = pytest.mark.skipif(
+    native.compiler() is None or native.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0"
+)
+
+
+@pytest.fixture
+def kernels_only(monkeypatch):
+    """What has no kernel fails, instead of being computed with JAX."""
+
+    def refuse(which, *args):
+        raise AssertionError(f"there is no kernel for the {which}")
+
+    monkeypatch.setattr(module, "_with_jax", refuse)
+
+
+def bend(shared, elements):
+    """Uses everything that laws and contact use: small arrays, truth values, whole numbers, selections, products."""
+    scale, matrix, exponent = shared["scale"], shared["matrix"], shared["exponent"]
+    a, b, side, rows = elements
+    turned = matrix @ jnp.stack([a, b])
+    length = jnp.sqrt(turned[0] ** 2 + turned[1] ** exponent + 1.0)
+    picked = jnp.where(side > 1, jnp.log(length), jnp.exp(-length)) * scale
+    inside = (a > 0.9) & ~(b < 1.0)
+    return {"x": jnp.where(inside, picked, a / b), "rows": rows[::-1] * jnp.maximum(a, b) + jnp.sum(rows, axis=0)}
+
+
+FAST = pointwise(bend)
+
+
+def arguments(num: int, *batch: int, dtype=np.float64):
+    draw = np.random.default_rng(num)
+    a, b = (jnp.asarray(draw.uniform(0.5, 1.5, (*batch, num)), dtype) for _ in range(2))
+    rows = jnp.asarray(draw.normal(size=(*batch, 3, num)), dtype)
+    side = jnp.asarray(draw.integers(0, 4, (*batch, num)))
+    shared = {"scale": jnp.asarray(0.7, dtype), "matrix": jnp.asarray(draw.normal(size=(2, 2)), dtype), "exponent": 2}
+    return shared, (a, b, side, rows)
+
+
+def of_real(function, shared, elements):
+    """The function of those arguments that can have a derivative, and these."""
+    a, b, side, rows = elements
+    exponent = shared["exponent"]
+
+    def real(scale, matrix, a, b, rows):
+        return function({"scale": scale, "matrix": matrix, "exponent": exponent}, (a, b, side, rows))
+
+    return real, (shared["scale"], shared["matrix"], a, b, rows)
+
+
+def everything(function, shared, elements, tangents, cotangents):
+    real, args = of_real(function, shared, elements)
+    value, tangent = jax.jvp(real, args, tangents)
+    return value, tangent, jax.vjp(real, *args)[1](cotangents)
+
+
+@needs_compiler
+@pytest.mark.parametrize("num", [1, 13, 2 * 1024 + 37])
+def test_value_forward_and_reverse_are_those_of_jax(x64, kernels_only, random_like, relative_error, num):
+    """Fewer elements than a vector has, and more than a thread computes at a time."""
+    shared, elements = arguments(num)
+    real, args = of_real(bend, shared, elements)
+    tangents, cotangents = random_like(0, args), random_like(1, jax.eval_shape(real, *args))
+    found, expected = (everything(f, shared, elements, tangents, cotangents) for f in (FAST, bend))
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    assert relative_error(found, expected) < 1e-13
+
+
+@needs_compiler
+def test_reverse_forward_and_finite_differences(x64, kernels_only, random_like):
+    shared, elements = arguments(5)
+    real, args = of_real(FAST, shared, elements)
+    tangents, cotangents = random_like(2, args), random_like(3, jax.eval_shape(real, *args))
+
+    def dot(a, b):
+        return sum(jnp.vdot(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+    forward = dot(cotangents, jax.jvp(real, args, tangents)[1])
+    reverse = dot(jax.vjp(real, *args)[1](cotangents), tangents)
+    h = 1e-6
+    ends = [jax.tree.map(lambda a, t, s=s: a + s * h * t, args, tangents) for s in (1, -1)]
+    difference = (dot(cotangents, real(*ends[0])) - dot(cotangents, real(*ends[1]))) / (2 * h)
+    np.testing.assert_allclose([reverse, difference], forward, rtol=1e-8)
+
+
+@needs_compiler
+def test_under_vmap(x64, kernels_only, random_like, relative_error):
+    """Two axes; elements have both, one or none of them, and so has what is shared."""
+    shared, (a, b, side, rows) = arguments(11)
+    shared["matrix"] = jnp.stack([shared["matrix"], -shared["matrix"]])
+    shared["scale"] = jnp.stack([shared["scale"], 2 * shared["scale"], 3 * shared["scale"]])
+    b = jnp.stack([b, b + 0.1, b + 0.2])
+    rows = jnp.stack([jnp.stack([rows, -rows])] * 3)
+
+    def batched(function):
+        def gradient(scale, matrix, a, b, rows):
+            def value(scale, matrix, a, b, rows):
+                out = function({"scale": scale, "matrix": matrix, "exponent": 2}, (a, b, side, rows))
+                return sum(jnp.sum(jnp.sin(leaf)) for leaf in jax.tree.leaves(out))
+
+            return jax.value_and_grad(value, argnums=(0, 1, 2, 3, 4))(scale, matrix, a, b, rows)
+
+        inner = jax.vmap(gradient, in_axes=(None, 0, None, None, 0))
+        return jax.jit(jax.vmap(inner, in_axes=(0, None, None, 0, 0)))
+
+    args = (shared["scale"], shared["matrix"], a, b, rows)
+    assert relative_error(batched(FAST)(*args), batched(bend)(*args)) < 1e-13
+
+
+@needs_compiler
+def test_environments_are_their_own(x64, kernels_only):
+    """One alone has the bits that it has beside others, of which one is not finite."""
+    shared, elements = arguments(1024 + 5, 3, dtype=np.float32)
+    elements = jax.tree.map(lambda a: a.at[1].set(jnp.nan) if a.dtype == np.float32 else a, elements)
+
+    def gradient(matrix, elements):
+        def total(matrix, a):
+            out = FAST({**shared, "matrix": matrix}, (a, *elements[1:]))
+            return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(out))
+
+        return jax.value_and_grad(total, argnums=(0, 1))(matrix, elements[0])
+
+    together = jax.vmap(gradient, in_axes=(None, 0))(shared["matrix"], elements)
+    for i in (0, 2):
+        alone = gradient(shared["matrix"], jax.tree.map(lambda a, i=i: a[i], elements))
+        for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+            assert np.isfinite(b).all()
+            np.testing.assert_array_equal(a[i], b)
+
+
+@needs_compiler
+def test_a_number_does_not_make_another_kernel(kernels_only):
+    @pointwise
+    def scaled(shared, elements):
+        return elements * shared
+
+    before = module._target.cache_info().misses
+    found = [scaled(factor, jnp.arange(3.0))[2] for factor in (2.0, 3.0, jnp.asarray(4.0))]
+    np.testing.assert_array_equal(found, [4.0, 6.0, 8.0])
+    assert module._target.cache_info().misses - before == 1
+
+
+@pytest.mark.parametrize(
+    ("operation", "named"),
+    [(jnp.sort, "sort"), (lambda a: jax.lax.while_loop(lambda c: c[0] < 5, lambda c: c + 1, a), "while"),
+     (lambda a: jax.lax.cond(a[0] > 0, jnp.sin, jnp.cos, a), "cond"), (jax.scipy.special.gammaln, "lgamma")],
+)  # fmt: skip
+def test_what_has_no_kernel_is_computed_with_jax(operation, named):
+    with pytest.raises(UnsupportedError, match=named):
+        straight_line(jax.make_jaxpr(operation)(jnp.ones(1)), [True])
+
+    def function(shared, elements):
+        return operation(elements) * shared
+
+    a = jnp.asarray([1.5])
+    np.testing.assert_array_equal(pointwise(function)(2.0, a), function(2.0, a))
+    expected = jax.grad(lambda a: function(2.0, a)[0])(a) if named not in ("while",) else None
+    if expected is not None:
+        np.testing.assert_allclose(jax.grad(lambda a: pointwise(function)(2.0, a)[0])(a), expected, rtol=1e-6)
+
+
+def test_without_a_compiler_it_is_the_function(monkeypatch):
+    monkeypatch.setenv("REWAX_NATIVE", "0")
+    shared, elements = arguments(4, dtype=np.float32)
+    plain, same = (str(jax.make_jaxpr(f)(shared, elements)) for f in (bend, FAST))
+    assert plain == same and "linear_pass" not in same
+
+
+@pytest.mark.parametrize(("elasticity", "plasticity"), cases.LAWS)
+def test_every_law_has_a_kernel(monkeypatch, elasticity, plasticity):
+    """Its C++ can be written, for the value and for the reverse derivative by particles and parameters."""
+    written = []
+
+    def write(which, program, avals, varies):
+        text, outputs = module.source(which, program, avals, varies)
+        written.append(which)
+        assert text.count("{") == text.count("}") and outputs
+        return
+
+    monkeypatch.setattr(module, "_target", write)
+    monkeypatch.setattr(native, "compiler", lambda: "c++")
+    monkeypatch.setattr(native, "is_off", lambda: False)
+    material = cases.material(elasticity, plasticity, dtype=np.float32)
+    if elasticity not in cases.SOLIDS:
+        material = material.replace(viscosity=jnp.float32(1.0))
+    num = 4
+    ones, matrix = jnp.ones(num), lambda: tuple(tuple(jnp.full(num, float(i == j)) for j in range(3)) for i in range(3))
+    memory = ones if material.remembers else None
+    particles = Particles(None, (ones,) * 3, matrix(), matrix(), memory)
+
+    def total(material, particles):
+        out = stress_and_momentum((material, 1e-3), ({}, particles, ones, ones))
+        return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(out))
+
+    jax.jit(jax.grad(total, argnums=(0, 1))).lower(material, particles)
+    assert set(written) == {"value", "cotangent"} or set(written) == {"cotangent"}
