@@ -23,9 +23,8 @@ from rewax.physics.contact.colliders import (
 from rewax.physics.contact.motion import Motion, placed, velocity_at
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.mpm.active_nodes import ActiveNodes
-from rewax.physics.mpm.materials import Response
 from rewax.physics.mpm.scene import MPMScene
-from rewax.physics.mpm.step import Particles, free_velocity, from_nodes, to_nodes
+from rewax.physics.mpm.step import Deformed, free_velocity, from_nodes, to_nodes
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
@@ -39,10 +38,7 @@ class NodeContact(NamedTuple):
 
     scene: MPMScene
     nodes: ActiveNodes
-    x: Vec3
-    """Positions of the particles [m]."""
-    response: Response
-    """What their material answers."""
+    particles: Deformed
     has_mass: Array
     mass: Array
     """Of each node [kg], 0 where nothing is, shape (num_nodes,)."""
@@ -96,10 +92,10 @@ class NodeContact(NamedTuple):
             received = received.and_from(position, lost(velocity, after, share * self.mass), c.body, origins)
         return self._replace(velocity=after), received
 
-    def finish(self) -> Particles:
+    def finish(self) -> Array:
         velocity = apply_walls(self.scene.walls, self.scene.grid, self.nodes.index, self.velocity)
         velocity = cp.vector(lambda i: jnp.where(self.has_mass, velocity[i], 0.0))
-        return from_nodes(self.scene, self.nodes, self.x, self.response, velocity)
+        return from_nodes(self.scene, self.nodes, self.particles, velocity)
 
     def _moving(self, motions: Sequence[Motion | None]) -> list[Touch]:
         """The touches with these motions of their bodies; None: as they were."""
@@ -110,13 +106,12 @@ class NodeContact(NamedTuple):
         ]
 
 
-def begin(scene: MPMScene, nodes: ActiveNodes, particles: Particles) -> NodeContact:
+def begin(scene: MPMScene, nodes: ActiveNodes, packed: Array) -> NodeContact:
     """First half of a substep: gravity and the particles' own stress act on the nodes. Gradient: exact."""
-    particles = materialize(particles)
-    response, fields = to_nodes(scene, nodes, particles)
+    particles, fields = to_nodes(scene, nodes, packed)
     has_mass, velocity = free_velocity(scene, fields)
     mass = jnp.where(has_mass, fields.mass, 0.0)
-    return NodeContact(scene, nodes, particles.x, response, has_mass, mass, velocity)
+    return NodeContact(scene, nodes, particles, has_mass, mass, velocity)
 
 
 def _add_touch(system: System, arm: Vec3, mass: Array, velocity: Vec3, t: Touch) -> System:

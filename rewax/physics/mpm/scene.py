@@ -236,13 +236,14 @@ def materials_of(scene: MPMScene) -> tuple[Material, ...]:
     return scene.material if isinstance(scene.material, tuple) else (scene.material,)
 
 
-def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], particles: Any) -> Any:
+def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], particles: Any, *, axis: int = 0) -> Any:
     """``function(material, particles)``, for each material with its own part of the particles.
 
     Args:
       scene: its materials and ``particle_counts``.
       function: from a material and a pytree of arrays of its particles to a pytree of arrays of these particles.
-      particles: pytree of arrays with a first axis over all particles.
+      particles: pytree of arrays with an axis over all particles.
+      axis: which one it is, in the results too.
 
     Returns:
       The results for all particles, in their order.
@@ -251,13 +252,16 @@ def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], part
         return function(scene.material, particles)
     counts = scene.particle_counts
     assert counts is not None
-    _check_count(scene, jax.tree.leaves(particles)[0].shape[0])
+    _check_count(scene, jax.tree.leaves(particles)[0].shape[axis])
     results, start = [], 0
     for material, count in zip(scene.material, counts, strict=True):
-        part = slice(start, start + count)
-        results.append(function(material, jax.tree.map(lambda a, part=part: a[part], particles)))
+
+        def part(a: Array, start: int = start, count: int = count) -> Array:
+            return jax.lax.slice_in_dim(a, start, start + count, axis=axis)
+
+        results.append(function(material, jax.tree.map(part, particles)))
         start += count
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *results)
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis=axis), *results)
 
 
 def particle_mass(scene: MPMScene, x: Array) -> Array:

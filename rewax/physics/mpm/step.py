@@ -32,6 +32,7 @@ from rewax.physics.mpm.scene import (
     per_material,
 )
 from rewax.physics.mpm.transfer import GridFields, grid_to_particle, particle_to_grid
+from rewax.physics.mpm.transfer_cpu import as_matrix, as_vector
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
@@ -48,7 +49,7 @@ MIN_NODE_MASS = 2e-11
 
 
 class Particles(NamedTuple):
-    """``MPMState`` by components, as the inner loop wants it."""
+    """``MPMState`` by components."""
 
     x: Vec3
     v: Vec3
@@ -73,7 +74,7 @@ def substep(
     """
     check_bodies(scene.colliders, before.position.shape[0])
     nodes = nodes_of_step(scene, state.x) if nodes is None else nodes
-    return join(_recomputed_substep(scene, nodes, pack(split(state)), place(scene.colliders, before, after, scene.dt)))
+    return join(_recomputed_substep(scene, nodes, split(state), place(scene.colliders, before, after, scene.dt)))
 
 
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
@@ -94,8 +95,8 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
     nodes = nodes_of_step(scene, state.x)
     one = _substep if store_every is None else _recomputed_substep
 
-    def body(particles: Particles, placed: Placed) -> Particles:
-        return one(scene, nodes, pack(particles), placed)
+    def body(packed: Array, placed: Placed) -> Array:
+        return one(scene, nodes, packed, placed)
 
     placed = place(scene.colliders, *both_ends(poses), scene.dt)
     return join(scan_substeps(body, split(state), placed, store_every))
@@ -158,23 +159,28 @@ def check_status(
 
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
     """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
-    response = _respond(scene, split(state))
+    response = _respond(scene, unpack(split(state)))
     return cp.join_matrix(response.F), cp.join_matrix(response.stress)
 
 
 # --- One substep, by components --------------------------------------------------------------------------------------
 
 
-def pack(particles: Particles) -> Array:
-    """All components in one array, (24 or 25, num_particles): the backward pass keeps one copy. Gradient: exact."""
-    return linear_pass(_stack, _unstack, None, (), jax.tree.leaves(particles))[0]
+def pack(components: Any) -> Array:
+    """Components, arrays (num_particles,), as the rows of one array, in order. Gradient: exact."""
+    return linear_pass(_stack, _unstack, None, (), jax.tree.leaves(components))[0]
+
+
+def rows_of(packed: Array) -> Arrays:
+    """Inverse of ``pack``. Gradient: exact."""
+    return linear_pass(_unstack, _stack, None, (), (packed,))
 
 
 def unpack(packed: Array) -> Particles:
-    """Inverse of ``pack``. Gradient: exact."""
-    rows = linear_pass(_unstack, _stack, None, (), (packed,))
-    matrices = [(rows[k : k + 3], rows[k + 3 : k + 6], rows[k + 6 : k + 9]) for k in (6, 15)]
-    return Particles(rows[:3], rows[3:6], *matrices, rows[24] if len(rows) > 24 else None)  # type: ignore[arg-type]
+    """Particles by components. Gradient: exact."""
+    rows = rows_of(packed)
+    x, v = as_vector(rows[:3]), as_vector(rows[3:6])
+    return Particles(x, v, as_matrix(rows[6:15]), as_matrix(rows[15:24]), rows[24] if len(rows) > 24 else None)
 
 
 def _stack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
@@ -187,73 +193,95 @@ def _unstack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
     return tuple(arrays[0][..., i, :] for i in range(arrays[0].shape[-2]))
 
 
-def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, placed: Placed) -> Particles:
-    # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
-    particles = materialize(unpack(packed))
-    response, fields = to_nodes(scene, nodes, particles)
+class Deformed(NamedTuple):
+    """Particles between the halves of a substep."""
+
+    x: Vec3
+    """Positions [m]."""
+    memory: Array
+    """Deformation gradients after plastic flow [-], and plastic volumes where any material remembers them, (9 or 10,
+    num_particles)."""
+
+
+def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, placed: Placed) -> Array:
+    deformed, fields = to_nodes(scene, nodes, packed)
     with jax.named_scope("grid"):
         velocity = grid_velocity(scene, nodes, fields, placed)
-    return from_nodes(scene, nodes, particles.x, response, velocity)
+    return from_nodes(scene, nodes, deformed, velocity)
 
 
-def to_nodes(scene: MPMScene, nodes: ActiveNodes, particles: Particles) -> tuple[Response, GridFields]:
+def to_nodes(scene: MPMScene, nodes: ActiveNodes, packed: Array) -> tuple[Deformed, GridFields]:
     """First half of a substep: what the material answers, and mass and momentum on the nodes.
 
     Gradient: exact.
     """
-    x, grid = particles.x, scene.grid
-    mass = particle_mass(scene, x[0])
+    mass = particle_mass(scene, packed[0])
     volume = jnp.broadcast_to(scene.particle_volume, mass.shape).astype(mass.dtype)
-    factor = -scene.dt * _inertia(grid)
+    factor = -scene.dt * _inertia(scene.grid)
 
-    def one(material: Material, part: tuple[Particles, Array, Array]) -> tuple[Response, Mat3, Vec3]:
+    def one(material: Material, part: tuple[Array, Array, Array]) -> tuple[Deformed, Mat3, Vec3]:
         shared, own = split_parameters(material)
         return stress_and_momentum((shared, factor), (own, *part))
 
     with jax.named_scope("law"):
-        response, affine, momentum = per_material(scene, one, (particles._replace(x=None), mass, volume))
+        deformed, affine, momentum = per_material(scene, one, (packed, mass, volume), axis=-1)
     with jax.named_scope("particle_to_grid"):
-        return response, particle_to_grid(grid, x, mass, momentum, affine, active=_active(scene, nodes))
+        return deformed, particle_to_grid(scene.grid, deformed.x, mass, momentum, affine, active=_active(scene, nodes))
 
 
 @pointwise
 def stress_and_momentum(
-    shared: tuple[Material, Scalar], particles: tuple[dict[str, Array], Particles, Array, Array]
-) -> tuple[Response, Mat3, Vec3]:
-    (material, factor), (own, p, mass, volume) = shared, particles
+    shared: tuple[Material, Scalar], particles: tuple[dict[str, Array], Array, Array, Array]
+) -> tuple[Deformed, Mat3, Vec3]:
+    """The law of one material, and what particles send to the nodes.
+
+    Args:
+      shared: the material without ``own``, and -dt times the inverse of the splines' second moment [s/m^2].
+      particles: parameters of the material of which each particle has its own; packed particles; their masses [kg] and
+        rest volumes [m^3].
+
+    Returns:
+      The particles; the affine field of momentum around each [kg/s]; its momentum [kg m/s].
+
+    Gradient: exact.
+    """
+    (material, factor), (own, packed, mass, volume) = shared, particles
     material = joined_parameters(material, own)
+    # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
+    p = materialize(unpack(packed))
     response = respond(material, p.F, velocity_gradient=p.C, plastic_volume=p.plastic_volume)
     if not material.remembers:  # beside snow, others keep the number that they do not use
         response = response._replace(plastic_volume=p.plastic_volume)
     response = materialize(response)
     impulse = factor * volume
     affine = cp.matrix(lambda i, j: impulse * response.stress[i][j] + mass * p.C[i][j])
-    return response, affine, cp.vector(lambda i: mass * p.v[i])
+    memory = pack((response.F, response.plastic_volume))
+    return Deformed(p.x, memory), affine, cp.vector(lambda i: mass * p.v[i])
 
 
-def from_nodes(scene: MPMScene, nodes: ActiveNodes, x: Vec3, response: Response, velocity: Vec3) -> Particles:
+def from_nodes(scene: MPMScene, nodes: ActiveNodes, deformed: Deformed, velocity: Vec3) -> Array:
     """Second half of a substep: particles moved and deformed by the velocities of the nodes [m/s].
 
     Gradient: exact.
     """
     grid = scene.grid
     with jax.named_scope("grid_to_particle"):
-        v, moment = grid_to_particle(grid, x, velocity, active=_active(scene, nodes))
+        v, moment = grid_to_particle(grid, deformed.x, velocity, active=_active(scene, nodes))
     with jax.named_scope("update"):
-        x, C, F = _moved((scene.dt, _inertia(grid), grid.lower, grid.upper), (x, v, moment, response.F))
-    return Particles(x, v, C, F, response.plastic_volume)
+        return _moved((scene.dt, _inertia(grid), grid.lower, grid.upper), (deformed, v, moment))
 
 
 @pointwise
 def _moved(
-    shared: tuple[Scalar, Scalar, Sequence[Scalar], Sequence[Scalar]], particles: tuple[Vec3, Vec3, Mat3, Mat3]
-) -> tuple[Vec3, Mat3, Mat3]:
-    (dt, inertia, lower, upper), (x, v, moment, F) = shared, particles
+    shared: tuple[Scalar, Scalar, Sequence[Scalar], Sequence[Scalar]], particles: tuple[Deformed, Vec3, Mat3]
+) -> Array:
+    (dt, inertia, lower, upper), (deformed, v, moment) = shared, particles
     v, moment = materialize((v, moment))
-    C = cp.matrix(lambda i, j: inertia * moment[i][j])
+    rows = rows_of(deformed.memory)
+    F, C = as_matrix(rows[:9]), cp.matrix(lambda i, j: inertia * moment[i][j])
     CF = cp.matmul(C, F)
-    x = cp.vector(lambda i: jnp.clip(x[i] + dt * v[i], lower[i], upper[i]))
-    return x, C, cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j])
+    x = cp.vector(lambda i: jnp.clip(deformed.x[i] + dt * v[i], lower[i], upper[i]))
+    return pack(Particles(x, v, C, cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j]), *(rows[9:] or [None])))
 
 
 def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, placed: Placed) -> Vec3:
@@ -312,25 +340,28 @@ def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
     return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)
 
 
-def split(state: MPMState) -> Particles:
-    """Components of a state."""
-    return Particles(
-        cp.split_vector(state.x),
-        cp.split_vector(state.v),
-        cp.split_matrix(state.C),
-        cp.split_matrix(state.F),
-        state.plastic_volume,
-    )
+def split(state: MPMState) -> Array:
+    """Packed particles, as the inner loop wants them: rows x, v, C, F, and plastic volume if there is one.
+
+    All components of all particles in one array, (24 or 25, num_particles): one array is what the loop hands on, and
+    what the backward pass keeps. ``unpack`` gives the components.
+    """
+    count = state.x.shape[0]
+    numbers = [leaf.reshape(count, -1) for leaf in (state.x, state.v, state.C, state.F)]
+    if state.plastic_volume is not None:
+        numbers.append(state.plastic_volume[:, None])
+    return jnp.concatenate(numbers, axis=1).T
 
 
-def join(p: Particles) -> MPMState:
+def join(packed: Array) -> MPMState:
     """Inverse of ``split``."""
+    rows, count = packed.T, packed.shape[1]
     return MPMState(
-        x=cp.join_vector(p.x),
-        v=cp.join_vector(p.v),
-        C=cp.join_matrix(p.C),
-        F=cp.join_matrix(p.F),
-        plastic_volume=p.plastic_volume,
+        x=rows[:, :3],
+        v=rows[:, 3:6],
+        C=rows[:, 6:15].reshape(count, 3, 3),
+        F=rows[:, 15:24].reshape(count, 3, 3),
+        plastic_volume=rows[:, 24] if rows.shape[1] > 24 else None,
     )
 
 
@@ -362,6 +393,7 @@ def _bounds(grid: Grid, dtype: Any) -> tuple[Array, Array]:
 __all__ = [
     "MIN_NODE_MASS",
     "STABLE_COURANT_NUMBER",
+    "Deformed",
     "MPMScene",
     "MPMState",
     "Particles",

@@ -47,7 +47,7 @@ def still():
 def contact_of(scene):
     """Nodes that meet the ball at rest, and their places, masses and velocities."""
     position, mass, velocity = nodes()
-    contact = NodeContact(scene, _Places(position), position, None, mass > 0, mass, velocity)
+    contact = NodeContact(scene, _Places(position), None, mass > 0, mass, velocity)
     return contact.meet(Pose(jnp.zeros((1, 3)), jnp.eye(3)[None]), [still()], None), position, mass, velocity
 
 
