@@ -85,7 +85,7 @@ def _device_problems() -> Iterator[tuple[str, str]]:
 
 
 def native_problems() -> Iterator[tuple[str, str]]:
-    """Whether particles' transfers are those in C++, where a CPU is what JAX computes on."""
+    """Whether soft bodies are computed in C++, where a CPU is what JAX computes on."""
     import jax
 
     from rewax.physics.mpm import transfer_native
@@ -93,12 +93,12 @@ def native_problems() -> Iterator[tuple[str, str]]:
 
     library, reason = native.load(transfer_native.SOURCE)
     if library is not None or native.is_off():
-        print(f"particles' transfers on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
+        print(f"soft bodies on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
         return
     if jax.default_backend() != "cpu":
         return
     yield (
-        f"particles' transfers are not those in C++ ({reason}): on a CPU particles take about twice as long",
+        f"soft bodies are not computed in C++ ({reason}): on a CPU they take three times as long",
         "install a C++ compiler, g++ or clang++, or set CXX to one",
     )
 

@@ -67,7 +67,7 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
         (native.Loaded(None, "REWAX_NATIVE=0 is set"), True, "with JAX, for REWAX_NATIVE=0 is set\n"),
     ],
 )
-def test_says_which_transfers_a_cpu_has(monkeypatch, capsys, found, off, said):
+def test_says_how_a_cpu_computes_soft_bodies(monkeypatch, capsys, found, off, said):
     monkeypatch.setattr(native, "load", lambda source: found)
     monkeypatch.setattr(native, "is_off", lambda: off)
     assert not list(doctor.native_problems())

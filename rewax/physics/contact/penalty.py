@@ -8,6 +8,7 @@ from rewax import struct
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.pointwise import joined, pointwise, separated
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import signed_distance_components
 from rewax.types import Array, Scalar
@@ -59,6 +60,14 @@ def ground_force(ground: Ground, contact: PenaltyContact, x: Vec3, v: Vec3) -> V
       contact: the law.
       x, v: positions [m] and velocities [m/s], components of shape (num_vertices,).
     """
+    shared, own = separated(contact)
+    return _ground_force((ground, shared), (own, x, v))
+
+
+@pointwise
+def _ground_force(shared: tuple[Ground, PenaltyContact], vertices: tuple[PenaltyContact, Vec3, Vec3]) -> Vec3:
+    (ground, contact), (own, x, v) = shared, vertices
+    contact = joined(contact, own)
     n = (ground.normal[0], ground.normal[1], ground.normal[2])
     return penalty_force(contact, cp.dot(n, x) - ground.height, n, v, contact.friction)
 
@@ -78,6 +87,16 @@ def collider_force(
 
     Gradient: exact with respect to positions, velocities, poses, sizes and parameters; see ``penalty_force``.
     """
+    shared, own = separated(contact)
+    return _collider_force((collider.replace(body=0), shared, before, after, dt), (own, x, v))
+
+
+@pointwise
+def _collider_force(
+    shared: tuple[Collider, PenaltyContact, Pose, Pose, Scalar], vertices: tuple[PenaltyContact, Vec3, Vec3]
+) -> Vec3:
+    (collider, contact, before, after, dt), (own, x, v) = shared, vertices
+    contact = joined(contact, own)
     distance, normal, in_body = surface(collider, x, before)
     # Differences of poses, not of places: the surface of a body at rest is at rest, to the last digit.
     turned = cp.matvec(cp.split_matrix((after.rotation - before.rotation) / dt), in_body)

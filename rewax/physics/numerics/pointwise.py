@@ -60,6 +60,21 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     return call
 
 
+def separated(parameters: T) -> tuple[T, T]:
+    """Parameters that all elements share, numbers, and those of which each has its own, arrays (num_elements,).
+
+    Both are trees like the given one, with None where the other has something; ``joined`` puts them together.
+    """
+    return tuple(  # type: ignore[return-value]
+        jax.tree.map(lambda a, own=own: a if (jnp.ndim(a) == 1) == own else None, parameters) for own in (False, True)
+    )
+
+
+def joined(shared: T, own: T) -> T:
+    """Inverse of ``separated``."""
+    return jax.tree.map(lambda a, b: b if a is None else a, shared, own, is_leaf=lambda a: a is None)
+
+
 def _adapts(number: Any) -> bool:
     """It takes the precision of what it meets."""
     if not isinstance(number, jax.Array):

@@ -4,7 +4,9 @@ Linear tetrahedra with masses lumped at the vertices. One substep: elastic, acti
 summed over each vertex's tets; gravity; penalty contact with the ground and with moving shapes; symplectic Euler.
 """
 
-from typing import NamedTuple
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +16,14 @@ from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pointwise import joined, pointwise, separated
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
 from rewax.physics.tets.edges import edges, gather_forces
-from rewax.physics.tets.law import first_piola_stress
+from rewax.physics.tets.law import DampingLaw, first_piola_stress
 from rewax.physics.tets.scene import TetScene, TetState, has_invalid_parameters
 from rewax.status import Status, all_finite, flag
-from rewax.types import Array
+from rewax.types import Array, Scalar
 
 
 class Vertices(NamedTuple):
@@ -134,13 +137,17 @@ _recomputed_substep = recomputed(_substep)
 
 def moved(scene: TetScene, rest: Rest, vertices: Vertices, force: Vec3, contact: Vec3) -> Vertices:
     """Vertices a substep later, of the forces of their tets and of contact [N]. Gradient: exact."""
-    x, v = vertices
     with jax.named_scope("update"):
-        g, dt = scene.gravity, scene.dt
-        gain = 1.0 if scene.mobility is None else scene.mobility
-        v = cp.vector(lambda i: v[i] + dt * gain * ((force[i] + contact[i]) * rest.inverse_mass + g[i]))
-        x = cp.vector(lambda i: x[i] + dt * v[i])
-    return Vertices(x, v)
+        shared = (scene.gravity, scene.dt)
+        return _moved(shared, (vertices, force, contact, rest.inverse_mass, scene.mobility))
+
+
+@pointwise
+def _moved(shared: tuple[Array, Scalar], given: tuple[Vertices, Vec3, Vec3, Array, Array | None]) -> Vertices:
+    (g, dt), ((x, v), force, contact, inverse_mass, mobility) = shared, given
+    gain = 1.0 if mobility is None else mobility
+    v = cp.vector(lambda i: v[i] + dt * gain * ((force[i] + contact[i]) * inverse_mass + g[i]))
+    return Vertices(cp.vector(lambda i: x[i] + dt * v[i]), v)
 
 
 def deformation(scene: TetScene, rest: Rest, x: Vec3) -> Mat3:
@@ -150,33 +157,42 @@ def deformation(scene: TetScene, rest: Rest, x: Vec3) -> Mat3:
 def vertex_forces(scene: TetScene, rest: Rest, x: Vec3, v: Vec3) -> Vec3:
     """``internal_force`` by components."""
     damped = not (isinstance(scene.damping, (int, float)) and scene.damping == 0)
-    F = materialize(deformation(scene, rest, x))
-    rate = materialize(deformation(scene, rest, v)) if damped else None
-    stress = first_piola_stress(
-        F,
-        rate,
-        mu=scene.mu,
-        lam=scene.lam,
-        activation=scene.activation,
-        damping=scene.damping,
-        damping_law=scene.damping_law,
-    )
-    stress = materialize(stress)
-    columns = materialize(cp.matmul(stress, cp.transpose(rest.inverse_edges)))
-    return gather_forces(scene.topology, cp.matrix(lambda i, k: -rest.volume * columns[i][k]))
+    at_rest = (rest.inverse_edges, rest.volume)
+    now = (edges(scene.topology, x), edges(scene.topology, v) if damped else None)
+    shared, own = separated((scene.mu, scene.lam, scene.activation, scene.damping))
+    return gather_forces(scene.topology, _columns(scene.damping_law)(shared, (own, at_rest, now)))
+
+
+@functools.cache
+def _columns(damping_law: DampingLaw) -> Callable[[Any, Any], Mat3]:
+    """Forces of each tet on its vertices 1, 2, 3 [N], the columns of a matrix."""
+
+    @pointwise
+    def columns(shared: Any, tets: tuple[Any, tuple[Mat3, Array], tuple[Mat3, Mat3 | None]]) -> Mat3:
+        own, (inverse_edges, volume), (now, rates) = tets
+        mu, lam, activation, damping = joined(shared, own)
+        F = materialize(cp.matmul(now, inverse_edges))
+        rate = None if rates is None else materialize(cp.matmul(rates, inverse_edges))
+        stress = materialize(
+            first_piola_stress(F, rate, mu=mu, lam=lam, activation=activation, damping=damping, damping_law=damping_law)
+        )
+        forces = materialize(cp.matmul(stress, cp.transpose(inverse_edges)))
+        return cp.matrix(lambda i, k: -volume * forces[i][k])
+
+    return columns
 
 
 def contact_forces(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose] | None) -> Vec3:
     """``contact_force`` by components; None: of the ground alone."""
-    total = cp.vector(lambda i: jnp.zeros_like(x[i]))
+    nothing = cp.vector(lambda i: jnp.zeros_like(x[i]))
     if scene.contact is None:
-        return total
-    if scene.ground is not None:
-        total = cp.add(total, ground_force(scene.ground, scene.contact, x, v))
-    for collider in () if interval is None else scene.colliders:
-        start, end = (body_pose(poses, collider.body) for poses in interval)
-        total = cp.add(total, collider_force(collider, scene.contact, x, v, start, end, scene.dt))
-    return total
+        return nothing
+    forces = [] if scene.ground is None else [ground_force(scene.ground, scene.contact, x, v)]
+    if interval is not None:
+        for collider in scene.colliders:
+            start, end = (body_pose(poses, collider.body) for poses in interval)
+            forces.append(collider_force(collider, scene.contact, x, v, start, end, scene.dt))
+    return functools.reduce(cp.add, forces) if forces else nothing
 
 
 def rest(scene: TetScene) -> Rest:
