@@ -28,7 +28,8 @@ from rewax.envs.soft_task import SoftTask  # noqa: E402
 from rewax.physics import coupling, mpm, tets  # noqa: E402
 from rewax.physics.coupling import FreeBodies, Inertia, articulated  # noqa: E402
 from rewax.physics.mpm import MPMScene, Walls, invariants  # noqa: E402
-from rewax.physics.mpm.step import nodes_of_step, split, to_nodes  # noqa: E402
+from rewax.physics.mpm.packing import split  # noqa: E402
+from rewax.physics.mpm.step import nodes_of_step, to_nodes  # noqa: E402
 from rewax.physics.tets import invariants as tet_invariants  # noqa: E402
 from rewax.status import describe  # noqa: E402
 from rewax.training.cache import enable_compilation_cache  # noqa: E402

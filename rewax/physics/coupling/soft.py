@@ -5,10 +5,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from rewax.physics.coupling import nodes, vertices
 from rewax.physics.coupling.exchange import SoftContact
+from rewax.physics.mpm.packing import join as join_particles
+from rewax.physics.mpm.packing import split as split_particles
 from rewax.physics.mpm.scene import MPMScene, MPMState
-from rewax.physics.mpm.step import join as join_particles
 from rewax.physics.mpm.step import nodes_of_step
-from rewax.physics.mpm.step import split as split_particles
 from rewax.physics.tets.scene import TetScene, TetState
 from rewax.physics.tets.step import join as join_vertices
 from rewax.physics.tets.step import rest

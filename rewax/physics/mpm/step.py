@@ -18,6 +18,7 @@ from rewax.physics.contact.motion import Placed
 from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Response, joined_parameters, respond, split_parameters
+from rewax.physics.mpm.packing import Particles, join, pack, rows_of, split, unpack
 from rewax.physics.mpm.scene import (
     STABLE_COURANT_NUMBER,
     MPMScene,
@@ -32,11 +33,10 @@ from rewax.physics.mpm.scene import (
     per_material,
 )
 from rewax.physics.mpm.transfer import GridFields, grid_to_particle, particle_to_grid
-from rewax.physics.mpm.transfer_cpu import as_matrix, as_vector
+from rewax.physics.mpm.transfer_cpu import as_matrix
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, linear_pass
 from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.pose import Pose
@@ -46,16 +46,6 @@ from rewax.types import Array, Scalar
 
 MIN_NODE_MASS = 2e-11
 """Nodes with less than this share of a particle's mass [-] have velocity zero."""
-
-
-class Particles(NamedTuple):
-    """``MPMState`` by components."""
-
-    x: Vec3
-    v: Vec3
-    C: Mat3
-    F: Mat3
-    plastic_volume: Array | None
 
 
 def substep(
@@ -164,33 +154,6 @@ def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
 
 
 # --- One substep, by components --------------------------------------------------------------------------------------
-
-
-def pack(components: Any) -> Array:
-    """Components, arrays (num_particles,), as the rows of one array, in order. Gradient: exact."""
-    return linear_pass(_stack, _unstack, None, (), jax.tree.leaves(components))[0]
-
-
-def rows_of(packed: Array) -> Arrays:
-    """Inverse of ``pack``. Gradient: exact."""
-    return linear_pass(_unstack, _stack, None, (), (packed,))
-
-
-def unpack(packed: Array) -> Particles:
-    """Particles by components. Gradient: exact."""
-    rows = rows_of(packed)
-    x, v = as_vector(rows[:3]), as_vector(rows[3:6])
-    return Particles(x, v, as_matrix(rows[6:15]), as_matrix(rows[15:24]), rows[24] if len(rows) > 24 else None)
-
-
-def _stack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
-    del static, residuals
-    return (jnp.stack(arrays, axis=-2),)
-
-
-def _unstack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:
-    del static, residuals
-    return tuple(arrays[0][..., i, :] for i in range(arrays[0].shape[-2]))
 
 
 class Deformed(NamedTuple):
@@ -340,31 +303,6 @@ def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
     return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)
 
 
-def split(state: MPMState) -> Array:
-    """Packed particles, as the inner loop wants them: rows x, v, C, F, and plastic volume if there is one.
-
-    All components of all particles in one array, (24 or 25, num_particles): one array is what the loop hands on, and
-    what the backward pass keeps. ``unpack`` gives the components.
-    """
-    count = state.x.shape[0]
-    numbers = [leaf.reshape(count, -1) for leaf in (state.x, state.v, state.C, state.F)]
-    if state.plastic_volume is not None:
-        numbers.append(state.plastic_volume[:, None])
-    return jnp.concatenate(numbers, axis=1).T
-
-
-def join(packed: Array) -> MPMState:
-    """Inverse of ``split``."""
-    rows, count = packed.T, packed.shape[1]
-    return MPMState(
-        x=rows[:, :3],
-        v=rows[:, 3:6],
-        C=rows[:, 6:15].reshape(count, 3, 3),
-        F=rows[:, 15:24].reshape(count, 3, 3),
-        plastic_volume=rows[:, 24] if rows.shape[1] > 24 else None,
-    )
-
-
 def _respond(scene: MPMScene, particles: Particles) -> Response:
     def one(material: Material, p: Particles) -> Response:
         response = respond(material, p.F, velocity_gradient=p.C, plastic_volume=p.plastic_volume)
@@ -404,13 +342,11 @@ __all__ = [
     "from_nodes",
     "grid_velocity",
     "initial_state",
-    "join",
     "largest_stable_dt",
     "make_scene",
     "nodes_of_step",
     "particle_mass",
     "per_material",
-    "split",
     "step",
     "substep",
     "to_nodes",

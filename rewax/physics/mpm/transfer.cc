@@ -1,7 +1,7 @@
 // The passes of transfer.py for CPUs: one particle at a time, all of its 27 nodes while they are in registers.
 //
-// transfer_native.py says what each pass computes, builds this file after threads.h and calls it through XLA's foreign function interface.
-// A node is a vector of four numbers: a vector field along x, y, z, and the mass (or nothing). Weights are computed for
+// transfer_native.py says what each pass computes, builds this file after threads.h and calls it through XLA's foreign
+// function interface. A node is a vector of four numbers: a vector field along x, y, z, and the mass (or nothing). Weights are computed for
 // a block of particles at once. Every environment's nodes are summed in an order that neither other environments nor
 // the number of threads change, so results are reproducible bit for bit.
 

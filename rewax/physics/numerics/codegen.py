@@ -190,7 +190,7 @@ _TEXT = {
     "select": "{0} ? {1} : {2}",
     "b_to_f": "__builtin_convertvector(-{0}, {kind})",
     "i_to_f": "__builtin_convertvector({0}, {kind})",
-    "f_to_i": "__builtin_convertvector({0}, {kind})",
+    "f_to_i": "ToWhole({0})",
     "b_to_i": "-{0}",
     "i_to_b": "{0} != 0",
     "f_to_b": "{0} != 0",

@@ -71,7 +71,9 @@ def linear_pass(
     """
     if like is None:
         inputs = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, (*residuals, *linear)))
-        shapes = _shapes(inputs, function, static, len(residuals))
+        # As for a GPU: what only a CPU has, C++, need not be built to know shapes.
+        plain = function.other if isinstance(function, ByPlatform) else function
+        shapes = _shapes(inputs, plain, static, len(residuals), jnp.result_type(float))
     else:
         shapes = tuple((a.shape, a.dtype) for a in like)
     out = linear_pass_p.bind(
@@ -107,8 +109,9 @@ def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[Shape
 
 
 @functools.cache
-def _shapes(args: tuple, function: Pass, static: Any, num_residuals: int) -> Shapes:
+def _shapes(args: tuple, function: Pass, static: Any, num_residuals: int, precision: Any) -> Shapes:
     """Shapes of the outputs: found by tracing the pass once; transformations derive theirs from these."""
+    del precision  # which types Python's numbers become
     xs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in args]
     out = jax.eval_shape(lambda xs: function(static, tuple(xs[:num_residuals]), tuple(xs[num_residuals:])), xs)
     return tuple((a.shape, a.dtype) for a in out)

@@ -131,4 +131,9 @@ def _folder() -> Path:
         with tempfile.NamedTemporaryFile(dir=folder):
             return folder
     except OSError:
-        return Path(tempfile.mkdtemp(prefix="rewax-native-"))
+        return _temporary_folder()
+
+
+@functools.cache
+def _temporary_folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="rewax-native-"))

@@ -161,6 +161,15 @@ X Expm1(X a) {
   REWAX_LANES(X, std::expm1(a[l]));
 }
 
+// Towards zero; the nearest there is for what is too large, 0 for NaN.
+template <typename X>
+auto ToWhole(X a) {
+  typedef decltype(X{} < X{}) I;
+  const X limit = Full<X>(T(2147483648.0));
+  const X inside = Max(Min(a == a ? a : X{}, limit * T(1 - 1e-7)), -limit);
+  return a >= limit ? I{} + 2147483647 : __builtin_convertvector(inside, I);
+}
+
 inline V Load(const T* from, int count) {
   V r;
   if (count == kLanes) {

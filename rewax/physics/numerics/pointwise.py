@@ -4,6 +4,7 @@ import ctypes
 import functools
 import hashlib
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -42,14 +43,18 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
         ``shared`` is a pytree of small arrays and numbers that all elements use. It consists of arithmetic,
         comparisons and selections, and what it does with one element it does with all: none knows another.
 
-    Gradient: exact, forward and reverse, once, with respect to both arguments.
+    Floats in ``shared`` become arrays, so that one kernel serves all of them; whole numbers are part of the program.
+    Elements that are no arrays of one length and one precision are left to the function itself.
+
+    Gradient: exact, forward and reverse, with respect to both arguments. Where there is a kernel, no second
+      derivatives.
     """
 
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
-        if native.is_off() or native.compiler() is None:
+        dtype = _common_type(elements)
+        if native.is_off() or native.compiler() is None or dtype is None:
             return function(shared, elements)
-        dtype = jnp.result_type(*(a for a in jax.tree.leaves(elements) if jnp.issubdtype(a.dtype, jnp.floating)))
         # As arrays: a number inside the kernel would make another kernel of every number.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
         first, *_ = split_arguments(shared)
@@ -60,8 +65,17 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     return call
 
 
+def _common_type(elements: Any) -> Any:
+    """The floating type of elements; None if there is not exactly one, or not exactly one number of elements."""
+    leaves = jax.tree.leaves(elements)
+    if not all(isinstance(a, (jax.Array, np.ndarray)) and a.ndim for a in leaves):
+        return None
+    types = {a.dtype for a in leaves if jnp.issubdtype(a.dtype, jnp.floating)}
+    return types.pop() if len(types) == 1 and len({a.shape[-1] for a in leaves}) == 1 else None
+
+
 def separated(parameters: T) -> tuple[T, T]:
-    """Parameters that all elements share, numbers, and those of which each has its own, arrays (num_elements,).
+    """Parameters that all elements share, and those of which each has its own, arrays (num_elements,).
 
     Both are trees like the given one, with None where the other has something; ``joined`` puts them together.
     """
@@ -131,7 +145,8 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         _Operand(array, sum(here), varying, here)
         for array, varying, here in zip((*arrays, *linear), varies, present, strict=True)
     ]
-    target = _target(which, program._replace(batches=()), tuple(o.of_one_element for o in operands), varies)
+    avals = tuple(o.of_one_element for o in operands)
+    target = _target(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
     if target is None:
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
@@ -173,7 +188,7 @@ class _Operand(NamedTuple):
     @property
     def step(self) -> int:
         """How far apart copies are; 0: there is one for all."""
-        return math.prod(self.array.shape[self.depth :]) if self.varies or self.depth else 0
+        return math.prod(self.array.shape[self.depth :]) if self.depth else 0
 
     def laid_out(self, batch: tuple[int, ...]) -> Array:
         """With all axes of ``vmap``, or none."""
@@ -223,14 +238,19 @@ def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...])
 
 
 @functools.lru_cache(maxsize=1024)
-def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]) -> _Target | None:
+def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | None:
     """The kernel of one pass, built and known to XLA; None if there is none."""
+    del precision  # which types Python's numbers become
     try:
         text, outputs = source(which, program, avals, varies)
     except UnsupportedError:
         return None
-    caller, kernel = native.load(_CALLER).library, native.load(native.Source("kernel", text)).library
-    if caller is None or kernel is None or not native.register(_CALLER, ("rewax_pointwise",)):
+    caller = native.load(_CALLER).library
+    if caller is None or not native.register(_CALLER, ("rewax_pointwise",)):
+        return None
+    kernel, reason = native.load(native.Source("kernel", text))
+    if kernel is None:
+        warnings.warn(f"arithmetic is computed with JAX, slower than in C++: {reason}", stacklevel=2)
         return None
     # The same in every process, for compiled programs are kept.
     number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:7])

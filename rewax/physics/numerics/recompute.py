@@ -106,7 +106,7 @@ class Program(NamedTuple):
 
     def out_tree(self, arrays: list[Array]) -> Any:
         shapes = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, arrays))
-        return _out_tree(self, shapes)
+        return _out_tree(self, shapes, jnp.result_type(float))
 
     def under_vmap(self, function: Callable[[Arrays, Arrays], Arrays]) -> Callable[[Arrays, Arrays], Arrays]:
         """A function of (arrays, further arrays); the further ones have every batch axis."""
@@ -146,7 +146,8 @@ def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
 
 
 @functools.lru_cache(maxsize=1024)
-def _out_tree(program: Program, shapes: tuple) -> Any:
+def _out_tree(program: Program, shapes: tuple, precision: Any) -> Any:
+    del precision  # which types Python's numbers become
     arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
     return jax.tree.structure(jax.eval_shape(program.apply, arrays))
 

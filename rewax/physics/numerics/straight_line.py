@@ -4,6 +4,7 @@ Loops and conditions have no place in such a list. Short loops are written out, 
 """
 
 import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -13,7 +14,7 @@ from jax.extend.core import ClosedJaxpr
 
 from rewax.physics.numerics.linear_pass import linear_pass_p, run_elsewhere
 
-_MOST_OPERATIONS = 20_000
+_MOST_OPERATIONS = 5_000
 _LONGEST_LOOP = 64
 
 Values: TypeAlias = np.ndarray
@@ -25,7 +26,15 @@ ARITHMETIC = frozenset({
     "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
 })  # fmt: skip
 """Operations on numbers, by the names of JAX's primitives."""
-_OF_WHOLE = frozenset(["add", "sub", "mul", "neg", "max", "min", "lt", "le", "gt", "ge", "eq", "ne", "select"])
+_OF_WHOLE = frozenset(["max", "min", "lt", "le", "gt", "ge", "eq", "ne", "select", "i_to_f", "i_to_b"])
+_FOLDED = {"add": operator.add, "sub": operator.sub, "mul": operator.mul}
+_OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select", "b_to_f", "b_to_i"])
+_CALLS = frozenset(
+    ["jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"]
+)
+_KEEPS_CONSTANTS = frozenset(
+    ["select_n", "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "stack", "concatenate", "copy"]
+)
 
 
 class UnsupportedError(Exception):
@@ -67,10 +76,13 @@ def straight_line(program: ClosedJaxpr, varies: Sequence[bool]) -> StraightLine:
     Raises:
       UnsupportedError: it has something else.
     """
-    dtype, builder, inputs = _floating_type(program), _Builder(), []
+    dtype = _floating_type(program)
+    builder, inputs = _Builder(dtype), []
     for k, (aval, varying) in enumerate(zip(program.in_avals, varies, strict=True)):
         kind = builder.kind_of(aval.dtype)
         inputs.append(builder.array(aval.shape, lambda i, k=k, kind=kind, v=varying: builder.input(k, i, kind, v)))
+    if any(np.issubdtype(a.dtype, np.floating) and a.dtype != dtype for a in program.out_avals):
+        raise UnsupportedError(f"its results are of floating types other than {dtype}")
     found = builder.run(program.jaxpr, program.consts, inputs)
     outputs = [[int(value) for value in np.ravel(output)] for output in found]
     return StraightLine(builder.operations, outputs, dtype)
@@ -86,7 +98,8 @@ def _floating_type(program: ClosedJaxpr) -> np.dtype:
 class _Builder:
     """Operations in order, each once: an operation with the operands of an earlier one is that one."""
 
-    def __init__(self) -> None:
+    def __init__(self, dtype: np.dtype) -> None:
+        self.dtype = dtype
         self.operations: list[Operation] = []
         self.known: dict[Operation, int] = {}
 
@@ -110,6 +123,14 @@ class _Builder:
 
     def apply(self, name: str, *operands: int, kind: str | None = None, constant: Any = None) -> int:
         used = [self.operations[o] for o in operands]
+        kinds = {o.kind for o in used}
+        if kinds == {"i"} and name in _FOLDED and all(o.name == "constant" for o in used):  # a counter of turns
+            return self.constant(_FOLDED[name](*(int(o.constant) for o in used)), "i")
+        if "b" in kinds and name in ("max", "min"):
+            name = {"max": "or", "min": "and"}[name]
+        for of, allowed, what in (("i", _OF_WHOLE, "whole numbers"), ("b", _OF_TRUTH, "truth values")):
+            if of in kinds and name not in allowed:
+                raise UnsupportedError(f"it has the operation {name} of {what}")
         kind = used[0].kind if kind is None else kind
         if name in ("mul", "add") and kind == "f":  # by one, and with zero: derivatives are full of them
             neutral = "1.0" if name == "mul" else "0.0"
@@ -120,11 +141,11 @@ class _Builder:
 
     def kind_of(self, dtype: Any) -> str:
         dtype = np.dtype(dtype)
-        if np.issubdtype(dtype, np.floating):  # numbers in the program are of any precision
+        if np.issubdtype(dtype, np.floating):
             return "f"
         if dtype == np.bool_:
             return "b"
-        if dtype in (np.int32, np.int64):
+        if dtype == np.int32 or (dtype == np.int64 and self.dtype == np.float64):  # as wide as its lanes
             return "i"
         raise UnsupportedError(f"it has numbers of type {dtype}")
 
@@ -156,23 +177,34 @@ class _Builder:
         values |= zip(jaxpr.invars, args, strict=True)
         for eqn in jaxpr.eqns:
             outs = self.equation(eqn, [read(v) for v in eqn.invars])
-            values |= zip(eqn.outvars, outs, strict=True)
+            for v, out in zip(eqn.outvars, outs, strict=True):
+                if out.shape != v.aval.shape:
+                    raise UnsupportedError(f"it has the operation {eqn.primitive.name} in a form that is not known")
+                values[v] = out
         return [read(v) for v in jaxpr.outvars]
 
     def equation(self, eqn: Any, args: list[Values]) -> list[Values]:
         name, params = eqn.primitive.name, eqn.params
+        if not eqn.outvars or any(0 in v.aval.shape for v in (*eqn.invars, *eqn.outvars)):
+            raise UnsupportedError(f"it has the operation {name} of nothing or without a result")
         if eqn.primitive is linear_pass_p:
             inner = jax.make_jaxpr(lambda *a: run_elsewhere(*a, **params))(*(v.aval for v in eqn.invars))
             return self.run(inner.jaxpr, inner.consts, args)
         if name == "scan":
             return self.scan(params, args)
+        if name == "reduce":
+            return self.reduce(params, args)
         if name in ("while", "cond"):
             raise UnsupportedError(f"it has a {name}")
-        for key in ("jaxpr", "call_jaxpr"):
-            if key in params:
-                inner = params[key]
-                closed = hasattr(inner, "consts")
-                return self.run(inner.jaxpr if closed else inner, inner.consts if closed else (), args)
+        if name in _CALLS:
+            inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
+            closed = hasattr(inner, "consts")
+            return self.run(inner.jaxpr if closed else inner, inner.consts if closed else (), args)
+        # Numbers of another precision are constants at most, which become what they meet.
+        if name not in _KEEPS_CONSTANTS and any(
+            np.issubdtype(v.aval.dtype, np.floating) and v.aval.dtype != self.dtype for v in eqn.outvars
+        ):
+            raise UnsupportedError(f"it computes with floating types other than {self.dtype}")
         if name in ("optimization_barrier", "copy", "copy_p", "stop_gradient"):
             return args
         if name == "unstack":
@@ -185,7 +217,7 @@ class _Builder:
     def scan(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
         """A short loop, written out."""
         length, jaxpr = params["length"], params["jaxpr"]
-        if length > _LONGEST_LOOP:
+        if not 0 < length <= _LONGEST_LOOP:
             raise UnsupportedError(f"it has a loop of {length} turns")
         first, last = params["num_consts"], params["num_consts"] + params["num_carry"]
         consts, carry, given = args[:first], args[first:last], args[last:]
@@ -198,6 +230,19 @@ class _Builder:
         if params["reverse"]:
             turns.reverse()
         return [*carry, *(np.stack(same) for same in zip(*turns, strict=True))]
+
+    def reduce(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
+        """Several arrays reduced together by a function of their numbers."""
+        jaxpr, axes, half = params["jaxpr"], params["dimensions"], len(args) // 2
+        moved = [np.moveaxis(a, axes, range(len(axes))) for a in args[:half]]
+        rows = [a.reshape(-1, *a.shape[len(axes) :]) for a in moved]
+        totals = [np.full(a.shape[1:], initial[()], object) for a, initial in zip(rows, args[half:], strict=True)]
+        for place in np.ndindex(totals[0].shape):
+            for k in range(len(rows[0])):
+                numbers = [np.asarray(a[place], object) for a in (*totals, *(np.asarray(r[k], object) for r in rows))]
+                for total, number in zip(totals, self.run(jaxpr.jaxpr, jaxpr.consts, numbers), strict=True):
+                    total[place] = number[()]
+        return totals
 
     def arithmetic(self, name: str, params: dict[str, Any], args: list[Values], out: Any) -> Values:
         kind = self.kind_of(out.dtype)
@@ -236,8 +281,6 @@ class _Builder:
         name = {"add_any": "add"}.get(name, name)
         if name not in ARITHMETIC:
             raise UnsupportedError(f"it has the operation {name}")
-        if name not in _OF_WHOLE and any(self.operations[int(i)].kind == "i" for a in args for i in a.ravel()):
-            raise UnsupportedError(f"it has the operation {name} of whole numbers")
         return self.map(lambda *a: self.apply(name, *a, kind=kind), *args)
 
     def converted(self, a: int, kind: str) -> int:
@@ -249,6 +292,8 @@ class _Builder:
         return no if no == yes else self.apply("select", which, yes, no, kind=self.operations[no].kind)
 
     def power(self, a: int, exponent: int) -> int:
+        if self.operations[a].kind != "f":
+            raise UnsupportedError("it has powers of whole numbers")
         if exponent < 0:
             return self.apply("div", self.constant(1.0, "f"), self.power(a, -exponent))
         if exponent == 0:

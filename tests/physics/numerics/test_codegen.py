@@ -25,7 +25,11 @@ def test_whole_numbers_are_not_returned():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_operations(x64, monkeypatch, dtype):
     """Each of them, at ordinary numbers and at the others."""
-    monkeypatch.delattr(module, "_with_jax")
+
+    def refuse(*args):
+        raise AssertionError("there is no kernel")
+
+    monkeypatch.setattr(module, "_with_jax", refuse)
     info = np.finfo(dtype)
     special = [
         0.0,
@@ -50,7 +54,7 @@ def test_operations(x64, monkeypatch, dtype):
         "abs": jnp.abs, "sign": jnp.sign, "neg": jnp.negative, "sqrt": jnp.sqrt, "rsqrt": jax.lax.rsqrt, "exp": jnp.exp,
         "log": jnp.log, "log1p": jnp.log1p, "expm1": jnp.expm1, "cbrt": jnp.cbrt, "tanh": jnp.tanh, "floor": jnp.floor,
         "ceil": jnp.ceil, "is_finite": jnp.isfinite, "logistic": jax.nn.sigmoid, "cube": lambda a: a**3,
-        "inverse": lambda a: a**-2, "clip": lambda a: jnp.clip(a, -1.0, 1.0), "whole": lambda a: jnp.clip(a, -9, 9).astype(int),
+        "inverse": lambda a: a**-2, "clip": lambda a: jnp.clip(a, -1.0, 1.0), "whole": lambda a: (2 * a).astype(jnp.int32),
     }  # fmt: skip
     binary = {
         "max": jnp.maximum, "min": jnp.minimum, "div": jnp.divide, "lt": jnp.less, "le": jnp.less_equal,
@@ -70,10 +74,6 @@ def test_operations(x64, monkeypatch, dtype):
         if name in ("log", "sqrt", "rsqrt", "cbrt", "sign", "log1p"):  # XLA takes the smallest numbers for zero
             kept = (np.abs(x) >= info.tiny) | (x == 0)
             got, want = got[kept], want[kept]
-        tiny = np.abs(want) < 4 * info.tiny  # and makes them zero
-        np.testing.assert_allclose(
-            np.where(tiny, 0, got),
-            np.where(tiny, 0, want),
-            rtol=(100 if name in ("cbrt", "log1p") else 8) * info.eps,
-            err_msg=name,
-        )
+        got, want = (np.where(np.abs(a) < 4 * info.tiny, 0, a) for a in (got, want))  # and makes them zero
+        eps = (100 if name in ("cbrt", "log1p", "sin", "cos") else 8) * info.eps
+        np.testing.assert_allclose(got, want, rtol=eps, atol=eps if name in ("sin", "cos") else 0, err_msg=name)

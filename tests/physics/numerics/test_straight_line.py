@@ -9,6 +9,7 @@ from rewax.physics.numerics import straight_line as module
 from rewax.physics.numerics.straight_line import Operation, UnsupportedError, straight_line
 
 PYTHON = {
+    "neg": np.negative,
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "sqrt": np.sqrt, "gt": np.greater,
     "b_to_f": np.float64, "select": lambda which, yes, no: yes if which else no,
 }  # fmt: skip
@@ -29,13 +30,21 @@ def evaluated(program, *args):
     return [[values[i] for i in output] for output in line.outputs]
 
 
+def halving(x, y):
+    return 0.5 * x + y
+
+
 def arrays(a, b):
     """What changes the form of arrays, and sums over them."""
     rows = jnp.stack([a, 2.0 * b, jnp.flip(a)])
     padded = jnp.pad(rows.T[1:], ((1, 0), (0, 2)), constant_values=7.0)
     total, turns = jax.lax.scan(lambda c, x: (c + x[0], c * x), jnp.float32(1.0), rows, reverse=True)
     product = rows @ jnp.concatenate([a, b]).reshape(-1, 2)[:3]
+    odd = jax.lax.reduce(
+        (rows, -rows), (jnp.float32(1), jnp.float32(0)), lambda u, w: jax.tree.map(halving, u, w), (1,)
+    )
     return (
+        odd,
         padded,
         total,
         turns,
@@ -64,9 +73,41 @@ def test_what_all_elements_share():
     assert [o.shared for o in line.operations if o.name in ("exp", "mul")] == [True, False]
 
 
-def test_types_of_two_precisions_are_refused():
+@pytest.mark.parametrize(
+    ("program", "named"),
+    [
+        (lambda a: a.astype(jnp.float64).sum(), "floating types other than float32"),
+        (lambda a: jnp.zeros(1), "results are of floating types other than float32"),
+        (lambda a: a * a.astype(jnp.int64), "numbers of type int64"),
+        (lambda a: a * (a.astype(jnp.int32) * 2), "mul of whole numbers"),
+        (lambda a: a * ((a > 0) < (a > 1)), "lt of truth values"),
+        (lambda a: jax.lax.reduce_window(a, jnp.float32(0), halving, (1,), (1,), "SAME"), "reduce"),
+        (lambda a: a[:0].sum(), "nothing"),
+        (lambda a: [jax.debug.print("{}", a), a][1], "without a result"),
+        (lambda a: jnp.float32(1) * a.astype(jnp.int32) ** 2, "powers of whole numbers"),
+        (lambda a: jax.lax.scan(lambda c, _: (c + 1, None), a, length=1000)[0], "loop of 1000 turns"),
+    ],
+)
+def test_what_is_refused(x64, program, named):
+    with pytest.raises(UnsupportedError, match=named):
+        straight_line(jax.make_jaxpr(program)(jnp.ones(1, jnp.float32)), [True])
+
+
+def test_types_of_two_precisions_are_refused(x64):
+    program = jax.make_jaxpr(lambda a, b: a + b)(jnp.ones(1, jnp.float32), jnp.ones(1))
     with pytest.raises(UnsupportedError, match="floating types"):
-        straight_line(jax.make_jaxpr(lambda a: a)(jnp.ones(1, jnp.bfloat16)), [True])
+        straight_line(program, [True, True])
+
+
+def test_constants_become_what_they_meet(x64):
+    """Python's numbers are of double precision where a program of single precision uses them."""
+    line = straight_line(
+        jax.make_jaxpr(lambda a: jnp.clip(a, -1.0, 1.0) * jnp.where(a < 0, -1.0, 1.0).astype(a.dtype))(
+            jnp.ones(1, jnp.float32)
+        ),
+        [True],
+    )
+    assert {o.kind for o in line.operations} == {"f", "b"}
 
 
 def test_a_program_of_endless_arithmetic_is_refused(monkeypatch):

@@ -1,0 +1,107 @@
+"""What particles, nodes, vertices and tets do alone has C++: a new operation in it would be slow without a word."""
+
+import jax
+import jax.numpy as jnp
+import material_cases as cases
+import numpy as np
+import pytest
+
+from rewax.physics.contact import Collider, Ground, PenaltyContact, collider_force, ground_force, place
+from rewax.physics.contact.colliders import apply_colliders
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.materials import split_parameters
+from rewax.physics.mpm.step import stress_and_momentum
+from rewax.physics.mpm.walls import Wall, WallKind, Walls, apply_walls
+from rewax.physics.numerics import native, pointwise
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere
+from rewax.physics.tets.law import DampingLaw
+from rewax.physics.tets.step import Vertices, _columns, _moved
+
+NUM = 4
+ONES = jnp.ones(NUM)
+VECTOR = (ONES, ONES, ONES)
+MATRIX = (VECTOR, VECTOR, VECTOR)
+SHAPES = [
+    Sphere(radius=0.3), Capsule(radius=0.3, half_length=0.2), Box(half_size=jnp.ones(3)), Plane(),
+    Cylinder(radius=0.3, half_length=0.2), Cone(radius=0.3, half_length=0.2), Ellipsoid(semi_axes=jnp.ones(3)),
+]  # fmt: skip
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """Which passes were written as C++; none is built, and none may fail to be written."""
+    passes = set()
+
+    def write(which, program, avals, varies, precision):
+        text, outputs = pointwise.source(which, program, avals, varies)
+        assert text.count("{") == text.count("}") and outputs
+        passes.add(which)
+
+    monkeypatch.setattr(pointwise, "_target", write)
+    monkeypatch.setattr(native, "compiler", lambda: "c++")
+    monkeypatch.setattr(native, "is_off", lambda: False)
+    return passes
+
+
+def assert_written(written, function, *args):
+    """Value, forward and reverse derivative by all floating-point arguments."""
+
+    def total(*args):
+        return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(function(*args)))
+
+    args = jax.tree.map(jnp.asarray, args)
+    jax.jit(jax.value_and_grad(total, argnums=tuple(range(len(args))))).lower(*args)
+    jax.jit(lambda *args: jax.jvp(total, args, args)).lower(*args)
+    assert written == {"value", "tangent", "cotangent"}
+
+
+@pytest.mark.parametrize(("elasticity", "plasticity"), cases.LAWS)
+def test_laws(written, elasticity, plasticity):
+    material = cases.material(elasticity, plasticity, dtype=np.float32)
+    material = material.replace(viscosity=ONES, fibre=jnp.ones((NUM, 3)))
+    shared, own = split_parameters(material)
+    assert set(own) == {"viscosity", "fibre"}
+    particles = jnp.ones((25 if material.remembers else 24, NUM))
+    assert_written(written, lambda s, *p: stress_and_momentum((s, 1e-3), p), shared, own, particles, ONES, ONES)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
+def test_colliders(written, shape):
+    collider = Collider(shape=shape, friction=0.5, softness=100.0)
+    pose = Pose(jnp.zeros((1, 3)), jnp.eye(3)[None])
+
+    def velocity(collider, velocity):
+        placed = jax.tree.map(lambda a: a[0], place([collider], pose, pose, 1e-3))
+        return apply_colliders([(collider, placed)], VECTOR, velocity)
+
+    assert_written(written, velocity, collider, VECTOR)
+    written.clear()
+    contact = PenaltyContact(stiffness=ONES, damping=1.0, friction_damping=ONES, onset=0.1)
+    one = Pose(jnp.zeros(3), jnp.eye(3))
+    assert_written(written, lambda *a: collider_force(*a, one, one, 1e-3), collider, contact, VECTOR, VECTOR)
+
+
+def test_the_ground(written):
+    contact = PenaltyContact(stiffness=1.0, friction=0.5, friction_damping=1.0)
+    assert_written(written, ground_force, Ground(normal=jnp.array([0.0, 1.0, 0.0])), contact, VECTOR, VECTOR)
+
+
+@pytest.mark.parametrize("kind", WallKind)
+def test_walls(written, kind):
+    grid = Grid(shape=(8, 8, 8), spacing=0.1)
+    index = (jnp.arange(NUM, dtype=jnp.int32),) * 3
+
+    def after(friction, velocity):
+        wall = Wall(position=0.3, kind=kind, friction=friction if kind is WallKind.SEPARATING else 0.0)
+        return apply_walls(Walls(lower=(wall, None, None), upper=(None, wall, None)), grid, index, velocity)
+
+    assert_written(written, after, 0.5, VECTOR)
+
+
+@pytest.mark.parametrize("damping_law", DampingLaw)
+def test_tets(written, damping_law):
+    own, shared = (ONES, None, None, ONES), (None, 1.0, 0.0, None)
+    assert_written(written, _columns(damping_law), shared, (own, (MATRIX, ONES), (MATRIX, MATRIX)))
+    written.clear()
+    assert_written(written, _moved, (jnp.ones(3), 1e-3), (Vertices(VECTOR, VECTOR), VECTOR, VECTOR, ONES, ONES))
