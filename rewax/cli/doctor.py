@@ -98,7 +98,7 @@ def native_problems() -> Iterator[tuple[str, str]]:
     if jax.default_backend() != "cpu":
         return
     yield (
-        f"soft bodies are not computed in C++ ({reason}): on a CPU they take three times as long",
+        f"soft bodies are not computed in C++ ({reason}): on a CPU they take about twice as long",
         "install a C++ compiler, g++ or clang++, or set CXX to one",
     )
 

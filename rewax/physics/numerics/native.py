@@ -24,7 +24,7 @@ THREADS = Path(__file__).with_name("threads.h")
 """Text to begin a program with that shares its work out among threads."""
 
 _COMPILERS = ("c++", "g++", "clang++")
-_FLAGS = ("-std=c++17", "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-w")
+_FLAGS = ("-std=c++17", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-w")
 _NATIVE = {"x86_64": "-march=native", "AMD64": "-march=native"}
 _SECONDS = 300
 
@@ -35,6 +35,8 @@ class Source(NamedTuple):
     stem: str
     """Beginning of its library's name."""
     text: str
+    optimization: tuple[str, ...] = ("-O3",)
+    """Options of the compiler."""
 
 
 class Loaded(NamedTuple):
@@ -76,7 +78,7 @@ def load(source: Source) -> Loaded:
     chosen = compiler()
     if chosen is None:
         return Loaded(None, "there is no C++ compiler")
-    flags = [*_FLAGS, *filter(None, [_NATIVE.get(platform.machine())])]
+    flags = [*source.optimization, *_FLAGS, *filter(None, [_NATIVE.get(platform.machine())])]
     try:
         version = _output([chosen, "--version"])
         parts = (source.text, version, *flags, metadata.version("jaxlib"), platform.machine(), _processor())

@@ -27,6 +27,9 @@ T = TypeVar("T")
 _CHUNK = 1024
 """Elements that a thread computes at a time, and that share a sum."""
 
+_OPTIMIZATION = ("-O2", "-ftree-vectorize")
+"""A kernel is vectors already: -O3 makes it no faster, and takes up to five times as long."""
+
 _CALLER = native.Source("pointwise", native.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text())
 
 
@@ -248,7 +251,7 @@ def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
     caller = native.load(_CALLER).library
     if caller is None or not native.register(_CALLER, ("rewax_pointwise",)):
         return None
-    kernel, reason = native.load(native.Source("kernel", text))
+    kernel, reason = native.load(native.Source("kernel", text, _OPTIMIZATION))
     if kernel is None:
         warnings.warn(f"arithmetic is computed with JAX, slower than in C++: {reason}", stacklevel=2)
         return None
