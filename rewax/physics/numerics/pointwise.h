@@ -48,41 +48,25 @@ template <typename X>
 X Min(X a, X b) {
   return ((a < b) | (a != a)) ? a : b;
 }
-template <typename X>
-X Abs(X a) {
-  REWAX_LANES(X, std::fabs(a[l]));
-}
-template <typename X>
-X Sqrt(X a) {
-  REWAX_LANES(X, std::sqrt(a[l]));
-}
-template <typename X>
-X Floor(X a) {
-  REWAX_LANES(X, std::floor(a[l]));
-}
-template <typename X>
-X Ceil(X a) {
-  REWAX_LANES(X, std::ceil(a[l]));
-}
+#define REWAX_UNARY(name, function)            \
+  template <typename X>                        \
+  X name(X a) {                                \
+    REWAX_LANES(X, function(a[l]));            \
+  }
+REWAX_UNARY(Abs, std::fabs)
+REWAX_UNARY(Sqrt, std::sqrt)
+REWAX_UNARY(Floor, std::floor)
+REWAX_UNARY(Ceil, std::ceil)
+REWAX_UNARY(Sin, std::sin)
+REWAX_UNARY(Cos, std::cos)
+REWAX_UNARY(Tanh, std::tanh)
+REWAX_UNARY(Cbrt, std::cbrt)
+REWAX_UNARY(Log1p, std::log1p)
+REWAX_UNARY(Expm1, std::expm1)
+
 template <typename X>
 X Sign(X a) {
   return a > 0 ? X{} + 1 : a < 0 ? X{} - 1 : a;
-}
-template <typename X>
-X Sin(X a) {
-  REWAX_LANES(X, std::sin(a[l]));
-}
-template <typename X>
-X Cos(X a) {
-  REWAX_LANES(X, std::cos(a[l]));
-}
-template <typename X>
-X Tanh(X a) {
-  REWAX_LANES(X, std::tanh(a[l]));
-}
-template <typename X>
-X Cbrt(X a) {
-  REWAX_LANES(X, std::cbrt(a[l]));
 }
 template <typename X>
 X Pow(X a, X b) {
@@ -151,14 +135,6 @@ X Log(X a) {
     const X special = a == 0.0f ? Full<X>(-kInfinity) : a < 0.0f ? Full<X>(kNaN) : a;
     return (a > 0.0f) & (a < kInfinity) ? y : special;
   }
-}
-template <typename X>
-X Log1p(X a) {
-  REWAX_LANES(X, std::log1p(a[l]));
-}
-template <typename X>
-X Expm1(X a) {
-  REWAX_LANES(X, std::expm1(a[l]));
 }
 
 // Towards zero; the nearest there is for what is too large, 0 for NaN.
