@@ -54,12 +54,16 @@ def test_operations(x64, monkeypatch, dtype):
         "abs": jnp.abs, "sign": jnp.sign, "neg": jnp.negative, "sqrt": jnp.sqrt, "rsqrt": jax.lax.rsqrt, "exp": jnp.exp,
         "log": jnp.log, "log1p": jnp.log1p, "expm1": jnp.expm1, "cbrt": jnp.cbrt, "tanh": jnp.tanh, "floor": jnp.floor,
         "ceil": jnp.ceil, "is_finite": jnp.isfinite, "logistic": jax.nn.sigmoid, "cube": lambda a: a**3,
+        "sin": lambda a: jnp.sin(jnp.clip(a, -20.0, 20.0)), "cos": lambda a: jnp.cos(jnp.clip(a, -20.0, 20.0)),
+        "not": lambda a: ~(a > 0),
         "inverse": lambda a: a**-2, "clip": lambda a: jnp.clip(a, -1.0, 1.0), "whole": lambda a: (2 * a).astype(jnp.int32),
     }  # fmt: skip
     binary = {
         "max": jnp.maximum, "min": jnp.minimum, "div": jnp.divide, "lt": jnp.less, "le": jnp.less_equal,
         "eq": jnp.equal, "ne": jnp.not_equal, "gt": jnp.greater, "ge": jnp.greater_equal,
         "xor": lambda a, b: (a > 0) ^ (b > 0), "or": lambda a, b: (a > 0) | (b > 1), "atan2": jnp.arctan2,
+        "most": lambda a, b: jnp.maximum(a > 0, b > 1), "least": lambda a, b: jnp.minimum(a > 0, b > 1),
+        "and": lambda a, b: (a > 0) & (b > 1), "pow": lambda a, b: jnp.abs(a) ** jnp.clip(b, -3.0, 3.0),
     }  # fmt: skip
 
     def all_of_them(shared, elements):
