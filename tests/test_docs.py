@@ -258,13 +258,18 @@ def test_notebooks_run(name, shorter, tmp_path, monkeypatch):
         assert np.isfinite(names["rewards"]).all() and names["result"].failure == ""
 
 
-@pytest.mark.parametrize(("suite", "page"), [("small", "small_suite"), ("ablations", "ablations")])
+@pytest.mark.parametrize(
+    ("suite", "page"),
+    [("small", "small_suite"), ("ablations", "ablations"), ("ablations_paper", "ablations")],
+)
 def test_the_page_of_a_suite_shows_its_results(suite, page):
     """Fill it with ``benchmarks/suite_page.py`` after ``rewax bench``."""
     names = runpy.run_path(str(ROOT / "benchmarks" / "suite_page.py"))
     folder, page = ROOT / "docs" / "suites" / suite, ROOT / "docs" / f"{page}.md"
     text = page.read_text()
-    assert names["filled"](text, read_suite(suite), folder, page) == text and "| RollingFlat |" in text
+    assert (
+        names["filled"](text, read_suite(suite), folder, page) == text and f"| {read_suite(suite).tasks[0]} |" in text
+    )
     assert (folder / "table.md").read_text() in text
     table = list(csv.DictReader((folder / "curves.csv").read_text().splitlines()))
     for picture in folder.glob("*.png"):  # its curves must be told apart, however small the file was made
