@@ -24,7 +24,7 @@ from rewax.physics.contact.motion import Motion, placed, velocity_at
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.scene import MPMScene
-from rewax.physics.mpm.step import Deformed, free_velocity, from_nodes, to_nodes
+from rewax.physics.mpm.step import Deformed, free_velocity, from_nodes, to_nodes, where_mass
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
@@ -94,8 +94,7 @@ class NodeContact(NamedTuple):
 
     def finish(self) -> Array:
         velocity = apply_walls(self.scene.walls, self.scene.grid, self.nodes.index, self.velocity)
-        velocity = cp.vector(lambda i: jnp.where(self.has_mass, velocity[i], 0.0))
-        return from_nodes(self.scene, self.nodes, self.particles, velocity)
+        return from_nodes(self.scene, self.nodes, self.particles, where_mass((), (self.has_mass, velocity)))
 
     def _moving(self, motions: Sequence[Motion | None]) -> list[Touch]:
         """The touches with these motions of their bodies; None: as they were."""

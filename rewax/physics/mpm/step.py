@@ -258,11 +258,12 @@ def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, place
     colliders = _colliders(scene, nodes, has_mass, placed)
     velocity = apply_colliders(colliders, nodes.position, velocity, overlap=scene.overlap)
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
-    return _where_mass((), (has_mass, velocity))
+    return where_mass((), (has_mass, velocity))
 
 
 @pointwise
-def _where_mass(shared: tuple[()], nodes: tuple[Array, Vec3]) -> Vec3:
+def where_mass(shared: tuple[()], nodes: tuple[Array, Vec3]) -> Vec3:
+    """Velocity zero at nodes without mass. Gradient: exact."""
     del shared
     has_mass, velocity = nodes
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
@@ -350,4 +351,5 @@ __all__ = [
     "step",
     "substep",
     "to_nodes",
+    "where_mass",
 ]

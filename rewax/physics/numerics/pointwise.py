@@ -145,8 +145,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     present = [tuple(batch[k] for batch in reversed(program.batches)) for k in range(len(arrays))]
     present += [(True,) * len(program.batches)] * len(linear)
     operands = [
-        _Operand(array, sum(here), varying, here)
-        for array, varying, here in zip((*arrays, *linear), varies, present, strict=True)
+        _Operand(array, varying, here) for array, varying, here in zip((*arrays, *linear), varies, present, strict=True)
     ]
     avals = tuple(o.of_one_element for o in operands)
     target = _target(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
@@ -177,30 +176,31 @@ class _Operand(NamedTuple):
     """An array on its way into a kernel: axes of ``vmap``, its own, and that of the elements if it varies."""
 
     array: Array
-    depth: int
-    """How many axes of ``vmap`` it has."""
     varies: bool
     present: tuple[bool, ...]
     """Which axes of ``vmap`` it has, outermost first."""
 
     @property
+    def own_shape(self) -> tuple[int, ...]:
+        return self.array.shape[sum(self.present) :]
+
+    @property
     def of_one_element(self) -> tuple[tuple[int, ...], Any, bool]:
-        shape = self.array.shape[self.depth :]
+        shape = self.own_shape
         return (*shape[:-1], 1) if self.varies else shape, self.array.dtype, bool(jax.typeof(self.array).weak_type)
 
     @property
     def step(self) -> int:
         """How far apart copies are; 0: there is one for all."""
-        return math.prod(self.array.shape[self.depth :]) if self.depth else 0
+        return math.prod(self.own_shape) if any(self.present) else 0
 
     def laid_out(self, batch: tuple[int, ...]) -> Array:
         """With all axes of ``vmap``, or none."""
         if all(self.present) or not self.step:
             return self.array
         sizes = iter(self.array.shape)
-        own = tuple(next(sizes) if here else 1 for here in self.present)
-        rest = self.array.shape[self.depth :]
-        return jnp.broadcast_to(self.array.reshape(*own, *rest), (*batch, *rest))
+        axes = tuple(next(sizes) if here else 1 for here in self.present)
+        return jnp.broadcast_to(self.array.reshape(*axes, *self.own_shape), (*batch, *self.own_shape))
 
 
 def _batch_shape(operands: Sequence[_Operand]) -> tuple[int, ...]:

@@ -3,6 +3,7 @@
 Loops and conditions have no place in such a list. Short loops are written out, and arrays, which are small, too.
 """
 
+import functools
 import math
 import operator
 from collections.abc import Callable, Sequence
@@ -121,7 +122,7 @@ class _Builder:
         number = {"f": lambda: float(value), "i": lambda: int(value), "b": lambda: bool(value)}[kind]()
         return self.add(Operation("constant", (), kind, True, repr(number)))
 
-    def apply(self, name: str, *operands: int, kind: str | None = None, constant: Any = None) -> int:
+    def apply(self, name: str, *operands: int, kind: str | None = None) -> int:
         used = [self.operations[o] for o in operands]
         kinds = {o.kind for o in used}
         if kinds == {"i"} and name in _FOLDED and all(o.name == "constant" for o in used):  # a counter of turns
@@ -137,7 +138,7 @@ class _Builder:
             for this, other in (operands, operands[::-1]):
                 if self.operations[this].name == "constant" and self.operations[this].constant == neutral:
                     return other
-        return self.add(Operation(name, operands, kind, all(o.shared for o in used), constant))
+        return self.add(Operation(name, operands, kind, all(o.shared for o in used)))
 
     def kind_of(self, dtype: Any) -> str:
         dtype = np.dtype(dtype)
@@ -194,8 +195,6 @@ class _Builder:
             return self.scan(params, args)
         if name == "reduce":
             return self.reduce(params, args)
-        if name in ("while", "cond"):
-            raise UnsupportedError(f"it has a {name}")
         if name in _CALLS:
             inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
             closed = hasattr(inner, "consts")
@@ -234,8 +233,7 @@ class _Builder:
     def reduce(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
         """Several arrays reduced together by a function of their numbers."""
         jaxpr, axes, half = params["jaxpr"], params["dimensions"], len(args) // 2
-        moved = [np.moveaxis(a, axes, range(len(axes))) for a in args[:half]]
-        rows = [a.reshape(-1, *a.shape[len(axes) :]) for a in moved]
+        rows = [_rows(a, axes) for a in args[:half]]
         totals = [np.full(a.shape[1:], initial[()], object) for a, initial in zip(rows, args[half:], strict=True)]
         for place in np.ndindex(totals[0].shape):
             for k in range(len(rows[0])):
@@ -260,24 +258,12 @@ class _Builder:
             return self.map(lambda which, no, yes: self.selected(which, no, yes), *args)
         if name in ("reduce_sum", "reduce_max", "reduce_min", "reduce_and", "reduce_or", "reduce_prod"):
             how = {"sum": "add", "prod": "mul"}.get(name[7:], name[7:])
-            moved = np.moveaxis(args[0], params["axes"], range(len(params["axes"])))
-            rows = moved.reshape(-1, *moved.shape[len(params["axes"]) :])
-            total = rows[0]
-            for row in rows[1:]:
-                total = self.map(lambda a, b: self.apply(how, a, b), total, row)
-            return np.asarray(total, object)
+            add = functools.partial(self.map, lambda a, b: self.apply(how, a, b))
+            return np.asarray(functools.reduce(add, _rows(args[0], params["axes"])), object)
         if name == "dot_general":
             return self.product(params, *args)
         if name == "iota":
-            return self.literal(
-                np.broadcast_to(
-                    np.expand_dims(
-                        np.arange(out.shape[params["dimension"]]),
-                        [i for i in range(len(out.shape)) if i != params["dimension"]],
-                    ),
-                    out.shape,
-                ).astype(out.dtype)
-            )
+            return self.literal(np.indices(out.shape)[params["dimension"]].astype(out.dtype))
         name = {"add_any": "add"}.get(name, name)
         if name not in ARITHMETIC:
             raise UnsupportedError(f"it has the operation {name}")
@@ -306,15 +292,17 @@ class _Builder:
         (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
         if batch_a or batch_b:
             raise UnsupportedError("it has a product of batches of arrays")
-        a, b = np.moveaxis(a, contract_a, range(len(contract_a))), np.moveaxis(b, contract_b, range(len(contract_b)))
-        n = len(contract_a)
-        rows, columns = a.reshape(math.prod(a.shape[:n]), -1), b.reshape(math.prod(b.shape[:n]), -1)
-        total = None
-        for row, column in zip(rows, columns, strict=True):
-            terms = self.map(lambda x, y: self.apply("mul", x, y), row[:, None], column[None, :])
-            total = terms if total is None else self.map(lambda x, y: self.apply("add", x, y), total, terms)
-        assert total is not None
-        return total.reshape(*a.shape[n:], *b.shape[n:])
+        terms = [
+            self.map(lambda x, y: self.apply("mul", x, y), row.reshape(*row.shape, *[1] * column.ndim), column)
+            for row, column in zip(_rows(a, contract_a), _rows(b, contract_b), strict=True)
+        ]
+        return functools.reduce(functools.partial(self.map, lambda x, y: self.apply("add", x, y)), terms)
+
+
+def _rows(a: Values, axes: Sequence[int]) -> Values:
+    """The arrays along the other axes, one after the other."""
+    moved = np.moveaxis(a, axes, range(len(axes)))
+    return moved.reshape(math.prod(moved.shape[: len(axes)]), *moved.shape[len(axes) :])
 
 
 def _broadcast(args: list[Values], params: dict[str, Any], out: Any) -> Values:

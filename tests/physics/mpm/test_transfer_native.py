@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from native_cases import NEEDS_COMPILER
 from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, places, run
 
 from rewax.physics.mpm import transfer_cpu, transfer_native
@@ -11,9 +12,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import native
 
 PASSES = ("spread", "gather_values", "spread_tangent_transpose", "gather_tangent_transpose")
-pytestmark = pytest.mark.skipif(
-    native.compiler() is None or native.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0"
-)
+pytestmark = NEEDS_COMPILER
 
 
 def test_a_compiler_that_is_there_builds_them():

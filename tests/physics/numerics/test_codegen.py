@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from native_cases import NEEDS_COMPILER
 
-from rewax.physics.numerics import native
 from rewax.physics.numerics import pointwise as module
 from rewax.physics.numerics.codegen import _TEXT, kernel_source
 from rewax.physics.numerics.pointwise import pointwise
@@ -21,7 +21,7 @@ def test_whole_numbers_are_not_returned():
         kernel_source(jax.make_jaxpr(lambda a: a.astype(int))(jnp.ones(1)), [True], [False])
 
 
-@pytest.mark.skipif(native.compiler() is None or native.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0")
+@NEEDS_COMPILER
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_operations(x64, monkeypatch, dtype):
     """Each of them, at ordinary numbers and at the others."""

@@ -4,15 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from native_cases import NEEDS_COMPILER
 
 from rewax.physics.numerics import native
 from rewax.physics.numerics import pointwise as module
 from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.straight_line import UnsupportedError, straight_line
-
-needs_compiler = pytest.mark.skipif(
-    native.compiler() is None or native.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0"
-)
 
 
 @pytest.fixture
@@ -65,7 +62,7 @@ def everything(function, shared, elements, tangents, cotangents):
     return value, tangent, jax.vjp(real, *args)[1](cotangents)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 @pytest.mark.parametrize("num", [1, 13, 2 * 1024 + 37])
 def test_value_forward_and_reverse_are_those_of_jax(x64, kernels_only, random_like, relative_error, num):
     """Fewer elements than a vector has, and more than a thread computes at a time."""
@@ -77,7 +74,7 @@ def test_value_forward_and_reverse_are_those_of_jax(x64, kernels_only, random_li
     assert relative_error(found, expected) < 1e-13
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_reverse_forward_and_finite_differences(x64, kernels_only, random_like):
     shared, elements = arguments(5)
     real, args = of_real(FAST, shared, elements)
@@ -94,7 +91,7 @@ def test_reverse_forward_and_finite_differences(x64, kernels_only, random_like):
     np.testing.assert_allclose([reverse, difference], forward, rtol=1e-8)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_under_vmap(x64, kernels_only, random_like, relative_error):
     """Two axes; elements have both, one or none of them, and so has what is shared."""
     shared, (a, b, side, rows) = arguments(11)
@@ -118,7 +115,7 @@ def test_under_vmap(x64, kernels_only, random_like, relative_error):
     assert relative_error(batched(FAST)(*args), batched(bend)(*args)) < 1e-13
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_environments_are_their_own(x64, kernels_only):
     """One alone has the bits that it has beside others, of which one is not finite."""
     shared, elements = arguments(1024 + 5, 3, dtype=np.float32)
@@ -139,7 +136,7 @@ def test_environments_are_their_own(x64, kernels_only):
             np.testing.assert_array_equal(a[i], b)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_a_number_does_not_make_another_kernel(kernels_only):
     @pointwise
     def scaled(shared, elements):
@@ -191,7 +188,7 @@ def test_elements_that_do_not_fit_together_are_left_to_the_function(elements):
     np.testing.assert_array_equal(found, expected)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_single_and_double_precision_in_one_process(kernels_only):
     """What Python's numbers become depends on a switch that no argument shows."""
 
@@ -206,7 +203,7 @@ def test_single_and_double_precision_in_one_process(kernels_only):
             np.testing.assert_array_equal(found, 2.0)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_a_kernel_that_cannot_be_built_is_done_without(monkeypatch):
     def cubed(shared, elements):
         return elements**3 + shared
