@@ -93,6 +93,13 @@ def test_what_is_refused(x64, program, named):
         straight_line(jax.make_jaxpr(program)(jnp.ones(1, jnp.float32)), [True])
 
 
+def test_a_result_of_another_shape_than_announced_is_refused(monkeypatch):
+    """As an operation would have that a later version of JAX gives a new parameter."""
+    monkeypatch.setitem(module._SHAPES, "reshape", lambda args, params, out: args[0])
+    with pytest.raises(UnsupportedError, match="reshape in a form that is not known"):
+        straight_line(jax.make_jaxpr(lambda a: jax.lax.reshape(a, (2, 2)))(jnp.ones(4)), [False])
+
+
 def test_types_of_two_precisions_are_refused(x64):
     program = jax.make_jaxpr(lambda a, b: a + b)(jnp.ones(1, jnp.float32), jnp.ones(1))
     with pytest.raises(UnsupportedError, match="floating types"):
