@@ -17,7 +17,7 @@ from rewax.physics.numerics.straight_line import Operation, UnsupportedError, st
 KERNEL = "rewax_kernel"
 """Name of the function that ``kernel_source`` writes."""
 
-_HEADER = Path(__file__).with_name("pointwise.h")
+HEADER = Path(__file__).with_name("pointwise.h")
 
 
 def kernel_source(program: ClosedJaxpr, varies: Sequence[bool], summed: Sequence[bool]) -> str:
@@ -42,7 +42,7 @@ def kernel_source(program: ClosedJaxpr, varies: Sequence[bool], summed: Sequence
     own = [output for output, total in zip(outputs, summed, strict=True) if not total]
     sums = [value for output, total in zip(outputs, summed, strict=True) if total for value in output]
     kind = "double" if dtype == np.float64 else "float"
-    return f"typedef {kind} T;\n{_HEADER.read_text()}\n{_Writer(operations).kernel(own, sums, buffers)}"
+    return f"typedef {kind} T;\n{HEADER.read_text()}\n{_Writer(operations).kernel(own, sums, buffers)}"
 
 
 class _Writer:
@@ -132,7 +132,7 @@ const int left = static_cast<int>(end - i < kLanes ? end - i : kLanes);
                 text = f"{load}(p{place} + {offset} * count + i, left)"
         else:
             names = [self.name(o, vector) for o in operation.operands]
-            text = _TEXT[operation.name].format(*names, kind=kind)
+            text = TEXT[operation.name].format(*names, kind=kind)
         return f"const {kind} {self.name(i, vector if not operation.shared else 'U')} = {text};"
 
 
@@ -151,7 +151,7 @@ _BUFFERS = {
     np.dtype(np.int64): "int64_t",
     np.dtype(np.bool_): "bool",
 }
-_TEXT = {
+TEXT = {
     "add": "{0} + {1}",
     "sub": "{0} - {1}",
     "mul": "{0} * {1}",

@@ -30,6 +30,8 @@ class ByPlatform(NamedTuple):
 
     cpu: Pass
     other: Pass
+    numbers: Pass | None = None
+    """For programs that are written out number by number (``straight_line``); None: the other."""
 
     def __call__(self, static: Any, residuals: Arrays, linear: Arrays) -> Arrays:
         return self.cpu(static, residuals, linear)
@@ -101,6 +103,11 @@ def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residua
 
 def run_elsewhere(*args: Array, function: Pass, **params: Any) -> list[Array]:
     return _run(*args, function=function.other if isinstance(function, ByPlatform) else function, **params)
+
+
+def run_number_by_number(*args: Array, function: Pass, **params: Any) -> list[Array]:
+    numbers = function.numbers if isinstance(function, ByPlatform) else None
+    return run_elsewhere(*args, function=function if numbers is None else numbers, **params)
 
 
 def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[ShapedArray]:

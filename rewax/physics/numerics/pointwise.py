@@ -16,6 +16,7 @@ import numpy as np
 from rewax.physics.numerics import native
 from rewax.physics.numerics.codegen import KERNEL, kernel_source
 from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
+from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of
 from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program, run_program, split_arguments
 from rewax.physics.numerics.straight_line import UnsupportedError
 from rewax.types import Array
@@ -142,17 +143,13 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
     of_linear = {"value": [], "tangent": perturbed, "cotangent": [True] * len(linear)}[which]
     varies = (*program.varies, *of_linear)
-    present = [tuple(batch[k] for batch in reversed(program.batches)) for k in range(len(arrays))]
-    present += [(True,) * len(program.batches)] * len(linear)
-    operands = [
-        _Operand(array, varying, here) for array, varying, here in zip((*arrays, *linear), varies, present, strict=True)
-    ]
+    operands = operands_of(program, arrays, linear, varies)
     avals = tuple(o.of_one_element for o in operands)
     target = _target(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
     if target is None:
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
-    batch = _batch_shape(operands)
+    batch = batch_shape(operands)
     chunks = -(-count // _CHUNK)
     sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
     own = [(s, dtype) for s, dtype, summed in target.outputs if not summed]
@@ -172,46 +169,6 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
-class _Operand(NamedTuple):
-    """An array on its way into a kernel: axes of ``vmap``, its own, and that of the elements if it varies."""
-
-    array: Array
-    varies: bool
-    present: tuple[bool, ...]
-    """Which axes of ``vmap`` it has, outermost first."""
-
-    @property
-    def own_shape(self) -> tuple[int, ...]:
-        return self.array.shape[sum(self.present) :]
-
-    @property
-    def of_one_element(self) -> tuple[tuple[int, ...], Any, bool]:
-        shape = self.own_shape
-        return (*shape[:-1], 1) if self.varies else shape, self.array.dtype, bool(jax.typeof(self.array).weak_type)
-
-    @property
-    def step(self) -> int:
-        """How far apart copies are; 0: there is one for all."""
-        return math.prod(self.own_shape) if any(self.present) else 0
-
-    def laid_out(self, batch: tuple[int, ...]) -> Array:
-        """With all axes of ``vmap``, or none."""
-        if all(self.present) or not self.step:
-            return self.array
-        sizes = iter(self.array.shape)
-        axes = tuple(next(sizes) if here else 1 for here in self.present)
-        return jnp.broadcast_to(self.array.reshape(*axes, *self.own_shape), (*batch, *self.own_shape))
-
-
-def _batch_shape(operands: Sequence[_Operand]) -> tuple[int, ...]:
-    """Sizes of all axes of ``vmap``."""
-    sizes = {}
-    for operand in operands:
-        axes = [axis for axis, here in enumerate(operand.present) if here]
-        sizes |= zip(axes, operand.array.shape, strict=False)
-    return tuple(sizes[axis] for axis in sorted(sizes))
-
-
 def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     """Arrays of the given shapes that lie one after the other along the last axis."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
@@ -225,14 +182,7 @@ def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...])
     Raises:
       UnsupportedError: it cannot be written so.
     """
-    count = len(program.varies)
-    passes = {
-        "value": lambda *a: tuple(jax.tree.leaves(program.apply(a))),
-        "tangent": lambda *a: RECOMPUTED.tangent(program, a[:count], a[count:]),
-        "cotangent": lambda *a: RECOMPUTED.cotangent(program, a[:count], a[count:]),
-    }
-    structs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in avals]
-    traced = jax.make_jaxpr(passes[which])(*structs)
+    traced = one_pass(which, program, avals, len(program.varies))
     summed = [False] * len(traced.out_avals)
     if which == "cotangent":
         summed = [not v for v, p in zip(program.varies, program.perturbed, strict=True) if p]

@@ -1,25 +1,23 @@
 """Traced programs as lists of operations on single numbers.
 
 Loops and conditions have no place in such a list. Short loops are written out, and arrays, which are small, too.
+Products with a zero that is written in the program are zero, whatever the other factor: constant tables of zeros and
+ones cost nothing.
 """
 
 import functools
 import math
-import operator
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rewax.physics.numerics.linear_pass import linear_pass_p, run_elsewhere
+from rewax.physics.numerics.arrangement import ARRANGEMENTS, Values, gathered, rows, scattered
+from rewax.physics.numerics.linear_pass import linear_pass_p, run_number_by_number
 
-_MOST_OPERATIONS = 5_000
 _LONGEST_LOOP = 64
-
-Values: TypeAlias = np.ndarray
-"""The value of a variable: an object array of the indices of operations."""
 
 ARITHMETIC = frozenset({
     "add", "sub", "mul", "div", "neg", "max", "min", "abs", "sign", "sqrt", "rsqrt", "cbrt", "exp", "log",
@@ -27,15 +25,31 @@ ARITHMETIC = frozenset({
     "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
 })  # fmt: skip
 """Operations on numbers, by the names of JAX's primitives."""
-_OF_WHOLE = frozenset(["max", "min", "lt", "le", "gt", "ge", "eq", "ne", "select", "i_to_f", "i_to_b"])
-_FOLDED = {"add": operator.add, "sub": operator.sub, "mul": operator.mul}
-_OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select", "b_to_f", "b_to_i"])
+OF_WHOLE = frozenset(["add", "sub", "max", "min", "lt", "le", "gt", "ge", "eq", "ne", "select", "i_to_f", "i_to_b"])
+_OF_CONSTANTS: dict[str, Callable[..., Any]] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "max": np.maximum,
+    "min": np.minimum, "abs": np.abs, "sign": np.sign, "sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil,
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
+    "and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not, "rem": np.fmod,
+    "select": lambda which, yes, no: yes if which else no,
+    "i_to_f": lambda a: a, "b_to_f": lambda a: a, "b_to_i": lambda a: a, "i_to_b": bool,
+}  # fmt: skip
+"""What is computed here, once, where all operands are constants."""
+OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select", "b_to_f", "b_to_i"])
 _CALLS = frozenset(
-    ["jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"]
+    [
+        "jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2", "custom_jvp_call",
+        "custom_vjp_call", "custom_vmap_call",
+    ]  # fmt: skip
 )
 _KEEPS_CONSTANTS = frozenset(
     ["select_n", "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "stack", "concatenate", "copy"]
 )
+_INDEXED = frozenset(
+    ["gather", "scatter", "scatter-add", "scatter-mul", "dynamic_slice", "dynamic_update_slice"]
+)
+_FILLING = {"f": float("nan"), "i": np.iinfo(np.int32).min, "b": True}
+_REDUCTIONS = {"sum": "add", "prod": "mul", "max": "max", "min": "min", "and": "and", "or": "or"}
 
 
 class UnsupportedError(Exception):
@@ -67,25 +81,26 @@ class StraightLine(NamedTuple):
     """The floating type."""
 
 
-def straight_line(program: ClosedJaxpr, varies: Sequence[bool]) -> StraightLine:
+def straight_line(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_000) -> StraightLine:
     """A traced program of one element.
 
     Args:
       program: arithmetic on small arrays.
       varies: which of its arguments differ between the elements.
+      most: so many operations it may have.
 
     Raises:
       UnsupportedError: it has something else.
     """
     dtype = _floating_type(program)
-    builder, inputs = _Builder(dtype), []
+    builder, inputs = _Builder(dtype, most), []
     for k, (aval, varying) in enumerate(zip(program.in_avals, varies, strict=True)):
         kind = builder.kind_of(aval.dtype)
         inputs.append(builder.array(aval.shape, lambda i, k=k, kind=kind, v=varying: builder.input(k, i, kind, v)))
     if any(np.issubdtype(a.dtype, np.floating) and a.dtype != dtype for a in program.out_avals):
         raise UnsupportedError(f"its results are of floating types other than {dtype}")
     found = builder.run(program.jaxpr, program.consts, inputs)
-    outputs = [[int(value) for value in np.ravel(output)] for output in found]
+    outputs = [np.ravel(output).tolist() for output in found]
     return StraightLine(builder.operations, outputs, dtype)
 
 
@@ -99,46 +114,70 @@ def _floating_type(program: ClosedJaxpr) -> np.dtype:
 class _Builder:
     """Operations in order, each once: an operation with the operands of an earlier one is that one."""
 
-    def __init__(self, dtype: np.dtype) -> None:
+    def __init__(self, dtype: np.dtype, most: int) -> None:
         self.dtype = dtype
+        self.most = most
         self.operations: list[Operation] = []
-        self.known: dict[Operation, int] = {}
+        self.known: dict[Any, int] = {}
+        self.constants: dict[int, Any] = {}
 
     # --- Operations ---
 
     def add(self, operation: Operation) -> int:
-        if operation not in self.known:
-            if len(self.operations) >= _MOST_OPERATIONS:
-                raise UnsupportedError(f"it has more than {_MOST_OPERATIONS} operations")
-            self.known[operation] = len(self.operations)
-            self.operations.append(operation)
-        return self.known[operation]
+        if len(self.operations) >= self.most:
+            raise UnsupportedError(f"it has more than {self.most} operations")
+        self.operations.append(operation)
+        return len(self.operations) - 1
 
     def input(self, place: int, offset: int, kind: str, varying: bool) -> int:
         return self.add(Operation("input", (), kind, not varying, (place, offset)))
 
     def constant(self, value: Any, kind: str) -> int:
-        # As text: -0.0 equals 0.0, and NaN nothing.
-        number = {"f": lambda: float(value), "i": lambda: int(value), "b": lambda: bool(value)}[kind]()
-        return self.add(Operation("constant", (), kind, True, repr(number)))
+        number = {"f": self.dtype.type, "i": int, "b": bool}[kind](value)
+        key = ("constant", repr(number), kind)  # as text: -0.0 equals 0.0, and NaN nothing
+        if key not in self.known:
+            text = repr(float(value) if kind == "f" else number)
+            self.known[key] = place = self.add(Operation("constant", (), kind, True, text))
+            self.constants[place] = number
+        return self.known[key]
 
     def apply(self, name: str, *operands: int, kind: str | None = None) -> int:
+        key = (name, operands, kind)
+        if key not in self.known:
+            self.known[key] = self.applied(name, operands, kind)
+        return self.known[key]
+
+    def applied(self, name: str, operands: tuple[int, ...], kind: str | None) -> int:
         used = [self.operations[o] for o in operands]
         kinds = {o.kind for o in used}
-        if kinds == {"i"} and name in _FOLDED and all(o.name == "constant" for o in used):  # a counter of turns
-            return self.constant(_FOLDED[name](*(int(o.constant) for o in used)), "i")
         if "b" in kinds and name in ("max", "min"):
             name = {"max": "or", "min": "and"}[name]
-        for of, allowed, what in (("i", _OF_WHOLE, "whole numbers"), ("b", _OF_TRUTH, "truth values")):
+        kind = used[0].kind if kind is None else kind
+        constants = [self.constants.get(o) for o in operands]
+        if name in _OF_CONSTANTS and all(c is not None for c in constants):
+            with np.errstate(all="ignore"):
+                return self.constant(_OF_CONSTANTS[name](*constants), kind)
+        for of, allowed, what in (("i", OF_WHOLE, "whole numbers"), ("b", OF_TRUTH, "truth values")):
             if of in kinds and name not in allowed:
                 raise UnsupportedError(f"it has the operation {name} of {what}")
-        kind = used[0].kind if kind is None else kind
-        if name in ("mul", "add") and kind == "f":  # by one, and with zero: derivatives are full of them
-            neutral = "1.0" if name == "mul" else "0.0"
-            for this, other in (operands, operands[::-1]):
-                if self.operations[this].name == "constant" and self.operations[this].constant == neutral:
-                    return other
+        if kind == "f" and name in ("mul", "add", "sub"):
+            simpler = self.simpler(name, operands, constants)
+            if simpler is not None:
+                return simpler
         return self.add(Operation(name, operands, kind, all(o.shared for o in used)))
+
+    def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
+        """Of sums and products with zero and one: derivatives and constant tables are full of them."""
+        (a, b), (number, other) = operands, constants
+        if name == "mul":
+            if number == 0 or other == 0:
+                return self.constant(0.0, "f")
+            return b if number == 1 else a if other == 1 else None
+        if other == 0:
+            return a
+        if number == 0:
+            return b if name == "add" else self.apply("neg", b)
+        return None
 
     def kind_of(self, dtype: Any) -> str:
         dtype = np.dtype(dtype)
@@ -151,9 +190,7 @@ class _Builder:
         raise UnsupportedError(f"it has numbers of type {dtype}")
 
     def array(self, shape: tuple[int, ...], number: Callable[[int], int]) -> Values:
-        values = np.empty(math.prod(shape), object)
-        values[:] = [number(i) for i in range(values.size)]
-        return values.reshape(shape)
+        return np.array([number(i) for i in range(math.prod(shape))], np.int64).reshape(shape)
 
     def literal(self, value: Any) -> Values:
         value = np.asarray(value)
@@ -162,8 +199,14 @@ class _Builder:
 
     def map(self, function: Callable[..., int], *arrays: Values) -> Values:
         arrays = np.broadcast_arrays(*arrays)
-        flat = [a.ravel() for a in arrays]
-        return self.array(arrays[0].shape, lambda i: function(*(int(f[i]) for f in flat)))
+        numbers = [function(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
+        return np.array(numbers, np.int64).reshape(arrays[0].shape)
+
+    def whole(self, values: Values) -> np.ndarray:
+        """Whole numbers that are constants."""
+        if not all(v in self.constants for v in values.ravel().tolist()):
+            raise UnsupportedError("it has indices that depend on its arguments")
+        return np.array([self.constants[v] for v in values.ravel().tolist()], np.int64).reshape(values.shape)
 
     # --- Programs ---
 
@@ -186,17 +229,19 @@ class _Builder:
 
     def equation(self, eqn: Any, args: list[Values]) -> list[Values]:
         name, params = eqn.primitive.name, eqn.params
-        if not eqn.outvars or any(0 in v.aval.shape for v in (*eqn.invars, *eqn.outvars)):
-            raise UnsupportedError(f"it has the operation {name} of nothing or without a result")
+        if not eqn.outvars:
+            raise UnsupportedError(f"it has the operation {name} without a result")
         if eqn.primitive is linear_pass_p:
-            inner = jax.make_jaxpr(lambda *a: run_elsewhere(*a, **params))(*(v.aval for v in eqn.invars))
+            inner = jax.make_jaxpr(lambda *a: run_number_by_number(*a, **params))(*(v.aval for v in eqn.invars))
             return self.run(inner.jaxpr, inner.consts, args)
         if name == "scan":
             return self.scan(params, args)
         if name == "reduce":
             return self.reduce(params, args)
+        if name == "custom_linear_solve":
+            return self.linear_solve(params, args)
         if name in _CALLS:
-            inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
+            inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "call") if key in params)
             closed = hasattr(inner, "consts")
             return self.run(inner.jaxpr if closed else inner, inner.consts if closed else (), args)
         # Numbers of another precision are constants at most, which become what they meet.
@@ -207,11 +252,13 @@ class _Builder:
         if name in ("optimization_barrier", "copy", "copy_p", "stop_gradient"):
             return args
         if name == "unstack":
-            moved = np.moveaxis(args[0], params["axis"], 0)
-            return [np.asarray(moved[i], object) for i in range(len(moved))]
-        if name in _SHAPES:
-            return [_SHAPES[name](args, params, eqn.outvars[0].aval)]
-        return [self.arithmetic(name, params, args, eqn.outvars[0].aval)]
+            return list(np.moveaxis(args[0], params["axis"], 0))
+        if name == "split":
+            return np.split(args[0], np.cumsum(params["sizes"])[:-1], axis=params["axis"])
+        out = eqn.outvars[0].aval
+        if name in ARRANGEMENTS:
+            return [ARRANGEMENTS[name](args, params, out)]
+        return [self.indexed(name, params, args, out) if name in _INDEXED else self.arithmetic(name, params, args, out)]
 
     def scan(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
         """A short loop, written out."""
@@ -222,8 +269,7 @@ class _Builder:
         consts, carry, given = args[:first], args[first:last], args[last:]
         turns = []
         for i in reversed(range(length)) if params["reverse"] else range(length):
-            of_turn = [np.asarray(g[i], object) for g in given]
-            out = self.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *carry, *of_turn])
+            out = self.run(jaxpr.jaxpr, jaxpr.consts, [*consts, *carry, *(np.asarray(g[i]) for g in given)])
             carry = out[: params["num_carry"]]
             turns.append(out[params["num_carry"] :])
         if params["reverse"]:
@@ -233,14 +279,40 @@ class _Builder:
     def reduce(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
         """Several arrays reduced together by a function of their numbers."""
         jaxpr, axes, half = params["jaxpr"], params["dimensions"], len(args) // 2
-        rows = [_rows(a, axes) for a in args[:half]]
-        totals = [np.full(a.shape[1:], initial[()], object) for a, initial in zip(rows, args[half:], strict=True)]
+        given = [rows(a, axes) for a in args[:half]]
+        totals = [np.full(a.shape[1:], initial, np.int64) for a, initial in zip(given, args[half:], strict=True)]
         for place in np.ndindex(totals[0].shape):
-            for k in range(len(rows[0])):
-                numbers = [np.asarray(a[place], object) for a in (*totals, *(np.asarray(r[k], object) for r in rows))]
+            for k in range(len(given[0])):
+                numbers = [np.asarray(a[place]) for a in (*totals, *(r[k] for r in given))]
                 for total, number in zip(totals, self.run(jaxpr.jaxpr, jaxpr.consts, numbers), strict=True):
-                    total[place] = number[()]
+                    total[place] = number
         return totals
+
+    def linear_solve(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
+        """``jax.lax.custom_linear_solve``: what its solver does."""
+        lengths, solve = params["const_lengths"], params["jaxprs"].solve
+        first = lengths.matvec + lengths.vecmat
+        return self.run(solve.jaxpr, solve.consts, [*args[first : first + lengths.solve], *args[sum(lengths) :]])
+
+    def indexed(self, name: str, params: dict[str, Any], args: list[Values], out: Any) -> Values:
+        """Parts of arrays at places that are constants."""
+        if name == "gather":
+            filling = _FILLING[self.kind_of(out.dtype)] if params["fill_value"] is None else params["fill_value"]
+            return gathered(args[0], self.whole(args[1]), params, out, self.constant(filling, self.kind_of(out.dtype)))
+        if name.startswith("scatter"):
+            how = {"scatter": None, "scatter-add": "add", "scatter-mul": "mul"}[name]
+            merge = how and functools.partial(self.map, lambda a, b: self.apply(how, a, b))
+            return scattered(args[0], self.whole(args[1]), args[2], params, merge)
+        update = name == "dynamic_update_slice"
+        sizes = args[1].shape if update else params["slice_sizes"]
+        starts = [int(self.whole(a)) for a in args[2 if update else 1 :]]
+        spots = zip(starts, sizes, args[0].shape, strict=True)
+        where = tuple(slice(b, b + k) for b, k in ((max(min(start, n - k), 0), k) for start, k, n in spots))
+        if not update:
+            return args[0][where]
+        result = args[0].copy()
+        result[where] = args[1]
+        return result
 
     def arithmetic(self, name: str, params: dict[str, Any], args: list[Values], out: Any) -> Values:
         kind = self.kind_of(out.dtype)
@@ -256,18 +328,33 @@ class _Builder:
             if len(args) != 3:
                 raise UnsupportedError(f"it has a select of {len(args) - 1} cases")
             return self.map(lambda which, no, yes: self.selected(which, no, yes), *args)
-        if name in ("reduce_sum", "reduce_max", "reduce_min", "reduce_and", "reduce_or", "reduce_prod"):
-            how = {"sum": "add", "prod": "mul"}.get(name[7:], name[7:])
-            add = functools.partial(self.map, lambda a, b: self.apply(how, a, b))
-            return np.asarray(functools.reduce(add, _rows(args[0], params["axes"])), object)
+        if name.startswith("reduce_") and name[7:] in _REDUCTIONS:
+            return self.folded(_REDUCTIONS[name[7:]], rows(args[0], params["axes"]), kind)
+        if name in ("cumsum", "cumprod", "cummax", "cummin"):
+            return self.accumulated({"sum": "add", "prod": "mul"}.get(name[3:], name[3:]), params, args[0])
         if name == "dot_general":
-            return self.product(params, *args)
+            return self.product(params, *args, kind)
         if name == "iota":
             return self.literal(np.indices(out.shape)[params["dimension"]].astype(out.dtype))
         name = {"add_any": "add"}.get(name, name)
-        if name not in ARITHMETIC:
+        if name not in ARITHMETIC and not (name == "rem" and kind == "i"):
             raise UnsupportedError(f"it has the operation {name}")
         return self.map(lambda *a: self.apply(name, *a, kind=kind), *args)
+
+    def folded(self, how: str, terms: Values, kind: str) -> Values:
+        """Sums, products and so on, from the first term to the last."""
+        if not len(terms):
+            if how not in ("add", "mul"):
+                raise UnsupportedError("it has the greatest or least of nothing")
+            return np.full(terms.shape[1:], self.constant({"add": 0, "mul": 1}[how], kind), np.int64)
+        return functools.reduce(functools.partial(self.map, lambda a, b: self.apply(how, a, b)), terms)
+
+    def accumulated(self, how: str, params: dict[str, Any], values: Values) -> Values:
+        terms = np.moveaxis(values, params["axis"], 0)
+        found = [self.folded(how, (terms[::-1] if params["reverse"] else terms)[:1], "f")]
+        for term in (terms[::-1] if params["reverse"] else terms)[1:]:
+            found.append(self.map(lambda a, b: self.apply(how, a, b), found[-1], term))
+        return np.moveaxis(np.stack(found[::-1] if params["reverse"] else found), 0, params["axis"])
 
     def converted(self, a: int, kind: str) -> int:
         return (
@@ -275,6 +362,8 @@ class _Builder:
         )
 
     def selected(self, which: int, no: int, yes: int) -> int:
+        if which in self.constants:
+            return yes if self.constants[which] else no
         return no if no == yes else self.apply("select", which, yes, no, kind=self.operations[no].kind)
 
     def power(self, a: int, exponent: int) -> int:
@@ -288,56 +377,22 @@ class _Builder:
         squared = self.apply("mul", half, half) if exponent > 1 else self.constant(1.0, "f")
         return self.apply("mul", squared, a) if exponent % 2 else squared
 
-    def product(self, params: dict[str, Any], a: Values, b: Values) -> Values:
+    def product(self, params: dict[str, Any], a: Values, b: Values, kind: str) -> Values:
         (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
-        if batch_a or batch_b:
-            raise UnsupportedError("it has a product of batches of arrays")
-        terms = [
-            self.map(lambda x, y: self.apply("mul", x, y), row.reshape(*row.shape, *[1] * column.ndim), column)
-            for row, column in zip(_rows(a, contract_a), _rows(b, contract_b), strict=True)
-        ]
-        return functools.reduce(functools.partial(self.map, lambda x, y: self.apply("add", x, y)), terms)
+        a, b = (self.map(lambda x: self.converted(x, kind), values) for values in (a, b))
+        batch = [a.shape[axis] for axis in batch_a]
+        of_a, of_b = _contracted(a, batch_a, contract_a), _contracted(b, batch_b, contract_b)
+        terms = self.map(lambda x, y: self.apply("mul", x, y), of_a[..., :, None], of_b[..., None, :])
+        found = self.folded("add", np.moveaxis(terms, 1, 0), kind)
+        return found.reshape(*batch, *_others(a, batch_a, contract_a), *_others(b, batch_b, contract_b))
 
 
-def _rows(a: Values, axes: Sequence[int]) -> Values:
-    """The arrays along the other axes, one after the other."""
-    moved = np.moveaxis(a, axes, range(len(axes)))
-    return moved.reshape(math.prod(moved.shape[: len(axes)]), *moved.shape[len(axes) :])
+def _contracted(a: Values, batch: Sequence[int], contract: Sequence[int]) -> Values:
+    """Batch, contracted and other axes, as one each."""
+    moved = np.moveaxis(a, (*batch, *contract), range(len(batch) + len(contract)))
+    sizes = [math.prod(a.shape[axis] for axis in axes) for axes in (batch, contract)]
+    return moved.reshape(*sizes, math.prod(_others(a, batch, contract)))
 
 
-def _broadcast(args: list[Values], params: dict[str, Any], out: Any) -> Values:
-    shape = [1] * len(out.shape)
-    for size, axis in zip(args[0].shape, params["broadcast_dimensions"], strict=True):
-        shape[axis] = size
-    return np.broadcast_to(args[0].reshape(shape), out.shape)
-
-
-def _slice(args: list[Values], params: dict[str, Any], out: Any) -> Values:
-    del out
-    steps = params["strides"] or (1,) * args[0].ndim
-    bounds = zip(params["start_indices"], params["limit_indices"], steps, strict=True)
-    return args[0][tuple(slice(*bound) for bound in bounds)]
-
-
-def _pad(args: list[Values], params: dict[str, Any], out: Any) -> Values:
-    values, filling = args
-    if any(low < 0 or high < 0 for low, high, _ in params["padding_config"]):
-        raise UnsupportedError("it has a pad that cuts")
-    padded = np.full(out.shape, int(filling[()]), object)
-    spots = zip(params["padding_config"], values.shape, strict=True)
-    padded[tuple(slice(low, low + (size - 1) * (gap + 1) + 1, gap + 1) for (low, _, gap), size in spots)] = values
-    return padded
-
-
-_SHAPES: dict[str, Callable[[list[Values], dict[str, Any], Any], Values]] = {
-    "broadcast_in_dim": _broadcast,
-    "reshape": lambda args, params, out: args[0].reshape(out.shape),
-    "squeeze": lambda args, params, out: args[0].reshape(out.shape),
-    "expand_dims": lambda args, params, out: args[0].reshape(out.shape),
-    "transpose": lambda args, params, out: args[0].transpose(params["permutation"]),
-    "concatenate": lambda args, params, out: np.concatenate(args, axis=params["dimension"]),
-    "rev": lambda args, params, out: np.flip(args[0], params["dimensions"]),
-    "slice": _slice,
-    "pad": _pad,
-    "stack": lambda args, params, out: np.stack(args, axis=params["axis"]),
-}
+def _others(a: Values, batch: Sequence[int], contract: Sequence[int]) -> list[int]:
+    return [size for axis, size in enumerate(a.shape) if axis not in (*batch, *contract)]

@@ -78,7 +78,8 @@ def mjx_data(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array)
             kin, static.mj.geom_bodyid[geoms], parameters["geom_pos"][geoms], parameters["geom_quat"][geoms]
         )
         d = d.replace(
-            geom_xpos=d.geom_xpos.at[geoms].set(pose.position), geom_xmat=d.geom_xmat.at[geoms].set(pose.rotation)
+            geom_xpos=d.geom_xpos.at[geoms].set(pose.position, unique_indices=True),
+            geom_xmat=d.geom_xmat.at[geoms].set(pose.rotation, unique_indices=True),
         )
     elif len(geoms):
         pose = attached(kin, static.mj.geom_bodyid, parameters["geom_pos"], parameters["geom_quat"])

@@ -1,0 +1,82 @@
+"""How arrays and the passes of a program reach C++: without the axes of ``vmap``, which say where copies lie."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr
+
+from rewax.physics.numerics.linear_pass import Arrays
+from rewax.physics.numerics.recompute import RECOMPUTED, Program
+from rewax.types import Array
+
+
+class Operand(NamedTuple):
+    """An array on its way into a kernel: axes of ``vmap``, its own, and that of the elements if it varies."""
+
+    array: Array
+    varies: bool
+    present: tuple[bool, ...]
+    """Which axes of ``vmap`` it has, outermost first."""
+
+    @property
+    def own_shape(self) -> tuple[int, ...]:
+        return self.array.shape[sum(self.present) :]
+
+    @property
+    def of_one_element(self) -> tuple[tuple[int, ...], Any, bool]:
+        shape = self.own_shape
+        return (*shape[:-1], 1) if self.varies else shape, self.array.dtype, bool(jax.typeof(self.array).weak_type)
+
+    @property
+    def step(self) -> int:
+        """How far apart copies are; 0: there is one for all."""
+        return math.prod(self.own_shape) if any(self.present) else 0
+
+    def laid_out(self, batch: tuple[int, ...]) -> Array:
+        """With all axes of ``vmap``, or none."""
+        if all(self.present) or not self.step:
+            return self.array
+        sizes = iter(self.array.shape)
+        axes = tuple(next(sizes) if here else 1 for here in self.present)
+        return jnp.broadcast_to(self.array.reshape(*axes, *self.own_shape), (*batch, *self.own_shape))
+
+
+def batch_shape(operands: Sequence[Operand]) -> tuple[int, ...]:
+    """Sizes of all axes of ``vmap``."""
+    sizes = {}
+    for operand in operands:
+        axes = [axis for axis, here in enumerate(operand.present) if here]
+        sizes |= zip(axes, operand.array.shape, strict=False)
+    return tuple(sizes[axis] for axis in sorted(sizes))
+
+
+def operands_of(program: Program, arrays: Arrays, linear: Arrays, varies: Sequence[bool]) -> list[Operand]:
+    """The arguments of a pass. Those in which it is linear have all axes of ``vmap``."""
+    present = [tuple(batch[k] for batch in reversed(program.batches)) for k in range(len(arrays))]
+    present += [(True,) * len(program.batches)] * len(linear)
+    given = zip((*arrays, *linear), varies, present, strict=True)
+    return [Operand(array, varying, here) for array, varying, here in given]
+
+
+def one_pass(which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int) -> ClosedJaxpr:
+    """The trace of a pass outside of ``vmap``.
+
+    Args:
+      which: ``value``, ``tangent`` or ``cotangent``.
+      program: whose.
+      avals: shape, type and weakness of its arguments.
+      count: so many of them are those in which it need not be linear.
+    """
+    passes = {
+        "value": lambda *a: tuple(jax.tree.leaves(program.apply(a))),
+        "tangent": lambda *a: RECOMPUTED.tangent(program, a[:count], a[count:]),
+        "cotangent": lambda *a: RECOMPUTED.cotangent(program, a[:count], a[count:]),
+    }
+    structs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in avals]
+    return jax.make_jaxpr(passes[which])(*structs)
+
+
+__all__ = ["Operand", "batch_shape", "one_pass", "operands_of"]
