@@ -332,6 +332,8 @@ class _Builder:
             return self.folded(_REDUCTIONS[name[7:]], rows(args[0], params["axes"]), kind)
         if name in ("cumsum", "cumprod", "cummax", "cummin"):
             return self.accumulated({"sum": "add", "prod": "mul"}.get(name[3:], name[3:]), params, args[0])
+        if name in ("argmax", "argmin"):
+            return self.place_of_extreme("gt" if name == "argmax" else "lt", rows(args[0], params["axes"]))
         if name == "dot_general":
             return self.product(params, *args, kind)
         if name == "iota":
@@ -355,6 +357,18 @@ class _Builder:
         for term in (terms[::-1] if params["reverse"] else terms)[1:]:
             found.append(self.map(lambda a, b: self.apply(how, a, b), found[-1], term))
         return np.moveaxis(np.stack(found[::-1] if params["reverse"] else found), 0, params["axis"])
+
+    def place_of_extreme(self, better: str, terms: Values) -> Values:
+        """The first of the greatest or least terms; NaN is greater and less than anything."""
+        best, place = terms[0], np.full(terms.shape[1:], self.constant(0, "i"), np.int64)
+        for k, term in enumerate(terms[1:], start=1):
+            which = self.map(lambda a, b: self.apply(better, a, b, kind="b"), term, best)
+            if self.operations[int(term.flat[0])].kind == "f":
+                nan, number = (self.map(lambda a, how=how: self.apply(how, a, a, kind="b"), values) for how, values in (("ne", term), ("eq", best)))
+                which = self.map(lambda a, b, c: self.apply("or", a, self.apply("and", b, c)), which, nan, number)
+            best = self.map(self.selected, which, best, term)
+            place = self.map(lambda w, a, k=k: self.selected(w, a, self.constant(k, "i")), which, place)
+        return place
 
     def converted(self, a: int, kind: str) -> int:
         return (
