@@ -1,7 +1,5 @@
 """Optimizers that the algorithms share."""
 
-import itertools
-import math
 from typing import Any
 
 import jax
@@ -10,6 +8,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from rewax import struct
+from rewax.physics.numerics.division import divided
 from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array, PyTree
 
@@ -80,10 +79,7 @@ class Packing:
         return Packed(vector=ravel_pytree(part)[0])
 
     def _parts(self, packed: Packed) -> PyTree:
-        ends = itertools.accumulate(math.prod(shape) for shape in self._shapes)
-        parts = jnp.split(packed.vector, list(ends)[:-1])
-        leaves = [part.reshape(shape) for part, shape in zip(parts, self._shapes, strict=True)]
-        return jax.tree.unflatten(self._treedef, leaves)
+        return jax.tree.unflatten(self._treedef, divided(packed.vector, self._shapes))
 
 
 def _have_one_type(leaves: list[Any]) -> bool:

@@ -57,8 +57,6 @@ REWAX_UNARY(Abs, std::fabs)
 REWAX_UNARY(Sqrt, std::sqrt)
 REWAX_UNARY(Floor, std::floor)
 REWAX_UNARY(Ceil, std::ceil)
-REWAX_UNARY(Sin, std::sin)
-REWAX_UNARY(Cos, std::cos)
 REWAX_UNARY(Tanh, std::tanh)
 REWAX_UNARY(Cbrt, std::cbrt)
 REWAX_UNARY(Log1p, std::log1p)
@@ -81,7 +79,7 @@ auto IsFinite(X a) {
   return Abs(a) < Full<X>(kInfinity);
 }
 
-// Exponential and logarithm of all lanes at once, with the reductions and polynomials of Moshier's Cephes library; in
+// Exponential, logarithm, sine and cosine of all lanes at once, with the reductions and polynomials of Moshier's Cephes library; in
 // double precision, where only tests compute, those of the C library.
 template <typename X>
 X Exp(X a) {
@@ -135,6 +133,33 @@ X Log(X a) {
     const X special = a == 0.0f ? Full<X>(-kInfinity) : a < 0.0f ? Full<X>(kNaN) : a;
     return (a > 0.0f) & (a < kInfinity) ? y : special;
   }
+}
+
+template <typename X>
+X SineOrCosine(X a, int quarters) {
+  bool small = sizeof(T) == 4;
+  for (int l = 0; l < kSize<X>; ++l) small &= !(std::fabs(a[l]) > 8192);  // beyond, too little is left of the angle
+  if (!small) {
+    REWAX_LANES(X, quarters ? std::cos(a[l]) : std::sin(a[l]));
+  }
+  typedef decltype(X{} < X{}) I;
+  const X n = Floor(a * T(0.636619772367581343) + T(0.5));
+  const X r = ((a - n * T(1.5703125)) - n * T(4.83751296997070312e-4)) - n * T(7.54978995489188216e-8);
+  const X z = r * r;
+  const X sine = ((T(-1.9515295891e-4) * z + T(8.3321608736e-3)) * z - T(1.6666654611e-1)) * z * r + r;
+  const X cosine =
+      ((T(2.443315711809948e-5) * z - T(1.388731625493765e-3)) * z + T(4.166664568298827e-2)) * z * z - T(0.5) * z + T(1);
+  const I turn = __builtin_convertvector(n == n ? n : X{}, I) + quarters;
+  const X value = (turn & 1) != 0 ? cosine : sine;
+  return (turn & 2) != 0 ? -value : value;
+}
+template <typename X>
+X Sin(X a) {
+  return SineOrCosine(a, 0);
+}
+template <typename X>
+X Cos(X a) {
+  return SineOrCosine(a, 1);
 }
 
 // Towards zero; the nearest there is for what is too large, 0 for NaN.

@@ -160,19 +160,19 @@ class _Builder:
         for of, allowed, what in (("i", OF_WHOLE, "whole numbers"), ("b", OF_TRUTH, "truth values")):
             if of in kinds and name not in allowed:
                 raise UnsupportedError(f"it has the operation {name} of {what}")
-        if kind == "f" and name in ("mul", "add", "sub"):
+        if kind == "f" and name in ("mul", "div", "add", "sub"):
             simpler = self.simpler(name, operands, constants)
             if simpler is not None:
                 return simpler
         return self.add(Operation(name, operands, kind, all(o.shared for o in used)))
 
     def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
-        """Of sums and products with zero and one: derivatives and constant tables are full of them."""
+        """Of operations with zero and one: derivatives and constant tables are full of them."""
         (a, b), (number, other) = operands, constants
-        if name == "mul":
-            if number == 0 or other == 0:
+        if name in ("mul", "div"):
+            if number == 0 or (other == 0 and name == "mul"):
                 return self.constant(0.0, "f")
-            return b if number == 1 else a if other == 1 else None
+            return a if other == 1 else b if number == 1 and name == "mul" else None
         if other == 0:
             return a
         if number == 0:

@@ -160,14 +160,14 @@ def written(line: StraightLine, types: Sequence[Any]) -> Tape:
     if any(operations[i].kind == "i" for output in outputs for i in output):
         raise UnsupportedError("it returns whole numbers")
     steps = list(_steps(operations, [i for output in outputs for i in output]))
-    constants = sorted({i for i, name, _ in steps if name == "constant"})
+    constants = {i: k for k, i in enumerate(i for i, name, _ in steps if name == "constant")}
     operands = sorted({operations[i].constant[0] for i, name, _ in steps if name == "input"})
     slots = _Slots(steps, outputs)
     rows: list[tuple[str, tuple[int, ...]]] = []
     for i, name, used in steps:
         operation, places = operations[i], slots.of(i, used)
         if name == "constant":
-            rows.append(("constant", (places[0], constants.index(i))))
+            rows.append(("constant", (places[0], constants[i])))
         elif name == "input":
             argument, offset = operation.constant
             rows.append((f"load_{np.dtype(types[argument]).name}", (places[0], operands.index(argument), offset)))

@@ -171,9 +171,30 @@ def _elimination(static: None, residuals: Arrays, linear: Arrays, *, unroll: boo
     return (jax.lax.fori_loop(0, num, eliminate, table, unroll=True if unroll else None)[..., -1, :],)
 
 
+def _elimination_by_numbers(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
+    """From the last unknown to the first: of a tree's mass matrix the zeros stay zeros, and cost nothing on a tape.
+
+    Source: Featherstone 2008, Rigid Body Dynamics Algorithms, section 6.5.
+    """
+    del static, linear
+    matrix, vector = residuals
+    rows = []
+    for k in reversed(range(vector.shape[0])):
+        row, right = matrix[k] / matrix[k, k], vector[k] / matrix[k, k]
+        rows.append((row[:k], right))
+        factor = matrix[:k, k]
+        matrix, vector = matrix[:k, :k] - factor[:, None] * row[:k], vector[:k] - factor * right
+    solution = vector
+    for row, right in reversed(rows):
+        solution = jnp.concatenate([solution, (right - jnp.sum(row * solution, axis=0))[None]])
+    return (solution,)
+
+
 # On a GPU each turn of a loop would be kernels and copies of its own.
 _ELIMINATION = ByPlatform(
-    cpu=functools.partial(_elimination, unroll=False), other=functools.partial(_elimination, unroll=True)
+    cpu=functools.partial(_elimination, unroll=False),
+    other=functools.partial(_elimination, unroll=True),
+    numbers=_elimination_by_numbers,
 )
 
 

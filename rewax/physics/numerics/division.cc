@@ -1,0 +1,30 @@
+// Cuts each row of a matrix into pieces, one buffer for each, through XLA's foreign function interface.
+//
+// division.py builds this file after threads.h.
+
+#include <cstring>
+#include <utility>
+#include <vector>
+
+namespace {
+
+ffi::Error Divide(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
+  const size_t num_rows = static_cast<size_t>(whole.element_count() / std::max<int64_t>(whole.dimensions().back(), 1));
+  const char* from = static_cast<const char*>(whole.untyped_data());
+  std::vector<std::pair<char*, size_t>> to(pieces.size());
+  for (size_t k = 0; k < to.size(); ++k) {
+    auto piece = *pieces.get<ffi::AnyBuffer>(k);
+    to[k] = {static_cast<char*>(piece->untyped_data()), num_rows ? piece->size_bytes() / num_rows : 0};
+  }
+  for (size_t row = 0; row < num_rows; ++row) {
+    for (const auto& [begin, size] : to) {
+      std::memcpy(begin + row * size, from, size);
+      from += size;
+    }
+  }
+  return ffi::Error::Success();
+}
+
+}  // namespace
+
+XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_divide, Divide, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());
