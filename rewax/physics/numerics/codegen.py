@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rewax.physics.numerics.straight_line import Operation, UnsupportedError, straight_line
+from rewax.physics.numerics.operations import Operation, UnsupportedError
+from rewax.physics.numerics.straight_line import straight_line
 
 KERNEL = "rewax_kernel"
 """Name of the function that ``kernel_source`` writes."""

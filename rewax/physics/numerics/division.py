@@ -13,7 +13,9 @@ from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.types import Array
 
 _Shapes = tuple[tuple[int, ...], ...]
-_SOURCE = native.Source("division", native.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text(), ("-O2",))
+_SOURCE = native.Source(
+    "division", native.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text(), ("-O2",)
+)
 
 
 def divided(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:

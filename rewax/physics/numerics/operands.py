@@ -61,7 +61,9 @@ def operands_of(program: Program, arrays: Arrays, linear: Arrays, varies: Sequen
     return [Operand(array, varying, here) for array, varying, here in given]
 
 
-def one_pass(which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int) -> ClosedJaxpr:
+def one_pass(
+    which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int
+) -> ClosedJaxpr:
     """The trace of a pass outside of ``vmap``.
 
     Args:

@@ -17,8 +17,8 @@ from rewax.physics.numerics import native
 from rewax.physics.numerics.codegen import KERNEL, kernel_source
 from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
 from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of
+from rewax.physics.numerics.operations import UnsupportedError
 from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program, run_program, split_arguments
-from rewax.physics.numerics.straight_line import UnsupportedError
 from rewax.types import Array
 
 S = TypeVar("S")

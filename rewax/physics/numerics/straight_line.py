@@ -7,7 +7,7 @@ ones cost nothing.
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,59 +16,20 @@ from jax.extend.core import ClosedJaxpr
 
 from rewax.physics.numerics.arrangement import ARRANGEMENTS, Values, gathered, rows, scattered
 from rewax.physics.numerics.linear_pass import linear_pass_p, run_number_by_number
+from rewax.physics.numerics.operations import ARITHMETIC, Operation, Operations, UnsupportedError
 
 _LONGEST_LOOP = 64
 
-ARITHMETIC = frozenset({
-    "add", "sub", "mul", "div", "neg", "max", "min", "abs", "sign", "sqrt", "rsqrt", "cbrt", "exp", "log",
-    "log1p", "expm1", "sin", "cos", "tanh", "logistic", "pow", "atan2", "floor", "ceil", "is_finite", "lt",
-    "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
+_CALLS = frozenset({
+    "jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call",
+    "custom_vmap_call",
 })  # fmt: skip
-"""Operations on numbers, by the names of JAX's primitives."""
-OF_WHOLE = frozenset(["add", "sub", "max", "min", "lt", "le", "gt", "ge", "eq", "ne", "select", "i_to_f", "i_to_b"])
-_OF_CONSTANTS: dict[str, Callable[..., Any]] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "max": np.maximum,
-    "min": np.minimum, "abs": np.abs, "sign": np.sign, "sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil,
-    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
-    "and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not, "rem": np.fmod,
-    "select": lambda which, yes, no: yes if which else no,
-    "i_to_f": lambda a: a, "b_to_f": lambda a: a, "b_to_i": lambda a: a, "i_to_b": bool,
-}  # fmt: skip
-"""What is computed here, once, where all operands are constants."""
-OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select", "b_to_f", "b_to_i"])
-_CALLS = frozenset(
-    [
-        "jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2", "custom_jvp_call",
-        "custom_vjp_call", "custom_vmap_call",
-    ]  # fmt: skip
-)
 _KEEPS_CONSTANTS = frozenset(
     ["select_n", "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "stack", "concatenate", "copy"]
 )
-_INDEXED = frozenset(
-    ["gather", "scatter", "scatter-add", "scatter-mul", "dynamic_slice", "dynamic_update_slice"]
-)
+_INDEXED = frozenset(["gather", "scatter", "scatter-add", "scatter-mul", "dynamic_slice", "dynamic_update_slice"])
 _FILLING = {"f": float("nan"), "i": np.iinfo(np.int32).min, "b": True}
 _REDUCTIONS = {"sum": "add", "prod": "mul", "max": "max", "min": "min", "and": "and", "or": "or"}
-
-
-class UnsupportedError(Exception):
-    """A program has something that is not arithmetic on numbers of one precision; the message names it."""
-
-
-class Operation(NamedTuple):
-    """One number from others. Equal operations on equal operands are one."""
-
-    name: str
-    """One of ``ARITHMETIC``, ``select``, ``constant``, ``input``, or a conversion, ``b_to_f``."""
-    operands: tuple[int, ...]
-    """Earlier operations, by their places in the list."""
-    kind: str
-    """``f`` (the floating type), ``i`` (integer) or ``b`` (truth value)."""
-    shared: bool
-    """The same for all elements of a copy."""
-    constant: Any = None
-    """Of a ``constant`` its value, as text; of an ``input`` which argument it is, and the place in it."""
 
 
 class StraightLine(NamedTuple):
@@ -101,7 +62,7 @@ def straight_line(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5
         raise UnsupportedError(f"its results are of floating types other than {dtype}")
     found = builder.run(program.jaxpr, program.consts, inputs)
     outputs = [np.ravel(output).tolist() for output in found]
-    return StraightLine(builder.operations, outputs, dtype)
+    return StraightLine(builder.listed, outputs, dtype)
 
 
 def _floating_type(program: ClosedJaxpr) -> np.dtype:
@@ -111,104 +72,8 @@ def _floating_type(program: ClosedJaxpr) -> np.dtype:
     return types.pop()
 
 
-class _Builder:
-    """Operations in order, each once: an operation with the operands of an earlier one is that one."""
-
-    def __init__(self, dtype: np.dtype, most: int) -> None:
-        self.dtype = dtype
-        self.most = most
-        self.operations: list[Operation] = []
-        self.known: dict[Any, int] = {}
-        self.constants: dict[int, Any] = {}
-
-    # --- Operations ---
-
-    def add(self, operation: Operation) -> int:
-        if len(self.operations) >= self.most:
-            raise UnsupportedError(f"it has more than {self.most} operations")
-        self.operations.append(operation)
-        return len(self.operations) - 1
-
-    def input(self, place: int, offset: int, kind: str, varying: bool) -> int:
-        return self.add(Operation("input", (), kind, not varying, (place, offset)))
-
-    def constant(self, value: Any, kind: str) -> int:
-        number = {"f": self.dtype.type, "i": int, "b": bool}[kind](value)
-        key = ("constant", repr(number), kind)  # as text: -0.0 equals 0.0, and NaN nothing
-        if key not in self.known:
-            text = repr(float(value) if kind == "f" else number)
-            self.known[key] = place = self.add(Operation("constant", (), kind, True, text))
-            self.constants[place] = number
-        return self.known[key]
-
-    def apply(self, name: str, *operands: int, kind: str | None = None) -> int:
-        key = (name, operands, kind)
-        if key not in self.known:
-            self.known[key] = self.applied(name, operands, kind)
-        return self.known[key]
-
-    def applied(self, name: str, operands: tuple[int, ...], kind: str | None) -> int:
-        used = [self.operations[o] for o in operands]
-        kinds = {o.kind for o in used}
-        if "b" in kinds and name in ("max", "min"):
-            name = {"max": "or", "min": "and"}[name]
-        kind = used[0].kind if kind is None else kind
-        constants = [self.constants.get(o) for o in operands]
-        if name in _OF_CONSTANTS and all(c is not None for c in constants):
-            with np.errstate(all="ignore"):
-                return self.constant(_OF_CONSTANTS[name](*constants), kind)
-        for of, allowed, what in (("i", OF_WHOLE, "whole numbers"), ("b", OF_TRUTH, "truth values")):
-            if of in kinds and name not in allowed:
-                raise UnsupportedError(f"it has the operation {name} of {what}")
-        if kind == "f" and name in ("mul", "div", "add", "sub"):
-            simpler = self.simpler(name, operands, constants)
-            if simpler is not None:
-                return simpler
-        return self.add(Operation(name, operands, kind, all(o.shared for o in used)))
-
-    def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
-        """Of operations with zero and one: derivatives and constant tables are full of them."""
-        (a, b), (number, other) = operands, constants
-        if name in ("mul", "div"):
-            if number == 0 or (other == 0 and name == "mul"):
-                return self.constant(0.0, "f")
-            return a if other == 1 else b if number == 1 and name == "mul" else None
-        if other == 0:
-            return a
-        if number == 0:
-            return b if name == "add" else self.apply("neg", b)
-        return None
-
-    def kind_of(self, dtype: Any) -> str:
-        dtype = np.dtype(dtype)
-        if np.issubdtype(dtype, np.floating):
-            return "f"
-        if dtype == np.bool_:
-            return "b"
-        if dtype == np.int32 or (dtype == np.int64 and self.dtype == np.float64):  # as wide as its lanes
-            return "i"
-        raise UnsupportedError(f"it has numbers of type {dtype}")
-
-    def array(self, shape: tuple[int, ...], number: Callable[[int], int]) -> Values:
-        return np.array([number(i) for i in range(math.prod(shape))], np.int64).reshape(shape)
-
-    def literal(self, value: Any) -> Values:
-        value = np.asarray(value)
-        kind, flat = self.kind_of(value.dtype), value.ravel()
-        return self.array(value.shape, lambda i: self.constant(flat[i], kind))
-
-    def map(self, function: Callable[..., int], *arrays: Values) -> Values:
-        arrays = np.broadcast_arrays(*arrays)
-        numbers = [function(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
-        return np.array(numbers, np.int64).reshape(arrays[0].shape)
-
-    def whole(self, values: Values) -> np.ndarray:
-        """Whole numbers that are constants."""
-        if not all(v in self.constants for v in values.ravel().tolist()):
-            raise UnsupportedError("it has indices that depend on its arguments")
-        return np.array([self.constants[v] for v in values.ravel().tolist()], np.int64).reshape(values.shape)
-
-    # --- Programs ---
+class _Builder(Operations):
+    """The list of a traced program's operations."""
 
     def run(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Values]) -> list[Values]:
         values: dict[Any, Values] = {}
@@ -335,7 +200,7 @@ class _Builder:
         if name in ("argmax", "argmin"):
             return self.place_of_extreme("gt" if name == "argmax" else "lt", rows(args[0], params["axes"]))
         if name == "dot_general":
-            return self.product(params, *args, kind)
+            return self.product(params, args[0], args[1], kind)
         if name == "iota":
             return self.literal(np.indices(out.shape)[params["dimension"]].astype(out.dtype))
         name = {"add_any": "add"}.get(name, name)
@@ -363,33 +228,15 @@ class _Builder:
         best, place = terms[0], np.full(terms.shape[1:], self.constant(0, "i"), np.int64)
         for k, term in enumerate(terms[1:], start=1):
             which = self.map(lambda a, b: self.apply(better, a, b, kind="b"), term, best)
-            if self.operations[int(term.flat[0])].kind == "f":
-                nan, number = (self.map(lambda a, how=how: self.apply(how, a, a, kind="b"), values) for how, values in (("ne", term), ("eq", best)))
+            if self.listed[int(term.flat[0])].kind == "f":
+                nan, number = (
+                    self.map(lambda a, how=how: self.apply(how, a, a, kind="b"), values)
+                    for how, values in (("ne", term), ("eq", best))
+                )
                 which = self.map(lambda a, b, c: self.apply("or", a, self.apply("and", b, c)), which, nan, number)
             best = self.map(self.selected, which, best, term)
             place = self.map(lambda w, a, k=k: self.selected(w, a, self.constant(k, "i")), which, place)
         return place
-
-    def converted(self, a: int, kind: str) -> int:
-        return (
-            a if self.operations[a].kind == kind else self.apply(f"{self.operations[a].kind}_to_{kind}", a, kind=kind)
-        )
-
-    def selected(self, which: int, no: int, yes: int) -> int:
-        if which in self.constants:
-            return yes if self.constants[which] else no
-        return no if no == yes else self.apply("select", which, yes, no, kind=self.operations[no].kind)
-
-    def power(self, a: int, exponent: int) -> int:
-        if self.operations[a].kind != "f":
-            raise UnsupportedError("it has powers of whole numbers")
-        if exponent < 0:
-            return self.apply("div", self.constant(1.0, "f"), self.power(a, -exponent))
-        if exponent == 0:
-            return self.constant(1.0, "f")
-        half = self.power(a, exponent // 2)
-        squared = self.apply("mul", half, half) if exponent > 1 else self.constant(1.0, "f")
-        return self.apply("mul", squared, a) if exponent % 2 else squared
 
     def product(self, params: dict[str, Any], a: Values, b: Values, kind: str) -> Values:
         (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]

@@ -23,8 +23,9 @@ from rewax.physics.numerics import native
 from rewax.physics.numerics.codegen import HEADER, TEXT
 from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
 from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of
+from rewax.physics.numerics.operations import OF_TRUTH, OF_WHOLE, Operation, UnsupportedError
 from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program, run_program, split_arguments
-from rewax.physics.numerics.straight_line import OF_TRUTH, OF_WHOLE, Operation, StraightLine, UnsupportedError, straight_line
+from rewax.physics.numerics.straight_line import StraightLine, straight_line
 
 T = TypeVar("T")
 
@@ -103,7 +104,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     avals = tuple(o.of_one_element for o in operands)
     target = _target(which, program._replace(batches=()), avals, len(arrays), jnp.result_type(float))
     if target is None:
-        return getattr(RECOMPUTED, which)(program, arrays, linear)
+        return _with_jax(which, program, arrays, linear)
     batch = batch_shape(operands)
     used = [operands[k] for k in target.operands]
     full = [(shape, dtype) for shape, dtype in target.outputs if math.prod(shape)]
@@ -114,6 +115,11 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     return tuple(
         next(found) if math.prod(shape) else jnp.zeros((*batch, *shape), dtype) for shape, dtype in target.outputs
     )
+
+
+def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
+    """The same without a tape."""
+    return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
 @functools.lru_cache(maxsize=1024)
@@ -154,11 +160,11 @@ def written(line: StraightLine, types: Sequence[Any]) -> Tape:
       types: of its arguments.
 
     Raises:
-      UnsupportedError: it returns whole numbers.
+      UnsupportedError: it returns whole numbers or truth values.
     """
     operations, outputs = line.operations, line.outputs
-    if any(operations[i].kind == "i" for output in outputs for i in output):
-        raise UnsupportedError("it returns whole numbers")
+    if any(operations[i].kind != "f" for output in outputs for i in output):
+        raise UnsupportedError("it returns whole numbers or truth values")
     steps = list(_steps(operations, [i for output in outputs for i in output]))
     constants = {i: k for k, i in enumerate(i for i, name, _ in steps if name == "constant")}
     operands = sorted({operations[i].constant[0] for i, name, _ in steps if name == "input"})
@@ -175,7 +181,7 @@ def written(line: StraightLine, types: Sequence[Any]) -> Tape:
             rows.append((name, places))
     full = [output for output in outputs if output]
     for k, output in enumerate(full):
-        rows += [(f"store_{operations[i].kind}", (slots.place[i], k, offset)) for offset, i in enumerate(output)]
+        rows += [("store", (slots.place[i], k, offset)) for offset, i in enumerate(output)]
     numbers = np.array([_lane(operations[i], line.dtype) for i in constants], line.dtype)
     return Tape(_in_runs(rows), numbers, slots.count, tuple(operands))
 
@@ -192,8 +198,8 @@ def _steps(operations: Sequence[Operation], outputs: Sequence[int]) -> Iterator[
     users = Counter([o for i in order for o in operations[i].operands] + list(outputs))
     fused = {}
     for i in order:
-        for place, o in enumerate(operations[i].operands):
-            if operations[i].name in ("add", "sub") and operations[i].kind == "f" and i not in fused:
+        if operations[i].name in ("add", "sub") and operations[i].kind == "f":
+            for place, o in enumerate(operations[i].operands):
                 if operations[o].name == "mul" and users[o] == 1:
                     fused[i] = (place, o)
     inner = {o for _, o in fused.values()}
@@ -281,17 +287,24 @@ def _instructions() -> dict[str, tuple[int, str]]:
         found[name] = found.pop(f"{name}_fff")
     found["constant"] = (2, "s[at[0]] = Full<V>(tape.constants[static_cast<size_t>(at[1])]);")
     from_operand = "(static_cast<const {0}*>(operands[at[1]]) + first * steps[at[1]] + at[2], steps[at[1]], count)"
-    for name, buffer in (("float32", "T"), ("float64", "T"), ("int32", "int32_t"), ("int64", "int64_t"), ("bool", "bool")):
+    for name, buffer in (
+        ("float32", "T"),
+        ("float64", "T"),
+        ("int32", "int32_t"),
+        ("int64", "int64_t"),
+        ("bool", "bool"),
+    ):
         value = ("Gather" if buffer == "T" else "(V)GatherWhole") + from_operand.format(buffer)
-        found[f"load_{name}"] = (3, f"s[at[0]] = {value};" if buffer != "bool" else f"s[at[0]] = (V)(-{value.replace('(V)', '')});")
-    for kind, buffer, value in (("f", "T", "a[l]"), ("b", "bool", "a[l] != 0")):
-        found[f"store_{kind}"] = (
+        found[f"load_{name}"] = (
             3,
-            f"{{ const auto a = {'s[at[0]]' if kind == 'f' else '(VI)s[at[0]]'}; "
-            f"const int64_t step = steps[num_operands + static_cast<size_t>(at[1])]; "
-            f"{buffer}* to = static_cast<{buffer}*>(results[at[1]]) + first * step + at[2]; "
-            f"for (int l = 0; l < count; ++l) to[l * step] = {value}; }}",
+            f"s[at[0]] = {value};" if buffer != "bool" else f"s[at[0]] = (V)(-{value.replace('(V)', '')});",
         )
+    found["store"] = (
+        3,
+        "{ const int64_t step = steps[num_operands + static_cast<size_t>(at[1])]; "
+        "T* to = static_cast<T*>(results[at[1]]) + first * step + at[2]; "
+        "for (int l = 0; l < count; ++l) to[l * step] = s[at[0]][l]; }",
+    )
     return found
 
 

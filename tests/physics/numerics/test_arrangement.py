@@ -1,0 +1,28 @@
+"""Parts of arrays: sliced, gathered, scattered, padded as JAX does it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from operation_cases import assert_equal_to_jax
+
+
+def by_index(a, b):
+    """Everything that reads and writes at known places."""
+    table = jnp.outer(a, b)
+    places = np.array([[2, 0], [1, 1]])
+    batched = jax.vmap(lambda row, k: jax.lax.dynamic_slice(row, (k,), (2,)))(table, np.array([1, 0, 5]))
+    return (
+        table[places[:, 0], places[:, 1]],
+        table.at[places[:, 0], places[:, 1]].add(a[:2]),
+        table.at[1:, ::2].set(7.0),
+        table.at[places[:, 0]].multiply(2.0),
+        a.at[np.array([1, 9])].set(5.0, mode="drop"),
+        a.at[np.array([1, 9])].get(mode="fill", fill_value=3.0),
+        batched,
+        jax.lax.dynamic_update_slice(table, table[:2, :2] * 2, (1, 1)),
+        jax.lax.pad(table, jnp.float32(4), ((-1, 2, 1), (1, -1, 0))),
+    )
+
+
+def test_parts_are_those_of_jax():
+    assert_equal_to_jax(by_index, 1)

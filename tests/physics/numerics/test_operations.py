@@ -1,0 +1,27 @@
+"""Lists of operations: each once, constants folded, zeros and ones left out."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.numerics.operations import Operation
+from rewax.physics.numerics.straight_line import straight_line
+
+
+def test_an_operation_is_there_once():
+    line = straight_line(jax.make_jaxpr(lambda a: (jnp.sqrt(a) * jnp.sqrt(a), 1.0 * a + 0.0))(jnp.ones(1)), [True])
+    assert line.operations.count(Operation("sqrt", (0,), "f", False)) == 1
+    assert line.outputs[1] == [0]
+
+
+def test_zeros_and_ones_of_a_program_cost_nothing():
+    """Constant tables, and what derivatives begin with."""
+    table = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
+    line = straight_line(jax.make_jaxpr(lambda a: (table @ a, (a - 0.0) / 1.0, 0.0 / a))(jnp.ones(3)), [True])
+    assert [o.name for o in line.operations if o.name not in ("input", "constant")] == ["add"]
+
+
+def test_what_is_computed_of_constants_is_a_constant():
+    line = straight_line(jax.make_jaxpr(lambda a: jnp.where(np.arange(4) % 2 == 1, a, -a))(jnp.ones(4)), [True])
+    assert sum(o.name == "neg" for o in line.operations) == 4
+    assert [line.operations[i].name for i in line.outputs[0]] == ["neg", "input", "neg", "input"]

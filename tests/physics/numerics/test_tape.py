@@ -1,0 +1,161 @@
+"""Tapes: the numbers and derivatives of JAX, for many copies of a program side by side."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from native_cases import NEEDS_COMPILER
+
+from rewax.physics.numerics import native
+from rewax.physics.numerics import tape as module
+from rewax.physics.numerics.straight_line import straight_line
+from rewax.physics.numerics.tape import taped, written
+from rewax.physics.rigid.solver import implicit_correction, solve_spd
+
+PLACES = np.array([2, 0, 2])
+
+
+@pytest.fixture
+def tapes_only(monkeypatch):
+    """What has no tape fails, instead of being computed with JAX."""
+
+    def refuse(which, *args):
+        raise AssertionError(f"there is no tape for the {which}")
+
+    monkeypatch.setattr(module, "_with_jax", refuse)
+
+
+def square(inputs):
+    matrix = inputs["matrix"]
+    return matrix @ matrix.T + 3.0 * jnp.eye(3, dtype=matrix.dtype)
+
+
+def moved(solved, inputs, gain):
+    """Uses everything that articulated bodies use: tables, indices, selections, angles, empty arrays."""
+    a = inputs["a"]
+    turned = jnp.sin(a[PLACES]) * gain - jnp.arctan2(a, 2.0 + a[::-1] ** 2)
+    steepest = jax.nn.one_hot(jnp.argmax(jnp.abs(a)), 3, dtype=a.dtype) * (inputs["index"] > 1)
+    kept = jnp.where(inputs["active"], solved, jnp.clip(turned, -0.4, 0.4)) + steepest
+    return {
+        "x": kept.at[1].add(jnp.sum(inputs["matrix"])), "y": a[0], "none": a[:0], "one": jnp.ones((), a.dtype)
+    }  # fmt: skip
+
+
+def plain(inputs, gain):
+    return moved(jnp.linalg.solve(square(inputs), inputs["a"]), inputs, gain)
+
+
+def iterated(inputs, gain):
+    return moved(solve_spd(square(inputs), inputs["a"]), inputs, gain)
+
+
+def balance(known, inputs, gain):
+    del known
+    found = solve_spd(*jax.lax.stop_gradient((square(inputs), inputs["a"])))
+    residual = square(inputs) @ found - inputs["a"]
+    return moved(found - implicit_correction(square(inputs), residual), inputs, gain)
+
+
+FAST = taped(iterated, surrogate=balance)
+
+
+def arguments(*batch, dtype=np.float64):
+    draw = np.random.default_rng(len(batch))
+    inputs = {
+        "a": jnp.asarray(draw.normal(size=(*batch, 3)), dtype),
+        "matrix": jnp.asarray(draw.normal(size=(3, 3)), dtype),
+        "index": jnp.asarray(draw.integers(0, 4, (*batch, 3)), np.int32),
+        "active": jnp.asarray(draw.integers(0, 2, (*batch, 3)), bool),
+    }
+    return inputs, jnp.asarray(draw.uniform(0.5, 1.5, batch[-1:]), dtype)
+
+
+def everything(function, inputs, gain, tangents, cotangents):
+    """Value, forward and reverse derivative."""
+    rest = {name: inputs[name] for name in ("index", "active")}
+
+    def real(a, matrix, gain):
+        return function({"a": a, "matrix": matrix, **rest}, gain)
+
+    args = (inputs["a"], inputs["matrix"], gain)
+    value, tangent = jax.jvp(real, args, tangents)
+    return value, tangent, jax.vjp(real, *args)[1](cotangents)
+
+
+AXES = [
+    ({"a": 0, "matrix": None, "index": 0, "active": 0}, 0),
+    ({"a": 0, "matrix": None, "index": 0, "active": 0}, None),
+]
+"""Of each vmap, innermost first: which arrays have its axis."""
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("batch", [(), (5,), (37,), (3, 7)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_value_forward_and_reverse_are_those_of_jax(tapes_only, random_like, relative_error, batch, dtype):
+    """One copy, fewer and more than fit into a vector, and arguments that have not all of the axes."""
+
+    def run(function, *args):
+        program = lambda *args: everything(function, *args)  # noqa: E731
+        for given, of_gain in AXES[: len(batch)]:
+            program = jax.vmap(program, (given, of_gain, (given["a"], None, of_gain), 0))
+        return jax.jit(program)(*args)
+
+    with jax.enable_x64(dtype is np.float64):
+        inputs, gain = arguments(*batch, dtype=dtype)
+        tangents = random_like(0, (inputs["a"], inputs["matrix"], gain))
+        shapes = {"x": (*batch, 3), "y": batch, "none": (*batch, 0), "one": batch}
+        cotangents = random_like(1, {name: jax.ShapeDtypeStruct(shape, dtype) for name, shape in shapes.items()})
+        found, expected = (run(function, inputs, gain, tangents, cotangents) for function in (FAST, plain))
+        assert jax.tree.structure(found) == jax.tree.structure(expected)
+        assert relative_error(found, expected) < 300 * np.finfo(dtype).eps
+
+
+def test_what_is_no_arithmetic_is_left_to_jax(x64, monkeypatch, relative_error):
+    """Pass by pass: an iteration has no tape, its derivative by the implicit function theorem may have one."""
+    left = []
+    with_jax = module._with_jax
+    monkeypatch.setattr(module, "_with_jax", lambda which, *args: left.append(which) or with_jax(which, *args))
+
+    def root(a):
+        return jax.lax.while_loop(lambda x: jnp.abs(x * x - a) > 1e-12, lambda x: 0.5 * (x + a / x), 1.0 + a)
+
+    fast = taped(root, surrogate=lambda known, a: known + (a - jax.lax.stop_gradient(a)) / (2.0 * known))
+    value, slope = jax.vmap(jax.value_and_grad(fast))(jnp.array([2.0, 3.0]))
+    assert relative_error((value, slope), (np.sqrt([2.0, 3.0]), 0.5 / np.sqrt([2.0, 3.0]))) < 1e-9
+    assert set(left) == ({"value"} if native.compiler() and not native.is_off() else set())
+
+
+def test_without_a_compiler(monkeypatch):
+    monkeypatch.setattr(native, "compiler", lambda: None)
+    inputs, gain = arguments(dtype=np.float32)
+    found, expected = (f(inputs, gain)["x"] for f in (FAST, plain))
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_a_tape_has_few_slots_and_long_runs():
+    """The place of a value that nobody needs any more is used again; products are parts of sums."""
+
+    def chain(a):
+        for _ in range(50):
+            a = 0.5 * jnp.roll(a, 1) + a
+        return a
+
+    line = straight_line(jax.make_jaxpr(chain)(jnp.ones(4)), [True])
+    tape = written(line, [np.dtype(np.float32)])
+    assert tape.num_slots <= 10
+    assert tape.operands == (0,)
+    instructions, at = [], 0
+    while at < len(tape.code):
+        name = list(module._INSTRUCTIONS)[tape.code[at]]
+        instructions.append((name, int(tape.code[at + 1])))
+        at += 2 + module._INSTRUCTIONS[name][0] * tape.code[at + 1]
+    assert instructions[-1] == ("store", 4)
+    assert sum(times for name, times in instructions if name == "a_times_b_plus_c") == 200
+    assert not any(name == "mul_ff" for name, _ in instructions)
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_machine_can_be_built(dtype):
+    assert native.load(module._machine(np.dtype(dtype))[0]).library is not None
