@@ -85,20 +85,24 @@ def _device_problems() -> Iterator[tuple[str, str]]:
 
 
 def native_problems() -> Iterator[tuple[str, str]]:
-    """Whether soft bodies are computed in C++, where a CPU is what JAX computes on."""
+    """Whether physics is computed in C++, where a CPU is what JAX computes on."""
     import jax
+    import numpy as np
 
     from rewax.physics.mpm import transfer_native
-    from rewax.physics.numerics import native
+    from rewax.physics.numerics import native, tape
 
-    library, reason = native.load(transfer_native.SOURCE)
+    for source in (transfer_native.SOURCE, tape.machine(np.dtype(np.float32)).source):
+        library, reason = native.load(source)
+        if library is None:
+            break
     if library is not None or native.is_off():
-        print(f"soft bodies on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
+        print(f"physics on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
         return
     if jax.default_backend() != "cpu":
         return
     yield (
-        f"soft bodies are not computed in C++ ({reason}): on a CPU they take about twice as long",
+        f"physics is not computed in C++ ({reason}): on a CPU soft bodies take twice as long, rigid ones ten times",
         "install a C++ compiler, g++ or clang++, or set CXX to one",
     )
 

@@ -10,6 +10,7 @@ import ctypes
 import functools
 import hashlib
 import math
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -132,9 +133,10 @@ def _target(which: str, program: Program, avals: tuple, count: int, precision: A
         tape = written(line, [aval.dtype for aval in traced.in_avals])
     except UnsupportedError:
         return None
-    source, handler = _machine(line.dtype)
-    library = native.load(source).library
+    source, handler = machine(line.dtype)
+    library, reason = native.load(source)
     if library is None or not native.register(source, (handler,)):
+        warnings.warn(f"rigid bodies are computed with JAX, slower than in C++: {reason}", stacklevel=2)
         return None
     digest = hashlib.sha256(tape.code.tobytes() + tape.constants.tobytes() + handler.encode())
     number = int.from_bytes(digest.digest()[:7])  # the same in every process, for compiled programs are kept
@@ -312,9 +314,17 @@ _INSTRUCTIONS = _instructions()
 _NUMBERS = {name: number for number, name in enumerate(_INSTRUCTIONS)}
 
 
+class Machine(NamedTuple):
+    """The program that runs tapes of a floating type."""
+
+    source: native.Source
+    handler: str
+    """What XLA calls."""
+
+
 @functools.cache
-def _machine(dtype: np.dtype) -> tuple[native.Source, str]:
-    """The program that runs tapes of a floating type, and its handler's name."""
+def machine(dtype: np.dtype) -> Machine:
+    """The machine of a floating type, float32 or float64."""
     kind = {"float32": "float", "float64": "double"}[dtype.name]
     cases = " \\\n".join(
         f"case {_NUMBERS[name]}: for (; times; --times, at += {places}) {statement} break;"
@@ -328,7 +338,7 @@ def _machine(dtype: np.dtype) -> tuple[native.Source, str]:
         f"#define REWAX_TAPE {handler}\n#define REWAX_CASES \\\n{cases}\n",
         Path(__file__).with_suffix(".cc").read_text(),
     )
-    return native.Source("tape", "\n".join(parts), ("-O2", "-ftree-vectorize")), handler
+    return Machine(native.Source("tape", "\n".join(parts), ("-O2", "-ftree-vectorize")), handler)
 
 
-__all__ = ["TAPED", "Tape", "taped", "written"]
+__all__ = ["Machine", "Tape", "machine", "taped", "written"]

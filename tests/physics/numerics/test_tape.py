@@ -126,6 +126,15 @@ def test_what_is_no_arithmetic_is_left_to_jax(x64, monkeypatch, relative_error):
     assert set(left) == ({"value"} if native.compiler() and not native.is_off() else set())
 
 
+@NEEDS_COMPILER
+def test_a_compiler_that_fails(monkeypatch):
+    monkeypatch.setattr(native, "load", lambda source: native.Loaded(None, "c++ failed (no space)"))
+    inputs, gain = arguments(dtype=np.float32)
+    with pytest.warns(UserWarning, match="with JAX, slower than in C\\+\\+: c\\+\\+ failed"):
+        found = taped(iterated)(inputs, gain)
+    np.testing.assert_allclose(found["x"], plain(inputs, gain)["x"], rtol=1e-5)
+
+
 def test_without_a_compiler(monkeypatch):
     monkeypatch.setattr(native, "compiler", lambda: None)
     inputs, gain = arguments(dtype=np.float32)
@@ -158,4 +167,4 @@ def test_a_tape_has_few_slots_and_long_runs():
 @NEEDS_COMPILER
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_the_machine_can_be_built(dtype):
-    assert native.load(module._machine(np.dtype(dtype))[0]).library is not None
+    assert native.load(module.machine(np.dtype(dtype)).source).library is not None
