@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from rewax.physics.contact.colliders import (
     MIN_INFLUENCE,
+    Collider,
     Overlap,
     Touch,
     contact_velocity,
@@ -20,7 +21,7 @@ from rewax.physics.contact.colliders import (
     shape_pose,
     touch,
 )
-from rewax.physics.contact.motion import Motion, placed, velocity_at
+from rewax.physics.contact.motion import Motion, Placed, placed, velocity_at
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.scene import MPMScene
@@ -28,9 +29,9 @@ from rewax.physics.mpm.step import Deformed, free_velocity, from_nodes, to_nodes
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import materialize
+from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.types import Array
+from rewax.types import Array, Scalar
 
 
 class NodeContact(NamedTuple):
@@ -52,7 +53,7 @@ class NodeContact(NamedTuple):
         position = self.nodes.position
         return self._replace(
             touches=tuple(
-                touch(c, position, placed(shape_pose(c, body_pose(poses, c.body)), now[c.body]))
+                _touch(c, position, placed(shape_pose(c, body_pose(poses, c.body)), now[c.body]))
                 for c in self.scene.sized_colliders
             )
         )
@@ -77,19 +78,16 @@ class NodeContact(NamedTuple):
     def exchange(self, motions: Sequence[Motion | None], origins: Array) -> tuple[Self, Received]:
         touches, velocity, position = self._moving(motions), self.velocity, self.nodes.position
         received = Received(*[jnp.zeros_like(origins)] * 2)
-
-        def lost(before: Vec3, after: Vec3, mass: Array) -> Vec3:
-            return cp.vector(lambda i: mass * (before[i] - after[i]))
-
         if self.scene.overlap is Overlap.SEQUENTIAL or len(touches) < 2:
             for c, t in zip(self.scene.colliders, touches, strict=True):
-                before, velocity = velocity, materialize(contact_velocity(t, velocity))
-                received = received.and_from(position, lost(before, velocity, self.mass), c.body, origins)
+                velocity, lost = _after(t.friction, (_without_friction(t), velocity, self.mass))
+                received = received.and_from(position, lost, c.body, origins)
             return self._replace(velocity=velocity), received
         best, shares = nearest(touches)
-        after = materialize(contact_velocity(best, velocity))
+        after, lost = _after(None, (best, velocity, self.mass))
         for c, share in zip(self.scene.colliders, shares, strict=True):
-            received = received.and_from(position, lost(velocity, after, share * self.mass), c.body, origins)
+            part = cp.vector(lambda i, share=share: share * lost[i])
+            received = received.and_from(position, part, c.body, origins)
         return self._replace(velocity=after), received
 
     def finish(self) -> Array:
@@ -113,15 +111,51 @@ def begin(scene: MPMScene, nodes: ActiveNodes, packed: Array) -> NodeContact:
     return NodeContact(scene, nodes, particles, has_mass, mass, velocity)
 
 
-def _add_touch(system: System, arm: Vec3, mass: Array, velocity: Vec3, t: Touch) -> System:
+def _touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
+    distance, influence, normal, velocity = _met((collider.replace(body=0), placed), position)
+    return Touch(distance, influence, normal, collider.friction, velocity)
+
+
+@pointwise
+def _met(moving: tuple[Collider, Placed], position: Vec3) -> tuple[Array, Array, Vec3, Vec3]:
+    collider, placed = moving
+    t = touch(collider, position, placed)
+    return t.distance, t.influence, t.normal, t.velocity
+
+
+def _without_friction(t: Touch) -> Touch:
+    """What is there for each node; friction may be one number for all of them."""
+    return t._replace(friction=None)  # type: ignore[arg-type]
+
+
+def _with_friction(t: Touch, friction: Scalar | None) -> Touch:
+    return t if friction is None else t._replace(friction=friction)
+
+
+@pointwise
+def _after(friction: Scalar | None, nodes: tuple[Touch, Vec3, Array]) -> tuple[Vec3, Vec3]:
+    """Velocities after contact, and the momentum that nodes of given masses lose."""
+    t, velocity, mass = nodes
+    after = contact_velocity(_with_friction(t, friction), velocity)
+    return after, cp.vector(lambda i: mass * (velocity[i] - after[i]))
+
+
+@pointwise
+def _weights(friction: Scalar | None, nodes: tuple[Touch, Vec3, Array]) -> tuple[Array, Array]:
+    """Masses that act along the normal, and in all directions."""
+    t, velocity, mass = nodes
+    t = _with_friction(t, friction)
     relative = cp.subtract(velocity, t.velocity)
     approach = jnp.minimum(cp.dot(relative, t.normal), 0.0)
     tangential = cp.vector(lambda i: relative[i] - approach * t.normal[i])
     sliding = friction_factor(tangential, approach, t.friction)
-    after = contact_velocity(t, velocity)
     weight = jnp.where((approach < 0) & (t.influence > MIN_INFLUENCE), mass * t.influence, 0.0)
-    lost = cp.vector(lambda i: mass * (velocity[i] - after[i]))
-    return add_contact(system, arm, t.normal, weight * sliding, weight * (1.0 - sliding), lost)
+    return weight * sliding, weight * (1.0 - sliding)
+
+
+def _add_touch(system: System, arm: Vec3, mass: Array, velocity: Vec3, t: Touch) -> System:
+    nodes = (_without_friction(t), velocity, mass)
+    return add_contact(system, arm, t.normal, *_weights(t.friction, nodes), _after(t.friction, nodes)[1])
 
 
 __all__ = ["NodeContact", "begin"]
