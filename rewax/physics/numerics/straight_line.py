@@ -85,10 +85,14 @@ class _Builder(Operations):
             values[v] = self.literal(np.asarray(value, v.aval.dtype))
         values |= zip(jaxpr.invars, args, strict=True)
         for eqn in jaxpr.eqns:
-            outs = self.equation(eqn, [read(v) for v in eqn.invars])
+            unknown = UnsupportedError(f"it has the operation {eqn.primitive.name} in a form that is not known")
+            try:
+                outs = self.equation(eqn, [read(v) for v in eqn.invars])
+            except (AttributeError, KeyError) as error:  # of a later version of JAX
+                raise unknown from error
             for v, out in zip(eqn.outvars, outs, strict=True):
                 if out.shape != v.aval.shape:
-                    raise UnsupportedError(f"it has the operation {eqn.primitive.name} in a form that is not known")
+                    raise unknown
                 values[v] = out
         return [read(v) for v in jaxpr.outvars]
 
@@ -228,7 +232,7 @@ class _Builder(Operations):
         best, place = terms[0], np.full(terms.shape[1:], self.constant(0, "i"), np.int64)
         for k, term in enumerate(terms[1:], start=1):
             which = self.map(lambda a, b: self.apply(better, a, b, kind="b"), term, best)
-            if self.listed[int(term.flat[0])].kind == "f":
+            if term.size and self.listed[int(term.flat[0])].kind == "f":
                 nan, number = (
                     self.map(lambda a, how=how: self.apply(how, a, a, kind="b"), values)
                     for how, values in (("ne", term), ("eq", best))
