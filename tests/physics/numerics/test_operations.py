@@ -21,6 +21,11 @@ def test_zeros_and_ones_of_a_program_cost_nothing():
     assert [o.name for o in line.operations if o.name not in ("input", "constant")] == ["add"]
 
 
+def test_a_division_by_zero_is_one():
+    line = straight_line(jax.make_jaxpr(lambda a: a / 0.0)(jnp.ones(1)), [True])
+    assert line.operations[line.outputs[0][0]].name == "div"
+
+
 def test_what_is_computed_of_constants_is_a_constant():
     line = straight_line(jax.make_jaxpr(lambda a: jnp.where(np.arange(4) % 2 == 1, a, -a))(jnp.ones(4)), [True])
     assert sum(o.name == "neg" for o in line.operations) == 4

@@ -142,6 +142,15 @@ def test_without_a_compiler(monkeypatch):
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
+def test_single_and_double_precision_in_one_process():
+    """The same arguments make another program where numbers are of double precision."""
+    fast = taped(lambda a: (a, jnp.ones(())))
+    for double in (False, True, False):
+        with jax.enable_x64(double):
+            _, one = jax.jit(lambda a: fast(a))(jnp.ones(2, jnp.float32))
+            assert one.dtype == (np.float64 if double else np.float32)
+
+
 def test_a_tape_has_few_slots_and_long_runs():
     """The place of a value that nobody needs any more is used again; products are parts of sums."""
 
