@@ -34,8 +34,10 @@ SMALL = SAPOConfig(
     temperature_learning_rate=0.02,
     stagger_episodes=True,
     differentiate="full",
+    quick_compile=True,
 )
-"""For two cores: small networks, short rollouts, a temperature that does not drown differences of 0.01 in a reward."""
+"""For two cores: small networks, short rollouts, a temperature that does not drown differences of 0.01 in a reward. A
+run is over before faster iterations make up for a longer compilation."""
 
 _RUNNER = SAPOConfig(num_envs=64, num_iterations=5000, actor_widths=(128, 64, 32), critic_widths=(64, 64))
 """The paper's for AntRun and the dflex suite: 64 environments, 10 million steps."""
@@ -51,7 +53,13 @@ def _small(paper: SAPOConfig, **changes: Any) -> SAPOConfig:
 
 
 _JUMPER = dataclasses.replace(
-    SMALL, num_envs=16, horizon=32, num_iterations=200, critic_minibatches=4, initial_temperature=0.02
+    SMALL,
+    num_envs=16,
+    horizon=32,
+    num_iterations=200,
+    critic_minibatches=4,
+    initial_temperature=0.02,
+    quick_compile=False,
 )
 
 _SAPO: dict[tuple[str, str], SAPOConfig] = {
@@ -101,8 +109,11 @@ _SIZES = (
     "critic_minibatches",
     "differentiate",
     "max_env_grad_norm",
+    "quick_compile",
 )
 """What all algorithms take over from SAPO's presets, as far as they have it."""
+_NO_GRADIENT = {"quick_compile": False}
+"""Algorithms that do not differentiate the simulation compile fast; their many updates would take a fifth longer."""
 _FAST_CRITICS = {"Ant": {"critic_learning_rate": 2e-3, "target_decay": 0.2}}
 _FAST_CRITICS["Hopper"] = _FAST_CRITICS["Ant"]
 """Tasks in which SHAC's critics learn faster than its defaults, as in the paper."""
@@ -155,7 +166,7 @@ def ppo_preset(env_name: str, scale: str) -> PPOConfig:
     """Hyper-parameters of PPO; at ``small`` more environments and fewer iterations; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
     if scale == "paper":
-        return _sized(PPOConfig, base)
+        return _sized(PPOConfig, base, **_NO_GRADIENT)
     more = max(1, 1024 // base.samples)
     return _sized(
         PPOConfig,
@@ -165,6 +176,7 @@ def ppo_preset(env_name: str, scale: str) -> PPOConfig:
         minibatches=4,
         epochs=10,
         target_kl=0.02,
+        **_NO_GRADIENT,
     )
 
 
@@ -172,9 +184,10 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
     """Hyper-parameters of SAC; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
     if scale == "paper":
-        return _sized(SACConfig, base, batch_size=2048 if base.num_envs == 64 else 1024)
+        return _sized(SACConfig, base, batch_size=2048 if base.num_envs == 64 else 1024, **_NO_GRADIENT)
     rates = dict.fromkeys(("actor_learning_rate", "final_learning_rate", "critic_learning_rate"), 1e-3)
-    return _sized(SACConfig, base, batch_size=256, updates=32, target_rate=0.02, replay_size=100_000, **rates)
+    sizes = {"batch_size": 256, "updates": 32, "target_rate": 0.02, "replay_size": 100_000}
+    return _sized(SACConfig, base, **sizes, **rates, **_NO_GRADIENT)
 
 
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:

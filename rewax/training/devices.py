@@ -50,14 +50,14 @@ class Placement:
         own = {"state": all_of(environments.state, split), "episode_return": split, "env": env}
         return all_of(train_state, same).replace(environments=all_of(environments, same).replace(**own))
 
-    def compiled(self, train_step: Any, train_state: Any, *, donate: bool = False) -> Any:
-        """``train_step``, jitted, compiled for a state that is placed; the state that it returns is placed too."""
+    def lowered(self, train_step: Any, train_state: Any, *, donate: bool = False) -> jax.stages.Lowered:
+        """``train_step`` for a state that is placed; the state that its program returns is placed too."""
         if self.mesh is None or not self.divides(train_state):
-            return train_step.lower(train_state).compile()
+            return (train_step if hasattr(train_step, "lower") else jax.jit(train_step)).lower(train_state)
         out = (self.shardings(train_state), None)
         placed = jax.jit(lambda state: train_step(state), out_shardings=out, donate_argnums=0 if donate else ())
         with jax.set_mesh(self.mesh):
-            return placed.lower(train_state).compile()
+            return placed.lower(train_state)
 
 
 def _own_part(leaf: Any, sharding: NamedSharding) -> Any:

@@ -2,7 +2,6 @@
 
 import contextlib
 import functools
-import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from rich.console import Console
 
 from rewax.agents.base import Agent
 from rewax.envs.base import Env
+from rewax.training.compilation import compile_train_step
 from rewax.training.config import ReportConfig, TrainConfig
 from rewax.training.description import describe_run, read_config, write_config, write_environment
 from rewax.training.devices import ONE_DEVICE, Placement, placement
@@ -149,19 +149,4 @@ def prepared(
     return train_state, open_run
 
 
-def compile_train_step(agent: Agent, train_state: Any, console: Console, where: Placement = ONE_DEVICE) -> Any:
-    """Compile ``agent.train_step`` ahead of the first iteration, telling the user how long it takes.
-
-    Returns:
-      The compiled function; it never traces again.
-    """
-    say(console, "compiling train_step ...")
-    began = time.perf_counter()
-    train_step = agent.train_step if hasattr(agent.train_step, "lower") else jax.jit(agent.train_step)
-    compiled = where.compiled(train_step, train_state, donate=agent.consumes)
-    divided = f", environments on {where.num_devices} devices" if where.divides(train_state) else ""
-    say(console, f"compiled in {time.perf_counter() - began:.1f} s{divided}")
-    return compiled
-
-
-__all__ = ["ReportConfig", "TrainConfig", "TrainResult", "compile_train_step", "prepared", "train"]
+__all__ = ["ReportConfig", "TrainConfig", "TrainResult", "prepared", "train"]

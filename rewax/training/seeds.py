@@ -13,9 +13,10 @@ from rich.console import Console
 
 from rewax.agents.base import Agent
 from rewax.envs.base import Env
+from rewax.training.compilation import compile_train_step
 from rewax.training.config import TrainConfig
 from rewax.training.interrupt import graceful_stop
-from rewax.training.loop import FINISHING, compile_train_step, prepared
+from rewax.training.loop import FINISHING, prepared
 from rewax.training.progress import say
 from rewax.training.run import TrainResult
 from rewax.training.run_directory import hold

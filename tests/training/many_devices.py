@@ -80,7 +80,7 @@ def main():
     _, agent = make("sapo")
     where = placement(8, 2)
     state = where.place(jax.jit(agent.init)(jax.random.key(0)))
-    program = where.compiled(agent.train_step, state).as_text()
+    program = where.lowered(agent.train_step, state).compile().as_text()
     assert " all-reduce(" in program and " all-gather(" not in program
     print("the same on one and on several devices")
 

@@ -17,6 +17,7 @@ import functools
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from rewax.physics.mpm import transfer_cpu, transfer_gpu, transfer_native
 from rewax.physics.mpm.active_nodes import ActiveNodes
@@ -93,28 +94,28 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _particle_to_grid(layout: Layout, *args: Array) -> Arrays:
-    return linear_pass(_SPREAD, _GATHER_VALUES, layout, *split(layout, args))
+    like = [jax.ShapeDtypeStruct((layout.num_nodes,), jnp.result_type(*args))] * 4
+    return linear_pass(_SPREAD, _GATHER_VALUES, layout, *split(layout, args), like=like)
 
 
 @_particle_to_grid.defjvp
 def _particle_to_grid_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _particle_to_grid(layout, *args)
-    return out, linear_pass(
-        transfer_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, _without_list(layout, tangents)
-    )
+    linear = _without_list(layout, tangents)
+    return out, linear_pass(transfer_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, linear, like=out)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _grid_to_particle(layout: Layout, *args: Array) -> Arrays:
-    return linear_pass(_GATHER_VALUES, _SPREAD, layout, *split(layout, args))
+    like = [jax.ShapeDtypeStruct(args[0].shape, jnp.result_type(*args))] * 12
+    return linear_pass(_GATHER_VALUES, _SPREAD, layout, *split(layout, args), like=like)
 
 
 @_grid_to_particle.defjvp
 def _grid_to_particle_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _grid_to_particle(layout, *args)
-    return out, linear_pass(
-        _GATHER_TANGENT, _GATHER_TANGENT_TRANSPOSE, layout, (*args, *out[:3]), _without_list(layout, tangents)
-    )
+    known, linear = (*args, *out[:3]), _without_list(layout, tangents)
+    return out, linear_pass(_GATHER_TANGENT, _GATHER_TANGENT_TRANSPOSE, layout, known, linear, like=out)
 
 
 def _layout(grid: Grid, x: Vec3, active: ActiveNodes | None) -> tuple[Layout, Arrays]:

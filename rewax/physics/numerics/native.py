@@ -80,7 +80,7 @@ def load(source: Source) -> Loaded:
         return Loaded(None, "there is no C++ compiler")
     flags = [*source.optimization, *_FLAGS, *filter(None, [_NATIVE.get(platform.machine())])]
     try:
-        version = _output([chosen, "--version"])
+        version = _version(chosen)
         parts = (source.text, version, *flags, metadata.version("jaxlib"), platform.machine(), _processor())
         name = f"{source.stem}-{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:16]}.so"
         path = _folder() / name
@@ -110,6 +110,11 @@ def compiler() -> str | None:
     if sys.platform == "win32":
         return None
     return next(filter(None, map(shutil.which, _COMPILERS)), None)
+
+
+@functools.cache
+def _version(path: str) -> str:
+    return _output([path, "--version"])
 
 
 def _output(command: list[str]) -> str:

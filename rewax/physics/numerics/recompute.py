@@ -1,7 +1,7 @@
 """Functions whose derivatives keep nothing but the inputs, as single equations of a traced program."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -104,9 +104,10 @@ class Program(NamedTuple):
     def apply(self, arrays: Arrays) -> Any:
         return self.function(*self.arguments(arrays))
 
-    def out_tree(self, arrays: list[Array]) -> Any:
+    def results(self, arrays: Sequence[Array]) -> Any:
+        """Structure, shapes and types of what the function returns."""
         shapes = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, arrays))
-        return _out_tree(self, shapes, jnp.result_type(float))
+        return _results(self._replace(perturbed=()), shapes, jnp.result_type(float))
 
     def under_vmap(self, function: Callable[[Arrays, Arrays], Arrays]) -> Callable[[Arrays, Arrays], Arrays]:
         """A function of (arrays, further arrays); the further ones have every batch axis."""
@@ -124,7 +125,7 @@ class Program(NamedTuple):
             merged = tuple(next(rest) if p else a for a, p in zip(arrays, self.perturbed, strict=True))
             if self.surrogate is None:
                 return tuple(jax.tree.leaves(self.apply(merged)))
-            known = jax.tree.unflatten(self.out_tree(list(merged)), result)
+            known = jax.tree.unflatten(jax.tree.structure(self.results(merged)), result)
             return tuple(jax.tree.leaves(self.surrogate(known, *self.arguments(merged))))
 
         return function, tuple(a for a, p in zip(arrays, self.perturbed, strict=True) if p)
@@ -132,7 +133,7 @@ class Program(NamedTuple):
 
 def run_program(program: Program, arrays: list[Array]) -> Any:
     """What the program's function returns. Gradient: by the program's passes."""
-    return jax.tree.unflatten(program.out_tree(arrays), _call(program, *arrays))
+    return jax.tree.unflatten(jax.tree.structure(program.results(arrays)), _call(program, *arrays))
 
 
 def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
@@ -146,15 +147,16 @@ def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
 
 
 @functools.lru_cache(maxsize=1024)
-def _out_tree(program: Program, shapes: tuple, precision: Any) -> Any:
+def _results(program: Program, shapes: tuple, precision: Any) -> Any:
     del precision  # which types Python's numbers become
     arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
-    return jax.tree.structure(jax.eval_shape(program.apply, arrays))
+    return jax.eval_shape(program.apply, arrays)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _call(program: Program, *arrays: Array) -> Arrays:
-    return linear_pass(program.passes.value, no_transpose, program, arrays, ())
+    like = jax.tree.leaves(program.results(arrays))
+    return linear_pass(program.passes.value, no_transpose, program, arrays, (), like=like)
 
 
 def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
