@@ -92,7 +92,7 @@ def test_resume_after_a_crash_forgets_rows_beyond_the_checkpoint(whole, tmp_path
         def lower(self, state):
             return self
 
-        def compile(self):
+        def compile(self, options):
             return fail_at_six
 
     with pytest.raises(RuntimeError, match="power cut"):
