@@ -164,8 +164,9 @@ def _sums(
     Returns:
       Of each name the sums of all fields, arrays of the particles' shape.
     """
-    sent = [] if message is None else [jnp.stack(message[i : i + _WIDTH]) for i in range(0, len(message), _WIDTH)]
-    st, (nodes, sent) = _apart(st, (jnp.concatenate([f.reshape(-1) for f in fields]), sent))
+    stored = [] if message is None else [jnp.stack(message)]
+    st, (nodes, stored) = _apart(st, (jnp.concatenate([f.reshape(-1) for f in fields]), stored))
+    sent = [m[i : i + _WIDTH] for m in stored for i in range(0, len(m), _WIDTH)]
     first = st.num_nodes * jnp.arange(len(fields), dtype=jnp.int32)[:, None]
     total: dict[str, Array] = {}
     for i in range(3):
