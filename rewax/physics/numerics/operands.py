@@ -78,7 +78,9 @@ def one_pass(
         "cotangent": lambda *a: RECOMPUTED.cotangent(program, a[:count], a[count:]),
     }
     structs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in avals]
-    return jax.make_jaxpr(passes[which])(*structs)
+    # Under a mesh of devices JAX would write down, too, how arrays are divided: here there is one element, or copy.
+    with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
+        return jax.make_jaxpr(passes[which])(*structs)
 
 
 __all__ = ["Operand", "batch_shape", "one_pass", "operands_of"]
