@@ -8,10 +8,8 @@ import pytest
 
 from rewax.physics.contact import Collider, Ground, PenaltyContact, collider_force, ground_force, place
 from rewax.physics.contact.colliders import apply_colliders
-from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import split_parameters
 from rewax.physics.mpm.step import stress_and_momentum
-from rewax.physics.mpm.walls import Wall, WallKind, Walls, apply_walls
 from rewax.physics.numerics import native, pointwise
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere
@@ -85,18 +83,6 @@ def test_colliders(written, shape):
 def test_the_ground(written):
     contact = PenaltyContact(stiffness=1.0, friction=0.5, friction_damping=1.0)
     assert_written(written, ground_force, Ground(normal=jnp.array([0.0, 1.0, 0.0])), contact, VECTOR, VECTOR)
-
-
-@pytest.mark.parametrize("kind", WallKind)
-def test_walls(written, kind):
-    grid = Grid(shape=(8, 8, 8), spacing=0.1)
-    index = (jnp.arange(NUM, dtype=jnp.int32),) * 3
-
-    def after(friction, velocity):
-        wall = Wall(position=0.3, kind=kind, friction=friction if kind is WallKind.SEPARATING else 0.0)
-        return apply_walls(Walls(lower=(wall, None, None), upper=(None, wall, None)), grid, index, velocity)
-
-    assert_written(written, after, 0.5, VECTOR)
 
 
 @pytest.mark.parametrize("damping_law", DampingLaw)

@@ -92,7 +92,7 @@ class NodeContact(NamedTuple):
 
     def finish(self) -> Array:
         velocity = apply_walls(self.scene.walls, self.scene.grid, self.nodes.index, self.velocity)
-        return from_nodes(self.scene, self.nodes, self.particles, where_mass((), (self.has_mass, velocity)))
+        return from_nodes(self.scene, self.nodes, self.particles, where_mass(self.has_mass, velocity))
 
     def _moving(self, motions: Sequence[Motion | None]) -> list[Touch]:
         """The touches with these motions of their bodies; None: as they were."""

@@ -258,14 +258,12 @@ def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, place
     colliders = _colliders(scene, nodes, has_mass, placed)
     velocity = apply_colliders(colliders, nodes.position, velocity, overlap=scene.overlap)
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
-    return where_mass((), (has_mass, velocity))
+    return where_mass(has_mass, velocity)
 
 
-@pointwise
-def where_mass(shared: tuple[()], nodes: tuple[Array, Vec3]) -> Vec3:
+@recomputed  # a few operations on each number: XLA, which computes them with their neighbours, is faster than C++
+def where_mass(has_mass: Array, velocity: Vec3) -> Vec3:
     """Velocity zero at nodes without mass. Gradient: exact."""
-    del shared
-    has_mass, velocity = nodes
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
@@ -287,12 +285,11 @@ def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
     # Masses in a unit near that of a cell: in kg the square of 1 / mass, which the derivative has, overflows float32
     # for small cells. The unit is a power of two, so nothing is rounded.
     unit = 2.0 ** round(-3.0 * math.log2(scene.grid.spacing))
-    return has_mass, _free((unit, scene.dt, scene.gravity), (has_mass, fields))
+    return has_mass, _free(unit, scene.dt, scene.gravity, has_mass, fields)
 
 
-@pointwise
-def _free(shared: tuple[Scalar, Scalar, Array], nodes: tuple[Array, GridFields]) -> Vec3:
-    (unit, dt, gravity), (has_mass, fields) = shared, nodes
+@recomputed  # as ``where_mass``
+def _free(unit: float, dt: Scalar, gravity: Array, has_mass: Array, fields: GridFields) -> Vec3:
     inverse = jnp.where(has_mass, unit / jnp.where(has_mass, unit * fields.mass, 1.0), 0.0)
     return cp.vector(lambda i: fields.momentum[i] * inverse + dt * gravity[i])
 

@@ -14,7 +14,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, static_number
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.pointwise import pointwise
+from rewax.physics.numerics.recompute import recomputed
 from rewax.types import Array, Scalar
 
 
@@ -115,12 +115,11 @@ def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], vel
     behind = [_behind(grid, wall, axis, inward, index[axis]) for axis, inward, wall in sides]
     # A wall without friction stays one: a whole number is part of the program.
     simplified = Walls(lower=_simplified(walls.lower), upper=_simplified(walls.upper))
-    return _after_walls(simplified, (behind, velocity))
+    return _after_walls(simplified, behind, velocity)
 
 
-@pointwise
-def _after_walls(walls: Walls, nodes: tuple[list[Array], Vec3]) -> Vec3:
-    behind, velocity = nodes
+@recomputed  # a few operations on each number: XLA, which computes them with their neighbours, is faster than C++
+def _after_walls(walls: Walls, behind: list[Array], velocity: Vec3) -> Vec3:
     rest = iter(behind)
     for axis in cp.AXES:
         for wall, inward in ((walls.lower[axis], 1.0), (walls.upper[axis], -1.0)):
