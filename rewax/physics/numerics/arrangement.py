@@ -31,7 +31,10 @@ def gathered(operand: Values, index: np.ndarray, params: dict[str, Any], out: An
     window = tuple(size for axis, size in enumerate(sizes) if axis not in dropped)
     result = np.full((*index.shape[:-1], *window), filling, np.int64)
     batching = tuple(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
-    for place, where in _windows(index, operand.shape, sizes, numbers.start_index_map, batching, params["mode"]):
+    mode = params["mode"]
+    if mode == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS:  # what XLA does where the promise is broken
+        mode = jax.lax.GatherScatterMode.CLIP
+    for place, where in _windows(index, operand.shape, sizes, numbers.start_index_map, batching, mode):
         result[place] = operand[where].reshape(window)
     batch = [axis for axis in range(len(out.shape)) if axis not in numbers.offset_dims]
     return np.moveaxis(result, range(result.ndim), (*batch, *numbers.offset_dims))

@@ -28,6 +28,12 @@ _OF_CONSTANTS: dict[str, Callable[..., Any]] = {
     "i_to_f": lambda a: a, "b_to_f": lambda a: a, "b_to_i": lambda a: a, "i_to_b": bool,
 }  # fmt: skip
 """What is computed here, once, where all operands are constants."""
+_OF_WHOLE_CONSTANTS: dict[str, Callable[..., Any]] = {
+    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
+    "div": lambda a, b: int(np.fix(a / b)),
+}  # fmt: skip
+"""Where whole numbers differ."""
+_WHOLE = range(-(2**31), 2**31)
 OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select", "b_to_f", "b_to_i"])
 
 
@@ -92,8 +98,7 @@ class Operations:
         kind = used[0].kind if kind is None else kind
         constants = [self.constants.get(o) for o in operands]
         if name in _OF_CONSTANTS and all(c is not None for c in constants):
-            with np.errstate(all="ignore"):
-                return self.constant(_OF_CONSTANTS[name](*constants), kind)
+            return self.constant(self.of_constants(name, kinds, constants, kind), kind)
         for of, allowed, what in (("i", OF_WHOLE, "whole numbers"), ("b", OF_TRUTH, "truth values")):
             if of in kinds and name not in allowed:
                 raise UnsupportedError(f"it has the operation {name} of {what}")
@@ -102,6 +107,16 @@ class Operations:
             if simpler is not None:
                 return simpler
         return self.add(Operation(name, operands, kind, all(o.shared for o in used)))
+
+    def of_constants(self, name: str, kinds: set[str], constants: list[Any], kind: str) -> Any:
+        if kinds == {"i"} and name in ("div", "rem") and constants[1] == 0:
+            raise UnsupportedError("it divides a whole number by zero")
+        compute = _OF_WHOLE_CONSTANTS.get(name, _OF_CONSTANTS[name]) if kinds == {"i"} else _OF_CONSTANTS[name]
+        with np.errstate(all="ignore"):
+            value = compute(*constants)
+        if kind == "i" and int(value) not in _WHOLE:
+            raise UnsupportedError("it computes whole numbers of more than 32 bits")
+        return value
 
     def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
         """What an operation with a zero or a one is without it."""

@@ -18,6 +18,7 @@ def by_index(a, b):
         table.at[places[:, 0]].multiply(2.0),
         a.at[np.array([1, 9])].set(5.0, mode="drop"),
         a.at[np.array([1, 9])].get(mode="fill", fill_value=3.0),
+        a.at[np.array([1, 9])].get(mode="promise_in_bounds"),
         batched,
         jax.lax.dynamic_update_slice(table, table[:2, :2] * 2, (1, 1)),
         jax.lax.pad(table, jnp.float32(4), ((-1, 2, 1), (1, -1, 0))),

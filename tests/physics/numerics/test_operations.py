@@ -3,8 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from operation_cases import assert_equal_to_jax
 
-from rewax.physics.numerics.operations import Operation
+from rewax.physics.numerics.operations import Operation, UnsupportedError
 from rewax.physics.numerics.straight_line import straight_line
 
 
@@ -30,3 +32,30 @@ def test_what_is_computed_of_constants_is_a_constant():
     line = straight_line(jax.make_jaxpr(lambda a: jnp.where(np.arange(4) % 2 == 1, a, -a))(jnp.ones(4)), [True])
     assert sum(o.name == "neg" for o in line.operations) == 4
     assert [line.operations[i].name for i in line.outputs[0]] == ["neg", "input", "neg", "input"]
+
+
+def whole_numbers(a, b):
+    """What the whole numbers of a program are known to be."""
+    c = jnp.array([3, -2, 5])
+    return [
+        b * number.astype(a.dtype)
+        for number in (c & 6, c | 8, c ^ 5, ~c, c // 2, c % 3, jax.lax.div(c, 2), jax.lax.rem(c, 2), (c & 1) == 1)
+    ]
+
+
+def test_whole_numbers_are_not_truth_values():
+    assert_equal_to_jax(whole_numbers, 3)
+
+
+@pytest.mark.parametrize(
+    ("number", "named"),
+    [
+        (lambda c: c * 2**30, "more than 32 bits"),
+        (lambda c: jax.lax.div(c, 0), "divides a whole number by zero"),
+        (lambda c: jax.lax.rem(c, 0), "divides a whole number by zero"),
+    ],
+)
+def test_what_whole_numbers_are_refused(number, named):
+    program = jax.make_jaxpr(lambda a: a * number(jnp.array([3])).astype(a.dtype))(jnp.ones(1))
+    with pytest.raises(UnsupportedError, match=named):
+        straight_line(program, [True])
