@@ -1,15 +1,16 @@
 """How arrays and the passes of a program reach C++: without the axes of ``vmap``, which say where copies lie."""
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr
 
-from rewax.physics.numerics.linear_pass import Arrays
-from rewax.physics.numerics.recompute import RECOMPUTED, Program
+from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
+from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program
 from rewax.types import Array
 
 
@@ -42,6 +43,11 @@ class Operand(NamedTuple):
         sizes = iter(self.array.shape)
         axes = tuple(next(sizes) if here else 1 for here in self.present)
         return jnp.broadcast_to(self.array.reshape(*axes, *self.own_shape), (*batch, *self.own_shape))
+
+
+def passes_of_cpu(run: Callable[[str, Program, Arrays, Arrays], Arrays]) -> Passes:
+    """Passes that ``run(name of the pass, program, arrays, linear)`` computes on a CPU, and JAX elsewhere."""
+    return Passes(*(ByPlatform(functools.partial(run, which), getattr(RECOMPUTED, which)) for which in Passes._fields))
 
 
 def batch_shape(operands: Sequence[Operand]) -> tuple[int, ...]:
@@ -83,4 +89,4 @@ def one_pass(
         return jax.make_jaxpr(passes[which])(*structs)
 
 
-__all__ = ["Operand", "batch_shape", "one_pass", "operands_of"]
+__all__ = ["Operand", "batch_shape", "one_pass", "operands_of", "passes_of_cpu"]

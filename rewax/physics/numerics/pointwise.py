@@ -15,10 +15,10 @@ import numpy as np
 
 from rewax.physics.numerics import native
 from rewax.physics.numerics.codegen import KERNEL, kernel_source
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
-from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of
+from rewax.physics.numerics.linear_pass import Arrays
+from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of, passes_of_cpu
 from rewax.physics.numerics.operations import UnsupportedError
-from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program, run_program, split_arguments
+from rewax.physics.numerics.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.types import Array
 
 S = TypeVar("S")
@@ -119,25 +119,6 @@ def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     return spread
 
 
-def _value(program: Program, arrays: Arrays, nothing: Arrays) -> Arrays:
-    return _run("value", program, arrays, nothing)
-
-
-def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
-    return _run("tangent", program, arrays, tangents)
-
-
-def _cotangent(program: Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
-    return _run("cotangent", program, arrays, cotangents)
-
-
-POINTWISE = Passes(
-    ByPlatform(_value, RECOMPUTED.value),
-    ByPlatform(_tangent, RECOMPUTED.tangent),
-    ByPlatform(_cotangent, RECOMPUTED.cotangent),
-)
-
-
 def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
     """One pass: through a kernel if there is one."""
     perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
@@ -162,6 +143,9 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     mine = iter(found)
     total = iter(_split(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
     return tuple(next(total) if summed else next(mine) for _, _, summed in target.outputs)
+
+
+POINTWISE = passes_of_cpu(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:

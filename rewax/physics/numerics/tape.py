@@ -22,10 +22,10 @@ import numpy as np
 
 from rewax.physics.numerics import native
 from rewax.physics.numerics.codegen import HEADER, TEXT
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
-from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of
+from rewax.physics.numerics.linear_pass import Arrays
+from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of, passes_of_cpu
 from rewax.physics.numerics.operations import OF_TRUTH, OF_WHOLE, Operation, UnsupportedError
-from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program, run_program, split_arguments
+from rewax.physics.numerics.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.physics.numerics.straight_line import StraightLine, straight_line
 
 T = TypeVar("T")
@@ -56,25 +56,6 @@ def taped(function: Callable[..., T], surrogate: Callable[..., T] | None = None)
         return run_program(Program(passes, function, surrogate, treedef, constants), arrays)
 
     return call
-
-
-def _value(program: Program, arrays: Arrays, nothing: Arrays) -> Arrays:
-    return _run("value", program, arrays, nothing)
-
-
-def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
-    return _run("tangent", program, arrays, tangents)
-
-
-def _cotangent(program: Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
-    return _run("cotangent", program, arrays, cotangents)
-
-
-TAPED = Passes(
-    ByPlatform(_value, RECOMPUTED.value),
-    ByPlatform(_tangent, RECOMPUTED.tangent),
-    ByPlatform(_cotangent, RECOMPUTED.cotangent),
-)
 
 
 class Tape(NamedTuple):
@@ -116,6 +97,9 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     return tuple(
         next(found) if math.prod(shape) else jnp.zeros((*batch, *shape), dtype) for shape, dtype in target.outputs
     )
+
+
+TAPED = passes_of_cpu(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
