@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.agents.networks import Critics, Encoder, GaussianActor
+from rewax.agents.networks import Critics, Encoder, GaussianActor, Layer
 
 SILU = jax.nn.silu
 
@@ -107,6 +107,18 @@ def test_critics_share_an_encoder_and_nothing_else():
                 np.testing.assert_array_equal(moved, np.arange(3) == i)
     for leaf in jax.tree.leaves(slopes["encoder"]):
         assert (np.abs(np.asarray(leaf)).reshape(3, -1).max(axis=1) > 0).all()
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4, 5])
+def test_a_layer_multiplies_by_its_matrix_and_narrow_ones_need_no_matrix_product(channels):
+    layer, x = Layer(16, jnp.tanh, 1.0), jax.random.normal(jax.random.key(3), (7, channels))
+    params = layer.init(jax.random.key(4), x)
+    kernel = np.asarray(params["params"]["Dense_0"]["kernel"])
+    linear = np.asarray(x) @ kernel
+    normal = (linear - linear.mean(-1, keepdims=True)) / np.sqrt(linear.var(-1, keepdims=True) + 1e-6)
+    np.testing.assert_allclose(layer.apply(params, x), np.tanh(normal), atol=1e-5)
+    # jax 0.10.1 does not compile the product of points (num_points, 3) for GPUs
+    assert ("dot_general" in str(jax.make_jaxpr(layer.apply)(params, x))) == (channels > 4)
 
 
 def test_initialisers_under_vmap_draw_what_each_key_draws_alone():
