@@ -2,8 +2,8 @@
 
 import pytest
 
-from rewax.physics.numerics import native
+from rewax.lowering import build
 
 NEEDS_COMPILER = pytest.mark.skipif(
-    native.compiler() is None or native.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0"
+    build.compiler() is None or build.is_off(), reason="there is no C++ compiler, or REWAX_NATIVE=0"
 )

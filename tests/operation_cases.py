@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics.straight_line import straight_line
+from rewax.lowering.from_jaxpr import from_jaxpr
 
 PYTHON = {
     "neg": np.negative,
@@ -16,7 +16,7 @@ PYTHON = {
 
 def evaluated(program, *args):
     """What the operations give, one after the other."""
-    line = straight_line(jax.make_jaxpr(program)(*args), [True] * len(args))
+    line = from_jaxpr(jax.make_jaxpr(program)(*args), [True] * len(args))
     values = []
     for operation in line.operations:
         if operation.name == "input":

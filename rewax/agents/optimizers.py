@@ -8,8 +8,8 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from rewax import struct
-from rewax.physics.numerics.division import divided
-from rewax.physics.numerics.materialize import materialize
+from rewax.lowering.fusion import materialize
+from rewax.lowering.splitting import split_vector
 from rewax.types import Array, PyTree
 
 
@@ -79,7 +79,7 @@ class Packing:
         return Packed(vector=ravel_pytree(part)[0])
 
     def _parts(self, packed: Packed) -> PyTree:
-        return jax.tree.unflatten(self._treedef, divided(packed.vector, self._shapes))
+        return jax.tree.unflatten(self._treedef, split_vector(packed.vector, self._shapes))
 
 
 def _have_one_type(leaves: list[Any]) -> bool:

@@ -89,14 +89,14 @@ def native_problems() -> Iterator[tuple[str, str]]:
     import jax
     import numpy as np
 
+    from rewax.lowering import build, machine
     from rewax.physics.mpm import transfer_native
-    from rewax.physics.numerics import native, tape
 
-    for source in (transfer_native.SOURCE, tape.machine(np.dtype(np.float32)).source):
-        library, reason = native.load(source)
+    for source in (transfer_native.SOURCE, machine.machine(np.dtype(np.float32)).source):
+        library, reason = build.load(source)
         if library is None:
             break
-    if library is not None or native.is_off():
+    if library is not None or build.is_off():
         print(f"physics on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
         return
     if jax.default_backend() != "cpu":

@@ -4,7 +4,7 @@ import pytest
 
 from rewax.cli import doctor
 from rewax.cli.main import main
-from rewax.physics.numerics import native
+from rewax.lowering import build
 
 GOOD = {"jax": "0.10.1", "jaxlib": "0.10.1", "flax": "0.12.8", "mujoco-mjx": "3.17.0"}
 
@@ -63,19 +63,19 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("found", "off", "said"),
     [
-        (native.Loaded(object(), "/a/place.so"), False, "in C++, /a/place.so\n"),
-        (native.Loaded(None, "REWAX_NATIVE=0 is set"), True, "with JAX, for REWAX_NATIVE=0 is set\n"),
+        (build.Loaded(object(), "/a/place.so"), False, "in C++, /a/place.so\n"),
+        (build.Loaded(None, "REWAX_NATIVE=0 is set"), True, "with JAX, for REWAX_NATIVE=0 is set\n"),
     ],
 )
 def test_says_how_a_cpu_computes_soft_bodies(monkeypatch, capsys, found, off, said):
-    monkeypatch.setattr(native, "load", lambda source: found)
-    monkeypatch.setattr(native, "is_off", lambda: off)
+    monkeypatch.setattr(build, "load", lambda source: found)
+    monkeypatch.setattr(build, "is_off", lambda: off)
     assert not list(doctor.native_problems())
     assert capsys.readouterr().out.endswith(said)
 
 
 def test_a_missing_compiler_is_a_problem(monkeypatch):
-    monkeypatch.setattr(native, "load", lambda source: native.Loaded(None, "there is no C++ compiler"))
-    monkeypatch.setattr(native, "is_off", lambda: False)
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "there is no C++ compiler"))
+    monkeypatch.setattr(build, "is_off", lambda: False)
     ((problem, remedy),) = doctor.native_problems()
     assert "(there is no C++ compiler)" in problem and "install a C++ compiler" in remedy

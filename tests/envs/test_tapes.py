@@ -8,7 +8,7 @@ from native_cases import NEEDS_COMPILER
 
 from rewax.agents.devices import AXIS, mesh_of
 from rewax.envs import make
-from rewax.physics.numerics import pointwise, tape
+from rewax.lowering import kernels, machine
 
 
 def passes_of(monkeypatch, module):
@@ -35,14 +35,14 @@ def gradient(env):
 @NEEDS_COMPILER
 @pytest.mark.parametrize("task", ["AntRun", "HandReorient", "Hopper", "Quadruped"])
 def test_a_step_and_its_gradient(monkeypatch, task):
-    passes, env = passes_of(monkeypatch, tape), make(task, scale="small")
+    passes, env = passes_of(monkeypatch, machine), make(task, scale="small")
     state = jax.eval_shape(env.reset, jax.random.key(0))
     jax.jit(gradient(env)).lower(jnp.zeros(env.action_spec.shape), state)
     assert {"value", "cotangent"} <= set(passes)
 
 
 @NEEDS_COMPILER
-@pytest.mark.parametrize(("task", "module"), [("CartpoleSwingUp", tape), ("RollingFlat", pointwise)])
+@pytest.mark.parametrize(("task", "module"), [("CartpoleSwingUp", machine), ("RollingFlat", kernels)])
 def test_where_environments_are_divided_over_devices(monkeypatch, task, module):
     passes, env = passes_of(monkeypatch, module), make(task, scale="small")
     states = jax.eval_shape(jax.vmap(env.reset), jax.random.split(jax.random.key(0), 2))

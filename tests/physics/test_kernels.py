@@ -6,11 +6,11 @@ import material_cases as cases
 import numpy as np
 import pytest
 
+from rewax.lowering import build, kernels
 from rewax.physics.contact import Collider, Ground, PenaltyContact, collider_force, ground_force, place
 from rewax.physics.contact.colliders import apply_colliders
 from rewax.physics.mpm.materials import split_parameters
 from rewax.physics.mpm.step import stress_and_momentum
-from rewax.physics.numerics import native, pointwise
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere
 from rewax.physics.tets.law import DampingLaw
@@ -32,13 +32,13 @@ def written(monkeypatch):
     passes = set()
 
     def write(which, program, avals, varies, precision):
-        text, outputs = pointwise.source(which, program, avals, varies)
+        text, outputs = kernels.source(which, program, avals, varies)
         assert text.count("{") == text.count("}") and outputs
         passes.add(which)
 
-    monkeypatch.setattr(pointwise, "_target", write)
-    monkeypatch.setattr(native, "compiler", lambda: "c++")
-    monkeypatch.setattr(native, "is_off", lambda: False)
+    monkeypatch.setattr(kernels, "_target", write)
+    monkeypatch.setattr(build, "compiler", lambda: "c++")
+    monkeypatch.setattr(build, "is_off", lambda: False)
     return passes
 
 

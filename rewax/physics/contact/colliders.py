@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.lowering.fusion import compute_once, materialize, stored
+from rewax.lowering.kernels import pointwise
+from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.motion import Placed, at_nodes, chord_motion, placed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import compute_once, materialize, stored
-from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.pose import Pose, placed_at
-from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.shapes.primitives import Shape, has_edges, signed_distance_components
 from rewax.types import Array, Scalar
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
-from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pose import Pose, product, turned
 from rewax.types import Array
 
@@ -60,13 +60,13 @@ def at_nodes(placed: Placed, position: Vec3) -> tuple[Vec3, Vec3]:
 
     Gradient: exact with respect to the placement, none to the positions.
     """
-    lx, ly, lz, vx, vy, vz = linear_pass(_affine, _AFFINE_TRANSPOSE, None, position, (placed.matrix, placed.offset))
+    lx, ly, lz, vx, vy, vz = linear_call(_affine, _AFFINE_TRANSPOSE, None, position, (placed.matrix, placed.offset))
     return (lx, ly, lz), (vx, vy, vz)
 
 
 def velocity_at(motion: Motion, position: Vec3) -> Vec3:
     """Velocity of a body's points at the given nodes [m/s]. Gradient: exact with respect to the motion."""
-    x, y, z = linear_pass(_affine, _AFFINE_TRANSPOSE, None, position, tuple(motion))
+    x, y, z = linear_call(_affine, _AFFINE_TRANSPOSE, None, position, tuple(motion))
     return x, y, z
 
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.lowering.kernels import joined, pointwise, separated
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.pointwise import joined, pointwise, separated
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import signed_distance_components
 from rewax.types import Array, Scalar

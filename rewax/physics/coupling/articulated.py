@@ -17,12 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion
 from rewax.physics.coupling.exchange import SoftContact, Wrench, no_wrench
 from rewax.physics.coupling.soft import Scene, Soft, solver_of
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.numerics.rotations import skew
 from rewax.physics.rigid import RigidModel, RigidState
 from rewax.physics.rigid.forces import kinematics, tree_parameters

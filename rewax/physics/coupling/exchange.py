@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
 from rewax.physics.contact.motion import Motion
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion, chord_motion
 from rewax.physics.coupling import free_body
@@ -18,7 +19,7 @@ from rewax.physics.coupling.free_body import FreeBodies, Inertia, inertia_number
 from rewax.physics.coupling.soft import Scene, Soft, solver_of
 from rewax.physics.numerics.checks import check_numbers
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
+from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.types import Array
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 
+from rewax.lowering.kernels import pointwise
 from rewax.physics.contact.colliders import (
     MIN_INFLUENCE,
     Collider,
@@ -29,7 +30,6 @@ from rewax.physics.mpm.step import Deformed, free_velocity, from_nodes, to_nodes
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.types import Array, Scalar
 

@@ -24,13 +24,13 @@ from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.motion import Motion
 from rewax.physics.contact.penalty import PenaltyContact, penalty_response, surface
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import materialize
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.tets.scene import TetScene
 from rewax.physics.tets.step import Rest, Vertices, contact_forces, moved, vertex_forces

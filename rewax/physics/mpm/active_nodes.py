@@ -5,11 +5,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.splines import quadratic_bspline
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array
 
 REACHES = (0.5, 1.0)

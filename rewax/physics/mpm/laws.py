@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.elastic_constants import LameParameters
-from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array, Scalar
 
 MIN_STRETCH = 1e-5

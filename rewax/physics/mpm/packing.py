@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.linear_primitive import Arrays, linear_call
 from rewax.physics.mpm.scene import MPMState
 from rewax.physics.mpm.transfer_cpu import as_matrix, as_vector
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, linear_pass
 from rewax.types import Array
 
 
@@ -49,12 +49,12 @@ def join(packed: Array) -> MPMState:
 
 def pack(components: Any) -> Array:
     """Components, arrays (num_particles,), as the rows of one array, in order. Gradient: exact."""
-    return linear_pass(_stack, _unstack, None, (), jax.tree.leaves(components))[0]
+    return linear_call(_stack, _unstack, None, (), jax.tree.leaves(components))[0]
 
 
 def rows_of(packed: Array) -> Arrays:
     """Inverse of ``pack``. Gradient: exact."""
-    return linear_pass(_unstack, _stack, None, (), (packed,))
+    return linear_call(_unstack, _stack, None, (), (packed,))
 
 
 def unpack(packed: Array) -> Particles:

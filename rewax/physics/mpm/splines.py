@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from rewax.physics.numerics.materialize import compute_once
+from rewax.lowering.fusion import compute_once
 from rewax.types import Array
 
 

@@ -12,6 +12,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
+from rewax.lowering.kernels import pointwise
+from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.broad_phase import count_excess, near_colliders
 from rewax.physics.contact.colliders import Collider, apply_colliders, check_bodies, place
 from rewax.physics.contact.motion import Placed
@@ -37,10 +40,8 @@ from rewax.physics.mpm.transfer_cpu import as_matrix
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.materialize import materialize
-from rewax.physics.numerics.pointwise import pointwise
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
+from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 

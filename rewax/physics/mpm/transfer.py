@@ -19,12 +19,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
 from rewax.physics.mpm import transfer_cpu, transfer_gpu, transfer_native
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.transfer_cpu import Layout, as_matrix, as_vector, flat, split
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
 from rewax.types import Array
 
 _SPREAD = ByPlatform(transfer_native.spread, transfer_gpu.spread)
@@ -95,27 +95,27 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _particle_to_grid(layout: Layout, *args: Array) -> Arrays:
     like = [jax.ShapeDtypeStruct((layout.num_nodes,), jnp.result_type(*args))] * 4
-    return linear_pass(_SPREAD, _GATHER_VALUES, layout, *split(layout, args), like=like)
+    return linear_call(_SPREAD, _GATHER_VALUES, layout, *split(layout, args), like=like)
 
 
 @_particle_to_grid.defjvp
 def _particle_to_grid_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _particle_to_grid(layout, *args)
     linear = _without_list(layout, tangents)
-    return out, linear_pass(transfer_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, linear, like=out)
+    return out, linear_call(transfer_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, linear, like=out)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _grid_to_particle(layout: Layout, *args: Array) -> Arrays:
     like = [jax.ShapeDtypeStruct(args[0].shape, jnp.result_type(*args))] * 12
-    return linear_pass(_GATHER_VALUES, _SPREAD, layout, *split(layout, args), like=like)
+    return linear_call(_GATHER_VALUES, _SPREAD, layout, *split(layout, args), like=like)
 
 
 @_grid_to_particle.defjvp
 def _grid_to_particle_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _grid_to_particle(layout, *args)
     known, linear = (*args, *out[:3]), _without_list(layout, tangents)
-    return out, linear_pass(_GATHER_TANGENT, _GATHER_TANGENT_TRANSPOSE, layout, known, linear, like=out)
+    return out, linear_call(_GATHER_TANGENT, _GATHER_TANGENT_TRANSPOSE, layout, known, linear, like=out)
 
 
 def _layout(grid: Grid, x: Vec3, active: ActiveNodes | None) -> tuple[Layout, Arrays]:

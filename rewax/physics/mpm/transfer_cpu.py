@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.fusion import materialize
+from rewax.lowering.linear_primitive import Arrays, Rule
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.splines import quadratic_bspline
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, Pass
-from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array
 
 _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
@@ -157,7 +157,7 @@ def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 # --- Sums over the stencil -------------------------------------------------------------------------------------------
 
 
-def tangent_by_slopes(slopes_of: Pass, values_of: Pass, layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+def tangent_by_slopes(slopes_of: Rule, values_of: Rule, layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """``gather_tangent``, from the passes ``gather_slopes`` and ``gather_values``."""
     (places, rest), dx, dg = split(layout, residuals), linear[:3], linear[3:]
     slopes, value = slopes_of(layout, (*places, *rest[:3]), ()), rest[3:]
@@ -172,7 +172,7 @@ def tangent_by_slopes(slopes_of: Pass, values_of: Pass, layout: Layout, residual
     return (*dv, *flat(dB))
 
 
-def cotangent_by_slopes(slopes_of: Pass, spread: Pass, layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+def cotangent_by_slopes(slopes_of: Rule, spread: Rule, layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
     """``gather_tangent_transpose``, from the passes ``gather_slopes`` and ``spread``."""
     (places, rest), v, B = split(layout, residuals), cotangents[:3], as_matrix(cotangents[3:])
     slopes, value = slopes_of(layout, (*places, *rest[:3]), ()), rest[3:]

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import compute_once
+from rewax.lowering.linear_primitive import Arrays
 from rewax.physics.mpm.splines import lowest_node
 from rewax.physics.mpm.transfer_cpu import (
     SLOPE_MOMENTS,
@@ -28,8 +30,6 @@ from rewax.physics.mpm.transfer_cpu import (
 )
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3
-from rewax.physics.numerics.linear_pass import Arrays
-from rewax.physics.numerics.materialize import compute_once
 from rewax.types import Array
 
 _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS

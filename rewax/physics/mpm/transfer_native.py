@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering import build
+from rewax.lowering.linear_primitive import Arrays
 from rewax.physics.mpm import transfer_cpu
 from rewax.physics.mpm.transfer_cpu import Layout
-from rewax.physics.numerics import native
-from rewax.physics.numerics.linear_pass import Arrays
 
-SOURCE = native.Source("transfer", native.THREADS.read_text() + Path(__file__).with_name("transfer.cc").read_text())
+SOURCE = build.Source("transfer", build.THREADS.read_text() + Path(__file__).with_name("transfer.cc").read_text())
 _TARGETS = ("rewax_spread", "rewax_gather_values", "rewax_spread_tangent_transpose", "rewax_gather_tangent_transpose")
 _TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 
@@ -57,7 +57,7 @@ def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 
 def is_used() -> bool:
     """Whether programs for CPUs hold these passes: whether they could be built."""
-    return native.register(SOURCE, _TARGETS)
+    return build.register(SOURCE, _TARGETS)
 
 
 def _available(*arrays: Arrays) -> bool:

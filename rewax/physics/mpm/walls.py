@@ -9,12 +9,12 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
+from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import friction_factor
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, static_number
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.recompute import recomputed
 from rewax.types import Array, Scalar
 
 

@@ -14,10 +14,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import AXES, Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass, no_transpose
-from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array
 
 SpectralFunction = Callable[[Vec3, Any], tuple[Vec3, ...]]
@@ -38,7 +38,7 @@ def eigh_components(a: Mat3) -> tuple[Vec3, Mat3]:
     Source: Golub and Van Loan, Matrix Computations, 8.5.
     """
     rows = jax.lax.stop_gradient(tuple(jnp.asarray(component) for row in a for component in row))
-    out = linear_pass(_SWEEPS, no_transpose, None, rows, (), like=[*rows[:3], *rows])
+    out = linear_call(_SWEEPS, no_transpose, None, rows, (), like=[*rows[:3], *rows])
     return (out[0], out[1], out[2]), (out[3:6], out[6:9], out[9:12])  # type: ignore[return-value]
 
 

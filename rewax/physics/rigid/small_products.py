@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
 
@@ -25,7 +25,7 @@ def dot(a: np.ndarray | Array, b: Array) -> Array:
     """
     if isinstance(a, np.ndarray):
         table = jnp.asarray(a, b.dtype)
-        return linear_pass(_TIMES, _TRANSPOSED, _Table(b.ndim == 1), (table,), (b,))[0]
+        return linear_call(_TIMES, _TRANSPOSED, _Table(b.ndim == 1), (table,), (b,))[0]
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
@@ -77,7 +77,7 @@ def select(index: np.ndarray, table: Array) -> Array:
 def spread(index: np.ndarray, values: Array, size: int) -> Array:
     """An array of ``size`` entries that has the values at constant places, shape (len(index),), and zeros elsewhere."""
     places = _Places(tuple(int(i) for i in index), size)
-    return linear_pass(_SPREAD, _PICK, places, (), (values,))[0]
+    return linear_call(_SPREAD, _PICK, places, (), (values,))[0]
 
 
 class _Places(NamedTuple):

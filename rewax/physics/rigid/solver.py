@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass, no_transpose
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
 from rewax.types import Array
 
 
@@ -152,7 +152,7 @@ def _solve_batch(axis_size: int, batched: list[bool], matrix: Array, vector: Arr
 
 def _eliminate(matrix: Array, vector: Array) -> Array:
     """Solutions of a batch of systems, shapes (n, n, batch) and (n, batch)."""
-    return linear_pass(_ELIMINATION, no_transpose, None, (matrix, vector), (), like=(vector,))[0]
+    return linear_call(_ELIMINATION, no_transpose, None, (matrix, vector), (), like=(vector,))[0]
 
 
 def _elimination(static: None, residuals: Arrays, linear: Arrays, *, unroll: bool) -> Arrays:

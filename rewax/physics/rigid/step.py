@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics.tape import taped
+from rewax.lowering.machine import interpreted
 from rewax.physics.rigid import solver as constraint_solver
 from rewax.physics.rigid.forces import (
     applied_forces,
@@ -202,7 +202,7 @@ def _acceleration_derivative(
         return _advance(model, state, act_dot, qacc, solved), solved
 
 
-_substep = taped(_accelerate, surrogate=_acceleration_derivative)
+_substep = interpreted(_accelerate, derivative_of=_acceleration_derivative)
 
 
 def _damped(

@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array
 
 NUM_ITERATIONS = 16

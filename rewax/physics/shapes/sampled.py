@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.materialize import materialize
 from rewax.types import Array, Scalar
 
 

@@ -5,8 +5,8 @@ import functools
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.linear_primitive import Arrays, linear_call
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.linear_pass import Arrays, linear_pass
 from rewax.types import Array
 
 
@@ -56,7 +56,7 @@ def edges(topology: TetTopology, x: Vec3) -> Mat3:
     Returns:
       Components of shape (num_tets,). Gradient: exact; its transpose is ``gather_forces``.
     """
-    flat = linear_pass(_edges, _assemble, topology, (), x)
+    flat = linear_call(_edges, _assemble, topology, (), x)
     return _as_matrix(flat)
 
 
@@ -70,7 +70,7 @@ def gather_forces(topology: TetTopology, columns: Mat3) -> Vec3:
     Returns:
       Components of shape (num_vertices,). Gradient: exact; its transpose is ``edges``.
     """
-    flat = linear_pass(_assemble, _edges, topology, (), [a for row in columns for a in row])
+    flat = linear_call(_assemble, _edges, topology, (), [a for row in columns for a in row])
     return (flat[0], flat[1], flat[2])
 
 

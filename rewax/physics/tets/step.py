@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.fusion import materialize
+from rewax.lowering.kernels import joined, pointwise, separated
+from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
-from rewax.physics.numerics.materialize import materialize
-from rewax.physics.numerics.pointwise import joined, pointwise, separated
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.numerics.recompute import both_ends, recomputed, scan_substeps
+from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.tets.edges import edges, gather_forces
 from rewax.physics.tets.law import DampingLaw, first_piola_stress
 from rewax.physics.tets.scene import TetScene, TetState, has_invalid_parameters

@@ -4,8 +4,8 @@ import jax
 import pytest
 from transfer_cases import assert_as_transfer_cpu, assert_substep_agrees
 
+from rewax.lowering.linear_primitive import ByPlatform
 from rewax.physics.mpm import transfer_gpu
-from rewax.physics.numerics.linear_pass import ByPlatform
 
 PASSES = (
     "spread", "gather_values", "gather_slopes", "spread_tangent_transpose", "gather_tangent", "gather_tangent_transpose",

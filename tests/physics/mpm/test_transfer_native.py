@@ -7,9 +7,9 @@ import pytest
 from native_cases import NEEDS_COMPILER
 from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, places, run
 
+from rewax.lowering import build
 from rewax.physics.mpm import transfer_cpu, transfer_native
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.numerics import native
 
 PASSES = ("spread", "gather_values", "spread_tangent_transpose", "gather_tangent_transpose")
 pytestmark = NEEDS_COMPILER
@@ -17,7 +17,7 @@ pytestmark = NEEDS_COMPILER
 
 def test_a_compiler_that_is_there_builds_them():
     """Else all other tests would compare transfer_cpu with itself."""
-    assert transfer_native.is_used(), native.load(transfer_native.SOURCE).reason
+    assert transfer_native.is_used(), build.load(transfer_native.SOURCE).reason
 
 
 @pytest.mark.parametrize("listed", [False, True])

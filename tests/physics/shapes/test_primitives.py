@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as hs
 from shape_cases import ALL, HALF, NUM, SAMPLED, SHAPES, TERRAIN, H, R, derivatives, evaluate, points
 
+from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import Collider, apply_collider
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.recompute import recomputed
 from rewax.physics.shapes import primitives as sdf
 
 

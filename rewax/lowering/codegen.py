@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rewax.physics.numerics.operations import Operation, UnsupportedError
-from rewax.physics.numerics.straight_line import straight_line
+from rewax.lowering.from_jaxpr import from_jaxpr
+from rewax.lowering.operations import Operation, UnsupportedError
 
 KERNEL = "rewax_kernel"
 """Name of the function that ``kernel_source`` writes."""
 
-HEADER = Path(__file__).with_name("pointwise.h")
+HEADER = Path(__file__).with_name("lanes.h")
 
 
 def kernel_source(program: ClosedJaxpr, varies: Sequence[bool], summed: Sequence[bool]) -> str:
@@ -38,7 +38,7 @@ def kernel_source(program: ClosedJaxpr, varies: Sequence[bool], summed: Sequence
     Raises:
       UnsupportedError: there is an operation that is not arithmetic, or more than one floating type.
     """
-    operations, outputs, dtype = straight_line(program, varies)
+    operations, outputs, dtype = from_jaxpr(program, varies)
     buffers = [_BUFFERS[np.dtype(aval.dtype)] for aval in program.in_avals]
     own = [output for output, total in zip(outputs, summed, strict=True) if not total]
     sums = [value for output, total in zip(outputs, summed, strict=True) if total for value in output]

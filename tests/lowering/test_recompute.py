@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.recompute import recomputed
+from rewax.lowering.recompute import recomputed
 
 
 class Inputs(NamedTuple):
@@ -71,7 +71,7 @@ def test_vmap_repeats_nothing_that_is_shared(x64, random_like, relative_error, a
     assert relative_error(got, want) < 1e-14
     (call,) = jax.make_jaxpr(batched(FAST))(*real).eqns
     (equation,) = call.params["call_jaxpr"].eqns
-    assert equation.primitive.name == "linear_pass"
+    assert equation.primitive.name == "linear_call"
     shapes = [v.aval.shape for v in equation.invars]
     for a in real:
         assert a.shape in shapes
@@ -141,12 +141,12 @@ def closed(a, b):
     return {"root": jnp.cbrt(a), "product": jnp.cbrt(a) * b}
 
 
-SURROGATED = recomputed(iterated, surrogate=implicit)
+SURROGATED = recomputed(iterated, derivative_of=implicit)
 
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_surrogate_is_differentiated_instead(x64, random_like, relative_error, compiled):
-    """Value of the function, derivatives of the surrogate, forward and reverse, also under two vmaps."""
+    """Value of the function, derivatives of the derivative_of, forward and reverse, also under two vmaps."""
     rng = np.random.default_rng(0)
     real = tuple(jnp.asarray(rng.uniform(0.5, 9.0, (3, 4, 5))) for _ in range(2))
     tangents, cotangent = random_like(0, real), random_like(1, jax.eval_shape(closed, *real))
@@ -165,7 +165,7 @@ def test_a_surrogate_is_differentiated_instead(x64, random_like, relative_error,
 
 
 def test_the_function_runs_once_and_its_derivative_never(x64):
-    """The iteration is in the program of a gradient once; without a surrogate it could not be differentiated at all."""
+    """The iteration is in the program of a gradient once; without a derivative_of it could not be differentiated at all."""
 
     def loss(function, a):
         def body(a, _):
@@ -186,6 +186,6 @@ def test_the_function_runs_once_and_its_derivative_never(x64):
 
 def test_a_surrogate_sees_the_result_and_all_arguments(x64):
     """Wrong on purpose, to tell which is which: with derivatives of 3 x the result by a and none by b."""
-    wrong = recomputed(lambda a, b: a * b, surrogate=lambda known, a, b: 3.0 * jax.lax.stop_gradient(known) * a)
+    wrong = recomputed(lambda a, b: a * b, derivative_of=lambda known, a, b: 3.0 * jax.lax.stop_gradient(known) * a)
     value, (by_a, by_b) = jax.value_and_grad(wrong, argnums=(0, 1))(jnp.array(2.0), jnp.array(5.0))
     assert (float(value), float(by_a), float(by_b)) == (10.0, 30.0, 0.0)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
 
-from rewax.physics.numerics import native
-from rewax.physics.numerics import pointwise as module
-from rewax.physics.numerics.pointwise import pointwise
-from rewax.physics.numerics.straight_line import UnsupportedError, straight_line
+from rewax.lowering import build
+from rewax.lowering import kernels as module
+from rewax.lowering.from_jaxpr import UnsupportedError, from_jaxpr
+from rewax.lowering.kernels import pointwise
 
 
 @pytest.fixture
@@ -155,7 +155,7 @@ def test_a_number_does_not_make_another_kernel(kernels_only):
 )  # fmt: skip
 def test_what_has_no_kernel_is_computed_with_jax(operation, named):
     with pytest.raises(UnsupportedError, match=named):
-        straight_line(jax.make_jaxpr(operation)(jnp.ones(1)), [True])
+        from_jaxpr(jax.make_jaxpr(operation)(jnp.ones(1)), [True])
 
     def function(shared, elements):
         return operation(elements) * shared
@@ -171,7 +171,7 @@ def test_without_a_compiler_it_is_the_function(monkeypatch):
     monkeypatch.setenv("REWAX_NATIVE", "0")
     shared, elements = arguments(4, dtype=np.float32)
     plain, same = (str(jax.make_jaxpr(f)(shared, elements)) for f in (bend, FAST))
-    assert plain == same and "linear_pass" not in same
+    assert plain == same and "linear_call" not in same
 
 
 @pytest.mark.parametrize(
@@ -208,9 +208,9 @@ def test_a_kernel_that_cannot_be_built_is_done_without(monkeypatch):
     def cubed(shared, elements):
         return elements**3 + shared
 
-    load = native.load
-    broken = native.Loaded(None, "c++ failed")
-    monkeypatch.setattr(native, "load", lambda source: broken if source.stem == "kernel" else load(source))
+    load = build.load
+    broken = build.Loaded(None, "c++ failed")
+    monkeypatch.setattr(build, "load", lambda source: broken if source.stem == "kernel" else load(source))
     with pytest.warns(UserWarning, match="computed with JAX, slower than in C\\+\\+: c\\+\\+ failed"):
         found = pointwise(cubed)(1.0, jnp.arange(3.0))
     np.testing.assert_array_equal(found, [1.0, 2.0, 9.0])
@@ -218,6 +218,6 @@ def test_a_kernel_that_cannot_be_built_is_done_without(monkeypatch):
 
 def test_a_program_for_a_gpu_builds_nothing(monkeypatch):
     monkeypatch.setattr(module, "_target", lambda *args: pytest.fail("a kernel was asked for"))
-    monkeypatch.setattr(native, "compiler", lambda: "c++")
+    monkeypatch.setattr(build, "compiler", lambda: "c++")
     shared, elements = arguments(6, dtype=np.float32)
     jax.jit(pointwise(bend)).trace(shared | {"exponent": 2.0}, elements).lower(lowering_platforms=("cuda",))

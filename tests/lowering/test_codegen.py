@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
 
-from rewax.physics.numerics import pointwise as module
-from rewax.physics.numerics.codegen import TEXT, kernel_source
-from rewax.physics.numerics.pointwise import pointwise
-from rewax.physics.numerics.straight_line import ARITHMETIC, UnsupportedError
+from rewax.lowering import kernels as module
+from rewax.lowering.codegen import TEXT, kernel_source
+from rewax.lowering.from_jaxpr import ARITHMETIC, UnsupportedError
+from rewax.lowering.kernels import pointwise
 
 
 def test_every_operation_can_be_written():

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
 
-from rewax.physics.numerics import native
-from rewax.physics.numerics import tape as module
-from rewax.physics.numerics.straight_line import straight_line
-from rewax.physics.numerics.tape import taped, written
+from rewax.lowering import build
+from rewax.lowering import machine as module
+from rewax.lowering.from_jaxpr import from_jaxpr
+from rewax.lowering.machine import interpreted, written
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
 
 PLACES = np.array([2, 0, 2])
@@ -56,7 +56,7 @@ def balance(known, inputs, gain):
     return moved(found - implicit_correction(square(inputs), residual), inputs, gain)
 
 
-FAST = taped(iterated, surrogate=balance)
+FAST = interpreted(iterated, derivative_of=balance)
 
 
 def arguments(*batch, dtype=np.float64):
@@ -120,23 +120,23 @@ def test_what_is_no_arithmetic_is_left_to_jax(x64, monkeypatch, relative_error):
     def root(a):
         return jax.lax.while_loop(lambda x: jnp.abs(x * x - a) > 1e-12, lambda x: 0.5 * (x + a / x), 1.0 + a)
 
-    fast = taped(root, surrogate=lambda known, a: known + (a - jax.lax.stop_gradient(a)) / (2.0 * known))
+    fast = interpreted(root, derivative_of=lambda known, a: known + (a - jax.lax.stop_gradient(a)) / (2.0 * known))
     value, slope = jax.vmap(jax.value_and_grad(fast))(jnp.array([2.0, 3.0]))
     assert relative_error((value, slope), (np.sqrt([2.0, 3.0]), 0.5 / np.sqrt([2.0, 3.0]))) < 1e-9
-    assert set(left) == ({"value"} if native.compiler() and not native.is_off() else set())
+    assert set(left) == ({"value"} if build.compiler() and not build.is_off() else set())
 
 
 @NEEDS_COMPILER
 def test_a_compiler_that_fails(monkeypatch):
-    monkeypatch.setattr(native, "load", lambda source: native.Loaded(None, "c++ failed (no space)"))
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "c++ failed (no space)"))
     inputs, gain = arguments(dtype=np.float32)
     with pytest.warns(UserWarning, match="with JAX, slower than in C\\+\\+: c\\+\\+ failed"):
-        found = taped(iterated)(inputs, gain)
+        found = interpreted(iterated)(inputs, gain)
     np.testing.assert_allclose(found["x"], plain(inputs, gain)["x"], rtol=1e-5)
 
 
 def test_without_a_compiler(monkeypatch):
-    monkeypatch.setattr(native, "compiler", lambda: None)
+    monkeypatch.setattr(build, "compiler", lambda: None)
     inputs, gain = arguments(dtype=np.float32)
     found, expected = (f(inputs, gain)["x"] for f in (FAST, plain))
     np.testing.assert_allclose(found, expected, rtol=1e-5)
@@ -144,7 +144,7 @@ def test_without_a_compiler(monkeypatch):
 
 def test_single_and_double_precision_in_one_process():
     """The same arguments make another program where numbers are of double precision."""
-    fast = taped(lambda a: (a, jnp.ones(())))
+    fast = interpreted(lambda a: (a, jnp.ones(())))
     for double in (False, True, False):
         with jax.enable_x64(double):
             _, one = jax.jit(lambda a: fast(a))(jnp.ones(2, jnp.float32))
@@ -159,7 +159,7 @@ def test_a_tape_has_few_slots_and_long_runs():
             a = 0.5 * jnp.roll(a, 1) + a
         return a
 
-    line = straight_line(jax.make_jaxpr(chain)(jnp.ones(4)), [True])
+    line = from_jaxpr(jax.make_jaxpr(chain)(jnp.ones(4)), [True])
     tape = written(line, [np.dtype(np.float32)])
     assert tape.num_slots <= 10
     assert tape.operands == (0,)
@@ -176,4 +176,4 @@ def test_a_tape_has_few_slots_and_long_runs():
 @NEEDS_COMPILER
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_the_machine_can_be_built(dtype):
-    assert native.load(module.machine(np.dtype(dtype)).source).library is not None
+    assert build.load(module.machine(np.dtype(dtype)).source).library is not None

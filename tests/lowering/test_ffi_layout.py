@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.operands import Operand, batch_shape
+from rewax.lowering.ffi_layout import Operand, batch_shape
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from rewax.physics.numerics.linear_pass import Arrays, Pass, linear_pass, no_transpose
+from rewax.lowering.linear_primitive import Arrays, Rule, linear_call, no_transpose
 from rewax.types import Array
 
 T = TypeVar("T")
 
 
-def recomputed(function: Callable[..., T], surrogate: Callable[..., T] | None = None) -> Callable[..., T]:
+def recomputed(function: Callable[..., T], derivative_of: Callable[..., T] | None = None) -> Callable[..., T]:
     """``function`` with its forward and reverse derivative as one operation each that evaluates it again.
 
     What ``jax.checkpoint`` does for memory this does too. In addition the function is traced once for its value and
@@ -23,9 +23,9 @@ def recomputed(function: Callable[..., T], surrogate: Callable[..., T] | None = 
 
     Args:
       function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument.
-      surrogate: what to differentiate instead, called as ``surrogate(result, *args)`` with what ``function(*args)``
-        returned. Its derivative by ``args`` must be that of ``function``: for the result of an iteration, which need
-        not be run again, as the implicit function theorem gives it. None: ``function`` itself.
+      derivative_of: what to differentiate instead, called as ``derivative_of(result, *args)`` where ``result`` is
+        ``function(*args)``. Its derivative by ``args`` must be that of ``function``. For the result of an iteration,
+        the implicit function theorem gives it without running the iteration again. None: ``function`` itself.
 
     Gradient: exact, forward and reverse, once (no second derivatives).
     """
@@ -33,57 +33,25 @@ def recomputed(function: Callable[..., T], surrogate: Callable[..., T] | None = 
     @functools.wraps(function)
     def call(*args: Any) -> T:
         arrays, treedef, constants = split_arguments(args)
-        return run_program(Program(RECOMPUTED, function, surrogate, treedef, constants), arrays)
+        return run_program(Program(RECOMPUTED, function, derivative_of, treedef, constants), arrays)
 
     return call
 
 
-def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_every: int | None) -> T:
-    """``carry = body(carry, interval)`` for each substep.
-
-    Args:
-      body: one substep, ``recomputed`` unless ``store_every`` is None.
-      carry: what one substep passes to the next.
-      intervals: pytree of arrays with a first axis of num_substeps: what is known of each beforehand.
-      store_every: what the backward pass keeps: the carry every so many substeps, a number that divides theirs; None:
-        everything.
-
-    Gradient: exact.
-    """
-    num_substeps = jax.tree.leaves(intervals)[0].shape[0]
-    if store_every is not None and (store_every < 1 or num_substeps % store_every):
-        raise ValueError(
-            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
-        )
-
-    def chunk(carry: T, intervals: Any) -> tuple[T, None]:
-        return jax.lax.scan(lambda c, interval: (body(c, interval), None), carry, intervals)
-
-    if store_every is None or store_every == 1:
-        return chunk(carry, intervals)[0]
-    chunks = jax.tree.map(lambda b: b.reshape(num_substeps // store_every, store_every, *b.shape[1:]), intervals)
-    return jax.lax.scan(jax.checkpoint(chunk), carry, chunks)[0]
-
-
-def both_ends(boundaries: T) -> tuple[T, T]:
-    """What holds at the beginning and at the end of each substep, given (num_substeps + 1, ...) boundaries between."""
-    return jax.tree.map(lambda b: b[:-1], boundaries), jax.tree.map(lambda b: b[1:], boundaries)
-
-
-class Passes(NamedTuple):
+class Rules(NamedTuple):
     """How a ``Program`` and its derivatives are evaluated."""
 
-    value: Pass
-    tangent: Pass
-    cotangent: Pass
+    value: Rule
+    tangent: Rule
+    cotangent: Rule
 
 
 class Program(NamedTuple):
     """A function of flat arrays, under any number of ``vmap``."""
 
-    passes: Passes
+    passes: Rules
     function: Callable[..., Any]
-    surrogate: Callable[..., Any] | None
+    derivative_of: Callable[..., Any] | None
     treedef: Any
     constants: tuple[Any, ...]
     """For each leaf of the arguments: type and value if it is a Python number, None if it is an array."""
@@ -123,10 +91,10 @@ class Program(NamedTuple):
         def function(*values: Array) -> Arrays:
             rest = iter(values)
             merged = tuple(next(rest) if p else a for a, p in zip(arrays, self.perturbed, strict=True))
-            if self.surrogate is None:
+            if self.derivative_of is None:
                 return tuple(jax.tree.leaves(self.apply(merged)))
             known = jax.tree.unflatten(jax.tree.structure(self.results(merged)), result)
-            return tuple(jax.tree.leaves(self.surrogate(known, *self.arguments(merged))))
+            return tuple(jax.tree.leaves(self.derivative_of(known, *self.arguments(merged))))
 
         return function, tuple(a for a, p in zip(arrays, self.perturbed, strict=True) if p)
 
@@ -156,7 +124,7 @@ def _results(program: Program, shapes: tuple, precision: Any) -> Any:
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _call(program: Program, *arrays: Array) -> Arrays:
     like = jax.tree.leaves(program.results(arrays))
-    return linear_pass(program.passes.value, no_transpose, program, arrays, (), like=like)
+    return linear_call(program.passes.value, no_transpose, program, arrays, (), like=like)
 
 
 def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
@@ -164,9 +132,9 @@ def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Array
     program = program._replace(perturbed=perturbed)
     linear = [t for t, p in zip(tangents, perturbed, strict=True) if p]
     out = _call(program._replace(perturbed=()), *arrays)
-    known = () if program.surrogate is None else tuple(out)
+    known = () if program.derivative_of is None else tuple(out)
     forward, reverse = program.passes.tangent, program.passes.cotangent
-    return out, linear_pass(forward, reverse, program, (*arrays, *known), linear, like=out)
+    return out, linear_call(forward, reverse, program, (*arrays, *known), linear, like=out)
 
 
 _call.defjvp(_call_jvp, symbolic_zeros=True)
@@ -192,4 +160,4 @@ def _cotangent(program: Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
     return program.under_vmap(cotangent)(arrays, cotangents)
 
 
-RECOMPUTED = Passes(_value, _tangent, _cotangent)
+RECOMPUTED = Rules(_value, _tangent, _cotangent)

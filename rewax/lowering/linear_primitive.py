@@ -18,7 +18,7 @@ from jax.interpreters import ad, batching, mlir
 from rewax.types import Array
 
 Arrays = tuple[Array, ...]
-Pass = Callable[[Any, Arrays, Arrays], Arrays]
+Rule = Callable[[Any, Arrays, Arrays], Arrays]
 """``(static, residuals, linear) -> outputs``; every array may carry further leading batch axes, the same for all."""
 
 Shapes = tuple[tuple[tuple[int, ...], Any], ...]
@@ -28,10 +28,10 @@ Shapes = tuple[tuple[tuple[int, ...], Any], ...]
 class ByPlatform(NamedTuple):
     """One pass written twice. Which one a program holds is decided when it is lowered for a platform."""
 
-    cpu: Pass
-    other: Pass
-    numbers: Pass | None = None
-    """For programs that are written out number by number (``straight_line``); None: the other."""
+    cpu: Rule
+    other: Rule
+    numbers: Rule | None = None
+    """For programs that are written out number by number (``from_jaxpr``); None: the other."""
 
     def __call__(self, static: Any, residuals: Arrays, linear: Arrays) -> Arrays:
         return self.cpu(static, residuals, linear)
@@ -46,13 +46,13 @@ class Batchable(Protocol):
         ...
 
 
-linear_pass_p = Primitive("linear_pass")
-linear_pass_p.multiple_results = True
+linear_call_p = Primitive("linear_call")
+linear_call_p.multiple_results = True
 
 
-def linear_pass(
-    function: Pass,
-    transpose: Pass,
+def linear_call(
+    function: Rule,
+    transpose: Rule,
     static: Any,
     residuals: Sequence[Array],
     linear: Sequence[Array],
@@ -78,7 +78,7 @@ def linear_pass(
         shapes = _shapes(inputs, plain, static, len(residuals), jnp.result_type(float))
     else:
         shapes = tuple((a.shape, a.dtype) for a in like)
-    out = linear_pass_p.bind(
+    out = linear_call_p.bind(
         *residuals,
         *linear,
         function=function,
@@ -91,21 +91,21 @@ def linear_pass(
 
 
 def no_transpose(static: Any, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of a pass that has no linear arguments. (``linear_pass`` refuses second derivatives.)"""
+    """Transpose of a pass that has no linear arguments. (``linear_call`` refuses second derivatives.)"""
     del static, residuals, cotangents
     return ()
 
 
-def _run(*args: Array, function: Pass, transpose: Pass, static: Any, num_residuals: int, out: Shapes) -> list[Array]:
+def _run(*args: Array, function: Rule, transpose: Rule, static: Any, num_residuals: int, out: Shapes) -> list[Array]:
     del transpose, out
     return list(function(static, args[:num_residuals], args[num_residuals:]))
 
 
-def run_elsewhere(*args: Array, function: Pass, **params: Any) -> list[Array]:
+def run_elsewhere(*args: Array, function: Rule, **params: Any) -> list[Array]:
     return _run(*args, function=function.other if isinstance(function, ByPlatform) else function, **params)
 
 
-def run_number_by_number(*args: Array, function: Pass, **params: Any) -> list[Array]:
+def run_scalar_form(*args: Array, function: Rule, **params: Any) -> list[Array]:
     numbers = function.numbers if isinstance(function, ByPlatform) else None
     return run_elsewhere(*args, function=function if numbers is None else numbers, **params)
 
@@ -116,7 +116,7 @@ def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[Shape
 
 
 @functools.cache
-def _shapes(args: tuple, function: Pass, static: Any, num_residuals: int, precision: Any) -> Shapes:
+def _shapes(args: tuple, function: Rule, static: Any, num_residuals: int, precision: Any) -> Shapes:
     """Shapes of the outputs: found by tracing the pass once; transformations derive theirs from these."""
     del precision  # which types Python's numbers become
     xs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in args]
@@ -131,17 +131,17 @@ def _jvp(primals, tangents, *, num_residuals: int, **params):
             "second derivatives through this function are not available: differentiate the result of one grad or jvp "
             "by finite differences instead"
         )
-    out = linear_pass_p.bind(*residuals, *linear, num_residuals=num_residuals, **params)
+    out = linear_call_p.bind(*residuals, *linear, num_residuals=num_residuals, **params)
     dlinear = [ad.instantiate_zeros(t) for t in tangents[num_residuals:]]
-    return out, linear_pass_p.bind(*residuals, *dlinear, num_residuals=num_residuals, **params)
+    return out, linear_call_p.bind(*residuals, *dlinear, num_residuals=num_residuals, **params)
 
 
-def _transpose(cotangents, *args, function: Pass, transpose: Pass, static: Any, num_residuals: int, out: Shapes):
+def _transpose(cotangents, *args, function: Rule, transpose: Rule, static: Any, num_residuals: int, out: Shapes):
     del out
     residuals, linear = args[:num_residuals], args[num_residuals:]
     cotangents = [ad.instantiate_zeros(ct) for ct in cotangents]
     shapes = tuple((x.aval.shape, x.aval.dtype) if ad.is_undefined_primal(x) else (x.shape, x.dtype) for x in linear)
-    out = linear_pass_p.bind(
+    out = linear_call_p.bind(
         *residuals,
         *cotangents,
         function=transpose,
@@ -163,17 +163,17 @@ def _batch(args, dims, *, static: Any, num_residuals: int, out: Shapes, **params
         shared[:num_residuals] = [False] * num_residuals
     args = [jnp.broadcast_to(a, (size, *a.shape)) if s else a for a, s in zip(args, shared, strict=True)]
     out = tuple(((size, *shape), dtype) for shape, dtype in out)
-    results = linear_pass_p.bind(*args, static=static, num_residuals=num_residuals, out=out, **params)
+    results = linear_call_p.bind(*args, static=static, num_residuals=num_residuals, out=out, **params)
     return results, [0] * len(results)
 
 
 # Outside of jit: as a program of its own, for whatever platform that is.
-linear_pass_p.def_impl(
-    jax.jit(linear_pass_p.bind, static_argnames=("function", "transpose", "static", "num_residuals", "out"))
+linear_call_p.def_impl(
+    jax.jit(linear_call_p.bind, static_argnames=("function", "transpose", "static", "num_residuals", "out"))
 )
-linear_pass_p.def_abstract_eval(_abstract_eval)
-ad.primitive_jvps[linear_pass_p] = _jvp
-ad.primitive_transposes[linear_pass_p] = _transpose
-batching.primitive_batchers[linear_pass_p] = _batch
-mlir.register_lowering(linear_pass_p, mlir.lower_fun(run_elsewhere, multiple_results=True))
-mlir.register_lowering(linear_pass_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")
+linear_call_p.def_abstract_eval(_abstract_eval)
+ad.primitive_jvps[linear_call_p] = _jvp
+ad.primitive_transposes[linear_call_p] = _transpose
+batching.primitive_batchers[linear_call_p] = _batch
+mlir.register_lowering(linear_call_p, mlir.lower_fun(run_elsewhere, multiple_results=True))
+mlir.register_lowering(linear_call_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")

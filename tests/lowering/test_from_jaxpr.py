@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import pytest
 from operation_cases import assert_equal_to_jax
 
-from rewax.physics.numerics import straight_line as module
-from rewax.physics.numerics.operations import UnsupportedError
-from rewax.physics.numerics.straight_line import straight_line
+from rewax.lowering import from_jaxpr as module
+from rewax.lowering.from_jaxpr import from_jaxpr
+from rewax.lowering.operations import UnsupportedError
 
 
 def halving(x, y):
@@ -40,7 +40,7 @@ def test_small_arrays():
 
 def test_what_all_elements_share():
     program = jax.make_jaxpr(lambda scale, a: (jnp.exp(scale) * a, jnp.exp(scale)))(1.0, jnp.ones(1))
-    line = straight_line(program, [False, True])
+    line = from_jaxpr(program, [False, True])
     assert [o.shared for o in line.operations if o.name in ("exp", "mul")] == [True, False]
 
 
@@ -63,7 +63,7 @@ def test_what_all_elements_share():
 )
 def test_what_is_refused(x64, program, named):
     with pytest.raises(UnsupportedError, match=named):
-        straight_line(jax.make_jaxpr(program)(jnp.ones(1, jnp.float32)), [True])
+        from_jaxpr(jax.make_jaxpr(program)(jnp.ones(1, jnp.float32)), [True])
 
 
 def test_a_result_of_another_shape_than_announced_is_refused(monkeypatch):
@@ -71,18 +71,18 @@ def test_a_result_of_another_shape_than_announced_is_refused(monkeypatch):
     for form in (lambda args, params, out: args[0], lambda args, params, out: params["new"]):
         monkeypatch.setitem(module.ARRANGEMENTS, "reshape", form)
         with pytest.raises(UnsupportedError, match="reshape in a form that is not known"):
-            straight_line(jax.make_jaxpr(lambda a: jax.lax.reshape(a, (2, 2)))(jnp.ones(4)), [False])
+            from_jaxpr(jax.make_jaxpr(lambda a: jax.lax.reshape(a, (2, 2)))(jnp.ones(4)), [False])
 
 
 def test_types_of_two_precisions_are_refused(x64):
     program = jax.make_jaxpr(lambda a, b: a + b)(jnp.ones(1, jnp.float32), jnp.ones(1))
     with pytest.raises(UnsupportedError, match="floating types"):
-        straight_line(program, [True, True])
+        from_jaxpr(program, [True, True])
 
 
 def test_constants_become_what_they_meet(x64):
     """Python's numbers are of double precision where a program of single precision uses them."""
-    line = straight_line(
+    line = from_jaxpr(
         jax.make_jaxpr(lambda a: jnp.clip(a, -1.0, 1.0) * jnp.where(a < 0, -1.0, 1.0).astype(a.dtype))(
             jnp.ones(1, jnp.float32)
         ),
@@ -93,7 +93,7 @@ def test_constants_become_what_they_meet(x64):
 
 def test_a_program_of_endless_arithmetic_is_refused():
     with pytest.raises(UnsupportedError, match="more than 10 operations"):
-        straight_line(jax.make_jaxpr(lambda a: sum(a**k for k in range(20)))(jnp.ones(1)), [True], most=10)
+        from_jaxpr(jax.make_jaxpr(lambda a: sum(a**k for k in range(20)))(jnp.ones(1)), [True], most=10)
 
 
 def over_axes(a, b):

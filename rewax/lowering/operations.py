@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rewax.physics.numerics.arrangement import Values
+from rewax.lowering.indexing import Values
 
 ARITHMETIC = frozenset({
     "add", "sub", "mul", "div", "neg", "max", "min", "abs", "sign", "sqrt", "rsqrt", "cbrt", "exp", "log",

@@ -1,6 +1,6 @@
 // Calls generated kernels (codegen.py) through XLA's foreign function interface, by their numbers, chunk by chunk.
 //
-// pointwise.py builds this file after threads.h. The kernels know nothing of XLA, so each compiles in a second.
+// kernels.py builds this file after threads.h. The kernels know nothing of XLA, so each compiles in a second.
 
 #include <cstdint>
 #include <mutex>

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.linear_pass import ByPlatform, linear_pass
+from rewax.lowering.linear_primitive import ByPlatform, linear_call
 
 
 def _apply(power, residuals, linear):
@@ -19,7 +19,7 @@ def _transposed(power, residuals, cotangents):
 
 
 def apply(scale, a, b):
-    return linear_pass(_apply, _transposed, 2, (scale,), (a, b))
+    return linear_call(_apply, _transposed, 2, (scale,), (a, b))
 
 
 def plain(scale, a, b):
@@ -78,7 +78,7 @@ def test_a_program_holds_what_is_written_for_its_platform():
     )
 
     def function(x, y):
-        return linear_pass(double, double, None, (x,), (y,))[0]
+        return linear_call(double, double, None, (x,), (y,))[0]
 
     x, y = jnp.float32(0.3), jnp.float32(2.0)
     np.testing.assert_allclose(function(x, y), 2.0 * np.sin(0.3), rtol=1e-6)

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
 
-from rewax.physics.numerics import division, native
-from rewax.physics.numerics.division import divided
+from rewax.lowering import build, splitting
+from rewax.lowering.splitting import split_vector
 
 SHAPES = [(2, 3), (), (0, 4), (5,)]
 
 
 @NEEDS_COMPILER
 def test_it_can_be_built():
-    assert native.register(division._SOURCE, ("rewax_divide",))
+    assert build.register(splitting._SOURCE, ("rewax_split_vector",))
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
 def test_arrays_lie_one_after_the_other(batch):
     vectors = np.random.default_rng(0).normal(size=(*batch, 12)).astype(np.float32)
-    program = lambda vector: divided(vector, SHAPES)  # noqa: E731
+    program = lambda vector: split_vector(vector, SHAPES)  # noqa: E731
     for _ in batch:
         program = jax.vmap(program)
     found = jax.jit(program)(vectors)
@@ -33,9 +33,9 @@ def test_arrays_lie_one_after_the_other(batch):
 
 def test_derivatives(random_like):
     vector = jnp.arange(12.0)
-    value, tangent = jax.jvp(lambda v: divided(v, SHAPES), (vector,), (2.0 * vector,))
+    value, tangent = jax.jvp(lambda v: split_vector(v, SHAPES), (vector,), (2.0 * vector,))
     for of_tangent, of_value in zip(tangent, value, strict=True):
         np.testing.assert_array_equal(of_tangent, 2.0 * of_value)
     cotangents = random_like(0, value)
-    (pulled,) = jax.vjp(lambda v: divided(v, SHAPES), vector)[1](cotangents)
+    (pulled,) = jax.vjp(lambda v: split_vector(v, SHAPES), vector)[1](cotangents)
     np.testing.assert_array_equal(pulled, np.concatenate([np.ravel(c) for c in cotangents]))

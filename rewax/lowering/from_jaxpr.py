@@ -14,9 +14,9 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rewax.physics.numerics.arrangement import ARRANGEMENTS, Values, gathered, rows, scattered
-from rewax.physics.numerics.linear_pass import linear_pass_p, run_number_by_number
-from rewax.physics.numerics.operations import ARITHMETIC, Operation, Operations, UnsupportedError
+from rewax.lowering.indexing import ARRANGEMENTS, Values, gathered, rows, scattered
+from rewax.lowering.linear_primitive import linear_call_p, run_scalar_form
+from rewax.lowering.operations import ARITHMETIC, Operation, Operations, UnsupportedError
 
 _LONGEST_LOOP = 64
 
@@ -32,7 +32,7 @@ _FILLING = {"f": float("nan"), "i": np.iinfo(np.int32).min, "b": True}
 _REDUCTIONS = {"sum": "add", "prod": "mul", "max": "max", "min": "min", "and": "and", "or": "or"}
 
 
-class StraightLine(NamedTuple):
+class OperationList(NamedTuple):
     """A program without loops and conditions."""
 
     operations: list[Operation]
@@ -42,7 +42,7 @@ class StraightLine(NamedTuple):
     """The floating type."""
 
 
-def straight_line(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_000) -> StraightLine:
+def from_jaxpr(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_000) -> OperationList:
     """A traced program of one element.
 
     Args:
@@ -62,7 +62,7 @@ def straight_line(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5
         raise UnsupportedError(f"its results are of floating types other than {dtype}")
     found = builder.run(program.jaxpr, program.consts, inputs)
     outputs = [np.ravel(output).tolist() for output in found]
-    return StraightLine(builder.listed, outputs, dtype)
+    return OperationList(builder.listed, outputs, dtype)
 
 
 def _floating_type(program: ClosedJaxpr) -> np.dtype:
@@ -100,8 +100,8 @@ class _Builder(Operations):
         name, params = eqn.primitive.name, eqn.params
         if not eqn.outvars:
             raise UnsupportedError(f"it has the operation {name} without a result")
-        if eqn.primitive is linear_pass_p:
-            inner = jax.make_jaxpr(lambda *a: run_number_by_number(*a, **params))(*(v.aval for v in eqn.invars))
+        if eqn.primitive is linear_call_p:
+            inner = jax.make_jaxpr(lambda *a: run_scalar_form(*a, **params))(*(v.aval for v in eqn.invars))
             return self.run(inner.jaxpr, inner.consts, args)
         if name == "scan":
             return self.scan(params, args)

@@ -20,13 +20,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics import native
-from rewax.physics.numerics.codegen import HEADER, TEXT
-from rewax.physics.numerics.linear_pass import Arrays
-from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of, passes_of_cpu
-from rewax.physics.numerics.operations import OF_TRUTH, OF_WHOLE, Operation, UnsupportedError
-from rewax.physics.numerics.recompute import RECOMPUTED, Program, run_program, split_arguments
-from rewax.physics.numerics.straight_line import StraightLine, straight_line
+from rewax.lowering import build
+from rewax.lowering.codegen import HEADER, TEXT
+from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
+from rewax.lowering.from_jaxpr import OperationList, from_jaxpr
+from rewax.lowering.linear_primitive import Arrays
+from rewax.lowering.operations import OF_TRUTH, OF_WHOLE, Operation, UnsupportedError
+from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
 
 T = TypeVar("T")
 
@@ -37,14 +37,14 @@ _FUSED = {("add", 0): "a_times_b_plus_c", ("sub", 0): "a_times_b_minus_c", ("sub
 """A sum and the product that is one of its terms, by the term's place, as one instruction."""
 
 
-def taped(function: Callable[..., T], surrogate: Callable[..., T] | None = None) -> Callable[..., T]:
+def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | None = None) -> Callable[..., T]:
     """``recomputed``, whose value and derivatives are tapes on a CPU with a C++ compiler.
 
     Under ``vmap`` the copies of the program run in the lanes of vectors. What is no arithmetic at known places, a
     ``while_loop`` for instance, is left to XLA, pass by pass: so are all passes without a compiler, and on a GPU.
 
     Args:
-      function, surrogate: as for ``recomputed``, of arrays of one floating type, small and always of the same shapes.
+      function, derivative_of: as for ``recomputed``, of small arrays of one floating type and fixed shapes.
 
     Gradient: as for ``recomputed``.
     """
@@ -52,8 +52,8 @@ def taped(function: Callable[..., T], surrogate: Callable[..., T] | None = None)
     @functools.wraps(function)
     def call(*args: Any) -> T:
         arrays, treedef, constants = split_arguments(args)
-        passes = RECOMPUTED if native.is_off() or native.compiler() is None else TAPED
-        return run_program(Program(passes, function, surrogate, treedef, constants), arrays)
+        passes = RECOMPUTED if build.is_off() or build.compiler() is None else INTERPRETED
+        return run_program(Program(passes, function, derivative_of, treedef, constants), arrays)
 
     return call
 
@@ -99,7 +99,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     )
 
 
-TAPED = passes_of_cpu(_run)
+INTERPRETED = cpu_rules(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
@@ -111,15 +111,15 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
 def _target(which: str, program: Program, avals: tuple, count: int, precision: Any) -> _Target | None:
     """The tape of one pass, known to XLA; None if there is none."""
     del precision  # which types Python's numbers become
-    traced = one_pass(which, program, avals, count)
+    traced = trace_rule(which, program, avals, count)
     try:
-        line = straight_line(traced, [True] * len(avals), most=_MOST_OPERATIONS)
+        line = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
         tape = written(line, [aval.dtype for aval in traced.in_avals])
     except UnsupportedError:
         return None
     source, handler = machine(line.dtype)
-    library, reason = native.load(source)
-    if library is None or not native.register(source, (handler,)):
+    library, reason = build.load(source)
+    if library is None or not build.register(source, (handler,)):
         warnings.warn(f"rigid bodies are computed with JAX, slower than in C++: {reason}", stacklevel=2)
         return None
     digest = hashlib.sha256(tape.code.tobytes() + tape.constants.tobytes() + handler.encode())
@@ -138,7 +138,7 @@ def _target(which: str, program: Program, avals: tuple, count: int, precision: A
 # --- The tape ---------------------------------------------------------------------------------------------------------
 
 
-def written(line: StraightLine, types: Sequence[Any]) -> Tape:
+def written(line: OperationList, types: Sequence[Any]) -> Tape:
     """The tape of a program.
 
     Args:
@@ -301,7 +301,7 @@ _NUMBERS = {name: number for number, name in enumerate(_INSTRUCTIONS)}
 class Machine(NamedTuple):
     """The program that runs tapes of a floating type."""
 
-    source: native.Source
+    source: build.Source
     handler: str
     """What XLA calls."""
 
@@ -316,13 +316,13 @@ def machine(dtype: np.dtype) -> Machine:
     )
     handler = f"rewax_tape_{kind}"
     parts = (
-        native.THREADS.read_text(),
+        build.THREADS.read_text(),
         f"typedef {kind} T;",
         HEADER.read_text(),
         f"#define REWAX_TAPE {handler}\n#define REWAX_CASES \\\n{cases}\n",
         Path(__file__).with_suffix(".cc").read_text(),
     )
-    return Machine(native.Source("tape", "\n".join(parts), ("-O2", "-ftree-vectorize")), handler)
+    return Machine(build.Source("tape", "\n".join(parts), ("-O2", "-ftree-vectorize")), handler)
 
 
-__all__ = ["Machine", "Tape", "machine", "taped", "written"]
+__all__ = ["Machine", "Tape", "interpreted", "machine", "written"]

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
 
 T = TypeVar("T")
 S = TypeVar("S")
@@ -48,7 +48,7 @@ def stored(once: T, fast: S) -> tuple[T, S]:
 def _stored(tree: T, store: ByPlatform, num_once: int | None = None) -> T:
     leaves, treedef = jax.tree.flatten(tree)
     shapes = [jax.typeof(a) for a in leaves]
-    return jax.tree.unflatten(treedef, linear_pass(store, store, num_once, (), leaves, like=shapes))
+    return jax.tree.unflatten(treedef, linear_call(store, store, num_once, (), leaves, like=shapes))
 
 
 def _store_on_cpu(static: int | None, residuals: Arrays, arrays: Arrays) -> Arrays:

@@ -1,6 +1,6 @@
 // Cuts each row of a matrix into pieces, one buffer for each, through XLA's foreign function interface.
 //
-// division.py builds this file after threads.h.
+// splitting.py builds this file after threads.h.
 
 #include <cstring>
 #include <utility>
@@ -27,4 +27,4 @@ ffi::Error Divide(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
 
 }  // namespace
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_divide, Divide, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_split_vector, Divide, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());

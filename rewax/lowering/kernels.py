@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics import native
-from rewax.physics.numerics.codegen import KERNEL, kernel_source
-from rewax.physics.numerics.linear_pass import Arrays
-from rewax.physics.numerics.operands import batch_shape, one_pass, operands_of, passes_of_cpu
-from rewax.physics.numerics.operations import UnsupportedError
-from rewax.physics.numerics.recompute import RECOMPUTED, Program, run_program, split_arguments
+from rewax.lowering import build
+from rewax.lowering.codegen import KERNEL, kernel_source
+from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
+from rewax.lowering.linear_primitive import Arrays
+from rewax.lowering.operations import UnsupportedError
+from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.types import Array
 
 S = TypeVar("S")
@@ -31,7 +31,7 @@ _CHUNK = 1024
 _OPTIMIZATION = ("-O2", "-ftree-vectorize")
 """A kernel is vectors already: -O3 makes it no faster, and takes up to five times as long."""
 
-_CALLER = native.Source("pointwise", native.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text())
+_CALLER = build.Source("kernels", build.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text())
 
 
 def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
@@ -57,7 +57,7 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
         dtype = _common_type(elements)
-        if native.is_off() or native.compiler() is None or dtype is None:
+        if build.is_off() or build.compiler() is None or dtype is None:
             return function(shared, elements)
         # As arrays: a number inside the kernel would make another kernel of every number.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
@@ -145,7 +145,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     return tuple(next(total) if summed else next(mine) for _, _, summed in target.outputs)
 
 
-POINTWISE = passes_of_cpu(_run)
+POINTWISE = cpu_rules(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
@@ -166,7 +166,7 @@ def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...])
     Raises:
       UnsupportedError: it cannot be written so.
     """
-    traced = one_pass(which, program, avals, len(program.varies))
+    traced = trace_rule(which, program, avals, len(program.varies))
     summed = [False] * len(traced.out_avals)
     if which == "cotangent":
         summed = [not v for v, p in zip(program.varies, program.perturbed, strict=True) if p]
@@ -182,10 +182,10 @@ def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
         text, outputs = source(which, program, avals, varies)
     except UnsupportedError:
         return None
-    caller = native.load(_CALLER).library
-    if caller is None or not native.register(_CALLER, ("rewax_pointwise",)):
+    caller = build.load(_CALLER).library
+    if caller is None or not build.register(_CALLER, ("rewax_pointwise",)):
         return None
-    kernel, reason = native.load(native.Source("kernel", text, _OPTIMIZATION))
+    kernel, reason = build.load(build.Source("kernel", text, _OPTIMIZATION))
     if kernel is None:
         warnings.warn(f"arithmetic is computed with JAX, slower than in C++: {reason}", stacklevel=2)
         return None

@@ -1,6 +1,6 @@
-// Evaluates tapes (tape.py) for many copies of a program at once, through XLA's foreign function interface.
+// Evaluates tapes (machine.py) for many copies of a program at once, through XLA's foreign function interface.
 //
-// tape.py builds this file after threads.h, pointwise.h and the macros REWAX_CASES, the code of each instruction, and
+// machine.py builds this file after threads.h, lanes.h and the macros REWAX_CASES, the code of each instruction, and
 // REWAX_TAPE, the handler's name.
 
 #include <memory>

@@ -8,17 +8,17 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from rewax.physics.numerics import native
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform, linear_pass
+from rewax.lowering import build
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
 from rewax.types import Array
 
 _Shapes = tuple[tuple[int, ...], ...]
-_SOURCE = native.Source(
-    "division", native.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text(), ("-O2",)
+_SOURCE = build.Source(
+    "split_vector", build.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text(), ("-O2",)
 )
 
 
-def divided(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+def split_vector(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     """Arrays of the given shapes that lie one after the other in a vector, shape (number of all their elements,).
 
     On a CPU with a C++ compiler one operation makes all of them. XLA would make a kernel for each, which takes longer
@@ -28,7 +28,7 @@ def divided(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     """
     shapes = tuple(shapes)
     like = [jax.ShapeDtypeStruct(shape, vector.dtype) for shape in shapes]
-    return list(linear_pass(_CUT, _joined, shapes, (), (vector,), like=like))
+    return list(linear_call(_CUT, _joined, shapes, (), (vector,), like=like))
 
 
 def _cut(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
@@ -40,10 +40,10 @@ def _cut(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
 
 def _cut_at_once(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
     (vector,) = linear
-    if not vector.size or not native.register(_SOURCE, ("rewax_divide",)):
+    if not vector.size or not build.register(_SOURCE, ("rewax_split_vector",)):
         return _cut(shapes, nothing, linear)
     pieces = [jax.ShapeDtypeStruct((*vector.shape[:-1], *shape), vector.dtype) for shape in shapes]
-    return tuple(jax.ffi.ffi_call("rewax_divide", pieces)(vector))
+    return tuple(jax.ffi.ffi_call("rewax_split_vector", pieces)(vector))
 
 
 def _joined(shapes: _Shapes, nothing: Arrays, cotangents: Arrays) -> Arrays:
@@ -53,4 +53,4 @@ def _joined(shapes: _Shapes, nothing: Arrays, cotangents: Arrays) -> Arrays:
 
 _CUT = ByPlatform(cpu=_cut_at_once, other=_cut)
 
-__all__ = ["divided"]
+__all__ = ["split_vector"]

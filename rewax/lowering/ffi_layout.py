@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr
 
-from rewax.physics.numerics.linear_pass import Arrays, ByPlatform
-from rewax.physics.numerics.recompute import RECOMPUTED, Passes, Program
+from rewax.lowering.linear_primitive import Arrays, ByPlatform
+from rewax.lowering.recompute import RECOMPUTED, Program, Rules
 from rewax.types import Array
 
 
@@ -45,9 +45,9 @@ class Operand(NamedTuple):
         return jnp.broadcast_to(self.array.reshape(*axes, *self.own_shape), (*batch, *self.own_shape))
 
 
-def passes_of_cpu(run: Callable[[str, Program, Arrays, Arrays], Arrays]) -> Passes:
-    """Passes that ``run(name of the pass, program, arrays, linear)`` computes on a CPU, and JAX elsewhere."""
-    return Passes(*(ByPlatform(functools.partial(run, which), getattr(RECOMPUTED, which)) for which in Passes._fields))
+def cpu_rules(run: Callable[[str, Program, Arrays, Arrays], Arrays]) -> Rules:
+    """Rules that ``run(name of the pass, program, arrays, linear)`` computes on a CPU, and JAX elsewhere."""
+    return Rules(*(ByPlatform(functools.partial(run, which), getattr(RECOMPUTED, which)) for which in Rules._fields))
 
 
 def batch_shape(operands: Sequence[Operand]) -> tuple[int, ...]:
@@ -67,7 +67,7 @@ def operands_of(program: Program, arrays: Arrays, linear: Arrays, varies: Sequen
     return [Operand(array, varying, here) for array, varying, here in given]
 
 
-def one_pass(
+def trace_rule(
     which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int
 ) -> ClosedJaxpr:
     """The trace of a pass outside of ``vmap``.
@@ -89,4 +89,4 @@ def one_pass(
         return jax.make_jaxpr(passes[which])(*structs)
 
 
-__all__ = ["Operand", "batch_shape", "one_pass", "operands_of", "passes_of_cpu"]
+__all__ = ["Operand", "batch_shape", "cpu_rules", "operands_of", "trace_rule"]

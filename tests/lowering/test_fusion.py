@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.numerics.materialize import compute_once, materialize, stored
+from rewax.lowering.fusion import compute_once, materialize, stored
 
 
 def half_and_half(tree):
