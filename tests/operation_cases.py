@@ -8,7 +8,7 @@ from rewax.lowering.from_jaxpr import from_jaxpr
 
 PYTHON = {
     "neg": np.negative,
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "sqrt": np.sqrt, "gt": np.greater,
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "max": np.maximum, "min": np.minimum, "sqrt": np.sqrt, "gt": np.greater,
     "b_to_f": np.float64, "i_to_f": np.float64, "lt": np.less, "ne": np.not_equal, "eq": np.equal, "div": np.divide,
     "or": np.logical_or, "and": np.logical_and, "select": lambda which, yes, no: yes if which else no,
 }  # fmt: skip

@@ -20,11 +20,13 @@ from typing import NamedTuple
 
 import jax
 
+from rewax.lowering.portability import is_portable
+
 THREADS = Path(__file__).with_name("threads.h")
 """Text to begin a program with that shares its work out among threads."""
 
 _COMPILERS = ("c++", "g++", "clang++")
-_FLAGS = ("-std=c++17", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-w")
+_FLAGS = ("-std=c++17", "-fno-math-errno", "-fwrapv", "-fno-trapping-math", "-fPIC", "-shared", "-w")
 _NATIVE = {"x86_64": "-march=native", "AMD64": "-march=native"}
 _SECONDS = 300
 
@@ -99,8 +101,8 @@ def load(source: Source) -> Loaded:
 
 
 def is_off() -> bool:
-    """Whether the user wants no C++."""
-    return os.environ.get("REWAX_NATIVE") == "0"
+    """Whether programs hold no C++: the user wants none, or they must run elsewhere."""
+    return os.environ.get("REWAX_NATIVE") == "0" or is_portable()
 
 
 def compiler() -> str | None:

@@ -69,7 +69,7 @@ class _Writer:
         results, stores = [], []
         for k, output in enumerate(outputs):
             kind = self.operations[output[0]].kind
-            if kind == "i":
+            if kind in ("i", "l"):
                 raise UnsupportedError("it returns whole numbers")
             buffer, store = ("T", "Store") if kind == "f" else ("bool", "StoreTruth")
             results.append(
@@ -129,7 +129,7 @@ const int left = static_cast<int>(end - i < kLanes ? end - i : kLanes);
                 number = f"p{place}[{offset}]"
                 text = f"{kind}{{{'-' if operation.kind == 'b' else ''}{number}}}"
             else:
-                load = {"f": "Load", "i": "LoadWhole", "b": "LoadTruth"}[operation.kind]
+                load = {"f": "Load", "i": "LoadWhole", "l": "LoadWhole", "b": "LoadTruth"}[operation.kind]
                 text = f"{load}(p{place} + {offset} * count + i, left)"
         else:
             names = [self.name(o, vector) for o in operation.operands]
@@ -140,8 +140,8 @@ const int left = static_cast<int>(end - i < kLanes ? end - i : kLanes);
 def _literal(text: str, kind: str) -> str:
     if kind == "b":
         return "-1" if text == "True" else "0"
-    if kind == "i":
-        return text
+    if kind in ("i", "l"):
+        return f"({int(text) + 1}LL - 1)"  # the least integer has no literal
     return {"inf": "kInfinity", "-inf": "-kInfinity", "nan": "kNaN"}.get(text, f"T({text})")
 
 
@@ -156,7 +156,8 @@ TEXT = {
     "add": "{0} + {1}",
     "sub": "{0} - {1}",
     "mul": "{0} * {1}",
-    "div": "{0} / {1}",
+    "div": "Div({0}, {1})",
+    "rem": "Rem({0}, {1})",
     "neg": "-{0}",
     "max": "Max({0}, {1})",
     "min": "Min({0}, {1})",
@@ -166,17 +167,30 @@ TEXT = {
     "rsqrt": "T(1) / Sqrt({0})",
     "cbrt": "Cbrt({0})",
     "exp": "Exp({0})",
+    "exp2": "Exp2({0})",
     "log": "Log({0})",
     "log1p": "Log1p({0})",
     "expm1": "Expm1({0})",
     "sin": "Sin({0})",
     "cos": "Cos({0})",
+    "asin": "Asin({0})",
+    "acos": "Acos({0})",
+    "atan": "Atan({0})",
+    "sinh": "Sinh({0})",
+    "cosh": "Cosh({0})",
     "tanh": "Tanh({0})",
+    "asinh": "Asinh({0})",
+    "acosh": "Acosh({0})",
+    "atanh": "Atanh({0})",
+    "erf": "Erf({0})",
+    "erfc": "Erfc({0})",
     "logistic": "T(1) / (T(1) + Exp(-{0}))",
     "pow": "Pow({0}, {1})",
     "atan2": "Atan2({0}, {1})",
     "floor": "Floor({0})",
     "ceil": "Ceil({0})",
+    "round_even": "RoundEven({0})",
+    "round_away": "RoundAway({0})",
     "is_finite": "IsFinite({0})",
     "lt": "{0} < {1}",
     "le": "{0} <= {1}",
@@ -191,8 +205,15 @@ TEXT = {
     "select": "{0} ? {1} : {2}",
     "b_to_f": "__builtin_convertvector(-{0}, {kind})",
     "i_to_f": "__builtin_convertvector({0}, {kind})",
-    "f_to_i": "ToWhole({0})",
+    "l_to_f": "__builtin_convertvector({0}, {kind})",
+    "f_to_i": "ToWhole({0}, 32)",
+    "f_to_l": "ToWhole({0}, 64)",
     "b_to_i": "-{0}",
+    "b_to_l": "-{0}",
     "i_to_b": "{0} != 0",
+    "l_to_b": "{0} != 0",
     "f_to_b": "{0} != 0",
+    "i_to_l": "{0}",
+    "l_to_i": "Wrap({0})",
+    "wrap": "Wrap({0})",
 }

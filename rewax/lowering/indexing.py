@@ -1,4 +1,4 @@
-"""Where the numbers of an array go when it is sliced, padded, gathered and so on; nothing is computed."""
+"""Which numbers of an array remain, and where, when it is sliced, padded, gathered and so on. Nothing is computed."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeAlias
@@ -98,6 +98,12 @@ def _broadcast(args: list[Values], params: dict[str, Any], out: Any) -> Values:
     return np.broadcast_to(args[0].reshape(shape), out.shape)
 
 
+def _reshape(args: list[Values], params: dict[str, Any], out: Any) -> Values:
+    """``dimensions`` is the order in which the operand's axes are read."""
+    order = params["dimensions"]
+    return (args[0] if order is None else args[0].transpose(order)).reshape(out.shape)
+
+
 def _slice(args: list[Values], params: dict[str, Any], out: Any) -> Values:
     del out
     steps = params["strides"] or (1,) * args[0].ndim
@@ -118,9 +124,9 @@ def _pad(args: list[Values], params: dict[str, Any], out: Any) -> Values:
     return padded[tuple(slice(begin, begin + size) for begin, size in zip(cut, out.shape, strict=True))]
 
 
-ARRANGEMENTS: dict[str, Callable[[list[Values], dict[str, Any], Any], Values]] = {
+PARTS: dict[str, Callable[[list[Values], dict[str, Any], Any], Values]] = {
     "broadcast_in_dim": _broadcast,
-    "reshape": lambda args, params, out: args[0].reshape(out.shape),
+    "reshape": _reshape,
     "squeeze": lambda args, params, out: args[0].reshape(out.shape),
     "expand_dims": lambda args, params, out: args[0].reshape(out.shape),
     "transpose": lambda args, params, out: args[0].transpose(params["permutation"]),

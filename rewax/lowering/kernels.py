@@ -4,7 +4,6 @@ import ctypes
 import functools
 import hashlib
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -13,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.lowering import build
+from rewax.lowering import build, report
 from rewax.lowering.codegen import KERNEL, kernel_source
 from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
 from rewax.lowering.linear_primitive import Arrays
@@ -112,6 +111,7 @@ class _Target(NamedTuple):
 def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """The same function, whose results all have the elements' shape."""
 
+    @functools.wraps(function)
     def spread(shared: Any, elements: Any) -> Any:
         count = jax.tree.leaves(elements)[0].shape[-1]
         return jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], count)), function(shared, elements))
@@ -121,13 +121,16 @@ def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
 
 def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
     """One pass: through a kernel if there is one."""
+    if build.is_off():
+        return _with_jax(which, program, arrays, linear)
     perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
     of_linear = {"value": [], "tangent": perturbed, "cotangent": [True] * len(linear)}[which]
     varies = (*program.varies, *of_linear)
     operands = operands_of(program, arrays, linear, varies)
     avals = tuple(o.of_one_element for o in operands)
     target = _target(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
-    if target is None:
+    report.note(program.function, which, target if isinstance(target, str) else None)
+    if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
     batch = batch_shape(operands)
@@ -175,20 +178,21 @@ def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...])
 
 
 @functools.lru_cache(maxsize=1024)
-def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | None:
-    """The kernel of one pass, built and known to XLA; None if there is none."""
+def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | str:
+    """The kernel of one pass, built and known to XLA; or the reason why there is none."""
     del precision  # which types Python's numbers become
     try:
         text, outputs = source(which, program, avals, varies)
-    except UnsupportedError:
-        return None
-    caller = build.load(_CALLER).library
+    except UnsupportedError as error:
+        return str(error)
+    except Exception as error:  # a form that nobody thought of: never a reason to fail
+        return f"it could not be lowered ({type(error).__name__}: {error})"
+    caller, reason = build.load(_CALLER)
     if caller is None or not build.register(_CALLER, ("rewax_pointwise",)):
-        return None
+        return reason
     kernel, reason = build.load(build.Source("kernel", text, _OPTIMIZATION))
     if kernel is None:
-        warnings.warn(f"arithmetic is computed with JAX, slower than in C++: {reason}", stacklevel=2)
-        return None
+        return reason
     # The same in every process, for compiled programs are kept.
     number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:7])
     caller.rewax_add_kernel(ctypes.c_int64(number), getattr(kernel, KERNEL))

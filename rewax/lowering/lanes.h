@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 
 namespace {
 
@@ -35,8 +36,8 @@ inline V Wide(U a) { return a[0] - V{}; }
 inline VI Wide(UI a) { return a[0] + VI{}; }
 
 template <typename X>
-X Full(T a) {
-  return a - X{};
+X Full(T a) {  // a copy of the bits, which may be those of an integer
+  REWAX_LANES(X, a);
 }
 
 // NaN if either is.
@@ -57,7 +58,20 @@ REWAX_UNARY(Abs, std::fabs)
 REWAX_UNARY(Sqrt, std::sqrt)
 REWAX_UNARY(Floor, std::floor)
 REWAX_UNARY(Ceil, std::ceil)
+REWAX_UNARY(RoundEven, std::nearbyint)
+REWAX_UNARY(RoundAway, std::round)
+REWAX_UNARY(Exp2, std::exp2)
+REWAX_UNARY(Asin, std::asin)
+REWAX_UNARY(Acos, std::acos)
+REWAX_UNARY(Atan, std::atan)
+REWAX_UNARY(Sinh, std::sinh)
+REWAX_UNARY(Cosh, std::cosh)
 REWAX_UNARY(Tanh, std::tanh)
+REWAX_UNARY(Asinh, std::asinh)
+REWAX_UNARY(Acosh, std::acosh)
+REWAX_UNARY(Atanh, std::atanh)
+REWAX_UNARY(Erf, std::erf)
+REWAX_UNARY(Erfc, std::erfc)
 REWAX_UNARY(Cbrt, std::cbrt)
 REWAX_UNARY(Log1p, std::log1p)
 REWAX_UNARY(Expm1, std::expm1)
@@ -65,6 +79,29 @@ REWAX_UNARY(Expm1, std::expm1)
 template <typename X>
 X Sign(X a) {
   return a > 0 ? X{} + 1 : a < 0 ? X{} - 1 : a;
+}
+// Integers of 32 bits in lanes of 64: their low bits, with the sign.
+template <typename X>
+X Wrap(X a) {
+  if constexpr (sizeof(T) == 8) return (a << 32) >> 32;
+  return a;
+}
+// Of integers as XLA divides: by zero the quotient is -1 and the remainder the dividend, and nothing overflows.
+template <typename X>
+X Div(X a, X b) {
+  if constexpr (std::is_floating_point_v<std::decay_t<decltype(X{}[0])>>) {
+    return a / b;
+  } else {
+    REWAX_LANES(X, b[l] == 0 ? -1 : b[l] == -1 ? (X{} - a)[l] : a[l] / b[l]);
+  }
+}
+template <typename X>
+X Rem(X a, X b) {
+  if constexpr (std::is_floating_point_v<std::decay_t<decltype(X{}[0])>>) {
+    REWAX_LANES(X, std::fmod(a[l], b[l]));
+  } else {
+    REWAX_LANES(X, b[l] == 0 ? a[l] : b[l] == -1 ? 0 : a[l] % b[l]);
+  }
 }
 template <typename X>
 X Pow(X a, X b) {
@@ -162,13 +199,17 @@ X Cos(X a) {
   return SineOrCosine(a, 1);
 }
 
-// Towards zero; the nearest there is for what is too large, 0 for NaN.
+// Towards zero, to an integer of so many bits; the nearest there is for what is too large, 0 for NaN.
 template <typename X>
-auto ToWhole(X a) {
+auto ToWhole(X a, int bits) {
   typedef decltype(X{} < X{}) I;
-  const X limit = Full<X>(T(2147483648.0));
-  const X inside = Max(Min(a == a ? a : X{}, limit * T(1 - 1e-7)), -limit);
-  return a >= limit ? I{} + 2147483647 : __builtin_convertvector(inside, I);
+  const bool wide = bits == 64 && sizeof(T) == 8;
+  const X limit = Full<X>(wide ? T(9223372036854775808.0) : T(2147483648.0));
+  // The greatest numbers below the limit that T has.
+  const T below = wide ? T(9223372036854774784.0) : sizeof(T) == 8 ? T(2147483647.0) : T(2147483520.0);
+  const X inside = Max(Min(a == a ? a : X{}, Full<X>(below)), -limit);
+  const I most = I{} + (wide ? static_cast<int64_t>(9223372036854775807LL) : 2147483647);
+  return a >= limit ? most : __builtin_convertvector(inside, I);
 }
 
 inline V Load(const T* from, int count) {

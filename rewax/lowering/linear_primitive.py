@@ -15,6 +15,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from rewax.lowering.portability import portable
 from rewax.types import Array
 
 Arrays = tuple[Array, ...]
@@ -78,6 +79,7 @@ def linear_call(
         shapes = _shapes(inputs, plain, static, len(residuals), jnp.result_type(float))
     else:
         shapes = tuple((a.shape, a.dtype) for a in like)
+    residuals, linear = _varying_alike(residuals, linear)
     out = linear_call_p.bind(
         *residuals,
         *linear,
@@ -88,6 +90,25 @@ def linear_call(
         out=shapes,
     )
     return tuple(out)
+
+
+def _varying_alike(*groups: Sequence[Array]) -> list[list[Array]]:
+    """The same arrays; inside ``jax.shard_map`` all vary over the mesh axes that one of them varies over."""
+    axes = [_varying_axes(a) for group in groups for a in group]
+    union = frozenset().union(*axes)
+    if all(own == union for own in axes):
+        return [list(group) for group in groups]
+
+    def cast(a: Array) -> Array:
+        missing = tuple(sorted(union - _varying_axes(a)))
+        return jax.lax.pcast(a, missing, to="varying") if missing else a
+
+    return [[cast(a) for a in group] for group in groups]
+
+
+def _varying_axes(a: Any) -> frozenset[str]:
+    kind = getattr(a if isinstance(a, ShapedArray) else jax.typeof(a), "manual_axis_type", None)
+    return frozenset() if kind is None else kind.varying
 
 
 def no_transpose(static: Any, residuals: Arrays, cotangents: Arrays) -> Arrays:
@@ -111,8 +132,12 @@ def run_scalar_form(*args: Array, function: Rule, **params: Any) -> list[Array]:
 
 
 def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[ShapedArray]:
-    del args, params
-    return [ShapedArray(*a) for a in out]
+    del params
+    if not any(_varying_axes(a) for a in args):
+        return [ShapedArray(*a) for a in out]
+    # Inside of shard_map results vary as the arguments do.
+    sharding = jax.sharding.NamedSharding(args[0].sharding.mesh, jax.sharding.PartitionSpec())
+    return [ShapedArray(*a, sharding=sharding, manual_axis_type=args[0].manual_axis_type) for a in out]
 
 
 @functools.cache
@@ -132,14 +157,14 @@ def _jvp(primals, tangents, *, num_residuals: int, **params):
             "by finite differences instead"
         )
     out = linear_call_p.bind(*residuals, *linear, num_residuals=num_residuals, **params)
-    dlinear = [ad.instantiate_zeros(t) for t in tangents[num_residuals:]]
+    (dlinear,) = _varying_alike([ad.instantiate_zeros(t) for t in tangents[num_residuals:]])
     return out, linear_call_p.bind(*residuals, *dlinear, num_residuals=num_residuals, **params)
 
 
 def _transpose(cotangents, *args, function: Rule, transpose: Rule, static: Any, num_residuals: int, out: Shapes):
     del out
     residuals, linear = args[:num_residuals], args[num_residuals:]
-    cotangents = [ad.instantiate_zeros(ct) for ct in cotangents]
+    (cotangents,) = _varying_alike([ad.instantiate_zeros(ct) for ct in cotangents])
     shapes = tuple((x.aval.shape, x.aval.dtype) if ad.is_undefined_primal(x) else (x.shape, x.dtype) for x in linear)
     out = linear_call_p.bind(
         *residuals,
@@ -175,5 +200,16 @@ linear_call_p.def_abstract_eval(_abstract_eval)
 ad.primitive_jvps[linear_call_p] = _jvp
 ad.primitive_transposes[linear_call_p] = _transpose
 batching.primitive_batchers[linear_call_p] = _batch
+_lower_run = mlir.lower_fun(_run, multiple_results=True)
+
+
+def _lower_on_cpu(context: Any, *args: Any, **params: Any) -> Any:
+    """What is exported must run where there is no C++ of ours."""
+    if not getattr(context.module_context.lowering_parameters, "for_export", False):
+        return _lower_run(context, *args, **params)
+    with portable():
+        return _lower_run(context, *args, **params)
+
+
 mlir.register_lowering(linear_call_p, mlir.lower_fun(run_elsewhere, multiple_results=True))
-mlir.register_lowering(linear_call_p, mlir.lower_fun(_run, multiple_results=True), platform="cpu")
+mlir.register_lowering(linear_call_p, _lower_on_cpu, platform="cpu")

@@ -10,7 +10,6 @@ import ctypes
 import functools
 import hashlib
 import math
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.lowering import build
+from rewax.lowering import build, report
 from rewax.lowering.codegen import HEADER, TEXT
 from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
 from rewax.lowering.from_jaxpr import OperationList, from_jaxpr
@@ -82,10 +81,13 @@ class _Target(NamedTuple):
 
 def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
     """One pass: by a tape if there is one."""
+    if build.is_off():
+        return _with_jax(which, program, arrays, linear)
     operands = operands_of(program, arrays, linear, [False] * (len(arrays) + len(linear)))
     avals = tuple(o.of_one_element for o in operands)
     target = _target(which, program._replace(batches=()), avals, len(arrays), jnp.result_type(float))
-    if target is None:
+    report.note(program.function, which, target if isinstance(target, str) else None)
+    if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)
     batch = batch_shape(operands)
     used = [operands[k] for k in target.operands]
@@ -108,20 +110,21 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
 
 
 @functools.lru_cache(maxsize=1024)
-def _target(which: str, program: Program, avals: tuple, count: int, precision: Any) -> _Target | None:
-    """The tape of one pass, known to XLA; None if there is none."""
+def _target(which: str, program: Program, avals: tuple, count: int, precision: Any) -> _Target | str:
+    """The tape of one pass, known to XLA; or the reason why there is none."""
     del precision  # which types Python's numbers become
     traced = trace_rule(which, program, avals, count)
     try:
         line = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
         tape = written(line, [aval.dtype for aval in traced.in_avals])
-    except UnsupportedError:
-        return None
+    except UnsupportedError as error:
+        return str(error)
+    except Exception as error:  # a form that nobody thought of: never a reason to fail
+        return f"it could not be lowered ({type(error).__name__}: {error})"
     source, handler = machine(line.dtype)
     library, reason = build.load(source)
     if library is None or not build.register(source, (handler,)):
-        warnings.warn(f"rigid bodies are computed with JAX, slower than in C++: {reason}", stacklevel=2)
-        return None
+        return reason
     digest = hashlib.sha256(tape.code.tobytes() + tape.constants.tobytes() + handler.encode())
     number = int.from_bytes(digest.digest()[:7])  # the same in every process, for compiled programs are kept
     library.rewax_add_tape(
@@ -241,7 +244,7 @@ def _lane(operation: Operation, dtype: np.dtype) -> Any:
     """A constant as the number whose bits the machine finds in a lane."""
     if operation.kind == "f":
         return dtype.type(float(operation.constant))
-    whole = {"i": int, "b": lambda text: -1 if text == "True" else 0}[operation.kind](operation.constant)
+    whole = {"i": int, "l": int, "b": lambda text: -1 if text == "True" else 0}[operation.kind](operation.constant)
     return np.array(whole, f"int{8 * dtype.itemsize}").view(dtype)
 
 
@@ -264,7 +267,7 @@ def _instructions() -> dict[str, tuple[int, str]]:
         elif "_to_" in name:
             add(name, text, "f" if name.startswith("f") else "w")
         else:
-            if name not in ("and", "or", "xor", "not"):
+            if name not in ("and", "or", "xor", "not", "wrap"):
                 add(name, text, "f" * arity)
             if name in OF_TRUTH | OF_WHOLE:
                 add(name, text, "w" * arity)

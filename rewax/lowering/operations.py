@@ -1,7 +1,8 @@
 """Operations on single numbers, listed in order, each once.
 
-An operation with the operands of an earlier one is that one, and one of constants is a constant. What derivatives and
-constant tables are full of, sums and products with zero and one, is none at all.
+An operation with the operands of an earlier one is that one, and one of constants is a constant. A product with one, a
+quotient by one and a sum with zero are their other operand, as XLA has them. A product with zero is computed: it is NaN
+where the other factor is infinite or NaN. Structural zeros (``structural_zeros``) are left out of products and sums.
 """
 
 import math
@@ -13,28 +14,42 @@ import numpy as np
 from rewax.lowering.indexing import Values
 
 ARITHMETIC = frozenset({
-    "add", "sub", "mul", "div", "neg", "max", "min", "abs", "sign", "sqrt", "rsqrt", "cbrt", "exp", "log",
-    "log1p", "expm1", "sin", "cos", "tanh", "logistic", "pow", "atan2", "floor", "ceil", "is_finite", "lt",
-    "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
+    "add", "sub", "mul", "div", "rem", "neg", "max", "min", "abs", "sign", "sqrt", "rsqrt", "cbrt", "exp", "exp2",
+    "log", "log1p", "expm1", "sin", "cos", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+    "erf", "erfc", "logistic", "pow", "atan2", "floor", "ceil", "round_even", "round_away", "is_finite", "lt", "le",
+    "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
 })  # fmt: skip
 """Operations on numbers, by the names of JAX's primitives."""
-OF_WHOLE = frozenset(["add", "sub", "max", "min", "lt", "le", "gt", "ge", "eq", "ne", "select", "i_to_f", "i_to_b"])
+OF_WHOLE = frozenset([
+    "add", "sub", "mul", "neg", "div", "rem", "max", "min", "sign", "lt", "le", "gt", "ge", "eq", "ne", "and", "or",
+    "xor", "not", "select", "wrap",
+])  # fmt: skip
+"""Those that integers have."""
+OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select"])
+"""Those that booleans have."""
+_WRAPS = frozenset(["add", "sub", "mul", "neg", "div"])
+"""Those whose result can need more bits than an integer has."""
+_COMPARISONS = frozenset(["lt", "le", "gt", "ge", "eq", "ne"])
 _OF_CONSTANTS: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "max": np.maximum,
     "min": np.minimum, "abs": np.abs, "sign": np.sign, "sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil,
-    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
-    "and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not, "rem": np.fmod,
+    "round_even": np.rint, "rem": np.fmod, "lt": np.less, "le": np.less_equal, "gt": np.greater,
+    "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "is_finite": np.isfinite,
     "select": lambda which, yes, no: yes if which else no,
-    "i_to_f": lambda a: a, "b_to_f": lambda a: a, "b_to_i": lambda a: a, "i_to_b": bool,
 }  # fmt: skip
 """What is computed here, once, where all operands are constants."""
-_OF_WHOLE_CONSTANTS: dict[str, Callable[..., Any]] = {
-    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
-    "div": lambda a, b: int(np.fix(a / b)),
+_OF_INTEGERS: dict[str, Callable[[Any, Any], int]] = {
+    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "and": lambda a, b: a & b,
+    "or": lambda a, b: a | b, "xor": lambda a, b: a ^ b,
+    # As XLA divides: towards zero, and by zero it gives -1 and the dividend.
+    "div": lambda a, b: -1 if b == 0 else abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1),
+    "rem": lambda a, b: a if b == 0 else abs(a) % abs(b) * (-1 if a < 0 else 1),
 }  # fmt: skip
-"""Where whole numbers differ."""
-_WHOLE = range(-(2**31), 2**31)
-OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select", "b_to_f", "b_to_i"])
+_OF_BOOLEANS: dict[str, Callable[..., Any]] = {
+    "and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not,
+}  # fmt: skip
+KINDS = {"f": "floating-point numbers", "i": "32-bit integers", "l": "64-bit integers", "b": "booleans"}
+_BITS = {"i": 32, "l": 64}
 
 
 class UnsupportedError(Exception):
@@ -45,13 +60,14 @@ class Operation(NamedTuple):
     """One number from others. Equal operations on equal operands are one."""
 
     name: str
-    """One of ``ARITHMETIC``, ``select``, ``constant``, ``input``, or a conversion, ``b_to_f``."""
+    """One of ``ARITHMETIC``, ``select``, ``constant``, ``input``, ``wrap`` (an integer to 32 bits), or a conversion,
+    ``b_to_f``."""
     operands: tuple[int, ...]
     """Earlier operations, by their places in the list."""
     kind: str
-    """``f`` (the floating type), ``i`` (integer) or ``b`` (truth value)."""
+    """One of ``KINDS``; ``f`` has the program's one precision."""
     shared: bool
-    """The same for all elements of a copy."""
+    """The same for all elements of a batch element."""
     constant: Any = None
     """Of a ``constant`` its value, as text; of an ``input`` which argument it is, and the place in it."""
 
@@ -65,6 +81,8 @@ class Operations:
         self.listed: list[Operation] = []
         self.known: dict[Any, int] = {}
         self.constants: dict[int, Any] = {}
+        self.absent: int | None = None
+        """The structural zero, once there is one."""
 
     def add(self, operation: Operation) -> int:
         if len(self.listed) >= self.most:
@@ -76,7 +94,7 @@ class Operations:
         return self.add(Operation("input", (), kind, not varying, (place, offset)))
 
     def constant(self, value: Any, kind: str) -> int:
-        number = {"f": self.dtype.type, "i": int, "b": bool}[kind](value)
+        number = {"f": self.dtype.type, "i": int, "l": int, "b": bool}[kind](value)
         key = ("constant", repr(number), kind)  # as text: -0.0 equals 0.0, and NaN nothing
         if key not in self.known:
             text = repr(float(value) if kind == "f" else number)
@@ -84,62 +102,123 @@ class Operations:
             self.constants[place] = number
         return self.known[key]
 
+    def structural(self, values: Values) -> Values:
+        """The same numbers; zeros among them that are constants become structural ones."""
+
+        def mark(i: int) -> int:
+            if self.listed[i].kind != "f" or self.constants.get(i) != 0:
+                return i
+            if self.absent is None:
+                self.absent = self.add(Operation("constant", (), "f", True, "0.0"))
+            return self.absent
+
+        return self.map(mark, values)
+
     def apply(self, name: str, *operands: int, kind: str | None = None) -> int:
+        """The operation, or an earlier one or an operand that is the same number.
+
+        Args:
+          name: of the operation.
+          operands: places of its operands.
+          kind: of its result; None: that of its first operand.
+        """
         key = (name, operands, kind)
         if key not in self.known:
             self.known[key] = self.applied(name, operands, kind)
         return self.known[key]
 
     def applied(self, name: str, operands: tuple[int, ...], kind: str | None) -> int:
+        if self.absent is not None and self.absent in operands:
+            simpler = self.without_absent(name, operands)
+            if simpler is not None:
+                return simpler
+            operands = tuple(self.constant(0.0, "f") if o == self.absent else o for o in operands)
         used = [self.listed[o] for o in operands]
-        kinds = {o.kind for o in used}
-        if "b" in kinds and name in ("max", "min"):
+        compared = used[1:] if name == "select" else used
+        of = compared[0].kind
+        if any(o.kind != of for o in compared):
+            raise UnsupportedError(f"it has the operation {name} of {' and '.join(KINDS[o.kind] for o in compared)}")
+        if of == "b" and name in ("max", "min"):
             name = {"max": "or", "min": "and"}[name]
-        kind = used[0].kind if kind is None else kind
+        self.check(name, of)
+        kind = kind or (of if name not in _COMPARISONS else "b")
         constants = [self.constants.get(o) for o in operands]
-        if name in _OF_CONSTANTS and all(c is not None for c in constants):
-            return self.constant(self.of_constants(name, kinds, constants, kind), kind)
-        for of, allowed, what in (("i", OF_WHOLE, "whole numbers"), ("b", OF_TRUTH, "truth values")):
-            if of in kinds and name not in allowed:
-                raise UnsupportedError(f"it has the operation {name} of {what}")
-        if kind == "f" and name in ("mul", "div", "add", "sub"):
+        if all(c is not None for c in constants):
+            value = self.of_constants(name, of, constants, kind)
+            if value is not None:
+                return self.constant(value, kind)
+        if of == "f" and name in ("mul", "div", "add", "sub"):
             simpler = self.simpler(name, operands, constants)
             if simpler is not None:
                 return simpler
-        return self.add(Operation(name, operands, kind, all(o.shared for o in used)))
+        result = self.add(Operation(name, operands, kind, all(o.shared for o in used)))
+        # In lanes of 64 bits an integer of 32 bits has to be brought back to them.
+        return self.apply("wrap", result) if kind == "i" and name in _WRAPS and self.dtype.itemsize == 8 else result
 
-    def of_constants(self, name: str, kinds: set[str], constants: list[Any], kind: str) -> Any:
-        if kinds == {"i"} and name in ("div", "rem") and constants[1] == 0:
-            raise UnsupportedError("it divides a whole number by zero")
-        compute = _OF_WHOLE_CONSTANTS.get(name, _OF_CONSTANTS[name]) if kinds == {"i"} else _OF_CONSTANTS[name]
+    def check(self, name: str, kind: str) -> None:
+        """Raises UnsupportedError where numbers of a kind do not have an operation."""
+        allowed = {"b": OF_TRUTH, "i": OF_WHOLE, "l": OF_WHOLE}.get(kind)
+        if "_to_" not in name and (name not in allowed if allowed else name == "wrap"):
+            raise UnsupportedError(f"it has the operation {name} of {KINDS[kind]}")
+        if kind == "f" and name in ("and", "or", "xor", "not"):
+            raise UnsupportedError(f"it has the operation {name} of {KINDS[kind]}")
+
+    def of_constants(self, name: str, of: str, constants: list[Any], kind: str) -> Any:
+        """The value of an operation on constants; None if it is left to the program."""
+        if "_to_" in name:
+            return self.of_conversion(constants[0], of, kind)
+        if name == "wrap":
+            return wrapped(constants[0], 32)
+        if of in _BITS and name in ("neg", "not"):
+            return wrapped(-constants[0] if name == "neg" else ~constants[0], _BITS[of])
+        if of in _BITS and name in _OF_INTEGERS:
+            return wrapped(_OF_INTEGERS[name](*constants), _BITS[of])
+        table = _OF_BOOLEANS if of == "b" and name in _OF_BOOLEANS else _OF_CONSTANTS
         with np.errstate(all="ignore"):
-            value = compute(*constants)
-        if kind == "i" and int(value) not in _WHOLE:
-            raise UnsupportedError("it computes whole numbers of more than 32 bits")
-        return value
+            return table[name](*constants) if name in table else None
 
-    def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
-        """What an operation with a zero or a one is without it."""
-        (a, b), (number, other) = operands, constants
-        if name in ("mul", "div"):
-            if number == 0 or (other == 0 and name == "mul"):
-                return self.constant(0.0, "f")
-            return a if other == 1 else b if number == 1 and name == "mul" else None
-        if other == 0:
-            return a
-        if number == 0:
-            return b if name == "add" else self.apply("neg", b)
+    def of_conversion(self, value: Any, of: str, kind: str) -> Any:
+        if kind in _BITS and of == "f":
+            least = -(2 ** (_BITS[kind] - 1))
+            return 0 if np.isnan(value) else least if value <= least else int(min(value, -least - 1))
+        if kind in _BITS:
+            return wrapped(int(value), _BITS[kind])
+        return bool(value) if kind == "b" else value
+
+    def without_absent(self, name: str, operands: tuple[int, ...]) -> int | None:
+        """The result of an operation on structural zeros, if it needs none."""
+        first, *others = operands
+        if name in ("mul", "neg") or (name == "div" and first == self.absent):
+            return self.absent
+        if name in ("add", "sub") and others[0] == self.absent:
+            return first
+        if name in ("add", "sub"):
+            return others[0] if name == "add" else self.apply("neg", others[0])
         return None
 
+    def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
+        """The operand that equals an operation with a zero or a one."""
+        (a, b), (number, other) = operands, constants
+        if name in ("mul", "div"):
+            return a if other == 1 else b if number == 1 and name == "mul" else None
+        return a if other == 0 else b if number == 0 and name == "add" else None
+
     def kind_of(self, dtype: Any) -> str:
+        """The kind of numbers of a type.
+
+        Raises:
+          UnsupportedError: lanes of the program's precision cannot hold them.
+        """
         dtype = np.dtype(dtype)
         if np.issubdtype(dtype, np.floating):
             return "f"
         if dtype == np.bool_:
             return "b"
-        if dtype == np.int32 or (dtype == np.int64 and self.dtype == np.float64):  # as wide as its lanes
+        if dtype == np.int32:
             return "i"
-        raise UnsupportedError(f"it has numbers of type {dtype}")
+        if dtype == np.int64 and self.dtype == np.float64:
+            return "l"
+        raise UnsupportedError(f"it has numbers of type {dtype} beside {self.dtype}")
 
     def array(self, shape: tuple[int, ...], number: Callable[[int], int]) -> Values:
         return np.array([number(i) for i in range(math.prod(shape))], np.int64).reshape(shape)
@@ -155,7 +234,7 @@ class Operations:
         return np.array(numbers, np.int64).reshape(arrays[0].shape)
 
     def whole(self, values: Values) -> np.ndarray:
-        """Whole numbers that are constants."""
+        """Integers that are constants."""
         if not all(v in self.constants for v in values.ravel().tolist()):
             raise UnsupportedError("it has indices that depend on its arguments")
         return np.array([self.constants[v] for v in values.ravel().tolist()], np.int64).reshape(values.shape)
@@ -169,12 +248,20 @@ class Operations:
         return no if no == yes else self.apply("select", which, yes, no, kind=self.listed[no].kind)
 
     def power(self, a: int, exponent: int) -> int:
-        if self.listed[a].kind != "f":
-            raise UnsupportedError("it has powers of whole numbers")
+        kind = self.listed[a].kind
         if exponent < 0:
+            if kind != "f":
+                raise UnsupportedError("it has negative powers of integers")
             return self.apply("div", self.constant(1.0, "f"), self.power(a, -exponent))
         if exponent == 0:
-            return self.constant(1.0, "f")
+            return self.constant(1, kind)
         half = self.power(a, exponent // 2)
-        squared = self.apply("mul", half, half) if exponent > 1 else self.constant(1.0, "f")
+        squared = self.apply("mul", half, half) if exponent > 1 else self.constant(1, kind)
+        if kind != "f" and exponent == 1:
+            return a
         return self.apply("mul", squared, a) if exponent % 2 else squared
+
+
+def wrapped(value: int, bits: int) -> int:
+    """An integer as its two's complement of so many bits."""
+    return (int(value) + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)

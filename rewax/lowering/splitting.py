@@ -40,7 +40,7 @@ def _cut(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
 
 def _cut_at_once(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
     (vector,) = linear
-    if not vector.size or not build.register(_SOURCE, ("rewax_split_vector",)):
+    if not vector.size or build.is_off() or not build.register(_SOURCE, ("rewax_split_vector",)):
         return _cut(shapes, nothing, linear)
     pieces = [jax.ShapeDtypeStruct((*vector.shape[:-1], *shape), vector.dtype) for shape in shapes]
     return tuple(jax.ffi.ffi_call("rewax_split_vector", pieces)(vector))

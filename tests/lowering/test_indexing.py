@@ -27,3 +27,22 @@ def by_index(a, b):
 
 def test_parts_are_those_of_jax():
     assert_equal_to_jax(by_index, 1)
+
+
+def axes_in_another_order(a, b):
+    table = jnp.outer(a, b)
+    return (
+        jax.lax.reshape(table, (9,), dimensions=(1, 0)),
+        jnp.ravel(table, order="F"),
+        jnp.reshape(table[:2], (3, 2), order="F"),
+        jax.grad(lambda t: jnp.prod(t, 1).sum())(table),
+        jnp.vdot(a, a),
+        jnp.einsum("ij,ij->", table, table),
+        table.at[1].apply(lambda x: x * x),
+        table.at[jnp.array([0, 0])].max(0.5),
+        table.at[1].min(0.5),
+    )
+
+
+def test_the_order_of_axes_and_functions_of_scatters_are_those_of_jax():
+    assert_equal_to_jax(axes_in_another_order, 2)

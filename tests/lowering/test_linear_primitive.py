@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rewax.lowering import interpreted, materialize, recomputed
 from rewax.lowering.linear_primitive import ByPlatform, linear_call
 
 
@@ -87,3 +88,26 @@ def test_a_program_holds_what_is_written_for_its_platform():
         of = {p: jax.export.export(jax.jit(differentiated), platforms=[p])(x, y).mlir_module() for p in ("cpu", "cuda")}
         assert "sine" in of["cpu"].replace("cosine", "") and "cosine" not in of["cpu"]
         assert "cosine" in of["cuda"] and "sine" not in of["cuda"].replace("cosine", "")
+
+
+def test_under_shard_map_that_checks_what_varies():
+    """With its default, ``check_vma=True``; parameters are the same on all devices, the rest is sharded."""
+    devices = jax.devices()[:2]
+    mesh = jax.sharding.Mesh(np.array(devices), ("i",))
+    spec, x = jax.P("i"), jnp.arange(4.0)
+
+    def energy(p, x):
+        return jnp.sum(jnp.sin(p * x) + x**2)
+
+    def sharded(function):
+        def total(p, x):
+            return jax.lax.psum(function(p, x), "i")
+
+        return jax.jit(
+            jax.shard_map(jax.grad(total, (0, 1)), mesh=mesh, in_specs=(jax.P(), spec), out_specs=(jax.P(), spec))
+        )
+
+    expected = jax.grad(energy, (0, 1))(jnp.float32(0.7), x)
+    for function in (recomputed(energy), interpreted(energy), lambda p, x: energy(p, materialize(x))):
+        found = sharded(function)(jnp.float32(0.7), x)
+        jax.tree.map(lambda f, e: np.testing.assert_allclose(f, e, rtol=1e-5), found, expected)

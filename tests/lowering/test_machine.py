@@ -130,7 +130,7 @@ def test_what_is_no_arithmetic_is_left_to_jax(x64, monkeypatch, relative_error):
 def test_a_compiler_that_fails(monkeypatch):
     monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "c++ failed (no space)"))
     inputs, gain = arguments(dtype=np.float32)
-    with pytest.warns(UserWarning, match="with JAX, slower than in C\\+\\+: c\\+\\+ failed"):
+    with pytest.warns(UserWarning, match="in XLA, slower than in C\\+\\+: c\\+\\+ failed"):
         found = interpreted(iterated)(inputs, gain)
     np.testing.assert_allclose(found["x"], plain(inputs, gain)["x"], rtol=1e-5)
 

@@ -8,6 +8,7 @@ from operation_cases import assert_equal_to_jax
 
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.operations import Operation, UnsupportedError
+from rewax.lowering.structural import structural_zeros
 
 
 def test_an_operation_is_there_once():
@@ -16,11 +17,23 @@ def test_an_operation_is_there_once():
     assert line.outputs[1] == [0]
 
 
-def test_zeros_and_ones_of_a_program_cost_nothing():
-    """Constant tables, and what derivatives begin with."""
+def counted(program):
+    """Names of the operations of a program of three numbers."""
+    line = from_jaxpr(jax.make_jaxpr(program)(jnp.ones(3)), [True])
+    return sorted(o.name for o in line.operations if o.name not in ("input", "constant"))
+
+
+def test_structural_zeros_and_ones_cost_nothing():
+    table = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0]], np.float32)
+    assert counted(lambda a: (structural_zeros(jnp.asarray(table)) @ a, (a - 0.0) / 1.0)) == ["add"]
+    assert counted(lambda a: jax.vjp(lambda a: structural_zeros(jnp.asarray(table)) @ a, a)[1](a[:2])) == ["add"]
+
+
+def test_other_zeros_are_computed():
+    """They make NaN of what is infinite, as in JAX."""
     table = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
-    line = from_jaxpr(jax.make_jaxpr(lambda a: (table @ a, (a - 0.0) / 1.0, 0.0 / a))(jnp.ones(3)), [True])
-    assert [o.name for o in line.operations if o.name not in ("input", "constant")] == ["add"]
+    assert counted(lambda a: table @ a) == ["add"] * 4 + ["mul"] * 3
+    assert counted(lambda a: 0.0 / a) == ["div"] * 3
 
 
 def test_a_division_by_zero_is_one():
@@ -47,15 +60,21 @@ def test_whole_numbers_are_not_truth_values():
     assert_equal_to_jax(whole_numbers, 3)
 
 
+def test_integers_of_a_program_wrap_and_divide_as_in_jax():
+    def program(a, b):
+        c = jnp.array([3, -7, 2**31 - 1], jnp.int32)
+        numbers = (c * 2**30, c + c, jax.lax.div(c, 0), jax.lax.rem(c, 0), -(c - 2**30) * 3, c**3)
+        return [b * number.astype(a.dtype) for number in numbers]
+
+    assert_equal_to_jax(program, 4)
+
+
 @pytest.mark.parametrize(
-    ("number", "named"),
+    ("program", "named"),
     [
-        (lambda c: c * 2**30, "more than 32 bits"),
-        (lambda c: jax.lax.div(c, 0), "divides a whole number by zero"),
-        (lambda c: jax.lax.rem(c, 0), "divides a whole number by zero"),
+        (lambda a: a * jnp.array([3], jnp.int32).astype(jnp.uint8).astype(a.dtype), "numbers of type uint8"),
     ],
 )
-def test_what_whole_numbers_are_refused(number, named):
-    program = jax.make_jaxpr(lambda a: a * number(jnp.array([3])).astype(a.dtype))(jnp.ones(1))
+def test_which_integers_are_refused(program, named):
     with pytest.raises(UnsupportedError, match=named):
-        from_jaxpr(program, [True])
+        from_jaxpr(jax.make_jaxpr(lambda a: program(a))(jnp.ones(1)), [True])

@@ -57,7 +57,7 @@ def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 
 def is_used() -> bool:
     """Whether programs for CPUs hold these passes: whether they could be built."""
-    return build.register(SOURCE, _TARGETS)
+    return not build.is_off() and build.register(SOURCE, _TARGETS)
 
 
 def _available(*arrays: Arrays) -> bool:

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from rewax.lowering.structural import structural_zeros
 from rewax.types import Array, Scalar
 
 
@@ -87,4 +88,4 @@ def skew(a: Array) -> Array:
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     zero = jnp.zeros_like(x)
     rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+    return structural_zeros(jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2))

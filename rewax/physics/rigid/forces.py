@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.structural import structural_zeros
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import (
     matrix_to_quaternion,
@@ -43,7 +44,7 @@ def tree_parameters(model: RigidModel) -> TreeParameters:
 def attached(kin: Kinematics, body: np.ndarray, position: Array, quaternion: Array) -> Pose:
     """World poses of what is fixed to bodies."""
     frames = jnp.concatenate([kin.rotation, kin.position[:, :, None]], axis=-1)
-    frame = select(body, frames)
+    frame = structural_zeros(select(body, frames))
     rotation = compose(frame[:, :, :3], quaternion_to_matrix(quaternion))
     return Pose(frame[:, :, 3] + rotate(frame[:, :, :3], position), rotation)
 

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.structural import structural_zeros
 from rewax.physics.numerics.rotations import normalized, quaternion_product, quaternion_to_matrix, skew
 from rewax.physics.rigid.kinematic_tree import JointType, TreeParameters, TreeTopology, is_ball
 from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select
@@ -62,6 +63,7 @@ def kinematics(topology: TreeTopology, parameters: TreeParameters, qpos: Array) 
     offset = select(topology.dof_body, tree_com) - dof_frame[:, :3, 3] - rotate(dof_frame[:, :3, :3], anchor)
     turns = topology.dof_turns[:, None]
     axes = jnp.concatenate([jnp.where(turns, axis, 0.0), jnp.where(turns, cross(axis, offset), axis)], axis=-1)
+    axes = structural_zeros(axes)
     return Kinematics(
         position=position,
         rotation=rotation,
@@ -112,7 +114,7 @@ def moving_points(
 
     It returns their wrenches on the bodies as ``generalized_forces`` takes them, shape (num_bodies, 6).
     """
-    onehot = jax.nn.one_hot(body, velocities.shape[0], dtype=point.dtype)
+    onehot = structural_zeros(jax.nn.one_hot(body, velocities.shape[0], dtype=point.dtype))
     carried = dot(onehot, jnp.concatenate([velocities, kin.tree_com], axis=-1))
     arm = point - carried[:, 6:]
 
@@ -133,7 +135,8 @@ def point_drifts(topology: TreeTopology, kin: Kinematics, qvel: Array, body: Arr
     """
     velocity = body_velocities(topology, kin, qvel)
     drift = point_velocities(kin, dot(topology.moves, axis_drifts(topology, kin, qvel)), body, point)
-    turning = dot(jax.nn.one_hot(body, velocity.shape[0], dtype=point.dtype), velocity[:, :3])
+    onehot = structural_zeros(jax.nn.one_hot(body, velocity.shape[0], dtype=point.dtype))
+    turning = dot(onehot, velocity[:, :3])
     return drift + cross(turning, point_velocities(kin, velocity, body, point))
 
 
@@ -176,21 +179,26 @@ def _link_frames(topology: TreeTopology, parameters: TreeParameters, qpos: Array
     )
     generator = skew(axis)
     turned = jnp.sin(amount) * generator + (1.0 - jnp.cos(amount)) * compose(generator, generator)
-    rotation = eye + jnp.where(hinge[:, None, None], turned, 0.0)
+    rotation = structural_zeros(eye + jnp.where(hinge[:, None, None], turned, 0.0))
     for quaternion, joint_number in zip([q for q, _ in topology.quaternions], topology.ball_joints, strict=True):
-        row = (topology.link_joint == joint_number).astype(float)[:, None, None]
+        row = structural_zeros(jnp.asarray(topology.link_joint == joint_number, qpos.dtype)[:, None, None])
         rotation = rotation + row * (quaternion_to_matrix(normalized(qpos[quaternion : quaternion + 4])) - eye)
     shift = anchor - rotate(rotation, anchor) + jnp.where(slide[:, None], axis * amount[:, :, 0], 0.0)
+    shift = structural_zeros(shift)
     for joint_number in np.flatnonzero(topology.joint_type == JointType.FREE):
-        row, start = (topology.link_joint == joint_number).astype(float)[:, None], topology.joint_qpos[joint_number]
+        row = structural_zeros(jnp.asarray(topology.link_joint == joint_number, qpos.dtype)[:, None])
+        start = topology.joint_qpos[joint_number]
         shift = shift + row * qpos[start : start + 3]
     offset = (topology.link_first & ~free)[:, None]
-    frame = jnp.where(offset[:, :, None], quaternion_to_matrix(select(topology.link_body, parameters.body_quat)), eye)
-    origin = jnp.where(offset, select(topology.link_body, parameters.body_pos), 0.0)
+    turned = quaternion_to_matrix(select(topology.link_body, parameters.body_quat))
+    frame = structural_zeros(jnp.where(offset[:, :, None], turned, eye))
+    origin = structural_zeros(jnp.where(offset, select(topology.link_body, parameters.body_pos), 0.0))
     links = jnp.concatenate([compose(frame, rotation), (origin + rotate(frame, shift))[:, :, None]], axis=-1)
     for ancestor in topology.ancestors:
         before = select(ancestor, links)
-        links = compose(before[:, :, :3], links) + before * np.array([0.0, 0.0, 0.0, 1.0])
+        links = compose(before[:, :, :3], links) + before * structural_zeros(
+            jnp.array([0.0, 0.0, 0.0, 1.0], qpos.dtype)
+        )
     return links
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
+from rewax.lowering.structural import structural_zeros
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
 
@@ -24,7 +25,7 @@ def dot(a: np.ndarray | Array, b: Array) -> Array:
       b: shape (k,) or (k, m).
     """
     if isinstance(a, np.ndarray):
-        table = jnp.asarray(a, b.dtype)
+        table = structural_zeros(jnp.asarray(a, b.dtype))
         return linear_call(_TIMES, _TRANSPOSED, _Table(b.ndim == 1), (table,), (b,))[0]
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 

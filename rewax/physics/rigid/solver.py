@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
+from rewax.lowering.structural import structural_zeros
 from rewax.types import Array
 
 
@@ -177,7 +178,7 @@ def _elimination_by_numbers(static: None, residuals: Arrays, linear: Arrays) -> 
     Source: Featherstone 2008, Rigid Body Dynamics Algorithms, section 6.5.
     """
     del static, linear
-    matrix, vector = residuals
+    matrix, vector = structural_zeros(residuals[0]), residuals[1]
     rows = []
     for k in reversed(range(vector.shape[0])):
         row, right = matrix[k] / matrix[k, k], vector[k] / matrix[k, k]

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.structural import structural_zeros
 from rewax.physics.numerics.rotations import skew
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology
 from rewax.physics.rigid.kinematics import Kinematics, axis_drifts, body_velocities, generalized_forces
@@ -28,7 +29,7 @@ def mass_matrix(topology: TreeTopology, parameters: TreeParameters, kin: Kinemat
     torque = rotate(inertia, angular) + cross(moment, linear)
     force = jnp.concatenate([torque, mass * linear - cross(moment, angular)], axis=-1)
     carries = topology.moves[topology.dof_body] * np.tri(num_dofs, k=-1)  # earlier dofs that move another's body
-    lower = dot(force, kin.axes.T) * carries
+    lower = dot(force, kin.axes.T) * structural_zeros(jnp.asarray(carries, force.dtype))
     return lower + lower.T + jnp.diag(jnp.sum(force * kin.axes, axis=-1) + parameters.dof_armature)
 
 
@@ -51,7 +52,7 @@ def inverse_dynamics(
     Source: recursive Newton-Euler, Featherstone 2008, table 5.1, with sums over chains for its recursions.
     """
     velocity = body_velocities(topology, kin, qvel)
-    change = axis_drifts(topology, kin, qvel) + kin.axes * qacc[:, None]
+    change = axis_drifts(topology, kin, qvel) + kin.axes * structural_zeros(qacc)[:, None]
     acceleration = dot(topology.moves, change) - jnp.concatenate([jnp.zeros(3, gravity.dtype), gravity])
     inertia = _rotational_inertia(parameters, kin)
     arm, mass = kin.com - kin.tree_com, parameters.body_mass[:, None]

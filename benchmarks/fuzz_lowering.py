@@ -1,0 +1,184 @@
+"""Random programs through ``rewax.lowering``, against JAX: values, forward and reverse derivatives.
+
+    python benchmarks/fuzz_lowering.py --programs 5000                # half interpreted, half pointwise
+    python benchmarks/fuzz_lowering.py --programs 200 --first 40 --way pointwise
+
+Prints what was compared and refused, by reason, and every wrong number with its program's seed. Exit status 1 if any is
+wrong. A number is right if it equals that of a compiled program of JAX or of JAX operation by operation up to rounding,
+where rounding is judged by the same program in double precision.
+"""
+
+import argparse
+import collections
+import random
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.random_programs import RandomProgram, draw_inputs, draw_program
+from rewax.lowering import interpreted, pointwise, report
+
+BATCHES = [0, 1, 2, 3, 7, 16, 17, 33, 100, 1000]
+WAYS = ("interpreted", "pointwise")
+RULES = ("value", "jvp", "vjp")
+
+
+_DIVIDES = ("div", "reciprocal", "inverse", "rsqrt", "atan2", "pow", "hypot")
+"""Beginnings of the names of operations that tell a negative zero from a positive one, or whose derivatives do."""
+
+
+class Outcome(NamedTuple):
+    """What became of one program."""
+
+    compared: int
+    """Rules that ran in C++ and were compared."""
+    refused: tuple[str, ...]
+    """Reasons of the others."""
+    wrong: tuple[str, ...]
+    """A sentence for each result that is not JAX's."""
+
+
+def check_program(rng: random.Random, way: str, *, precision: type = np.float32) -> Outcome:
+    """Draw a program and compare its lowered form with JAX."""
+    with jax.enable_x64(precision == np.float64):
+        program = draw_program(rng)
+    batch, extreme = rng.choice(BATCHES if way == "interpreted" else BATCHES[1:]), rng.choice([0.0, 0.0, 0.1, 0.4])
+    inputs = draw_inputs(rng, program, (batch,), extreme, precision)
+    seed = rng.randrange(2**31)
+    rule, around = rng.choice(RULES), rng.choice(["", "", "", "scan"])
+    if rule != "value" and any(name.startswith("apply") for name in program.names):
+        rule = "value"  # JAX cannot differentiate it
+    with jax.enable_x64(precision == np.float64), report.recorded() as decisions, warnings.catch_warnings():
+        warnings.simplefilter("ignore", report.LoweringWarning)
+        found = _results(_lowered(program, way), inputs, rule, seed, around)
+        reasons = tuple(dict.fromkeys(d.reason for d in decisions if d.reason))
+        if reasons:
+            return Outcome(0, reasons, ())
+        expected = _results(jax.vmap(program), inputs, rule, seed, around)
+    if all(_same(f, e) for f, e in zip(found, expected, strict=True)):
+        return Outcome(1, (), ())
+    return Outcome(1, (), _explained(program, inputs, rule, seed, around, found, expected, precision))
+
+
+def _lowered(program: RandomProgram, way: str) -> Callable[..., Any]:
+    if way == "interpreted":
+        return jax.vmap(interpreted(lambda *arrays: program(*arrays)))
+
+    def elements(shared: None, arrays: Any) -> Any:
+        return jax.vmap(program, in_axes=-1, out_axes=-1)(*arrays)
+
+    call = pointwise(elements)
+
+    def of_batch(*arrays: Any) -> Any:
+        moved = tuple(jnp.moveaxis(a, 0, -1) for a in arrays)
+        return tuple(jnp.moveaxis(r, -1, 0) for r in call(None, moved))
+
+    return of_batch
+
+
+def _results(
+    function: Callable[..., Any], inputs: list, rule: str, seed: int, around: str, *, jit: bool = True
+) -> list:
+    """Value or a derivative along directions, or with weights, that are drawn from the seed."""
+    draw = np.random.default_rng(seed)
+    floats = [k for k, a in enumerate(inputs) if np.issubdtype(a.dtype, np.floating)]
+
+    def of_floats(*values: Any) -> Any:
+        merged = [jnp.asarray(a) for a in inputs]
+        for k, value in zip(floats, values, strict=True):
+            merged[k] = value
+        return function(*merged)
+
+    def run(*values: Any) -> Any:
+        if rule == "value":
+            return of_floats(*values)
+        if rule == "jvp":
+            tangents = tuple(jnp.asarray(draw.choice([-1.0, 0.5, 2.0], np.shape(v)), v.dtype) for v in values)
+            return jax.jvp(of_floats, values, tangents)
+        out, pull = jax.vjp(of_floats, *values)
+        return out, pull(tuple(jnp.asarray(draw.choice([-1.0, 0.5, 2.0], o.shape), o.dtype) for o in out))
+
+    def once(*values: Any) -> Any:
+        if around != "scan":
+            return run(*values)
+        first = jax.eval_shape(run, *values)
+        zero = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), first)
+        return jax.lax.scan(lambda _, __: (run(*values), None), zero, None, length=2)[0]
+
+    values = [jnp.asarray(inputs[k]) for k in floats]
+    out = (jax.jit(once) if jit else run)(*values)
+    return [np.asarray(a) for a in jax.tree.leaves(out)]
+
+
+def _same(a: np.ndarray, b: np.ndarray, tolerance: float | None = None) -> bool:
+    if a.shape != b.shape or a.dtype != b.dtype:
+        return False
+    tolerance = 200 * np.finfo(a.dtype).eps if tolerance is None else tolerance
+    with np.errstate(all="ignore"):
+        close = np.abs(a - b) <= tolerance * np.maximum(np.abs(b), 1.0)
+        return bool(np.all(close | (a == b) | (np.isnan(a) & np.isnan(b))))
+
+
+def _explained(
+    program: RandomProgram, inputs: list, rule: str, seed: int, around: str, found: list, expected: list, dtype: type
+) -> tuple[str, ...]:
+    """Sentences about what rounding does not explain."""
+    with jax.enable_x64(True):
+        doubled = [a.astype(np.float64) if np.issubdtype(a.dtype, np.floating) else a for a in inputs]
+        exact = _results(jax.vmap(program), doubled, rule, seed, around)
+    with jax.enable_x64(dtype == np.float64):
+        stepwise = _results(jax.vmap(program), inputs, rule, seed, around, jit=False)
+    wrong, divides = [], any(name.startswith(_DIVIDES) for name in program.names)
+    for k, (f, e, s, d) in enumerate(zip(found, expected, stepwise, exact, strict=True)):
+        with np.errstate(all="ignore"):
+            rounding = np.maximum(np.abs(e - d), np.abs(s - d))
+            scale = np.maximum(np.abs(d), 1.0) * 300 * np.finfo(f.dtype).eps + 30 * np.where(
+                np.isfinite(rounding), rounding, 0
+            )
+            near = np.minimum(np.abs(f - e), np.abs(f - s)) <= scale
+            equal = (f == e) | (f == s) | (np.isnan(f) & (np.isnan(e) | np.isnan(s)))
+            # A sum of negative zeros is a negative zero here and a positive one in JAX: a quotient by it has the other sign.
+            equal |= divides & ~np.isfinite(f) & ~np.isfinite(e)
+            bad = ~(near | equal)
+        if bad.any():
+            at = tuple(int(i) for i in np.argwhere(bad)[0])
+            wrong.append(f"{rule} result {k}{at}: {f[at]} for JAX's {e[at]} (stepwise {s[at]}, double {d[at]})")
+    return tuple(wrong)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--programs", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first program")
+    parser.add_argument("--way", choices=WAYS, default=None, help="both, in turns, if left out")
+    arguments = parser.parse_args()
+    reasons: collections.Counter[str] = collections.Counter()
+    compared = refused = wrong = 0
+    began = time.perf_counter()
+    for seed in range(arguments.first, arguments.first + arguments.programs):
+        way = arguments.way or WAYS[seed % 2]
+        precision = np.float64 if seed % 5 == 4 else np.float32
+        outcome = check_program(random.Random(seed), way, precision=precision)
+        compared, refused = compared + outcome.compared, refused + bool(outcome.refused)
+        reasons.update(outcome.refused)
+        wrong += bool(outcome.wrong)
+        for sentence in outcome.wrong:
+            print(f"WRONG seed {seed}, {way}, {precision.__name__}: {sentence}", flush=True)
+        if seed % 20 == 19:
+            jax.clear_caches()
+        if seed % 200 == 199:
+            print(f"{seed + 1 - arguments.first} programs, {time.perf_counter() - began:.0f} s", flush=True)
+    print(f"{compared} compared, {wrong} wrong, {refused} refused:")
+    for reason, count in reasons.most_common():
+        print(f"  {count:5d}  {reason}")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

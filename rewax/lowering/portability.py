@@ -1,0 +1,24 @@
+"""Programs without custom calls, which run on any machine with XLA."""
+
+from typing import Any
+
+import jax
+
+_portable = jax.make_user_context(False)
+
+
+def portable() -> Any:
+    """A context in which programs are compiled without C++ of our own.
+
+    ``jax.export`` needs no context: what it lowers is portable by itself.
+
+    Example:
+      >>> with portable():
+      ...     jax.jit(env.step).lower(state, action).compile().as_text()  # no custom calls of rewax
+    """
+    return _portable(True)
+
+
+def is_portable() -> bool:
+    """Whether C++ must be left out: inside of ``portable``, or while JAX exports a program."""
+    return bool(_portable.value)

@@ -1,0 +1,77 @@
+"""What of a program runs in C++ and what is left to XLA, and why: counted, named once in a warning, listed on request.
+
+Decisions are made while JAX lowers a program for a CPU, once for each compiled program. A program that JAX takes from
+memory decides nothing anew.
+"""
+
+import contextlib
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+RULES = {"value": "the value", "tangent": "the forward derivative (JVP)", "cotangent": "the reverse derivative (VJP)"}
+
+
+class LoweringWarning(UserWarning):
+    """A part of a program runs in XLA, slower than in C++."""
+
+
+class Decision(NamedTuple):
+    """Where one rule of one function runs."""
+
+    function: str
+    """Module and name."""
+    rule: str
+    """One of ``RULES``."""
+    reason: str | None
+    """Why it is left to XLA; None: it runs in C++."""
+
+    def __str__(self) -> str:
+        where = "C++" if self.reason is None else f"XLA, for {self.reason}"
+        return f"{self.function}, {RULES[self.rule]}: {where}"
+
+
+_listeners: list[list[Decision]] = []
+_named: set[Decision] = set()
+
+
+def note(function: Callable[..., Any] | str, rule: str, reason: str | None) -> None:
+    """Tell everybody who listens where a rule runs, and warn once if that is XLA."""
+    decision = Decision(function if isinstance(function, str) else name_of(function), rule, reason)
+    for listener in _listeners:
+        listener.append(decision)
+    if reason is not None and decision not in _named:
+        _named.add(decision)
+        warnings.warn(
+            f"{RULES[rule]} of {decision.function} runs in XLA, slower than in C++: {reason} "
+            "(docs/lowering.md says what can be lowered)",
+            LoweringWarning,
+            stacklevel=2,
+        )
+
+
+@contextlib.contextmanager
+def recorded() -> Iterator[list[Decision]]:
+    """The decisions that are made inside of the block, in order; one function can be decided on several times.
+
+    Example:
+      >>> with recorded() as decisions:
+      ...     jax.jit(env.step).lower(state, action)
+      >>> assert not [d for d in decisions if d.reason]
+    """
+    listener: list[Decision] = []
+    _listeners.append(listener)
+    try:
+        yield listener
+    finally:
+        _listeners[:] = [other for other in _listeners if other is not listener]
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """Module and name of a function, without the marks of closures."""
+    inner = getattr(function, "func", function)  # of functools.partial
+    name = getattr(inner, "__qualname__", type(inner).__name__).replace("<locals>.", "")
+    return f"{getattr(inner, '__module__', '?')}.{name}"
+
+
+__all__ = ["RULES", "Decision", "LoweringWarning", "name_of", "note", "recorded"]
