@@ -143,7 +143,7 @@ def _explained(
             )
             near = np.minimum(np.abs(f - e), np.abs(f - s)) <= scale
             equal = (f == e) | (f == s) | (np.isnan(f) & (np.isnan(e) | np.isnan(s)))
-            # A sum of negative zeros is a negative zero here and a positive one in JAX: a quotient by it has the other sign.
+            # A sum of negative zeros is a negative zero here, a positive one in JAX: quotients by it differ in sign.
             equal |= divides & ~np.isfinite(f) & ~np.isfinite(e)
             bad = ~(near | equal)
         if bad.any():
