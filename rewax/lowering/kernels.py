@@ -1,12 +1,15 @@
-"""Arithmetic on each particle or node alone: on a CPU one loop for all of it, and one for each of its derivatives."""
+"""Arithmetic on each particle or node alone: on a CPU one program of the machine, and one for each derivative.
 
-import ctypes
+XLA's CPU compiler makes a loop, and a store, of every array that has two users. Arithmetic on the components of 3x3
+matrices is all such arrays: a hundred loops for a material law, four hundred for its derivative, most of the time to
+compile and much of the time to run. The machine (``machine``) evaluates the traced program of *one* element for blocks
+of a few hundred elements, whose intermediate values stay in the processor's first cache.
+"""
+
 import functools
-import hashlib
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -14,9 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering import build
-from rewax.lowering.codegen import KERNEL, kernel_source
+from rewax.lowering.assembler import BlockBytecode, assemble_blocks
 from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
+from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.linear_primitive import Arrays
+from rewax.lowering.machine import load, machine
 from rewax.lowering.operations import UnsupportedError
 from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.types import Array
@@ -25,21 +30,18 @@ S = TypeVar("S")
 P = TypeVar("P")
 T = TypeVar("T")
 
-_CHUNK = 1024
-"""Elements that a thread computes at a time, and that share a sum."""
+_CHUNK = 512
+"""So many elements at most does a thread compute at a time, and so many share a sum."""
 
-_OPTIMIZATION = ("-O2", "-ftree-vectorize")
-"""A kernel is vectors already: -O3 makes it no faster, and takes up to five times as long."""
-
-_CALLER = build.Source("kernels", build.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text())
+_ALIGNMENT = 64
+"""Chunks consist of so many elements, or a multiple: full vectors on any processor."""
 
 
 def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     """``function`` of many elements, computed element by element.
 
-    On a CPU with a C++ compiler value, forward and reverse derivative are one loop each, written by ``codegen``, built
-    at the first use and kept; the derivatives keep nothing but the arguments. Without a compiler it is the function
-    itself, and on a GPU XLA's kernels of it.
+    On a CPU value, forward and reverse derivative are one program of the machine each; the derivatives keep nothing
+    but the arguments. Without the machine it is the function itself, and on a GPU XLA's kernels of it.
 
     Args:
       function: ``(shared, elements) -> results``, pure, defined once (it is traced once for arguments of one form).
@@ -47,10 +49,10 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
         ``shared`` is a pytree of small arrays and numbers that all elements use. It consists of arithmetic,
         comparisons and selections, and what it does with one element it does with all: none knows another.
 
-    Floats in ``shared`` become arrays, so that one kernel serves all of them; whole numbers are part of the program.
+    Floats in ``shared`` become arrays, so that one program serves all of them; whole numbers are part of the program.
     Elements that are no arrays of one length and one precision are left to the function itself.
 
-    Gradient: exact, forward and reverse, with respect to both arguments. Where there is a kernel, no second
+    Gradient: exact, forward and reverse, with respect to both arguments. Where the machine runs it, no second
       derivatives.
     """
 
@@ -59,7 +61,7 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
         dtype = _common_type(elements)
         if build.is_off() or build.compiler() is None or dtype is None:
             return function(shared, elements)
-        # As arrays: a number inside the kernel would make another kernel of every number.
+        # As arrays: a number inside the program would make another program of every number.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
         first, *_ = split_arguments(shared)
         arrays, treedef, constants = split_arguments((shared, elements))
@@ -101,8 +103,9 @@ def _adapts(number: Any) -> bool:
 
 
 class _Target(NamedTuple):
-    """A kernel that XLA can call."""
+    """A program that XLA can call."""
 
+    handler: str
     number: int
     outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
     """Shape and type of each result for one element, and whether it is summed over all elements."""
@@ -120,7 +123,7 @@ def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
 
 
 def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """One pass: through a kernel if there is one."""
+    """One pass: by the machine if it can."""
     perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
     of_linear = {"value": [], "tangent": perturbed, "cotangent": [True] * len(linear)}[which]
     varies = (*program.varies, *of_linear)
@@ -131,14 +134,14 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
     batch = batch_shape(operands)
-    chunks = -(-count // _CHUNK)
+    chunks, chunk = _chunks(count)
     sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
     own = [(s, dtype) for s, dtype, summed in target.outputs if not summed]
     shapes = [jax.ShapeDtypeStruct((*batch, *s[:-1], count), dtype) for s, dtype in own]
     if sums:
         shapes.append(jax.ShapeDtypeStruct((*batch, chunks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
-    sizes = np.asarray([math.prod(batch), count, chunks, _CHUNK, *(o.step for o in operands)], np.int64)
-    call = jax.ffi.ffi_call("rewax_pointwise", shapes)
+    sizes = np.asarray([math.prod(batch), count, chunks, chunk, *(o.step for o in operands)], np.int64)
+    call = jax.ffi.ffi_call(target.handler, shapes)
     found = call(*(o.laid_out(batch) for o in operands), number=np.int64(target.number), sizes=sizes)
     mine = iter(found)
     total = iter(_split(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
@@ -149,7 +152,7 @@ POINTWISE = cpu_rules(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """The same without a kernel."""
+    """The same without the machine."""
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
@@ -160,8 +163,17 @@ def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     return [part.reshape(*part.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]) -> tuple[str, tuple]:
-    """C++ of one pass, and shape, type and sum of its results as in ``_Target``.
+def _chunks(count: int) -> tuple[int, int]:
+    """How many chunks there are, about equal for threads to share them, and how many elements each has."""
+    chunk = -(-count // max(-(-count // _CHUNK), 1))
+    chunk = -(-max(chunk, 1) // _ALIGNMENT) * _ALIGNMENT
+    return -(-count // chunk), chunk
+
+
+def bytecode_of(
+    which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
+) -> tuple[BlockBytecode, np.dtype, tuple]:
+    """Bytecode of one pass, its floating type, and shape, type and sum of its results as in ``_Target``.
 
     Raises:
       UnsupportedError: it cannot be written so.
@@ -171,25 +183,21 @@ def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...])
     if which == "cotangent":
         summed = [not v for v, p in zip(program.varies, program.perturbed, strict=True) if p]
     outputs = tuple((a.shape, a.dtype, s) for a, s in zip(traced.out_avals, summed, strict=True))
-    return kernel_source(traced, varies, summed), outputs
+    line = from_jaxpr(traced, varies)
+    types, rows = [a.dtype for a in traced.in_avals], [math.prod(a.shape) for a in traced.in_avals]
+    return assemble_blocks(line, types, rows, summed), line.dtype, outputs
 
 
 @functools.lru_cache(maxsize=1024)
 def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | None:
-    """The kernel of one pass, built and known to XLA; None if there is none."""
+    """The bytecode of one pass, known to XLA; None if there is none."""
     del precision  # which types Python's numbers become
     try:
-        text, outputs = source(which, program, avals, varies)
+        bytecode, dtype, outputs = bytecode_of(which, program, avals, varies)
     except UnsupportedError:
         return None
-    caller = build.load(_CALLER).library
-    if caller is None or not build.register(_CALLER, ("rewax_pointwise",)):
-        return None
-    kernel, reason = build.load(build.Source("kernel", text, _OPTIMIZATION))
-    if kernel is None:
+    number, reason = load(dtype, bytecode)
+    if number is None:
         warnings.warn(f"arithmetic is computed with JAX, slower than in C++: {reason}", stacklevel=2)
         return None
-    # The same in every process, for compiled programs are kept.
-    number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:7])
-    caller.rewax_add_kernel(ctypes.c_int64(number), getattr(kernel, KERNEL))
-    return _Target(number, outputs)
+    return _Target(machine(dtype).blocks_handler, number, outputs)

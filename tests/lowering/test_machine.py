@@ -9,7 +9,8 @@ from native_cases import NEEDS_COMPILER
 from rewax.lowering import build
 from rewax.lowering import machine as module
 from rewax.lowering.from_jaxpr import from_jaxpr
-from rewax.lowering.machine import interpreted, written
+from rewax.lowering.assembler import assemble
+from rewax.lowering.machine import interpreted
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
 
 PLACES = np.array([2, 0, 2])
