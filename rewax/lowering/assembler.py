@@ -267,10 +267,12 @@ class _Blocks:
         self.code: list[tuple[Expression, tuple[Any, ...]]] = []
 
     def assembled(self) -> BlockBytecode:
-        operations, kept = self.operations, {i for output in self.own for i in output} | set(self.sums)
-        varying = [i for i in self.needed if not operations[i].shared]
+        operations, products = self.operations, self.summed_products()
+        kept = {i for output in self.own for i in output} | set(self.sums) | {o for p in products for o in p.operands}
+        varying = [i for i in self.needed if not operations[i].shared and all(i != p.operation for p in products)]
         steps = [_Step(self.conversion(i), i, ()) for i in self.inputs if operations[i].kind != "f"]
-        steps = sorted([*steps, *_Cover(operations, varying, kept, lanes=False).steps()], key=lambda s: s.operation)
+        steps += [*products, *_Cover(operations, varying, kept, lanes=False).steps()]
+        steps.sort(key=lambda step: step.operation)
         shared = sorted(
             {o for s in steps for o in s.operands if operations[o].shared} | {i for i in kept if operations[i].shared}
         )
@@ -287,6 +289,15 @@ class _Blocks:
             tuple((k, c, len(output), self.bytes(i)) for k, output in enumerate(self.own) for c, i in enumerate(output)),
         )  # fmt: skip
 
+    def summed_products(self) -> list[_Step]:
+        """Products that nothing but one sum needs."""
+        operations = self.operations
+        users = Counter(o for i in self.needed for o in operations[i].operands)
+        users.update([i for output in (*self.own, self.sums) for i in output])
+        products = [i for i in self.sums if users[i] == 1 and operations[i].name == "mul"]
+        varying = [i for i in products if not any(operations[o].shared for o in operations[i].operands)]
+        return [_Step("sum_of_products", i, operations[i].operands) for i in varying]
+
     def place_steps(self, steps: Sequence[_Step]) -> int:
         """Writes the code, and returns the number of registers."""
         operations, registers = self.operations, _Registers(steps, set())
@@ -298,7 +309,10 @@ class _Blocks:
             sums[i].append(k)
         for k, (instruction, i, operands, _) in enumerate(steps):
             places = tuple(self.places[o] for o in operands)
-            registers.release(k, [o for o in operands if o != i])
+            registers.release(k, operands)
+            if instruction == "sum_of_products":
+                self.code.append((instruction, (("number", sums.pop(i)[0]), *places)))
+                continue
             if wanted[i] and operations[i].kind == "f":
                 self.places[i] = ("output", wanted[i].pop(0))
             else:

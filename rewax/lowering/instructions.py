@@ -173,7 +173,7 @@ BY_NAME: dict[str, list[int]] = defaultdict(list)
 for _number, _instruction in enumerate(INSTRUCTIONS):
     BY_NAME[_instruction.expression[0]].append(_number)
 SPECIAL = ("constant", "load_float", "load_int32", "load_int64", "load_bool", "store", "convert_int32", "convert_int64",
-           "convert_bool", "store_bool", "sum")  # fmt: skip
+           "convert_bool", "store_bool", "sum", "sum_of_products")  # fmt: skip
 """What moves numbers between the machine and arrays; ``machine.cc`` has their C++."""
 NUMBERS |= {name: len(INSTRUCTIONS) + k for k, name in enumerate(SPECIAL)}
 

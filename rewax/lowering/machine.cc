@@ -104,6 +104,20 @@ struct Frame {
   int vectors, left;  // of a block; elements of its last vector
 };
 
+// The sum of a block's vectors, of which the last has `left` elements.
+template <typename Vectors>
+inline V SumOf(int64_t end, int left, const Vectors& vector) {
+  V even{}, odd{};
+  const int64_t last = end - kLanes;
+  int64_t k = 0;
+  for (; k + kLanes < last; k += 2 * kLanes) {
+    even += vector(k);
+    odd += vector(k + kLanes);
+  }
+  if (k < last) even += vector(k);
+  return even + (odd + Part(vector(last), left));
+}
+
 #define REPEAT(places) for (; times; --times, at += (places))
 #define PLACE(k) (kBlocks ? f.places[at[k]] : f.registers + static_cast<int64_t>(at[k]) * kLanes)
 #define EACH for (int64_t k = 0; k < end; k += kLanes)
@@ -157,16 +171,14 @@ void Run(const Code& program, const Frame& f) {
         break;
       case kSum:
         REPEAT(2) {
-          const T* const from = PLACE(1);
-          V even{}, odd{};
-          const int64_t last = end - kLanes;
-          int64_t k = 0;
-          for (; k + kLanes < last; k += 2 * kLanes) {
-            even += Get<V>(from + k);
-            odd += Get<V>(from + k + kLanes);
-          }
-          for (; k < last; k += kLanes) even += Get<V>(from + k);
-          f.sums[at[0]] += even + (odd + Part(Get<V>(from + last), f.left));
+          const T* const a = PLACE(1);
+          f.sums[at[0]] += SumOf(end, f.left, [=](int64_t k) { return Get<V>(a + k); });
+        }
+        break;
+      case kSumOfProducts:
+        REPEAT(3) {
+          const T *const a = PLACE(1), *const b = PLACE(2);
+          f.sums[at[0]] += SumOf(end, f.left, [=](int64_t k) { return Get<V>(a + k) * Get<V>(b + k); });
         }
         break;
       default:
