@@ -30,11 +30,12 @@ S = TypeVar("S")
 P = TypeVar("P")
 T = TypeVar("T")
 
-_CHUNK = 512
-"""So many elements at most does a thread compute at a time, and so many share a sum."""
+_BLOCK = 512
+"""So many elements at most does a thread compute at a time: enough that choosing instructions takes little of the time,
+and few enough that registers stay in the processor's caches. A block has sums of its own."""
 
 _ALIGNMENT = 64
-"""Chunks consist of so many elements, or a multiple: full vectors on any processor."""
+"""Blocks consist of so many elements, or a multiple: full vectors on any processor."""
 
 
 def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
@@ -134,13 +135,13 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
     batch = batch_shape(operands)
-    chunks, chunk = _chunks(count)
+    blocks, block = _blocks(count)
     sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
     own = [(s, dtype) for s, dtype, summed in target.outputs if not summed]
     shapes = [jax.ShapeDtypeStruct((*batch, *s[:-1], count), dtype) for s, dtype in own]
     if sums:
-        shapes.append(jax.ShapeDtypeStruct((*batch, chunks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
-    sizes = np.asarray([math.prod(batch), count, chunks, chunk, *(o.step for o in operands)], np.int64)
+        shapes.append(jax.ShapeDtypeStruct((*batch, blocks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
+    sizes = np.asarray([math.prod(batch), count, blocks, block, *(o.step for o in operands)], np.int64)
     call = jax.ffi.ffi_call(target.handler, shapes)
     found = call(*(o.laid_out(batch) for o in operands), number=np.int64(target.number), sizes=sizes)
     mine = iter(found)
@@ -163,11 +164,11 @@ def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     return [part.reshape(*part.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def _chunks(count: int) -> tuple[int, int]:
-    """How many chunks there are, about equal for threads to share them, and how many elements each has."""
-    chunk = -(-count // max(-(-count // _CHUNK), 1))
-    chunk = -(-max(chunk, 1) // _ALIGNMENT) * _ALIGNMENT
-    return -(-count // chunk), chunk
+def _blocks(count: int) -> tuple[int, int]:
+    """How many blocks there are, about equal for threads to share them, and how many elements each has."""
+    block = -(-count // max(-(-count // _BLOCK), 1))
+    block = -(-max(block, 1) // _ALIGNMENT) * _ALIGNMENT
+    return -(-count // block), block
 
 
 def bytecode_of(

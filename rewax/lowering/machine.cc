@@ -61,7 +61,7 @@ struct Row {
 struct Program {
   Code lanes;  // of a pointwise program: what all elements share
   Code blocks;
-  int64_t num_sums = 0, vectors = 1;  // vectors of a block
+  int64_t num_sums = 0;
   std::vector<int32_t> shared;        // registers of `lanes` that `blocks` reads
   std::vector<Row> inputs, outputs;
 };
@@ -76,10 +76,6 @@ std::shared_ptr<const Program> Find(int64_t number) {
   const auto found = Programs().find(number);
   return found == Programs().end() ? nullptr : found->second;
 }
-
-// Vectors of a block: as many as keep its registers in the processor's first cache, but enough that choosing
-// instructions takes little of the time.
-constexpr int64_t kCache = 24 * 1024, kLeast = 12, kMost = 32;
 
 // Aligned memory of this thread, for so many vectors.
 V* Scratch(size_t count) {
@@ -212,7 +208,7 @@ ffi::Error RunLanes(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remainin
 }
 
 // The elements [begin, end) of one batch element of a pointwise program.
-struct Chunk {
+struct Block {
   const Program& program;
   const T* shared;
   const void* const* operands;
@@ -220,58 +216,50 @@ struct Chunk {
   const int64_t* steps;
   int64_t count, copy, begin, end;
 
-  char* Place(const Row& row, const void* array, int64_t step, int64_t i) const {
-    return static_cast<char*>(const_cast<void*>(array)) + (copy * step + row.row * count + i) * row.bytes;
+  char* Place(const Row& row, const void* array, int64_t step) const {
+    return static_cast<char*>(const_cast<void*>(array)) + (copy * step + row.row * count + begin) * row.bytes;
   }
-  char* Input(const Row& row, int64_t i) const { return Place(row, operands[row.array], steps[row.array], i); }
-  char* Output(const Row& row, int64_t i) const { return Place(row, results[row.array], row.rows * count, i); }
 
   void Evaluate(T* sums) const {
-    const int64_t num_vectors = (end - begin + kLanes - 1) / kLanes;
-    const int64_t num_blocks = (num_vectors + program.vectors - 1) / program.vectors;
-    const size_t vectors = static_cast<size_t>((num_vectors + num_blocks - 1) / num_blocks);
-    const size_t registers = static_cast<size_t>(program.blocks.num_registers), num_sums = static_cast<size_t>(program.num_sums);
-    // Rows of which the last vector is not full are copied; a number has eight bytes at most.
-    const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = vectors * (8 / sizeof(T));
-    const size_t num_copies = (end - begin) % kLanes ? num_rows * row_size : 0, num_places = registers + program.shared.size() + num_rows;
-    V* const memory = Scratch(registers * vectors + num_copies + num_sums + num_places * sizeof(T*) / sizeof(V) + 1);
-    V* const copies = memory + registers * vectors;
+    const int64_t size = end - begin, vectors = (size + kLanes - 1) / kLanes;
+    const bool full = size % kLanes == 0;
+    const size_t registers = static_cast<size_t>(program.blocks.num_registers);
+    const size_t num_sums = static_cast<size_t>(program.num_sums), length = static_cast<size_t>(vectors);
+    // If the last vector is not full, rows are copied. A number of them has eight bytes at most.
+    const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T));
+    const size_t num_copies = full ? 0 : num_rows * row_size, num_places = registers + program.shared.size() + num_rows;
+    V* const memory = Scratch(registers * length + num_copies + num_sums + num_places * sizeof(T*) / sizeof(V) + 1);
+    V* copies = memory + registers * length;
     V* const totals = copies + num_copies;
     T** const places = reinterpret_cast<T**>(totals + num_sums);
     std::fill(totals, totals + num_sums, V{});
+
     T** place = places;
-    for (size_t k = 0; k < registers; ++k) *place++ = reinterpret_cast<T*>(memory + k * vectors);
+    for (size_t k = 0; k < registers; ++k) *place++ = reinterpret_cast<T*>(memory + k * length);
     for (int32_t k : program.shared) *place++ = const_cast<T*>(shared + k * kLanes);
-    T** const rows = place;
+    for (const Row& row : program.inputs) {
+      char* from = Place(row, operands[row.array], steps[row.array]);
+      if (!full) {
+        from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
+        copies += row_size;
+      }
+      *place++ = reinterpret_cast<T*>(from);
+    }
+    T** const first_output = place;
+    for (const Row& row : program.outputs) {
+      *place++ = reinterpret_cast<T*>(full ? Place(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies));
+      if (!full) copies += row_size;
+    }
+
     Frame f{};
     f.places = places;
     f.sums = totals;
-    const int64_t size = static_cast<int64_t>(vectors) * kLanes;
-    for (int64_t i = begin; i < end; i += size) {
-      const int64_t left = std::min(size, end - i);
-      f.vectors = static_cast<int>((left + kLanes - 1) / kLanes);
-      f.left = static_cast<int>(left - (f.vectors - 1) * kLanes);
-      const bool full = f.left == kLanes;
-      V* copy_of_row = copies;
-      place = rows;
-      for (const Row& row : program.inputs) {
-        char* from = Input(row, i);
-        if (!full) {
-          from = Repeated(from, reinterpret_cast<char*>(copy_of_row), row.bytes, left, f.vectors * kLanes);
-          copy_of_row += row_size;
-        }
-        *place++ = reinterpret_cast<T*>(from);
-      }
-      T** const first_result = place;
-      for (const Row& row : program.outputs) {
-        *place++ = full ? reinterpret_cast<T*>(Output(row, i)) : reinterpret_cast<T*>(copy_of_row);
-        copy_of_row += row_size;
-      }
-      Run<true>(program.blocks, f);
-      if (!full) {
-        place = first_result;
-        for (const Row& row : program.outputs) std::memcpy(Output(row, i), *place++, static_cast<size_t>(left * row.bytes));
-      }
+    f.vectors = static_cast<int>(vectors);
+    f.left = static_cast<int>(size - (vectors - 1) * kLanes);
+    Run<true>(program.blocks, f);
+    place = first_output;
+    for (const Row& row : program.outputs) {
+      if (!full) std::memcpy(Place(row, results[row.array], row.rows * count), *place++, static_cast<size_t>(size * row.bytes));
     }
     for (size_t k = 0; k < num_sums; ++k) sums[k] = Total(totals[k]);
   }
@@ -292,12 +280,13 @@ ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaini
   std::vector<void*> results(rets.size());
   for (size_t k = 0; k < operands.size(); ++k) operands[k] = args.get<ffi::AnyBuffer>(k)->untyped_data();
   for (size_t k = 0; k < results.size(); ++k) results[k] = (*rets.get<ffi::AnyBuffer>(k))->untyped_data();
-  const int64_t batch = sizes[0], count = sizes[1], chunks = sizes[2], chunk = sizes[3];
+  const int64_t batch = sizes[0], count = sizes[1], blocks = sizes[2], block = sizes[3];
   const int64_t* const steps = sizes.begin() + 4;
   const int64_t registers = program->lanes.num_registers * kLanes;
   std::vector<T> shared(static_cast<size_t>(batch * registers + kLanes));
-  T* const aligned = reinterpret_cast<T*>((reinterpret_cast<uintptr_t>(shared.data()) + sizeof(V) - 1) / sizeof(V) * sizeof(V));
-  const auto compute_shared = [&](int64_t copy) {
+  const auto address = reinterpret_cast<uintptr_t>(shared.data());
+  T* const aligned = reinterpret_cast<T*>((address + sizeof(V) - 1) / sizeof(V) * sizeof(V));
+  for (int64_t copy = 0; copy < batch; ++copy) {
     Frame f{};
     f.registers = aligned + copy * registers;
     f.constants = program->lanes.constants.data();
@@ -306,12 +295,13 @@ ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaini
     f.first = copy;
     f.count = 1;
     Run<false>(program->lanes, f);
-  };
-  for (int64_t copy = 0; copy < batch; ++copy) compute_shared(copy);
-  ForEach(pool, batch * chunks, [&](int64_t task) {
-    const int64_t copy = task / chunks, begin = task % chunks * chunk;
+  }
+  ForEach(pool, batch * blocks, [&](int64_t task) {
+    const int64_t copy = task / blocks, begin = task % blocks * block;
     T* const sums = program->num_sums ? static_cast<T*>(results.back()) + task * program->num_sums : nullptr;
-    Chunk{*program, aligned + copy * registers, operands.data(), results.data(), steps, count, copy, begin, std::min(begin + chunk, count)}.Evaluate(sums);
+    const int64_t end = std::min(begin + block, count);
+    Block{*program, aligned + copy * registers, operands.data(), results.data(), steps, count, copy, begin, end}
+        .Evaluate(sums);
   });
   return ffi::Error::Success();
 }
@@ -326,7 +316,6 @@ extern "C" void rewax_add_program(int64_t number, const int32_t* lanes, int64_t 
   program->lanes = {{lanes, lanes + lanes_length}, {constants, constants + num_constants}, layout[0]};
   program->blocks = {{blocks, blocks + blocks_length}, {}, layout[1]};
   program->num_sums = layout[2];
-  program->vectors = std::min(kMost, std::max(kLeast, kCache / (static_cast<int64_t>(sizeof(V)) * std::max(layout[1], 1))));
   const int32_t num_shared = layout[3], num_inputs = layout[4], num_outputs = layout[5];
   layout += 6;
   program->shared.assign(layout, layout + num_shared);
