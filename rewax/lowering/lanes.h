@@ -1,5 +1,4 @@
-// What generated kernels (codegen.py) are made of: vectors of numbers, and functions of them. Few headers: they would be
-// most of the time that a kernel takes to compile.
+// What the machine's instructions (instructions.py) are made of: vectors of numbers, and functions of them.
 
 #include <cmath>
 #include <cstdint>
@@ -171,15 +170,6 @@ auto ToWhole(X a) {
   return a >= limit ? I{} + 2147483647 : __builtin_convertvector(inside, I);
 }
 
-inline V Load(const T* from, int count) {
-  V r;
-  if (count == kLanes) {
-    std::memcpy(&r, from, sizeof(V));
-  } else {
-    for (int l = 0; l < kLanes; ++l) r[l] = from[l < count ? l : count - 1];
-  }
-  return r;
-}
 template <typename S>
 VI LoadWhole(const S* from, int count) {
   VI r;
@@ -187,7 +177,6 @@ VI LoadWhole(const S* from, int count) {
   return r;
 }
 inline VI LoadTruth(const bool* from, int count) { return -LoadWhole(from, count); }
-inline void Store(T* to, V a, int count) { std::memcpy(to, &a, static_cast<size_t>(count) * sizeof(T)); }
 inline void StoreTruth(bool* to, VI a, int count) {
   for (int l = 0; l < count; ++l) to[l] = a[l] != 0;
 }

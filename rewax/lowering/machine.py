@@ -51,7 +51,7 @@ def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | No
     @functools.wraps(function)
     def call(*args: Any) -> T:
         arrays, treedef, constants = split_arguments(args)
-        passes = RECOMPUTED if build.is_off() or build.compiler() is None else INTERPRETED
+        passes = INTERPRETED if is_available() else RECOMPUTED
         return run_program(Program(passes, function, derivative_of, treedef, constants), arrays)
 
     return call
@@ -144,6 +144,11 @@ def machine(dtype: np.dtype) -> Machine:
     return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks)
 
 
+def is_available() -> bool:
+    """Whether there may be a machine: this builds nothing."""
+    return not build.is_off() and build.compiler() is not None
+
+
 def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | None, str]:
     """Hand bytecode to the machine.
 
@@ -152,8 +157,9 @@ def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | Non
       sentence that says why there is no machine.
     """
     source, *handlers = machine(dtype)
+    registered = build.register(source, tuple(handlers))
     library, reason = build.load(source)
-    if library is None or not build.register(source, tuple(handlers)):
+    if library is None or not registered:
         return None, reason
     if isinstance(bytecode, BlockBytecode):
         lanes, blocks, layout = bytecode.shared, bytecode.code, bytecode.layout
@@ -177,4 +183,4 @@ def _array(numbers: np.ndarray) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     return numbers.ctypes.data_as(ctypes.c_void_p), ctypes.c_int64(len(numbers))
 
 
-__all__ = ["Machine", "interpreted", "load", "machine"]
+__all__ = ["Machine", "interpreted", "is_available", "load", "machine"]
