@@ -283,10 +283,13 @@ class _Blocks:
         begin = {"register": 0, "shared": num_registers, "input": num_registers + len(shared)}
         begin |= {"output": begin["input"] + len(self.inputs), "number": 0}
         rows = [(name, tuple(begin[kind] + k for kind, k in places)) for name, places in self.code]
+        outputs = [
+            (k, c, len(output), self.bytes(i)) for k, output in enumerate(self.own) for c, i in enumerate(output)
+        ]
         return BlockBytecode(
             program, _in_runs(rows), num_registers, len(self.sums), tuple(registers[i] for i in shared),
             tuple((*operations[i].constant, self.rows[operations[i].constant[0]], self.bytes(i)) for i in self.inputs),
-            tuple((k, c, len(output), self.bytes(i)) for k, output in enumerate(self.own) for c, i in enumerate(output)),
+            tuple(outputs),
         )  # fmt: skip
 
     def summed_products(self) -> list[_Step]:
