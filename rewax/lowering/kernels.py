@@ -1,11 +1,14 @@
-"""Arithmetic on each particle or node alone: on a CPU one loop for all of it, and one for each of its derivatives."""
+"""Arithmetic on each particle or node alone: on a CPU one program of the machine, and one for each derivative.
 
-import ctypes
+XLA's CPU compiler makes a loop, and a store, of every array that has two users. Arithmetic on the components of 3x3
+matrices is all such arrays: a hundred loops for a material law, four hundred for its derivative, most of the time to
+compile and much of the time to run. The machine (``machine``) evaluates the traced program of *one* element for blocks
+of a few hundred elements, whose intermediate values stay in the processor's first cache.
+"""
+
 import functools
-import hashlib
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -13,9 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering import build, report
-from rewax.lowering.codegen import KERNEL, kernel_source
+from rewax.lowering.assembler import BlockBytecode, assemble_blocks
 from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
+from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.linear_primitive import Arrays
+from rewax.lowering.machine import is_available, load, machine
 from rewax.lowering.operations import UnsupportedError
 from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.types import Array
@@ -24,21 +29,19 @@ S = TypeVar("S")
 P = TypeVar("P")
 T = TypeVar("T")
 
-_CHUNK = 1024
-"""Elements that a thread computes at a time, and that share a sum."""
+_BLOCK = 512
+"""So many elements at most does a thread compute at a time: enough that choosing instructions takes little of the time,
+and few enough that registers stay in the processor's caches. A block has sums of its own."""
 
-_OPTIMIZATION = ("-O2", "-ftree-vectorize")
-"""A kernel is vectors already: -O3 makes it no faster, and takes up to five times as long."""
-
-_CALLER = build.Source("kernels", build.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text())
+_ALIGNMENT = 64
+"""Blocks consist of so many elements, or a multiple: full vectors on any processor."""
 
 
 def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     """``function`` of many elements, computed element by element.
 
-    On a CPU with a C++ compiler value, forward and reverse derivative are one loop each, written by ``codegen``, built
-    at the first use and kept; the derivatives keep nothing but the arguments. Without a compiler it is the function
-    itself, and on a GPU XLA's kernels of it.
+    On a CPU value, forward and reverse derivative are one program of the machine each; the derivatives keep nothing
+    but the arguments. Without the machine it is the function itself, and on a GPU XLA's kernels of it.
 
     Args:
       function: ``(shared, elements) -> results``, pure, defined once (it is traced once for arguments of one form).
@@ -46,19 +49,19 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
         ``shared`` is a pytree of small arrays and numbers that all elements use. It consists of arithmetic,
         comparisons and selections, and what it does with one element it does with all: none knows another.
 
-    Floats in ``shared`` become arrays, so that one kernel serves all of them; whole numbers are part of the program.
+    Floats in ``shared`` become arrays, so that one program serves all of them; whole numbers are part of the program.
     Elements that are no arrays of one length and one precision are left to the function itself.
 
-    Gradient: exact, forward and reverse, with respect to both arguments. Where there is a kernel, no second
+    Gradient: exact, forward and reverse, with respect to both arguments. Where the machine runs it, no second
       derivatives.
     """
 
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
         dtype = _common_type(elements)
-        if build.is_off() or build.compiler() is None or dtype is None:
+        if dtype is None or not is_available():
             return function(shared, elements)
-        # As arrays: a number inside the kernel would make another kernel of every number.
+        # As arrays: a number inside the program would make another program of every number.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
         first, *_ = split_arguments(shared)
         arrays, treedef, constants = split_arguments((shared, elements))
@@ -100,8 +103,9 @@ def _adapts(number: Any) -> bool:
 
 
 class _Target(NamedTuple):
-    """A kernel that XLA can call."""
+    """A program that XLA can call."""
 
+    handler: str
     number: int
     outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
     """Shape and type of each result for one element, and whether it is summed over all elements."""
@@ -120,7 +124,7 @@ def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
 
 
 def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """One pass: through a kernel if there is one."""
+    """One rule: by the machine if it can."""
     if build.is_off():
         return _with_jax(which, program, arrays, linear)
     perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
@@ -134,14 +138,14 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
     batch = batch_shape(operands)
-    chunks = -(-count // _CHUNK)
+    blocks, block = _blocks(count)
     sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
     own = [(s, dtype) for s, dtype, summed in target.outputs if not summed]
     shapes = [jax.ShapeDtypeStruct((*batch, *s[:-1], count), dtype) for s, dtype in own]
     if sums:
-        shapes.append(jax.ShapeDtypeStruct((*batch, chunks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
-    sizes = np.asarray([math.prod(batch), count, chunks, _CHUNK, *(o.step for o in operands)], np.int64)
-    call = jax.ffi.ffi_call("rewax_pointwise", shapes)
+        shapes.append(jax.ShapeDtypeStruct((*batch, blocks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
+    sizes = np.asarray([math.prod(batch), count, blocks, block, *(o.step for o in operands)], np.int64)
+    call = jax.ffi.ffi_call(target.handler, shapes)
     found = call(*(o.laid_out(batch) for o in operands), number=np.int64(target.number), sizes=sizes)
     mine = iter(found)
     total = iter(_split(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
@@ -152,7 +156,7 @@ POINTWISE = cpu_rules(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """The same without a kernel."""
+    """The same without the machine."""
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
@@ -163,8 +167,17 @@ def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     return [part.reshape(*part.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]) -> tuple[str, tuple]:
-    """C++ of one pass, and shape, type and sum of its results as in ``_Target``.
+def _blocks(count: int) -> tuple[int, int]:
+    """How many blocks there are, about equal for threads to share them, and how many elements each has."""
+    block = -(-count // max(-(-count // _BLOCK), 1))
+    block = -(-max(block, 1) // _ALIGNMENT) * _ALIGNMENT
+    return -(-count // block), block
+
+
+def bytecode_of(
+    which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
+) -> tuple[BlockBytecode, np.dtype, tuple]:
+    """Bytecode of one pass, its floating type, and shape, type and sum of its results as in ``_Target``.
 
     Raises:
       UnsupportedError: it cannot be written so.
@@ -174,26 +187,20 @@ def source(which: str, program: Program, avals: tuple, varies: tuple[bool, ...])
     if which == "cotangent":
         summed = [not v for v, p in zip(program.varies, program.perturbed, strict=True) if p]
     outputs = tuple((a.shape, a.dtype, s) for a, s in zip(traced.out_avals, summed, strict=True))
-    return kernel_source(traced, varies, summed), outputs
+    line = from_jaxpr(traced, varies)
+    types, rows = [a.dtype for a in traced.in_avals], [math.prod(a.shape) for a in traced.in_avals]
+    return assemble_blocks(line, types, rows, summed), line.dtype, outputs
 
 
 @functools.lru_cache(maxsize=1024)
 def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | str:
-    """The kernel of one pass, built and known to XLA; or the reason why there is none."""
-    del precision  # which types Python's numbers become
+    """The bytecode of one rule, known to XLA; or the reason why there is none."""
+    del precision  # cache key only: jax_enable_x64
     try:
-        text, outputs = source(which, program, avals, varies)
+        bytecode, dtype, outputs = bytecode_of(which, program, avals, varies)
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # a form that nobody thought of: never a reason to fail
         return f"it could not be lowered ({type(error).__name__}: {error})"
-    caller, reason = build.load(_CALLER)
-    if caller is None or not build.register(_CALLER, ("rewax_pointwise",)):
-        return reason
-    kernel, reason = build.load(build.Source("kernel", text, _OPTIMIZATION))
-    if kernel is None:
-        return reason
-    # The same in every process, for compiled programs are kept.
-    number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:7])
-    caller.rewax_add_kernel(ctypes.c_int64(number), getattr(kernel, KERNEL))
-    return _Target(number, outputs)
+    number, reason = load(dtype, bytecode)
+    return reason if number is None else _Target(machine(dtype).blocks_handler, number, outputs)

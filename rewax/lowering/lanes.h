@@ -1,5 +1,4 @@
-// What generated kernels (codegen.py) are made of: vectors of numbers, and functions of them. Few headers: they would be
-// most of the time that a kernel takes to compile.
+// What the machine's instructions (instructions.py) are made of: vectors of numbers, and functions of them.
 
 #include <cmath>
 #include <cstdint>
@@ -21,7 +20,7 @@ constexpr T kInfinity = static_cast<T>(__builtin_inf()), kNaN = static_cast<T>(_
 
 typedef T V __attribute__((vector_size(kBytes)));      // several elements
 typedef T U __attribute__((vector_size(sizeof(T))));   // one number for all of them
-typedef decltype(V{} < V{}) VI;                        // integers and truth values (0, -1) of the same width
+typedef decltype(V{} < V{}) VI;                        // integers and booleans (0, -1) of the same width
 typedef decltype(U{} < U{}) UI;
 
 template <typename X>
@@ -212,15 +211,6 @@ auto ToWhole(X a, int bits) {
   return a >= limit ? most : __builtin_convertvector(inside, I);
 }
 
-inline V Load(const T* from, int count) {
-  V r;
-  if (count == kLanes) {
-    std::memcpy(&r, from, sizeof(V));
-  } else {
-    for (int l = 0; l < kLanes; ++l) r[l] = from[l < count ? l : count - 1];
-  }
-  return r;
-}
 template <typename S>
 VI LoadWhole(const S* from, int count) {
   VI r;
@@ -228,7 +218,6 @@ VI LoadWhole(const S* from, int count) {
   return r;
 }
 inline VI LoadTruth(const bool* from, int count) { return -LoadWhole(from, count); }
-inline void Store(T* to, V a, int count) { std::memcpy(to, &a, static_cast<size_t>(count) * sizeof(T)); }
 inline void StoreTruth(bool* to, VI a, int count) {
   for (int l = 0; l < count; ++l) to[l] = a[l] != 0;
 }

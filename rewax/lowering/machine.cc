@@ -1,7 +1,12 @@
-// Evaluates tapes (machine.py) for many copies of a program at once, through XLA's foreign function interface.
+// Runs programs (assembler.py) through XLA's foreign function interface, for many batch elements at once.
 //
-// machine.py builds this file after threads.h, lanes.h and the macros REWAX_CASES, the code of each instruction, and
-// REWAX_TAPE, the handler's name.
+// machine.py builds this file after threads.h, lanes.h and the macros REWAX_CASES, the code of each instruction;
+// REWAX_LANES_HANDLER and REWAX_BLOCKS_HANDLER, the handlers' names; and the numbers of special instructions.
+//
+// There are two ways to fill vectors. A program of small arrays (articulated bodies) has one batch element in each
+// lane: numbers are gathered from arrays at the program's beginning, and each register is one vector. A pointwise
+// program has neighbouring elements in the lanes: a register is a block of vectors, operands are used where they lie,
+// and results are computed where they shall lie.
 
 #include <memory>
 #include <mutex>
@@ -10,20 +15,24 @@
 
 namespace {
 
-struct Tape {
-  std::vector<int32_t> code;
-  std::vector<T> constants;
-  int64_t num_slots;
-};
+typedef V AnywhereV __attribute__((aligned(sizeof(T)), may_alias));
 
-std::mutex mutex;
-std::unordered_map<int64_t, std::shared_ptr<const Tape>>& Tapes() {
-  static auto* tapes = new std::unordered_map<int64_t, std::shared_ptr<const Tape>>;
-  return *tapes;
+template <typename X>
+inline X Get(const T* from) {
+  return (X) * reinterpret_cast<const AnywhereV*>(from);
+}
+inline void Put(T* to, V a) { *reinterpret_cast<AnywhereV*>(to) = a; }
+inline void Put(T* to, VI a) { Put(to, (V)a); }
+// What all elements share, in all lanes.
+template <typename X>
+inline X Shared(const T* from) {
+  UI bits;
+  std::memcpy(&bits, from, sizeof(bits));
+  return (X)Wide(bits);
 }
 
-// Lane l is a copy of the program, whose arrays begin l * step numbers after those of the first; with a step of 0 all
-// copies have the same. Lanes beyond the last copy repeat it.
+// Lane l is a batch element, whose arrays begin l * step numbers after those of the first; with a step of 0 all
+// batch elements have the same. Lanes beyond the last one repeat it.
 inline V Gather(const T* from, int64_t step, int count) {
   if (step == 0) return Full<V>(*from);
   V r;
@@ -37,60 +46,290 @@ inline VI GatherWhole(const S* from, int64_t step, int count) {
   return r;
 }
 
-// The code is a row of runs: an instruction, how often, and for each time its places.
-void Evaluate(const Tape& tape, V* s, const void* const* operands, void* const* results, const int64_t* steps,
-              int64_t first, int count) {
-  const size_t num_operands = static_cast<size_t>(steps[-1]);
-  const int32_t* at = tape.code.data();
-  const int32_t* const end = at + tape.code.size();
-  while (at != end) {
+// A row of runs: an instruction, how often, and for each time its registers.
+struct Code {
+  std::vector<int32_t> code;
+  std::vector<T> constants;
+  int64_t num_registers;
+};
+
+// Where one number of each element lies: which array, which of its rows, how many there are, and bytes of a number.
+struct Row {
+  int32_t array, row, rows, bytes;
+};
+
+struct Program {
+  Code lanes;  // of a pointwise program: what all elements share
+  Code blocks;
+  int64_t num_sums = 0;
+  std::vector<int32_t> shared;        // registers of `lanes` that `blocks` reads
+  std::vector<Row> inputs, outputs;
+};
+
+std::mutex mutex;
+std::unordered_map<int64_t, std::shared_ptr<const Program>>& Programs() {
+  static auto* programs = new std::unordered_map<int64_t, std::shared_ptr<const Program>>;
+  return *programs;
+}
+std::shared_ptr<const Program> Find(int64_t number) {
+  std::lock_guard<std::mutex> lock(mutex);
+  const auto found = Programs().find(number);
+  return found == Programs().end() ? nullptr : found->second;
+}
+
+// Aligned memory of this thread, for so many vectors.
+V* Scratch(size_t count) {
+  static thread_local std::vector<char> memory;
+  if (memory.size() < count * sizeof(V) + 64) memory.resize(count * sizeof(V) + 64);
+  return reinterpret_cast<V*>((reinterpret_cast<uintptr_t>(memory.data()) + 63) & ~static_cast<uintptr_t>(63));
+}
+
+// What a run works with: registers that are vectors (lanes), or places of blocks.
+struct Frame {
+  T* registers;
+  const T* constants;
+  const void* const* operands;
+  void* const* results;
+  const int64_t* steps;
+  size_t num_operands;
+  int64_t first;
+  int count;
+
+  T* const* places;
+  V* sums;
+  int vectors, left;  // of a block; elements of its last vector
+};
+
+// The sum of a block's vectors, of which the last has `left` elements.
+template <typename Vectors>
+inline V SumOf(int64_t end, int left, const Vectors& vector) {
+  V even{}, odd{};
+  const int64_t last = end - kLanes;
+  int64_t k = 0;
+  for (; k + kLanes < last; k += 2 * kLanes) {
+    even += vector(k);
+    odd += vector(k + kLanes);
+  }
+  if (k < last) even += vector(k);
+  return even + (odd + Part(vector(last), left));
+}
+
+#define REPEAT(places) for (; times; --times, at += (places))
+#define PLACE(k) (kBlocks ? f.places[at[k]] : f.registers + static_cast<int64_t>(at[k]) * kLanes)
+#define EACH for (int64_t k = 0; k < end; k += kLanes)
+
+template <bool kBlocks>
+void Run(const Code& program, const Frame& f) {
+  const int64_t end = (kBlocks ? f.vectors : 1) * kLanes;
+  const int32_t* at = program.code.data();
+  const int32_t* const stop = at + program.code.size();
+  while (at != stop) {
     const int32_t instruction = at[0];
     int32_t times = at[1];
     at += 2;
     switch (instruction) {
       REWAX_CASES
+      case kConstant:
+        REPEAT(2) Put(PLACE(0), Full<V>(f.constants[at[1]]));
+        break;
+#define REWAX_FROM(S) static_cast<const S*>(f.operands[at[1]]) + f.first * f.steps[at[1]] + at[2], f.steps[at[1]], f.count
+      case kLoadFloat:
+        REPEAT(3) Put(PLACE(0), Gather(REWAX_FROM(T)));
+        break;
+      case kLoadInt32:
+        REPEAT(3) Put(PLACE(0), GatherWhole(REWAX_FROM(int32_t)));
+        break;
+      case kLoadInt64:
+        REPEAT(3) Put(PLACE(0), GatherWhole(REWAX_FROM(int64_t)));
+        break;
+      case kLoadBool:
+        REPEAT(3) Put(PLACE(0), -GatherWhole(REWAX_FROM(bool)));
+        break;
+      case kStore:
+        REPEAT(3) {
+          const int64_t step = f.steps[f.num_operands + static_cast<size_t>(at[1])];
+          T* const to = static_cast<T*>(f.results[at[1]]) + f.first * step + at[2];
+          const V a = Get<V>(PLACE(0));
+          for (int l = 0; l < f.count; ++l) to[l * step] = a[l];
+        }
+        break;
+      case kConvertInt32:
+        REPEAT(2) EACH Put(PLACE(0) + k, LoadWhole(reinterpret_cast<const int32_t*>(PLACE(1)) + k, kLanes));
+        break;
+      case kConvertInt64:
+        REPEAT(2) EACH Put(PLACE(0) + k, LoadWhole(reinterpret_cast<const int64_t*>(PLACE(1)) + k, kLanes));
+        break;
+      case kConvertBool:
+        REPEAT(2) EACH Put(PLACE(0) + k, LoadTruth(reinterpret_cast<const bool*>(PLACE(1)) + k, kLanes));
+        break;
+      case kStoreBool:
+        REPEAT(2) EACH StoreTruth(reinterpret_cast<bool*>(PLACE(0)) + k, Get<VI>(PLACE(1) + k), kLanes);
+        break;
+      case kSum:
+        REPEAT(2) {
+          const T* const a = PLACE(1);
+          f.sums[at[0]] += SumOf(end, f.left, [=](int64_t k) { return Get<V>(a + k); });
+        }
+        break;
+      case kSumOfProducts:
+        REPEAT(3) {
+          const T *const a = PLACE(1), *const b = PLACE(2);
+          f.sums[at[0]] += SumOf(end, f.left, [=](int64_t k) { return Get<V>(a + k) * Get<V>(b + k); });
+        }
+        break;
       default:
         return;
     }
   }
 }
 
-ffi::Error RunTape(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int64_t number,
-                   ffi::Span<const int64_t> sizes) {
-  std::shared_ptr<const Tape> tape;
-  {
-    std::lock_guard<std::mutex> lock(mutex);
-    const auto found = Tapes().find(number);
-    if (found == Tapes().end()) return ffi::Error::Internal("this tape of rewax is not loaded");
-    tape = found->second;
-  }
+ffi::Error RunLanes(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int64_t number,
+                    ffi::Span<const int64_t> sizes) {
+  const auto program = Find(number);
+  if (!program) return ffi::Error::Internal("this program of rewax is not loaded");
   std::vector<const void*> operands(args.size());
   std::vector<void*> results(rets.size());
   for (size_t k = 0; k < operands.size(); ++k) operands[k] = args.get<ffi::AnyBuffer>(k)->untyped_data();
   for (size_t k = 0; k < results.size(); ++k) results[k] = (*rets.get<ffi::AnyBuffer>(k))->untyped_data();
-  const int64_t copies = sizes[0];
-  ForEach(pool, (copies + kLanes - 1) / kLanes, [&](int64_t block) {
-    static thread_local std::vector<V> slots;
-    if (slots.size() < static_cast<size_t>(tape->num_slots)) slots.resize(static_cast<size_t>(tape->num_slots));
-    const int64_t first = block * kLanes;
-    Evaluate(*tape, slots.data(), operands.data(), results.data(), sizes.begin() + 2, first,
-             static_cast<int>(std::min<int64_t>(kLanes, copies - first)));
+  const int64_t batch = sizes[0];
+  ForEach(pool, (batch + kLanes - 1) / kLanes, [&](int64_t group) {
+    Frame f{};
+    f.registers = reinterpret_cast<T*>(Scratch(static_cast<size_t>(program->lanes.num_registers)));
+    f.constants = program->lanes.constants.data();
+    f.operands = operands.data();
+    f.results = results.data();
+    f.steps = sizes.begin() + 1;
+    f.num_operands = operands.size();
+    f.first = group * kLanes;
+    f.count = static_cast<int>(std::min<int64_t>(kLanes, batch - f.first));
+    Run<false>(program->lanes, f);
+  });
+  return ffi::Error::Success();
+}
+
+// The elements [begin, end) of one batch element of a pointwise program.
+struct Block {
+  const Program& program;
+  const T* shared;
+  const void* const* operands;
+  void* const* results;
+  const int64_t* steps;
+  int64_t count, copy, begin, end;
+
+  char* Place(const Row& row, const void* array, int64_t step) const {
+    return static_cast<char*>(const_cast<void*>(array)) + (copy * step + row.row * count + begin) * row.bytes;
+  }
+
+  void Evaluate(T* sums) const {
+    const int64_t size = end - begin, vectors = (size + kLanes - 1) / kLanes;
+    const bool full = size % kLanes == 0;
+    const size_t registers = static_cast<size_t>(program.blocks.num_registers);
+    const size_t num_sums = static_cast<size_t>(program.num_sums), length = static_cast<size_t>(vectors);
+    // If the last vector is not full, rows are copied. A number of them has eight bytes at most.
+    const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T));
+    const size_t num_copies = full ? 0 : num_rows * row_size, num_places = registers + program.shared.size() + num_rows;
+    V* const memory = Scratch(registers * length + num_copies + num_sums + num_places * sizeof(T*) / sizeof(V) + 1);
+    V* copies = memory + registers * length;
+    V* const totals = copies + num_copies;
+    T** const places = reinterpret_cast<T**>(totals + num_sums);
+    std::fill(totals, totals + num_sums, V{});
+
+    T** place = places;
+    for (size_t k = 0; k < registers; ++k) *place++ = reinterpret_cast<T*>(memory + k * length);
+    for (int32_t k : program.shared) *place++ = const_cast<T*>(shared + k * kLanes);
+    for (const Row& row : program.inputs) {
+      char* from = Place(row, operands[row.array], steps[row.array]);
+      if (!full) {
+        from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
+        copies += row_size;
+      }
+      *place++ = reinterpret_cast<T*>(from);
+    }
+    T** const first_output = place;
+    for (const Row& row : program.outputs) {
+      *place++ = reinterpret_cast<T*>(full ? Place(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies));
+      if (!full) copies += row_size;
+    }
+
+    Frame f{};
+    f.places = places;
+    f.sums = totals;
+    f.vectors = static_cast<int>(vectors);
+    f.left = static_cast<int>(size - (vectors - 1) * kLanes);
+    Run<true>(program.blocks, f);
+    place = first_output;
+    for (const Row& row : program.outputs) {
+      if (!full) std::memcpy(Place(row, results[row.array], row.rows * count), *place++, static_cast<size_t>(size * row.bytes));
+    }
+    for (size_t k = 0; k < num_sums; ++k) sums[k] = Total(totals[k]);
+  }
+
+  // A copy whose last number is repeated.
+  static char* Repeated(const char* from, char* to, int64_t bytes, int64_t count, int64_t full) {
+    std::memcpy(to, from, static_cast<size_t>(count * bytes));
+    for (int64_t l = count; l < full; ++l) std::memcpy(to + l * bytes, to + (count - 1) * bytes, static_cast<size_t>(bytes));
+    return to;
+  }
+};
+
+ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int64_t number,
+                     ffi::Span<const int64_t> sizes) {
+  const auto program = Find(number);
+  if (!program) return ffi::Error::Internal("this program of rewax is not loaded");
+  std::vector<const void*> operands(args.size());
+  std::vector<void*> results(rets.size());
+  for (size_t k = 0; k < operands.size(); ++k) operands[k] = args.get<ffi::AnyBuffer>(k)->untyped_data();
+  for (size_t k = 0; k < results.size(); ++k) results[k] = (*rets.get<ffi::AnyBuffer>(k))->untyped_data();
+  const int64_t batch = sizes[0], count = sizes[1], blocks = sizes[2], block = sizes[3];
+  const int64_t* const steps = sizes.begin() + 4;
+  const int64_t registers = program->lanes.num_registers * kLanes;
+  std::vector<T> shared(static_cast<size_t>(batch * registers + kLanes));
+  const auto address = reinterpret_cast<uintptr_t>(shared.data());
+  T* const aligned = reinterpret_cast<T*>((address + sizeof(V) - 1) / sizeof(V) * sizeof(V));
+  for (int64_t copy = 0; copy < batch; ++copy) {
+    Frame f{};
+    f.registers = aligned + copy * registers;
+    f.constants = program->lanes.constants.data();
+    f.operands = operands.data();
+    f.steps = steps;
+    f.first = copy;
+    f.count = 1;
+    Run<false>(program->lanes, f);
+  }
+  ForEach(pool, batch * blocks, [&](int64_t task) {
+    const int64_t copy = task / blocks, begin = task % blocks * block;
+    T* const sums = program->num_sums ? static_cast<T*>(results.back()) + task * program->num_sums : nullptr;
+    const int64_t end = std::min(begin + block, count);
+    Block{*program, aligned + copy * registers, operands.data(), results.data(), steps, count, copy, begin, end}
+        .Evaluate(sums);
   });
   return ffi::Error::Success();
 }
 
 }  // namespace
 
-extern "C" void rewax_add_tape(int64_t number, const int32_t* code, int64_t length, const T* constants,
-                               int64_t num_constants, int64_t num_slots) {
-  auto tape = std::make_shared<Tape>();
-  tape->code.assign(code, code + length);
-  tape->constants.assign(constants, constants + num_constants);
-  tape->num_slots = num_slots;
+// Args: number of the program; its code: of lanes, of blocks; the constants of lanes; how many registers of lanes and
+// blocks, sums, shared registers, inputs and outputs; then those registers, and each row.
+extern "C" void rewax_add_program(int64_t number, const int32_t* lanes, int64_t lanes_length, const int32_t* blocks,
+                                  int64_t blocks_length, const T* constants, int64_t num_constants, const int32_t* layout) {
+  auto program = std::make_shared<Program>();
+  program->lanes = {{lanes, lanes + lanes_length}, {constants, constants + num_constants}, layout[0]};
+  program->blocks = {{blocks, blocks + blocks_length}, {}, layout[1]};
+  program->num_sums = layout[2];
+  const int32_t num_shared = layout[3], num_inputs = layout[4], num_outputs = layout[5];
+  layout += 6;
+  program->shared.assign(layout, layout + num_shared);
+  layout += num_shared;
+  for (int32_t k = 0; k < num_inputs + num_outputs; ++k, layout += 4) {
+    (k < num_inputs ? program->inputs : program->outputs).push_back({layout[0], layout[1], layout[2], layout[3]});
+  }
   std::lock_guard<std::mutex> lock(mutex);
-  Tapes()[number] = std::move(tape);
+  Programs()[number] = std::move(program);
 }
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(REWAX_TAPE, RunTape,
+XLA_FFI_DEFINE_HANDLER_SYMBOL(REWAX_LANES_HANDLER, RunLanes,
+                              ffi::Ffi::Bind().Ctx<ffi::ThreadPool>().RemainingArgs().RemainingRets()
+                                  .Attr<int64_t>("number").Attr<ffi::Span<const int64_t>>("sizes"));
+XLA_FFI_DEFINE_HANDLER_SYMBOL(REWAX_BLOCKS_HANDLER, RunBlocks,
                               ffi::Ffi::Bind().Ctx<ffi::ThreadPool>().RemainingArgs().RemainingRets()
                                   .Attr<int64_t>("number").Attr<ffi::Span<const int64_t>>("sizes"));

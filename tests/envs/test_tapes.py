@@ -1,4 +1,4 @@
-"""Tasks run on tapes and kernels: an operation that has no place there would be slow without a word."""
+"""The machine runs the physics of tasks: an operation that it lacks would be slow without a word."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Arithmetic element by element: the numbers and derivatives of JAX, from one loop of C++."""
+"""Arithmetic element by element: the numbers and derivatives of JAX, from the machine."""
 
 import jax
 import jax.numpy as jnp
@@ -13,17 +13,17 @@ from rewax.lowering.kernels import pointwise
 
 
 @pytest.fixture
-def kernels_only(monkeypatch):
-    """What has no kernel fails, instead of being computed with JAX."""
+def machine_only(monkeypatch):
+    """What the machine cannot run fails, instead of being computed with JAX."""
 
     def refuse(which, *args):
-        raise AssertionError(f"there is no kernel for the {which}")
+        raise AssertionError(f"there is no bytecode for the {which}")
 
     monkeypatch.setattr(module, "_with_jax", refuse)
 
 
 def bend(shared, elements):
-    """Uses everything that laws and contact use: small arrays, truth values, whole numbers, selections, products."""
+    """Uses everything that laws and contact use: small arrays, booleans, integers, selections, products."""
     scale, matrix, exponent = shared["scale"], shared["matrix"], shared["exponent"]
     a, b, side, rows = elements
     turned = matrix @ jnp.stack([a, b])
@@ -64,7 +64,7 @@ def everything(function, shared, elements, tangents, cotangents):
 
 @NEEDS_COMPILER
 @pytest.mark.parametrize("num", [1, 13, 2 * 1024 + 37])
-def test_value_forward_and_reverse_are_those_of_jax(x64, kernels_only, random_like, relative_error, num):
+def test_value_forward_and_reverse_are_those_of_jax(x64, machine_only, random_like, relative_error, num):
     """Fewer elements than a vector has, and more than a thread computes at a time."""
     shared, elements = arguments(num)
     real, args = of_real(bend, shared, elements)
@@ -75,7 +75,7 @@ def test_value_forward_and_reverse_are_those_of_jax(x64, kernels_only, random_li
 
 
 @NEEDS_COMPILER
-def test_reverse_forward_and_finite_differences(x64, kernels_only, random_like):
+def test_reverse_forward_and_finite_differences(x64, machine_only, random_like):
     shared, elements = arguments(5)
     real, args = of_real(FAST, shared, elements)
     tangents, cotangents = random_like(2, args), random_like(3, jax.eval_shape(real, *args))
@@ -92,7 +92,7 @@ def test_reverse_forward_and_finite_differences(x64, kernels_only, random_like):
 
 
 @NEEDS_COMPILER
-def test_under_vmap(x64, kernels_only, random_like, relative_error):
+def test_under_vmap(x64, machine_only, random_like, relative_error):
     """Two axes; elements have both, one or none of them, and so has what is shared."""
     shared, (a, b, side, rows) = arguments(11)
     shared["matrix"] = jnp.stack([shared["matrix"], -shared["matrix"]])
@@ -116,7 +116,7 @@ def test_under_vmap(x64, kernels_only, random_like, relative_error):
 
 
 @NEEDS_COMPILER
-def test_environments_are_their_own(x64, kernels_only):
+def test_environments_are_their_own(x64, machine_only):
     """One alone has the bits that it has beside others, of which one is not finite."""
     shared, elements = arguments(1024 + 5, 3, dtype=np.float32)
     elements = jax.tree.map(lambda a: a.at[1].set(jnp.nan) if a.dtype == np.float32 else a, elements)
@@ -137,7 +137,7 @@ def test_environments_are_their_own(x64, kernels_only):
 
 
 @NEEDS_COMPILER
-def test_a_number_does_not_make_another_kernel(kernels_only):
+def test_a_number_does_not_make_another_program(machine_only):
     @pointwise
     def scaled(shared, elements):
         return elements * shared
@@ -153,7 +153,7 @@ def test_a_number_does_not_make_another_kernel(kernels_only):
     [(jnp.sort, "sort"), (lambda a: jax.lax.while_loop(lambda c: c[0] < 5, lambda c: c + 1, a), "while"),
      (jax.scipy.special.gammaln, "lgamma")],
 )  # fmt: skip
-def test_what_has_no_kernel_is_computed_with_jax(operation, named):
+def test_what_has_no_bytecode_is_computed_with_jax(operation, named):
     with pytest.raises(UnsupportedError, match=named):
         from_jaxpr(jax.make_jaxpr(operation)(jnp.ones(1)), [True])
 
@@ -204,20 +204,18 @@ def test_single_and_double_precision_in_one_process():
 
 
 @NEEDS_COMPILER
-def test_a_kernel_that_cannot_be_built_is_done_without(monkeypatch):
+def test_a_machine_that_cannot_be_built_is_done_without(monkeypatch):
     def cubed(shared, elements):
         return elements**3 + shared
 
-    load = build.load
-    broken = build.Loaded(None, "c++ failed")
-    monkeypatch.setattr(build, "load", lambda source: broken if source.stem == "kernel" else load(source))
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "c++ failed"))
     with pytest.warns(UserWarning, match="runs in XLA, slower than in C\\+\\+: c\\+\\+ failed"):
         found = pointwise(cubed)(1.0, jnp.arange(3.0))
     np.testing.assert_array_equal(found, [1.0, 2.0, 9.0])
 
 
 def test_a_program_for_a_gpu_builds_nothing(monkeypatch):
-    monkeypatch.setattr(module, "_target", lambda *args: pytest.fail("a kernel was asked for"))
+    monkeypatch.setattr(module, "_target", lambda *args: pytest.fail("bytecode was asked for"))
     monkeypatch.setattr(build, "compiler", lambda: "c++")
     shared, elements = arguments(6, dtype=np.float32)
     jax.jit(pointwise(bend)).trace(shared | {"exponent": 2.0}, elements).lower(lowering_platforms=("cuda",))

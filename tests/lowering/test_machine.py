@@ -1,4 +1,4 @@
-"""Tapes: the numbers and derivatives of JAX, for many copies of a program side by side."""
+"""Interpreted programs: the numbers and derivatives of JAX, for many batch elements side by side."""
 
 import jax
 import jax.numpy as jnp
@@ -8,19 +8,18 @@ from native_cases import NEEDS_COMPILER
 
 from rewax.lowering import build
 from rewax.lowering import machine as module
-from rewax.lowering.from_jaxpr import from_jaxpr
-from rewax.lowering.machine import interpreted, written
+from rewax.lowering.machine import interpreted
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
 
 PLACES = np.array([2, 0, 2])
 
 
 @pytest.fixture
-def tapes_only(monkeypatch):
-    """What has no tape fails, instead of being computed with JAX."""
+def machine_only(monkeypatch):
+    """What the machine cannot run fails, instead of being computed with JAX."""
 
     def refuse(which, *args):
-        raise AssertionError(f"there is no tape for the {which}")
+        raise AssertionError(f"there is no bytecode for the {which}")
 
     monkeypatch.setattr(module, "_with_jax", refuse)
 
@@ -92,8 +91,8 @@ AXES = [
 @NEEDS_COMPILER
 @pytest.mark.parametrize("batch", [(), (5,), (37,), (3, 7)])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_value_forward_and_reverse_are_those_of_jax(tapes_only, random_like, relative_error, batch, dtype):
-    """One copy, fewer and more than fit into a vector, and arguments that have not all of the axes."""
+def test_value_forward_and_reverse_are_those_of_jax(machine_only, random_like, relative_error, batch, dtype):
+    """One batch element, fewer and more than fit into a vector, and arguments that have not all of the axes."""
 
     def run(function, *args):
         program = lambda *args: everything(function, *args)  # noqa: E731
@@ -112,7 +111,7 @@ def test_value_forward_and_reverse_are_those_of_jax(tapes_only, random_like, rel
 
 
 def test_what_is_no_arithmetic_is_left_to_jax(x64, monkeypatch, relative_error):
-    """Pass by pass: an iteration has no tape, its derivative by the implicit function theorem may have one."""
+    """Pass by pass: an iteration has no bytecode, its derivative by the implicit function theorem may have."""
     left = []
     with_jax = module._with_jax
     monkeypatch.setattr(module, "_with_jax", lambda which, *args: left.append(which) or with_jax(which, *args))
@@ -149,28 +148,6 @@ def test_single_and_double_precision_in_one_process():
         with jax.enable_x64(double):
             _, one = jax.jit(lambda a: fast(a))(jnp.ones(2, jnp.float32))
             assert one.dtype == (np.float64 if double else np.float32)
-
-
-def test_a_tape_has_few_slots_and_long_runs():
-    """The place of a value that nobody needs any more is used again; products are parts of sums."""
-
-    def chain(a):
-        for _ in range(50):
-            a = 0.5 * jnp.roll(a, 1) + a
-        return a
-
-    line = from_jaxpr(jax.make_jaxpr(chain)(jnp.ones(4)), [True])
-    tape = written(line, [np.dtype(np.float32)])
-    assert tape.num_slots <= 10
-    assert tape.operands == (0,)
-    instructions, at = [], 0
-    while at < len(tape.code):
-        name = list(module._INSTRUCTIONS)[tape.code[at]]
-        instructions.append((name, int(tape.code[at + 1])))
-        at += 2 + module._INSTRUCTIONS[name][0] * tape.code[at + 1]
-    assert instructions[-1] == ("store", 4)
-    assert sum(times for name, times in instructions if name == "a_times_b_plus_c") == 200
-    assert not any(name == "mul_ff" for name, _ in instructions)
 
 
 @NEEDS_COMPILER

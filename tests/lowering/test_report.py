@@ -52,7 +52,7 @@ def test_a_fault_of_the_compiler_is_a_reason_not_an_error(monkeypatch):
 
 @NEEDS_COMPILER
 def test_a_fault_in_a_kernel_is_a_reason_too(monkeypatch):
-    monkeypatch.setattr(kernels, "kernel_source", lambda *args: 1 / 0)
+    monkeypatch.setattr(kernels, "bytecode_of", lambda *args: 1 / 0)
     with pytest.warns(LoweringWarning, match="could not be lowered .ZeroDivisionError"):
         assert pointwise(lambda s, a: a + 5)(None, jnp.ones(1))[0] == 6
 

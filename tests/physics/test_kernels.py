@@ -1,4 +1,4 @@
-"""What particles, nodes, vertices and tets do alone has C++: a new operation in it would be slow without a word."""
+"""The machine runs what particles, nodes, vertices and tets do alone: a new operation would be slow without a word."""
 
 import jax
 import jax.numpy as jnp
@@ -27,23 +27,23 @@ SHAPES = [
 
 
 @pytest.fixture
-def written(monkeypatch):
-    """Which passes were written as C++; none is built, and none may fail to be written."""
+def assembled(monkeypatch):
+    """Which passes were assembled; none may fail to be."""
     passes = set()
 
-    def write(which, program, avals, varies, precision):
-        text, outputs = kernels.source(which, program, avals, varies)
-        assert text.count("{") == text.count("}") and outputs
+    def assemble(which, program, avals, varies, precision):
+        bytecode, dtype, outputs = kernels.bytecode_of(which, program, avals, varies)
+        assert len(bytecode.code) and dtype == np.float32 and outputs
         passes.add(which)
         return "it is only written"
 
-    monkeypatch.setattr(kernels, "_target", write)
+    monkeypatch.setattr(kernels, "_target", assemble)
     monkeypatch.setattr(build, "compiler", lambda: "c++")
     monkeypatch.setattr(build, "is_off", lambda: False)
     return passes
 
 
-def assert_written(written, function, *args):
+def assert_assembled(assembled, function, *args):
     """Value, forward and reverse derivative by all floating-point arguments."""
 
     def total(*args):
@@ -52,21 +52,21 @@ def assert_written(written, function, *args):
     args = jax.tree.map(jnp.asarray, args)
     jax.jit(jax.value_and_grad(total, argnums=tuple(range(len(args))))).lower(*args)
     jax.jit(lambda *args: jax.jvp(total, args, args)).lower(*args)
-    assert written == {"value", "tangent", "cotangent"}
+    assert assembled == {"value", "tangent", "cotangent"}
 
 
 @pytest.mark.parametrize(("elasticity", "plasticity"), cases.LAWS)
-def test_laws(written, elasticity, plasticity):
+def test_laws(assembled, elasticity, plasticity):
     material = cases.material(elasticity, plasticity, dtype=np.float32)
     material = material.replace(viscosity=ONES, fibre=jnp.ones((NUM, 3)))
     shared, own = split_parameters(material)
     assert set(own) == {"viscosity", "fibre"}
     particles = jnp.ones((25 if material.remembers else 24, NUM))
-    assert_written(written, lambda s, *p: stress_and_momentum((s, 1e-3), p), shared, own, particles, ONES, ONES)
+    assert_assembled(assembled, lambda s, *p: stress_and_momentum((s, 1e-3), p), shared, own, particles, ONES, ONES)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
-def test_colliders(written, shape):
+def test_colliders(assembled, shape):
     collider = Collider(shape=shape, friction=0.5, softness=100.0)
     pose = Pose(jnp.zeros((1, 3)), jnp.eye(3)[None])
 
@@ -74,21 +74,21 @@ def test_colliders(written, shape):
         placed = jax.tree.map(lambda a: a[0], place([collider], pose, pose, 1e-3))
         return apply_colliders([(collider, placed)], VECTOR, velocity)
 
-    assert_written(written, velocity, collider, VECTOR)
-    written.clear()
+    assert_assembled(assembled, velocity, collider, VECTOR)
+    assembled.clear()
     contact = PenaltyContact(stiffness=ONES, damping=1.0, friction_damping=ONES, onset=0.1)
     one = Pose(jnp.zeros(3), jnp.eye(3))
-    assert_written(written, lambda *a: collider_force(*a, one, one, 1e-3), collider, contact, VECTOR, VECTOR)
+    assert_assembled(assembled, lambda *a: collider_force(*a, one, one, 1e-3), collider, contact, VECTOR, VECTOR)
 
 
-def test_the_ground(written):
+def test_the_ground(assembled):
     contact = PenaltyContact(stiffness=1.0, friction=0.5, friction_damping=1.0)
-    assert_written(written, ground_force, Ground(normal=jnp.array([0.0, 1.0, 0.0])), contact, VECTOR, VECTOR)
+    assert_assembled(assembled, ground_force, Ground(normal=jnp.array([0.0, 1.0, 0.0])), contact, VECTOR, VECTOR)
 
 
 @pytest.mark.parametrize("damping_law", DampingLaw)
-def test_tets(written, damping_law):
+def test_tets(assembled, damping_law):
     own, shared = (ONES, None, None, ONES), (None, 1.0, 0.0, None)
-    assert_written(written, _columns(damping_law), shared, (own, (MATRIX, ONES), (MATRIX, MATRIX)))
-    written.clear()
-    assert_written(written, _moved, (jnp.ones(3), 1e-3), (Vertices(VECTOR, VECTOR), VECTOR, VECTOR, ONES, ONES))
+    assert_assembled(assembled, _columns(damping_law), shared, (own, (MATRIX, ONES), (MATRIX, MATRIX)))
+    assembled.clear()
+    assert_assembled(assembled, _moved, (jnp.ones(3), 1e-3), (Vertices(VECTOR, VECTOR), VECTOR, VECTOR, ONES, ONES))

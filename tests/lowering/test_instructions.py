@@ -1,4 +1,4 @@
-"""C++ of operations: the numbers of JAX, at ordinary arguments and at the others."""
+"""Instructions: the numbers of JAX, at ordinary arguments and at the others."""
 
 import jax
 import jax.numpy as jnp
@@ -7,18 +7,26 @@ import pytest
 from native_cases import NEEDS_COMPILER
 
 from rewax.lowering import kernels as module
-from rewax.lowering.codegen import TEXT, kernel_source
-from rewax.lowering.from_jaxpr import ARITHMETIC, UnsupportedError
+from rewax.lowering.instructions import BY_NAME, COMMUTATIVE, INSTRUCTIONS, TEXT, cases
 from rewax.lowering.kernels import pointwise
+from rewax.lowering.operations import ARITHMETIC
 
 
 def test_every_operation_can_be_written():
     assert set(TEXT) >= ARITHMETIC
 
 
-def test_whole_numbers_are_not_returned():
-    with pytest.raises(UnsupportedError, match="returns whole numbers"):
-        kernel_source(jax.make_jaxpr(lambda a: a.astype(int))(jnp.ones(1)), [True], [False])
+def test_each_instruction_is_found_by_its_last_operation():
+    assert sorted(number for numbers in BY_NAME.values() for number in numbers) == list(range(len(INSTRUCTIONS)))
+    assert all(INSTRUCTIONS[number].expression[0] == name for name, numbers in BY_NAME.items() for number in numbers)
+    assert set(BY_NAME) >= COMMUTATIVE
+
+
+def test_each_instruction_has_its_own_case():
+    lines = cases().splitlines()
+    assert [int(line.split()[1].strip(":")) for line in lines] == list(range(len(INSTRUCTIONS)))
+    (number,) = [k for k, i in enumerate(INSTRUCTIONS) if i.expression == ("sub", ("mul", "f", "f"), ("mul", "f", "f"))]
+    assert "((a0 * a1) - (a2 * a3))" in lines[number] and "REPEAT(5)" in lines[number]
 
 
 @NEEDS_COMPILER
@@ -27,7 +35,7 @@ def test_operations(x64, monkeypatch, dtype):
     """Each of them, at ordinary numbers and at the others."""
 
     def refuse(*args):
-        raise AssertionError("there is no kernel")
+        raise AssertionError("there is no bytecode")
 
     monkeypatch.setattr(module, "_with_jax", refuse)
     info = np.finfo(dtype)
