@@ -37,15 +37,32 @@ class Args:
     """Control steps before the one that is differentiated; none: those of ``FIRST_STEPS``."""
 
 
-def gradients(env: Any, state: Any, action: jax.Array) -> dict[str, np.ndarray]:
-    """Of the reward of one step, by particles and action."""
+@jax.jit
+def gradients(env: Any, state: Any, action: jax.Array, weights: Any) -> dict[str, jax.Array]:
+    """Of the reward of one step and of the weighted sum of the state after it, (2, ...) each."""
 
-    def reward(soft: Any, action: jax.Array) -> jax.Array:
-        return env.step(state.replace(physics=state.physics.replace(soft=soft)), action).reward
+    def objectives(soft: Any, action: jax.Array) -> jax.Array:
+        new = env.step(state.replace(physics=state.physics.replace(soft=soft)), action)
+        weighted = jax.tree.map(lambda w, a: jnp.sum(w * a), weights, new.physics.soft)
+        return jnp.stack([new.reward, sum(jax.tree.leaves(weighted))])
 
-    by_soft, by_action = jax.jit(jax.grad(reward, argnums=(0, 1)))(state.physics.soft, action)
-    found = {name: np.asarray(getattr(by_soft, name), np.float64) for name in LEAVES}
-    return {**found, "actions": np.asarray(by_action, np.float64)}
+    by_soft, by_action = jax.jacrev(objectives, argnums=(0, 1))(state.physics.soft, action)
+    return {**{name: getattr(by_soft, name) for name in LEAVES}, "actions": by_action}
+
+
+def in_numpy(found: dict[str, jax.Array]) -> dict[str, np.ndarray]:
+    return {name: np.asarray(a, np.float64) for name, a in found.items()}
+
+
+def random_weights(soft: Any, seed: int) -> Any:
+    """Of x, v, C and F, so that all count alike."""
+    rng = np.random.default_rng(seed)
+
+    def one(a: jax.Array) -> jax.Array:
+        size = np.sqrt(np.mean(np.square(a))) + 1e-6
+        return jnp.asarray(rng.standard_normal(a.shape) / size, a.dtype)
+
+    return jax.tree.map(one, soft)
 
 
 def in_double(tree: Any) -> Any:
@@ -72,31 +89,36 @@ def check(args: Args, name: str) -> None:
     step = jax.jit(env.step)
     with jax.enable_x64(True):
         double = in_double(env)
-    worst: dict[str, float] = {}
+    worst: dict[str, dict[str, float]] = {}
     for seed in range(args.seeds):
         key, state = jax.random.key(seed), env.reset(jax.random.key(1000 + seed))
         steps = args.steps or FIRST_STEPS[name]
         for t in range(max(steps) + 1):
             action = policy(name, env, jax.random.fold_in(key, t))
             if t in steps:
-                single = gradients(env, state, action)
+                weights = random_weights(step(state, action).physics.soft, t)
+                single = in_numpy(gradients(env, state, action, weights))
                 with jax.enable_x64(True):
-                    exact = gradients(double, in_double(state), in_double(action))
-                report(f"{name} seed {seed} step {t:3d}", single, exact, worst)
+                    exact = in_numpy(gradients(double, *in_double((state, action, weights))))
+                for n, of in enumerate(("reward", "state")):
+                    report(f"{name} seed {seed} step {t:3d} {of}", single, exact, n, worst.setdefault(of, {}))
             state = step(state, action)
             if name == "HandFlip" and t + 1 == 10:
                 print(f"{name} seed {seed}: det F drifts by {volume_drift(env, state, 10):.1e} per substep", flush=True)
-    print(f"{name} {args.scale}, largest: " + ", ".join(f"{k} {v:.1e}" for k, v in worst.items()), flush=True)
+    for of, numbers in worst.items():
+        print(
+            f"{name} {args.scale}, largest, {of}: " + ", ".join(f"{k} {v:.1e}" for k, v in numbers.items()), flush=True
+        )
 
 
-def report(title: str, single: dict[str, np.ndarray], exact: dict[str, np.ndarray], worst: dict[str, float]) -> None:
+def report(title: str, single: Any, exact: Any, n: int, worst: dict[str, float]) -> None:
     texts = []
-    for leaf, g in exact.items():
-        size = np.linalg.norm(g)
+    for leaf in exact:
+        g, size = exact[leaf][n], np.linalg.norm(exact[leaf][n])
         if size < 1e-12:  # no contact yet, no gradient
             texts.append(f"{leaf} none")
             continue
-        squared = np.sort(((single[leaf] - g) ** 2).reshape(len(g), -1).sum(axis=1))[::-1]
+        squared = np.sort(((single[leaf][n] - g) ** 2).reshape(len(g), -1).sum(axis=1))[::-1]
         error = np.sqrt(squared.sum()) / size
         few = 1 + int(np.searchsorted(np.cumsum(squared), 0.9 * squared.sum()))
         texts.append(f"{leaf} {error:.1e}" + ("" if leaf == "actions" else f" ({few})"))
