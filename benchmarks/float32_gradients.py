@@ -55,11 +55,11 @@ def in_numpy(found: dict[str, jax.Array]) -> dict[str, np.ndarray]:
 
 
 def random_weights(soft: Any, seed: int) -> Any:
-    """Of x, v, C and F, so that all count alike."""
+    """Of x, v, C and F, so that all count alike; where C is rounding, as in free fall, it does not count more."""
     rng = np.random.default_rng(seed)
 
     def one(a: jax.Array) -> jax.Array:
-        size = np.sqrt(np.mean(np.square(a))) + 1e-6
+        size = max(float(np.sqrt(np.mean(np.square(a)))), 0.1)
         return jnp.asarray(rng.standard_normal(a.shape) / size, a.dtype)
 
     return jax.tree.map(one, soft)
