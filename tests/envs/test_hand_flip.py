@@ -32,6 +32,13 @@ def test_paper_has_the_references_constants():
     np.testing.assert_allclose(high, [0.14, 0.489, 1.571, 0.785, 1.047, 0.0], atol=1e-6)
 
 
+def test_the_hand_starts_in_the_references_pose():
+    """Not in its first four decimals: a fingertip would be 0.1 mm off."""
+    angles = np.asarray(PAPER.joint_start)[[0, 6, 10, 22]]
+    expected = [-0.16514339750464327, 0.000246444303701037, 0.00038520700007378114, -0.0015229223564485414]
+    np.testing.assert_allclose(angles, expected, rtol=1e-6)
+
+
 def test_the_dough_is_a_disc_of_mirror_pairs():
     x = np.asarray(PAPER.rest_positions) - [0.5, 0.38, 0.6]
     first, second = x[:1250], x[1250:]

@@ -1,6 +1,7 @@
 """Constitutive laws in principal values: stretches in, stretches and Kirchhoff stresses out.
 
-``materials`` puts them on particles. All are symmetric under a permutation of the axes, as ``linalg3.spectral`` wants.
+``materials`` puts them on particles. All are symmetric under a permutation of the axes and give divided differences, as
+``linalg3.spectral`` wants.
 """
 
 import enum
@@ -11,7 +12,9 @@ import jax.numpy as jnp
 
 from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics import divided_differences as dd
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.divided_differences import Principal
 from rewax.physics.numerics.elastic_constants import LameParameters
 from rewax.types import Array, Scalar
 
@@ -73,60 +76,82 @@ class LawParameters(NamedTuple):
     plastic_volume: Scalar = 1.0
 
 
-def stretches(eigenvalues: Vec3, sign: Array) -> Vec3:
+def stretches(eigenvalues: Principal, sign: Array) -> Principal:
     """Square roots of the eigenvalues of F F^T, the smallest with the sign of det F."""
-    s = cp.vector(lambda i: jnp.sqrt(jnp.maximum(eigenvalues[i], MIN_STRETCH**2)))
-    smallest = jnp.minimum(jnp.minimum(eigenvalues[0], eigenvalues[1]), eigenvalues[2])
-    return cp.vector(lambda i: jnp.where(eigenvalues[i] == smallest, sign * s[i], s[i]))
+    root = dd.sqrt(dd.maximum(eigenvalues, MIN_STRETCH**2))
+    a, b, c = eigenvalues.values
+    smallest = jnp.minimum(jnp.minimum(a, b), c)
+    signs = cp.vector(lambda i: jnp.where(eigenvalues.values[i] == smallest, sign, 1.0))
+    s = cp.vector(lambda i: signs[i] * root.values[i])
+    if root.differences is None:
+        return Principal(s)
+    alike = root.differences
+
+    def difference(i: int, j: int, k: int) -> Array:
+        """Of signs that differ it is unbounded where sizes are equal, and there it counts as zero."""
+        gap = eigenvalues.values[i] - eigenvalues.values[j]
+        near = jnp.abs(gap) < jnp.finfo(gap.dtype).eps ** (1 / 3) * (root.values[i] + root.values[j]) ** 2
+        differ = jnp.where(near, 0.0, (s[i] - s[j]) / jnp.where(near, 1.0, gap))
+        return jnp.where(signs[i] == signs[j], signs[i] * alike[k], differ)
+
+    return Principal(s, cp.vector(lambda k: difference(*dd.PAIRS[k], k)))
 
 
-def elastic_law(elasticity: Elasticity, eigenvalues: Vec3, parameters: LawParameters) -> tuple[Vec3]:
+def elastic_law(elasticity: Elasticity, eigenvalues: Principal, parameters: LawParameters) -> tuple[Principal]:
     """Principal stresses."""
     s = stretches(eigenvalues, parameters.sign)
     return (_principal_stress(elasticity, s, _log(s), parameters.lame),)
 
 
 def plastic_law(
-    elasticity: Elasticity, plasticity: Plasticity, eigenvalues: Vec3, parameters: LawParameters
-) -> tuple[Vec3, Vec3]:
-    """Ratio of new to trial stretch, and stress of the new stretches."""
+    elasticity: Elasticity, plasticity: Plasticity, eigenvalues: Principal, parameters: LawParameters
+) -> tuple[Principal, Principal]:
+    """Elongation by plastic flow, new over trial stretch minus one, and stress of the new stretches.
+
+    What does not flow has elongation zero. A ratio would be 1 up to rounding, and volume would creep.
+    """
     s = stretches(eigenvalues, parameters.sign)
     log_s = materialize(_log(s))
     if plasticity is Plasticity.SNOW:
         low, high = 1.0 - parameters.critical_compression, 1.0 + parameters.critical_stretch
-        new = cp.vector(lambda i: jnp.clip(s[i], low, high))
-        log_new, flows = _log(new), jnp.ones(s[0].shape, bool)
+        new = dd.minimum(dd.maximum(s, low), high)
+        log_new, elongation = _log(new), _elongation(s, new, None)
     else:
-        return_map = {Plasticity.VON_MISES: _von_mises, Plasticity.DRUCKER_PRAGER: _drucker_prager}[plasticity]
-        log_flowed, flows = return_map(log_s, parameters)
+        return_map, least = {
+            Plasticity.VON_MISES: (_von_mises, MIN_PLASTIC_STRETCH),
+            Plasticity.DRUCKER_PRAGER: (_drucker_prager, MIN_SAND_STRETCH),
+        }[plasticity]
+        at_least = dd.maximum(log_s, math.log(least))
+        change, flows = return_map(at_least, parameters)
+        floor = dd.maximum(s, least)
         # Unless it flows, a particle keeps its trial state, inverted or not.
-        new = cp.vector(lambda i: jnp.where(flows, jnp.exp(log_flowed[i]), s[i]))
-        log_new = cp.vector(lambda i: jnp.where(flows, log_flowed[i], log_s[i]))
+        new = dd.select(flows, dd.multiply(floor, dd.exp(change)), s)
+        log_new = dd.select(flows, dd.add(at_least, change), log_s)
+        elongation = dd.select(flows, _elongation(s, floor, change), dd.uniform(jnp.zeros_like(s.values[0]), s))
     new, log_new = materialize((new, log_new))
-    ratio = cp.vector(lambda i: jnp.where(flows, new[i] / _away_from_zero(s[i]), 1.0))
     lame = parameters.lame
     if plasticity is Plasticity.SNOW:
-        plastic_volume = parameters.plastic_volume * (s[0] * s[1] * s[2]) / (new[0] * new[1] * new[2])
+        plastic_volume = parameters.plastic_volume * _product(s.values) / _product(new.values)
         harder = jnp.exp(jnp.minimum(parameters.hardening * (1.0 - plastic_volume), math.log(MAX_HARDENING)))
         lame = LameParameters(lame.shear * harder, lame.first * harder)
-    return ratio, _principal_stress(elasticity, new, log_new, lame)
+    return elongation, _principal_stress(elasticity, new, log_new, lame)
 
 
-def energy_law(elasticity: Elasticity, eigenvalues: Vec3, parameters: LawParameters) -> tuple[Vec3]:
+def energy_law(elasticity: Elasticity, eigenvalues: Principal, parameters: LawParameters) -> tuple[Principal]:
     """Elastic energy per rest volume, three times."""
-    s = stretches(eigenvalues, parameters.sign)
+    stretch = stretches(eigenvalues, parameters.sign)
+    s = stretch.values
     mu, lam = parameters.lame
-    J = s[0] * s[1] * s[2]
     if elasticity is Elasticity.FIXED_COROTATED:
-        psi = mu * sum((a - 1.0) ** 2 for a in s) + 0.5 * lam * (J - 1.0) ** 2
+        psi = mu * sum((a - 1.0) ** 2 for a in s) + 0.5 * lam * (_product(s) - 1.0) ** 2
     else:
-        e = _log(s)
+        e = _log(stretch).values
         trace = e[0] + e[1] + e[2]
         if elasticity is Elasticity.HENCKY:
             psi = mu * cp.dot(e, e) + 0.5 * lam * trace**2
         else:
             psi = 0.5 * mu * (cp.dot(s, s) - 3.0) - mu * trace + 0.5 * lam * trace**2
-    return ((psi, psi, psi),)
+    return (dd.uniform(psi, stretch),)
 
 
 def fluid_stress(elasticity: Elasticity, J: Array, lame: LameParameters, bulk_modulus: Scalar) -> Array:
@@ -144,59 +169,69 @@ def fluid_energy(elasticity: Elasticity, J: Array, lame: LameParameters, bulk_mo
     return (bulk_modulus / n) * (J + (J ** (1.0 - n) - n) / (n - 1.0))
 
 
-def _log(s: Vec3) -> Vec3:
-    return cp.vector(lambda i: jnp.log(jnp.maximum(s[i], MIN_STRETCH)))
+def _log(s: Principal) -> Principal:
+    return dd.log(dd.maximum(s, MIN_STRETCH))
 
 
-def _principal_stress(elasticity: Elasticity, s: Vec3, log_s: Vec3, lame: LameParameters) -> Vec3:
+def _product(s: Vec3) -> Array:
+    return s[0] * s[1] * s[2]
+
+
+def _principal_stress(elasticity: Elasticity, s: Principal, log_s: Principal, lame: LameParameters) -> Principal:
     mu, lam = lame
-    trace = log_s[0] + log_s[1] + log_s[2]
+    trace = log_s.values[0] + log_s.values[1] + log_s.values[2]
     if elasticity is Elasticity.HENCKY:
-        return cp.vector(lambda i: 2.0 * mu * log_s[i] + lam * trace)
+        return dd.shift(dd.scale(2.0 * mu, log_s), lam * trace)
     if elasticity is Elasticity.NEO_HOOKEAN:
-        return cp.vector(lambda i: mu * (s[i] * s[i] - 1.0) + lam * trace)
-    J = s[0] * s[1] * s[2]
-    return cp.vector(lambda i: 2.0 * mu * (s[i] - 1.0) * s[i] + lam * (J - 1.0) * J)
+        return dd.shift(dd.scale(mu, dd.shift(dd.multiply(s, s), -1.0)), lam * trace)
+    J = _product(s.values)
+    return dd.shift(dd.scale(2.0 * mu, dd.multiply(dd.shift(s, -1.0), s)), lam * (J - 1.0) * J)
 
 
-def _von_mises(log_s: Vec3, parameters: LawParameters) -> tuple[Vec3, Array]:
-    """Logarithmic strains after flow, and whether the particle flows."""
-    mean, deviator, length = _deviator(log_s, MIN_PLASTIC_STRETCH)
-    return _shortened(mean, deviator, length, parameters.yield_stress / (2.0 * parameters.lame.shear))
+def _elongation(s: Principal, floor: Principal, change: Principal | None) -> Principal:
+    """floor exp(change) / s - 1, exactly zero where floor is s and the change of logarithmic strain is zero."""
+    ratio = dd.multiply(floor, dd.reciprocal(s))
+    more = cp.subtract(floor.values, s.values)
+    if change is not None:
+        ratio, growth = dd.multiply(ratio, dd.exp(change)), dd.expm1(change)
+        more = cp.vector(lambda i: more[i] + floor.values[i] * growth.values[i])
+    return ratio._replace(values=cp.vector(lambda i: more[i] / s.values[i]))
 
 
-def _drucker_prager(log_s: Vec3, parameters: LawParameters) -> tuple[Vec3, Array]:
-    """Logarithmic strains after flow, and whether the particle flows.
+def _von_mises(log_s: Principal, parameters: LawParameters) -> tuple[Principal, Array]:
+    """What flow adds to logarithmic strains, and whether the particle flows."""
+    _, deviator, length = _deviator(log_s)
+    return _shortening(deviator, length, parameters.yield_stress / (2.0 * parameters.lame.shear))
+
+
+def _drucker_prager(log_s: Principal, parameters: LawParameters) -> tuple[Principal, Array]:
+    """What flow adds to logarithmic strains, and whether the particle flows.
 
     The cone ends in its apex at the strain ``cohesion`` along each axis, to which all goes that is pulled further. Near
     the apex the direction of the deviator varies arbitrarily fast but is multiplied by the room that the cone leaves,
     so the derivative stays bounded; at the apex it is that of the particle's side.
     """
     mu, lam = parameters.lame
-    mean, deviator, length = _deviator(log_s, MIN_SAND_STRETCH)
+    mean, deviator, length = _deviator(log_s)
     sine = jnp.sin(parameters.friction_angle)
     slope = math.sqrt(2.0 / 3.0) * 2.0 * sine / (3.0 - sine)
     compression = jnp.maximum(3.0 * (parameters.cohesion - mean), 0.0)
     limit = (3.0 * lam + 2.0 * mu) / (2.0 * mu) * compression * slope
-    flowed, flows = _shortened(mean, deviator, length, limit)
+    shortening, flows = _shortening(deviator, length, limit)
     pulled = compression <= 0.0
-    return cp.vector(lambda i: jnp.where(pulled, parameters.cohesion, flowed[i])), flows | pulled
+    to_apex = dd.shift(dd.scale(-1.0, log_s), parameters.cohesion)
+    return dd.select(pulled, to_apex, shortening), flows | pulled
 
 
-def _deviator(log_s: Vec3, least: float) -> tuple[Array, Vec3, Array]:
-    """Mean, deviator and its length of logarithmic strains that are at least log(least)."""
-    e = cp.vector(lambda i: jnp.maximum(log_s[i], math.log(least)))
+def _deviator(log_s: Principal) -> tuple[Array, Principal, Array]:
+    """Mean, deviator and its length of logarithmic strains."""
+    e = log_s.values
     mean = (e[0] + e[1] + e[2]) * (1.0 / 3.0)
-    deviator = cp.vector(lambda i: e[i] - mean)
-    return mean, deviator, cp.norm(deviator)
+    deviator = dd.shift(log_s, -mean)
+    return mean, deviator, cp.norm(deviator.values)
 
 
-def _shortened(mean: Array, deviator: Vec3, length: Array, limit: Scalar) -> tuple[Vec3, Array]:
-    """The strain with its deviator cut to the limit, and whether that was necessary."""
+def _shortening(deviator: Principal, length: Array, limit: Scalar) -> tuple[Principal, Array]:
+    """What cuts the deviator to the limit, and whether that is necessary."""
     flows = length > limit
-    kept = jnp.where(flows, limit / jnp.where(flows, length, 1.0), 1.0)
-    return cp.vector(lambda i: mean + kept * deviator[i]), flows
-
-
-def _away_from_zero(s: Array) -> Array:
-    return jnp.where(jnp.abs(s) < MIN_STRETCH, MIN_STRETCH, s)
+    return dd.scale(jnp.where(flows, limit / jnp.where(flows, length, 1.0) - 1.0, 0.0), deviator), flows

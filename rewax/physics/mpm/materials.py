@@ -207,12 +207,14 @@ def _solid(material: Material, F: Mat3, plastic_volume: Array | None) -> tuple[M
         (tau,) = spectral(functools.partial(elastic_law, material.elasticity), b, parameters)
         return F, tau, None
     law = functools.partial(plastic_law, material.elasticity, material.plasticity)
-    correction, tau = spectral(law, b, parameters)
-    F_new = cp.matmul(correction, F)
+    elongation, tau = spectral(law, b, parameters)
+    # Added, it leaves F as it is where nothing flows. Multiplied by a ratio near 1, volume would creep by rounding.
+    F_new = cp.add_matrices(F, cp.matmul(elongation, F))
     if material.remembers:
         assert plastic_volume is not None
-        # det of the correction is det F_new / det F, finite for flattened particles too.
-        plastic_volume = plastic_volume / cp.det(correction)
+        ratio = cp.matrix(lambda i, j: elongation[i][j] + 1.0 if i == j else elongation[i][j])
+        # Its determinant is det F_new / det F, finite for flattened particles too.
+        plastic_volume = plastic_volume / cp.det(ratio)
     return F_new, tau, plastic_volume
 
 

@@ -4,7 +4,7 @@ LAPACK costs about 1.3 microseconds per matrix, a vectorised Jacobi iteration ab
 own derivative is 0/0 at repeated singular values, which is where every particle starts (F = I). Isotropic functions
 of a symmetric matrix do not have that problem: with b = U diag(lambda) U^T the derivative of U diag(f(lambda)) U^T is
 U (K o (U^T db U)) U^T with the divided differences K_ij = (f_i - f_j) / (lambda_i - lambda_j), which tend to a
-derivative where eigenvalues meet (Daleckii and Krein).
+derivative where eigenvalues meet (Daleckii and Krein). ``divided_differences`` computes them for any gap.
 """
 
 import functools
@@ -17,11 +17,16 @@ import jax.numpy as jnp
 from rewax.lowering.fusion import materialize
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics import divided_differences as dd
 from rewax.physics.numerics.components import AXES, Mat3, Vec3
+from rewax.physics.numerics.divided_differences import Principal
 from rewax.types import Array
 
-SpectralFunction = Callable[[Vec3, Any], tuple[Vec3, ...]]
-"""``(eigenvalues, parameters) -> principal values of each result``, equivariant under permutations of the axes."""
+SpectralFunction = Callable[[Principal, Any], tuple[Principal, ...]]
+"""``(eigenvalues, parameters) -> principal values of each result``, made of operations of ``divided_differences``.
+
+It is equivariant under permutations of the axes, and gives divided differences if the eigenvalues have them.
+"""
 
 _ROTATIONS = ((0, 1), (0, 2), (1, 2))
 
@@ -93,8 +98,8 @@ def spectral(function: SpectralFunction, b: Mat3, parameters: Any) -> tuple[Mat3
     """Isotropic tensor functions U diag(f(lambda)) U^T of symmetric matrices b = U diag(lambda) U^T.
 
     Args:
-      function: ``(eigenvalues, parameters) -> (f, g, ...)``, each a triple of arrays. f_i may depend on all
-        eigenvalues, but permuting them must permute f the same way.
+      function: ``(eigenvalues, parameters) -> (f, g, ...)``, each a ``Principal``. f_i may depend on all eigenvalues,
+        but permuting them must permute f the same way.
       b: symmetric matrices by components of any shape.
       parameters: pytree of arrays that broadcast against the components.
 
@@ -103,11 +108,10 @@ def spectral(function: SpectralFunction, b: Mat3, parameters: Any) -> tuple[Mat3
 
     Gradient: exact with respect to b and parameters, forward and reverse, finite at repeated eigenvalues.
     Source: Daleckii and Krein 1965; Miehe 1998, "Comparison of two algorithms for the computation of fourth-order
-      isotropic tensor functions". Eigenvalues closer than the cube root of the machine precision (relative) use the
-      mean of the derivatives at both ends instead of the divided difference.
+      isotropic tensor functions"; close eigenvalues have no limit of their own: differences obey a chain rule.
     """
     eigenvalues, u = eigh_components(b)
-    return tuple(_recompose(u, f) for f in function(eigenvalues, parameters))
+    return tuple(_recompose(u, f.values) for f in function(Principal(eigenvalues), parameters))
 
 
 def _is_zero(tangent) -> bool:
@@ -124,44 +128,31 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
     db, dparameters = _instantiate(tangents[0]), tangents[1]
     parameters_move = not all(_is_zero(t) for t in jax.tree.leaves(dparameters, is_leaf=_is_zero))
     eigenvalues, u = eigh_components(b)
-    principal = materialize(function(eigenvalues, parameters))
+    principal = materialize(function(dd.eigenvalues(eigenvalues), parameters))
     one, zero = jnp.ones_like(eigenvalues[0]), jnp.zeros_like(eigenvalues[0])
+
+    def values(eigenvalues: Vec3, parameters: Any) -> tuple[Vec3, ...]:
+        return tuple(f.values for f in function(Principal(eigenvalues), parameters))
+
     # by_eigenvalue[j][n][i]: derivative of component i of result n by eigenvalue j
-    by_eigenvalue = [
-        jax.jvp(
-            lambda e: function(e, parameters), (eigenvalues,), (cp.vector(lambda i, j=j: one if i == j else zero),)
-        )[1]
-        for j in AXES
-    ]
-    by_eigenvalue = materialize(by_eigenvalue)
+    axes = [cp.vector(lambda i, j=j: one if i == j else zero) for j in AXES]
+    by_eigenvalue = materialize([jax.jvp(lambda e: values(e, parameters), (eigenvalues,), (a,))[1] for a in axes])
     by_parameters = None
     if parameters_move:
-        _, by_parameters = jax.jvp(lambda p: function(eigenvalues, p), (parameters,), (_instantiate(dparameters),))
+        _, by_parameters = jax.jvp(lambda p: values(eigenvalues, p), (parameters,), (_instantiate(dparameters),))
     symmetric = materialize(cp.matmul(cp.matrix(lambda i, j: 0.5 * (db[i][j] + db[j][i])), u))
     rotated = materialize(cp.matmul(cp.transpose(u), symmetric))
-    close = jnp.finfo(one.dtype).eps ** (1 / 3)
     out, dout = [], []
     for n, f in enumerate(principal):
 
-        def divided_difference(i: int, j: int, f=f, n=n) -> Array:
-            gap = eigenvalues[i] - eigenvalues[j]
-            near = jnp.abs(gap) < close * (jnp.abs(eigenvalues[i]) + jnp.abs(eigenvalues[j]))
-            near = near | (gap == 0)
-            own_i, cross_i = by_eigenvalue[i][n][i], by_eigenvalue[j][n][i]
-            own_j, cross_j = by_eigenvalue[j][n][j], by_eigenvalue[i][n][j]
-            limit = 0.5 * (own_i - cross_i + own_j - cross_j)
-            return jnp.where(near, limit, (f[i] - f[j]) / jnp.where(near, 1.0, gap))
-
-        k = materialize({pair: divided_difference(*pair) for pair in _ROTATIONS})
-
-        def entry(i: int, j: int, k=k, n=n) -> Array:
+        def entry(i: int, j: int, differences=f.differences, n=n) -> Array:
             if i != j:
-                return k[min(i, j), max(i, j)] * rotated[i][j]
+                return differences[3 - i - j] * rotated[i][j]
             along = cp.dot(cp.vector(lambda a: by_eigenvalue[a][n][i]), cp.vector(lambda a: rotated[a][a]))
             return along if by_parameters is None else along + by_parameters[n][i]
 
         half = materialize(cp.matmul(materialize(cp.matrix(entry)), cp.transpose(u)))
-        out.append(_recompose(u, f))
+        out.append(_recompose(u, f.values))
         dout.append(cp.matmul(u, half))
     return tuple(out), tuple(dout)
 
@@ -177,12 +168,13 @@ def polar_components(f: Mat3) -> Mat3:
     Gradient: exact for regular F, finite everywhere.
     """
 
-    def inverse_root(eigenvalues: Vec3, parameters: None) -> tuple[Vec3, ...]:
+    def inverse_root(eigenvalues: Principal, parameters: None) -> tuple[Principal, ...]:
         del parameters
-        largest = jnp.maximum(jnp.maximum(eigenvalues[0], eigenvalues[1]), eigenvalues[2])
+        a, b, c = eigenvalues.values
+        largest = jnp.maximum(jnp.maximum(a, b), c)
         # tiny^0.6 keeps the derivative, floor^(-3/2), finite for a zero matrix.
         floor = jax.lax.stop_gradient(jnp.maximum(1e-12 * largest, float(jnp.finfo(largest.dtype).tiny) ** 0.6))
-        return (cp.vector(lambda i: jax.lax.rsqrt(jnp.maximum(eigenvalues[i], floor))),)
+        return (dd.reciprocal(dd.sqrt(dd.maximum(eigenvalues, floor))),)
 
     (root,) = spectral(inverse_root, cp.matmul(f, cp.transpose(f)), None)
     return cp.matmul(root, f)

@@ -9,6 +9,7 @@ from hypothesis import strategies as hs
 from material_cases import ENERGY, LAM, LAWS, MU, NUM, RESPOND_BACK, SOUND, STRESS, E, material, random_F, respond
 
 from rewax.physics.mpm import materials
+from rewax.physics.mpm.laws import FLUIDS
 from rewax.physics.mpm.materials import Elasticity, Plasticity
 
 USED = {
@@ -124,6 +125,50 @@ def test_values_and_derivatives_are_finite_for_any_deformation(x64, stretched, d
         assert leaf.dtype == dtype
         finite = np.isfinite(leaf).reshape(NUM, -1).all(axis=1)
         assert finite.all(), f"not finite for {F[~finite]}"
+
+
+CLOSE = np.array([1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 3e-3, 6e-3, 1e-2])
+"""Gaps between stretches. All particles shear by 2 % of strain beside them, so dough, sand and snow flow."""
+
+
+def close_stretches(stretched) -> np.ndarray:
+    compressed = np.array([[0.98 + g, 0.98, 0.95] for g in CLOSE])
+    pulled = np.array([[1.04, 0.99 + g, 0.99] for g in CLOSE])
+    return stretched(0, np.concatenate([compressed, pulled] * (NUM // (2 * len(CLOSE)))))
+
+
+def tangents(m, F, dF):
+    """Derivative of the new deformation and of the stress in parts of E."""
+    _, (new, tau, *_) = jax.jvp(lambda F: respond(m, F), (F,), (dF,))
+    return np.asarray(new, np.float64), np.asarray(tau, np.float64) / E
+
+
+@pytest.mark.parametrize(("elasticity", "plasticity"), [law for law in LAWS if law[0] not in FLUIDS])
+def test_float32_derivatives_are_those_of_float64_however_close_the_stretches(
+    x64, stretched, random_like, elasticity, plasticity
+):
+    """A gap of 0.5 % is not zero beside a yield strain of 1 %."""
+    m = material(elasticity, plasticity)
+    F = jnp.asarray(close_stretches(stretched), jnp.float32)
+    dF = random_like(0, F)
+    dF = dF / jnp.sqrt(jnp.sum(dF**2, axis=(1, 2), keepdims=True))
+    exact = tangents(m, F.astype(jnp.float64), dF.astype(jnp.float64))
+    single = tangents(jax.tree.map(lambda a: a.astype(jnp.float32), m), F, dF)
+    for one, other in zip(single, exact, strict=True):
+        error = np.linalg.norm((one - other).reshape(NUM, -1), axis=1) / np.linalg.norm(other.reshape(NUM, -1), axis=1)
+        assert error.max() < 2e-4, dict(zip(CLOSE, error, strict=False))
+
+
+@pytest.mark.parametrize(("elasticity", "plasticity"), [law for law in LAWS if law[1] is not Plasticity.NONE])
+def test_what_does_not_flow_keeps_its_deformation_to_the_last_bit(stretched, elasticity, plasticity):
+    """A ratio of stretches that is 1 up to rounding would let volume creep, substep by substep."""
+    s = np.random.default_rng(0).uniform(0.994, 0.998, (NUM, 3))  # under pressure: sand does not come apart
+    F = jnp.asarray(stretched(0, s), jnp.float32)
+    m = material(elasticity, plasticity, np.float32, friction_angle=1.0)
+    new, _, *plastic_volume = respond(m, F)
+    np.testing.assert_array_equal(new, F)
+    if plastic_volume:
+        np.testing.assert_array_equal(plastic_volume[0], 0.97 + 0.05 * jnp.abs(F[:, 0, 1]))
 
 
 def test_sound_speed_and_lame_parameters(x64):

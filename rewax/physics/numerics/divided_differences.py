@@ -1,0 +1,161 @@
+"""Functions of eigenvalues together with their divided differences, without cancellation.
+
+The derivative of an isotropic tensor function needs (f_i - f_j) / (lambda_i - lambda_j) for each pair of eigenvalues
+(``linalg3.spectral``). Computed so, it loses digits as eigenvalues meet: in float32 all of them at a gap of 1e-7, where
+dough at rest has it. A limit for small gaps is no way out, for a return map's slope varies over strains as small as its
+yield strain. So the difference goes through the function like a derivative does: each operation here takes and returns
+both, by a chain rule that is exact for any gap. f[a, b] is the divided difference of f at a and b:
+(f o g)[a, b] = f[g(a), g(b)] g[a, b], and (f g)[a, b] = (f(a) + f(b)) / 2 g[a, b] + f[a, b] (g(a) + g(b)) / 2.
+
+What depends on all eigenvalues (a trace, a norm, whether a particle flows) is a number here, the same on all axes.
+
+Gradient: exact for values. Divided differences are made for derivatives and have none of their own.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.types import Array, Scalar
+
+PAIRS = ((1, 2), (0, 2), (0, 1))
+
+
+class Principal(NamedTuple):
+    """A number for each eigenvalue, the same function of each."""
+
+    values: Vec3
+    differences: Vec3 | None = None
+    """Divided differences by eigenvalues: k belongs to the two axes other than k (``PAIRS``). None: not wanted."""
+
+
+def eigenvalues(values: Vec3) -> Principal:
+    """Eigenvalues themselves, with their divided differences."""
+    return Principal(values, cp.vector(lambda k: jnp.ones_like(values[k])))
+
+
+def uniform(a: Array, like: Principal) -> Principal:
+    """The same number on all axes."""
+    zeros = None if like.differences is None else cp.vector(lambda k: jnp.zeros_like(a))
+    return Principal((a, a, a), zeros)
+
+
+def chain(p: Principal, values: Vec3, difference: Callable[[int, int], Array]) -> Principal:
+    """f of p: f's values at p's, and its divided difference at p's values on axes i and j."""
+    if p.differences is None:
+        return Principal(values)
+    inner = p.differences
+    return Principal(values, cp.vector(lambda k: difference(*PAIRS[k]) * inner[k]))
+
+
+def add(p: Principal, q: Principal) -> Principal:
+    both = None if p.differences is None or q.differences is None else cp.add(p.differences, q.differences)
+    return Principal(cp.add(p.values, q.values), both)
+
+
+def scale(a: Scalar, p: Principal) -> Principal:
+    return Principal(cp.scale(a, p.values), None if p.differences is None else cp.scale(a, p.differences))
+
+
+def shift(p: Principal, a: Scalar) -> Principal:
+    """p + a."""
+    return p._replace(values=cp.vector(lambda i: p.values[i] + a))
+
+
+def multiply(p: Principal, q: Principal) -> Principal:
+    a, b = p.values, q.values
+    values = cp.vector(lambda i: a[i] * b[i])
+    if p.differences is None or q.differences is None:
+        return Principal(values)
+    da, db = p.differences, q.differences
+
+    def difference(i: int, j: int, k: int) -> Array:
+        return 0.5 * ((a[i] + a[j]) * db[k] + (b[i] + b[j]) * da[k])
+
+    return Principal(values, cp.vector(lambda k: difference(*PAIRS[k], k)))
+
+
+def reciprocal(p: Principal) -> Principal:
+    """1 / p, for p without zeros."""
+    values = cp.vector(lambda i: 1.0 / p.values[i])
+    return chain(p, values, lambda i, j: -values[i] * values[j])
+
+
+def select(which: Array, p: Principal, q: Principal) -> Principal:
+    """p where ``which`` is true, else q."""
+    both = jax.tree.map(lambda a, b: jnp.where(which, a, b), (p.values, p.differences), (q.values, q.differences))
+    return Principal(*both)
+
+
+def maximum(p: Principal, least: Scalar) -> Principal:
+    values = cp.vector(lambda i: jnp.maximum(p.values[i], least))
+    return chain(p, values, lambda i, j: _slope(p.values, values, i, j))
+
+
+def minimum(p: Principal, most: Scalar) -> Principal:
+    values = cp.vector(lambda i: jnp.minimum(p.values[i], most))
+    return chain(p, values, lambda i, j: _slope(p.values, values, i, j))
+
+
+def sqrt(p: Principal) -> Principal:
+    """Square root of positive values."""
+    values = cp.vector(lambda i: jnp.sqrt(p.values[i]))
+    return chain(p, values, lambda i, j: 1.0 / (values[i] + values[j]))
+
+
+def log(p: Principal) -> Principal:
+    """Logarithm of positive values."""
+    values = cp.vector(lambda i: jnp.log(p.values[i]))
+    return chain(p, values, lambda i, j: _log_slope(p.values, values, i, j))
+
+
+def exp(p: Principal) -> Principal:
+    values = cp.vector(lambda i: jnp.exp(p.values[i]))
+    return chain(p, values, lambda i, j: 1.0 / _log_slope(values, p.values, i, j))
+
+
+def expm1(p: Principal) -> Principal:
+    """exp(p) - 1, accurate for small values."""
+    return exp(p)._replace(values=cp.vector(lambda i: exp_minus_one(p.values[i])))
+
+
+@jax.custom_jvp
+def exp_minus_one(x: Array) -> Array:
+    """exp(x) - 1 to a few roundings, for small x a series: vectorised C++ has an exponential and no ``expm1``.
+
+    Gradient: exact.
+    """
+    series = jnp.ones_like(x)
+    for n in range(11, 1, -1):
+        series = 1.0 + series * x * (1.0 / n)
+    return jnp.where(jnp.abs(x) < 0.2, x * series, jnp.exp(x) - 1.0)
+
+
+@exp_minus_one.defjvp
+def _exp_minus_one_jvp(primals, tangents):
+    (x,), (dx,) = primals, tangents
+    return exp_minus_one(x), jnp.exp(x) * dx
+
+
+def _log_slope(x: Vec3, log_x: Vec3, i: int, j: int) -> Array:
+    """(log x_i - log x_j) / (x_i - x_j), for x_i near x_j as a series: log(x_i / x_j) = 2 artanh z."""
+    gap, total = x[i] - x[j], x[i] + x[j]
+    z = gap / total
+    near = jnp.abs(z) < 0.1
+    square = z * z
+    series = jnp.full_like(z, 1.0 / 15.0)
+    for n in range(13, 0, -2):
+        series = 1.0 / n + series * square
+    return jnp.where(near, 2.0 * series / total, (log_x[i] - log_x[j]) / jnp.where(near, 1.0, gap))
+
+
+def _slope(x: Vec3, y: Vec3, i: int, j: int) -> Array:
+    """(y_i - y_j) / (x_i - x_j) of clipped numbers: 1 for equal ones that are not clipped."""
+    gap = x[i] - x[j]
+    equal = gap == 0.0
+    kept = jnp.where(x[i] == y[i], 1.0, 0.0)
+    return jnp.where(equal, kept, (y[i] - y[j]) / jnp.where(equal, 1.0, gap))
