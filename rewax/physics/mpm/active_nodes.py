@@ -147,7 +147,7 @@ def _columns_on_gpu(static: tuple[Grid, float], residuals: Arrays, linear: Array
 
 
 def _list_on_gpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) -> Arrays:
-    """As ``_list_by_search``. Every node of the grid writes itself to its place; a search would be a loop of kernels."""
+    """As ``_list_by_search``, but every node of the grid writes itself to its place: a search is a loop of kernels."""
     del linear
     (grid, num_active), (lowest, count) = static, residuals
     batch, (nx, ny, nz) = lowest.shape[:-1], grid.shape
