@@ -65,7 +65,7 @@ def start(args: Args, task: str, device: Any) -> tuple[Any, Any]:
     """A state after some random control steps, and an action."""
     with jax.default_device(device):
         env = rewax.make(task, scale=args.scale)
-        state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), args.num_envs))
+        state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), args.num_envs))
         shape = (args.warm_up + 1, args.num_envs, *env.action_spec.shape)
         actions = jax.random.uniform(jax.random.key(1), shape, minval=-1.0, maxval=1.0)
         step = jax.jit(jax.vmap(env.step))

@@ -71,7 +71,7 @@ def main(args: Args) -> None:
 
 def measure(env: Any, num_envs: int, name: str, repeats: int) -> tuple[float, float]:
     """Seconds of a control step of all environments, and bytes that XLA allocates."""
-    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), num_envs))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), num_envs))
     action = jax.random.uniform(jax.random.key(1), (num_envs, *env.action_spec.shape), minval=-1.0, maxval=1.0)
 
     def forward(state: Any, action: jax.Array) -> tuple[jax.Array, Any]:
