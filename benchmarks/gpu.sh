@@ -23,6 +23,7 @@ trap 'rm -rf "$WORK"' EXIT
 BEGAN=$SECONDS
 export PYTHONUNBUFFERED=1 PYTHONPATH="$PWD:$PWD/benchmarks${PYTHONPATH:+:$PYTHONPATH}" TF_CPP_MIN_LOG_LEVEL=2
 export JAX_COMPILATION_CACHE_DIR="$WORK/cache"
+unset JAX_PLATFORMS  # both a GPU and the CPU that it is compared with
 [ -n "$QUICK" ] && export JAX_PLATFORMS=cpu
 
 say() { echo "[$((SECONDS - BEGAN)) s] $*" | tee -a "$OUT/log.txt"; }
@@ -67,6 +68,10 @@ if ! timeout 120 "$PYTHON" -c 'import jax, flax, optax, distrax, tyro, rewax; pr
     exit 1
 fi
 tail -1 "$OUT/log.txt"
+if [ -z "$QUICK" ] && ! timeout 120 "$PYTHON" -c 'import jax; assert jax.default_backend() == "gpu"' >>"$OUT/log.txt" 2>&1; then
+    say "jax finds no GPU here: give a Python with jax[cuda12] or jax[cuda13] as PYTHON, or QUICK=1 to try the script"
+    exit 1
+fi
 
 if [ -n "$QUICK" ]; then
     part agreement 300 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py --tasks RollingFlat --scale small --warm-up 2

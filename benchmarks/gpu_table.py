@@ -39,7 +39,8 @@ class Args:
 
 def with_particles(num_particles: int) -> Any:
     """HandFlip's dough, divided into so many particles."""
-    env, r = rewax.make("HandFlip", scale="paper"), REFERENCE
+    env: Any = rewax.make("HandFlip", scale="paper")
+    r = REFERENCE
     x = mirrored_disc(r["center"], r["radius"], r["half_thickness"], num_particles)
     volume = jnp.asarray(r["particle_volume"] * r["num_particles"] / num_particles)
     return env.replace(scene=env.scene.replace(particle_volume=volume), rest_positions=x)
