@@ -9,11 +9,11 @@
 #   QUICK=1 benchmarks/gpu.sh                 # tiny sizes on a CPU: does every part run to its end?
 #
 # Without PYTHON it makes a virtual environment and installs into it, if pip can reach an index; else it takes python3.
-# BUDGET: seconds in all (default 1500). PARTS: which parts (default: all, in the order below).
+# BUDGET: seconds in all (default 1500; QUICK 3600, for busy machines). PARTS: which parts (default: all, in the order below).
 set -u
 cd "$(dirname "$0")/.." || exit 1
 OUT=${1:-${OUT:-gpu_results}}
-BUDGET=${BUDGET:-1500}
+BUDGET=${BUDGET:-$([ -n "${QUICK:-}" ] && echo 3600 || echo 1500)}
 QUICK=${QUICK:-}
 PARTS=${PARTS:-agreement step scaling table train_steps training}
 TASKS="RollingFlat AntRun HandFlip FluidMove SoftJumper HandReorient GripperLift SteerFloat"
@@ -74,12 +74,12 @@ if [ -z "$QUICK" ] && ! timeout 120 "$PYTHON" -c 'import jax; assert jax.default
 fi
 
 if [ -n "$QUICK" ]; then
-    part agreement 300 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py --tasks RollingFlat --scale small --warm-up 2
+    part agreement 600 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py --tasks RollingFlat --scale small --warm-up 2
     part step:RollingFlat 300 step.txt "$PYTHON" benchmarks/speed.py --worker forward:RollingFlat:small --repeats 2
     part scaling 300 scaling.txt "$PYTHON" benchmarks/scaling.py --envs 1 2 --particles 1000 --particles-per-env 500 --substeps 4 --repeats 1 --out "$OUT/scaling"
     part table 300 table.txt "$PYTHON" benchmarks/gpu_table.py --particles 2500 --envs 1 --repeats 1 --no-backward
-    part train_steps:AntRun 300 train_steps.txt "$PYTHON" benchmarks/speed.py --worker train_step:AntRun:small --repeats 1
-    part training 400 training.txt "$PYTHON" -m rewax train --env RollingFlat --scale small --run-dir "$WORK/run" --sapo.num-iterations 2 --train.num-eval-episodes 2 --train.no-plots
+    part train_steps:AntRun 900 train_steps.txt "$PYTHON" benchmarks/speed.py --worker train_step:AntRun:small --repeats 1
+    part training 900 training.txt "$PYTHON" -m rewax train --env RollingFlat --scale small --run-dir "$WORK/run" --sapo.num-iterations 2 --train.num-eval-episodes 2 --train.no-plots
 else
     part agreement 300 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py
     for pass in forward backward; do

@@ -26,7 +26,7 @@ def test_its_parts_name_files_that_exist_and_all_have_a_limit():
     default = re.search(r"PARTS:-([\w ]+)", SCRIPT.read_text())
     assert default and names == set(default.group(1).split())
     for words in lines:
-        assert 0 < int(words[2]) <= 400, words
+        assert 0 < int(words[2]) <= 900, words
         assert words[3].endswith(".txt") and words[4] == '"$PYTHON"', words
         assert words[5:7] == ["-m", "rewax"] or (ROOT / words[5]).is_file(), words
 
