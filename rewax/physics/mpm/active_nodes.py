@@ -1,11 +1,14 @@
 """The nodes that take part in a step: those that particles can reach, column by column."""
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rewax.lowering.fusion import materialize
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.splines import quadratic_bspline
 from rewax.physics.numerics import components as cp
@@ -45,13 +48,9 @@ def list_nodes(grid: Grid, x: Array, num_active: int, *, reach: float = 1.0) -> 
       num_active: how many the list holds, at least 3; further ones are left out (see ``count_nodes``).
       reach: in cells, one of ``REACHES``.
     """
-    lowest, count = _columns(grid, x, reach)
-    end = jnp.cumsum(count, dtype=jnp.int32)
-    offset = end - count - lowest
-    place = jnp.arange(num_active, dtype=jnp.int32)
-    column = jnp.searchsorted(end, place, side="right").astype(jnp.int32)
-    column = jnp.minimum(column, grid.num_columns - 1)
-    z = jnp.clip(place - offset[column], 0, grid.shape[2] - 1)
+    like = [jax.ShapeDtypeStruct((n,), jnp.int32) for n in (grid.num_columns, num_active, num_active)]
+    columns = _columns(grid, x, reach)
+    offset, column, z = linear_call(_LIST, no_transpose, (grid, num_active), columns, (), like=like)
     index = (column // grid.shape[1], column % grid.shape[1], z)
     return materialize(ActiveNodes(offset, index, _position(grid, index, x.dtype)))
 
@@ -61,17 +60,39 @@ def count_nodes(grid: Grid, x: Array, *, reach: float = 1.0) -> Array:
     return jnp.sum(_columns(grid, x, reach)[1], dtype=jnp.int32)
 
 
-def _columns(grid: Grid, x: Array, reach: float) -> tuple[Array, Array]:
-    """Lowest node in reach of a particle, and how many nodes from it to the highest, for each column along z."""
-    down = int(reach)
-    half = reach - down  # half a cell to either side is one node more: below, if the particle is put half a cell lower
-    up = down + int(2.0 * half)
-    x = jax.lax.stop_gradient(x) - half * grid.spacing if half else jax.lax.stop_gradient(x)
-    bx, by, bz = (
-        quadratic_bspline(x[:, a], origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a]).base
-        for a in cp.AXES
-    )
+def _columns(grid: Grid, x: Array, reach: float) -> Arrays:
+    """Lowest node in reach of a particle, and how many nodes from it to the highest, for each column along z.
+
+    A column that no particle reaches has ``grid.shape[2]`` as its lowest node.
+    """
+    like = [jax.ShapeDtypeStruct((grid.num_columns,), jnp.int32)] * 2
+    return linear_call(_COLUMNS, no_transpose, (grid, reach), (jax.lax.stop_gradient(x),), (), like=like)
+
+
+# --- On a CPU: few operations -----------------------------------------------------------------------------------------
+
+
+def _columns_on_cpu(static: tuple[Grid, float], residuals: Arrays, linear: Arrays) -> Arrays:
+    del linear
+    return _batched(functools.partial(_columns_by_axis, *static), residuals, 2)
+
+
+def _list_on_cpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) -> Arrays:
+    del linear
+    return _batched(functools.partial(_list_by_search, *static), residuals, 1)
+
+
+def _batched(one: Callable[..., Arrays], arrays: Arrays, ndim: int) -> Arrays:
+    """``one`` of arrays of ``ndim`` axes, which may have further ones at the front."""
+    for _ in range(arrays[0].ndim - ndim):
+        one = jax.vmap(one)
+    return one(*arrays)
+
+
+def _columns_by_axis(grid: Grid, reach: float, x: Array) -> Arrays:
+    bx, by, bz = _lowest_nodes(grid, reach, x)
     nx, ny, nz = grid.shape
+    down, up, _ = _margins(reach)
     # A stencil covers its lowest node and the two above it.
     below = jnp.full((nx, ny), nz, jnp.int32).at[bx, by].min(bz - down)
     above = jnp.full((nx, ny), -1, jnp.int32).at[bx, by].max(bz + 2 + up)
@@ -84,6 +105,100 @@ def _columns(grid: Grid, x: Array, reach: float) -> tuple[Array, Array]:
         above = jax.lax.reduce_window(above, jnp.int32(-1), jax.lax.max, window, (1, 1), pads)
     lowest, highest = jnp.maximum(below, 0).reshape(-1), jnp.minimum(above, nz - 1).reshape(-1)
     return lowest, jnp.maximum(highest - lowest + 1, 0)
+
+
+def _list_by_search(grid: Grid, num_active: int, lowest: Array, count: Array) -> Arrays:
+    """Offsets of the columns, and the column and the index along z of each node of the list."""
+    end = jnp.cumsum(count, dtype=jnp.int32)
+    offset = end - count - lowest
+    place = jnp.arange(num_active, dtype=jnp.int32)
+    column = jnp.searchsorted(end, place, side="right").astype(jnp.int32)
+    column = jnp.minimum(column, grid.num_columns - 1)
+    return offset, column, jnp.clip(place - offset[column], 0, grid.shape[2] - 1)
+
+
+# --- On a GPU: few kernels --------------------------------------------------------------------------------------------
+
+
+def _columns_on_gpu(static: tuple[Grid, float], residuals: Arrays, linear: Arrays) -> Arrays:
+    """One scatter and one window for both ends of the columns: the highest node, negated, is a lowest one."""
+    del linear
+    (grid, reach), (x,) = static, residuals
+    batch, (nx, ny, nz) = x.shape[:-2], grid.shape
+    down, up, _ = _margins(reach)
+    bx, by, bz = (a.reshape(-1, a.shape[-1]) for a in _lowest_nodes(grid, reach, x))
+    environment = jax.lax.broadcasted_iota(jnp.int32, bx.shape, 0)
+    column = (environment * nx + bx) * ny + by
+    ends = jnp.broadcast_to(jnp.asarray([nz, 1], jnp.int32), (len(bx) * nx * ny, 2))
+    found = jnp.stack([bz - down, -(bz + 2 + up)], axis=-1)
+    ends = ends.at[column.reshape(-1)].min(found.reshape(-1, 2), mode="promise_in_bounds", wrap_negative_indices=False)
+    padding = (2 + up, down)
+    size = 1 + sum(padding)
+    ends = jax.lax.reduce_window(
+        ends.reshape(-1, nx, ny, 2),
+        jnp.int32(nz),
+        jax.lax.min,
+        (1, size, size, 1),
+        (1, 1, 1, 1),
+        ((0, 0), padding, padding, (0, 0)),
+    ).reshape(*batch, nx * ny, 2)
+    lowest, highest = jnp.maximum(ends[..., 0], 0), jnp.minimum(-ends[..., 1], nz - 1)
+    return lowest, jnp.maximum(highest - lowest + 1, 0)
+
+
+def _list_on_gpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) -> Arrays:
+    """As ``_list_by_search``, but every node of the grid writes itself to its place: a search is a loop of kernels."""
+    del linear
+    (grid, num_active), (lowest, count) = static, residuals
+    batch, (nx, ny, nz) = lowest.shape[:-1], grid.shape
+    lowest, count = (a.reshape(-1, nx * ny) for a in (lowest, count))
+    end = _cumulative(count.reshape(-1, nx, ny)).reshape(count.shape)
+    offset = end - count - lowest
+    # A search leaves this at places that are not used.
+    place = jnp.arange(num_active, dtype=jnp.int32)
+    nodes = (nx * ny - 1) * nz + jnp.clip(place - offset[:, -1:], 0, nz - 1)
+    shape = (len(count), nx * ny, nz)
+    environment, column, z = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(3))
+    to = offset[..., None] + z
+    listed = (z >= lowest[..., None]) & (to < jnp.minimum(end, num_active)[..., None])
+    node = column * nz + z
+    nowhere = nodes.size + environment * grid.num_nodes + node  # of each node another, so all indices are unique
+    to = jnp.where(listed, environment * num_active + to, nowhere).reshape(-1)
+    update = {"mode": "drop", "unique_indices": True, "wrap_negative_indices": False}
+    nodes = nodes.reshape(-1).at[to].set(node.reshape(-1), **update)
+    return tuple(a.reshape(*batch, -1) for a in (offset, nodes // nz, nodes % nz))
+
+
+def _cumulative(a: Array) -> Array:
+    """Cumulative sum over the last two axes, in order, int32: two masked sums, where XLA's is a ladder of kernels."""
+    rows, columns = (jnp.arange(n) for n in a.shape[-2:])
+    earlier_rows = jnp.sum(jnp.where((rows < rows[:, None])[..., None], a[..., None, :, :], 0), (-2, -1), jnp.int32)
+    within_row = jnp.sum(jnp.where(columns <= columns[:, None], a[..., None, :], 0), -1, jnp.int32)
+    return within_row + earlier_rows[..., None]
+
+
+# --- On both ----------------------------------------------------------------------------------------------------------
+
+_COLUMNS = ByPlatform(cpu=_columns_on_cpu, other=_columns_on_gpu)
+_LIST = ByPlatform(cpu=_list_on_cpu, other=_list_on_gpu)
+
+
+def _margins(reach: float) -> tuple[int, int, float]:
+    """How many nodes a list holds below and above a particle's stencil, and how much lower the particle counts, in
+    cells: half a cell to either side is one node more, below, if the particle is put half a cell lower."""
+    down = int(reach)
+    half = reach - down
+    return down, down + int(2.0 * half), half
+
+
+def _lowest_nodes(grid: Grid, reach: float, x: Array) -> Vec3:
+    half = _margins(reach)[2]
+    x = x - half * grid.spacing if half else x
+    return cp.vector(
+        lambda a: (
+            quadratic_bspline(x[..., a], origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a]).base
+        )
+    )
 
 
 def _position(grid: Grid, index: tuple[Array, Array, Array], dtype) -> Vec3:

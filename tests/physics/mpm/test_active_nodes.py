@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
+from rewax.physics.mpm import active_nodes
 from rewax.physics.mpm.active_nodes import REACHES, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Elasticity, Material, Plasticity
@@ -121,6 +122,23 @@ def test_active_nodes_are_those_in_reach_and_between_them_along_z(corner, reach)
     )
     places = [int(nodes.offset[i * GRID.shape[1] + j]) + k for i, j, k in wanted]
     np.testing.assert_array_equal(places, np.arange(len(wanted)))
+
+
+@pytest.mark.parametrize("num_active", [60, 750])
+@pytest.mark.parametrize("reach", REACHES)
+@pytest.mark.parametrize("corner", [(0.2, 0.1, 0.9), (1.0, 1.0, 1.0)])
+def test_the_program_for_a_gpu_makes_the_same_lists(corner, reach, num_active):
+    """Bit for bit, for lists that are too short too, in a batch of environments."""
+    x = jnp.stack([body(seed, place, np.float32)[0].x for seed, place in ((1, corner), (2, (0.5, 0.0, 0.3)))])
+    columns, lists = active_nodes._COLUMNS, active_nodes._LIST
+    on_cpu, on_gpu = (
+        jax.jit(lambda x, i=i: (c := columns[i]((GRID, reach), (x,), ()), lists[i]((GRID, num_active), c, ())))(x)
+        for i in (0, 1)
+    )
+    assert int(on_cpu[0][1].sum(1).min()) > 60
+    jax.tree.map(np.testing.assert_array_equal, on_gpu, on_cpu)
+    one = jax.jit(lambda x: lists.other((GRID, num_active), columns.other((GRID, reach), (x,), ()), ()))(x[1])
+    jax.tree.map(np.testing.assert_array_equal, one, tuple(a[1] for a in on_cpu[1]))
 
 
 def test_all_nodes_are_in_order():

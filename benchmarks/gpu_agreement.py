@@ -1,0 +1,109 @@
+"""Does a GPU compute what a CPU computes? Values and gradients of control steps of several tasks, on both.
+
+Random actions bring tools and material together on the CPU; from there both devices take one control step and
+differentiate its reward and the mean of the state's numbers by actions and state. For each array: the largest
+difference over the largest number on the CPU. Single precision, and on a GPU the order of sums varies, so 1e-5 is
+agreement, and 1e-3 is enough where contact amplifies; the repeat on one device beside it says how much of a difference
+is the order of sums alone.
+
+    python benchmarks/gpu_agreement.py
+    python benchmarks/gpu_agreement.py --tasks RollingFlat --scale small --warm-up 2
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+import rewax
+from rewax.status import describe
+from rewax.training.cache import enable_compilation_cache
+
+
+@dataclasses.dataclass(frozen=True)
+class Args:
+    """Options of this benchmark."""
+
+    tasks: tuple[str, ...] = ("RollingFlat", "AntRun", "SoftJumper", "FluidMove", "HandFlip")
+    scale: str = "paper"
+    num_envs: int = 2
+    warm_up: int = 10
+    """Control steps on the CPU before the one that is compared."""
+
+
+def program(env: Any, state: Any, action: jax.Array) -> Any:
+    """Reward, the state after a control step, and the gradient of a sum of both by the state and the action."""
+
+    def total(physics: Any, action: jax.Array) -> tuple[jax.Array, Any]:
+        end = jax.vmap(env.step)(state.replace(physics=physics), action)
+        numbers = [jnp.mean(a) for a in jax.tree.leaves(end.physics) if jnp.issubdtype(a.dtype, jnp.floating)]
+        return end.reward.sum() + sum(numbers), end
+
+    (_, end), by = jax.value_and_grad(total, argnums=(0, 1), has_aux=True, allow_int=True)(state.physics, action)
+    return {
+        "reward": end.reward,
+        "state": end.physics,
+        "status": end.status,
+        "gradient by action": by[1],
+        "gradient by state": by[0],
+    }
+
+
+def run(args: Args, task: str, device: Any, state: Any, action: Any) -> list[Any]:
+    """What two runs of the program on one device give."""
+    with jax.default_device(device):
+        env = rewax.make(task, scale=args.scale)
+        compiled = jax.jit(lambda s, a: program(env, s, a))
+        inputs = jax.device_put((state, action), device)
+        return [jax.device_get(compiled(*inputs)) for _ in range(2)]
+
+
+def start(args: Args, task: str, device: Any) -> tuple[Any, Any]:
+    """A state after some random control steps, and an action."""
+    with jax.default_device(device):
+        env = rewax.make(task, scale=args.scale)
+        state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), args.num_envs))
+        shape = (args.warm_up + 1, args.num_envs, *env.action_spec.shape)
+        actions = jax.random.uniform(jax.random.key(1), shape, minval=-1.0, maxval=1.0)
+        step = jax.jit(jax.vmap(env.step))
+        for action in actions[:-1]:
+            state = step(state, action)
+        return state, actions[-1]
+
+
+def difference(a: Any, b: Any) -> float:
+    """Largest over all arrays: the largest difference over the largest number."""
+    found = [0.0]
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating):
+            x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+            if x.size:
+                found.append(float(np.abs(x - y).max() / max(np.abs(x).max(), 1e-30)))
+    return float("nan") if np.isnan(found).any() else max(found)
+
+
+def main(args: Args) -> None:
+    enable_compilation_cache()
+    cpu, other = jax.devices("cpu")[0], jax.devices()[0]
+    print(f"jax {jax.__version__}; CPU against {other.device_kind}; scale {args.scale}, {args.num_envs} environments")
+    print(f"{'':14s} {'array':20s} {'devices differ':>15s} {'repeats differ':>15s}")
+    for task in args.tasks:
+        try:
+            state, action = start(args, task, cpu)
+            first, _ = run(args, task, cpu, state, action)
+            second, again = run(args, task, other, state, action)
+        except Exception as error:  # the other tasks go on
+            print(f"{task:14s} failed: {type(error).__name__}: {str(error).splitlines()[0][:160]}", flush=True)
+            continue
+        for name in ("reward", "state", "gradient by action", "gradient by state"):
+            apart, noise = difference(first[name], second[name]), difference(second[name], again[name])
+            print(f"{task:14s} {name:20s} {apart:15.1e} {noise:15.1e}", flush=True)
+        bits = [describe(int(np.bitwise_or.reduce(r["status"]))) for r in (first, second)]
+        print(f"{task:14s} {'status':20s} {bits[0]:>15s} {bits[1]:>15s}", flush=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
