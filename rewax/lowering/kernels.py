@@ -182,8 +182,9 @@ def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
         text, outputs = source(which, program, avals, varies)
     except UnsupportedError:
         return None
+    registered = build.register(_CALLER, ("rewax_pointwise",))
     caller = build.load(_CALLER).library
-    if caller is None or not build.register(_CALLER, ("rewax_pointwise",)):
+    if caller is None or not registered:
         return None
     kernel, reason = build.load(build.Source("kernel", text, _OPTIMIZATION))
     if kernel is None:

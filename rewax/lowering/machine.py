@@ -52,7 +52,7 @@ def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | No
     @functools.wraps(function)
     def call(*args: Any) -> T:
         arrays, treedef, constants = split_arguments(args)
-        passes = RECOMPUTED if build.is_off() or build.compiler() is None else INTERPRETED
+        passes = INTERPRETED if build.is_available() else RECOMPUTED
         return run_program(Program(passes, function, derivative_of, treedef, constants), arrays)
 
     return call
@@ -118,8 +118,9 @@ def _target(which: str, program: Program, avals: tuple, count: int, precision: A
     except UnsupportedError:
         return None
     source, handler = machine(line.dtype)
+    registered = build.register(source, (handler,))
     library, reason = build.load(source)
-    if library is None or not build.register(source, (handler,)):
+    if library is None or not registered:
         warnings.warn(f"rigid bodies are computed with JAX, slower than in C++: {reason}", stacklevel=2)
         return None
     digest = hashlib.sha256(tape.code.tobytes() + tape.constants.tobytes() + handler.encode())
