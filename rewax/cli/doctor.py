@@ -108,7 +108,7 @@ def native_problems() -> Iterator[tuple[str, str]]:
         return
     if missing is not None:
         yield (
-            f"physics is not computed in C++ ({missing}): on a CPU soft bodies take twice the time, rigid ones ten times",
+            f"physics is not computed in C++ ({missing}): a CPU takes 2 times as long for soft bodies, 10 for rigid",
             "install a C++ compiler, g++ or clang++, or set CXX to one",
         )
     elif build.compiler() is None:

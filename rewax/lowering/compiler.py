@@ -6,11 +6,13 @@ import platform
 import shlex
 import shutil
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import IO
 
 _COMPILERS = ("c++", "g++", "clang++")
 FLAGS = ("-std=c++17", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-w")
@@ -70,9 +72,17 @@ def build(words: Sequence[str], text: str, options: Sequence[str], folder: Path)
     program.write_text(text, encoding="utf-8")
     run([*words, *options, str(program), "-o", str(library)], _BUILD_S)
     contents = library.read_bytes() if library.is_file() else b""
-    if not contents:
-        raise CompilerError(f"{shlex.join(words)} failed (it wrote no library)")
+    if not contents or _is_cut(contents):
+        raise CompilerError(f"{shlex.join(words)} failed (it wrote no whole library)")
     return contents
+
+
+def _is_cut(contents: bytes) -> bool:
+    """Whether a library of Linux lacks its end, where linkers write the table of sections: to load it is to crash."""
+    if contents[:6] != b"\x7fELF\x02\x01":  # 64 bits, little-endian
+        return False
+    begin, size, number = struct.unpack("<40xQ10xHH2x", contents[:64].ljust(64))
+    return len(contents) < max(64, begin + size * number)
 
 
 def run(words: Sequence[str], seconds: float) -> str:
@@ -109,7 +119,7 @@ def run(words: Sequence[str], seconds: float) -> str:
         return _text(output)
 
 
-def _text(file) -> str:
+def _text(file: IO[bytes]) -> str:
     file.seek(0)
     return file.read(_MOST_OUTPUT).decode("utf-8", "replace")
 

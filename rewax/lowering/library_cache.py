@@ -38,9 +38,9 @@ def load(name: str, make: Callable[[Path], bytes]) -> tuple[ctypes.CDLL, Path]:
     home = folder()
     path, damaged = find(home, name, private=True)
     if path:
-        with contextlib.suppress(OSError):  # made where other libraries are installed: make it here
+        with contextlib.suppress(OSError):
             return ctypes.CDLL(str(path)), path
-        damaged = [*damaged, path]
+        _remove(path)  # it was built where other libraries are installed
     contents = None
     try:
         with _build_folder(home) as empty:
@@ -49,14 +49,23 @@ def load(name: str, make: Callable[[Path], bytes]) -> tuple[ctypes.CDLL, Path]:
         for other in damaged:
             if other != path and fault(other, name, private=True):
                 _remove(other)
-        return ctypes.CDLL(str(path)), path
+        return _loaded(path), path
     except OSError as error:  # the disk is full, read-only, or one that no program runs from
         home = temporary_folder()
         with _build_folder(home) as empty:
             path = keep(home, name, contents or make(empty), empty)
-        library = ctypes.CDLL(str(path))
+        library = _loaded(path)
         say(f"{name} cannot be kept and is built at every start ({error})")
         return library, path
+
+
+def _loaded(path: Path) -> ctypes.CDLL:
+    """A new library, which goes if it does not load."""
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError:
+        _remove(path)
+        raise
 
 
 def find(home: Path, name: str, *, private: bool) -> tuple[Path | None, list[Path]]:
