@@ -5,6 +5,7 @@
 ``load`` gives None and callers do without: whatever is written in C++ is written with JAX, too.
 """
 
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -62,11 +63,15 @@ def register(source: Source, symbols: tuple[str, ...]) -> bool:
     library, reason = load(source)
     if library is None:
         return False
+    version = shipped.ffi_version_of(Path(reason))
+    if version not in (None, shipped.ffi_version(jax.ffi.include_dir())):
+        with contextlib.suppress(RuntimeError):  # there is no CPU
+            jax.local_devices(backend="cpu")  # refused before its backend exists, a library makes that fail, not this
     try:
         for symbol in symbols:
             jax.ffi.register_ffi_target(symbol, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
     except Exception:  # of several types in different releases of JAX
-        if shipped.FOLDER not in Path(reason).parents:
+        if version is None:
             raise
         _refused.add(source)
         load.cache_clear()

@@ -44,11 +44,10 @@ def folders() -> list[Path]:
     if not FOLDER.is_dir() or not sys.platform.startswith("linux") or platform.machine() != "x86_64":
         return []
     runtime = ffi_version(jax.ffi.include_dir())
-    homes = [
-        (version, home)
-        for home in FOLDER.glob("ffi-*")
-        if (version := _numbers(home.name)) and (runtime is None or (version[0] == runtime[0] and version <= runtime))
-    ]
+    if runtime is None:  # what the runtime refuses may break JAX for a CPU altogether
+        return []
+    versions = [(ffi_version_of(home), home) for home in FOLDER.glob("ffi-*")]
+    homes = [(version, home) for version, home in versions if version and (runtime[0], 0) <= version <= runtime]
     levels = processor_levels(compiler.processor_flags())
     return [home / level for _, home in sorted(homes, reverse=True) for level in levels if (home / level).is_dir()]
 
@@ -69,7 +68,7 @@ def processor_levels(flags: tuple[str, ...]) -> list[str]:
 
 @functools.cache
 def ffi_version(include: str) -> tuple[int, int] | None:
-    """Version of XLA's foreign function interface: JAX refuses a library built with a newer one than its own.
+    """Version of XLA's foreign function interface: JAX refuses a library built with a newer one, or one of years ago.
 
     Args:
       include: folder of the headers of ``jax.ffi``.
@@ -82,6 +81,12 @@ def ffi_version(include: str) -> tuple[int, int] | None:
     return (int(found[0][1]), int(found[1][1])) if found[0] and found[1] else None
 
 
-def _numbers(name: str) -> tuple[int, int] | None:
-    found = re.fullmatch(r"ffi-(\d+)\.(\d+)", name)
+def ffi_version_of(path: Path) -> tuple[int, int] | None:
+    """The version of the headers that a shipped library was built with, None for any other file.
+
+    Args:
+      path: of the library, or of the folder of its version.
+    """
+    inside = path.relative_to(FOLDER).parts[:1] if path.is_relative_to(FOLDER) else ()
+    found = re.fullmatch(r"ffi-(\d+)\.(\d+)", "".join(inside))
     return (int(found[1]), int(found[2])) if found else None

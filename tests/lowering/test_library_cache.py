@@ -143,7 +143,7 @@ def test_what_is_kept_but_does_not_load_is_built_again(cache, contents):
 
 
 def test_what_never_loads_is_an_error_and_is_not_kept(cache):
-    with pytest.raises(OSError, match="invalid|short|mach-o"):
+    with pytest.raises(OSError, match=r"invalid|short|mach-o"):
         library_cache.load("one-11", lambda folder: b"no library")
     assert not [*cache.iterdir()]
 
