@@ -85,8 +85,9 @@ def load_in_a_process(folder, **environment):
 @needs_compiler
 @pytest.mark.parametrize("size", [0, 1000, 5000])
 def test_a_truncated_library_is_built_again(folder, size):
-    path = Path(build.load(written()).reason)
-    os.truncate(path, size)
+    assert load_in_a_process(folder)[:2] == ("1\n", 0)
+    (path,) = (folder / "cache" / "rewax" / "native").glob("*")
+    os.truncate(path, size)  # not mapped by this process, which would crash
     out, code, errors = load_in_a_process(folder)
     assert (out, code) == ("1\n", 0), errors
     assert errors.count("Warning: ") == 1 and "is not used: it is damaged" in errors
