@@ -19,6 +19,7 @@ ALLOWED = {
     "physics.contact": {"base", "lowering", "physics.numerics", "physics.shapes"},
     **{solver: {"base", "lowering"} | SHARED for solver in SOLVERS},
     "physics.coupling": {"base", "lowering"} | SHARED | SOLVERS,
+    "fixed_sources": {"base", "lowering"} | PHYSICS,
     "viz": {"base"},
     "envs": {"base"} | PHYSICS,
     "agents": {"base", "lowering", "envs"} | PHYSICS,
@@ -26,7 +27,7 @@ ALLOWED = {
     "testing": {"base", "lowering", "envs", "viz"} | PHYSICS,
     "adapters": {"base", "envs", "training", "viz"},
     "debug": {"base"} | PHYSICS,
-    "cli": {"base", "lowering", "envs", "agents", "training", "viz", "testing"} | PHYSICS,
+    "cli": {"base", "lowering", "envs", "agents", "training", "viz", "testing", "fixed_sources"} | PHYSICS,
     "top": {"base", "lowering", "envs", "agents", "training", "viz", "testing", "cli"} | PHYSICS,
 }
 """Floors, and what each may import besides itself. Solvers do not import each other; only coupling knows several."""

@@ -7,6 +7,7 @@ import platform
 import shutil
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -85,26 +86,60 @@ def _device_problems() -> Iterator[tuple[str, str]]:
 
 
 def native_problems() -> Iterator[tuple[str, str]]:
-    """Whether physics is computed in C++, where a CPU is what JAX computes on."""
+    """Whether physics is computed in C++, where a CPU is what JAX computes on, and where its libraries come from."""
     import jax
-    import numpy as np
 
-    from rewax.lowering import build, machine
-    from rewax.physics.mpm import transfer_native
+    from rewax.fixed_sources import fixed_sources
+    from rewax.lowering import build
 
-    for source in (transfer_native.SOURCE, machine.machine(np.dtype(np.float32)).source):
-        library, reason = build.load(source)
-        if library is None:
-            break
-    if library is not None or build.is_off():
-        print(f"physics on a CPU: {'in C++, ' if library is not None else 'with JAX, for '}{reason}")
+    if build.is_off():
+        print("physics on a CPU: with JAX, for REWAX_NATIVE=0 is set")
         return
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        print(_compiler_line(), _cache_line(), sep="\n")
+        found = [build.load(source) for source in fixed_sources()]
+    for sentence in dict.fromkeys(str(warning.message) for warning in said):
+        yield sentence, "C++ is built again where need be"
+    missing = next((reason for library, reason in found if library is None), None)
+    if missing is None:
+        print(f"physics on a CPU: in C++, {_origin([Path(reason) for _, reason in found])}")
     if jax.default_backend() != "cpu":
         return
-    yield (
-        f"physics is not computed in C++ ({reason}): on a CPU soft bodies take twice as long, rigid ones ten times",
-        "install a C++ compiler, g++ or clang++, or set CXX to one",
-    )
+    if missing is not None:
+        yield (
+            f"physics is not computed in C++ ({missing}): a CPU takes 2 times as long for soft bodies, 10 for rigid",
+            "install a C++ compiler, g++ or clang++, or set CXX to one",
+        )
+
+
+def _compiler_line() -> str:
+    from rewax.lowering import build, compiler
+
+    words = compiler.command()
+    if words is None:
+        return build.no_compiler()
+    try:
+        return f"C++ compiler: {build.compiler()} ({(compiler.version(words).splitlines() or ['?'])[0]})"
+    except compiler.CompilerError as error:
+        return f"C++ compiler: {build.compiler()}, which does not work: {error}"
+
+
+def _cache_line() -> str:
+    from rewax.lowering import library_cache
+
+    folder = library_cache.folder()
+    return f"C++ libraries are kept in {folder}: {len(list(folder.glob('*.so')))} files"
+
+
+def _origin(paths: Sequence[Path]) -> str:
+    """Where libraries come from."""
+    from rewax.lowering import shipped
+
+    came = [path.parent for path in paths if shipped.FOLDER in path.parents]
+    built = len(paths) - len(came)
+    parts = [f"{len(came)} libraries that came with rewax ({came[0]})"] if came else []
+    return ", ".join(parts + ([f"{built} libraries that were built here"] if built else []))
 
 
 def cache_problems() -> Iterator[tuple[str, str]]:

@@ -20,7 +20,7 @@ from rewax.lowering.assembler import BlockBytecode, assemble_blocks
 from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.linear_primitive import Arrays
-from rewax.lowering.machine import is_available, load, machine
+from rewax.lowering.machine import load, machine
 from rewax.lowering.operations import UnsupportedError
 from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.types import Array
@@ -59,7 +59,7 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
         dtype = _common_type(elements)
-        if dtype is None or not is_available():
+        if dtype is None or not build.is_available():
             return function(shared, elements)
         # As arrays: a number inside the program would make another program of every number.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)

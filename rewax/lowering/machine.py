@@ -50,7 +50,7 @@ def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | No
     @functools.wraps(function)
     def call(*args: Any) -> T:
         arrays, treedef, constants = split_arguments(args)
-        passes = INTERPRETED if is_available() else RECOMPUTED
+        passes = INTERPRETED if build.is_available() else RECOMPUTED
         return run_program(Program(passes, function, derivative_of, treedef, constants), arrays)
 
     return call
@@ -147,11 +147,6 @@ def machine(dtype: np.dtype) -> Machine:
     return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks)
 
 
-def is_available() -> bool:
-    """Whether there may be a machine: this builds nothing."""
-    return not build.is_off() and build.compiler() is not None
-
-
 def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | None, str]:
     """Hand bytecode to the machine.
 
@@ -186,4 +181,4 @@ def _array(numbers: np.ndarray) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     return numbers.ctypes.data_as(ctypes.c_void_p), ctypes.c_int64(len(numbers))
 
 
-__all__ = ["Machine", "interpreted", "is_available", "load", "machine"]
+__all__ = ["Machine", "interpreted", "load", "machine"]

@@ -1,10 +1,13 @@
 """``rewax doctor``: what it prints here, and what it says of installations that do not work."""
 
+import itertools
+
 import pytest
+from native_cases import NEEDS_COMPILER
 
 from rewax.cli import doctor
 from rewax.cli.main import main
-from rewax.lowering import build
+from rewax.lowering import build, shipped
 
 GOOD = {"jax": "0.10.1", "jaxlib": "0.10.1", "flax": "0.12.8", "mujoco-mjx": "3.17.0"}
 
@@ -60,22 +63,55 @@ def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     assert "every start compiles anew" in problem and "JAX_COMPILATION_CACHE_DIR" in remedy
 
 
-@pytest.mark.parametrize(
-    ("found", "off", "said"),
-    [
-        (build.Loaded(object(), "/a/place.so"), False, "in C++, /a/place.so\n"),
-        (build.Loaded(None, "REWAX_NATIVE=0 is set"), True, "with JAX, for REWAX_NATIVE=0 is set\n"),
-    ],
-)
-def test_says_how_a_cpu_computes_soft_bodies(monkeypatch, capsys, found, off, said):
-    monkeypatch.setattr(build, "load", lambda source: found)
-    monkeypatch.setattr(build, "is_off", lambda: off)
+@pytest.fixture
+def native(monkeypatch, tmp_path):
+    """C++ that is wanted, and a cache of its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("REWAX_NATIVE", raising=False)
+    monkeypatch.delenv("CXX", raising=False)
+
+
+def test_says_where_libraries_come_from(monkeypatch, capsys, native, tmp_path):
+    places = itertools.cycle((shipped.FOLDER / "ffi-0.3" / "x86-64-v3" / "a.so", tmp_path / "b.so"))
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(object(), str(next(places))))
     assert not list(doctor.native_problems())
-    assert capsys.readouterr().out.endswith(said)
+    said = capsys.readouterr().out
+    assert (
+        f"in C++, 3 libraries that came with rewax ({shipped.FOLDER}/ffi-0.3/x86-64-v3), 2 libraries that were" in said
+    )
+    assert f"C++ libraries are kept in {tmp_path}/rewax/native: 0 files\n" in said
 
 
-def test_a_missing_compiler_is_a_problem(monkeypatch):
+@NEEDS_COMPILER
+def test_names_the_compiler(monkeypatch, capsys, native):
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(object(), "/a/place.so"))
+    assert not list(doctor.native_problems())
+    assert f"C++ compiler: {build.compiler()} (" in capsys.readouterr().out
+
+
+def test_says_that_laws_need_a_compiler_where_there_is_none(monkeypatch, capsys, native):
+    monkeypatch.setenv("CXX", "/nonexistent")
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(object(), "/a/place.so"))
+    assert not list(doctor.native_problems())
+    said = capsys.readouterr().out
+    assert said.startswith("there is no C++ compiler (CXX=/nonexistent)\n")
+    assert "laws and contact on a CPU: with JAX, for there is no C++ compiler (CXX=/nonexistent)" in said
+
+
+def test_a_cache_of_libraries_that_cannot_be_used_is_a_problem(monkeypatch, native, tmp_path):
+    (tmp_path / "rewax").write_text("a file")
+    monkeypatch.setattr(build, "load", lambda source: build.Loaded(object(), "/a/place.so"))
+    ((problem, _),) = doctor.native_problems()
+    assert "C++ is built at every start" in problem and "XDG_CACHE_HOME" in problem
+
+
+def test_says_that_cpp_is_turned_off(monkeypatch, capsys):
+    monkeypatch.setenv("REWAX_NATIVE", "0")
+    assert not list(doctor.native_problems())
+    assert capsys.readouterr().out == "physics on a CPU: with JAX, for REWAX_NATIVE=0 is set\n"
+
+
+def test_a_missing_compiler_is_a_problem(monkeypatch, native):
     monkeypatch.setattr(build, "load", lambda source: build.Loaded(None, "there is no C++ compiler"))
-    monkeypatch.setattr(build, "is_off", lambda: False)
     ((problem, remedy),) = doctor.native_problems()
     assert "(there is no C++ compiler)" in problem and "install a C++ compiler" in remedy
