@@ -96,7 +96,7 @@ def assemble_blocks(
       UnsupportedError: it returns integers, or there is no instruction for an operation.
     """
     operations = line.operations
-    if any(operations[i].kind in ("i", "l") for output in line.outputs for i in output):
+    if any(operations[i].kind in ("i", "l", "u") for output in line.outputs for i in output):
         raise UnsupportedError("it returns integers")
     own = [output for output, total in zip(line.outputs, summed, strict=True) if not total]
     sums = [i for output, total in zip(line.outputs, summed, strict=True) if total for i in output]
@@ -246,8 +246,9 @@ def _lane(operation: Operation, dtype: np.dtype) -> Any:
     """A constant as the number whose bits the machine finds in a lane."""
     if operation.kind == "f":
         return dtype.type(float(operation.constant))
-    whole = {"i": int, "l": int, "b": lambda text: -1 if text == "True" else 0}[operation.kind](operation.constant)
-    return np.array(whole, f"int{8 * dtype.itemsize}").view(dtype)
+    bits = 8 * dtype.itemsize
+    whole = -int(operation.constant == "True") if operation.kind == "b" else int(operation.constant)
+    return np.array(whole % 2**bits, f"uint{bits}").view(dtype)
 
 
 # --- Elements in blocks -----------------------------------------------------------------------------------------------

@@ -57,6 +57,8 @@ def from_jaxpr(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_00
     builder, inputs = _Builder(dtype, most), []
     for k, (aval, varying) in enumerate(zip(program.in_avals, varies, strict=True)):
         kind = builder.kind_of(aval.dtype)
+        if kind == "u":
+            raise UnsupportedError("it takes unsigned integers")
         inputs.append(builder.array(aval.shape, lambda i, k=k, kind=kind, v=varying: builder.input(k, i, kind, v)))
     if any(np.issubdtype(a.dtype, np.floating) and a.dtype != dtype for a in program.out_avals):
         raise UnsupportedError(f"its results are of floating types other than {dtype}")

@@ -26,7 +26,7 @@ OF_WHOLE = frozenset([
 ])  # fmt: skip
 """Those that integers have."""
 OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select"])
-"""Those that booleans have."""
+"""Those that booleans have, and unsigned integers that are no constants (JAX numbers the updates of a scatter)."""
 _WRAPS = frozenset(["add", "sub", "mul", "neg", "div"])
 """Those whose result can need more bits than an integer has."""
 _COMPARISONS = frozenset(["lt", "le", "gt", "ge", "eq", "ne"])
@@ -48,8 +48,11 @@ _OF_INTEGERS: dict[str, Callable[[Any, Any], int]] = {
 _OF_BOOLEANS: dict[str, Callable[..., Any]] = {
     "and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not,
 }  # fmt: skip
-KINDS = {"f": "floating-point numbers", "i": "32-bit integers", "l": "64-bit integers", "b": "booleans"}
-_BITS = {"i": 32, "l": 64}
+KINDS = {
+    "f": "floating-point numbers", "i": "32-bit integers", "l": "64-bit integers", "u": "unsigned integers",
+    "b": "booleans",
+}  # fmt: skip
+_BITS = {"i": 32, "l": 64, "u": 32}
 
 
 class UnsupportedError(Exception):
@@ -94,7 +97,7 @@ class Operations:
         return self.add(Operation("input", (), kind, not varying, (place, offset)))
 
     def constant(self, value: Any, kind: str) -> int:
-        number = {"f": self.dtype.type, "i": int, "l": int, "b": bool}[kind](value)
+        number = {"f": self.dtype.type, "b": bool}.get(kind, int)(value)
         key = ("constant", repr(number), kind)  # as text: -0.0 equals 0.0, and NaN nothing
         if key not in self.known:
             text = repr(float(value) if kind == "f" else number)
@@ -140,13 +143,13 @@ class Operations:
             raise UnsupportedError(f"it has the operation {name} of {' and '.join(KINDS[o.kind] for o in compared)}")
         if of == "b" and name in ("max", "min"):
             name = {"max": "or", "min": "and"}[name]
-        self.check(name, of)
         kind = kind or (of if name not in _COMPARISONS else "b")
         constants = [self.constants.get(o) for o in operands]
         if all(c is not None for c in constants):
             value = self.of_constants(name, of, constants, kind)
             if value is not None:
                 return self.constant(value, kind)
+        self.check(name, of)
         if of == "f" and name in ("mul", "div", "add", "sub"):
             simpler = self.simpler(name, operands, constants)
             if simpler is not None:
@@ -157,7 +160,7 @@ class Operations:
 
     def check(self, name: str, kind: str) -> None:
         """Raises UnsupportedError where numbers of a kind do not have an operation."""
-        allowed = {"b": OF_TRUTH, "i": OF_WHOLE, "l": OF_WHOLE}.get(kind)
+        allowed = {"b": OF_TRUTH, "u": OF_TRUTH, "i": OF_WHOLE, "l": OF_WHOLE}.get(kind)
         if "_to_" not in name and (name not in allowed if allowed else name == "wrap"):
             raise UnsupportedError(f"it has the operation {name} of {KINDS[kind]}")
         if kind == "f" and name in ("and", "or", "xor", "not"):
@@ -168,21 +171,21 @@ class Operations:
         if "_to_" in name:
             return self.of_conversion(constants[0], of, kind)
         if name == "wrap":
-            return wrapped(constants[0], 32)
+            return wrapped(constants[0], "i")
         if of in _BITS and name in ("neg", "not"):
-            return wrapped(-constants[0] if name == "neg" else ~constants[0], _BITS[of])
+            return wrapped(-constants[0] if name == "neg" else ~constants[0], of)
         if of in _BITS and name in _OF_INTEGERS:
-            return wrapped(_OF_INTEGERS[name](*constants), _BITS[of])
+            return wrapped(_OF_INTEGERS[name](*constants), of)
         table = _OF_BOOLEANS if of == "b" and name in _OF_BOOLEANS else _OF_CONSTANTS
         with np.errstate(all="ignore"):
             return table[name](*constants) if name in table else None
 
     def of_conversion(self, value: Any, of: str, kind: str) -> Any:
         if kind in _BITS and of == "f":
-            least = -(2 ** (_BITS[kind] - 1))
-            return 0 if np.isnan(value) else least if value <= least else int(min(value, -least - 1))
+            least, most = (0, 2**32 - 1) if kind == "u" else (-(2 ** (_BITS[kind] - 1)), 2 ** (_BITS[kind] - 1) - 1)
+            return 0 if np.isnan(value) else least if value <= least else int(min(value, most))
         if kind in _BITS:
-            return wrapped(int(value), _BITS[kind])
+            return wrapped(int(value), kind)
         return bool(value) if kind == "b" else value
 
     def without_absent(self, name: str, operands: tuple[int, ...]) -> int | None:
@@ -216,6 +219,8 @@ class Operations:
             return "b"
         if dtype == np.int32:
             return "i"
+        if dtype == np.uint32:
+            return "u"
         if dtype == np.int64 and self.dtype == np.float64:
             return "l"
         raise UnsupportedError(f"it has numbers of type {dtype} beside {self.dtype}")
@@ -262,6 +267,8 @@ class Operations:
         return self.apply("mul", squared, a) if exponent % 2 else squared
 
 
-def wrapped(value: int, bits: int) -> int:
-    """An integer as its two's complement of so many bits."""
-    return (int(value) + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
+def wrapped(value: int, kind: str) -> int:
+    """An integer as one of the kind: modulo a power of two."""
+    bits = _BITS[kind]
+    least = 0 if kind == "u" else -(2 ** (bits - 1))
+    return (int(value) - least) % 2**bits + least

@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from native_cases import NEEDS_COMPILER
 from operation_cases import assert_equal_to_jax
 
+from rewax.lowering import interpreted, recorded
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.operations import Operation, UnsupportedError
 from rewax.lowering.structural import structural_zeros
@@ -78,3 +80,18 @@ def test_integers_of_a_program_wrap_and_divide_as_in_jax():
 def test_which_integers_are_refused(program, named):
     with pytest.raises(UnsupportedError, match=named):
         from_jaxpr(jax.make_jaxpr(lambda a: program(a))(jnp.ones(1)), [True])
+
+
+@NEEDS_COMPILER
+def test_the_derivative_of_a_scatter_that_may_overwrite_itself():
+    """JAX numbers its updates by unsigned integers to find those that remain."""
+
+    def program(a):
+        return jnp.sum(jnp.sin(a.at[jnp.array([0, 2, 0])].set(a * 2.0)) * a)
+
+    a = jnp.array([0.3, -0.2, 0.7])
+    with recorded() as decisions:
+        found = jax.grad(interpreted(program))(a), jax.jvp(interpreted(program), (a,), (a,))[1]
+    assert not [d for d in decisions if d.reason]
+    np.testing.assert_allclose(found[0], jax.grad(program)(a), rtol=1e-6)
+    np.testing.assert_allclose(found[1], jax.jvp(program, (a,), (a,))[1], rtol=1e-6)

@@ -1,0 +1,51 @@
+"""Where the programs of an environment run on a CPU: in C++, or in XLA and why."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rewax.envs.base import Env
+from rewax.envs.leaves import EnvLeaves
+from rewax.lowering.report import Decision, recorded
+from rewax.types import Array
+
+
+def where_it_runs(env: Env) -> list[Decision]:
+    """Lower a step of an environment and its derivatives, and say where each rule of each function runs.
+
+    Nothing is compiled or run. The derivatives are those of all that a step returns by state, action and parameters.
+
+    Args:
+      env: unbatched environment.
+
+    Returns:
+      One decision for each function, rule and reason, sorted. ``reason`` is None for what runs in C++.
+
+    Example:
+      >>> assert not [decision for decision in where_it_runs(env) if decision.reason]
+    """
+    leaves = EnvLeaves.of(env)
+    state = jax.eval_shape(lambda leaves, key: leaves.build().reset(key), leaves, jax.random.key(0))
+    action = jax.ShapeDtypeStruct(env.action_spec.shape, jnp.result_type(float))
+
+    def floats(leaves: Any, state: Any, action: Array) -> list[Array]:
+        after = leaves.build().step(state, action)
+        return [a for a in jax.tree.leaves(after) if jnp.issubdtype(a.dtype, jnp.floating)]
+
+    def forward(*args: Any) -> Any:
+        return jax.jvp(lambda action: floats(*args[:2], action), args[2:], args[2:])
+
+    def reverse(*args: Any) -> Any:
+        def total(*args: Any) -> Array:
+            return sum(jnp.sum(a) for a in floats(*args))  # type: ignore[return-value]
+
+        return jax.grad(total, argnums=(0, 1, 2), allow_int=True)(*args)
+
+    with recorded() as decisions:
+        for function in (forward, reverse):
+            jax.jit(function).lower(leaves, state, action)
+    return sorted(set(decisions), key=lambda d: (d.function, d.rule, d.reason or ""))
+
+
+__all__ = ["where_it_runs"]
