@@ -115,12 +115,14 @@ inline V SumOf(int64_t end, int left, const Vectors& vector) {
 }
 
 #define REPEAT(places) for (; times; --times, at += (places))
-#define PLACE(k) (kBlocks ? f.places[at[k]] : f.registers + static_cast<int64_t>(at[k]) * kLanes)
+#define PLACE(k) (kBlocks ? places[at[k]] : registers + static_cast<int64_t>(at[k]) * kLanes)
 #define EACH for (int64_t k = 0; k < end; k += kLanes)
 
 template <bool kBlocks>
 void Run(const Code& program, const Frame& f) {
   const int64_t end = (kBlocks ? f.vectors : 1) * kLanes;
+  T* const registers = f.registers;  // in variables: whatever is stored could be what a pointer leads to
+  T* const* const places = f.places;
   const int32_t* at = program.code.data();
   const int32_t* const stop = at + program.code.size();
   while (at != stop) {
