@@ -5,6 +5,7 @@ selection by dynamic programming over trees: Aho, Lam, Sethi, Ullman, Compilers,
 nobody needs any more is used again.
 """
 
+import functools
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -117,6 +118,28 @@ def _needed(operations: Sequence[Operation], outputs: Sequence[Sequence[int]]) -
     return sorted(needed)
 
 
+@functools.cache
+def _candidates(name: str, operands: tuple[tuple[str, str], ...], lanes: bool) -> tuple[int, ...]:
+    """Instructions that end with an operation of operands of these kinds, which these operations alone compute."""
+
+    def fits(part: Expression, operand: tuple[str, str]) -> bool:
+        return _is(part, operand[0], lanes) if isinstance(part, str) else part[0] == operand[1]
+
+    def found(parts: tuple[Expression, ...]) -> bool:
+        return any(all(map(fits, parts, order)) for order in _orders(name, operands))
+
+    return tuple(number for number in BY_NAME[name] if found(INSTRUCTIONS[number].expression[1:]))
+
+
+def _is(kind: str, given: str, lanes: bool) -> bool:
+    """Whether an operand fits an instruction. In lanes constants are vectors, too."""
+    return kind == given or (lanes and kind == given.lower())
+
+
+def _orders(name: str, operands: tuple) -> tuple[tuple, ...]:
+    return (operands, operands[::-1]) if name in COMMUTATIVE else (operands,)
+
+
 class _Cover:
     """Instructions that compute the operations of a program."""
 
@@ -125,6 +148,10 @@ class _Cover:
         self.operations, self.lanes = operations, lanes
         users = Counter(o for i in chosen for o in operations[i].operands)
         self.inner = {i for i in chosen if users[i] == 1 and i not in kept and operations[i].operands}
+        self.kinds: dict[int, str] = {}
+        for i in {*chosen, *users}:
+            kind, shared = "f" if operations[i].kind == "f" else "w", operations[i].shared
+            self.kinds[i] = kind.upper() if (operations[i].name == "constant" if lanes else shared) else kind
         self.best: dict[int, tuple[int, int, tuple[int, ...]]] = {}
         for i in chosen:
             if operations[i].operands:
@@ -141,36 +168,36 @@ class _Cover:
 
     def cheapest(self, i: int) -> tuple[int, int, tuple[int, ...]]:
         """Cost, number and operands of the best instruction whose last operation is ``i``."""
+        name, operands = self.operations[i].name, self.operations[i].operands
+        given = tuple((self.kinds[o], self.operations[o].name if o in self.inner else "") for o in operands)
         found = []
-        for number in BY_NAME[self.operations[i].name]:
-            leaves = self.matched(INSTRUCTIONS[number].expression, i, whole=True)
+        for number in _candidates(name, given, self.lanes):
+            leaves = self.matched(INSTRUCTIONS[number].expression, i)
             if leaves is not None:
                 cost = 2 + len(leaves) + sum(self.best[o][0] for o in leaves if o in self.inner)
                 found.append((cost, number, leaves))
         if not found:
-            raise UnsupportedError(f"it has the operation {self.operations[i].name} of operands of other types")
+            raise UnsupportedError(f"it has the operation {name} of operands of other types")
         return min(found)
 
-    def matched(self, expression: Expression, i: int, whole: bool = False) -> tuple[int, ...] | None:
-        """The operands of an expression that is operation ``i``; None if it is another."""
-        operation = self.operations[i]
-        if isinstance(expression, str):
-            return (i,) if self.fits(expression, operation) else None
+    def matched(self, expression: tuple, i: int) -> tuple[int, ...] | None:
+        """The operands of an expression whose last operation is ``i``; None if it is another expression."""
         name, *parts = expression
-        if operation.name != name or not (whole or i in self.inner):
+        if self.operations[i].name != name:
             return None
-        for operands in (operation.operands, operation.operands[::-1])[: 2 if name in COMMUTATIVE else 1]:
-            found = [self.matched(part, o) for part, o in zip(parts, operands, strict=True)]
-            if None not in found:
-                return tuple(o for leaves in found for o in leaves)  # type: ignore[union-attr]
+        for operands in _orders(name, self.operations[i].operands):
+            leaves: list[int] = []
+            for part, o in zip(parts, operands, strict=True):
+                if isinstance(part, str):
+                    found = (o,) if _is(part, self.kinds[o], self.lanes) else None
+                else:
+                    found = self.matched(part, o) if o in self.inner else None
+                if found is None:
+                    break
+                leaves += found
+            else:
+                return tuple(leaves)
         return None
-
-    def fits(self, kind: str, operation: Operation) -> bool:
-        if kind.lower() != ("f" if operation.kind == "f" else "w"):
-            return False
-        if self.lanes:  # constants are vectors, too
-            return kind.islower() or operation.name == "constant"
-        return kind.isupper() == operation.shared
 
 
 class _Registers:

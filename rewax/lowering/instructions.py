@@ -101,18 +101,17 @@ a * b + c * d + e * f
 a * b + (c * d + e)
 a * B + c * D + e * F
 a + b * c * d
+a * b * c + (d * e + f)
 a + B * (c * d)
-A + a * B + b
+A + (a * B + b)
 B * (a + c * d)
-A + a + b * c
 a * b * c
 A * b * c
 -(a * b)
-a - -b
 a + -b
 sqrt(a * a1 + b * b1)
 rsqrt(A + a * b)
-A + max(a, abs(b)) + abs(c)
+A + (max(a, abs(b)) + abs(c))
 a * select(b >= A, B, C) / c
 a * (b / select(c == A, c1, B))
 a * (b / select(c == A, B, C))
@@ -120,6 +119,7 @@ select(a == b, A, B)
 select(a < B, A, C)
 select(w, a * b, c)
 select(w, A, a * b)
+select(w, a / b, A)
 select(w, select(x, A, B), a * b)
 select(w, A, B) / select(x, C, D)
 select(w, a, A) + b

@@ -115,12 +115,14 @@ inline V SumOf(int64_t end, int left, const Vectors& vector) {
 }
 
 #define REPEAT(places) for (; times; --times, at += (places))
-#define PLACE(k) (kBlocks ? f.places[at[k]] : f.registers + static_cast<int64_t>(at[k]) * kLanes)
+#define PLACE(k) (kBlocks ? places[at[k]] : registers + static_cast<int64_t>(at[k]) * kLanes)
 #define EACH for (int64_t k = 0; k < end; k += kLanes)
 
 template <bool kBlocks>
 void Run(const Code& program, const Frame& f) {
   const int64_t end = (kBlocks ? f.vectors : 1) * kLanes;
+  T* const registers = f.registers;  // in variables: whatever is stored could be what a pointer leads to
+  T* const* const places = f.places;
   const int32_t* at = program.code.data();
   const int32_t* const stop = at + program.code.size();
   while (at != stop) {
@@ -130,7 +132,7 @@ void Run(const Code& program, const Frame& f) {
     switch (instruction) {
       REWAX_CASES
       case kConstant:
-        REPEAT(2) Put(PLACE(0), Full<V>(f.constants[at[1]]));
+        REPEAT(2) Put(PLACE(0), Shared<V>(f.constants + at[1]));  // of any type, bit by bit
         break;
 #define REWAX_FROM(S) static_cast<const S*>(f.operands[at[1]]) + f.first * f.steps[at[1]] + at[2], f.steps[at[1]], f.count
       case kLoadFloat:
@@ -227,7 +229,8 @@ struct Block {
     const size_t num_sums = static_cast<size_t>(program.num_sums), length = static_cast<size_t>(vectors);
     // If the last vector is not full, rows are copied. A number of them has eight bytes at most.
     const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T));
-    const size_t num_copies = full ? 0 : num_rows * row_size, num_places = registers + program.shared.size() + num_rows;
+    const size_t num_copies = full ? 0 : num_rows * row_size;
+    const size_t num_places = registers + program.shared.size() + num_rows;
     V* const memory = Scratch(registers * length + num_copies + num_sums + num_places * sizeof(T*) / sizeof(V) + 1);
     V* copies = memory + registers * length;
     V* const totals = copies + num_copies;
@@ -247,7 +250,8 @@ struct Block {
     }
     T** const first_output = place;
     for (const Row& row : program.outputs) {
-      *place++ = reinterpret_cast<T*>(full ? Place(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies));
+      char* const to = full ? Place(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies);
+      *place++ = reinterpret_cast<T*>(to);
       if (!full) copies += row_size;
     }
 
@@ -259,7 +263,8 @@ struct Block {
     Run<true>(program.blocks, f);
     place = first_output;
     for (const Row& row : program.outputs) {
-      if (!full) std::memcpy(Place(row, results[row.array], row.rows * count), *place++, static_cast<size_t>(size * row.bytes));
+      if (full) break;
+      std::memcpy(Place(row, results[row.array], row.rows * count), *place++, static_cast<size_t>(size * row.bytes));
     }
     for (size_t k = 0; k < num_sums; ++k) sums[k] = Total(totals[k]);
   }
@@ -267,7 +272,8 @@ struct Block {
   // A copy whose last number is repeated.
   static char* Repeated(const char* from, char* to, int64_t bytes, int64_t count, int64_t full) {
     std::memcpy(to, from, static_cast<size_t>(count * bytes));
-    for (int64_t l = count; l < full; ++l) std::memcpy(to + l * bytes, to + (count - 1) * bytes, static_cast<size_t>(bytes));
+    const char* const last = to + (count - 1) * bytes;
+    for (int64_t l = count; l < full; ++l) std::memcpy(to + l * bytes, last, static_cast<size_t>(bytes));
     return to;
   }
 };
