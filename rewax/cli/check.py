@@ -20,6 +20,7 @@ class Options:
       imports: module or .py file that registers environments.
       seed: of initial states and actions.
       whole_episode: also run to the end of an episode, which may take long.
+      in_cpp: also demand that all laws, contacts and bodies run in C++ on a CPU, in both derivatives too.
     """
 
     env: str
@@ -27,6 +28,7 @@ class Options:
     imports: Imports = ()
     seed: int = 0
     whole_episode: bool = True
+    in_cpp: bool = False
 
 
 def run(argv: Sequence[str]) -> int:
@@ -39,7 +41,7 @@ def run(argv: Sequence[str]) -> int:
       ValueError: there is no such environment or scale.
     """
     from rewax.envs import registry
-    from rewax.testing import check_env
+    from rewax.testing import check_env, where_it_runs
     from rewax.training.cache import enable_compilation_cache
 
     quiet()
@@ -51,6 +53,11 @@ def run(argv: Sequence[str]) -> int:
         check_env(env, seed=options.seed, check_full_episode=options.whole_episode)
     except AssertionError as problem:
         print(f"problem: {problem}", file=sys.stderr)
+        return _PROBLEM_FOUND
+    left = [decision for decision in where_it_runs(env) if decision.reason] if options.in_cpp else []
+    for decision in left:
+        print(f"problem: {decision}", file=sys.stderr)
+    if left:
         return _PROBLEM_FOUND
     print(f"{options.env} at scale {options.scale} keeps the protocol")
     return 0

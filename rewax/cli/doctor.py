@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rewax.cli.options import parse
+from rewax.cli.options import Imports, import_modules, parse
 
 _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "distrax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
 _PROBLEMS_FOUND = 1
@@ -19,7 +19,17 @@ _PROBLEMS_FOUND = 1
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """No options."""
+    """Options.
+
+    Attributes:
+      env: name of an environment, see ``rewax envs``: say also which of its functions run in C++.
+      scale: of that environment, ``small`` or ``paper``.
+      imports: module or .py file that registers environments.
+    """
+
+    env: str = ""
+    scale: str = "small"
+    imports: Imports = ()
 
 
 def run(argv: Sequence[str]) -> int:
@@ -28,7 +38,7 @@ def run(argv: Sequence[str]) -> int:
     Returns:
       Exit code: 0 without problems, else 1.
     """
-    parse(Options, argv, prog="rewax doctor", description="Say what is installed and what is wrong with it.")
+    options = parse(Options, argv, prog="rewax doctor", description="Say what is installed and what is wrong with it.")
     versions = {name: _version(name) for name in _PACKAGES}
     print(f"Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} cores")
     print(*(f"{name} {version or 'is not installed'}" for name, version in versions.items()), sep=", ")
@@ -38,6 +48,9 @@ def run(argv: Sequence[str]) -> int:
         problems += native_problems()
         problems += cache_problems()
         problems += flag_problems(os.environ.get("XLA_FLAGS", ""))
+    if options.env and versions["jax"]:
+        import_modules(options.imports)
+        print_lowering(options.env, options.scale)
     for problem, remedy in problems:
         print(f"problem: {problem}: {remedy}")
     print(f"{len(problems)} problems" if problems else "no problems found")
@@ -111,6 +124,29 @@ def native_problems() -> Iterator[tuple[str, str]]:
             f"physics is not computed in C++ ({missing}): a CPU takes 2 times as long for soft bodies, 10 for rigid",
             "install a C++ compiler, g++ or clang++, or set CXX to one",
         )
+
+
+def print_lowering(name: str, scale: str) -> None:
+    """Say where each function of an environment's step and its derivatives runs on a CPU.
+
+    Args:
+      name: of the environment.
+      scale: ``small`` or ``paper``.
+
+    Raises:
+      ValueError: there is no such environment or scale.
+    """
+    from rewax.envs import registry
+    from rewax.lowering.report import LoweringWarning
+    from rewax.testing import where_it_runs
+
+    env = registry.make(name, scale=scale)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LoweringWarning)  # the list says it
+        decisions = where_it_runs(env)
+    left = [decision for decision in decisions if decision.reason]
+    print(f"{name} at scale {scale}: {len(decisions) - len(left)} rules run in C++, {len(left)} in XLA")
+    print(*(f"  {decision}" for decision in decisions), sep="\n")
 
 
 def _compiler_line() -> str:

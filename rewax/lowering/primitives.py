@@ -185,9 +185,7 @@ def _iota(b: Operations, eqn: Equation, args: list[Values]) -> Values:
 
 def _gather(b: Operations, eqn: Equation, args: list[Values]) -> Values:
     kind, given = b.kind_of(eqn.out.dtype), eqn.params["fill_value"]
-    nothing = {"f": float("nan"), "i": np.iinfo(np.int32).min, "l": np.iinfo(np.int64).min, "u": 2**32 - 1, "b": True}[
-        kind
-    ]
+    nothing = {"f": float("nan"), "i": -(2**31), "l": -(2**63), "u": 2**32 - 1, "b": True}[kind]
     filling = b.constant(nothing if given is None else given, kind)
     return gathered(args[0], b.whole(args[1]), eqn.params, eqn.out, filling)
 

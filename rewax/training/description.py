@@ -4,9 +4,11 @@ import dataclasses
 import importlib.metadata
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from rewax.lowering.report import Decision
 
 _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
 
@@ -38,13 +40,26 @@ def write_config(run_dir: str | Path, config: Mapping[str, Any]) -> None:
 
 
 def write_environment(run_dir: str | Path) -> None:
-    """Keep Python, platform, devices and the versions of all installed packages in ``environment.txt``."""
+    """Keep Python, platform, devices and the versions of all installed packages in ``environment.txt``.
+
+    Also whether C++ was on; ``append_lowering`` adds what of the program ran in it.
+    """
     import jax
+
+    from rewax.lowering import build
 
     packages = sorted({f"{d.name}=={d.version}" for d in importlib.metadata.distributions() if d.name}, key=str.lower)
     devices = sorted({device.device_kind for device in jax.devices()})
     head = f"# Python {platform.python_version()}, {platform.platform()}, {len(jax.devices())} x {', '.join(devices)}"
-    (Path(run_dir) / "environment.txt").write_text("\n".join([head, *packages]) + "\n")
+    cpp = f"# C++ on a CPU: {'on' if build.is_available() else 'off'}"
+    (Path(run_dir) / "environment.txt").write_text("\n".join([head, cpp, *packages]) + "\n")
+
+
+def append_lowering(run_dir: str | Path, decisions: Iterable[Decision]) -> None:
+    """Add to ``environment.txt`` which functions of a compiled program run in C++ and which in XLA, and why."""
+    lines = sorted({f"# {decision}" for decision in decisions})
+    with (Path(run_dir) / "environment.txt").open("a") as file:
+        file.writelines(f"{line}\n" for line in lines)
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
@@ -106,4 +121,4 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-__all__ = ["changes", "describe_run", "plain", "read_config", "write_config", "write_environment"]
+__all__ = ["append_lowering", "changes", "describe_run", "plain", "read_config", "write_config", "write_environment"]

@@ -11,9 +11,10 @@ from rich.console import Console
 
 from rewax.agents.base import Agent
 from rewax.envs.base import Env
+from rewax.lowering.report import recorded
 from rewax.training.compilation import compile_train_step
 from rewax.training.config import ReportConfig, TrainConfig
-from rewax.training.description import describe_run, read_config, write_config, write_environment
+from rewax.training.description import append_lowering, describe_run, read_config, write_config, write_environment
 from rewax.training.devices import ONE_DEVICE, Placement, placement
 from rewax.training.hosts import Leader, follow, leads, received
 from rewax.training.interrupt import graceful_stop
@@ -78,11 +79,13 @@ def train(
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
         train_state, open_run = prepared(agent, env, config, describe, console, where, leader)
-        train_step = None
+        train_step, decisions = None, []
         if int(train_state.iteration) < config.num_iterations:
-            train_step = compile_train_step(agent, train_state, console, where)
+            with recorded() as decisions:
+                train_step = compile_train_step(agent, train_state, console, where)
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
         run = open_run()
+        append_lowering(config.run_dir, decisions)
         try:
             if train_step is not None:
                 run.iterate(train_step, stop)

@@ -8,8 +8,17 @@ import jax
 import pytest
 import toys
 
+from rewax.lowering import build
+from rewax.lowering.report import Decision
 from rewax.training import description
-from rewax.training.description import changes, describe_run, read_config, write_config, write_environment
+from rewax.training.description import (
+    append_lowering,
+    changes,
+    describe_run,
+    read_config,
+    write_config,
+    write_environment,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +70,18 @@ def test_changes_are_those_of_entries_that_both_have():
 
 def test_the_environment_of_a_run_can_be_installed_again(tmp_path):
     write_environment(tmp_path)
-    head, *packages = (tmp_path / "environment.txt").read_text().splitlines()
+    head, cpp, *packages = (tmp_path / "environment.txt").read_text().splitlines()
     assert head.startswith("# Python 3.") and jax.devices()[0].device_kind in head
+    assert cpp == f"# C++ on a CPU: {'on' if build.is_available() else 'off'}"
     assert f"jax=={jax.__version__}" in packages and len(packages) > 10
+
+
+def test_the_environment_of_a_run_says_what_ran_in_cpp(tmp_path):
+    write_environment(tmp_path)
+    decisions = [Decision("a.law", "value", None), Decision("a.law", "cotangent", "it has the operation sort")]
+    append_lowering(tmp_path, decisions * 2)
+    last = (tmp_path / "environment.txt").read_text().splitlines()[-2:]
+    assert last == [
+        "# a.law, the reverse derivative (VJP): XLA, for it has the operation sort",
+        "# a.law, the value: C++",
+    ]

@@ -1,0 +1,96 @@
+"""What of each task runs in C++: an operation that has no place there would be slow without a word."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+import toys
+from jax.sharding import PartitionSpec
+from native_cases import NEEDS_COMPILER
+
+from rewax import struct
+from rewax.agents.devices import AXIS, mesh_of
+from rewax.cli.main import main
+from rewax.envs import list_envs, make, registry
+from rewax.lowering import interpreted, recorded
+from rewax.testing import where_it_runs
+
+RULES = ("value", "tangent", "cotangent")
+SOFT = {"mpm.step._moved", "mpm.step.stress_and_momentum"}
+TOOL = SOFT | {"contact.colliders._velocity_after"}
+RIGID = {"rigid.step._accelerate"}
+TETS = {"contact.penalty._ground_force", "tets.step._columns.columns", "tets.step._moved"}
+FUNCTIONS = {
+    **dict.fromkeys(["FluidMove", "HandFlip", "HandLift", "RollingFlat", "SteerFloat"], TOOL),
+    **dict.fromkeys(
+        ["Ant", "AntRun", "CartpoleSwingUp", "HalfCheetah", "HandReorient", "Hopper", "Humanoid", "Quadruped"], RIGID
+    ),
+    "GripperLift": SOFT | RIGID | {"coupling.nodes._after", "coupling.nodes._met", "coupling.nodes._weights"},
+    "SoftJumper": TETS,
+    "SoftJumperMPM": SOFT,
+}
+"""The functions of each task's physics, within ``rewax.physics``."""
+LEFT = {("GripperLift", "rigid.step._accelerate", "value"): "it has the operation while"}
+"""What is left to XLA."""
+QUICK = {"RollingFlat", "HandFlip", "SoftJumper", "GripperLift"}
+"""Tasks whose paper scale is looked at in every run of the tests; that of the others differs from small in sizes alone."""
+LONG = {"Humanoid", "Quadruped", "HandReorient"}
+
+
+def test_every_task_is_listed():
+    assert set(FUNCTIONS) == set(list_envs())
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize(
+    ("task", "scale"),
+    [
+        pytest.param(
+            task, scale, marks=[pytest.mark.slow] if (task in LONG or (scale == "paper" and task not in QUICK)) else []
+        )
+        for task in FUNCTIONS
+        for scale in ("small", "paper")
+    ],
+)
+def test_what_runs_in_cpp(task, scale):
+    found = {
+        (d.function.removeprefix("rewax.physics."), d.rule): d.reason for d in where_it_runs(make(task, scale=scale))
+    }
+    expected = {(function, rule): LEFT.get((task, function, rule)) for function in FUNCTIONS[task] for rule in RULES}
+    assert found == expected
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("task", ["CartpoleSwingUp", "RollingFlat"])
+def test_where_environments_are_sharded_over_devices(task):
+    env = make(task, scale="small")
+    states = jax.eval_shape(jax.vmap(env.reset), jax.random.split(jax.random.key(0), 2))
+    spec = PartitionSpec(AXIS)
+
+    def gradient(action, state):
+        return jax.grad(lambda action: env.step(state, action).reward)(action)
+
+    with jax.set_mesh(mesh_of(jax.devices()[:1])), recorded() as decisions:
+        own = jax.shard_map(jax.vmap(gradient), in_specs=(spec, spec), out_specs=spec, check_vma=False)
+        jax.jit(own).lower(jnp.zeros((2, *env.action_spec.shape)), states)
+    assert {d.rule for d in decisions} >= {"value", "cotangent"} and not [d for d in decisions if d.reason]
+
+
+@struct.dataclass
+class Sorting(toys.PointMass):
+    """Its dynamics has an operation that cannot be lowered."""
+
+    def step(self, state, action):
+        return self.after(state, interpreted(lambda x, a: jnp.sort(x + a))(state.physics, action))
+
+
+@NEEDS_COMPILER
+def test_users_see_what_is_left_to_xla_in_their_own_task(capsys):
+    registry._FACTORIES["Sorting"] = lambda scale: Sorting(gain=jnp.float32(0.5))
+    try:
+        assert main(["check", "--env", "Sorting", "--no-whole-episode", "--in-cpp"]) == 1
+        assert "the value: XLA, for it has the operation sort" in capsys.readouterr().err
+        main(["doctor", "--env", "Sorting"])
+        said = capsys.readouterr().out
+        assert "Sorting at scale small: 0 rules run in C++" in said and "the value: XLA, for it has" in said
+    finally:
+        del registry._FACTORIES["Sorting"]
