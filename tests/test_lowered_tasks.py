@@ -80,7 +80,7 @@ class Sorting(toys.PointMass):
     """Its dynamics has an operation that cannot be lowered."""
 
     def step(self, state, action):
-        return self.after(state, interpreted(lambda x, a: jnp.sort(x + a))(state.physics, action))
+        return self.after(state, interpreted(lambda x, a: jnp.sort(x + jnp.clip(a, -1.0, 1.0)))(state.physics, action))
 
 
 @NEEDS_COMPILER

@@ -173,7 +173,7 @@ def _elimination(static: None, residuals: Arrays, linear: Arrays, *, unroll: boo
 
 
 def _elimination_by_numbers(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
-    """From the last unknown to the first: of a tree's mass matrix the zeros stay zeros, and cost nothing on a tape.
+    """Eliminate from the last unknown to the first: a tree's mass matrix keeps its zeros, which cost nothing.
 
     Source: Featherstone 2008, Rigid Body Dynamics Algorithms, section 6.5.
     """
