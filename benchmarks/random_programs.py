@@ -28,6 +28,10 @@ class Value(NamedTuple):
     """Significant bits of an exact number; more than ``MOST_BITS``: it is rough."""
 
     @property
+    def size(self) -> int:
+        return int(np.prod(self.shape))
+
+    @property
     def exact(self) -> bool:
         return self.kind != "f" or self.bits <= MOST_BITS
 
@@ -145,7 +149,7 @@ class _Drawing:
     def pick(self, kind: str, *, exact: bool = False, least_rank: int = 0) -> int | None:
         found = [
             i for i, v in enumerate(self.values)
-            if v.kind == kind and (v.exact or not exact) and len(v.shape) >= least_rank and (0 not in v.shape or not least_rank)
+            if v.kind == kind and (v.exact or not exact) and len(v.shape) >= least_rank and (v.size or not least_rank)
         ]  # fmt: skip
         return self.rng.choice(found[-6:]) if found else None
 
