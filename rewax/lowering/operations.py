@@ -1,7 +1,7 @@
 """Operations on single numbers, listed in order, each once.
 
 An operation with the operands of an earlier one is that one, and one of constants is a constant. A product with one, a
-quotient by one and a sum with zero are their other operand, as XLA has them. A product with zero is computed: it is NaN
+quotient by one and a sum with zero are their other operand, and a product with a boolean is a selection, as in XLA. A product with zero is computed: it is NaN
 where the other factor is infinite or NaN. Structural zeros (``structural_zeros``) are left out of products and sums.
 """
 
@@ -200,8 +200,12 @@ class Operations:
         return None
 
     def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
-        """The operand that equals an operation with a zero or a one."""
+        """What XLA makes of an operation with a zero, a one or a boolean: an operand, or a selection."""
         (a, b), (number, other) = operands, constants
+        if name == "mul":
+            for factor, truth in ((a, b), (b, a)):
+                if self.listed[truth].name == "b_to_f":
+                    return self.selected(self.listed[truth].operands[0], self.constant(0.0, "f"), factor)
         if name in ("mul", "div"):
             return a if other == 1 else b if number == 1 and name == "mul" else None
         return a if other == 0 else b if number == 0 and name == "add" else None

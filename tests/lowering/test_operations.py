@@ -95,3 +95,15 @@ def test_the_derivative_of_a_scatter_that_may_overwrite_itself():
     assert not [d for d in decisions if d.reason]
     np.testing.assert_allclose(found[0], jax.grad(program)(a), rtol=1e-6)
     np.testing.assert_allclose(found[1], jax.jvp(program, (a,), (a,))[1], rtol=1e-6)
+
+
+@NEEDS_COMPILER
+def test_a_product_with_a_boolean_is_a_selection_as_in_xla():
+    """The derivative of a minimum multiplies by booleans: an infinite number that is not the minimum does not matter."""
+
+    def least(a):
+        return jnp.min(a * a)
+
+    a, direction = jnp.array([0.25, 0.25, jnp.inf]), jnp.array([1.0, -1.0, 0.5])
+    expected = jax.jit(lambda a, d: jax.jvp(least, (a,), (d,)))(a, direction)
+    np.testing.assert_array_equal(jax.jvp(interpreted(least), (a,), (direction,)), expected)
