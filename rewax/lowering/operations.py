@@ -1,8 +1,9 @@
 """Operations on single numbers, listed in order, each once.
 
-An operation with the operands of an earlier one is that one, and one of constants is a constant. A product with one, a
-quotient by one and a sum with zero are their other operand, and a product with a boolean is a selection, as in XLA. A product with zero is computed: it is NaN
-where the other factor is infinite or NaN. Structural zeros (``structural_zeros``) are left out of products and sums.
+An operation with the operands of an earlier one is that one, and one of constants is a constant. As in XLA, a product
+with one, a quotient by one and a sum with zero are their other operand, and a product with a boolean is a selection. A
+product with zero is computed: it is NaN where the other factor is infinite or NaN. Structural zeros
+(``structural_zeros``) are left out of products and sums.
 """
 
 import math
