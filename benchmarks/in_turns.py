@@ -2,7 +2,7 @@
 
     python benchmarks/in_turns.py ../before . --tasks RollingFlat AntRun --scales paper small --num-envs 1 64
 
-Each checkout has a process of its own, which compiles and then waits. In turns each runs a few times; what is printed is
+Each checkout has a process of its own, which compiles and then waits. In turns each runs a few times. Printed are
 the best time of each, and the ratio of time of the best turns, of the median of turns, and of processor time.
 """
 

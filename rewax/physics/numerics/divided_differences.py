@@ -18,6 +18,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rewax.lowering.structural import structural_zeros
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.types import Array, Scalar
@@ -40,7 +41,7 @@ def eigenvalues(values: Vec3) -> Principal:
 
 def uniform(a: Array, like: Principal) -> Principal:
     """The same number on all axes."""
-    zeros = None if like.differences is None else cp.vector(lambda k: jnp.zeros_like(a))
+    zeros = None if like.differences is None else structural_zeros(cp.vector(lambda k: jnp.zeros_like(a)))
     return Principal((a, a, a), zeros)
 
 
@@ -130,7 +131,7 @@ def exp_minus_one(x: Array) -> Array:
     Gradient: exact.
     """
     series = jnp.ones_like(x)
-    for n in range(11, 1, -1):
+    for n in range(_of_precision(x, 7, 11), 1, -1):
         series = 1.0 + series * x * (1.0 / n)
     return jnp.where(jnp.abs(x) < 0.2, x * series, jnp.exp(x) - 1.0)
 
@@ -147,10 +148,16 @@ def _log_slope(x: Vec3, log_x: Vec3, i: int, j: int) -> Array:
     z = gap / total
     near = jnp.abs(z) < 0.1
     square = z * z
-    series = jnp.full_like(z, 1.0 / 15.0)
-    for n in range(13, 0, -2):
+    last = _of_precision(z, 7, 15)
+    series = jnp.full_like(z, 1.0 / last)
+    for n in range(last - 2, 0, -2):
         series = 1.0 / n + series * square
     return jnp.where(near, 2.0 * series / total, (log_x[i] - log_x[j]) / jnp.where(near, 1.0, gap))
+
+
+def _of_precision(x: Array, single: int, double: int) -> int:
+    """The last term of a series that the precision of x shows."""
+    return single if jnp.finfo(x.dtype).bits <= 32 else double
 
 
 def _slope(x: Vec3, y: Vec3, i: int, j: int) -> Array:

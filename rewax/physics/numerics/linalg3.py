@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from rewax.lowering.fusion import materialize
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
+from rewax.lowering.structural import structural_zeros
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics import divided_differences as dd
 from rewax.physics.numerics.components import AXES, Mat3, Vec3
@@ -93,6 +94,12 @@ def _recompose(u: Mat3, principal: Vec3) -> Mat3:
     return cp.matrix(lambda i, j: upper[min(i, j), max(i, j)])
 
 
+def _symmetric_product(a: Mat3, b: Mat3) -> Mat3:
+    """a b, which is known to be symmetric."""
+    upper = {(i, j): sum(a[i][k] * b[k][j] for k in AXES) for i in AXES for j in AXES if i <= j}
+    return cp.matrix(lambda i, j: upper[min(i, j), max(i, j)])
+
+
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def spectral(function: SpectralFunction, b: Mat3, parameters: Any) -> tuple[Mat3, ...]:
     """Isotropic tensor functions U diag(f(lambda)) U^T of symmetric matrices b = U diag(lambda) U^T.
@@ -135,13 +142,13 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
         return tuple(f.values for f in function(Principal(eigenvalues), parameters))
 
     # by_eigenvalue[j][n][i]: derivative of component i of result n by eigenvalue j
-    axes = [cp.vector(lambda i, j=j: one if i == j else zero) for j in AXES]
+    axes = structural_zeros([cp.vector(lambda i, j=j: one if i == j else zero) for j in AXES])
     by_eigenvalue = materialize([jax.jvp(lambda e: values(e, parameters), (eigenvalues,), (a,))[1] for a in axes])
     by_parameters = None
     if parameters_move:
         _, by_parameters = jax.jvp(lambda p: values(eigenvalues, p), (parameters,), (_instantiate(dparameters),))
     symmetric = materialize(cp.matmul(cp.matrix(lambda i, j: 0.5 * (db[i][j] + db[j][i])), u))
-    rotated = materialize(cp.matmul(cp.transpose(u), symmetric))
+    rotated = materialize(_symmetric_product(cp.transpose(u), symmetric))
     out, dout = [], []
     for n, f in enumerate(principal):
 
@@ -153,7 +160,7 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
 
         half = materialize(cp.matmul(materialize(cp.matrix(entry)), cp.transpose(u)))
         out.append(_recompose(u, f.values))
-        dout.append(cp.matmul(u, half))
+        dout.append(_symmetric_product(u, half))
     return tuple(out), tuple(dout)
 
 
