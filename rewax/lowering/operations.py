@@ -15,9 +15,9 @@ from rewax.lowering.indexing import Values
 
 ARITHMETIC = frozenset({
     "add", "sub", "mul", "div", "rem", "neg", "max", "min", "abs", "sign", "sqrt", "rsqrt", "cbrt", "exp", "exp2",
-    "log", "log1p", "expm1", "sin", "cos", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-    "erf", "erfc", "logistic", "pow", "atan2", "floor", "ceil", "round_even", "round_away", "is_finite", "lt", "le",
-    "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
+    "log", "log1p", "expm1", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh",
+    "atanh", "erf", "erfc", "logistic", "pow", "atan2", "floor", "ceil", "round_even", "round_away", "is_finite", "lt",
+    "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
 })  # fmt: skip
 """Operations on numbers, by the names of JAX's primitives."""
 OF_WHOLE = frozenset([
