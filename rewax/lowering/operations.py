@@ -149,6 +149,8 @@ class Operations:
             value = self.of_constants(name, of, constants, kind)
             if value is not None:
                 return self.constant(value, kind)
+        if of == "u" and name == "not":  # in lanes of 64 bits, too, an unsigned integer has 32
+            return self.apply("xor", *operands, self.constant(2**32 - 1, "u"), kind="u")
         self.check(name, of)
         if of == "f" and name in ("mul", "div", "add", "sub"):
             simpler = self.simpler(name, operands, constants)

@@ -95,3 +95,17 @@ def test_the_derivative_of_a_scatter_that_may_overwrite_itself():
     assert not [d for d in decisions if d.reason]
     np.testing.assert_allclose(found[0], jax.grad(program)(a), rtol=1e-6)
     np.testing.assert_allclose(found[1], jax.jvp(program, (a,), (a,))[1], rtol=1e-6)
+
+
+@NEEDS_COMPILER
+def test_unsigned_integers_have_32_bits_in_double_precision(x64):
+    """Chosen by a condition, they are no constants."""
+
+    def program(a):
+        chosen = jnp.where(a > 0, jnp.uint32(1), jnp.uint32(5))
+        return jnp.where(~chosen == jnp.uint32(2**32 - 2), a, 2.0 * a)
+
+    a = jnp.array([0.5, -0.5])
+    with recorded() as decisions:
+        np.testing.assert_array_equal(interpreted(program)(a), program(a))
+    assert not [d for d in decisions if d.reason]
