@@ -55,12 +55,12 @@ class RandomProgram(NamedTuple):
 
 
 UNARY_SMOOTH = {
-    "neg": jnp.negative, "sin": jnp.sin, "cos": jnp.cos, "tanh": jnp.tanh, "exp": jnp.exp, "log": jnp.log,
-    "sqrt": jnp.sqrt, "rsqrt": jax.lax.rsqrt, "cbrt": jnp.cbrt, "log1p": jnp.log1p, "expm1": jnp.expm1,
-    "arctan": jnp.arctan, "arcsin": jnp.arcsin, "arccos": jnp.arccos, "sinh": jnp.sinh, "cosh": jnp.cosh,
-    "arcsinh": jnp.arcsinh, "erf": jax.scipy.special.erf, "exp2": jnp.exp2, "logistic": jax.nn.sigmoid,
-    "square": jnp.square, "cube": lambda a: a**3, "inverse": lambda a: a**-2, "reciprocal": lambda a: 1.0 / a,
-    "abs": jnp.abs,
+    "neg": jnp.negative, "sin": jnp.sin, "cos": jnp.cos, "tan": jnp.tan, "tanh": jnp.tanh, "exp": jnp.exp,
+    "log": jnp.log, "sqrt": jnp.sqrt, "rsqrt": jax.lax.rsqrt, "cbrt": jnp.cbrt, "log1p": jnp.log1p,
+    "expm1": jnp.expm1, "arctan": jnp.arctan, "arcsin": jnp.arcsin, "arccos": jnp.arccos, "sinh": jnp.sinh,
+    "cosh": jnp.cosh, "arcsinh": jnp.arcsinh, "erf": jax.scipy.special.erf, "exp2": jnp.exp2,
+    "logistic": jax.nn.sigmoid, "square": jnp.square, "cube": lambda a: a**3, "inverse": lambda a: a**-2,
+    "reciprocal": lambda a: 1.0 / a, "abs": jnp.abs,
 }  # fmt: skip
 UNARY_JUMPS = {
     "floor": jnp.floor, "ceil": jnp.ceil, "round": jnp.round, "sign": jnp.sign, "is_finite": jnp.isfinite,

@@ -115,10 +115,9 @@ class _Builder(Operations):
             inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "call") if key in params)
             closed = hasattr(inner, "consts")
             return self.run(inner.jaxpr if closed else inner, inner.consts if closed else (), args)
-        # Numbers of another precision are constants at most, which become what they meet.
-        if name not in _KEEPS_CONSTANTS and any(
-            np.issubdtype(v.aval.dtype, np.floating) and v.aval.dtype != self.dtype for v in eqn.outvars
-        ):
+        # Constants of another precision are converted, and nothing else: a comparison would see rounded numbers.
+        converts = name == "convert_element_type" and eqn.outvars[0].aval.dtype == self.dtype
+        if name not in _KEEPS_CONSTANTS and not converts and any(map(self.is_foreign, (*eqn.invars, *eqn.outvars))):
             raise UnsupportedError(f"it computes with floating types other than {self.dtype}")
         if name in _IDENTITIES:
             return args
@@ -131,6 +130,11 @@ class _Builder(Operations):
             raise UnsupportedError(f"it has the operation {name}")
         known(name, params, PRIMITIVES[name].parameters)
         return [PRIMITIVES[name].lower(self, Equation(name, params, eqn.outvars[0].aval), args)]
+
+    def is_foreign(self, variable: Any) -> bool:
+        """Whether a variable is of another floating type than the program."""
+        dtype = variable.aval.dtype
+        return np.issubdtype(dtype, np.floating) and dtype != self.dtype
 
     def scan(self, eqn: Any, args: list[Values]) -> list[Values]:
         """A short loop, written out."""

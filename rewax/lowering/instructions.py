@@ -38,6 +38,7 @@ TEXT = {
     "expm1": "Expm1({0})",
     "sin": "Sin({0})",
     "cos": "Cos({0})",
+    "tan": "Tan({0})",
     "asin": "Asin({0})",
     "acos": "Acos({0})",
     "atan": "Atan({0})",

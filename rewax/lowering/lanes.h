@@ -60,6 +60,7 @@ REWAX_UNARY(Ceil, std::ceil)
 REWAX_UNARY(RoundEven, std::nearbyint)
 REWAX_UNARY(RoundAway, std::round)
 REWAX_UNARY(Exp2, std::exp2)
+REWAX_UNARY(Tan, std::tan)
 REWAX_UNARY(Asin, std::asin)
 REWAX_UNARY(Acos, std::acos)
 REWAX_UNARY(Atan, std::atan)
@@ -173,10 +174,9 @@ X Log(X a) {
 
 template <typename X>
 X SineOrCosine(X a, int quarters) {
-  bool small = sizeof(T) == 4;
-  for (int l = 0; l < kSize<X>; ++l) small &= !(std::fabs(a[l]) > 8192);  // beyond, too little is left of the angle
-  if (!small) {
-    REWAX_LANES(X, quarters ? std::cos(a[l]) : std::sin(a[l]));
+  const auto precise = [quarters](T angle) { return quarters ? std::cos(angle) : std::sin(angle); };
+  if constexpr (sizeof(T) == 8) {
+    REWAX_LANES(X, precise(a[l]));
   }
   typedef decltype(X{} < X{}) I;
   const X n = Floor(a * T(0.636619772367581343) + T(0.5));
@@ -186,8 +186,15 @@ X SineOrCosine(X a, int quarters) {
   const X cosine =
       ((T(2.443315711809948e-5) * z - T(1.388731625493765e-3)) * z + T(4.166664568298827e-2)) * z * z - T(0.5) * z + T(1);
   const I turn = __builtin_convertvector(n == n ? n : X{}, I) + quarters;
-  const X value = (turn & 1) != 0 ? cosine : sine;
-  return (turn & 2) != 0 ? -value : value;
+  X value = (turn & 1) != 0 ? cosine : sine;
+  value = (turn & 2) != 0 ? -value : value;
+  // Beyond, the polynomials are wrong. Lane by lane, for no lane's result may depend on the others.
+  bool small = true;
+  for (int l = 0; l < kSize<X>; ++l) small &= !(std::fabs(a[l]) > 8192);
+  if (!small) {
+    for (int l = 0; l < kSize<X>; ++l) value[l] = std::fabs(a[l]) > 8192 ? precise(a[l]) : value[l];
+  }
+  return value;
 }
 template <typename X>
 X Sin(X a) {

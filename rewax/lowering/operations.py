@@ -16,9 +16,9 @@ from rewax.lowering.indexing import Values
 
 ARITHMETIC = frozenset({
     "add", "sub", "mul", "div", "rem", "neg", "max", "min", "abs", "sign", "sqrt", "rsqrt", "cbrt", "exp", "exp2",
-    "log", "log1p", "expm1", "sin", "cos", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-    "erf", "erfc", "logistic", "pow", "atan2", "floor", "ceil", "round_even", "round_away", "is_finite", "lt", "le",
-    "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
+    "log", "log1p", "expm1", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh",
+    "atanh", "erf", "erfc", "logistic", "pow", "atan2", "floor", "ceil", "round_even", "round_away", "is_finite", "lt",
+    "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
 })  # fmt: skip
 """Operations on numbers, by the names of JAX's primitives."""
 OF_WHOLE = frozenset([
@@ -150,6 +150,8 @@ class Operations:
             value = self.of_constants(name, of, constants, kind)
             if value is not None:
                 return self.constant(value, kind)
+        if of == "u" and name == "not":  # in lanes of 64 bits, too, an unsigned integer has 32
+            return self.apply("xor", *operands, self.constant(2**32 - 1, "u"), kind="u")
         self.check(name, of)
         if of == "f" and name in ("mul", "div", "add", "sub"):
             simpler = self.simpler(name, operands, constants)

@@ -54,7 +54,7 @@ class Program(NamedTuple):
     derivative_of: Callable[..., Any] | None
     treedef: Any
     constants: tuple[Any, ...]
-    """For each leaf of the arguments: type and value if it is a Python number, None if it is an array."""
+    """For each leaf of the arguments: type, value and text if it is a Python number, None if it is an array."""
     varies: tuple[bool, ...] = ()
     """Of a pointwise function: which of the arrays have an axis of elements, the last one."""
     perturbed: tuple[bool, ...] = ()
@@ -108,8 +108,10 @@ def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
     """Arrays of a pytree, and what a ``Program`` says of the rest: its structure and its Python numbers."""
     leaves, treedef = jax.tree.flatten(args)
     # Python numbers stay what they are: as arrays they would take part in the promotion of types.
-    # With their types: 1, 1.0 and True are equal, but make different programs.
-    constants = tuple((type(leaf), leaf) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves)
+    # With type and text: 1, 1.0 and True are equal, and so are 0.0 and -0.0, but they make different programs.
+    constants = tuple(
+        (type(leaf), leaf, repr(leaf)) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves
+    )
     arrays = [jnp.asarray(leaf) for leaf, c in zip(leaves, constants, strict=True) if c is None]
     return arrays, treedef, constants
 

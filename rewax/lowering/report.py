@@ -5,6 +5,8 @@ memory decides nothing anew.
 """
 
 import contextlib
+import functools
+import inspect
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -69,7 +71,9 @@ def recorded() -> Iterator[list[Decision]]:
 
 def name_of(function: Callable[..., Any]) -> str:
     """Module and name of a function, without the marks of closures."""
-    inner = getattr(function, "func", function)  # of functools.partial
+    inner = inspect.unwrap(function)
+    while isinstance(inner, functools.partial):
+        inner = inspect.unwrap(inner.func)
     name = getattr(inner, "__qualname__", type(inner).__name__).replace("<locals>.", "")
     return f"{getattr(inner, '__module__', '?')}.{name}"
 

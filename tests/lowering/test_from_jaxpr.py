@@ -109,6 +109,22 @@ def test_constants_become_what_they_meet(x64):
     assert {o.kind for o in line.operations} == {"f", "b"}
 
 
+@pytest.mark.parametrize(
+    ("constant", "decides"),
+    [
+        (1 + 1e-12, lambda constant: constant > 1.0),
+        (1e300, jnp.isfinite),
+        (2.0**24 + 1, lambda constant: constant.astype(jnp.int32) > 2**24),
+    ],
+)
+def test_constants_of_another_precision_take_no_decisions(x64, constant, decides):
+    """Rounded to single precision they would decide otherwise."""
+    constant = jnp.asarray(constant)
+    program = jax.make_jaxpr(lambda a: jnp.where(decides(constant), a, -a))(jnp.ones(1, jnp.float32))
+    with pytest.raises(UnsupportedError, match="floating types"):
+        from_jaxpr(program, [True])
+
+
 def test_a_program_of_endless_arithmetic_is_refused():
     with pytest.raises(UnsupportedError, match="more than 10 operations"):
         from_jaxpr(jax.make_jaxpr(lambda a: sum(a**k for k in range(20)))(jnp.ones(1)), [True], most=10)

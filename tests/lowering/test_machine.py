@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
 
-from rewax.lowering import build
+from rewax.lowering import build, pointwise
 from rewax.lowering import machine as module
 from rewax.lowering.machine import interpreted
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
@@ -148,6 +148,18 @@ def test_single_and_double_precision_in_one_process():
         with jax.enable_x64(double):
             _, one = jax.jit(lambda a: fast(a))(jnp.ones(2, jnp.float32))
             assert one.dtype == (np.float64 if double else np.float32)
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("function", [jnp.sin, jnp.cos])
+def test_a_batch_element_does_not_depend_on_those_beside_it(function):
+    angles = np.linspace(0.1, 50.0, 2000, dtype=np.float32)
+    beside = angles.copy()
+    beside[::16] = np.resize([1e5, np.inf, np.nan], 125)
+    for call in (jax.vmap(interpreted(lambda a: function(a))), lambda a: pointwise(lambda _, a: function(a))(None, a)):
+        unchanged = np.arange(2000) % 16 != 0
+        np.testing.assert_array_equal(call(angles)[unchanged], call(beside)[unchanged])
+        np.testing.assert_allclose(call(beside)[::16], function(beside[::16]), rtol=1e-6, atol=1e-6)
 
 
 @NEEDS_COMPILER

@@ -107,3 +107,16 @@ def test_a_product_with_a_boolean_is_a_selection_as_in_xla():
     a, direction = jnp.array([0.25, 0.25, jnp.inf]), jnp.array([1.0, -1.0, 0.5])
     expected = jax.jit(lambda a, d: jax.jvp(least, (a,), (d,)))(a, direction)
     np.testing.assert_array_equal(jax.jvp(interpreted(least), (a,), (direction,)), expected)
+
+
+def test_unsigned_integers_have_32_bits_in_double_precision(x64):
+    """Chosen by a condition, they are no constants."""
+
+    def program(a):
+        chosen = jnp.where(a > 0, jnp.uint32(1), jnp.uint32(5))
+        return jnp.where(~chosen == jnp.uint32(2**32 - 2), a, 2.0 * a)
+
+    a = jnp.array([0.5, -0.5])
+    with recorded() as decisions:
+        np.testing.assert_array_equal(interpreted(program)(a), program(a))
+    assert not [d for d in decisions if d.reason]

@@ -12,7 +12,7 @@ from rewax.lowering.primitives import PRIMITIVES
 
 NUMBERS = np.array([0.0, -0.0, 0.3, -0.7, 1.0, 2.5, -3.5, 40.0, np.inf, -np.inf, np.nan, 0.5], np.float32)
 FUNCTIONS = {
-    "arctan": jnp.arctan, "arcsin": jnp.arcsin, "arccos": jnp.arccos, "sinh": jnp.sinh, "cosh": jnp.cosh,
+    "tan": jnp.tan, "arctan": jnp.arctan, "arcsin": jnp.arcsin, "arccos": jnp.arccos, "sinh": jnp.sinh, "cosh": jnp.cosh,
     "arcsinh": jnp.arcsinh, "arccosh": jnp.arccosh, "arctanh": jnp.arctanh, "erf": jax.scipy.special.erf,
     "erfc": jax.scipy.special.erfc, "exp2": jnp.exp2, "round": jnp.round, "remainder": lambda a: a % 0.7,
     "round_away": lambda a: jax.lax.round(a, jax.lax.RoundingMethod.AWAY_FROM_ZERO),
@@ -37,6 +37,22 @@ def test_numbers_are_those_of_jax(name):
     assert [d.reason for d in decisions] == [None, None]
     for found in (by_machine, by_kernel):
         np.testing.assert_allclose(found, expected, rtol=3e-6, atol=1e-7)
+
+
+@NEEDS_COMPILER
+def test_the_derivatives_of_a_law_with_a_tangent_run_in_cpp():
+    def law(shared, a):
+        return jnp.tan(shared * a)
+
+    def value_jvp_and_vjp(law):
+        return law(scale, a), jax.jvp(law, (scale, a), (scale, jnp.cos(a)))[1], jax.vjp(law, scale, a)[1](jnp.sin(a))
+
+    scale, a = jnp.float32(0.7), jnp.asarray(NUMBERS)[:, None]
+    with report.recorded() as decisions:
+        found = jax.jit(lambda: value_jvp_and_vjp(pointwise(law)))()
+    assert [d.reason for d in decisions] == [None, None, None]
+    for f, e in zip(jax.tree.leaves(found), jax.tree.leaves(value_jvp_and_vjp(law)), strict=True):
+        np.testing.assert_allclose(f, e, rtol=3e-6, atol=1e-7)
 
 
 @NEEDS_COMPILER

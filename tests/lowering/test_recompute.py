@@ -116,6 +116,12 @@ def test_equal_numbers_of_different_types_are_different_programs():
     assert [float(which(jnp.float32(1.0), number)) for number in (1, 1.0, True)] == [2.0, 3.0, 5.0]
 
 
+def test_zeros_of_both_signs_are_different_programs():
+    """They are equal and hash alike."""
+    inverse = recomputed(lambda x, number: x / number)
+    assert [float(inverse(jnp.float32(1.0), number)) for number in (0.0, -0.0)] == [np.inf, -np.inf]
+
+
 def test_second_derivatives_are_refused_with_the_reason():
     f = recomputed(jnp.sin)
     with pytest.raises(NotImplementedError, match="second derivatives"):

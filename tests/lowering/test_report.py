@@ -1,5 +1,6 @@
 """Where rules run: recorded, and named once where that is XLA."""
 
+import functools
 import warnings
 
 import jax
@@ -55,6 +56,21 @@ def test_a_fault_in_a_kernel_is_a_reason_too(monkeypatch):
     monkeypatch.setattr(kernels, "bytecode_of", lambda *args: 1 / 0)
     with pytest.warns(LoweringWarning, match="could not be lowered .ZeroDivisionError"):
         assert pointwise(lambda s, a: a + 5)(None, jnp.ones(1))[0] == 6
+
+
+class Law:
+    def __call__(self, shared, a):
+        return a * shared
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize(
+    ("law", "name"), [(functools.partial(lambda k, s, a: k * s * a, 3.0), "<lambda>"), (Law(), "Law")]
+)
+def test_the_name_is_that_of_the_law(law, name):
+    with recorded() as decisions:
+        pointwise(law)(2.0, jnp.ones(3))
+    assert [d.function for d in decisions] == [f"{__name__}.{name}"]
 
 
 def test_nobody_listens_afterwards():
