@@ -11,7 +11,9 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from rewax import jax_versions
 from rewax.cli.options import Imports, import_modules, parse
+from rewax.jax_versions import numbers
 
 _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "distrax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
 _PROBLEMS_FOUND = 1
@@ -48,6 +50,8 @@ def run(argv: Sequence[str]) -> int:
         problems += native_problems()
         problems += cache_problems()
         problems += flag_problems(os.environ.get("XLA_FLAGS", ""))
+    for note in version_notes(versions):
+        print(f"note: {note}")
     if options.env and versions["jax"]:
         import_modules(options.imports)
         print_lowering(options.env, options.scale)
@@ -67,18 +71,30 @@ def version_problems(versions: Mapping[str, str | None]) -> Iterator[tuple[str, 
         if version is None and name != "rewax":
             yield f"{name} is not installed", f"pip install {name}"
     jax = versions.get("jax")
-    if jax and versions.get("jaxlib") and _numbers(jax)[:2] != _numbers(versions["jaxlib"] or "")[:2]:
+    if jax and versions.get("jaxlib") and numbers(jax)[:2] != numbers(versions["jaxlib"] or "")[:2]:
         yield f"jax {jax} and jaxlib {versions['jaxlib']} do not belong together", f"pip install 'jaxlib=={jax}'"
-    if jax == "0.10.2":
-        yield "jax 0.10.2 miscompiles some programs on the CPU", "pip install 'jax!=0.10.2'"
-    if jax and _numbers(jax) < (0, 10, 1):
-        yield f"jax {jax} is older than rewax needs", "pip install -U 'jax>=0.10.1,!=0.10.2'"
+    if jax in jax_versions.EXCLUDED:
+        yield f"jax {jax} {jax_versions.EXCLUDED[jax]}", f"pip install '{jax_versions.requirement()}'"
+    if jax and numbers(jax) < jax_versions.OLDEST:
+        yield f"jax {jax} is older than rewax needs", f"pip install -U '{jax_versions.requirement()}'"
     flax = versions.get("flax")
-    if flax and _numbers(flax) < (0, 12, 8):
+    if flax and numbers(flax) < (0, 12, 8):
         yield f"flax {flax} fails to import beside new versions of jax", "pip install -U 'flax>=0.12.8'"
     mjx = versions.get("mujoco-mjx")
-    if mjx and _numbers(mjx) >= (4,):
+    if mjx and numbers(mjx) >= (4,):
         yield f"mujoco-mjx {mjx} is not known to agree with rewax's use of it", "pip install 'mujoco-mjx>=3.17,<4'"
+
+
+def version_notes(versions: Mapping[str, str | None]) -> Iterator[str]:
+    """Packages that should work, but that rewax is not tested with.
+
+    Args:
+      versions: as ``version_problems`` has them.
+    """
+    jax = versions.get("jax")
+    sentence = jax_versions.untested(jax) if jax else None
+    if sentence is not None:
+        yield sentence
 
 
 def _device_problems() -> Iterator[tuple[str, str]]:
@@ -215,14 +231,3 @@ def _version(name: str) -> str | None:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return "from this directory" if name == "rewax" and "rewax" in sys.modules else None
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    """The numbers a version begins with: 0.12.8rc1 gives (0, 12, 8)."""
-    found = []
-    for part in version.split("."):
-        digits = part[: len(part) - len(part.lstrip("0123456789"))]
-        if not digits:
-            break
-        found.append(int(digits))
-    return tuple(found)

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import jax
 
+from rewax import jax_versions
 from rewax.envs.base import Env
 
 Scale = str
@@ -55,7 +56,7 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
 
     The environment remembers its recipe in the attribute ``made_by``, a dict with the keys ``env``, ``scale`` and
     ``kwargs``. It belongs to this one object: copies by ``replace``, ``jit``, ``vmap`` or ``jax.tree.map`` have other
-    leaves than the recipe says, and no such attribute.
+    leaves than the recipe says, and no such attribute. The first call warns if JAX is newer than the tested versions.
 
     Args:
       name: one of ``list_envs()``.
@@ -65,6 +66,7 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     Raises:
       ValueError: unknown name, scale or keyword; the message lists what there is.
     """
+    jax_versions.warn_if_untested()
     check_name(name)
     scale = default_scale() if scale is None else scale
     factory = _FACTORIES[name]

@@ -1,6 +1,7 @@
 """From an algorithm's ``train_step`` to a program of the machine."""
 
 import contextlib
+import functools
 import gc
 import time
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from rewax.training.devices import ONE_DEVICE, Placement
 from rewax.training.progress import say
 
 _QUICK = {"xla_cpu_use_fusion_emitters": False}
-"""XLA's older generator of code for loops."""
+"""XLA's older generator of code for loops. XLA of jax 0.12 has it no more."""
 
 
 def compile_train_step(agent: Agent, train_state: Any, console: Console, where: Placement = ONE_DEVICE) -> Any:
@@ -25,7 +26,9 @@ def compile_train_step(agent: Agent, train_state: Any, console: Console, where: 
     Returns:
       The compiled function; it never traces again.
     """
-    say(console, "compiling train_step ...")
+    without = _wants_quick(agent) and not _has_older_generator()
+    note = f" (quick_compile changes nothing: XLA of jax {jax.__version__} has no older generator)" if without else ""
+    say(console, f"compiling train_step ...{note}")
     began = time.perf_counter()
     with no_garbage_collection():
         lowered = where.lowered(agent.train_step, train_state, donate=agent.consumes)
@@ -37,8 +40,23 @@ def compile_train_step(agent: Agent, train_state: Any, console: Console, where: 
 
 def compiler_options(agent: Agent) -> dict[str, bool]:
     """What XLA is told about how to compile the agent's programs."""
-    quick = getattr(agent.config, "quick_compile", False) and jax.default_backend() == "cpu"
-    return _QUICK if quick else {}
+    return _QUICK if _wants_quick(agent) and _has_older_generator() else {}
+
+
+def _wants_quick(agent: Agent) -> bool:
+    return getattr(agent.config, "quick_compile", False) and jax.default_backend() == "cpu"
+
+
+@functools.cache
+def _has_older_generator() -> bool:
+    """Whether this XLA can be asked for it: an option that it does not know is an error."""
+    try:
+        jax.jit(lambda x: x + 1.0).lower(0.0).compile(_QUICK)
+    except jax.errors.JaxRuntimeError as error:
+        if "No such compile option" not in str(error):
+            raise
+        return False
+    return True
 
 
 @contextlib.contextmanager

@@ -30,7 +30,12 @@ def test_devices_are_named(capsys):
 @pytest.mark.parametrize(
     ("changes", "problem", "remedy"),
     [
-        ({"jax": "0.10.2", "jaxlib": "0.10.2"}, "jax 0.10.2 miscompiles", "pip install 'jax!=0.10.2'"),
+        ({"jax": "0.10.2", "jaxlib": "0.10.2"}, "jax 0.10.2 miscompiles", "pip install 'jax>=0.10.1,!=0.10.2"),
+        (
+            {"jax": "0.11.0", "jaxlib": "0.11.0"},
+            "jax 0.11.0 compiles sums",
+            "pip install 'jax>=0.10.1,!=0.10.2,!=0.11.0'",
+        ),
         ({"jax": "0.9.3", "jaxlib": "0.9.3"}, "jax 0.9.3 is older", "pip install -U 'jax>=0.10.1"),
         ({"jaxlib": "0.11.0"}, "jax 0.10.1 and jaxlib 0.11.0 do not belong together", "pip install 'jaxlib==0.10.1'"),
         ({"flax": "0.12.7"}, "flax 0.12.7 fails to import", "pip install -U 'flax>=0.12.8'"),
@@ -46,6 +51,20 @@ def test_versions_that_do_not_work_are_named_with_the_remedy(changes, problem, r
 def test_good_versions_are_no_problem():
     assert not list(doctor.version_problems(GOOD))
     assert not list(doctor.version_problems({**GOOD, "jax": "0.11.2", "jaxlib": "0.11.1", "flax": "0.13.0rc1"}))
+
+
+def test_a_newer_jax_is_a_note_and_no_problem(monkeypatch, capsys):
+    newer = {**GOOD, "jax": "0.13.1", "jaxlib": "0.13.1"}
+    assert not list(doctor.version_problems(newer))
+    (note,) = doctor.version_notes(newer)
+    assert note.startswith("jax 0.13.1 is newer than") and "'jax<0.13'" in note
+    assert not list(doctor.version_notes(GOOD)) and not list(doctor.version_notes({**GOOD, "jax": None}))
+    for name in ("_device_problems", "native_problems"):
+        monkeypatch.setattr(doctor, name, list)
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    monkeypatch.setattr(doctor, "_version", lambda name: newer.get(name, "1.0"))
+    assert main(["doctor"]) == 0
+    assert f"note: {note}\nno problems found\n" in capsys.readouterr().out
 
 
 def test_a_harmful_flag_ends_in_exit_code_1(monkeypatch, capsys):
