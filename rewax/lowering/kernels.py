@@ -111,7 +111,7 @@ class _Target(NamedTuple):
     """Shape and type of each result for one element, and whether it is summed over all elements."""
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1024)
 def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """The same function, whose results all have the elements' shape."""
 

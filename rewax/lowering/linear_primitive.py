@@ -5,6 +5,7 @@ primitive of our own (see "JAX internals: primitives" in JAX's documentation) ha
 ``jax.custom_jvp`` it gives forward mode by running the map and reverse mode by running its transpose.
 """
 
+import contextlib
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
@@ -140,7 +141,7 @@ def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[Shape
     return [ShapedArray(*a, sharding=sharding, manual_axis_type=args[0].manual_axis_type) for a in out]
 
 
-@functools.cache
+@functools.lru_cache(maxsize=4096)
 def _shapes(args: tuple, function: Rule, static: Any, num_residuals: int, precision: Any) -> Shapes:
     """Shapes of the outputs: found by tracing the pass once; transformations derive theirs from these."""
     del precision  # which types Python's numbers become
@@ -192,10 +193,17 @@ def _batch(args, dims, *, static: Any, num_residuals: int, out: Shapes, **params
     return results, [0] * len(results)
 
 
-# Outside of jit: as a program of its own, for whatever platform that is.
-linear_call_p.def_impl(
-    jax.jit(linear_call_p.bind, static_argnames=("function", "transpose", "static", "num_residuals", "out"))
-)
+_compiled = jax.jit(linear_call_p.bind, static_argnames=("function", "transpose", "static", "num_residuals", "out"))
+
+
+@linear_call_p.def_impl
+def _impl(*args: Array, **params: Any) -> list[Array]:
+    """Outside of jit: a program of its own, for whatever platform that is."""
+    # Under jax.disable_jit, too: without jit, bind would call this function again.
+    with jax.disable_jit(False) if jax.config.jax_disable_jit else contextlib.nullcontext():
+        return _compiled(*args, **params)
+
+
 linear_call_p.def_abstract_eval(_abstract_eval)
 ad.primitive_jvps[linear_call_p] = _jvp
 ad.primitive_transposes[linear_call_p] = _transpose

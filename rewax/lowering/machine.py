@@ -100,8 +100,8 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
 def _target(which: str, program: Program, avals: tuple, count: int, precision: Any) -> _Target | str:
     """The bytecode of one rule, known to XLA; or the reason why there is none."""
     del precision  # which types Python's numbers become
-    traced = trace_rule(which, program, avals, count)
     try:
+        traced = trace_rule(which, program, avals, count)
         line = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
         bytecode = assemble(line, [aval.dtype for aval in traced.in_avals])
     except UnsupportedError as error:

@@ -1,5 +1,8 @@
 """Arithmetic element by element: the numbers and derivatives of JAX, from the machine."""
 
+import gc
+import weakref
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -219,3 +222,20 @@ def test_a_program_for_a_gpu_builds_nothing(monkeypatch):
     monkeypatch.setattr(build, "compiler", lambda: "c++")
     shared, elements = arguments(6, dtype=np.float32)
     jax.jit(pointwise(bend)).trace(shared | {"exponent": 2.0}, elements).lower(lowering_platforms=("cuda",))
+
+
+def test_laws_are_not_kept_for_ever():
+    """A law holds everything that it encloses, and a program may define laws anew at every call."""
+
+    def define():
+        def law(shared, elements):
+            return elements
+
+        module._spread(law)
+        return weakref.ref(law)
+
+    first = define()
+    for _ in range(2000):
+        define()
+    gc.collect()
+    assert first() is None

@@ -111,3 +111,10 @@ def test_under_shard_map_that_checks_what_varies():
     for function in (recomputed(energy), interpreted(energy), lambda p, x: energy(p, materialize(x))):
         found = sharded(function)(jnp.float32(0.7), x)
         jax.tree.map(lambda f, e: np.testing.assert_allclose(f, e, rtol=1e-5), found, expected)
+
+
+def test_it_can_be_debugged_without_jit():
+    with jax.disable_jit():
+        value, derivative = jax.value_and_grad(lambda a: materialize(a) * jnp.sin(a))(1.0)
+    assert value == jnp.sin(1.0)
+    assert derivative == pytest.approx(np.sin(1.0) + np.cos(1.0))

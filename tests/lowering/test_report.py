@@ -52,6 +52,13 @@ def test_a_fault_of_the_compiler_is_a_reason_not_an_error(monkeypatch):
 
 
 @NEEDS_COMPILER
+def test_a_fault_while_tracing_is_a_reason_too(monkeypatch):
+    monkeypatch.setattr(machine, "trace_rule", lambda *args: 1 / 0)
+    with pytest.warns(LoweringWarning, match="could not be lowered .ZeroDivisionError"):
+        assert interpreted(lambda a: a + 4)(jnp.ones(())) == 5
+
+
+@NEEDS_COMPILER
 def test_a_fault_in_a_kernel_is_a_reason_too(monkeypatch):
     monkeypatch.setattr(kernels, "bytecode_of", lambda *args: 1 / 0)
     with pytest.warns(LoweringWarning, match="could not be lowered .ZeroDivisionError"):
