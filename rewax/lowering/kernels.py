@@ -50,7 +50,7 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
         comparisons and selections, and what it does with one element it does with all: none knows another.
 
     Floats in ``shared`` become arrays, so that one program serves all of them; integers are part of the program.
-    Elements that are no arrays of one length and one precision are left to the function itself.
+    Elements that are no arrays of one length and one precision are left to the function itself, with a warning.
 
     Gradient: exact, forward and reverse, with respect to both arguments. Where the machine runs it, no second
       derivatives.
@@ -58,8 +58,12 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
 
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
+        if not build.is_available():
+            return function(shared, elements)
         dtype = _common_type(elements)
-        if dtype is None or not build.is_available():
+        if dtype is None:
+            if jax.default_backend() == "cpu":
+                report.note(function, "value", "its elements are not arrays of one length and one floating type")
             return function(shared, elements)
         # As arrays: a number inside the program would make another program of every number.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
