@@ -201,7 +201,7 @@ class _Cover:
 
 
 class _Registers:
-    """Places of values; that of a value that nobody needs any more is used again."""
+    """Registers of values. The register of a value that is no longer needed is used again."""
 
     def __init__(self, steps: Sequence[_Step], kept: set[int]) -> None:
         self.place: dict[int, int] = {}
@@ -211,7 +211,7 @@ class _Registers:
         self.last |= dict.fromkeys(kept, len(steps))
 
     def release(self, k: int, values: Sequence[int]) -> None:
-        """Places of values that step ``k`` is the last one to need."""
+        """Frees the registers of values that step ``k`` is the last one to need."""
         self.free += [self.place[i] for i in dict.fromkeys(values) if self.last[i] == k and i in self.place]
 
     def take(self, i: int) -> int:
@@ -282,7 +282,7 @@ def _lane(operation: Operation, dtype: np.dtype) -> Any:
 
 
 class _Blocks:
-    """How a pointwise program becomes bytecode. A place is a kind of place and a number."""
+    """Assembles a pointwise program. A place is a kind of memory (register, shared, input, output) and an index."""
 
     def __init__(
         self, line: OperationList, types: Sequence[Any], rows: Sequence[int], own: list[list[int]], sums: list[int]

@@ -1,4 +1,4 @@
-"""How arrays and the passes of a program reach C++: without the axes of ``vmap``, which say where copies lie."""
+"""Argument layout for FFI calls: vmapped axes become one batch axis with a stride."""
 
 import functools
 import math
@@ -15,7 +15,7 @@ from rewax.types import Array
 
 
 class Operand(NamedTuple):
-    """An array on its way into a kernel: axes of ``vmap``, its own, and that of the elements if it varies."""
+    """An argument of an FFI call. Its axes: those of ``vmap``, its own, and that of the elements if it varies."""
 
     array: Array
     varies: bool
@@ -33,7 +33,7 @@ class Operand(NamedTuple):
 
     @property
     def step(self) -> int:
-        """How far apart copies are; 0: there is one for all."""
+        """Stride of the batch axis; 0: all batch elements share the array."""
         return math.prod(self.own_shape) if any(self.present) else 0
 
     def laid_out(self, batch: tuple[int, ...]) -> Array:
@@ -46,7 +46,7 @@ class Operand(NamedTuple):
 
 
 def cpu_rules(run: Callable[[str, Program, Arrays, Arrays], Arrays]) -> Rules:
-    """Rules that ``run(name of the pass, program, arrays, linear)`` computes on a CPU, and JAX elsewhere."""
+    """Rules that ``run(name of the rule, program, arrays, linear)`` computes on a CPU, and JAX elsewhere."""
     return Rules(*(ByPlatform(functools.partial(run, which), getattr(RECOMPUTED, which)) for which in Rules._fields))
 
 
@@ -60,7 +60,7 @@ def batch_shape(operands: Sequence[Operand]) -> tuple[int, ...]:
 
 
 def operands_of(program: Program, arrays: Arrays, linear: Arrays, varies: Sequence[bool]) -> list[Operand]:
-    """The arguments of a pass. Those in which it is linear have all axes of ``vmap``."""
+    """The arguments of a rule. Those in which it is linear have all axes of ``vmap``."""
     present = [tuple(batch[k] for batch in reversed(program.batches)) for k in range(len(arrays))]
     present += [(True,) * len(program.batches)] * len(linear)
     given = zip((*arrays, *linear), varies, present, strict=True)
@@ -70,23 +70,23 @@ def operands_of(program: Program, arrays: Arrays, linear: Arrays, varies: Sequen
 def trace_rule(
     which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int
 ) -> ClosedJaxpr:
-    """The trace of a pass outside of ``vmap``.
+    """The trace of a rule for one batch element.
 
     Args:
       which: ``value``, ``tangent`` or ``cotangent``.
       program: whose.
       avals: shape, type and weakness of its arguments.
-      count: so many of them are those in which it need not be linear.
+      count: how many of them are not linear arguments. They come first.
     """
-    passes = {
+    rules = {
         "value": lambda *a: tuple(jax.tree.leaves(program.apply(a))),
         "tangent": lambda *a: RECOMPUTED.tangent(program, a[:count], a[count:]),
         "cotangent": lambda *a: RECOMPUTED.cotangent(program, a[:count], a[count:]),
     }
     structs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in avals]
-    # Under a mesh of devices JAX would write down, too, how arrays are divided: here there is one element, or copy.
+    # Under an empty mesh, so that avals carry no sharding: this is the program of one element.
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
-        return jax.make_jaxpr(passes[which])(*structs)
+        return jax.make_jaxpr(rules[which])(*structs)
 
 
 __all__ = ["Operand", "batch_shape", "cpu_rules", "operands_of", "trace_rule"]

@@ -43,12 +43,12 @@ class OperationList(NamedTuple):
 
 
 def from_jaxpr(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_000) -> OperationList:
-    """A traced program of one element.
+    """The operations of a traced program of one element.
 
     Args:
       program: arithmetic on small arrays.
       varies: which of its arguments differ between the elements.
-      most: so many operations it may have.
+      most: how many operations it may have.
 
     Raises:
       UnsupportedError: it has something else.

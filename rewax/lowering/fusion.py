@@ -1,11 +1,11 @@
 """A fusion boundary that XLA's CPU compiler respects, under two names: one for speed, one for correctness.
 
 XLA fuses elementwise arithmetic into each of its consumers and recomputes it there. On a CPU a chain of such fusions
-can cost ten times the arithmetic, and each copy may round otherwise (a product and a sum become one operation here and
-two there). ``jax.lax.optimization_barrier`` should prevent that, but XLA's CPU pipeline drops it before it fuses. The
-operands of a while loop, though, must be stored: the boundary is a loop that runs zero times, which the compiler cannot
-know. On other platforms a boundary for speed is nothing at all, for there what is stored between two kernels costs more
-than what is computed twice; one for correctness is an optimization barrier.
+can cost ten times the arithmetic, and each of them may round otherwise (a product and a sum become one operation here
+and two there). ``jax.lax.optimization_barrier`` should prevent that, but XLA's CPU pipeline drops it before it fuses.
+The operands of a while loop, though, must be stored: the boundary is a loop that runs zero times, which the compiler
+cannot know. On other platforms a boundary for speed is nothing at all, for there what is stored between two kernels
+costs more than what is computed twice; one for correctness is an optimization barrier.
 """
 
 from typing import Any, TypeVar
@@ -20,7 +20,7 @@ S = TypeVar("S")
 
 
 def materialize(tree: T) -> T:
-    """The same arrays, on a CPU stored before their users, in the forward and in the backward pass: for speed.
+    """The same arrays, on a CPU stored before their users, in the value and in the derivatives: for speed.
 
     A program without it gives the same numbers, up to rounding. Where that is not so, write ``compute_once``.
 
@@ -65,8 +65,8 @@ def _store_on_cpu(static: int | None, residuals: Arrays, arrays: Arrays) -> Arra
 
 
 def _otherwise(arrays: Arrays) -> Arrays:
-    """Something else than the same, or the compiler would see through the loop."""
-    # Arrays of one form change places: that needs no kernel. A sum for each would be a third of a program's kernels.
+    """Not the identity, or the compiler would remove the loop."""
+    # Rotate arrays of equal shape: not provably an identity, and free. A sum each would be a third of all kernels.
     places: dict[Any, list[int]] = {}
     for i, a in enumerate(arrays):
         places.setdefault((a.shape, a.dtype), []).append(i)

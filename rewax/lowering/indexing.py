@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 Values: TypeAlias = np.ndarray
-"""The value of a variable: an array of the places of operations in their list."""
+"""The value of a variable: an array of indices into the list of operations."""
 
 
 def rows(a: Values, axes: Sequence[int]) -> Values:
@@ -17,14 +17,14 @@ def rows(a: Values, axes: Sequence[int]) -> Values:
 
 
 def gathered(operand: Values, index: np.ndarray, params: dict[str, Any], out: Any, filling: int) -> Values:
-    """``jax.lax.gather`` at known places.
+    """``jax.lax.gather`` at known indices.
 
     Args:
       operand: what is taken from.
-      index: places, the last axis their coordinates.
+      index: start indices; the last axis holds their coordinates.
       params: of the primitive.
       out: type of the result.
-      filling: what is beyond the operand, where the mode says so.
+      filling: the operation that stands for numbers out of bounds, where the mode fills.
     """
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
@@ -47,11 +47,11 @@ def scattered(
     params: dict[str, Any],
     merge: Callable[[Values, Values], Values] | None,
 ) -> Values:
-    """``jax.lax.scatter`` and its like at known places.
+    """``jax.lax.scatter`` and its like at known indices.
 
     Args:
       operand, updates: as there.
-      index: places, the last axis their coordinates.
+      index: start indices; the last axis holds their coordinates.
       params: of the primitive.
       merge: of what is there and an update; None: the update.
     """
@@ -79,7 +79,7 @@ def _windows(
     batching: Sequence[tuple[int, int]],
     mode: Any,
 ) -> Iterator[tuple[tuple[int, ...], tuple[slice, ...]]]:
-    """Places in the array of indices, and the part of the operand that each means if it is one."""
+    """Positions in the array of indices, each with its window of the operand; those out of bounds are left out."""
     for place in np.ndindex(index.shape[:-1]):
         start = [0] * len(shape)
         for coordinate, axis in zip(index[place], coordinates, strict=True):

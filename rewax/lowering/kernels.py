@@ -30,11 +30,11 @@ P = TypeVar("P")
 T = TypeVar("T")
 
 _BLOCK = 512
-"""So many elements at most does a thread compute at a time: enough that choosing instructions takes little of the time,
-and few enough that registers stay in the processor's caches. A block has sums of its own."""
+"""A block has at most so many elements: enough that the choice of instructions takes little of the time, few enough
+that registers stay in the processor's caches. A thread computes one block at a time, with sums of its own."""
 
 _ALIGNMENT = 64
-"""Blocks consist of so many elements, or a multiple: full vectors on any processor."""
+"""The size of a block is a multiple of this: full vectors on any processor."""
 
 
 def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
@@ -49,8 +49,8 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
         ``shared`` is a pytree of small arrays and numbers that all elements use. It consists of arithmetic,
         comparisons and selections, and what it does with one element it does with all: none knows another.
 
-    Floats in ``shared`` become arrays, so that one program serves all of them; whole numbers are part of the program.
-    Elements that are no arrays of one length and one precision are left to the function itself.
+    Floats in ``shared`` become arrays, so that one program serves all of them; integers are part of the program.
+    Elements that are no arrays of one length and one precision are left to the function itself, with a warning.
 
     Gradient: exact, forward and reverse, with respect to both arguments. Where the machine runs it, no second
       derivatives.
@@ -58,8 +58,12 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
 
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
+        if not build.is_available():
+            return function(shared, elements)
         dtype = _common_type(elements)
-        if dtype is None or not build.is_available():
+        if dtype is None:
+            if jax.default_backend() == "cpu":
+                report.note(function, "value", "its elements are not arrays of one length and one floating type")
             return function(shared, elements)
         # As arrays: a number inside the program would make another program of every number.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
@@ -177,7 +181,7 @@ def _blocks(count: int) -> tuple[int, int]:
 def bytecode_of(
     which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
 ) -> tuple[BlockBytecode, np.dtype, tuple]:
-    """Bytecode of one pass, its floating type, and shape, type and sum of its results as in ``_Target``.
+    """Bytecode of one rule, its floating type, and shape, type and sum of its results as in ``_Target``.
 
     Raises:
       UnsupportedError: it cannot be written so.

@@ -28,12 +28,12 @@ Shapes = tuple[tuple[tuple[int, ...], Any], ...]
 
 
 class ByPlatform(NamedTuple):
-    """One pass written twice. Which one a program holds is decided when it is lowered for a platform."""
+    """One rule written twice. Lowering for a platform decides which one a program holds."""
 
     cpu: Rule
     other: Rule
     numbers: Rule | None = None
-    """For programs that are written out number by number (``from_jaxpr``); None: the other."""
+    """For programs that ``from_jaxpr`` lowers to operations on single numbers; None: the other."""
 
     def __call__(self, static: Any, residuals: Arrays, linear: Arrays) -> Arrays:
         return self.cpu(static, residuals, linear)
@@ -41,10 +41,10 @@ class ByPlatform(NamedTuple):
 
 @runtime_checkable
 class Batchable(Protocol):
-    """What ``static`` can be to have residuals that are the same for a whole batch passed as they are."""
+    """What ``static`` can be, so that ``vmap`` does not broadcast residuals that all batch elements share."""
 
     def batched(self, which: tuple[bool, ...]) -> Self:
-        """The same under one more ``vmap``, and which of the residuals have its axis, at the front."""
+        """The same under one more ``vmap``. ``which``: which of the residuals have its axis, at the front."""
         ...
 
 
@@ -68,14 +68,14 @@ def linear_call(
         arrays batched along axis 0 instead of tracing it anew. ``ByPlatform`` where a CPU and a GPU want other
         programs for the same numbers; so may ``transpose`` be.
       transpose: ``(static, residuals, cotangents of the outputs) -> cotangents of linear``.
-      static: anything hashable. If it is ``Batchable``, residuals that a ``vmap`` does not touch are not repeated.
+      static: anything hashable. If it is ``Batchable``, residuals without the axis of a ``vmap`` are not broadcast.
       residuals: arrays in which the function need not be linear. Gradient: none (wrap in ``jax.custom_jvp``).
       linear: arrays in which the function is linear. Gradient: exact.
       like: arrays of the shapes and types of the outputs, if they are known; else the function is traced to find out.
     """
     if like is None:
         inputs = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, (*residuals, *linear)))
-        # As for a GPU: what only a CPU has, C++, need not be built to know shapes.
+        # Infer shapes from the XLA version, so that tracing never triggers a build.
         plain = function.other if isinstance(function, ByPlatform) else function
         shapes = _shapes(inputs, plain, static, len(residuals), jnp.result_type(float))
     else:
@@ -113,7 +113,7 @@ def _varying_axes(a: Any) -> frozenset[str]:
 
 
 def no_transpose(static: Any, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of a pass that has no linear arguments. (``linear_call`` refuses second derivatives.)"""
+    """Transpose of a rule without linear arguments. (``linear_call`` refuses second derivatives.)"""
     del static, residuals, cotangents
     return ()
 
@@ -143,8 +143,8 @@ def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[Shape
 
 @functools.lru_cache(maxsize=4096)
 def _shapes(args: tuple, function: Rule, static: Any, num_residuals: int, precision: Any) -> Shapes:
-    """Shapes of the outputs: found by tracing the pass once; transformations derive theirs from these."""
-    del precision  # which types Python's numbers become
+    """Shapes of the outputs, from one trace of the function; transformations derive theirs from these."""
+    del precision  # cache key only: jax_enable_x64
     xs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in args]
     out = jax.eval_shape(lambda xs: function(static, tuple(xs[:num_residuals]), tuple(xs[num_residuals:])), xs)
     return tuple((a.shape, a.dtype) for a in out)

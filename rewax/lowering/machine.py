@@ -39,7 +39,7 @@ def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | No
     """``recomputed``, whose value and derivatives the machine interprets on a CPU.
 
     Under ``vmap`` the batch elements run in the lanes of vectors. What is no arithmetic at known indices, a
-    ``while_loop`` for instance, is left to XLA, pass by pass: so are all passes without the machine, and on a GPU.
+    ``while_loop`` for instance, is left to XLA, rule by rule. So are all rules without the machine, and on a GPU.
 
     Args:
       function, derivative_of: as for ``recomputed``, of small arrays of one floating type and fixed shapes.
@@ -99,7 +99,7 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
 @functools.lru_cache(maxsize=1024)
 def _target(which: str, program: Program, avals: tuple, count: int, precision: Any) -> _Target | str:
     """The bytecode of one rule, known to XLA; or the reason why there is none."""
-    del precision  # which types Python's numbers become
+    del precision  # cache key only: jax_enable_x64
     try:
         traced = trace_rule(which, program, avals, count)
         line = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
@@ -151,8 +151,8 @@ def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | Non
     """Hand bytecode to the machine.
 
     Returns:
-      Its number for the machine's handlers, the same in every process, for compiled programs are kept; or None, and a
-      sentence that says why there is no machine.
+      Its number for the machine's handlers; or None, and a sentence that says why there is no machine. The number is
+      a content hash: cached executables stay valid across processes.
     """
     source, *handlers = machine(dtype)
     registered = build.register(source, tuple(handlers))

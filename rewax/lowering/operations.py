@@ -67,13 +67,13 @@ class Operation(NamedTuple):
     """One of ``ARITHMETIC``, ``select``, ``constant``, ``input``, ``wrap`` (an integer to 32 bits), or a conversion,
     ``b_to_f``."""
     operands: tuple[int, ...]
-    """Earlier operations, by their places in the list."""
+    """Indices of earlier operations."""
     kind: str
     """One of ``KINDS``; ``f`` has the program's one precision."""
     shared: bool
     """The same for all elements of a batch element."""
     constant: Any = None
-    """Of a ``constant`` its value, as text; of an ``input`` which argument it is, and the place in it."""
+    """Of a ``constant`` its value, as text; of an ``input`` which argument it is, and the offset in it."""
 
 
 class Operations:
@@ -123,7 +123,7 @@ class Operations:
 
         Args:
           name: of the operation.
-          operands: places of its operands.
+          operands: indices of its operands.
           kind: of its result; None: that of its first operand.
         """
         key = (name, operands, kind)

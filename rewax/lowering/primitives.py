@@ -214,7 +214,7 @@ def _dynamic_update_slice(b: Operations, eqn: Equation, args: list[Values]) -> V
 
 
 def _window(b: Operations, a: Values, starts: Sequence[Values], sizes: Sequence[int]) -> tuple[slice, ...]:
-    """A window at places that are constants, moved inside the array as JAX does."""
+    """A window at constant indices, moved inside the array as JAX does."""
     whole = [int(b.whole(start)) for start in starts]
     firsts = [max(min(start, n - k), 0) for start, k, n in zip(whole, sizes, a.shape, strict=True)]
     return tuple(slice(first, first + k) for first, k in zip(firsts, sizes, strict=True))

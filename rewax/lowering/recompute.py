@@ -1,4 +1,4 @@
-"""Functions whose derivatives keep nothing but the inputs, as single equations of a traced program."""
+"""Functions whose derivatives keep only the inputs; value, JVP and VJP are one equation each in a jaxpr."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -100,7 +100,7 @@ class Program(NamedTuple):
 
 
 def run_program(program: Program, arrays: list[Array]) -> Any:
-    """What the program's function returns. Gradient: by the program's passes."""
+    """What the program's function returns. Gradient: by the program's rules."""
     return jax.tree.unflatten(jax.tree.structure(program.results(arrays)), _call(program, *arrays))
 
 
@@ -118,7 +118,7 @@ def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
 
 @functools.lru_cache(maxsize=1024)
 def _results(program: Program, shapes: tuple, precision: Any) -> Any:
-    del precision  # which types Python's numbers become
+    del precision  # cache key only: jax_enable_x64
     arrays = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in shapes]
     return jax.eval_shape(program.apply, arrays)
 
