@@ -49,6 +49,10 @@ def program(module, name, layout, given):
     return jax.jit(lambda residuals, linear: getattr(module, name)(layout, residuals, linear)).lower(*given)
 
 
+def run(module, name, layout, given):
+    return program(module, name, layout, given).compile()(*given)
+
+
 def assert_as_transfer_cpu(module, names, batch, listed):
     """All passes of these names agree with ``transfer_cpu``'s, and are other programs."""
     layout, where = places(batch, listed)
