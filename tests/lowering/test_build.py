@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 
 from rewax.lowering import build
@@ -138,6 +139,8 @@ def test_a_compiler_that_prints_another_encoding(folder, monkeypatch):
 @pytest.mark.skipif(not hasattr(os, "setuid") or os.geteuid() != 0, reason="root can become a user without a name")
 def test_a_user_without_a_name_and_a_home(folder, tmp_path):
     """As in containers that run under any number."""
+    if not all(folder.stat().st_mode & 0o001 for folder in Path(jax.__file__).resolve().parents):
+        pytest.skip("the virtual environment is its owner's alone")
     program = (
         "import os, sys\nfrom rewax.lowering import build\nos.setuid(54321)\n"
         f"print(build.load(build.Source('one', {EMPTY!r})).library.one())"
