@@ -5,7 +5,6 @@ primitive of our own (see "JAX internals: primitives" in JAX's documentation) ha
 ``jax.custom_jvp`` it gives forward mode by running the map and reverse mode by running its transpose.
 """
 
-import contextlib
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
@@ -199,8 +198,8 @@ _compiled = jax.jit(linear_call_p.bind, static_argnames=("function", "transpose"
 @linear_call_p.def_impl
 def _impl(*args: Array, **params: Any) -> list[Array]:
     """Outside of jit: a program of its own, for whatever platform that is."""
-    # Under jax.disable_jit, too: without jit, bind would call this function again.
-    with jax.disable_jit(False) if jax.config.jax_disable_jit else contextlib.nullcontext():
+    # Also inside of jax.disable_jit: without jit, bind would call this function again.
+    with jax.disable_jit(False):
         return _compiled(*args, **params)
 
 
