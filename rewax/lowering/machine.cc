@@ -185,14 +185,25 @@ void Run(const Code& program, const Frame& f) {
   }
 }
 
+// Where arguments and results lie.
+struct Buffers {
+  std::vector<const void*> operands;
+  std::vector<void*> results;
+};
+Buffers BuffersOf(const ffi::RemainingArgs& args, const ffi::RemainingRets& rets) {
+  Buffers found;
+  for (size_t k = 0; k < args.size(); ++k) found.operands.push_back(args.get<ffi::AnyBuffer>(k)->untyped_data());
+  for (size_t k = 0; k < rets.size(); ++k) found.results.push_back((*rets.get<ffi::AnyBuffer>(k))->untyped_data());
+  return found;
+}
+
 ffi::Error RunLanes(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int64_t number,
                     ffi::Span<const int64_t> sizes) {
   const auto program = Find(number);
   if (!program) return ffi::Error::Internal("this program of rewax is not loaded");
-  std::vector<const void*> operands(args.size());
-  std::vector<void*> results(rets.size());
-  for (size_t k = 0; k < operands.size(); ++k) operands[k] = args.get<ffi::AnyBuffer>(k)->untyped_data();
-  for (size_t k = 0; k < results.size(); ++k) results[k] = (*rets.get<ffi::AnyBuffer>(k))->untyped_data();
+  const Buffers buffers = BuffersOf(args, rets);
+  const auto &operands = buffers.operands;
+  const auto &results = buffers.results;
   const int64_t batch = sizes[0];
   ForEach(pool, (batch + kLanes - 1) / kLanes, [&](int64_t group) {
     Frame f{};
@@ -282,10 +293,9 @@ ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaini
                      ffi::Span<const int64_t> sizes) {
   const auto program = Find(number);
   if (!program) return ffi::Error::Internal("this program of rewax is not loaded");
-  std::vector<const void*> operands(args.size());
-  std::vector<void*> results(rets.size());
-  for (size_t k = 0; k < operands.size(); ++k) operands[k] = args.get<ffi::AnyBuffer>(k)->untyped_data();
-  for (size_t k = 0; k < results.size(); ++k) results[k] = (*rets.get<ffi::AnyBuffer>(k))->untyped_data();
+  const Buffers buffers = BuffersOf(args, rets);
+  const auto &operands = buffers.operands;
+  const auto &results = buffers.results;
   const int64_t batch = sizes[0], count = sizes[1], blocks = sizes[2], block = sizes[3];
   const int64_t* const steps = sizes.begin() + 4;
   const int64_t registers = program->lanes.num_registers * kLanes;
