@@ -12,6 +12,7 @@ import pytest
 import toys
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
+from native_cases import NEEDS_COMPILER
 
 import rewax
 from rewax.physics.mpm import transfer_native
@@ -116,6 +117,12 @@ def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
         rewards.append(float(metrics["reward"]))
     assert np.mean(rewards[:2]) < -0.35 and np.mean(rewards[-20:]) > -0.2
     assert agent.name == "short_horizon" and int(state.env_steps) == 120 * 16
+
+
+@NEEDS_COMPILER
+def test_the_lowering_page_says_what_runs_in_cpp():
+    names = run_page("docs/lowering.md")
+    assert {decision.rule for decision in names["decisions"]} == {"cotangent"}
 
 
 def test_every_page_with_code_is_run_here():
