@@ -96,6 +96,8 @@ class _Builder(Operations):
 
     def equation(self, eqn: Any, args: list[Values]) -> list[Values]:
         name, params = eqn.primitive.name, eqn.params
+        if not eqn.outvars and not eqn.effects:
+            return []  # a derivative leaves some behind
         if not eqn.outvars:
             raise UnsupportedError(f"it has the operation {name} without a result")
         if eqn.primitive is linear_call_p:

@@ -42,6 +42,17 @@ def chosen(a):
     return jax.lax.cond(a[0] > 0, jnp.sin, jnp.cos, a)
 
 
+def without_result(a):
+    jax.jit(lambda b: ())(a)
+    return 2.0 * a
+
+
+def test_what_has_no_result_and_no_effect_is_nothing():
+    program = jax.make_jaxpr(without_result)(jnp.ones(2))
+    assert [e.primitive.name for e in program.eqns] == ["jit", "mul"]
+    assert [o.name for o in from_jaxpr(program, [True]).operations if o.name == "mul"] == ["mul"]
+
+
 def test_small_arrays():
     assert_equal_to_jax(arrays, 0)
 
