@@ -91,7 +91,7 @@ def stretches(eigenvalues: Principal, sign: Array) -> Principal:
         """Of signs that differ it is unbounded where sizes are equal, and there it counts as zero."""
         gap = eigenvalues.values[i] - eigenvalues.values[j]
         near = jnp.abs(gap) < jnp.finfo(gap.dtype).eps ** (1 / 3) * (root.values[i] + root.values[j]) ** 2
-        differ = jnp.where(near, 0.0, (s[i] - s[j]) / jnp.where(near, 1.0, gap))
+        differ = jnp.where(near, 0.0, (s[i] - s[j]) * dd.inverse_gap(eigenvalues.values, i, j))
         return jnp.where(signs[i] == signs[j], signs[i] * alike[k], differ)
 
     return Principal(s, cp.vector(lambda k: difference(*dd.PAIRS[k], k)))

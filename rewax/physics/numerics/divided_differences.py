@@ -111,12 +111,22 @@ def sqrt(p: Principal) -> Principal:
 def log(p: Principal) -> Principal:
     """Logarithm of positive values."""
     values = cp.vector(lambda i: jnp.log(p.values[i]))
-    return chain(p, values, lambda i, j: _log_slope(p.values, values, i, j))
+
+    def difference(i: int, j: int) -> Array:
+        rise, run = _log_rise(p.values, values, i, j)
+        return rise / run
+
+    return chain(p, values, difference)
 
 
 def exp(p: Principal) -> Principal:
     values = cp.vector(lambda i: jnp.exp(p.values[i]))
-    return chain(p, values, lambda i, j: 1.0 / _log_slope(values, p.values, i, j))
+
+    def difference(i: int, j: int) -> Array:
+        run, rise = _log_rise(values, p.values, i, j)
+        return rise / run
+
+    return chain(p, values, difference)
 
 
 def expm1(p: Principal) -> Principal:
@@ -142,17 +152,20 @@ def _exp_minus_one_jvp(primals, tangents):
     return exp_minus_one(x), jnp.exp(x) * dx
 
 
-def _log_slope(x: Vec3, log_x: Vec3, i: int, j: int) -> Array:
-    """(log x_i - log x_j) / (x_i - x_j), for x_i near x_j as a series: log(x_i / x_j) = 2 artanh z."""
+def _log_rise(x: Vec3, log_x: Vec3, i: int, j: int) -> tuple[Array, Array]:
+    """log x_i - log x_j and x_i - x_j, for x_i near x_j both divided by z / 2.
+
+    Source: log(x_i / x_j) = 2 artanh z with z = (x_i - x_j) / (x_i + x_j), whose series is in z^2.
+    """
     gap, total = x[i] - x[j], x[i] + x[j]
+    near = jnp.abs(gap) < 0.1 * total
     z = gap / total
-    near = jnp.abs(z) < 0.1
     square = z * z
     last = _of_precision(z, 7, 15)
-    series = jnp.full_like(z, 1.0 / last)
+    series = jnp.full_like(z, 2.0 / last)
     for n in range(last - 2, 0, -2):
-        series = 1.0 / n + series * square
-    return jnp.where(near, 2.0 * series / total, (log_x[i] - log_x[j]) / jnp.where(near, 1.0, gap))
+        series = 2.0 / n + series * square
+    return jnp.where(near, series, log_x[i] - log_x[j]), jnp.where(near, total, gap)
 
 
 def _of_precision(x: Array, single: int, double: int) -> int:
@@ -162,7 +175,12 @@ def _of_precision(x: Array, single: int, double: int) -> int:
 
 def _slope(x: Vec3, y: Vec3, i: int, j: int) -> Array:
     """(y_i - y_j) / (x_i - x_j) of clipped numbers: 1 for equal ones that are not clipped."""
-    gap = x[i] - x[j]
-    equal = gap == 0.0
+    equal = x[i] == x[j]
     kept = jnp.where(x[i] == y[i], 1.0, 0.0)
-    return jnp.where(equal, kept, (y[i] - y[j]) / jnp.where(equal, 1.0, gap))
+    return jnp.where(equal, kept, (y[i] - y[j]) * inverse_gap(x, i, j))
+
+
+def inverse_gap(x: Vec3, i: int, j: int) -> Array:
+    """1 / (x_i - x_j); 1 for equal ones. Of one expression, that those who need the same gap share it."""
+    gap = x[i] - x[j]
+    return 1.0 / jnp.where(gap == 0.0, 1.0, gap)
