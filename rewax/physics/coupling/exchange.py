@@ -29,9 +29,10 @@ class Wrench(NamedTuple):
     torque: Array
 
 
-def no_wrench(num_bodies: int, dtype=None) -> Wrench:
-    """No force and no torque."""
-    zeros = jnp.zeros((num_bodies, 3), dtype)
+def no_wrench(num_bodies: int, dtype=None, *, like: Array | None = None) -> Wrench:
+    """No force and no torque; of the type of ``like``, and inside ``shard_map`` on its axes, if it is given."""
+    shape = (num_bodies, 3)
+    zeros = jnp.zeros(shape, dtype) if like is None else jnp.zeros_like(like, shape=shape)
     return Wrench(zeros, zeros)
 
 

@@ -73,7 +73,7 @@ def step(
     def body(carry: _Carry, interval: tuple[Pose, Pose]) -> _Carry:
         return one(scene, inertia, wrench, constants, carry, interval)
 
-    start = _Carry(solver.split(state), bodies, no_wrench(num_bodies, state.x.dtype))
+    start = _Carry(solver.split(state), bodies, no_wrench(num_bodies, like=state.x))
     end = scan_substeps(body, start, both_ends(poses), store_every)
     mean = jax.tree.map(lambda a: a / (num_substeps * scene.dt), end.received)
     return solver.join(end.soft), end.bodies, mean

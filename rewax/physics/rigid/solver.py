@@ -89,7 +89,7 @@ def solve_accelerations(
         return Iterate(qacc, missed, side, at.count + 1, small | jnp.all(side == at.side))
 
     missed = _dot(rows.jacobian, start) - rows.target
-    begin = Iterate(start, missed, _side(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros((), bool))
+    begin = Iterate(start, missed, _side(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros_like(start, bool, ()))
     return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
 
 
