@@ -211,7 +211,7 @@ def _epochs(networks: ActorCritic, state: PPOState, batch: dict[str, Any], key: 
 
 
 def ppo_loss(networks: ActorCritic, params: Any, batch: dict[str, Any]) -> tuple[Array, Metrics]:
-    """The clipped derivative_of, the values' error and the entropy, means over the samples that count."""
+    """The clipped surrogate, the values' error and the entropy, means over the samples that count."""
     config, (actor_params, critic_params) = networks.config, params
 
     now = jax.vmap(lambda obs: networks.distribution(actor_params, obs))(batch["obs"])

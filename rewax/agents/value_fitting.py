@@ -98,10 +98,10 @@ def _fit(
         grad = finite_or_zero(grad)
         return apply(optimizer, grad, carry[1], carry[0]), (value, optax.tree.norm(grad))
 
-    def trace_rule(carry: tuple[PyTree, PyTree], _: None):
+    def one_pass(carry: tuple[PyTree, PyTree], _: None):
         return jax.lax.scan(update, carry, batches)
 
-    end, (losses, norms) = jax.lax.scan(trace_rule, packing.pack((params, opt_state)), None, length=passes)
+    end, (losses, norms) = jax.lax.scan(one_pass, packing.pack((params, opt_state)), None, length=passes)
     params, opt_state = packing.unpack(end)
     return params, opt_state, {"critic_loss": losses[-1].mean(), "critic_grad_norm": norms.mean()}
 
