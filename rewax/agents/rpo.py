@@ -144,7 +144,7 @@ def actor_epochs(
     def epoch(carry: tuple[PyTree, PyTree], _: None) -> tuple[tuple[PyTree, PyTree], Metrics]:
         params, opt = carry
         grad, said = jax.grad(
-            lambda params: derivative_of(networks, params, seen, t.extras, by_action, counts), has_aux=True
+            lambda params: surrogate_loss(networks, params, seen, t.extras, by_action, counts), has_aux=True
         )(params)
         return apply(optimizer, finite_or_zero(grad), opt, params), {**said, "actor_grad_norm": optax.tree.norm(grad)}
 
@@ -155,7 +155,7 @@ def actor_epochs(
     return {"actor_params": params, "actor_opt": opt}, {**metrics, "kl": said["kl"][-1]}
 
 
-def derivative_of(
+def surrogate_loss(
     networks: ActorCritic, params: PyTree, seen: Observation, acted: dict[str, Any], by_action: Array, counts: Array
 ) -> tuple[Array, Metrics]:
     """What an epoch descends: the reused derivatives along the actions, the divergence, minus the entropy.

@@ -104,7 +104,7 @@ class CoupledTask(Task):
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
         bodies, soft, task = self.start(positions, start_key)
-        action, touch = jnp.zeros(self.num_actions, soft.x.dtype), no_wrench(self.model.num_bodies, soft.x.dtype)
+        action, touch = jnp.zeros(self.num_actions, soft.x.dtype), no_wrench(self.model.num_bodies, soft.x)
         return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task), key
 
     def advance(self, physics: CoupledPhysics, action: Array) -> tuple[CoupledPhysics, Array]:

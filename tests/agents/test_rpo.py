@@ -45,7 +45,7 @@ def slope(params, start, rolled, config=CONFIG, counts=None):
     counts = jnp.ones(by_action.shape[:2], bool) if counts is None else counts
     run = jax.jit(
         jax.value_and_grad(
-            lambda p: rpo.derivative_of(networks, p, seen, data.transitions.extras, by_action, counts), has_aux=True
+            lambda p: rpo.surrogate_loss(networks, p, seen, data.transitions.extras, by_action, counts), has_aux=True
         )
     )
     return run(params)

@@ -91,7 +91,7 @@ def step(
         inner = jax.lax.scan(substep, inner, None, length=each)[0]
         return (inner, after.act, after.qacc), None
 
-    start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, like=state.x))
+    start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, state.x))
     carry = (start, bodies.act, bodies.qacc)
     (end, act, qacc), _ = jax.lax.scan(rigid_substep, carry, None, length=num_substeps)
     mean = jax.tree.map(lambda a: a / (num_substeps * each * scene.dt), end.received)

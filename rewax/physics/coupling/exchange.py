@@ -29,10 +29,15 @@ class Wrench(NamedTuple):
     torque: Array
 
 
-def no_wrench(num_bodies: int, dtype=None, *, like: Array | None = None) -> Wrench:
-    """No force and no torque; of the type of ``like``, and inside ``shard_map`` on its axes, if it is given."""
-    shape = (num_bodies, 3)
-    zeros = jnp.zeros(shape, dtype) if like is None else jnp.zeros_like(like, shape=shape)
+def no_wrench(num_bodies: int, like: Array | None = None) -> Wrench:
+    """No force and no torque.
+
+    Args:
+      num_bodies: how many there are.
+      like: an array whose type the zeros get, and inside ``shard_map`` the axes along which devices differ; a loop
+        that begins with them needs both. None: floating-point numbers of JAX's default type.
+    """
+    zeros = jnp.zeros_like(jnp.zeros(()) if like is None else like, shape=(num_bodies, 3))
     return Wrench(zeros, zeros)
 
 

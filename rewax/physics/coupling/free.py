@@ -67,13 +67,13 @@ def step(
     _check(scene, inertia, num_free, num_bodies)
     solver = solver_of(scene)
     constants = solver.constants(scene, state)
-    wrench = no_wrench(num_free, state.x.dtype) if wrench is None else wrench
+    wrench = no_wrench(num_free, state.x) if wrench is None else wrench
     one = _substep if store_every is None else _recomputed_substep
 
     def body(carry: _Carry, interval: tuple[Pose, Pose]) -> _Carry:
         return one(scene, inertia, wrench, constants, carry, interval)
 
-    start = _Carry(solver.split(state), bodies, no_wrench(num_bodies, like=state.x))
+    start = _Carry(solver.split(state), bodies, no_wrench(num_bodies, state.x))
     end = scan_substeps(body, start, both_ends(poses), store_every)
     mean = jax.tree.map(lambda a: a / (num_substeps * scene.dt), end.received)
     return solver.join(end.soft), end.bodies, mean

@@ -49,3 +49,4 @@ def test_no_wrench_is_zero():
     wrench = no_wrench(3)
     assert wrench.force.shape == wrench.torque.shape == (3, 3)
     assert not np.any(wrench.force) and not np.any(wrench.torque)
+    assert no_wrench(2, np.ones(1, np.float16)).torque.dtype == np.float16

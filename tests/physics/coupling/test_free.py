@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import strategies as st
+from sharded import traced_under_shard_map
 
 from rewax.physics import coupling, mpm
 from rewax.physics.contact.colliders import Collider
@@ -256,3 +257,12 @@ def test_clear_errors(dough):
         free_body.bodies_at_rest([0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match=r"density is -1\.0, but must be positive"):
         free_body.solid(BOX, -1.0)
+
+
+def test_inside_shard_map(dough):
+    def after(state, bodies):
+        return coupling.step(dough[0], inertia_of(0.1), state, bodies, mpm.static_poses(2))
+
+    state, bodies, wrench = traced_under_shard_map(after, dough[1], falling())
+    assert state.x.shape == (1, *dough[1].x.shape)
+    assert bodies.position.shape == wrench.force.shape == (1, 1, 3)

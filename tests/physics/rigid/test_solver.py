@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sharded import traced_under_shard_map
 
 from rewax.physics.rigid import solver as cs
 from rewax.physics.rigid.solver import Rows
@@ -276,3 +277,9 @@ def test_a_direction_that_is_zero_at_the_solution(x64):
     np.testing.assert_allclose(accelerations(mass, force, rows, a), a, rtol=1e-12)
     still = rows._replace(target=np.zeros(len(rows.target)))
     np.testing.assert_array_equal(accelerations(mass, np.zeros(4), still, np.zeros(4)), np.zeros(4))
+
+
+def test_the_solution_inside_shard_map(x64):
+    mass, force, rows, start = problem(0, 4, ["friction", "contact"])
+    solve = functools.partial(cs.solve_accelerations, max_iterations=5, num_bounded=1)
+    assert traced_under_shard_map(solve, mass, force, rows, start).shape == (1, 4)
