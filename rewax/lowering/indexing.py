@@ -132,6 +132,7 @@ PARTS: dict[str, Callable[[list[Values], dict[str, Any], Any], Values]] = {
     "transpose": lambda args, params, out: args[0].transpose(params["permutation"]),
     "concatenate": lambda args, params, out: np.concatenate(args, axis=params["dimension"]),
     "rev": lambda args, params, out: np.flip(args[0], params["dimensions"]),
+    "tile": lambda args, params, out: np.tile(args[0], params["reps"]),
     "slice": _slice,
     "pad": _pad,
     "stack": lambda args, params, out: np.stack(args, axis=params["axis"]),

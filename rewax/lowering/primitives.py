@@ -268,6 +268,7 @@ PRIMITIVES: dict[str, Primitive] = {
     "transpose": _named("permutation", _part("transpose")),
     "concatenate": _named("dimension", _part("concatenate")),
     "rev": _named("dimensions", _part("rev")),
+    "tile": _named("reps", _part("tile")),
     "slice": _named("start_indices limit_indices strides", _part("slice")),
     "pad": _named("padding_config", _part("pad")),
     "stack": _named("axis", _part("stack")),

@@ -36,6 +36,8 @@ def axes_in_another_order(a, b):
         jnp.ravel(table, order="F"),
         jnp.reshape(table[:2], (3, 2), order="F"),
         jax.grad(lambda t: jnp.prod(t, 1).sum())(table),
+        jnp.tile(table[:2], (2, 1)),
+        jnp.tile(a, (2, 3)),
         jnp.vdot(a, a),
         jnp.einsum("ij,ij->", table, table),
         table.at[1].apply(lambda x: x * x),
