@@ -52,7 +52,7 @@ RUN = jax.jit(coupling.step, static_argnames="store_every")
 
 
 def run(scene, inertia, state, bodies, num=100, wrench=None):
-    wrench = coupling.no_wrench(1, state.x.dtype) if wrench is None else wrench
+    wrench = coupling.no_wrench(1, state.x) if wrench is None else wrench
     return RUN(scene, inertia, state, bodies, tets.static_poses(num, dtype=state.x.dtype), wrench=wrench)
 
 
