@@ -4,6 +4,7 @@ A ``Number`` says once what a field may hold. ``check_numbers`` raises where a v
 is built. ``any_illegal`` answers inside compiled programs, where values are traced, and costs a few comparisons.
 """
 
+import dataclasses
 import enum
 import functools
 import math
@@ -55,6 +56,23 @@ class Number(NamedTuple):
     remedy: str
     shape: tuple[int, ...] | None = None
     """The shape that the value must have; None: any."""
+
+
+def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
+    """The fields of an object that ``struct.number`` made, and what they may be. Absent ones, None by default, stay out.
+
+    Args:
+      tree: an object of a ``struct.dataclass``.
+      prefix: what messages write before the names of its fields.
+    """
+    found = []
+    for field in dataclasses.fields(tree):
+        if (rule := field.metadata.get("number")) is None:
+            continue
+        value = getattr(tree, field.name)
+        if value is not None or field.default is not None:
+            found.append(Number(prefix + field.name, value, *rule))
+    return found
 
 
 def check_numbers(numbers: Iterable[Number]) -> None:
