@@ -109,8 +109,8 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
     if isinstance(value, (tuple, list)):
         if not value or not _all_numbers(value):
             return value
-        value = np.asarray(value, float if is_real else None)
-    elif isinstance(value, numbers.Real) and not isinstance(value, np.generic):
+        return jnp.asarray(np.asarray(value, float if is_real else None))
+    if isinstance(value, numbers.Real) and not isinstance(value, np.generic):
         return jnp.asarray(float(value) if is_real else value)
     if isinstance(value, (np.ndarray, np.generic)):
         if is_real and value.dtype.kind in "biu":
