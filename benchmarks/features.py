@@ -20,7 +20,7 @@ import tyro
 from rewax.physics import coupling, mpm, tets
 from rewax.physics.contact import Collider, Ground, Overlap, PenaltyContact
 from rewax.physics.coupling import free_body
-from rewax.physics.mpm import Grid, Material, Plasticity, Wall, Walls, count_nodes
+from rewax.physics.mpm import Grid, Hencky, Material, VonMises, Wall, Walls, count_nodes
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, Capsule, fill_box
 from rewax.physics.tets import tetmesh
@@ -151,7 +151,9 @@ def coupled(args: Args) -> None:
 
 def _dough() -> Material:
     return Material(
-        youngs_modulus=5e3, poissons_ratio=0.2, density=1e3, yield_stress=100.0, plasticity=Plasticity.VON_MISES
+        density=1e3,
+        elasticity=Hencky(youngs_modulus=5e3, poissons_ratio=0.2),
+        plasticity=VonMises(yield_stress=100.0),
     )
 
 

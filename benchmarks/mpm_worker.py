@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics import mpm
-from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls
+from rewax.physics.mpm import FixedCorotated, Grid, Material, Wall, Walls
 from rewax.status import describe
 from rewax.training.cache import enable_compilation_cache
 
@@ -37,10 +37,10 @@ class Worker:
             grid=Grid(shape=(nodes, nodes, nodes), spacing=dx),
             dt=scene["dt"],
             material=Material(
-                youngs_modulus=jnp.asarray(bench_common.E),
-                poissons_ratio=jnp.asarray(bench_common.NU),
                 density=jnp.asarray(bench_common.RHO),
-                elasticity=Elasticity.FIXED_COROTATED,
+                elasticity=FixedCorotated(
+                    youngs_modulus=jnp.asarray(bench_common.E), poissons_ratio=jnp.asarray(bench_common.NU)
+                ),
             ),
             particle_volume=jnp.asarray(scene["p_vol"]),
             gravity=(0.0, bench_common.GRAVITY, 0.0),

@@ -24,7 +24,7 @@ import tyro
 from rewax.physics import coupling, mpm
 from rewax.physics.contact import Collider
 from rewax.physics.coupling import free_body
-from rewax.physics.mpm import Grid, Material, MPMScene, Plasticity, Wall, WallKind, Walls
+from rewax.physics.mpm import Grid, Hencky, Material, MPMScene, Plasticity, Wall, WallKind, Walls
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, Capsule, fill_box
 from rewax.training.cache import enable_compilation_cache
@@ -136,7 +136,10 @@ def tasks() -> dict[str, Task]:
     axis = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # capsules lie along y
     block = Collider(shape=Box(half_size=jnp.array([*BLOCK, LONG])), friction=0.5)
     pin = Collider(shape=Capsule(radius=jnp.asarray(PIN), half_length=jnp.asarray(LONG)), rotation=axis, friction=0.9)
-    slab = Material(youngs_modulus=jnp.asarray(5e4), poissons_ratio=0.3, density=1000.0)
+    slab = Material(
+        density=1000.0,
+        elasticity=Hencky(youngs_modulus=jnp.asarray(5e4), poissons_ratio=0.3),
+    )
     dough = slab.replace(youngs_modulus=2e4, yield_stress=500.0, plasticity=Plasticity.VON_MISES)
     return {
         "block on slab": Task(

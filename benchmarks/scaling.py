@@ -24,7 +24,7 @@ import numpy as np
 import tyro
 
 from rewax.physics import mpm
-from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls, count_nodes
+from rewax.physics.mpm import FixedCorotated, Grid, Material, Wall, Walls, count_nodes
 from rewax.physics.shapes import fill_box
 from rewax.training.cache import enable_compilation_cache
 
@@ -64,10 +64,8 @@ def block(num_particles: int) -> tuple[mpm.MPMScene, jax.Array]:
     x = jnp.asarray(fill_box(centre, (size,) * 3, spacing / 2)[:num_particles], jnp.float32)
     far = (cells + 11) * spacing
     material = Material(
-        youngs_modulus=jnp.asarray(5e3),
-        poissons_ratio=jnp.asarray(0.3),
         density=jnp.asarray(1e3),
-        elasticity=Elasticity.FIXED_COROTATED,
+        elasticity=FixedCorotated(youngs_modulus=jnp.asarray(5e3), poissons_ratio=jnp.asarray(0.3)),
     )
     scene = mpm.make_scene(
         grid=grid,

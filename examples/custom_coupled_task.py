@@ -10,7 +10,7 @@ from rewax.envs.coupled_task import CoupledTask
 from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import reset_noise
 from rewax.physics import mpm, rigid
-from rewax.physics.mpm import Elasticity, Grid, Material, Wall, WallKind, Walls
+from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
 from rewax.physics.shapes import fill_box
 from rewax.testing import check_env
 from rewax.training.loop import TrainConfig, train
@@ -58,17 +58,12 @@ def make_fling() -> Fling:
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 17, 17), spacing=SPACING),
         dt=1e-3,
-        material=Material(
-            youngs_modulus=jnp.asarray(2e4),
-            poissons_ratio=jnp.asarray(0.3),
-            density=jnp.asarray(500.0),
-            elasticity=Elasticity.NEO_HOOKEAN,
-        ),
-        particle_volume=jnp.asarray(0.09 * 0.07 * 0.09 / len(block)),
+        material=Material(density=500.0, elasticity=NeoHookean(youngs_modulus=2e4, poissons_ratio=0.3)),
+        particle_volume=0.09 * 0.07 * 0.09 / len(block),
         gravity=(0.0, -9.81, 0.0),  # the model's own
         colliders=rigid.colliders(model),  # of its geoms with conaffinity
         walls=Walls(
-            lower=(None, Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=jnp.asarray(0.2)), sides[0]),
+            lower=(None, Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.2), sides[0]),
             upper=(Wall(position=1.15), None, sides[1]),
         ),
         max_active_nodes=1024,  # nodes near particles; Status.INACTIVE_NODES says when they are too few

@@ -12,7 +12,7 @@ from rewax.envs.reset_noise import reset_noise
 from rewax.envs.soft_task import SoftTask
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
-from rewax.physics.mpm import Grid, Material, Plasticity, Wall, WallKind, Walls
+from rewax.physics.mpm import DruckerPrager, Grid, Hencky, Material, Wall, WallKind, Walls
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, fill_box
 from rewax.testing import check_env
@@ -50,22 +50,20 @@ class PushSand(SoftTask):
 def make_push_sand() -> PushSand:
     sand = fill_box((0.25, FLOOR + 0.025, 0.3), (0.1, 0.07, 0.1), 0.5 * SPACING)  # two particles a cell and axis
     sides = Wall(position=2 * SPACING), Wall(position=0.6 - 2 * SPACING)
-    floor = Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=jnp.asarray(0.5))
+    floor = Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.5)
     scene = mpm.make_scene(
         grid=Grid(shape=(25, 13, 25), spacing=SPACING),
         dt=1.5e-3,  # refused, with the largest stable one, if it is too long
         material=Material(
-            youngs_modulus=jnp.asarray(5e4),
-            poissons_ratio=jnp.asarray(0.2),
-            density=jnp.asarray(1500.0),
-            friction_angle=jnp.asarray(np.radians(30.0)),
-            plasticity=Plasticity.DRUCKER_PRAGER,
+            density=1500.0,
+            elasticity=Hencky(youngs_modulus=5e4, poissons_ratio=0.2),
+            plasticity=DruckerPrager(friction_angle=np.radians(30.0)),
         ),
-        particle_volume=jnp.asarray(0.1 * 0.07 * 0.1 / len(sand)),
+        particle_volume=0.1 * 0.07 * 0.1 / len(sand),
         colliders=(
             Collider(
                 shape=Box(half_size=jnp.array([0.025, 0.06, 0.06])),  # at least a cell thick, or sand passes through
-                friction=jnp.asarray(0.3),
+                friction=0.3,
             ),
         ),
         walls=Walls(lower=(sides[0], floor, sides[0]), upper=(sides[1], None, sides[1])),

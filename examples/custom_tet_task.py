@@ -54,18 +54,18 @@ def make_crawl() -> Crawl:
     moduli = tets.stable_parameters(2e4, 0.3)  # Young's modulus [Pa] and Poisson's ratio
     scene = tets.make_scene(
         mesh=mesh,
-        density=jnp.asarray(500.0),
-        mu=jnp.asarray(moduli.mu),
-        lam=jnp.asarray(moduli.lam),
-        damping=jnp.asarray(20.0),
+        density=500.0,
+        mu=moduli.mu,
+        lam=moduli.lam,
+        damping=20.0,
         dt=1e-3,  # refused, with the largest stable one, if it is too long
         ground=Ground(normal=jnp.array([0.0, 1.0, 0.0])),
         contact=PenaltyContact(  # of each vertex: forces per metre of depth, and per metre a second
-            stiffness=jnp.asarray(500.0),
-            damping=jnp.asarray(1.0),
-            friction_damping=jnp.asarray(5.0),
-            friction=jnp.asarray(0.8),
-            radius=jnp.asarray(0.01),
+            stiffness=500.0,
+            damping=1.0,
+            friction_damping=5.0,
+            friction=0.8,
+            radius=0.01,
         ),
     )
     rest = mesh.vertices - mesh.vertices.min(0) + np.array([0.0, 0.005, 0.0])  # it touches: no derivative in the air

@@ -51,7 +51,7 @@ def main(args: Args) -> float:
     enable_compilation_cache()
     env = rewax.make("RollingFlat", scale="small")
     # A dough that does not yield: what is observed then depends on its stiffness alone.
-    env = env.replace(scene=env.scene.replace(material=env.scene.material.replace(yield_stress=jnp.asarray(1e6))))
+    env = env.replace(scene=env.scene.replace(material=env.scene.material.replace(yield_stress=1e6)))
     actions = jnp.tile(jnp.asarray([0.3, -1.0, 0.0]), (args.steps, 1))
     recorded = jax.jit(observe)(with_modulus(env, jnp.asarray(args.true_modulus)), actions)
 

@@ -10,7 +10,7 @@ from rewax.physics import mpm
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics import Pose
 
-FIELDS = ("x", "v", "C", "F", "plastic_volume")
+FIELDS = ("x", "v", "C", "F", "memory")
 
 
 class NaNLocation(NamedTuple):
@@ -19,7 +19,7 @@ class NaNLocation(NamedTuple):
     substep: int
     """How many substeps went well before; -1: it was there at the start."""
     field: str
-    """Of ``MPMState``; the first of x, v, C, F, plastic_volume in which there is one."""
+    """Of ``MPMState``; the first of x, v, C, F, memory in which there is one."""
     particle: int
     """The first particle that has one."""
     before: dict[str, np.ndarray]

@@ -10,6 +10,7 @@ so that ``jax.grad``, ``jax.vmap`` and randomization find them. What is absent i
 
 import dataclasses
 import numbers
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Self, TypeVar, dataclass_transform
 
@@ -33,7 +34,9 @@ def static_field(**kwargs: Any) -> Any:
     return field(pytree_node=False, **kwargs)
 
 
-def number(legal: Any, remedy: str, *, shape: tuple[int, ...] | None = None, vector: bool = False, **kwargs: Any) -> Any:
+def number(
+    legal: Any, remedy: str, *, shape: tuple[int, ...] | None = None, vector: bool = False, **kwargs: Any
+) -> Any:
     """A field that holds a number, or an array of them, with what it may be.
 
     ``rewax.physics.numerics.checks.numbers_of`` collects such fields of an object; scenes check them when they are built
@@ -105,11 +108,11 @@ def _convert_first(cls: Any) -> None:
 
 
 def _as_leaf(value: Any, is_real: bool) -> Any:
-    """Numbers as a JAX array, integers of a real field as floats; anything else as it is."""
+    """Numbers as a JAX array, anything else as it is; tuples and the integers of a real field become floats."""
     if isinstance(value, (tuple, list)):
         if not value or not _all_numbers(value):
             return value
-        return jnp.asarray(np.asarray(value, float if is_real else None))
+        return jnp.asarray(np.asarray(value, float))
     if isinstance(value, numbers.Real) and not isinstance(value, np.generic):
         return jnp.asarray(float(value) if is_real else value)
     if isinstance(value, (np.ndarray, np.generic)):
@@ -127,6 +130,39 @@ def _all_numbers(values: Any) -> bool:
     )
 
 
+def replace_leaf(tree: Any, path: str, value: Any) -> Any:
+    """A copy of nested objects in which one number is another.
+
+    Args:
+      tree: an environment, a scene, a material, ...
+      path: names of fields, keys of dictionaries and indices of tuples, as ``rewax.envs.randomize.leaves`` lists them:
+        ``"scene.material.elasticity.youngs_modulus"``, ``"scene.colliders[0].friction"``.
+      value: the new number or array.
+
+    Raises:
+      ValueError: there is no such field. The message lists those that there are.
+
+    Gradient: exact with respect to ``value``.
+    """
+    name, rest = re.match(r"(\[[^\]]*\]|[^.\[]*)\.?(.*)", path).groups()  # type: ignore[union-attr]
+    if name.startswith("["):
+        key: Any = name[1:-1].strip("'\"")
+        names = tree if isinstance(tree, dict) else [str(i) for i in range(len(tree))] if isinstance(tree, tuple) else ()
+    else:
+        key = name
+        names = [f.name for f in dataclasses.fields(tree)] if dataclasses.is_dataclass(tree) else ()
+    if key not in names:
+        known = f"use one of {', '.join(names)}" if names else "it has none"
+        raise ValueError(f"{type(tree).__name__} has no field {key!r}: {known}")
+    if isinstance(tree, tuple):
+        i = int(key)
+        changed = replace_leaf(tree[i], rest, value) if rest else value
+        return type(tree)((*tree[:i], changed, *tree[i + 1 :]))
+    old = tree[key] if isinstance(tree, dict) else getattr(tree, key)
+    changed = replace_leaf(old, rest, value) if rest else value
+    return {**tree, key: changed} if isinstance(tree, dict) else dataclasses.replace(tree, **{key: changed})
+
+
 class Replaceable:
     """Base that tells type checkers of the method which ``dataclass`` adds."""
 
@@ -137,4 +173,4 @@ class Replaceable:
             ...
 
 
-__all__ = ["Replaceable", "dataclass", "field", "number", "static_field"]
+__all__ = ["Replaceable", "dataclass", "field", "number", "replace_leaf", "static_field"]

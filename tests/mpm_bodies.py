@@ -6,6 +6,7 @@ import numpy as np
 
 from rewax.physics import mpm
 from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.laws import Hencky
 from rewax.physics.mpm.materials import Elasticity, Material, Plasticity, sound_speed
 from rewax.physics.shapes.sampling import sample_box
 
@@ -18,7 +19,7 @@ STEP = jax.jit(mpm.step, static_argnames="store_every")
 
 def modulus_at(courant_number: float, density: float = 1000.0, nu: float = 0.3) -> float:
     """Young's modulus with which DT is this multiple of the time that sound takes through a cell."""
-    unit = float(sound_speed(Material(youngs_modulus=1.0, poissons_ratio=nu, density=density)))
+    unit = float(sound_speed(Material(density=density, elasticity=Hencky(youngs_modulus=1.0, poissons_ratio=nu))))
     return (courant_number * GRID.spacing / (DT * unit)) ** 2
 
 

@@ -18,7 +18,7 @@ from benchmarks.validation.common import fill, fit_oscillation, held, relative, 
 from rewax.physics import coupling, mpm
 from rewax.physics.contact import Collider
 from rewax.physics.coupling import FreeBodies, free_body
-from rewax.physics.mpm import TAIT_EXPONENT, Elasticity, Grid, Material, Wall, Walls
+from rewax.physics.mpm import TAIT_EXPONENT, Grid, Material, Newtonian, Tait, Wall, Walls
 from rewax.physics.shapes import Box
 
 CELLS = {"tiny": 20, "small": 32, "full": 48}
@@ -56,7 +56,11 @@ def tank(cells: int, density: float) -> tuple[mpm.MPMScene, free_body.Inertia, m
             origin=(-2 * spacing, -2 * spacing, -spacing),
         ),
         dt=0.3 * spacing / SPEED,
-        material=Material(density=WATER, speed_of_sound=SPEED, elasticity=Elasticity.TAIT, viscosity=VISCOSITY),
+        material=Material(
+            density=WATER,
+            elasticity=Tait(speed_of_sound=SPEED),
+            viscosity=Newtonian(viscosity=VISCOSITY),
+        ),
         particle_volume=(spacing / 2) ** 3,
         gravity=(0.0, -GRAVITY, 0.0),
         colliders=(collider,),

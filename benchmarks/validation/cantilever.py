@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.validation.common import Check, fill, held, in_float64, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.mpm import Grid, Material, Wall, WallKind, Walls, sound_speed
+from rewax.physics.mpm import Grid, Hencky, Material, Wall, WallKind, Walls, sound_speed
 
 DEPTHS = {"tiny": (2, 4), "small": (3, 5), "full": (4, 8, 12)}
 """Cells over the height of the beam, one simulation each."""
@@ -23,7 +23,7 @@ HEIGHT, LENGTH, SAG = 0.1, 1.0, 0.01
 RADIANS = 10.0
 """Duration times the first angular frequency: damped critically, 0.05 % of the way is left then."""
 NU = 0.3
-MATERIAL = Material(youngs_modulus=1e6, poissons_ratio=NU, density=1000.0)
+MATERIAL = Material(density=1000.0, elasticity=Hencky(youngs_modulus=1e6, poissons_ratio=NU))
 PLANE_MODULUS = MATERIAL.youngs_modulus / (1 - NU**2)
 GRAVITY = SAG * 2 * PLANE_MODULUS * HEIGHT**2 / (3 * MATERIAL.density * LENGTH**4)
 OMEGA = 3.516 / LENGTH**2 * float(np.sqrt(PLANE_MODULUS * HEIGHT**2 / (12 * MATERIAL.density)))

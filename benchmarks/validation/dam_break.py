@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.validation.common import Check, fill, foremost, held, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls
+from rewax.physics.mpm import Grid, Material, Tait, Wall, Walls
 from rewax.status import Status, describe
 
 TABLE = np.array([
@@ -62,7 +62,7 @@ def column(cells: int) -> tuple[mpm.MPMScene, mpm.MPMState]:
     scene = mpm.make_scene(
         grid=Grid(shape=shape, spacing=spacing, origin=(-2 * spacing, -2 * spacing, -spacing)),
         dt=0.3 * spacing / SPEED, particle_volume=(spacing / 2) ** 3, gravity=(0.0, -GRAVITY, 0.0),
-        material=Material(density=DENSITY, speed_of_sound=SPEED, elasticity=Elasticity.TAIT),
+        material=Material(density=DENSITY, elasticity=Tait(speed_of_sound=SPEED)),
         walls=Walls(lower=(wall, wall, held(spacing)), upper=(None, None, held(spacing))),
         max_active_nodes=4 * 4 * (cells + 8) * (2 * cells + 8),
     )  # fmt: skip

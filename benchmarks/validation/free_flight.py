@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.validation.common import Check, fill, in_float64, record, save
 from rewax.physics import mpm
-from rewax.physics.mpm import Grid, Material, invariants
+from rewax.physics.mpm import Grid, Hencky, Material, invariants
 
 SPACING = {"tiny": 0.1, "small": 0.05, "full": 0.025}
 SIZE = (0.4, 0.2, 0.2)
@@ -23,7 +23,7 @@ START = (0.3, 0.3, 0.3)
 
 def scene_and_state(spacing: float) -> tuple[mpm.MPMScene, mpm.MPMState]:
     x = fill(*_corners(), spacing)
-    material = Material(youngs_modulus=2e5, poissons_ratio=0.3, density=1000.0)
+    material = Material(density=1000.0, elasticity=Hencky(youngs_modulus=2e5, poissons_ratio=0.3))
     grid = Grid(shape=tuple(round(length / spacing) + 1 for length in (1.8, 1.0, 0.6)), spacing=spacing)
     scene = mpm.make_scene(
         grid=grid, dt=0.4 * spacing / 16.5, material=material, gravity=GRAVITY, particle_volume=np.prod(SIZE) / len(x)

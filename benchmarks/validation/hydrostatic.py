@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.validation.common import Check, fill, held, in_float64, record, save
 from rewax.physics import mpm
-from rewax.physics.mpm import Elasticity, Grid, Material, Wall, Walls
+from rewax.physics.mpm import Grid, Material, Tait, Wall, Walls
 from rewax.physics.numerics import components as cp
 
 CELLS = {"tiny": 12, "small": 20, "full": 40}
@@ -32,7 +32,7 @@ def tank(cells: int) -> tuple[mpm.MPMScene, mpm.MPMState]:
     scene = mpm.make_scene(
         grid=Grid(shape=(cells // 2 + 5, cells + 6, 4), spacing=spacing, origin=(-2 * spacing, -2 * spacing, -spacing)),
         dt=0.4 * spacing / SPEED, particle_volume=(spacing / 2) ** 3, gravity=(0.0, -GRAVITY, 0.0),
-        material=Material(density=DENSITY, speed_of_sound=SPEED, elasticity=Elasticity.TAIT),
+        material=Material(density=DENSITY, elasticity=Tait(speed_of_sound=SPEED)),
         walls=Walls(lower=(low, low, held(spacing)), upper=(high, None, held(spacing))),
     )  # fmt: skip
     return scene, mpm.initial_state(jnp.asarray(x))

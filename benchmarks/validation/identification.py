@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.validation.common import fill, held, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.mpm import Elasticity, Grid, Material, Plasticity, Wall, WallKind, Walls
+from rewax.physics.mpm import Grid, Material, Newtonian, Plasticity, Tait, Wall, WallKind, Walls
 
 CELLS = {"tiny": 6, "small": 8, "full": 16}
 """Over the width of the block; it is twice as high."""
@@ -47,7 +47,11 @@ UNKNOWNS = {
         "viscosity",
         "Pa s",
         4.0,
-        Material(density=DENSITY, speed_of_sound=8.0, viscosity=6.0, elasticity=Elasticity.TAIT),
+        Material(
+            density=DENSITY,
+            elasticity=Tait(speed_of_sound=8.0),
+            viscosity=Newtonian(viscosity=6.0),
+        ),
     ),
     "sand": Unknown(
         "friction_angle",

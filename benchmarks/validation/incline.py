@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.validation.common import Check, fill, held, in_float64, record, save
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
-from rewax.physics.mpm import Grid, Material, Wall, Walls, sound_speed
+from rewax.physics.mpm import Grid, Hencky, Material, Newtonian, Wall, Walls, sound_speed
 from rewax.physics.shapes import Plane
 
 FRICTION_ANGLE, GRAVITY = 30.0, 9.81
@@ -32,7 +32,11 @@ HEIGHT, LENGTH, TRAVEL, DURATION = 0.1, 0.3, 0.35, 0.5
 EVERY = 10
 STUCK = 0.01
 """A block is stuck that accelerates by less than this in the second half of the time [g]."""
-MATERIAL = Material(youngs_modulus=2e5, poissons_ratio=0.3, density=1000.0, viscosity=200.0)
+MATERIAL = Material(
+    density=1000.0,
+    elasticity=Hencky(youngs_modulus=2e5, poissons_ratio=0.3),
+    viscosity=Newtonian(viscosity=200.0),
+)
 """Viscosity calms the block: while it rattles, its nodes lose their grip in turns, and it creeps below the angle."""
 
 

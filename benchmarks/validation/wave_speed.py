@@ -16,12 +16,12 @@ import numpy as np
 
 from benchmarks.validation.common import fill, fit_oscillation, held, in_float64, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.mpm import Grid, Material, Walls, sound_speed
+from rewax.physics.mpm import Grid, Hencky, Material, Walls, sound_speed
 
 SIZES = {"tiny": (16, 10, 1), "small": (40, 20, 2), "full": (80, 40, 4)}
 """Cells along the confined bar, along the slender bar, across the slender bar."""
 LENGTH, STRAIN, PERIODS = 1.0, 1e-7, 2.0
-MATERIAL = Material(youngs_modulus=1e6, poissons_ratio=0.3, density=1000.0)
+MATERIAL = Material(density=1000.0, elasticity=Hencky(youngs_modulus=1e6, poissons_ratio=0.3))
 BAR_SPEED = float(np.sqrt(MATERIAL.youngs_modulus / MATERIAL.density))
 
 

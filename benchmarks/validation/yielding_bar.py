@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.validation.common import fill, in_float64, record, relative, save
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
-from rewax.physics.mpm import Grid, Material, Plasticity, Wall, Walls, sound_speed
+from rewax.physics.mpm import Grid, Hencky, Material, VonMises, Wall, Walls, sound_speed
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Plane
 
@@ -28,10 +28,7 @@ TRANSITS = {"tiny": 20.0, "small": 30.0, "full": 60.0}
 EVERY = 10
 E = 1e6
 TAU_Y = YIELD_STRAIN * E
-MATERIAL = Material(
-    youngs_modulus=E, poissons_ratio=0.3, density=1000.0, yield_stress=TAU_Y / float(np.sqrt(1.5)),
-    plasticity=Plasticity.VON_MISES,
-)  # fmt: skip
+MATERIAL = Material(density=1000.0, elasticity=Hencky(youngs_modulus=E, poissons_ratio=0.3), plasticity=VonMises(yield_stress=TAU_Y / float(np.sqrt(1.5))),)  # fmt: skip
 
 
 def bar(cells: int, across: int) -> tuple[mpm.MPMScene, mpm.MPMState]:

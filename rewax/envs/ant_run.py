@@ -37,10 +37,10 @@ def _ant(asset: str, penalty: Penalty, *, num_substeps: int, max_steps: int) -> 
         model=load_asset(asset, dt=1.0 / 60 / num_substeps, penalty=penalty),
         num_substeps=num_substeps,
         max_steps=max_steps,
-        start_height=jnp.asarray(0.75),
-        start_joints=jnp.asarray(_START_JOINTS),
-        fallen_height=jnp.asarray(0.27),
-        target=jnp.asarray([1e4, 0.0, 0.0]),
+        start_height=0.75,
+        start_joints=_START_JOINTS,
+        fallen_height=0.27,
+        target=[1e4, 0.0, 0.0],
     )
 
 

@@ -6,14 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics import tets
-from rewax.physics.mpm import Elasticity, Material, MPMScene, MPMState, Plasticity
+from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.tets import TetScene, TetState
 from rewax.types import Array
 
 MARKER = (0.90, 0.25, 0.20)
 """Colour of targets and other signs that nothing touches: red, green and blue."""
-_FLUIDS = {Elasticity.FLUID, Elasticity.TAIT}
-_PLASTIC = {Plasticity.VON_MISES: "dough", Plasticity.DRUCKER_PRAGER: "sand", Plasticity.SNOW: "snow"}
 
 
 def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any]:
@@ -34,7 +32,7 @@ def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any
             looks["floor"] = float(np.asarray(scene.ground.height))
         return looks
     parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
-    looks = {"material_names": tuple(_name(part) for part in parts)}
+    looks = {"material_names": tuple(part.look for part in parts)}
     if scene.particle_counts is not None:
         looks["materials"] = np.repeat(np.arange(len(parts)), scene.particle_counts)
     axis = int(np.argmax(np.abs(up)))
@@ -51,11 +49,3 @@ def soft_values(soft: MPMState | TetState) -> dict[str, Array]:
         green = 0.5 * (jnp.einsum("nki,nkj->nij", soft.F, soft.F) - jnp.eye(3, dtype=soft.F.dtype))
         values["strain"] = jnp.sqrt(jnp.sum(green**2, axis=(-2, -1)))
     return values
-
-
-def _name(material: Material) -> str:
-    if material.elasticity in _FLUIDS:
-        return "water"
-    if material.activation is not None:
-        return "muscle"
-    return _PLASTIC.get(material.plasticity, "elastic")

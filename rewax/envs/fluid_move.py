@@ -112,7 +112,7 @@ class FluidMove(SoftTask):
         return reward, {"distance": distance, "spill": spill, "success": success.astype(spill.dtype)}
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
-        marker = {"kind": "sphere", "center": physics.task, "radius": jnp.asarray(0.02), "color": MARKER}
+        marker = {"kind": "sphere", "center": physics.task, "radius": 0.02, "color": MARKER}
         return [*({**wall, "opacity": 0.3} for wall in super().render_shapes(physics)), marker]
 
     @property
@@ -130,10 +130,10 @@ def container(
     along_z = [((0.0, -t / 2, side * (z + t) / 2), (x / 2 + t, (y + t) / 2, t / 2)) for side in (-1, 1)]
     return tuple(
         Collider(
-            shape=Box(half_size=jnp.asarray(half_size)),
-            offset=jnp.asarray(offset),
-            friction=jnp.asarray(friction),
-            softness=jnp.asarray(softness),
+            shape=Box(half_size=half_size),
+            offset=offset,
+            friction=friction,
+            softness=softness,
         )
         for offset, half_size in (bottom, *along_x, *along_z)
     )
@@ -153,18 +153,18 @@ def _fluid_move(
         "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         "joint_step": jnp.full(3, r["joint_step"]),
-        "spill_width": jnp.asarray(r["spill_width"]),
-        "distance_scale": jnp.asarray(r["distance_scale"]),
-        "target_lower": jnp.asarray(r["target_lower"]),
-        "target_upper": jnp.asarray(r["target_upper"]),
+        "spill_width": r["spill_width"],
+        "distance_scale": r["distance_scale"],
+        "target_lower": r["target_lower"],
+        "target_upper": r["target_upper"],
         **changes,
     }
     return FluidMove(
         scene=scene,
         rest_positions=rest_positions,
-        joint_start=jnp.asarray(start),
-        joint_lower=jnp.asarray(r["joint_lower"]),
-        joint_upper=jnp.asarray(r["joint_upper"]),
+        joint_start=start,
+        joint_lower=r["joint_lower"],
+        joint_upper=r["joint_upper"],
         outer=_outer(r["inner_size"], thickness),
         **options,
     )
@@ -177,7 +177,7 @@ def paper(*, youngs_modulus: float = REFERENCE["youngs_modulus"], dt: float = RE
         grid=Grid(shape=(49, 49, 49), spacing=1.0 / r["grid"]),
         dt=dt,
         material=water(youngs_modulus),
-        particle_volume=jnp.asarray(float(np.prod(r["water_size"])) / r["num_particles"]),
+        particle_volume=float(np.prod(r["water_size"])) / r["num_particles"],
         gravity=(0.0, r["gravity"], 0.0),
         colliders=container(r["inner_size"], r["thickness"], friction=r["friction"], softness=r["softness"]),
         walls=box_walls(0.0625, (0.0625, 0.0625), (0.9375, 0.9375), ceiling=0.9375, floor_kind=WallKind.SEPARATING),
@@ -203,7 +203,7 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
         grid=Grid(shape=(33, 33, 33), spacing=spacing),
         dt=dt,
         material=water(youngs_modulus),
-        particle_volume=jnp.asarray(float(np.prod(size)) / np.prod(counts)),
+        particle_volume=float(np.prod(size)) / np.prod(counts),
         gravity=(0.0, r["gravity"], 0.0),
         colliders=container(r["inner_size"], thickness, friction=r["friction"], softness=r["softness"]),
         walls=box_walls(0.0625, (0.0625, 0.0625), (0.9375, 0.9375), ceiling=0.9375, floor_kind=WallKind.SEPARATING),
@@ -219,7 +219,7 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
         list_every=5,
         max_steps=80,
         joint_step=jnp.full(3, 0.01),
-        spill_width=jnp.asarray(0.005),
-        distance_scale=jnp.asarray(0.3),
+        spill_width=0.005,
+        distance_scale=0.3,
         relative=True,
     )

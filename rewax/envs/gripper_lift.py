@@ -15,7 +15,7 @@ from rewax.envs.reset_noise import reset_noise
 from rewax.envs.rigid_task import load_asset
 from rewax.envs.soft_parts import lattice_box
 from rewax.physics import mpm, rigid
-from rewax.physics.mpm import Elasticity, Grid, Material, Wall, WallKind, Walls
+from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
 from rewax.types import Array, Observation, Scalar
 
 SIZE = (0.08, 0.08, 0.08)
@@ -73,16 +73,14 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
         grid=Grid(shape=shape, spacing=spacing),
         dt=dt,
         material=Material(
-            youngs_modulus=jnp.asarray(2e4),
-            poissons_ratio=jnp.asarray(0.3),
-            density=jnp.asarray(1000.0),
-            elasticity=Elasticity.NEO_HOOKEAN,
+            density=1000.0,
+            elasticity=NeoHookean(youngs_modulus=2e4, poissons_ratio=0.3),
         ),
-        particle_volume=jnp.asarray(float(np.prod(SIZE) / np.prod(counts))),
+        particle_volume=float(np.prod(SIZE) / np.prod(counts)),
         gravity=(0.0, -9.81, 0.0),
         colliders=rigid.colliders(model),
         walls=Walls(
-            lower=(sides[0], Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=jnp.asarray(0.3)), sides[0]),
+            lower=(sides[0], Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.3), sides[0]),
             upper=(sides[1], None, sides[1]),
         ),
         **options.pop("scene", {}),
@@ -92,10 +90,10 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
         scene=scene,
         rest_positions=lattice_box(middle, SIZE, counts),
         noise=reset_noise((-0.01, 0.0, -0.01), (0.01, 0.0, 0.01)),
-        target=jnp.asarray(middle[1] + 0.12),
-        start_height=jnp.asarray(middle[1]),
-        reach=jnp.asarray(10.0),
-        effort=jnp.asarray(0.01),
+        target=middle[1] + 0.12,
+        start_height=middle[1],
+        reach=10.0,
+        effort=0.01,
         **options,
     )
 

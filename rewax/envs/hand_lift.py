@@ -68,8 +68,8 @@ def _hand_lift(*, grid: Grid, dt: float, softness: float, walls: dict, scene: di
     edge, count = r["edge"], len(changes["rest_positions"])
     options = {
         "noise": no_noise(),
-        "datum": jnp.asarray(0.0),
-        "unit": jnp.asarray(1.0),
+        "datum": 0.0,
+        "unit": 1.0,
         "joint_step": jnp.full(NUM_JOINTS, r["joint_step"]),
         "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
@@ -86,7 +86,7 @@ def _hand_lift(*, grid: Grid, dt: float, softness: float, walls: dict, scene: di
                 poissons_ratio=r["poissons_ratio"],
                 density=r["density"],
             ),
-            particle_volume=jnp.asarray(edge**3 / count),
+            particle_volume=edge**3 / count,
             gravity=(0.0, r["gravity"], 0.0),
             colliders=hand_colliders(hand, friction=r["friction"], softness=softness),
             walls=box_walls(floor_kind=WallKind.SEPARATING, floor_friction=r["floor_friction"], **walls),
@@ -134,6 +134,6 @@ def small() -> HandLift:
         list_every=5,
         max_steps=60,
         exact_limits=True,
-        datum=jnp.asarray(0.24),
-        unit=jnp.asarray(0.05),
+        datum=0.24,
+        unit=0.05,
     )

@@ -143,8 +143,8 @@ def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReo
         num_substeps=num_substeps,
         max_steps=max_steps,
         goal_position=model.home[_NUM_JOINTS:][:3] - jnp.array([0.0, 0.0, 0.04]),
-        tolerance=jnp.asarray(0.1),
-        fall_distance=jnp.asarray(0.24),
+        tolerance=0.1,
+        fall_distance=0.24,
     )
 
 

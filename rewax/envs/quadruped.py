@@ -122,8 +122,8 @@ def make_quadruped(*, scale: str) -> Quadruped:
         num_substeps=num_substeps,
         max_steps=max_steps,
         stance=model.home[7:],
-        reach=jnp.asarray(0.35),
-        command=jnp.asarray([1.0, 0.0]),
-        fallen_height=jnp.asarray(0.25),
-        fallen_upright=jnp.asarray(0.5),
+        reach=0.35,
+        command=[1.0, 0.0],
+        fallen_height=0.25,
+        fallen_upright=0.5,
     )

@@ -42,7 +42,7 @@ def reset_noise(
     lower: tuple[float, float, float], upper: tuple[float, float, float], stretch: float = 0.0
 ) -> ResetNoise:
     """From plain numbers; see ``ResetNoise``."""
-    return ResetNoise(shift_lower=jnp.asarray(lower), shift_upper=jnp.asarray(upper), stretch=jnp.asarray(stretch))
+    return ResetNoise(shift_lower=lower, shift_upper=upper, stretch=stretch)
 
 
 def round_unit(value: Array, bound: Array) -> Array:

@@ -96,20 +96,20 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
     r, mesh = REFERENCE, tets.soft_jumper_table()
     scene = tets.make_scene(
         mesh=mesh,
-        density=jnp.asarray(r["density"]),
-        mu=jnp.asarray(r["mu"]),
-        lam=jnp.asarray(r["lam"]),
-        damping=jnp.asarray(r["damping"]),
+        density=r["density"],
+        mu=r["mu"],
+        lam=r["lam"],
+        damping=r["damping"],
         dt=dt,
         gravity=(0.0, r["gravity"], 0.0),
         contact=PenaltyContact(
-            stiffness=jnp.asarray(r["contact_stiffness"]),
-            damping=jnp.asarray(r["contact_damping"]),
-            friction_damping=jnp.asarray(friction_damping),
-            friction=jnp.asarray(r["friction"]),
-            radius=jnp.asarray(r["radius"]),
+            stiffness=r["contact_stiffness"],
+            damping=r["contact_damping"],
+            friction_damping=friction_damping,
+            friction=r["friction"],
+            radius=r["radius"],
         ),
-        ground=Ground(normal=jnp.asarray([0.0, 1.0, 0.0])),
+        ground=Ground(normal=[0.0, 1.0, 0.0]),
     )
     rest = jnp.asarray(mesh.vertices + np.array([0.0, r["height"], 0.0]), jnp.result_type(float))
     options = {
@@ -122,8 +122,8 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
         scene=scene,
         rest_positions=rest,
         cloud=PointCloud(num_points=r["num_observed"]),
-        strength=jnp.asarray(r["strength"]),
-        effort=jnp.asarray(r["effort"]),
+        strength=r["strength"],
+        effort=r["effort"],
         start_height=rest[:, 1].mean(),
         **options,
     )

@@ -16,7 +16,7 @@ from rewax.envs.point_cloud import PointCloud
 from rewax.envs.reset_noise import reset_noise
 from rewax.envs.soft_jumper import REFERENCE, SoftJumper
 from rewax.physics import mpm, tets
-from rewax.physics.mpm import Elasticity, Grid, Material, MPMScene, MPMState, Wall, WallKind, Walls
+from rewax.physics.mpm import Grid, Material, MPMScene, MPMState, Muscle, NeoHookean, Newtonian, Wall, WallKind, Walls
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import tetmesh
 from rewax.types import Array, Key, PyTree
@@ -59,8 +59,9 @@ class SoftJumperMPM(SoftJumper):
         return int(table(self.per_cell).muscle.max()) + 1
 
     def actuated(self, action: Array) -> MPMScene:
-        muscle = table(self.per_cell).muscle
-        return self.scene.replace(material=self.scene.material.replace(activation=self.strength * action[muscle]))
+        activation = self.strength * action[table(self.per_cell).muscle]
+        material = self.scene.material
+        return self.scene.replace(material=material.replace(muscle=material.muscle.replace(activation=activation)))
 
     def start(self, positions: Array, key: Key) -> tuple[MPMState, PyTree]:
         """Strained as the noise stretches it, like SoftJumper's tets."""
@@ -111,7 +112,7 @@ def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: 
     elastic = tets.small_strain_moduli(r["mu"], r["lam"])
     spacing = 2.0 * tetmesh.TABLE_CELL / per_cell
     floor = -SINK * spacing
-    ground = Wall(position=floor + 0.01, kind=WallKind.SEPARATING, friction=jnp.asarray(r["friction"]))
+    ground = Wall(position=floor + 0.01, kind=WallKind.SEPARATING, friction=r["friction"])
     counts = [int(np.ceil(edge / spacing)) for edge in BOX]
     scene = mpm.make_scene(
         grid=Grid(
@@ -121,15 +122,14 @@ def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: 
         ),
         dt=dt,
         material=Material(
-            youngs_modulus=jnp.asarray(elastic.youngs_modulus),
-            poissons_ratio=jnp.asarray(elastic.poissons_ratio),
-            density=jnp.asarray(r["density"]),
-            viscosity=jnp.asarray(0.5 * r["damping"]),  # damping acts on dF/dt, viscosity on twice its symmetric part
-            fibre=jnp.asarray(body.fibre, jnp.result_type(float)),
-            activation=jnp.zeros(len(body.positions)),
-            elasticity=Elasticity.NEO_HOOKEAN,
+            density=r["density"],
+            elasticity=NeoHookean(youngs_modulus=elastic.youngs_modulus, poissons_ratio=elastic.poissons_ratio),
+            viscosity=Newtonian(
+                viscosity=0.5 * r["damping"]
+            ),  # damping acts on dF/dt, viscosity on twice its symmetric part
+            muscle=Muscle(fibre=body.fibre, activation=np.zeros(len(body.positions))),
         ),
-        particle_volume=jnp.asarray((tetmesh.TABLE_CELL / per_cell) ** 3),
+        particle_volume=(tetmesh.TABLE_CELL / per_cell) ** 3,
         gravity=(0.0, r["gravity"], 0.0),
         walls=Walls(lower=(None, ground, None), upper=(None, None, None)),
         max_active_nodes=max_active_nodes,
@@ -144,8 +144,8 @@ def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: 
         scene=scene,
         rest_positions=rest,
         cloud=PointCloud(num_points=r["num_observed"]),
-        strength=jnp.asarray(r["strength"] * r["lam"]),
-        effort=jnp.asarray(r["effort"]),
+        strength=r["strength"] * r["lam"],
+        effort=r["effort"],
         start_height=rest[:, 1].mean(),
         per_cell=per_cell,
         **options,

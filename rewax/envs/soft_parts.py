@@ -3,30 +3,22 @@
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.mpm import Elasticity, Material, Plasticity, Wall, WallKind, Walls
+from rewax.physics.mpm import Hencky, Material, QuadraticFluid, VonMises, Wall, WallKind, Walls
 from rewax.types import Array
 
 
 def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float = 0.2, density: float = 1.0) -> Material:
     """Plasticine: Hencky's law with a von Mises yield stress [Pa]; by default of density 1 [kg/m^3]."""
     return Material(
-        youngs_modulus=jnp.asarray(youngs_modulus),
-        poissons_ratio=jnp.asarray(poissons_ratio),
-        density=jnp.asarray(density),
-        yield_stress=jnp.asarray(yield_stress),
-        elasticity=Elasticity.HENCKY,
-        plasticity=Plasticity.VON_MISES,
+        density=density,
+        elasticity=Hencky(youngs_modulus=youngs_modulus, poissons_ratio=poissons_ratio),
+        plasticity=VonMises(yield_stress=yield_stress),
     )
 
 
 def water(youngs_modulus: float) -> Material:
     """The reference's water: lambda of this Young's modulus [Pa] and Poisson's ratio 0.3 is its bulk modulus."""
-    return Material(
-        youngs_modulus=jnp.asarray(youngs_modulus),
-        poissons_ratio=jnp.asarray(0.3),
-        density=jnp.asarray(1000.0),
-        elasticity=Elasticity.FLUID,
-    )
+    return Material(density=1000.0, elasticity=QuadraticFluid(youngs_modulus=youngs_modulus, poissons_ratio=0.3))
 
 
 def turn_about_y(angle: Array) -> Array:
@@ -54,13 +46,12 @@ def box_walls(
     *,
     ceiling: float | None = None,
     floor_kind: WallKind = WallKind.GRIPPING,
-    floor_friction: float = 0.0,
+    floor_friction: float | None = None,
 ) -> Walls:
     """A floor (by default one that holds what presses on it), frictionless sides at (x, z) = lower and upper, and a
     ceiling or none.
     """
-    # Python's 0.0 stays one: the solver leaves out what is multiplied by it.
-    bottom = Wall(position=floor, kind=floor_kind, friction=jnp.asarray(floor_friction) if floor_friction else 0.0)
+    bottom = Wall(position=floor, kind=floor_kind, friction=floor_friction)
     return Walls(
         lower=(Wall(position=lower[0]), bottom, Wall(position=lower[1])),
         upper=(Wall(position=upper[0]), None if ceiling is None else Wall(position=ceiling), Wall(position=upper[1])),

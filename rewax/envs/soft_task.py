@@ -222,8 +222,7 @@ def soft_at_rest(scene: Scene, positions: Array) -> Soft:
     """The state of undeformed particles, or of vertices, that do not move [m]."""
     if isinstance(scene, TetScene):
         return tets.initial_state(positions)
-    materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
-    return mpm.initial_state(positions, scene if any(m.remembers for m in materials) else None)
+    return mpm.initial_state(positions, scene)
 
 
 def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:

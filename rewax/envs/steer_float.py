@@ -18,7 +18,7 @@ from rewax.envs.soft_parts import box_walls, lattice_box, turn_about_y, water
 from rewax.envs.soft_task import Soft, SoftPhysics, SoftTask
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
-from rewax.physics.mpm import Elasticity, Grid, Material, WallKind
+from rewax.physics.mpm import Grid, Material, NeoHookean, WallKind
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box
 from rewax.types import Array, Key, Observation, PyTree, Scalar
@@ -82,7 +82,7 @@ class SteerFloat(SoftTask):
         center = jnp.array([physics.task[0], BASIN[1][0] + DEPTH, physics.task[1]])
         return [
             *super().render_shapes(physics),
-            {"kind": "sphere", "center": center, "radius": jnp.asarray(0.015), "color": MARKER},
+            {"kind": "sphere", "center": center, "radius": 0.015, "color": MARKER},
         ]
 
     @property
@@ -113,21 +113,19 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
         dt=dt,
         material=(
             Material(
-                youngs_modulus=jnp.asarray(5e3),
-                poissons_ratio=jnp.asarray(0.3),
-                density=jnp.asarray(400.0),
-                elasticity=Elasticity.NEO_HOOKEAN,
+                density=400.0,
+                elasticity=NeoHookean(youngs_modulus=5e3, poissons_ratio=0.3),
             ),
             water(2.5e4),
         ),
         particle_counts=(len(solid), len(pool)),
-        particle_volume=jnp.asarray(np.concatenate(volumes), jnp.result_type(float)),
+        particle_volume=np.concatenate(volumes),
         gravity=(0.0, -9.81, 0.0),
         colliders=(
             Collider(
-                shape=Box(half_size=jnp.asarray(PADDLE)),
-                friction=jnp.asarray(0.2),
-                softness=jnp.asarray(7.5 / spacing),
+                shape=Box(half_size=PADDLE),
+                friction=0.2,
+                softness=7.5 / spacing,
             ),
         ),
         walls=box_walls(floor, (left, back), (right, front), floor_kind=WallKind.SEPARATING),
@@ -136,13 +134,13 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
     return SteerFloat(
         scene=scene,
         float_count=len(solid),
-        rest_positions=jnp.asarray(np.concatenate([solid, pool]), jnp.result_type(float)),
-        joint_start=jnp.asarray(joint_start),
-        joint_lower=jnp.asarray((left + 0.03, back + 0.05, -np.pi)),
-        joint_upper=jnp.asarray((right - 0.03, front - 0.05, np.pi)),
-        mark_lower=jnp.asarray((0.06, -0.05)),
-        mark_upper=jnp.asarray((0.14, 0.05)),
-        unit=jnp.asarray(0.1),
+        rest_positions=np.concatenate([solid, pool]),
+        joint_start=joint_start,
+        joint_lower=(left + 0.03, back + 0.05, -np.pi),
+        joint_upper=(right - 0.03, front - 0.05, np.pi),
+        mark_lower=(0.06, -0.05),
+        mark_upper=(0.14, 0.05),
+        unit=0.1,
         **changes,
     )
 
@@ -155,7 +153,7 @@ def paper() -> SteerFloat:
         per_edge=0.0083,
         dt=1e-3,
         scene={"max_active_nodes": 20480},
-        joint_step=jnp.asarray((0.01, 0.01, 0.1)),
+        joint_step=(0.01, 0.01, 0.1),
         cloud=PointCloud(num_points=250, stride=64),
         num_substeps=20,
         list_every=5,
@@ -171,7 +169,7 @@ def small() -> SteerFloat:
         per_edge=0.0125,
         dt=2e-3,
         scene={"max_active_nodes": 3328},
-        joint_step=jnp.asarray((0.01, 0.01, 0.1)),
+        joint_step=(0.01, 0.01, 0.1),
         cloud=PointCloud(num_points=64, stride=20),
         num_substeps=10,
         list_every=5,

@@ -11,7 +11,7 @@ import pytest
 from rewax.envs.rolling_flat import small
 from rewax.physics import mpm, rigid, tets
 from rewax.physics.contact import Collider, Ground, PenaltyContact
-from rewax.physics.mpm import Elasticity, Grid, Material, Plasticity, Wall, Walls
+from rewax.physics.mpm import Grid, Hencky, Material, Newtonian, Tait, VonMises, Wall, Walls
 from rewax.physics.mpm.step import free_velocity
 from rewax.physics.mpm.transfer import GridFields
 from rewax.physics.numerics import Pose
@@ -32,10 +32,7 @@ def scene() -> mpm.MPMScene:
     made = mpm.make_scene(
         grid=GRID,
         dt=1e-3,
-        material=Material(
-            youngs_modulus=np.full(NUM, 1e4), poissons_ratio=0.3, density=1000.0, yield_stress=300.0,
-            plasticity=Plasticity.VON_MISES, viscosity=0.1,
-        ),
+        material=Material(density=1000.0, elasticity=Hencky(youngs_modulus=np.full(NUM, 1e4), poissons_ratio=0.3), plasticity=VonMises(yield_stress=300.0), viscosity=Newtonian(viscosity=0.1),),
         particle_volume=1e-4,
         colliders=(Collider(shape=Capsule(radius=0.05, half_length=0.1), friction=0.5, softness=666.0),),
         walls=Walls(lower=(None, Wall(position=0.1, friction=0.3), None), upper=(None, None, None)),
@@ -110,7 +107,7 @@ def test_scenes_made_of_traced_stiffness_are_checked_for_a_stable_dt():
     limit = 1e-3
 
     def status(factor):
-        stable = Material(youngs_modulus=1.0, poissons_ratio=0.3, density=1000.0)
+        stable = Material(density=1000.0, elasticity=Hencky(youngs_modulus=1.0, poissons_ratio=0.3))
         modulus = (mpm.largest_stable_dt(stable, GRID) / limit) ** 2  # dt is at its limit
         made = mpm.make_scene(
             grid=GRID, dt=limit, material=stable.replace(youngs_modulus=factor * modulus), particle_volume=1e-4
@@ -184,7 +181,7 @@ def falling(spacing: float):
     x = spacing * (3.0 + 2.0 * np.random.default_rng(0).random((40, 3)))
     water = mpm.make_scene(
         grid=Grid(shape=(9, 9, 9), spacing=spacing), dt=dt, particle_volume=jnp.asarray(8 * spacing**3 / 40),
-        material=Material(density=1000.0, speed_of_sound=0.1 * spacing / dt, elasticity=Elasticity.TAIT),
+        material=Material(density=1000.0, elasticity=Tait(speed_of_sound=0.1 * spacing / dt)),
     )  # fmt: skip
     return 20 * dt, water, mpm.initial_state(jnp.asarray(x, jnp.float32), water)
 

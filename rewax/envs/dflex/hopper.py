@@ -57,4 +57,4 @@ def make_hopper(*, scale: str, onset: float = 0.01) -> Hopper:
     penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3, onset=onset)
     model = load_asset("hopper.xml", dt=1.0 / 960, penalty=penalty)
     max_steps = {"paper": 1000, "small": 300}[scale]
-    return Hopper(model=model, num_substeps=16, max_steps=max_steps, fallen_height=jnp.asarray(-0.45))
+    return Hopper(model=model, num_substeps=16, max_steps=max_steps, fallen_height=-0.45)

@@ -45,8 +45,8 @@ def make_humanoid(*, scale: str) -> Humanoid:
         model=model,
         num_substeps=num_substeps,
         max_steps=max_steps,
-        start_height=jnp.asarray(1.35),
+        start_height=1.35,
         start_joints=jnp.zeros(model.num_actuators),
-        fallen_height=jnp.asarray(0.74),
-        target=jnp.asarray([200.0, 0.0, 0.0]),
+        fallen_height=0.74,
+        target=[200.0, 0.0, 0.0],
     )

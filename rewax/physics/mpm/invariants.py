@@ -7,8 +7,8 @@ energy the field holds.
 
 import jax.numpy as jnp
 
-from rewax.physics.mpm.materials import elastic_energy_density
-from rewax.physics.mpm.step import MPMScene, MPMState, deform, particle_mass, per_material
+from rewax.physics.mpm.materials import Material, elastic_energy_density
+from rewax.physics.mpm.step import MPMScene, MPMState, particle_mass, per_material, respond_particles
 from rewax.physics.numerics import components as cp
 from rewax.types import Array
 
@@ -67,8 +67,13 @@ def kinetic_energy(scene: MPMScene, state: MPMState) -> Array:
 
 def elastic_energy(scene: MPMScene, state: MPMState) -> Array:
     """Elastic energy of all particles [J], shape (), after the pending return map. Gradient: exact."""
-    F, _ = deform(scene, state)
-    return jnp.sum(scene.particle_volume * per_material(scene, elastic_energy_density, F))
+    deformed = respond_particles(scene, state)
+
+    def density(material: Material, part: tuple[Array, tuple[Array, ...]]) -> Array:
+        F, memory = part
+        return elastic_energy_density(material, F, memory[: len(material.initial_memory)])
+
+    return jnp.sum(scene.particle_volume * per_material(scene, density, (deformed.F, deformed.memory)))
 
 
 def gravitational_energy(scene: MPMScene, state: MPMState) -> Array:

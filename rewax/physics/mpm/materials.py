@@ -1,88 +1,105 @@
 """What particles are made of: elasticity, plasticity, viscosity and muscles, composed freely.
 
-Every elastic and plastic law here needs only the left Cauchy-Green tensor b = F F^T = U diag(s^2) U^T: an elastic law
-maps principal stretches s to principal Kirchhoff stresses tau, a return map maps trial stretches to admissible ones
-(``laws``). So any elasticity goes with any plasticity, and both share one spectral evaluation whose derivative is exact
-(``linalg3``). Fluids need only J = det F. Viscous and active stresses are added.
-
-Kirchhoff stress tau = J sigma. Stretches of an inverted particle (det F < 0) carry a minus sign on the smallest one.
+``laws`` has the laws and says what a law is; here they are put on particles, by components of matrices. Kirchhoff
+stress tau = J sigma. Stretches of an inverted particle (det F < 0) carry a minus sign on the smallest one.
 """
 
-import enum
-import functools
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.physics.mpm.laws import (
-    FLUIDS,
-    MIN_FLUID_VOLUME,
+from rewax.physics.mpm.laws.base import (
+    ActiveStress,
     Elasticity,
-    LawParameters,
+    Fluid,
+    Law,
+    Parameters,
     Plasticity,
+    Viscosity,
     elastic_law,
     energy_law,
-    fluid_energy,
-    fluid_stress,
     plastic_law,
 )
+from rewax.physics.mpm.laws.fluids import MIN_FLUID_VOLUME
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import check_enum
+from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Mat3
-from rewax.physics.numerics.elastic_constants import LameParameters, lame_parameters
 from rewax.physics.numerics.linalg3 import spectral
 from rewax.types import Array, Scalar
 
 
 @struct.dataclass
 class Material(struct.Replaceable):
-    """An isotropic material. Parameters are numbers, or arrays of shape (num_particles,) that differ per particle.
+    """An isotropic material, made of laws.
 
-    Those of laws that a material does not use keep their defaults: ``make_scene`` refuses them.
+    Numbers of the material and of its laws are one number each, or arrays of shape (num_particles,) that differ per
+    particle.
 
     Attributes:
-      youngs_modulus: Young's modulus E [Pa], > 0; unused by ``TAIT``.
-      poissons_ratio: Poisson's ratio nu [-], in (-1, 0.5); unused by ``TAIT``.
       density: rest density [kg/m^3], > 0.
-      yield_stress: von Mises yield stress, the Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0.
-      friction_angle: of ``DRUCKER_PRAGER`` [rad], in (0, pi / 2).
-      cohesion: logarithmic strain along each axis to which ``DRUCKER_PRAGER`` can be pulled [-], >= 0 (None: 0).
-      critical_compression, critical_stretch: of ``SNOW`` [-], > 0 (fresh: 0.025 and 0.0075).
-      hardening: of ``SNOW`` [-]: moduli grow by exp(hardening (1 - plastic volume)), at most fivefold
-        (fresh: 10).
-      viscosity: dynamic (Newtonian) viscosity [Pa s], >= 0; None: no viscous stress.
-      speed_of_sound: of ``TAIT`` [m/s], > 0.
-      fibre: direction of muscle fibres in the undeformed body, unit vectors of shape (3,) or (num_particles, 3).
-      activation: active stress along the deformed fibres [Pa], positive pulls together.
-      elasticity, plasticity: the laws (static).
+      elasticity: ``Hencky``, ``FixedCorotated``, ``NeoHookean``, ``QuadraticFluid``, ``Tait`` or another
+        ``Elasticity``.
+      plasticity: ``VonMises``, ``DruckerPrager``, ``Snow`` or another ``Plasticity``; None: it does not flow.
+      viscosity: ``Newtonian`` or another ``Viscosity``; None: no viscous stress.
+      muscle: ``Muscle`` or another ``ActiveStress``; None: it is passive.
+
+    Raises:
+      ValueError: something that is no such law; a fluid with a plasticity.
+
+    Example:
+      >>> dough = Material(
+      ...     density=1e3,
+      ...     elasticity=Hencky(youngs_modulus=5e3, poissons_ratio=0.2),
+      ...     plasticity=VonMises(yield_stress=50.0),
+      ... )
     """
 
-    youngs_modulus: Scalar = 0.0
-    poissons_ratio: Scalar = 0.0
-    density: Scalar
-    yield_stress: Scalar = jnp.inf
-    friction_angle: Scalar | None = None
-    cohesion: Scalar | None = None
-    critical_compression: Scalar | None = None
-    critical_stretch: Scalar | None = None
-    hardening: Scalar | None = None
-    viscosity: Scalar | None = None
-    speed_of_sound: Scalar | None = None
-    fibre: Array | None = None
-    activation: Scalar | None = None
-    elasticity: Elasticity = struct.static_field(default=Elasticity.HENCKY)
-    plasticity: Plasticity = struct.static_field(default=Plasticity.NONE)
+    density: Scalar = struct.number(POSITIVE, "give the rest density in kg/m^3")
+    elasticity: Elasticity
+    plasticity: Plasticity | None = None
+    viscosity: Viscosity | None = None
+    muscle: ActiveStress | None = None
 
     def __post_init__(self) -> None:
-        check_enum("elasticity", self.elasticity, Elasticity)
-        check_enum("plasticity", self.plasticity, Plasticity)
+        for name, (kind, example) in _KINDS.items():
+            law = getattr(self, name)
+            if not (isinstance(law, kind) or (law is None and name != "elasticity")):
+                raise ValueError(
+                    f"{name} is {law!r}: give a law, {name}={example}{'' if name == 'elasticity' else ', or None'}"
+                )
+        if isinstance(self.elasticity, Fluid) and self.plasticity is not None:
+            raise ValueError(
+                f"plasticity is {type(self.plasticity).__name__} with {type(self.elasticity).__name__}, a fluid, which "
+                "has no yield surface: leave plasticity out, or give the elasticity of a solid"
+            )
 
     @property
-    def remembers(self) -> bool:
-        """Whether particles carry ``MPMState.plastic_volume``."""
-        return self.plasticity is Plasticity.SNOW
+    def laws(self) -> dict[str, Law]:
+        """Its laws by the names of their fields, without absent ones."""
+        return {name: law for name in _KINDS if (law := getattr(self, name)) is not None}
+
+    @property
+    def initial_memory(self) -> tuple[float, ...]:
+        """What each particle remembers at the start."""
+        return () if self.plasticity is None else self.plasticity.initial_memory
+
+    @property
+    def look(self) -> str:
+        """How it is drawn: "water", "muscle", "dough", "sand", "snow" or "elastic"."""
+        looks = [law.look for law in self.laws.values() if law.look is not None]
+        return "water" if "water" in looks else (looks[-1] if looks else "elastic")
+
+
+_KINDS = {
+    "elasticity": (Elasticity, "Hencky(youngs_modulus=..., poissons_ratio=...)"),
+    "plasticity": (Plasticity, "VonMises(yield_stress=...)"),
+    "viscosity": (Viscosity, "Newtonian(viscosity=...)"),
+    "muscle": (ActiveStress, "Muscle(fibre=..., activation=...)"),
+}
 
 
 class Response(NamedTuple):
@@ -92,21 +109,17 @@ class Response(NamedTuple):
     """Elastic deformation gradient after plastic flow [-]."""
     stress: Mat3
     """Kirchhoff stress [Pa]."""
-    plastic_volume: Array | None
-    """Volume ratio of all plastic flow so far [-]; None for materials that do not remember it."""
+    memory: tuple[Array, ...]
+    """What particles remember of plastic flow, one array for each of ``Material.initial_memory``."""
 
 
 def sound_speed(material: Material) -> Scalar:
-    """Speed of pressure waves at rest [m/s]: sqrt((lambda + 2 mu) / density), fluids without mu. Gradient: exact."""
-    if material.elasticity is Elasticity.TAIT:
-        assert material.speed_of_sound is not None
-        return material.speed_of_sound
-    mu, lam = lame_parameters(material.youngs_modulus, material.poissons_ratio)
-    return jnp.sqrt((lam if material.elasticity is Elasticity.FLUID else lam + 2.0 * mu) / material.density)
+    """Speed of pressure waves at rest [m/s]. Gradient: exact."""
+    return material.elasticity.sound_speed(material.density)
 
 
 def respond(
-    material: Material, F: Mat3, *, velocity_gradient: Mat3 | None = None, plastic_volume: Array | None = None
+    material: Material, F: Mat3, *, velocity_gradient: Mat3 | None = None, memory: tuple[Array, ...] = ()
 ) -> Response:
     """Return map and stress in one evaluation, by components.
 
@@ -114,38 +127,65 @@ def respond(
       material: its parameters broadcast against the components of F.
       F: trial deformation gradient [-], components of any shape.
       velocity_gradient: C [1/s], for viscous materials.
-      plastic_volume: volume ratio of earlier plastic flow [-], for materials that remember it.
+      memory: what particles remember, one array for each of ``Material.initial_memory``.
 
-    Gradient: exact with respect to F, C and all parameters, forward and reverse; finite at F = I, at repeated
+    Gradient: exact with respect to F, C, memory and all parameters, forward and reverse; finite at F = I, at repeated
       stretches, for flattened and for inverted particles; on yield surfaces that of one side.
     """
-    if material.elasticity in FLUIDS:
-        F_new, tau = _fluid(material, F)
+    if isinstance(material.elasticity, Fluid):
+        F_new, tau = _fluid(material, material.elasticity, F)
+        memory = ()
     else:
-        F_new, tau, plastic_volume = _solid(material, F, plastic_volume)
+        F_new, tau, memory = _solid(material, F, memory)
     if material.viscosity is not None:
         if velocity_gradient is None:
             raise ValueError("the material is viscous: give velocity_gradient")
-        tau = cp.add_matrices(tau, _viscous_stress(material.viscosity, F_new, velocity_gradient))
-    if material.fibre is not None and material.activation is not None:
-        along = cp.matvec(F_new, cp.split_vector(jnp.asarray(material.fibre)))
-        tau = cp.matrix(lambda i, j: tau[i][j] + material.activation * along[i] * along[j])
-    return Response(F_new, tau, plastic_volume if material.remembers else None)
+        tau = cp.add_matrices(tau, material.viscosity.stress(F_new, velocity_gradient))
+    if material.muscle is not None:
+        tau = cp.add_matrices(tau, material.muscle.stress(F_new))
+    return Response(F_new, tau, memory)
+
+
+class Parameter(NamedTuple):
+    """A number of a material, or of one of its laws."""
+
+    law: str
+    """The law's field in the material; empty: the material's own."""
+    name: str
+    value: Any
+    is_vector: bool
+
+    @property
+    def per_particle(self) -> bool:
+        """Whether each particle has its own."""
+        return self.value is not None and jnp.ndim(self.value) > self.is_vector
+
+
+def parameters_of(material: Material) -> Iterator[Parameter]:
+    """All fields of the material and its laws that ``struct.number`` made."""
+    for law, part in {"": material, **material.laws}.items():
+        for field in dataclasses.fields(part):  # type: ignore[arg-type]
+            if "number" in field.metadata:
+                yield Parameter(law, field.name, getattr(part, field.name), field.metadata["vector"])
 
 
 def split_parameters(material: Material) -> tuple[Material, dict[str, Array]]:
-    """Parameters that all particles share, and those of which each has its own, (num_particles,), fibres (3, ...)."""
-    own = {}
-    for name, value in vars(material).items():
-        if isinstance(value, (type(None), enum.Enum)) or jnp.ndim(value) < (2 if name == "fibre" else 1):
-            continue
-        own[name] = jnp.asarray(value).T
-    return material.replace(**dict.fromkeys(own)), own
+    """Parameters that all particles share, and those of which each has its own, (num_particles,), vectors (3, ...)."""
+    own = {f"{p.law}.{p.name}": jnp.asarray(p.value).T for p in parameters_of(material) if p.per_particle}
+    return _replaced(material, dict.fromkeys(own)), own
 
 
 def joined_parameters(material: Material, own: dict[str, Array]) -> Material:
     """Inverse of ``split_parameters``, for some of the particles."""
-    return material.replace(**{name: value.T for name, value in own.items()})
+    return _replaced(material, {name: value.T for name, value in own.items()})
+
+
+def _replaced(material: Material, values: dict[str, Any]) -> Material:
+    for path, value in values.items():
+        law, name = path.split(".")
+        change = {name: value} if not law else {law: getattr(material, law).replace(**{name: value})}
+        material = material.replace(**change)
+    return material
 
 
 def kirchhoff_stress(material: Material, F: Array) -> Array:
@@ -158,71 +198,70 @@ def kirchhoff_stress(material: Material, F: Array) -> Array:
     Returns:
       tau [Pa], shape (..., 3, 3), symmetric.
 
-    Gradient: exact. Source: Hencky and von Mises: Klar et al. 2016, Drucker-Prager elastoplasticity, section 6;
-      fixed corotated: Stomakhin et al. 2012; neo-Hookean: Jiang et al. 2016, MPM course notes, eq. 48, times F^T.
+    Gradient: exact. Source: that of the law.
     """
-    alone = material.replace(plasticity=Plasticity.NONE, viscosity=None, fibre=None)
+    alone = material.replace(plasticity=None, viscosity=None, muscle=None)
     return cp.join_matrix(respond(alone, cp.split_matrix(F)).stress)
 
 
-def return_map(material: Material, F: Array, plastic_volume: Array | None = None) -> Array:
+def return_map(material: Material, F: Array, memory: tuple[Array, ...] = ()) -> Array:
     """Elastic deformation gradient after plastic flow.
 
     Args:
       material: its plasticity counts.
       F: trial deformation gradient [-], shape (..., 3, 3).
-      plastic_volume: volume ratio of earlier plastic flow [-], shape (...), for materials that remember it.
+      memory: what particles remember, shapes (...), one array for each of ``Material.initial_memory``.
 
     Returns:
       Admissible elastic deformation gradient [-], shape (..., 3, 3); F itself inside the yield surface.
 
-    Gradient: exact; at the yield surface the one of the elastic side.
-    Source: von Mises: Gao et al. 2017, "An adaptive generalized interpolation material point method", with the norm
-      of the deviatoric strain unguarded, so that the map is idempotent. Drucker-Prager: Klar et al. 2016, without the
-      volume correction. Snow: Stomakhin et al. 2013, "A material point method for snow simulation".
+    Gradient: exact; at the yield surface the one of the elastic side. Source: that of the law.
     """
-    response = respond(material.replace(viscosity=None), cp.split_matrix(F), plastic_volume=plastic_volume)
-    return cp.join_matrix(response.F)
+    return cp.join_matrix(respond(material.replace(viscosity=None), cp.split_matrix(F), memory=memory).F)
 
 
-def elastic_energy_density(material: Material, F: Array) -> Array:
-    """Elastic energy per rest volume [J/m^3] of F (..., 3, 3), shape (...). Gradient: exact; P F^T = tau."""
+def elastic_energy_density(material: Material, F: Array, memory: tuple[Array, ...] = ()) -> Array:
+    """Elastic energy per rest volume [J/m^3].
+
+    Args:
+      material: its elasticity, and how its plasticity hardens or softens.
+      F: elastic deformation gradient [-], shape (..., 3, 3).
+      memory: as for ``return_map``; empty: as at the start.
+
+    Returns:
+      psi, shape (...).
+
+    Gradient: exact; P F^T = tau.
+    """
     Fc = cp.split_matrix(F)
-    if material.elasticity in FLUIDS:
-        J = jnp.maximum(cp.det(Fc), MIN_FLUID_VOLUME)
-        return fluid_energy(material.elasticity, J, _lame(material), _bulk_modulus(material))
-    law = functools.partial(energy_law, material.elasticity)
-    (psi,) = spectral(law, cp.matmul(Fc, cp.transpose(Fc)), _law_parameters(material, Fc, None))
-    return psi[0][0]
+    if isinstance(material.elasticity, Fluid):
+        return material.elasticity.energy_of_volume(jnp.maximum(cp.det(Fc), MIN_FLUID_VOLUME), material.density)
+    if not memory:
+        memory = tuple(jnp.full_like(Fc[0][0], a) for a in material.initial_memory)
+    (psi,) = spectral(energy_law, cp.matmul(Fc, cp.transpose(Fc)), _parameters(material, Fc, memory))
+    return psi
 
 
-def _solid(material: Material, F: Mat3, plastic_volume: Array | None) -> tuple[Mat3, Mat3, Array | None]:
-    b = cp.matmul(F, cp.transpose(F))
-    if material.remembers and plastic_volume is None:
+def _solid(material: Material, F: Mat3, memory: tuple[Array, ...]) -> tuple[Mat3, Mat3, tuple[Array, ...]]:
+    if len(memory) != len(material.initial_memory):
         raise ValueError(
-            "snow remembers its plastic volume, which is missing: begin with mpm.initial_state(x, scene), or give ones"
+            f"{type(material.plasticity).__name__} remembers {len(material.initial_memory)} numbers, but memory has "
+            f"{len(memory)}: begin with mpm.initial_state(x, scene)"
         )
-    parameters = _law_parameters(material, F, plastic_volume)
-    if material.plasticity is Plasticity.NONE:
-        (tau,) = spectral(functools.partial(elastic_law, material.elasticity), b, parameters)
-        return F, tau, None
-    law = functools.partial(plastic_law, material.elasticity, material.plasticity)
-    elongation, tau = spectral(law, b, parameters)
+    b, parameters = cp.matmul(F, cp.transpose(F)), _parameters(material, F, memory)
+    if material.plasticity is None:
+        (tau,) = spectral(elastic_law, b, parameters)
+        return F, tau, ()
+    elongation, tau, *memory_new = spectral(plastic_law, b, parameters)
     # Added, it leaves F as it is where nothing flows. Multiplied by a ratio near 1, volume would creep by rounding.
-    F_new = cp.add_matrices(F, cp.matmul(elongation, F))
-    if material.remembers:
-        assert plastic_volume is not None
-        ratio = cp.matrix(lambda i, j: elongation[i][j] + 1.0 if i == j else elongation[i][j])
-        # Its determinant is det F_new / det F, finite for flattened particles too.
-        plastic_volume = plastic_volume / cp.det(ratio)
-    return F_new, tau, plastic_volume
+    return cp.add_matrices(F, cp.matmul(elongation, F)), tau, tuple(memory_new)
 
 
-def _fluid(material: Material, F: Mat3) -> tuple[Mat3, Mat3]:
+def _fluid(material: Material, fluid: Fluid, F: Mat3) -> tuple[Mat3, Mat3]:
     """A fluid forgets its shape: F becomes J^(1/3) I."""
     J = jnp.maximum(cp.det(F), MIN_FLUID_VOLUME)
     side = jnp.cbrt(J)
-    pressure = fluid_stress(material.elasticity, J, _lame(material), _bulk_modulus(material))
+    pressure = fluid.stress(J, material.density)
     zero = jnp.zeros_like(J)
     return _isotropic(side, zero), _isotropic(pressure, zero)
 
@@ -231,45 +270,19 @@ def _isotropic(a: Array, zero: Array) -> Mat3:
     return cp.matrix(lambda i, j: a if i == j else zero)
 
 
-def _viscous_stress(viscosity: Scalar, F: Mat3, C: Mat3) -> Mat3:
-    """2 J viscosity dev(sym C)."""
-    J = cp.det(F)
-    mean = (C[0][0] + C[1][1] + C[2][2]) * (1.0 / 3.0)
-    return cp.matrix(lambda i, j: J * viscosity * (C[i][j] + C[j][i] - (2.0 * mean if i == j else 0.0)))
-
-
-def _law_parameters(material: Material, F: Mat3, plastic_volume: Array | None) -> LawParameters:
-    """The material's parameters; those that its laws do not use stay out, so that nothing carries their zeros."""
+def _parameters(material: Material, F: Mat3, memory: tuple[Array, ...]) -> Parameters:
     sign = jax.lax.stop_gradient(jnp.where(cp.det(F) < 0, -1.0, 1.0).astype(F[0][0].dtype))
-    parameters = LawParameters(_lame(material), sign)
-    if material.plasticity is Plasticity.VON_MISES:
-        return parameters._replace(yield_stress=material.yield_stress)
-    if material.plasticity is Plasticity.DRUCKER_PRAGER:
-        cohesion = 0.0 if material.cohesion is None else material.cohesion
-        return parameters._replace(friction_angle=material.friction_angle, cohesion=cohesion)
-    if material.plasticity is Plasticity.SNOW and plastic_volume is not None:
-        names = ("critical_compression", "critical_stretch", "hardening")
-        return parameters._replace(plastic_volume=plastic_volume, **{name: getattr(material, name) for name in names})
-    return parameters
-
-
-def _lame(material: Material) -> LameParameters:
-    return lame_parameters(material.youngs_modulus, material.poissons_ratio)
-
-
-def _bulk_modulus(material: Material) -> Scalar:
-    return 0.0 if material.speed_of_sound is None else material.density * material.speed_of_sound**2
+    return Parameters(material.elasticity, material.plasticity, sign, memory)
 
 
 __all__ = [
-    "Elasticity",
-    "LameParameters",
     "Material",
-    "Plasticity",
+    "Parameter",
     "Response",
     "elastic_energy_density",
     "joined_parameters",
     "kirchhoff_stress",
+    "parameters_of",
     "respond",
     "return_map",
     "sound_speed",

@@ -1,4 +1,4 @@
-"""Particles as the inner loop wants them: all components of all particles in one array, (24 or 25, num_particles)."""
+"""Particles as the inner loop wants them: all components of all particles in one array, (24 + k, num_particles)."""
 
 from typing import Any, NamedTuple
 
@@ -19,19 +19,20 @@ class Particles(NamedTuple):
     v: Vec3
     C: Mat3
     F: Mat3
-    plastic_volume: Array | None
+    memory: tuple[Array, ...]
+    """What particles remember, k arrays."""
 
 
 def split(state: MPMState) -> Array:
-    """Packed particles, as the inner loop wants them: rows x, v, C, F, and plastic volume if there is one.
+    """Packed particles, as the inner loop wants them: rows x, v, C, F, memory.
 
-    All components of all particles in one array, (24 or 25, num_particles): one array is what the loop hands on, and
+    All components of all particles in one array, (24 + k, num_particles): one array is what the loop hands on, and
     what the backward pass keeps. ``unpack`` gives the components.
     """
     count = state.x.shape[0]
     numbers = [leaf.reshape(count, -1) for leaf in (state.x, state.v, state.C, state.F)]
-    if state.plastic_volume is not None:
-        numbers.append(state.plastic_volume[:, None])
+    if state.memory is not None:
+        numbers.append(state.memory)
     return jnp.concatenate(numbers, axis=1).T
 
 
@@ -43,7 +44,7 @@ def join(packed: Array) -> MPMState:
         v=rows[:, 3:6],
         C=rows[:, 6:15].reshape(count, 3, 3),
         F=rows[:, 15:24].reshape(count, 3, 3),
-        plastic_volume=rows[:, 24] if rows.shape[1] > 24 else None,
+        memory=rows[:, 24:] if rows.shape[1] > 24 else None,
     )
 
 
@@ -61,7 +62,7 @@ def unpack(packed: Array) -> Particles:
     """Particles by components. Gradient: exact."""
     rows = rows_of(packed)
     x, v = as_vector(rows[:3]), as_vector(rows[3:6])
-    return Particles(x, v, as_matrix(rows[6:15]), as_matrix(rows[15:24]), rows[24] if len(rows) > 24 else None)
+    return Particles(x, v, as_matrix(rows[6:15]), as_matrix(rows[15:24]), tuple(rows[24:]))
 
 
 def _stack(static: None, residuals: Arrays, arrays: Arrays) -> Arrays:

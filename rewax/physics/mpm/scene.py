@@ -13,7 +13,6 @@ from rewax import struct
 from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose, with_softness
 from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.laws import MAX_HARDENING, Plasticity
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.scene_checks import (
     check_box,
@@ -53,15 +52,15 @@ class MPMState(struct.Replaceable):
       C: affine velocity field around each particle [1/s], shape (num_particles, 3, 3).
       F: trial elastic deformation gradient [-], shape (num_particles, 3, 3): the next substep's return map is still
         to be applied.
-      plastic_volume: volume ratio of all plastic flow so far [-], shape (num_particles,), if a material of the scene
-        remembers it, else None.
+      memory: what particles remember of plastic flow (``Plasticity.initial_memory``; snow: the volume ratio of all flow
+        so far [-]), shape (num_particles, k), k the most that a material of the scene remembers; None: nothing.
     """
 
     x: Array
     v: Array
     C: Array
     F: Array
-    plastic_volume: Array | None = None
+    memory: Array | None = None
 
 
 @struct.dataclass
@@ -110,7 +109,7 @@ def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
 
     Args:
       x: positions [m], shape (num_particles, 3).
-      scene: what they are made of and where; needed where a material remembers its plastic flow (snow).
+      scene: what they are made of and where; needed where a material remembers its plastic flow (as snow does).
 
     Raises:
       ValueError: positions that are not finite or of another shape, particles outside the scene's box, or another
@@ -126,13 +125,12 @@ def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
         check_box(scene.grid, x)
         _check_count(scene, x.shape[0])
     zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)
-    remembers = scene is not None and any(m.remembers for m in materials_of(scene))
     return MPMState(
         x=x,
         v=jnp.zeros_like(x),
         C=zeros,
         F=zeros + jnp.eye(3, dtype=x.dtype),
-        plastic_volume=jnp.ones(x.shape[0], x.dtype) if remembers else None,
+        memory=None if scene is None else _initial_memory(scene, x),
     )
 
 
@@ -163,7 +161,7 @@ def make_scene(
 
     Raises:
       ValueError: a number that cannot be (not finite, a modulus, density, volume, size or softness that is not
-        positive, friction below 0), a parameter that no law uses, a wall where no node is, counts or arrays that do not
+        positive, friction below 0), a wall where no node is, counts or arrays that do not
         fit together, a dt above ``largest_stable_dt``. The message names field, value and remedy. Inside ``jit`` only
         static fields and shapes are known; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for the rest.
     """
@@ -212,8 +210,8 @@ def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -
     eight particles per cell, random and regular, blow up between 0.7 of the time that sound takes through a cell (two
     random particles per cell, nu 0.45, initial velocities of 5 % of the speed of sound) and 1.2 (eight regular ones, nu
     0.2), nearly whatever the law; viscous ones, fluid or solid, of one to eight particles per cell at up to 0.5 of it,
-    between 0.25 and 0.6 of density spacing^2 / viscosity. Snow counts as hard as it can become. Strong compression
-    makes sound faster (in Tait's fluid by J^-4): it needs a margin of its own.
+    between 0.25 and 0.6 of density spacing^2 / viscosity. What hardens counts as hard as it can become. Strong
+    compression makes sound faster (in Tait's fluid by J^-4): it needs a margin of its own.
 
     Args:
       material: its stiffness, viscosity and density.
@@ -223,12 +221,14 @@ def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -
     Gradient: exact.
     """
     speed = sound_speed(material)
-    if material.plasticity is Plasticity.SNOW:
-        speed = speed * MAX_HARDENING**0.5
+    if material.plasticity is not None and material.plasticity.largest_stiffness != 1.0:
+        speed = speed * material.plasticity.largest_stiffness**0.5
     limit = STABLE_COURANT_NUMBER * grid.spacing / (speed + max_speed)
     if material.viscosity is None:
         return limit
-    diffusivity = material.viscosity / (STABLE_DIFFUSION_NUMBER * material.density * grid.spacing**2)
+    diffusivity = material.viscosity.dynamic_viscosity() / (
+        STABLE_DIFFUSION_NUMBER * material.density * grid.spacing**2
+    )
     return 1.0 / jnp.maximum(1.0 / limit, diffusivity)
 
 
@@ -329,6 +329,19 @@ def has_invalid_parameters(scene: MPMScene, poses: Pose | None = None) -> Array:
         limit = (1.0 + 1e-5) * largest_stable_dt(material, scene.grid)
         invalid = invalid | ~jnp.all(scene.dt <= limit)
     return invalid
+
+
+def _initial_memory(scene: MPMScene, x: Array) -> Array | None:
+    """What the particles at x remember at the start, as in ``MPMState.memory``."""
+    most = max(len(m.initial_memory) for m in materials_of(scene))
+    if not most:
+        return None
+
+    def one(material: Material, part: Array) -> Array:
+        own = material.initial_memory
+        return jnp.broadcast_to(jnp.asarray([*own, *[0.0] * (most - len(own))], x.dtype), (part.shape[0], most))
+
+    return per_material(scene, one, x)
 
 
 def _check_count(scene: MPMScene, num_particles: int) -> None:

@@ -10,7 +10,7 @@ from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.numbers import collider_numbers
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import check_material, material_numbers
-from rewax.physics.mpm.materials import Material
+from rewax.physics.mpm.materials import Material, parameters_of
 from rewax.physics.mpm.walls import Walls, wall_numbers
 from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, whole_number
 from rewax.physics.numerics.pose import Pose
@@ -73,8 +73,9 @@ def check_lengths(
     for i, material in enumerate(materials):
         length = total if counts is None else counts[i]
         prefix = "" if counts is None else f"material[{i}]."
-        for number in material_numbers(material, prefix):
-            length = _check_length(number.name, number.value, length, number.name.endswith("fibre"))
+        for p in parameters_of(material):
+            name = f"{prefix}{p.law}{'.' if p.law else ''}{p.name}"
+            length = _check_length(name, p.value, length, p.is_vector)
         total = length if counts is None else total
 
 

@@ -150,8 +150,25 @@ def check_status(
 
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
     """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
-    response = _respond(scene, unpack(split(state)))
-    return cp.join_matrix(response.F), cp.join_matrix(response.stress)
+    deformed = respond_particles(scene, state)
+    return deformed.F, deformed.stress
+
+
+class DeformedParticles(NamedTuple):
+    """Particles after the pending return map."""
+
+    F: Array
+    """Elastic deformation gradient [-], shape (num_particles, 3, 3)."""
+    stress: Array
+    """Kirchhoff stress [Pa], shape (num_particles, 3, 3)."""
+    memory: tuple[Array, ...]
+    """What particles remember, k arrays of shape (num_particles,)."""
+
+
+def respond_particles(scene: MPMScene, state: MPMState) -> DeformedParticles:
+    """What the materials make of the particles' trial states. Gradient: exact."""
+    response = per_material(scene, _response, unpack(split(state)))
+    return DeformedParticles(cp.join_matrix(response.F), cp.join_matrix(response.stress), response.memory)
 
 
 # --- One substep, by components --------------------------------------------------------------------------------------
@@ -163,8 +180,7 @@ class Deformed(NamedTuple):
     x: Vec3
     """Positions [m]."""
     memory: Array
-    """Deformation gradients after plastic flow [-], and plastic volumes where any material remembers them, (9 or 10,
-    num_particles)."""
+    """Deformation gradients after plastic flow [-], and what particles remember of it, (9 + k, num_particles)."""
 
 
 def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, placed: Placed) -> Array:
@@ -213,13 +229,10 @@ def stress_and_momentum(
     material = joined_parameters(material, own)
     # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
     p = materialize(unpack(packed))
-    response = respond(material, p.F, velocity_gradient=p.C, plastic_volume=p.plastic_volume)
-    if not material.remembers:  # beside snow, others keep the number that they do not use
-        response = response._replace(plastic_volume=p.plastic_volume)
-    response = materialize(response)
+    response = materialize(_response(material, p))
     impulse = factor * volume
     affine = cp.matrix(lambda i, j: impulse * response.stress[i][j] + mass * p.C[i][j])
-    memory = pack((response.F, response.plastic_volume))
+    memory = pack((response.F, response.memory))
     return Deformed(p.x, memory), affine, cp.vector(lambda i: mass * p.v[i])
 
 
@@ -245,7 +258,7 @@ def _moved(
     F, C = as_matrix(rows[:9]), cp.matrix(lambda i, j: inertia * moment[i][j])
     CF = cp.matmul(C, F)
     x = cp.vector(lambda i: jnp.clip(deformed.x[i] + dt * v[i], lower[i], upper[i]))
-    return pack(Particles(x, v, C, cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j]), *(rows[9:] or [None])))
+    return pack(Particles(x, v, C, cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j]), tuple(rows[9:])))
 
 
 def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, placed: Placed) -> Vec3:
@@ -302,13 +315,11 @@ def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
     return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)
 
 
-def _respond(scene: MPMScene, particles: Particles) -> Response:
-    def one(material: Material, p: Particles) -> Response:
-        response = respond(material, p.F, velocity_gradient=p.C, plastic_volume=p.plastic_volume)
-        # Beside snow, others keep the number that they do not use.
-        return response if material.remembers else response._replace(plastic_volume=p.plastic_volume)
-
-    return per_material(scene, one, particles)
+def _response(material: Material, p: Particles) -> Response:
+    own = len(material.initial_memory)
+    response = respond(material, p.F, velocity_gradient=p.C, memory=p.memory[:own])
+    # Numbers that only other materials of the scene remember pass through.
+    return response._replace(memory=(*response.memory, *p.memory[own:]))
 
 
 _recomputed_substep = recomputed(_substep)

@@ -13,7 +13,7 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import friction_factor
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, static_number
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, numbers_of, static_number
 from rewax.physics.numerics.components import Vec3
 from rewax.types import Array, Scalar
 
@@ -38,12 +38,12 @@ class Wall:
     Attributes:
       position: coordinate of the wall along its axis [m], between the grid's first and last node (static).
       kind: what it does (static).
-      friction: Coulomb coefficient [-], >= 0, used by ``SEPARATING`` walls.
+      friction: Coulomb coefficient of a ``SEPARATING`` wall [-], >= 0; None: no friction, which costs nothing.
     """
 
     position: float = struct.static_field()
     kind: WallKind = struct.static_field(default=WallKind.SEPARATING)
-    friction: Scalar = 0.0
+    friction: Scalar | None = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, None for none", default=None)
 
     def __post_init__(self) -> None:
         check_enum("Wall.kind", self.kind, WallKind)
@@ -65,8 +65,7 @@ def wall_numbers(walls: Walls) -> list[Number]:
     for side in ("lower", "upper"):
         for axis, wall in enumerate(getattr(walls, side)):
             if wall is not None:
-                name = f"walls.{side}[{axis}].friction"
-                numbers.append(Number(name, wall.friction, NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none"))
+                numbers += numbers_of(wall, f"walls.{side}[{axis}].")
     return numbers
 
 
@@ -85,10 +84,10 @@ def check_walls(walls: Walls, grid: Grid) -> None:
                     f"{'all' if behind.any() else 'none'}: move the wall between them, or give the grid another origin "
                     "or more nodes"
                 )
-            used = wall.kind is WallKind.SEPARATING
-            if not used and not isinstance(wall.friction, Tracer) and np.any(np.asarray(wall.friction) != 0):
+            if wall.kind is not WallKind.SEPARATING and wall.friction is not None:
+                shown = "traced" if isinstance(wall.friction, Tracer) else wall.friction
                 raise ValueError(
-                    f"walls.{side}[{axis}].friction is {wall.friction}, but a wall of {wall.kind} has none: leave it "
+                    f"walls.{side}[{axis}].friction is {shown}, but a wall of {wall.kind} has none: leave it "
                     "out, or give WallKind.SEPARATING"
                 )
 
@@ -113,9 +112,7 @@ def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], vel
     if not sides:
         return velocity
     behind = [_behind(grid, wall, axis, inward, index[axis]) for axis, inward, wall in sides]
-    # A wall without friction stays one: a whole number is part of the program.
-    simplified = Walls(lower=_simplified(walls.lower), upper=_simplified(walls.upper))
-    return _after_walls(simplified, behind, velocity)
+    return _after_walls(walls, behind, velocity)
 
 
 @recomputed  # a few operations on each number: XLA, which computes them with their neighbours, is faster than C++
@@ -126,15 +123,6 @@ def _after_walls(walls: Walls, behind: list[Array], velocity: Vec3) -> Vec3:
             if wall is not None:
                 velocity = _apply_wall(wall, axis, inward, next(rest), velocity)
     return velocity
-
-
-def _simplified(side: tuple[Wall | None, Wall | None, Wall | None]) -> tuple[Wall | None, Wall | None, Wall | None]:
-    x, y, z = (Wall(position=w.position, kind=w.kind, friction=0) if w and _frictionless(w) else w for w in side)
-    return x, y, z
-
-
-def _frictionless(wall: Wall) -> bool:
-    return isinstance(wall.friction, (int, float)) and wall.friction == 0
 
 
 def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Any) -> Any:
@@ -154,7 +142,7 @@ def _apply_wall(wall: Wall, axis: int, inward: float, behind: Array, velocity: V
         return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]))
     if wall.kind is WallKind.SLIP:
         return cp.vector(lambda i: jnp.where(behind, 0.0, velocity[i]) if i == axis else velocity[i])
-    if _frictionless(wall):
+    if wall.friction is None:
         return cp.vector(lambda i: jnp.where(approaches, 0.0, velocity[i]) if i == axis else velocity[i])
     zero = jnp.zeros_like(normal_velocity)
     tangential = cp.vector(lambda i: zero if i == axis else velocity[i])

@@ -59,7 +59,9 @@ class Number(NamedTuple):
 
 
 def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
-    """The fields of an object that ``struct.number`` made, and what they may be. Absent ones, None by default, stay out.
+    """The fields of an object that ``struct.number`` made, and what they may be.
+
+    Fields that are None by default stay out where they are.
 
     Args:
       tree: an object of a ``struct.dataclass``.

@@ -12,8 +12,8 @@ What depends on all eigenvalues (a trace, a norm, whether a particle flows) is a
 Gradient: exact for values. Divided differences are made for derivatives and have none of their own.
 """
 
+import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,12 +26,48 @@ from rewax.types import Array, Scalar
 PAIRS = ((1, 2), (0, 2), (0, 1))
 
 
-class Principal(NamedTuple):
-    """A number for each eigenvalue, the same function of each."""
+@dataclasses.dataclass(frozen=True)
+class Principal:
+    """A number for each eigenvalue, the same function of each; ``+ - * /`` and ``-`` work on each, and by numbers."""
 
     values: Vec3
     differences: Vec3 | None = None
     """Divided differences by eigenvalues: k belongs to the two axes other than k (``PAIRS``). None: not wanted."""
+
+    def __add__(self, other: "Principal | Scalar") -> "Principal":
+        return add(self, other) if isinstance(other, Principal) else shift(self, other)
+
+    def __sub__(self, other: "Principal | Scalar") -> "Principal":
+        return add(self, scale(-1.0, other)) if isinstance(other, Principal) else shift(self, -other)
+
+    def __rsub__(self, other: Scalar) -> "Principal":
+        return shift(scale(-1.0, self), other)
+
+    def __mul__(self, other: "Principal | Scalar") -> "Principal":
+        return multiply(self, other) if isinstance(other, Principal) else scale(other, self)
+
+    def __truediv__(self, other: "Principal | Scalar") -> "Principal":
+        return multiply(self, reciprocal(other)) if isinstance(other, Principal) else scale(1.0 / other, self)
+
+    def __rtruediv__(self, other: Scalar) -> "Principal":
+        return scale(other, reciprocal(self))
+
+    def __neg__(self) -> "Principal":
+        return scale(-1.0, self)
+
+    __radd__, __rmul__ = __add__, __mul__
+    __array_ufunc__ = None  # NumPy's numbers leave operators to this class
+
+    @property
+    def sum(self) -> Array:
+        return self.values[0] + self.values[1] + self.values[2]
+
+    @property
+    def product(self) -> Array:
+        return self.values[0] * self.values[1] * self.values[2]
+
+
+jax.tree_util.register_dataclass(Principal, data_fields=["values", "differences"], meta_fields=[])
 
 
 def eigenvalues(values: Vec3) -> Principal:
@@ -64,7 +100,7 @@ def scale(a: Scalar, p: Principal) -> Principal:
 
 def shift(p: Principal, a: Scalar) -> Principal:
     """p + a."""
-    return p._replace(values=cp.vector(lambda i: p.values[i] + a))
+    return dataclasses.replace(p, values=cp.vector(lambda i: p.values[i] + a))
 
 
 def multiply(p: Principal, q: Principal) -> Principal:
@@ -131,7 +167,7 @@ def exp(p: Principal) -> Principal:
 
 def expm1(p: Principal) -> Principal:
     """exp(p) - 1, accurate for small values."""
-    return exp(p)._replace(values=cp.vector(lambda i: exp_minus_one(p.values[i])))
+    return dataclasses.replace(exp(p), values=cp.vector(lambda i: exp_minus_one(p.values[i])))
 
 
 @jax.custom_jvp

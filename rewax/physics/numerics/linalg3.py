@@ -23,10 +23,10 @@ from rewax.physics.numerics.components import AXES, Mat3, Vec3
 from rewax.physics.numerics.divided_differences import Principal
 from rewax.types import Array
 
-SpectralFunction = Callable[[Principal, Any], tuple[Principal, ...]]
+SpectralFunction = Callable[[Principal, Any], tuple[Principal | Array, ...]]
 """``(eigenvalues, parameters) -> principal values of each result``, made of operations of ``divided_differences``.
 
-It is equivariant under permutations of the axes, and gives divided differences if the eigenvalues have them.
+A result may also be one number, the same on all axes. The function is equivariant under permutations of the axes, and gives divided differences if the eigenvalues have them.
 """
 
 _ROTATIONS = ((0, 1), (0, 2), (1, 2))
@@ -101,24 +101,25 @@ def _symmetric_product(a: Mat3, b: Mat3) -> Mat3:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def spectral(function: SpectralFunction, b: Mat3, parameters: Any) -> tuple[Mat3, ...]:
+def spectral(function: SpectralFunction, b: Mat3, parameters: Any) -> tuple[Any, ...]:
     """Isotropic tensor functions U diag(f(lambda)) U^T of symmetric matrices b = U diag(lambda) U^T.
 
     Args:
-      function: ``(eigenvalues, parameters) -> (f, g, ...)``, each a ``Principal``. f_i may depend on all eigenvalues,
-        but permuting them must permute f the same way.
+      function: ``(eigenvalues, parameters) -> (f, g, ...)``, each a ``Principal`` or an array, one number. f_i may
+        depend on all eigenvalues, but permuting them must permute f the same way, and change no number.
       b: symmetric matrices by components of any shape.
       parameters: pytree of arrays that broadcast against the components.
 
     Returns:
-      One symmetric matrix, by components, for each triple.
+      One symmetric matrix, by components, for each ``Principal``; numbers as they are.
 
     Gradient: exact with respect to b and parameters, forward and reverse, finite at repeated eigenvalues.
     Source: Daleckii and Krein 1965; Miehe 1998, "Comparison of two algorithms for the computation of fourth-order
       isotropic tensor functions"; close eigenvalues have no limit of their own: differences obey a chain rule.
     """
     eigenvalues, u = eigh_components(b)
-    return tuple(_recompose(u, f.values) for f in function(Principal(eigenvalues), parameters))
+    found = function(Principal(eigenvalues), parameters)
+    return tuple(_recompose(u, f.values) if isinstance(f, Principal) else f for f in found)
 
 
 def _is_zero(tangent) -> bool:
@@ -138,8 +139,9 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
     principal = materialize(function(dd.eigenvalues(eigenvalues), parameters))
     one, zero = jnp.ones_like(eigenvalues[0]), jnp.zeros_like(eigenvalues[0])
 
-    def values(eigenvalues: Vec3, parameters: Any) -> tuple[Vec3, ...]:
-        return tuple(f.values for f in function(Principal(eigenvalues), parameters))
+    def values(eigenvalues: Vec3, parameters: Any) -> tuple[Vec3 | tuple[Array], ...]:
+        found = function(Principal(eigenvalues), parameters)
+        return tuple(f.values if isinstance(f, Principal) else (f,) for f in found)
 
     # by_eigenvalue[j][n][i]: derivative of component i of result n by eigenvalue j
     axes = structural_zeros([cp.vector(lambda i, j=j: one if i == j else zero) for j in AXES])
@@ -149,14 +151,21 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
         _, by_parameters = jax.jvp(lambda p: values(eigenvalues, p), (parameters,), (_instantiate(dparameters),))
     symmetric = materialize(cp.matmul(cp.matrix(lambda i, j: 0.5 * (db[i][j] + db[j][i])), u))
     rotated = materialize(_symmetric_product(cp.transpose(u), symmetric))
+
+    def slope(n: int, i: int) -> Array:
+        """Derivative of component i of result n along the diagonal, and by parameters."""
+        along = cp.dot(cp.vector(lambda a: by_eigenvalue[a][n][i]), cp.vector(lambda a: rotated[a][a]))
+        return along if by_parameters is None else along + by_parameters[n][i]
+
     out, dout = [], []
     for n, f in enumerate(principal):
+        if not isinstance(f, Principal):
+            out.append(f)
+            dout.append(slope(n, 0))
+            continue
 
         def entry(i: int, j: int, differences=f.differences, n=n) -> Array:
-            if i != j:
-                return differences[3 - i - j] * rotated[i][j]
-            along = cp.dot(cp.vector(lambda a: by_eigenvalue[a][n][i]), cp.vector(lambda a: rotated[a][a]))
-            return along if by_parameters is None else along + by_parameters[n][i]
+            return differences[3 - i - j] * rotated[i][j] if i != j else slope(n, i)
 
         half = materialize(cp.matmul(materialize(cp.matrix(entry)), cp.transpose(u)))
         out.append(_recompose(u, f.values))

@@ -66,7 +66,7 @@ class TetScene(struct.Replaceable):
       mass: of each vertex [kg], shape (num_vertices,).
       mu, lam: parameters of the stable neo-Hookean law [Pa]. Small strains see Young's modulus and Poisson's ratio of
         ``tets.small_strain_moduli(mu, lam)``; ``tets.stable_parameters`` goes the other way.
-      damping: viscosity [Pa s].
+      damping: viscosity [Pa s]; None: none, which costs nothing.
       activation: shift of the volume ratio at rest [-]; positive contracts.
       gravity: acceleration [m/s^2], shape (3,).
       mobility: 1 for vertices that move, 0 for those that keep their velocity, shape (num_vertices,); None: all move.
@@ -83,7 +83,7 @@ class TetScene(struct.Replaceable):
     mass: Array
     mu: Scalar
     lam: Scalar
-    damping: Scalar = 0.0
+    damping: Scalar | None = None
     activation: Scalar = 0.0
     gravity: Array
     mobility: Array | None = None
@@ -124,7 +124,7 @@ def make_scene(
     mu: Scalar,
     lam: Scalar,
     dt: float,
-    damping: Scalar = 0.0,
+    damping: Scalar | None = None,
     activation: Scalar = 0.0,
     gravity: Any = (0.0, -9.81, 0.0),
     held: Any = (),
@@ -218,12 +218,13 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
     slopes = jnp.sum(B**2, axis=(1, 2)) + jnp.sum(jnp.sum(B, axis=1) ** 2, axis=1)
     zeros = jnp.zeros_like(scene.mass)
     weight = scene.rest_volume * slopes
-    if jnp.ndim(M) == jnp.ndim(scene.damping) == 0:
+    damping = jnp.asarray(0.0 if scene.damping is None else scene.damping)
+    if jnp.ndim(M) == damping.ndim == 0:
         weight = zeros.at[scene.tets].add(weight[:, None])
-        stiffness, damping = weight * M, weight * 2.0 * scene.damping
+        stiffness, damping = weight * M, weight * 2.0 * damping
     else:
         stiffness = zeros.at[scene.tets].add((weight * M)[:, None])
-        damping = zeros.at[scene.tets].add((weight * 2.0 * scene.damping)[:, None])
+        damping = zeros.at[scene.tets].add((weight * 2.0 * damping)[:, None])
     if scene.contact is not None:
         stiffness, damping = stiffness + scene.contact.stiffness, damping + scene.contact.damping
     w2, c = stiffness / scene.mass, damping / scene.mass

@@ -16,10 +16,11 @@ from rewax.physics.numerics.pose import Pose
 def material_numbers(mu: Any, lam: Any, damping: Any, activation: Any) -> list[Number]:
     """The parameters of the material, and what they may be."""
     moduli = "take it from tets.law.stable_parameters(youngs_modulus, poissons_ratio)"
+    damped = [] if damping is None else [Number("damping", damping, NOT_NEGATIVE, "give a viscosity in Pa s")]
     return [
         Number("mu", mu, POSITIVE, f"give the law's shear parameter in Pa, {moduli}"),
         Number("lam", lam, POSITIVE, f"give the law's volume parameter in Pa, {moduli}"),
-        Number("damping", damping, NOT_NEGATIVE, "give a viscosity in Pa s"),
+        *damped,
         Number("activation", activation, FINITE, "give a change of volume ratio, or one per tet"),
     ]
 

@@ -157,7 +157,7 @@ def deformation(scene: TetScene, rest: Rest, x: Vec3) -> Mat3:
 
 def vertex_forces(scene: TetScene, rest: Rest, x: Vec3, v: Vec3) -> Vec3:
     """``internal_force`` by components."""
-    damped = not (isinstance(scene.damping, (int, float)) and scene.damping == 0)
+    damped = scene.damping is not None
     at_rest = (rest.inverse_edges, rest.volume)
     now = (edges(scene.topology, x), edges(scene.topology, v) if damped else None)
     shared, own = separated((scene.mu, scene.lam, scene.activation, scene.damping))
@@ -172,6 +172,7 @@ def _columns(damping_law: DampingLaw) -> Callable[[Any, Any], Mat3]:
     def columns(shared: Any, tets: tuple[Any, tuple[Mat3, Array], tuple[Mat3, Mat3 | None]]) -> Mat3:
         own, (inverse_edges, volume), (now, rates) = tets
         mu, lam, activation, damping = joined(shared, own)
+        damping = 0.0 if damping is None else damping
         F = materialize(cp.matmul(now, inverse_edges))
         rate = None if rates is None else materialize(cp.matmul(rates, inverse_edges))
         stress = materialize(

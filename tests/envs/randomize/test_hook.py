@@ -40,7 +40,7 @@ class Things:
 
 
 THINGS = Things(
-    material=Material(youngs_modulus=jnp.float32(800.0), yield_stress=jnp.float32(20.0)),
+    material=Material(elasticity=Hencky(youngs_modulus=jnp.float32(800.0))),
     parameters={"body_mass": jnp.array([0.0, 1.0, 2.0]), "body_inertia": jnp.ones((3, 3)) * jnp.arange(3.0)[:, None]},
     tools=(Tool(friction=jnp.float32(0.2)), Tool(friction=jnp.float32(0.8))),
     start=jnp.arange(12.0).reshape(4, 3),

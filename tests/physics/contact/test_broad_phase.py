@@ -11,6 +11,7 @@ from rewax.physics import mpm
 from rewax.physics.contact.broad_phase import bounding_radius, near_colliders
 from rewax.physics.contact.colliders import Collider, apply_colliders, place
 from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.laws import Hencky
 from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
@@ -45,7 +46,7 @@ def scene_and_state():
     )
     scene = mpm.make_scene(
         grid=Grid(shape=(9, 9, 9), spacing=0.1), dt=1e-3, particle_volume=0.2**3 / len(x), colliders=colliders,
-        material=Material(youngs_modulus=1e3, poissons_ratio=0.3, density=1e3),
+        material=Material(density=1e3, elasticity=Hencky(youngs_modulus=1e3, poissons_ratio=0.3)),
     )  # fmt: skip
     return scene, mpm.initial_state(jnp.asarray(x), scene)
 
@@ -118,5 +119,5 @@ def test_at_least_one():
     with pytest.raises(ValueError, match="max_near_colliders is 0: give at least 1"):
         mpm.make_scene(
             grid=Grid(shape=(9, 9, 9), spacing=0.1), dt=1e-3, particle_volume=1e-3, max_near_colliders=0,
-            material=Material(youngs_modulus=1e3, poissons_ratio=0.3, density=1e3),
+            material=Material(density=1e3, elasticity=Hencky(youngs_modulus=1e3, poissons_ratio=0.3)),
         )  # fmt: skip

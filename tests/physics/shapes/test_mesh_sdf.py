@@ -11,7 +11,8 @@ import trimesh
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Material, Plasticity
+from rewax.physics.mpm.laws import Hencky, VonMises
+from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import primitives as sdf
 from rewax.physics.shapes.mesh_sdf import bake_mesh, check_mesh, signed_volume
@@ -73,7 +74,9 @@ def test_dough_under_a_mesh_moves_as_under_the_box_it_is_of(x64):
     grid = Grid(shape=(14, 12, 14), spacing=0.05)
     x = fill_box((0.325, 0.2, 0.325), (0.2, 0.1, 0.2), 0.025)
     material = Material(
-        youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0, plasticity=Plasticity.VON_MISES
+        density=1000.0,
+        elasticity=Hencky(youngs_modulus=1e4, poissons_ratio=0.3),
+        plasticity=VonMises(yield_stress=300.0),
     )
     mesh = bake_mesh(BRICK, 0.01, margin=0.1)
     t = np.arange(11)[:, None, None]
@@ -100,7 +103,9 @@ def test_twenty_substeps_against_a_mesh_reverse_forward_and_finite_difference(x6
     """By particles, the baked values, their grid, and the poses of the mesh."""
     x = fill_box((0.325, 0.2, 0.325), (0.2, 0.1, 0.2), 0.05)
     material = Material(
-        youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0, plasticity=Plasticity.VON_MISES
+        density=1000.0,
+        elasticity=Hencky(youngs_modulus=1e4, poissons_ratio=0.3),
+        plasticity=VonMises(yield_stress=300.0),
     )
     turn = np.linalg.qr(np.eye(3) + 0.3 * np.random.default_rng(0).standard_normal((3, 3)))[0]
     brick = Collider(shape=bake_mesh(BRICK, 0.04, margin=0.1), rotation=jnp.asarray(turn), friction=0.5, softness=50.0)

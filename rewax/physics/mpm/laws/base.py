@@ -1,0 +1,249 @@
+"""What a constitutive law is: the classes that laws extend, and how ``materials`` calls them.
+
+Every solid law needs only the left Cauchy-Green tensor b = F F^T = U diag(s^2) U^T: an elasticity maps principal
+stretches s to principal Kirchhoff stresses tau, a plasticity maps trial stretches to admissible ones. So any elasticity
+goes with any plasticity, and both share one spectral evaluation whose derivative is exact (``linalg3``). A fluid needs
+only J = det F. Viscous and active stresses are functions of F and of the velocity gradient, and are added.
+
+Principal values are ``Principal``s: numbers for each axis that carry their divided differences, as ``linalg3.spectral``
+wants. ``+ - * /`` and the functions of ``divided_differences`` (``log``, ``exp``, ``maximum``, ...) work on them. What
+depends on all axes (``s.volume``, a trace, a norm) is one array.
+
+A law is a ``struct.dataclass`` whose numbers are ``struct.number`` fields. Each may be one number, or an array with one
+entry for each particle.
+"""
+
+import math
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.lowering.fusion import materialize
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics import divided_differences as dd
+from rewax.physics.numerics.components import Mat3
+from rewax.physics.numerics.divided_differences import Principal
+from rewax.physics.numerics.elastic_constants import LameParameters
+from rewax.types import Array, Scalar
+
+MIN_STRETCH = 1e-5
+"""Stretches below this count as this in logarithms and quotients [-]."""
+
+
+class Stretches(NamedTuple):
+    """Principal stretches of a particle."""
+
+    values: Principal
+    """s [-]: square roots of the eigenvalues of F F^T, the smallest with the sign of det F."""
+    log: Principal
+    """Logarithmic strain log s [-], of inverted axes log ``MIN_STRETCH``."""
+
+    @property
+    def volume(self) -> Array:
+        """J = s_1 s_2 s_3 [-]."""
+        return self.values.product
+
+    @classmethod
+    def of(cls, values: Principal) -> "Stretches":
+        """With their logarithms."""
+        return cls(values, dd.log(dd.maximum(values, MIN_STRETCH)))
+
+
+class Law(struct.Replaceable):
+    """What all laws have."""
+
+    look: ClassVar[str | None] = None
+    """How particles are drawn: "water", "muscle", "dough", "sand", "snow" or "elastic"; None: another law says it."""
+
+
+class Elasticity(Law):
+    """How principal stretches make stress; also the base of ``Fluid``.
+
+    Extend it by ``moduli``, ``principal_stress`` and ``energy``.
+    """
+
+    def moduli(self) -> LameParameters:
+        """Lame parameters of small strains [Pa]; ``shear`` and ``first`` say how fast sound is and what flows."""
+        raise NotImplementedError(f"{type(self).__name__}.moduli")
+
+    def principal_stress(self, s: Stretches) -> Principal:
+        """Principal Kirchhoff stresses tau_i = s_i dpsi/ds_i [Pa]."""
+        raise NotImplementedError(f"{type(self).__name__}.principal_stress")
+
+    def energy(self, s: Stretches) -> Array:
+        """Elastic energy per rest volume psi [J/m^3], 0 at s = 1."""
+        raise NotImplementedError(f"{type(self).__name__}.energy")
+
+    def sound_speed(self, density: Scalar) -> Scalar:
+        """Speed of pressure waves at rest [m/s] of a body of this rest density [kg/m^3]."""
+        mu, lam = self.moduli()
+        return jnp.sqrt((lam + 2.0 * mu) / density)
+
+
+class Fluid(Elasticity):
+    """An elasticity that feels volume only: F becomes J^(1/3) I at once.
+
+    Extend it by ``stress``, ``energy_of_volume`` and ``sound_speed``.
+    """
+
+    look = "water"
+
+    def stress(self, J: Array, density: Scalar) -> Array:
+        """Kirchhoff stress on all axes, minus J times the pressure [Pa], of the volume ratio J [-]: J dpsi/dJ."""
+        raise NotImplementedError(f"{type(self).__name__}.stress")
+
+    def energy_of_volume(self, J: Array, density: Scalar) -> Array:
+        """Elastic energy per rest volume psi [J/m^3], 0 at J = 1."""
+        raise NotImplementedError(f"{type(self).__name__}.energy_of_volume")
+
+
+class Flow(NamedTuple):
+    """What a plasticity makes of trial stretches."""
+
+    stretches: Stretches
+    """After flow."""
+    elongation: Principal
+    """New over trial stretch minus one [-]; exactly zero where nothing flows, else volume creeps by rounding."""
+    memory: tuple[Array, ...] = ()
+    """What a particle remembers, as in ``Plasticity.initial_memory``."""
+
+
+class Plasticity(Law):
+    """What happens to stretches beyond a yield surface, and what particles remember of it.
+
+    Extend it by ``flow``, and for what particles remember by ``initial_memory``, ``stiffness`` and
+    ``largest_stiffness``. ``LogarithmicPlasticity`` is simpler to extend.
+    """
+
+    initial_memory: ClassVar[tuple[float, ...]] = ()
+    """Numbers that each particle carries, in ``MPMState.memory``, as they are at the start."""
+    largest_stiffness: ClassVar[float] = 1.0
+    """The most that ``stiffness`` can be, for the stable substep."""
+
+    def flow(self, s: Stretches, moduli: LameParameters, memory: tuple[Array, ...]) -> Flow:
+        """Admissible stretches, and the memory after this substep.
+
+        Args:
+          s: trial stretches.
+          moduli: of the elasticity at small strains [Pa].
+          memory: one number for each of ``initial_memory``.
+        """
+        raise NotImplementedError(f"{type(self).__name__}.flow")
+
+    def stiffness(self, memory: tuple[Array, ...]) -> Array | None:
+        """Factor on elastic stress and energy [-]; None: 1."""
+        del memory
+        return None
+
+
+class LogarithmicPlasticity(Plasticity):
+    """A return map in logarithmic strains. Extend it by ``return_map``."""
+
+    least_stretch: ClassVar[float] = 0.01
+    """Trial stretches below this count as this in the return map [-]."""
+
+    def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
+        """What flow adds to logarithmic strains [-], and whether the particle flows, bool."""
+        raise NotImplementedError(f"{type(self).__name__}.return_map")
+
+    def flow(self, s: Stretches, moduli: LameParameters, memory: tuple[Array, ...]) -> Flow:
+        at_least = dd.maximum(s.log, math.log(self.least_stretch))
+        change, flows = self.return_map(at_least, moduli)
+        floor = dd.maximum(s.values, self.least_stretch)
+        # Unless it flows, a particle keeps its trial state, inverted or not.
+        new = dd.select(flows, dd.multiply(floor, dd.exp(change)), s.values)
+        log_new = dd.select(flows, dd.add(at_least, change), s.log)
+        unchanged = dd.uniform(jnp.zeros_like(s.values.values[0]), s.values)
+        elongation = dd.select(flows, elongation_of(s.values, floor, change), unchanged)
+        return Flow(Stretches(new, log_new), elongation, memory)
+
+
+class Viscosity(Law):
+    """Stress by the rate of deformation. Extend it by ``stress`` and ``dynamic_viscosity``."""
+
+    def stress(self, F: Mat3, velocity_gradient: Mat3) -> Mat3:
+        """Kirchhoff stress [Pa] of F [-] and of the velocity gradient [1/s], by components."""
+        raise NotImplementedError(f"{type(self).__name__}.stress")
+
+    def dynamic_viscosity(self) -> Scalar:
+        """The largest that the law can have [Pa s], for the stable substep."""
+        raise NotImplementedError(f"{type(self).__name__}.dynamic_viscosity")
+
+
+class ActiveStress(Law):
+    """Stress by will. Extend it by ``stress``."""
+
+    look = "muscle"
+
+    def stress(self, F: Mat3) -> Mat3:
+        """Kirchhoff stress [Pa] of F [-], by components."""
+        raise NotImplementedError(f"{type(self).__name__}.stress")
+
+
+def elongation_of(s: Principal, floor: Principal, change: Principal | None = None) -> Principal:
+    """floor exp(change) / s - 1 [-], exactly zero where floor is s and the change of logarithmic strain is zero."""
+    ratio = dd.multiply(floor, dd.reciprocal(s))
+    more = cp.subtract(floor.values, s.values)
+    if change is not None:
+        ratio, growth = dd.multiply(ratio, dd.exp(change)), dd.expm1(change)
+        more = cp.vector(lambda i: more[i] + floor.values[i] * growth.values[i])
+    return Principal(cp.vector(lambda i: more[i] / s.values[i]), ratio.differences)
+
+
+def stretches(eigenvalues: Principal, sign: Array) -> Principal:
+    """Square roots of the eigenvalues of F F^T, the smallest with the sign of det F."""
+    root = dd.sqrt(dd.maximum(eigenvalues, MIN_STRETCH**2))
+    a, b, c = eigenvalues.values
+    smallest = jnp.minimum(jnp.minimum(a, b), c)
+    signs = cp.vector(lambda i: jnp.where(eigenvalues.values[i] == smallest, sign, 1.0))
+    s = cp.vector(lambda i: signs[i] * root.values[i])
+    if root.differences is None:
+        return Principal(s)
+    alike = root.differences
+
+    def difference(i: int, j: int, k: int) -> Array:
+        """Of signs that differ it is unbounded where sizes are equal, and there it counts as zero."""
+        gap = eigenvalues.values[i] - eigenvalues.values[j]
+        near = jnp.abs(gap) < jnp.finfo(gap.dtype).eps ** (1 / 3) * (root.values[i] + root.values[j]) ** 2
+        differ = jnp.where(near, 0.0, (s[i] - s[j]) * dd.inverse_gap(eigenvalues.values, i, j))
+        return jnp.where(signs[i] == signs[j], signs[i] * alike[k], differ)
+
+    return Principal(s, cp.vector(lambda k: difference(*dd.PAIRS[k], k)))
+
+
+# --- What ``linalg3.spectral`` evaluates ------------------------------------------------------------------------------
+
+
+class Parameters(NamedTuple):
+    """What the laws of a solid are evaluated with."""
+
+    elasticity: Elasticity
+    plasticity: Plasticity | None
+    sign: Array
+    """Sign of det F."""
+    memory: tuple[Array, ...] = ()
+
+
+def elastic_law(eigenvalues: Principal, p: Parameters) -> tuple[Principal]:
+    """Principal stresses."""
+    return (p.elasticity.principal_stress(Stretches.of(stretches(eigenvalues, p.sign))),)
+
+
+def plastic_law(eigenvalues: Principal, p: Parameters) -> tuple[Principal | Array, ...]:
+    """Elongation by plastic flow, stress of the new stretches, memory."""
+    assert p.plasticity is not None
+    s = stretches(eigenvalues, p.sign)
+    log_s = dd.log(dd.maximum(s, MIN_STRETCH))
+    flow = p.plasticity.flow(Stretches(s, materialize(log_s)), p.elasticity.moduli(), p.memory)
+    flow = flow._replace(stretches=materialize(flow.stretches))
+    stress = p.elasticity.principal_stress(flow.stretches)
+    stiffness = p.plasticity.stiffness(flow.memory)
+    return flow.elongation, stress if stiffness is None else dd.scale(stiffness, stress), *flow.memory
+
+
+def energy_law(eigenvalues: Principal, p: Parameters) -> tuple[Array]:
+    """Elastic energy per rest volume."""
+    psi = p.elasticity.energy(Stretches.of(stretches(eigenvalues, p.sign)))
+    stiffness = None if p.plasticity is None else p.plasticity.stiffness(p.memory)
+    return (psi if stiffness is None else stiffness * psi,)

@@ -1,0 +1,115 @@
+"""Return maps: dough, sand, snow."""
+
+import math
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics.mpm.laws.base import Flow, LogarithmicPlasticity, Plasticity, Stretches, elongation_of
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics import divided_differences as dd
+from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, Legal
+from rewax.physics.numerics.divided_differences import Principal
+from rewax.physics.numerics.elastic_constants import LameParameters
+from rewax.types import Array, Scalar
+
+MAX_HARDENING = 5.0
+"""By how much packed snow can be stiffer than fresh snow [-]."""
+_FRESH_SNOW = "give a positive number (fresh snow: critical_compression 0.025, critical_stretch 0.0075, hardening 10)"
+
+
+@struct.dataclass
+class VonMises(LogarithmicPlasticity):
+    """Dough: the deviator of logarithmic strain is limited to yield_stress / (2 mu), volume is kept.
+
+    Attributes:
+      yield_stress: the Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0.
+
+    Source: Gao et al. 2017, "An adaptive generalized interpolation material point method", with the norm of the
+      deviatoric strain unguarded, so that the map is idempotent.
+    """
+
+    look = "dough"
+    yield_stress: Scalar = struct.number(POSITIVE, "give the von Mises yield stress in Pa")
+
+    def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
+        _, deviator, length = _deviator(log_s)
+        return _shortening(deviator, length, self.yield_stress / (2.0 * moduli.shear))
+
+
+@struct.dataclass
+class DruckerPrager(LogarithmicPlasticity):
+    """Sand: shear is limited in proportion to pressure, and what is pulled apart carries no stress.
+
+    The cone ends in its apex at the strain ``cohesion`` along each axis, to which all goes that is pulled further. Near
+    the apex the direction of the deviator varies arbitrarily fast but is multiplied by the room that the cone leaves,
+    so the derivative stays bounded; at the apex it is that of the particle's side.
+
+    Attributes:
+      friction_angle: that of triaxial compression [rad], in (0, pi / 2).
+      cohesion: logarithmic strain along each axis to which it can be pulled [-], >= 0.
+
+    Source: Klar et al. 2016, Drucker-Prager elastoplasticity, without the volume correction.
+    """
+
+    look = "sand"
+    least_stretch = 0.05
+    friction_angle: Scalar = struct.number(Legal(0.0, 0.5 * math.pi), "give an angle in radians (dry sand: 0.5)")
+    cohesion: Scalar = struct.number(NOT_NEGATIVE, "give the strain to which it can be pulled", default=0.0)
+
+    def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
+        mu, lam = moduli
+        mean, deviator, length = _deviator(log_s)
+        sine = jnp.sin(self.friction_angle)
+        slope = math.sqrt(2.0 / 3.0) * 2.0 * sine / (3.0 - sine)
+        compression = jnp.maximum(3.0 * (self.cohesion - mean), 0.0)
+        limit = (3.0 * lam + 2.0 * mu) / (2.0 * mu) * compression * slope
+        shortening, flows = _shortening(deviator, length, limit)
+        pulled = compression <= 0.0
+        to_apex = dd.shift(dd.scale(-1.0, log_s), self.cohesion)
+        return dd.select(pulled, to_apex, shortening), flows | pulled
+
+
+@struct.dataclass
+class Snow(Plasticity):
+    """Stretches are limited to 1 - critical_compression ... 1 + critical_stretch; what flows changes the moduli.
+
+    A particle remembers its plastic volume J_p, the volume ratio of all flow. Moduli grow by
+    exp(hardening (1 - J_p)), at most by ``MAX_HARDENING``.
+
+    Attributes:
+      critical_compression, critical_stretch: [-], > 0 (fresh: 0.025 and 0.0075).
+      hardening: [-], > 0 (fresh: 10).
+
+    Source: Stomakhin et al. 2013, "A material point method for snow simulation".
+    """
+
+    look = "snow"
+    initial_memory = (1.0,)
+    largest_stiffness = MAX_HARDENING
+    critical_compression: Scalar = struct.number(POSITIVE, _FRESH_SNOW)
+    critical_stretch: Scalar = struct.number(POSITIVE, _FRESH_SNOW)
+    hardening: Scalar = struct.number(POSITIVE, _FRESH_SNOW)
+
+    def flow(self, s: Stretches, moduli: LameParameters, memory: tuple[Array, ...]) -> Flow:
+        del moduli
+        low, high = 1.0 - self.critical_compression, 1.0 + self.critical_stretch
+        new = Stretches.of(dd.minimum(dd.maximum(s.values, low), high))
+        plastic_volume = memory[0] * s.volume / new.volume
+        return Flow(new, elongation_of(s.values, new.values), (plastic_volume,))
+
+    def stiffness(self, memory: tuple[Array, ...]) -> Array:
+        return jnp.exp(jnp.minimum(self.hardening * (1.0 - memory[0]), math.log(MAX_HARDENING)))
+
+
+def _deviator(log_s: Principal) -> tuple[Array, Principal, Array]:
+    """Mean, deviator and its length of logarithmic strains."""
+    mean = log_s.sum * (1.0 / 3.0)
+    deviator = dd.shift(log_s, -mean)
+    return mean, deviator, cp.norm(deviator.values)
+
+
+def _shortening(deviator: Principal, length: Array, limit: Scalar) -> tuple[Principal, Array]:
+    """What cuts the deviator to the limit, and whether that is necessary."""
+    flows = length > limit
+    return dd.scale(jnp.where(flows, limit / jnp.where(flows, length, 1.0) - 1.0, 0.0), deviator), flows
