@@ -147,7 +147,9 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
     name, rest = re.match(r"(\[[^\]]*\]|[^.\[]*)\.?(.*)", path).groups()  # type: ignore[union-attr]
     if name.startswith("["):
         key: Any = name[1:-1].strip("'\"")
-        names = tree if isinstance(tree, dict) else [str(i) for i in range(len(tree))] if isinstance(tree, tuple) else ()
+        names = (
+            tree if isinstance(tree, dict) else [str(i) for i in range(len(tree))] if isinstance(tree, tuple) else ()
+        )
     else:
         key = name
         names = [f.name for f in dataclasses.fields(tree)] if dataclasses.is_dataclass(tree) else ()

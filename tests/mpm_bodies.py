@@ -3,11 +3,12 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flat_materials import flat_material
 
 from rewax.physics import mpm
+from rewax.physics.mpm import Hencky
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.laws import Hencky
-from rewax.physics.mpm.materials import Elasticity, Material, Plasticity, sound_speed
+from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.shapes.sampling import sample_box
 
 DT, NUM_SUBSTEPS, NUM = 1e-4, 1000, 64
@@ -27,12 +28,12 @@ def cube(
     courant_number=0.05,
     gravity=(0.0, 0.0, 0.0),
     seed=0,
-    elasticity=Elasticity.HENCKY,
-    plasticity=Plasticity.NONE,
+    elasticity=Hencky,
+    plasticity=None,
     **changes,
 ):
     """A cube of random particles in the middle of the grid, away from its border, and its scene."""
-    material = Material(
+    material = flat_material(
         youngs_modulus=modulus_at(courant_number), poissons_ratio=0.3, density=1000.0, yield_stress=1e3,
         elasticity=elasticity, plasticity=plasticity,
     )  # fmt: skip

@@ -3,11 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flat_materials import flat_material
 
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Material
 from rewax.physics.mpm.walls import Wall, Walls
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import primitives as sdf
@@ -45,7 +45,7 @@ def squeezed(elasticity, plasticity, shape: str, wall: Wall, num_substeps: int =
     scene = mpm.MPMScene(
         grid=GRID,
         dt=DT,
-        material=Material(
+        material=flat_material(
             youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=300.0,
             elasticity=elasticity, plasticity=plasticity,
         ),

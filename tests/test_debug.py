@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flat_materials import flat_material
 
 from rewax.debug import locate_nan
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Material
 from rewax.physics.shapes.primitives import Sphere
 from rewax.physics.shapes.sampling import fill_box
 
@@ -22,7 +22,7 @@ def falling():
     ball = Collider(shape=Sphere(radius=0.1), offset=jnp.zeros(3), rotation=jnp.eye(3), friction=0.5)
     scene = mpm.make_scene(
         grid=Grid(shape=(10, 10, 10), spacing=0.1), dt=1e-3, particle_volume=1e-4, colliders=(ball,),
-        material=Material(youngs_modulus=1e3, poissons_ratio=0.3, density=1e3),
+        material=flat_material(youngs_modulus=1e3, poissons_ratio=0.3, density=1e3),
     )  # fmt: skip
     state = mpm.initial_state(jnp.asarray(fill_box((0.5, 0.5, 0.5), (0.15, 0.15, 0.15), 0.05)), scene)
     return scene, state, mpm.static_poses(NUM_SUBSTEPS, 1)

@@ -81,15 +81,17 @@ def test_environments_page_runs_and_does_what_it_says():
     heights = np.asarray(names["states"].physics.soft.x)[:, :, 1]
     assert heights.shape[0] == 2 and np.abs(heights[0] - heights[1]).max() > 0.0
     drawn, material = names["state"].drawn, names["env"].scene.material
-    factor = float(drawn[".scene.material.youngs_modulus"]) / 600.0
+    factor = float(drawn[".scene.material.elasticity.youngs_modulus"]) / 600.0
     assert 0.5 <= factor <= 1.0 and 0.5 <= float(drawn[".scene.colliders[0].friction"]) < 0.9
-    np.testing.assert_allclose(drawn[".scene.material.yield_stress"], factor * material.yield_stress, rtol=1e-5)
+    np.testing.assert_allclose(
+        drawn[".scene.material.plasticity.yield_stress"], factor * material.plasticity.yield_stress, rtol=1e-5
+    )
     shift = np.asarray(drawn[".scene.gravity"] - names["env"].scene.gravity)
     assert 0.0 < abs(shift[1]) <= 0.5 and shift[0] == shift[2] == 0.0 and len(drawn) == 4
     ant = names["heavier"](jax.random.key(0), names["rewax"].make("CartpoleSwingUp", scale="small"))
     assert ant.model.parameters["body_mass"].shape == (3,)
     assert isinstance(names["rewax"].make("VariedDough", scale="small"), names["Randomized"])
-    assert names["rewax"].make("SofterDough", scale="small").scene.material.youngs_modulus == 500.0
+    assert names["rewax"].make("SofterDough", scale="small").scene.material.elasticity.youngs_modulus == 500.0
 
 
 def test_viz_page_runs_and_does_what_it_says(tmp_path, monkeypatch):

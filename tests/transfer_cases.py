@@ -5,10 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from squeezed_block import one_substep, squeezed
 
-from rewax.physics.mpm import transfer_cpu
+from rewax.physics.mpm import Hencky, VonMises, transfer_cpu
 from rewax.physics.mpm.active_nodes import count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Elasticity, Plasticity
 from rewax.physics.mpm.walls import Wall, WallKind
 
 GRID = Grid(shape=(9, 8, 7), spacing=0.1, origin=(-0.1, 0.2, 0.0))
@@ -68,7 +67,7 @@ def assert_as_transfer_cpu(module, names, batch, listed):
 
 def assert_substep_agrees(request, fixture):
     """A substep and its derivatives agree with those under a fixture that chooses another form."""
-    args = squeezed(Elasticity.HENCKY, Plasticity.VON_MISES, "capsule", Wall(position=0.1, kind=WallKind.STICKY))
+    args = squeezed(Hencky, VonMises, "capsule", Wall(position=0.1, kind=WallKind.STICKY))
     expected = jax.jit(_derivatives)(args)
     request.getfixturevalue(fixture)
     found = jax.jit(_derivatives)(args)

@@ -117,7 +117,7 @@ def test_made_by_holds_the_scale_that_the_device_chose(known):
 def test_environments_can_be_made_in_a_batch():
     moduli = jnp.array([300.0, 700.0])
     batch = jax.vmap(lambda modulus: rewax.make("RollingFlat", scale="small", youngs_modulus=modulus))(moduli)
-    np.testing.assert_array_equal(batch.scene.material.youngs_modulus, moduli)
+    np.testing.assert_array_equal(batch.scene.material.elasticity.youngs_modulus, moduli)
     assert batch.rest_positions.shape[0] == 2
 
 

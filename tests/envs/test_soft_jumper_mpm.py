@@ -28,9 +28,8 @@ def test_body_and_material_are_those_of_soft_jumper(env, num, substeps, steps):
         center = np.average(np.asarray(x), axis=0, weights=np.asarray(m))
         np.testing.assert_allclose(center, [0.0805, 1.528, 0.0195], atol=0.01)
     # Small strains: the stable neo-Hookean law with mu = lam = 1000 Pa.
-    assert (float(env.scene.material.youngs_modulus), float(env.scene.material.poissons_ratio)) == pytest.approx(
-        (1750, 1 / 6)
-    )
+    elasticity = env.scene.material.elasticity
+    assert (float(elasticity.youngs_modulus), float(elasticity.poissons_ratio)) == pytest.approx((1750, 1 / 6))
     assert float(env.strength) == pytest.approx(300.0)
     np.testing.assert_allclose(env.scene.gravity, [0.0, -9.81, 0.0], rtol=1e-6)
 
@@ -48,7 +47,7 @@ def test_muscles_are_those_of_the_tets(env):
     in_legs = x[:, 1] < 0.207 + 3 * 0.3544
     np.testing.assert_array_equal(table.fibre, np.where(in_legs[:, None], [0, 1, 0], [1, 0, 0]))
     action = np.linspace(-1, 1, 222)
-    found = env.actuated(jnp.asarray(action)).material.activation
+    found = env.actuated(jnp.asarray(action)).material.muscle.activation
     np.testing.assert_allclose(found, 300.0 * action[table.muscle], rtol=1e-5)
 
 

@@ -19,6 +19,7 @@ from rewax.physics.rigid import Penalty
 from rewax.physics.shapes import Capsule
 from rewax.physics.tets import tetmesh
 from rewax.status import FATAL, Status
+from rewax.struct import replace_leaf
 
 GRID = Grid(shape=(8, 9, 10), spacing=0.1)
 NUM = 5
@@ -56,11 +57,11 @@ def with_leaf(tree, path: str, value):
 @pytest.mark.parametrize(
     ("path", "values"),
     [
-        (".material.youngs_modulus", (nan, 0.0, -1.0, jnp.inf, 1e7)),  # the last needs a smaller dt
-        (".material.poissons_ratio", (nan, 0.5, -1.0)),
+        (".material.elasticity.youngs_modulus", (nan, 0.0, -1.0, jnp.inf, 1e7)),  # the last needs a smaller dt
+        (".material.elasticity.poissons_ratio", (nan, 0.5, -1.0)),
         (".material.density", (nan, 0.0, -1000.0, 1.0)),
-        (".material.yield_stress", (nan, 0.0)),
-        (".material.viscosity", (nan, -0.1, 1e5)),
+        (".material.plasticity.yield_stress", (nan, 0.0)),
+        (".material.viscosity.viscosity", (nan, -0.1, 1e5)),
         (".particle_volume", (nan, 0.0, -1e-4)),
         (".gravity", (nan, jnp.inf)),
         (".colliders[0].friction", (nan, -0.1)),
@@ -87,8 +88,8 @@ def test_every_leaf_of_a_scene_is_looked_at():
 
 
 def test_one_bad_particle_is_enough():
-    stiff = scene().material.youngs_modulus.at[3].set(-1.0)
-    assert STATUS(scene().replace(material=scene().material.replace(youngs_modulus=stiff)), STATE, poses=POSES) == 64
+    stiff = scene().material.elasticity.youngs_modulus.at[3].set(-1.0)
+    assert STATUS(replace_leaf(scene(), "material.elasticity.youngs_modulus", stiff), STATE, poses=POSES) == 64
 
 
 def test_poses_that_are_not_finite_are_flagged():
@@ -110,7 +111,10 @@ def test_scenes_made_of_traced_stiffness_are_checked_for_a_stable_dt():
         stable = Material(density=1000.0, elasticity=Hencky(youngs_modulus=1.0, poissons_ratio=0.3))
         modulus = (mpm.largest_stable_dt(stable, GRID) / limit) ** 2  # dt is at its limit
         made = mpm.make_scene(
-            grid=GRID, dt=limit, material=stable.replace(youngs_modulus=factor * modulus), particle_volume=1e-4
+            grid=GRID,
+            dt=limit,
+            material=replace_leaf(stable, "elasticity.youngs_modulus", factor * modulus),
+            particle_volume=1e-4,
         )
         return mpm.check_status(made, STATE)
 
@@ -217,7 +221,7 @@ def lowered(some: mpm.MPMScene, num_envs: int, num: int) -> str:
 
 def uniform() -> mpm.MPMScene:
     """A scene for any number of particles."""
-    return scene().replace(material=scene().material.replace(youngs_modulus=jnp.asarray(1e4)))
+    return replace_leaf(scene(), "material.elasticity.youngs_modulus", 1e4)
 
 
 def test_more_nodes_than_int32_counts_are_refused_when_traced():

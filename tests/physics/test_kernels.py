@@ -9,6 +9,7 @@ import pytest
 from rewax.lowering import build, kernels
 from rewax.physics.contact import Collider, Ground, PenaltyContact, collider_force, ground_force, place
 from rewax.physics.contact.colliders import apply_colliders
+from rewax.physics.mpm import Muscle, Newtonian
 from rewax.physics.mpm.materials import split_parameters
 from rewax.physics.mpm.step import stress_and_momentum
 from rewax.physics.numerics.pose import Pose
@@ -58,10 +59,11 @@ def assert_assembled(assembled, function, *args):
 @pytest.mark.parametrize(("elasticity", "plasticity"), cases.LAWS)
 def test_laws(assembled, elasticity, plasticity):
     material = cases.material(elasticity, plasticity, dtype=np.float32)
-    material = material.replace(viscosity=ONES, fibre=jnp.ones((NUM, 3)))
+    muscle = Muscle(fibre=jnp.ones((NUM, 3)), activation=1.0)
+    material = material.replace(viscosity=Newtonian(viscosity=ONES), muscle=muscle)
     shared, own = split_parameters(material)
-    assert set(own) == {"viscosity", "fibre"}
-    particles = jnp.ones((25 if material.remembers else 24, NUM))
+    assert set(own) == {"viscosity.viscosity", "muscle.fibre"}
+    particles = jnp.ones((24 + len(material.initial_memory), NUM))
     assert_assembled(assembled, lambda s, *p: stress_and_momentum((s, 1e-3), p), shared, own, particles, ONES, ONES)
 
 

@@ -156,6 +156,11 @@ class Parameter(NamedTuple):
     is_vector: bool
 
     @property
+    def path(self) -> str:
+        """As ``struct.replace_leaf`` takes it: ``"elasticity.youngs_modulus"``."""
+        return f"{self.law}.{self.name}" if self.law else self.name
+
+    @property
     def per_particle(self) -> bool:
         """Whether each particle has its own."""
         return self.value is not None and jnp.ndim(self.value) > self.is_vector
@@ -171,7 +176,7 @@ def parameters_of(material: Material) -> Iterator[Parameter]:
 
 def split_parameters(material: Material) -> tuple[Material, dict[str, Array]]:
     """Parameters that all particles share, and those of which each has its own, (num_particles,), vectors (3, ...)."""
-    own = {f"{p.law}.{p.name}": jnp.asarray(p.value).T for p in parameters_of(material) if p.per_particle}
+    own = {p.path: jnp.asarray(p.value).T for p in parameters_of(material) if p.per_particle}
     return _replaced(material, dict.fromkeys(own)), own
 
 
@@ -182,9 +187,7 @@ def joined_parameters(material: Material, own: dict[str, Array]) -> Material:
 
 def _replaced(material: Material, values: dict[str, Any]) -> Material:
     for path, value in values.items():
-        law, name = path.split(".")
-        change = {name: value} if not law else {law: getattr(material, law).replace(**{name: value})}
-        material = material.replace(**change)
+        material = struct.replace_leaf(material, path, value)
     return material
 
 

@@ -74,8 +74,7 @@ def check_lengths(
         length = total if counts is None else counts[i]
         prefix = "" if counts is None else f"material[{i}]."
         for p in parameters_of(material):
-            name = f"{prefix}{p.law}{'.' if p.law else ''}{p.name}"
-            length = _check_length(name, p.value, length, p.is_vector)
+            length = _check_length(prefix + p.path, p.value, length, p.is_vector)
         total = length if counts is None else total
 
 

@@ -4,11 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flat_materials import flat_material
 
 from rewax.physics import coupling, mpm, rigid
 from rewax.physics.coupling import articulated, free_body
-from rewax.physics.mpm import Grid, Material, Plasticity, Wall, WallKind, Walls, invariants
+from rewax.physics.mpm import Grid, VonMises, Wall, WallKind, Walls, invariants
 from rewax.physics.shapes.sampling import fill_box
+from rewax.struct import replace_leaf
 
 SPACING = 0.02
 FLOATING = """
@@ -36,7 +38,7 @@ def dough_under(model, *, walls=False, dt=4e-4):
     scene = mpm.make_scene(
         grid=Grid(shape=(11, 15, 11), spacing=SPACING), dt=dt, gravity=(0.0, 0.0, 0.0),
         particle_volume=jnp.asarray(0.08 * 0.04 * 0.08 / len(x)),
-        material=Material(youngs_modulus=jnp.asarray(5e3), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1000.0), yield_stress=jnp.asarray(200.0), plasticity=Plasticity.VON_MISES),
+        material=flat_material(youngs_modulus=5e3, poissons_ratio=0.3, yield_stress=200.0, plasticity=VonMises),
         colliders=rigid.colliders(model, softness=200.0), **({"walls": floor} if walls else {}),
     )  # fmt: skip
     return scene, mpm.initial_state(jnp.asarray(x, jnp.result_type(float)), scene)
@@ -159,7 +161,7 @@ def test_gradients_are_those_of_differences(x64):
 
     def end(p):
         changed = model.replace(parameters={**model.parameters, "body_mass": model.parameters["body_mass"] * p["mass"]})
-        material = scene.material.replace(youngs_modulus=5e3 * p["stiffness"])
+        material = replace_leaf(scene.material, "elasticity.youngs_modulus", 5e3 * p["stiffness"])
         robot = thrown(model)
         robot = robot.replace(qvel=robot.qvel + p["throw"])
         after, robot, wrench = articulated.step(

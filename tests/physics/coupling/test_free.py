@@ -5,15 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flat_materials import flat_material
 from hypothesis import strategies as st
 from sharded import traced_under_shard_map
 
 from rewax.physics import coupling, mpm
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.coupling import free_body
-from rewax.physics.mpm import invariants
+from rewax.physics.mpm import VonMises, invariants
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Material, Plasticity
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Box, Sphere
@@ -42,7 +42,7 @@ def dough():
     x = fill_box((0.1, ABOVE_FLOOR + 0.08, 0.1), (0.08, 0.04, 0.08), 0.5 * SPACING)
     scene = mpm.make_scene(
         grid=Grid(shape=(11, 15, 11), spacing=SPACING), dt=4e-4, particle_volume=jnp.asarray(0.08 * 0.04 * 0.08 / len(x)),
-        material=Material(youngs_modulus=jnp.asarray(5e3), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1000.0), yield_stress=jnp.asarray(200.0), plasticity=Plasticity.VON_MISES),
+        material=flat_material(youngs_modulus=5e3, poissons_ratio=0.3, yield_stress=200.0, plasticity=VonMises),
         walls=Walls(lower=(None, Wall(position=0.0601, kind=WallKind.GRIPPING), None), upper=(None,) * 3),
         gravity=(0.0, 0.0, 0.0), colliders=(collider(BOX), collider(Sphere(radius=jnp.asarray(0.015)), offset=(0.0, -0.02, 0.0))),
     )  # fmt: skip

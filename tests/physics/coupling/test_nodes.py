@@ -5,12 +5,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flat_materials import flat_material
 
 from rewax.physics import mpm
 from rewax.physics.contact import Collider, Overlap
 from rewax.physics.contact.motion import Motion
 from rewax.physics.coupling.nodes import NodeContact
-from rewax.physics.mpm import Grid, Material
+from rewax.physics.mpm import Grid
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Sphere
 
@@ -21,7 +22,7 @@ def scene_of(friction, overlap=Overlap.SEQUENTIAL):
     ball = Collider(shape=Sphere(radius=jnp.asarray(0.5)), friction=jnp.asarray(friction), softness=jnp.asarray(50.0))
     return mpm.make_scene(
         grid=Grid(shape=(8, 8, 8), spacing=0.5), dt=1e-3, particle_volume=jnp.asarray(1e-3), overlap=overlap,
-        material=Material(youngs_modulus=jnp.asarray(1e3), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1e3)),
+        material=flat_material(youngs_modulus=jnp.asarray(1e3), poissons_ratio=jnp.asarray(0.3), density=jnp.asarray(1e3)),
         colliders=(ball,),
     )  # fmt: skip
 

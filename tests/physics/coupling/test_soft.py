@@ -5,14 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tet_bodies
+from flat_materials import flat_material
 
 from rewax.physics import mpm, tets
 from rewax.physics.coupling.soft import PARTICLES, TETRAHEDRA, solver_of
-from rewax.physics.mpm import Grid, Material
+from rewax.physics.mpm import Grid
 
 
 def particles():
-    material = Material(youngs_modulus=1e3, poissons_ratio=0.3, density=1e3)
+    material = flat_material(youngs_modulus=1e3, poissons_ratio=0.3, density=1e3)
     scene = mpm.make_scene(grid=Grid(shape=(8, 8, 8), spacing=0.5), dt=1e-3, particle_volume=1e-3, material=material)
     x = jnp.asarray(np.random.default_rng(0).uniform(1.0, 2.0, (5, 3)), jnp.float32)
     return scene, mpm.initial_state(x)

@@ -4,15 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flat_materials import flat_material
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.mpm import active_nodes
+from rewax.physics.mpm import Hencky, VonMises, active_nodes
 from rewax.physics.mpm.active_nodes import REACHES, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Elasticity, Material, Plasticity
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Capsule
@@ -27,9 +27,9 @@ def make(dtype=np.float64, **options) -> mpm.MPMScene:
     scene = mpm.make_scene(
         grid=GRID,
         dt=DT,
-        material=Material(
+        material=flat_material(
             youngs_modulus=1e4, poissons_ratio=0.3, density=1000.0, yield_stress=200.0,
-            elasticity=Elasticity.HENCKY, plasticity=Plasticity.VON_MISES,
+            elasticity=Hencky, plasticity=VonMises,
         ),
         particle_volume=1e-5,
         colliders=(

@@ -2,11 +2,11 @@
 
 import jax.numpy as jnp
 import numpy as np
+from flat_materials import flat_material
 
 from rewax.physics import mpm
-from rewax.physics.mpm import invariants
+from rewax.physics.mpm import Hencky, VonMises, invariants
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Elasticity, Material, Plasticity
 from rewax.physics.shapes.sampling import fill_box
 
 DENSITY, SPACING = 1200.0, 0.1
@@ -15,7 +15,7 @@ OMEGA, SHIFT = np.array([0.3, -1.0, 2.0]), np.array([1.0, 2.0, -0.5])
 
 def block(F=None, **changes):
     x = fill_box((0.5, 0.4, 0.6), (0.2, 0.4, 0.2), 0.05)
-    material = Material(youngs_modulus=1e4, poissons_ratio=0.3, density=DENSITY, **changes)
+    material = flat_material(youngs_modulus=1e4, poissons_ratio=0.3, density=DENSITY, **changes)
     scene = mpm.make_scene(
         grid=Grid(shape=(9, 8, 10), spacing=SPACING), dt=1e-4, material=material, particle_volume=0.016 / len(x),
         gravity=(0.0, -10.0, 1.0),
@@ -75,8 +75,8 @@ def test_elastic_energy_is_the_one_after_plastic_flow(x64):
     scene, state = block(
         np.diag([np.e, 1 / np.e, 1.0]),
         yield_stress=200.0,
-        plasticity=Plasticity.VON_MISES,
-        elasticity=Elasticity.HENCKY,
+        plasticity=VonMises,
+        elasticity=Hencky,
     )
     mu = 1e4 / 2.6
     np.testing.assert_allclose(invariants.elastic_energy(scene, state), 0.016 * 200.0**2 / (4 * mu), rtol=1e-10)

@@ -1,23 +1,35 @@
 """Materials on particles: what any isotropic solid must obey, and derivatives that are exact and always finite."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as hs
-from material_cases import ENERGY, LAM, LAWS, MU, NUM, RESPOND_BACK, SOUND, STRESS, E, material, random_F, respond
+from material_cases import (
+    ENERGY,
+    FLUIDS,
+    LAM,
+    LAWS,
+    MU,
+    NUM,
+    RESPOND_BACK,
+    SOLIDS,
+    SOUND,
+    STRESS,
+    E,
+    material,
+    random_F,
+    respond,
+)
 
-from rewax.physics.mpm import materials
-from rewax.physics.mpm.laws import FLUIDS
-from rewax.physics.mpm.materials import Elasticity, Plasticity
+from rewax.physics.mpm import DruckerPrager, Hencky, Material, QuadraticFluid, Snow, Tait, VonMises, materials
+from rewax.physics.numerics.elastic_constants import lame_parameters
+from rewax.struct import replace_leaf
 
-USED = {
-    Plasticity.NONE: (),
-    Plasticity.VON_MISES: ("yield_stress",),
-    Plasticity.DRUCKER_PRAGER: ("friction_angle", "cohesion"),
-    Plasticity.SNOW: ("critical_compression", "critical_stretch", "hardening"),
-}
+HENCKY = Hencky(youngs_modulus=1e4, poissons_ratio=0.3)
 SPECIAL = [
     [1.0, 1.0, 1.0],
     [1.5, 1.5, 0.7],
@@ -36,7 +48,7 @@ SPECIAL = [
 ]
 
 
-@pytest.mark.parametrize("elasticity", Elasticity)
+@pytest.mark.parametrize("elasticity", [*SOLIDS, *FLUIDS])
 @given(seed=hs.integers(0, 10_000), amount=hs.floats(0.01, 1.0))
 def test_stress_is_objective_and_isotropic(x64, stretched, rotations, elasticity, seed, amount):
     m, F, Q = material(elasticity), random_F(stretched, seed, amount), rotations(seed + 7, NUM)
@@ -47,7 +59,7 @@ def test_stress_is_objective_and_isotropic(x64, stretched, rotations, elasticity
     np.testing.assert_allclose(STRESS(m, Q @ F), turned, atol=1e-12 * scale)
 
 
-@pytest.mark.parametrize("elasticity", Elasticity)
+@pytest.mark.parametrize("elasticity", [*SOLIDS, *FLUIDS])
 def test_no_stress_and_linear_elasticity_around_rest(x64, elasticity):
     m = material(elasticity)
     rest = jnp.broadcast_to(jnp.eye(3), (NUM, 3, 3))
@@ -55,12 +67,12 @@ def test_no_stress_and_linear_elasticity_around_rest(x64, elasticity):
     dF = jnp.asarray(np.random.default_rng(0).standard_normal((NUM, 3, 3)))
     _, tangent = jax.jvp(lambda F: materials.kirchhoff_stress(m, F), (rest,), (dF,))
     strain = 0.5 * (dF + jnp.swapaxes(dF, -1, -2))
-    mu, lam = {Elasticity.FLUID: (0.0, LAM), Elasticity.TAIT: (0.0, 1000.0 * SOUND**2)}.get(elasticity, (MU, LAM))
+    mu, lam = {QuadraticFluid: (0.0, LAM), Tait: (0.0, 1000.0 * SOUND**2)}.get(elasticity, (MU, LAM))
     hooke = 2 * mu * strain + lam * jnp.trace(strain, axis1=-2, axis2=-1)[:, None, None] * jnp.eye(3)
     np.testing.assert_allclose(tangent, hooke, rtol=1e-10, atol=1e-9 * E)
 
 
-@pytest.mark.parametrize("elasticity", Elasticity)
+@pytest.mark.parametrize("elasticity", [*SOLIDS, *FLUIDS])
 @given(seed=hs.integers(0, 10_000))
 def test_stress_is_the_derivative_of_the_energy(x64, stretched, elasticity, seed):
     m, F = material(elasticity), random_F(stretched, seed, 0.7)
@@ -79,7 +91,7 @@ def test_derivatives_equal_finite_differences(
     F = F.at[: NUM // 2].set(stretched(5, np.broadcast_to([1.2, 1.2, 0.9], (NUM // 2, 3))))
     value, _ = RESPOND_BACK(m, F, jax.tree.map(jnp.ones_like, jax.eval_shape(respond, m, F)))
     yields = np.abs(value[0] - F).max(axis=(1, 2)) > 1e-12
-    if plasticity is not Plasticity.NONE:
+    if plasticity is not None:
         assert yields.sum() >= 4 and (~yields).sum() >= 4
     cotangent = random_like(0, value)
     cotangent = (cotangent[0], cotangent[1] / E, *cotangent[2:])
@@ -99,9 +111,10 @@ def test_derivatives_equal_finite_differences(
 
     still = jax.tree.map(jnp.zeros_like, direction)
     moves = {"F": (still[0], direction[1])}
-    moduli = ("speed_of_sound", "density") if elasticity is Elasticity.TAIT else ("youngs_modulus", "poissons_ratio")
-    for leaf in (*moduli, *USED[plasticity]):
-        moves[leaf] = (still[0].replace(**{leaf: getattr(direction[0], leaf)}), still[1])
+    for p in materials.parameters_of(direction[0]):
+        path = p.path
+        if path != "density" or elasticity is Tait:
+            moves[path] = (replace_leaf(still[0], path, p.value), still[1])
     for leaf, move in moves.items():
         reverse = sum(
             float(jnp.vdot(g, d)) for g, d in zip(jax.tree.leaves(gradient), jax.tree.leaves(move), strict=True)
@@ -159,21 +172,62 @@ def test_float32_derivatives_are_those_of_float64_however_close_the_stretches(
         assert error.max() < 2e-4, dict(zip(CLOSE, error, strict=False))
 
 
-@pytest.mark.parametrize(("elasticity", "plasticity"), [law for law in LAWS if law[1] is not Plasticity.NONE])
+@pytest.mark.parametrize(("elasticity", "plasticity"), [law for law in LAWS if law[1] is not None])
 def test_what_does_not_flow_keeps_its_deformation_to_the_last_bit(stretched, elasticity, plasticity):
     """A ratio of stretches that is 1 up to rounding would let volume creep, substep by substep."""
     s = np.random.default_rng(0).uniform(0.994, 0.998, (NUM, 3))  # under pressure: sand does not come apart
     F = jnp.asarray(stretched(0, s), jnp.float32)
     m = material(elasticity, plasticity, np.float32, friction_angle=1.0)
-    new, _, *plastic_volume = respond(m, F)
+    new, _, *memory = respond(m, F)
     np.testing.assert_array_equal(new, F)
-    if plastic_volume:
-        np.testing.assert_array_equal(plastic_volume[0], 0.97 + 0.05 * jnp.abs(F[:, 0, 1]))
+    for one in memory:
+        np.testing.assert_array_equal(one, 0.97 + 0.05 * jnp.abs(F[:, 0, 1]))
 
 
 def test_sound_speed_and_lame_parameters(x64):
-    lame = materials.lame_parameters(2.5, 0.25)
+    lame = lame_parameters(2.5, 0.25)
     assert lame.shear == pytest.approx(1.0) and lame.first == pytest.approx(1.0)
     assert float(
         materials.sound_speed(material(youngs_modulus=2.5, poissons_ratio=0.25, density=3.0))
     ) == pytest.approx(1.0)
+
+
+def test_parameters_have_paths_and_each_particle_may_have_its_own():
+    m = material(viscosity=np.ones(NUM), fibre=np.ones((NUM, 3)), activation=2.0)
+    paths = {p.path: p.per_particle for p in materials.parameters_of(m)}
+    assert paths == {
+        "density": False, "elasticity.youngs_modulus": False, "elasticity.poissons_ratio": False,
+        "viscosity.viscosity": True, "muscle.fibre": True, "muscle.activation": False,
+    }  # fmt: skip
+    shared, own = materials.split_parameters(m)
+    assert {name: a.shape for name, a in own.items()} == {"viscosity.viscosity": (NUM,), "muscle.fibre": (3, NUM)}
+    assert shared.muscle.fibre is None and shared.viscosity.viscosity is None
+    again = materials.joined_parameters(shared, own)
+    jax.tree.map(np.testing.assert_array_equal, again, m)
+
+
+@pytest.mark.parametrize(
+    ("build", "sentence"),
+    [
+        (lambda: Material(density=1.0, elasticity="hencky"), "elasticity is 'hencky': give a law, elasticity=Hencky(you"),
+        (lambda: Material(density=1.0, elasticity=Hencky), "elasticity is <class"),
+        (lambda: Material(density=1.0, elasticity=None), "elasticity is None: give a law"),
+        (lambda: Material(density=1.0, elasticity=HENCKY, plasticity=10.0), "plasticity is 10.0: give a law, plasticity"),
+        (lambda: Material(density=1.0, elasticity=HENCKY, viscosity=HENCKY), "viscosity is Hencky("),
+        (lambda: Material(density=1.0, elasticity=Tait(speed_of_sound=5.0), plasticity=VonMises(yield_stress=1.0)),
+         "plasticity is VonMises with Tait, a fluid, which has no yield surface: leave plasticity out"),
+    ],
+)  # fmt: skip
+def test_what_is_no_law_is_refused(build, sentence):
+    with pytest.raises(ValueError, match="^" + re.escape(sentence)) as error:
+        build()
+    assert "\n" not in str(error.value)
+
+
+def test_materials_say_how_they_look():
+    looks = {
+        "water": Material(density=1.0, elasticity=Tait(speed_of_sound=5.0)), "elastic": material(),
+        "dough": material(plasticity=VonMises), "sand": material(plasticity=DruckerPrager),
+        "snow": material(plasticity=Snow), "muscle": material(fibre=np.eye(3)[0], activation=1.0),
+    }  # fmt: skip
+    assert all(m.look == look for look, m in looks.items())

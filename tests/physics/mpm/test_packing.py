@@ -9,11 +9,11 @@ from rewax.physics.mpm import MPMState
 from rewax.physics.mpm.packing import join, pack, split, unpack
 
 
-@pytest.mark.parametrize("remembers", [False, True])
+@pytest.mark.parametrize("remembers", [0, 1, 3])
 def test_split_and_join(remembers):
     draw = np.random.default_rng(0)
     x, v, C, F = (jnp.asarray(draw.normal(size=(5, *shape))) for shape in ((3,), (3,), (3, 3), (3, 3)))
-    state = MPMState(x=x, v=v, C=C, F=F, plastic_volume=jnp.asarray(draw.normal(size=5)) if remembers else None)
+    state = MPMState(x=x, v=v, C=C, F=F, memory=jnp.asarray(draw.normal(size=(5, remembers))) if remembers else None)
     packed = split(state)
     assert packed.shape == (24 + remembers, 5)
     jax.tree.map(np.testing.assert_array_equal, join(packed), state)
@@ -24,7 +24,7 @@ def test_split_and_join(remembers):
         for j in range(3):
             np.testing.assert_array_equal(particles.C[i][j], C[:, i, j])
             np.testing.assert_array_equal(particles.F[i][j], F[:, i, j])
-    assert (particles.plastic_volume is not None) == remembers
+    assert len(particles.memory) == remembers
     np.testing.assert_array_equal(pack(particles), packed)
 
 

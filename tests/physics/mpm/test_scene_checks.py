@@ -4,10 +4,11 @@ import re
 
 import numpy as np
 import pytest
+from flat_materials import flat_material
 from plain_scenes import SOLID, WATER, scene
 
 from rewax.physics import mpm
-from rewax.physics.mpm import Grid, Material
+from rewax.physics.mpm import Grid
 from rewax.physics.mpm.scene_checks import check_box
 
 
@@ -23,7 +24,7 @@ from rewax.physics.mpm.scene_checks import check_box
     ],
 )  # fmt: skip
 def test_particle_counts_must_add_up(changes, sentence):
-    both = (Material(**SOLID), Material(**WATER))
+    both = (flat_material(**SOLID), flat_material(**WATER))
     scene(both, particle_counts=(5, 2), particle_volume=np.full(7, 1e-4))
     with pytest.raises(ValueError, match="^" + re.escape(sentence)):
         scene(both, **changes)
@@ -35,7 +36,7 @@ def test_arrays_per_particle_must_fit():
     with pytest.raises(ValueError, match=r"density has 6 entries, but there are 7 particles: give shape \(\)"):
         scene(dense, particle_volume=np.full(7, 1e-4))
     with pytest.raises(ValueError, match=r"material\[1\].density has 6 entries, but there are 3 particles"):
-        scene((Material(**WATER), Material(**dense)), particle_counts=(3, 3))
+        scene((flat_material(**WATER), flat_material(**dense)), particle_counts=(3, 3))
     with pytest.raises(ValueError, match=r"particle_volume has 6 entries, but there are 5 particles"):
         mpm.initial_state(np.full((5, 3), 0.3), fits)
     with pytest.raises(ValueError, match=r"particle_volume has shape \(6, 1\): give shape \(\), or one entry"):

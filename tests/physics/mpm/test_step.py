@@ -4,18 +4,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flat_materials import flat_material
 from mpm_bodies import DT, GRID, NUM, NUM_SUBSTEPS, STEP, cube, relative, run, spinning
 
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.mpm import invariants
+from rewax.physics.mpm import VonMises, invariants
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.materials import Material, Plasticity
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import Sphere
 from rewax.physics.shapes.sampling import fill_box
 from rewax.status import Status
+from rewax.struct import replace_leaf
 
 # --- Conservation -----------------------------------------------------------------------------------------------------
 
@@ -48,9 +49,9 @@ def test_free_fall_is_symplectic_euler():
 def test_dough_that_does_not_yield_is_an_elastic_body():
     """1000 substeps of a vibrating cube in float32. A return map that rounds turns 4e-5 of the volume into noise."""
     ends = []
-    for plasticity in (Plasticity.NONE, Plasticity.VON_MISES):
+    for plasticity in (None, VonMises):
         scene, state = cube(plasticity=plasticity)
-        scene = scene.replace(material=scene.material.replace(yield_stress=jnp.asarray(1e6)))
+        scene = scene if plasticity is None else replace_leaf(scene, "material.plasticity.yield_stress", 1e6)
         ends.append(run(scene, spinning(state, noise=0.3)))
     elastic, dough = (np.linalg.det(np.asarray(end.F, np.float64)) for end in ends)
     assert np.abs(elastic - 1.0).max() > 1e-4
@@ -87,7 +88,7 @@ def column(cells: int):
     side, floor = Wall(position=0.0, kind=WallKind.SLIP), Wall(position=0.5 * spacing, kind=WallKind.STICKY)
     scene = mpm.make_scene(
         grid=grid, dt=0.2 * spacing / c, particle_volume=spacing**2 * height / len(x), gravity=(0.0, -g, 0.0),
-        material=Material(youngs_modulus=E, poissons_ratio=nu, density=density),
+        material=flat_material(youngs_modulus=E, poissons_ratio=nu, density=density),
         walls=Walls(lower=(side, floor, side), upper=(side, None, side)),
     )  # fmt: skip
     return scene, mpm.initial_state(x), density * g * height**2 / (2 * constrained), 4 * height / c
@@ -217,7 +218,7 @@ def test_particles_that_leave_are_held_at_the_border_and_flagged():
 
 def test_float32_stays_float32_and_nothing_is_promoted_in_silence():
     walls = Walls(lower=(None, Wall(position=0.0, friction=0.3), None), upper=(None, None, None))
-    scene, state = cube(plasticity=Plasticity.VON_MISES, walls=walls)
+    scene, state = cube(plasticity=VonMises, walls=walls)
     with jax.enable_x64(True), jax.numpy_dtype_promotion("strict"):
         out = jax.eval_shape(mpm.step, scene, state, mpm.static_poses(2, dtype=jnp.float32))
     assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(out))
