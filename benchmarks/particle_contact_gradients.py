@@ -24,9 +24,10 @@ import tyro
 from rewax.physics import coupling, mpm
 from rewax.physics.contact import Collider
 from rewax.physics.coupling import free_body
-from rewax.physics.mpm import Grid, Hencky, Material, MPMScene, Plasticity, Wall, WallKind, Walls
+from rewax.physics.mpm import Grid, Hencky, Material, MPMScene, VonMises, Wall, WallKind, Walls
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, Capsule, fill_box
+from rewax.struct import replace_leaf
 from rewax.training.cache import enable_compilation_cache
 
 WIDTH, HEIGHT = 0.4, 0.1
@@ -91,9 +92,8 @@ def top(x: jax.Array, center: jax.Array, half_width: float, spacing: float) -> j
 def drop(scene: MPMScene, x: jax.Array, num_substeps: int, parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
     """parameters: log of a factor of stiffness, gap [m], vertical velocity [m/s], place [m], tilt. Outcome: height."""
     log_factor, gap, velocity, place, tilt = parameters
-    scene = scene.replace(
-        material=scene.material.replace(youngs_modulus=jnp.exp(log_factor) * scene.material.youngs_modulus)
-    )
+    modulus = jnp.exp(log_factor) * scene.material.elasticity.youngs_modulus
+    scene = replace_leaf(scene, "material.elasticity.youngs_modulus", modulus)
     thickness = 0.5 * scene.grid.spacing
     solid = Box(half_size=jnp.array([*BLOCK, thickness / 2]))
     mass, moment = free_body.solid(solid, BLOCK_DENSITY)
@@ -140,7 +140,7 @@ def tasks() -> dict[str, Task]:
         density=1000.0,
         elasticity=Hencky(youngs_modulus=jnp.asarray(5e4), poissons_ratio=0.3),
     )
-    dough = slab.replace(youngs_modulus=2e4, yield_stress=500.0, plasticity=Plasticity.VON_MISES)
+    dough = replace_leaf(slab, "elasticity.youngs_modulus", 2e4).replace(plasticity=VonMises(yield_stress=500.0))
     return {
         "block on slab": Task(
             material=slab, collider=block, outcome=drop,

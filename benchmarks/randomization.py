@@ -10,6 +10,7 @@ same initial states.
 
 import argparse
 import dataclasses
+import functools
 import json
 import time
 from pathlib import Path
@@ -35,9 +36,10 @@ def environment(scaled: str):
     env = rewax.make("RollingFlat", scale="small", dt=CONTROL_DT / NUM_SUBSTEPS).replace(num_substeps=NUM_SUBSTEPS)
 
     def stiffer(env, factor):
-        material = env.scene.material
-        changes = {name: factor * getattr(material, name) for name in scaled.split(",")}
-        return env.replace(scene=env.scene.replace(material=material.replace(**changes)))
+        for path in scaled.split(","):
+            value = functools.reduce(getattr, path.split("."), env.scene.material)
+            env = rewax.replace_leaf(env, f"scene.material.{path}", factor * value)
+        return env
 
     return env, stiffer
 
@@ -96,7 +98,9 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=32)
     parser.add_argument("--episodes", type=int, default=64)
     parser.add_argument(
-        "--scaled", default="youngs_modulus,yield_stress", help="parameters of the dough that are scaled together"
+        "--scaled",
+        default="elasticity.youngs_modulus,plasticity.yield_stress",
+        help="parameters of the dough that are scaled together",
     )
     parser.add_argument("--out", default="randomization.json")
     parser.add_argument("--table", nargs="+", help="print the table of these results and stop")

@@ -33,8 +33,7 @@ class Args:
 
 def with_modulus(env, modulus: jax.Array):
     """The same environment with another stiffness."""
-    material = env.scene.material.replace(youngs_modulus=modulus)
-    return env.replace(scene=env.scene.replace(material=material))
+    return rewax.replace_leaf(env, "scene.material.elasticity.youngs_modulus", modulus)
 
 
 def observe(env, actions: jax.Array) -> jax.Array:
@@ -51,7 +50,7 @@ def main(args: Args) -> float:
     enable_compilation_cache()
     env = rewax.make("RollingFlat", scale="small")
     # A dough that does not yield: what is observed then depends on its stiffness alone.
-    env = env.replace(scene=env.scene.replace(material=env.scene.material.replace(yield_stress=1e6)))
+    env = rewax.replace_leaf(env, "scene.material.plasticity.yield_stress", 1e6)
     actions = jnp.tile(jnp.asarray([0.3, -1.0, 0.0]), (args.steps, 1))
     recorded = jax.jit(observe)(with_modulus(env, jnp.asarray(args.true_modulus)), actions)
 
@@ -62,7 +61,7 @@ def main(args: Args) -> float:
 
         guess = with_modulus(env, jnp.exp(log_modulus))
         value, grad = jax.value_and_grad(loss, allow_int=True)(guess)  # a gradient for every leaf of the environment
-        return value, grad.scene.material.youngs_modulus * jnp.exp(log_modulus)
+        return value, grad.scene.material.elasticity.youngs_modulus * jnp.exp(log_modulus)
 
     # The mismatch of the right modulus is zero, which Polyak's step length makes use of.
     optimizer = optax.chain(optax.polyak_sgd(max_learning_rate=1e6), optax.clip(0.5))

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rewax.envs.base import ArraySpec, Env, State
     from rewax.envs.wrappers import AutoReset, Vmap
     from rewax.status import Status
+    from rewax.struct import replace_leaf
 
 __version__ = "0.1.0"
 
@@ -19,10 +20,11 @@ _HOMES = {
     **dict.fromkeys(("ArraySpec", "Env", "State"), "rewax.envs.base"),
     **dict.fromkeys(("AutoReset", "Vmap"), "rewax.envs.wrappers"),
     "Status": "rewax.status",
+    "replace_leaf": "rewax.struct",
 }
 _MODULES = ("adapters", "agents", "debug", "envs", "physics", "struct", "testing", "training", "viz")
 
-__all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "make", "register"]
+__all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "make", "register", "replace_leaf"]
 
 
 def __getattr__(name: str) -> Any:

@@ -4,8 +4,8 @@ State and parameters of rewax are frozen, keyword-only dataclasses registered as
 (differentiated, vmapped, checkpointed) unless marked ``static_field()``, which makes them part of the tree's
 structure (hashed and compared, a change recompiles).
 
-A number is a leaf. Numbers that a constructor gets (``Sphere(radius=0.1)``, ``gravity=(0, -9.81, 0)``) become JAX arrays,
-so that ``jax.grad``, ``jax.vmap`` and randomization find them. What is absent is ``None``.
+A number is a leaf. Numbers that a constructor gets (``Sphere(radius=0.1)``, ``gravity=(0, -9.81, 0)``) become JAX
+arrays, so that ``jax.grad``, ``jax.vmap`` and randomization find them. What is absent is ``None``.
 """
 
 import dataclasses
@@ -112,7 +112,10 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
     if isinstance(value, (tuple, list)):
         if not value or not _all_numbers(value):
             return value
-        return jnp.asarray(np.asarray(value, float))
+        try:
+            return jnp.asarray(np.asarray(value, float))
+        except ValueError:  # rows of several lengths: checks name the field
+            return value
     if isinstance(value, numbers.Real) and not isinstance(value, np.generic):
         return jnp.asarray(float(value) if is_real else value)
     if isinstance(value, (np.ndarray, np.generic)):

@@ -1,9 +1,15 @@
 """The pytree dataclass."""
 
+import re
+
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from rewax import struct
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
+from rewax.types import Scalar
 
 
 def make(number: int):
@@ -38,3 +44,65 @@ def test_leaves_structure_and_replacement():
     assert jax.tree_util.keystr(jax.tree_util.tree_flatten_with_path(made)[0][0][0]) == ".size"
     with pytest.raises(AttributeError):
         made.size = 1.0
+
+
+@struct.dataclass
+class Ball:
+    """Every kind of field."""
+
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
+    center: jax.Array = struct.number(FINITE, "give a position", shape=(3,), default=(0, 0, 0))
+    friction: Scalar | None = struct.number(NOT_NEGATIVE, "give a coefficient", default=None)
+    gain: Scalar = 1
+    tag: str = "ball"
+    faces: np.ndarray | None = None
+    steps: int = struct.static_field(default=3)
+
+    def __post_init__(self) -> None:
+        assert isinstance(self.gain, jax.Array), "checks see arrays"
+
+
+def test_numbers_become_leaves():
+    ball = Ball(radius=2)
+    assert (ball.radius.dtype, ball.radius.weak_type, ball.gain.dtype) == (jnp.float32, True, jnp.float32)
+    assert ball.center.dtype == jnp.float32 and ball.center.shape == (3,)
+    assert ball.friction is None and ball.tag == "ball" and ball.steps == 3
+    names = [jax.tree_util.keystr(path) for path, _ in jax.tree.leaves_with_path(ball)]
+    assert names == [".radius", ".center", ".gain", ".tag"]
+    for value in (np.float64(0.5), np.array(0.5), [0.5, 1], ((1, 2), (3, 4.5)), np.array([1, 2])):
+        assert isinstance(Ball(radius=value).radius, jax.Array)
+        np.testing.assert_array_equal(Ball(radius=value).radius, np.asarray(value, np.float32))
+    faces = np.array([[0, 1, 2]])
+    assert Ball(radius=1.0, faces=faces).faces is faces, "integers outside of numbers stay what they are"
+    assert Ball(radius="big").radius == "big", "checks name the field"
+    assert isinstance(ball.replace(radius=3).radius, jax.Array)
+
+
+def test_a_bare_number_has_a_derivative():
+    slope = jax.grad(lambda ball: ball.radius**2, allow_int=True)(Ball(radius=3, tag=None))
+    assert float(slope.radius) == 6.0
+
+
+def test_rebuilt_trees_are_not_checked():
+    rebuilt = jax.tree.map(lambda a: "anything", Ball(radius=1.0))
+    assert rebuilt.radius == rebuilt.gain == "anything"
+
+
+def test_replace_leaf_goes_through_objects_tuples_and_dictionaries():
+    @struct.dataclass
+    class Scene:
+        balls: tuple
+        parameters: dict
+
+    scene = Scene(balls=(Ball(radius=1.0), Ball(radius=2.0)), parameters={"mass": jnp.ones(2)})
+    assert float(struct.replace_leaf(scene, "balls[1].radius", 5.0).balls[1].radius) == 5.0
+    np.testing.assert_array_equal(struct.replace_leaf(scene, "parameters[mass]", jnp.zeros(2)).parameters["mass"], 0.0)
+    assert scene.balls[1].radius == 2.0
+    for path, sentence in {
+        "ball": "Scene has no field 'ball': use one of balls, parameters",
+        "balls[2].radius": "tuple has no field '2': use one of 0, 1",
+        "balls[0].radius.x": "has no field 'x': it has none",
+        "parameters[masses]": "dict has no field 'masses': use one of mass",
+    }.items():
+        with pytest.raises(ValueError, match=re.escape(sentence)):
+            struct.replace_leaf(scene, path, 1.0)

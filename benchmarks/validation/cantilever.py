@@ -23,11 +23,12 @@ HEIGHT, LENGTH, SAG = 0.1, 1.0, 0.01
 RADIANS = 10.0
 """Duration times the first angular frequency: damped critically, 0.05 % of the way is left then."""
 NU = 0.3
-MATERIAL = Material(density=1000.0, elasticity=Hencky(youngs_modulus=1e6, poissons_ratio=NU))
-PLANE_MODULUS = MATERIAL.youngs_modulus / (1 - NU**2)
-GRAVITY = SAG * 2 * PLANE_MODULUS * HEIGHT**2 / (3 * MATERIAL.density * LENGTH**4)
-OMEGA = 3.516 / LENGTH**2 * float(np.sqrt(PLANE_MODULUS * HEIGHT**2 / (12 * MATERIAL.density)))
-SHEAR_SAG = 0.6 * MATERIAL.density * GRAVITY * LENGTH**2 / (MATERIAL.youngs_modulus / (2 * (1 + NU)))
+YOUNGS_MODULUS, DENSITY = 1e6, 1000.0
+MATERIAL = Material(density=DENSITY, elasticity=Hencky(youngs_modulus=YOUNGS_MODULUS, poissons_ratio=NU))
+PLANE_MODULUS = YOUNGS_MODULUS / (1 - NU**2)
+GRAVITY = SAG * 2 * PLANE_MODULUS * HEIGHT**2 / (3 * DENSITY * LENGTH**4)
+OMEGA = 3.516 / LENGTH**2 * float(np.sqrt(PLANE_MODULUS * HEIGHT**2 / (12 * DENSITY)))
+SHEAR_SAG = 0.6 * DENSITY * GRAVITY * LENGTH**2 / (YOUNGS_MODULUS / (2 * (1 + NU)))
 EVERY = 20
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from benchmarks.validation.common import fill, held, record, relative, save
 from rewax.physics import mpm
-from rewax.physics.mpm import Grid, Material, Newtonian, Plasticity, Tait, Wall, WallKind, Walls
+from rewax.physics.mpm import DruckerPrager, Grid, Hencky, Material, Newtonian, Tait, VonMises, Wall, WallKind, Walls
+from rewax.struct import replace_leaf
 
 CELLS = {"tiny": 6, "small": 8, "full": 16}
 """Over the width of the block; it is twice as high."""
@@ -29,22 +30,24 @@ MAX_STEPS, DONE = 12, 1e-5
 class Unknown(NamedTuple):
     """A parameter to be found."""
 
-    field: str
+    path: str
+    """In the scene's material."""
     unit: str
     guess: float
     material: Material
     """Holds the true value."""
 
 
-def _material(**changes: Any) -> Material:
-    return Material(**{"youngs_modulus": 5e4, "poissons_ratio": 0.3, "density": DENSITY, **changes})
+def _solid(youngs_modulus: float, **laws: Any) -> Material:
+    elasticity = Hencky(youngs_modulus=youngs_modulus, poissons_ratio=0.3)
+    return Material(density=DENSITY, elasticity=elasticity, **laws)
 
 
 UNKNOWNS = {
-    "elastic block": Unknown("youngs_modulus", "Pa", 2e4, _material(youngs_modulus=3e4)),
-    "dough": Unknown("yield_stress", "Pa", 400.0, _material(yield_stress=600.0, plasticity=Plasticity.VON_MISES)),
+    "elastic block": Unknown("elasticity.youngs_modulus", "Pa", 2e4, _solid(3e4)),
+    "dough": Unknown("plasticity.yield_stress", "Pa", 400.0, _solid(5e4, plasticity=VonMises(yield_stress=600.0))),
     "fluid": Unknown(
-        "viscosity",
+        "viscosity.viscosity",
         "Pa s",
         4.0,
         Material(
@@ -54,10 +57,10 @@ UNKNOWNS = {
         ),
     ),
     "sand": Unknown(
-        "friction_angle",
+        "plasticity.friction_angle",
         "rad",
         float(np.deg2rad(20.0)),
-        _material(youngs_modulus=1e5, friction_angle=float(np.deg2rad(30.0)), plasticity=Plasticity.DRUCKER_PRAGER),
+        _solid(1e5, plasticity=DruckerPrager(friction_angle=np.deg2rad(30.0))),
     ),
 }
 
@@ -87,12 +90,12 @@ def _seen(scene: mpm.MPMScene, state: mpm.MPMState) -> jax.Array:
     return state.x[::OBSERVED_EVERY, :2]
 
 
-@functools.partial(jax.jit, static_argnames=("field", "every"))
-def predict(scene: mpm.MPMScene, state: mpm.MPMState, value: jax.Array, *, field: str, every: int) -> Any:
+@functools.partial(jax.jit, static_argnames=("path", "every"))
+def predict(scene: mpm.MPMScene, state: mpm.MPMState, value: jax.Array, *, path: str, every: int) -> Any:
     """What would be seen, (NUM_SAMPLES, num_seen, 2), if the parameter were ``value``; its derivative by log value."""
 
     def seen(log_value: jax.Array) -> jax.Array:
-        changed = scene.replace(material=scene.material.replace(**{field: jnp.exp(log_value)}))
+        changed = replace_leaf(scene, f"material.{path}", jnp.exp(log_value))
         return record(changed, state, every=every, num_samples=NUM_SAMPLES, observe=_seen)[1]
 
     log_value = jnp.log(value)
@@ -102,8 +105,8 @@ def predict(scene: mpm.MPMScene, state: mpm.MPMState, value: jax.Array, *, field
 def identify(scene: mpm.MPMScene, state: mpm.MPMState, unknown: Unknown, seed: int = 0) -> dict[str, Any]:
     """Guesses one after the other, and the root mean square difference between seen and predicted [m] of each."""
     every = round(DURATION / NUM_SAMPLES / scene.dt)
-    simulate = functools.partial(predict, scene, state, field=unknown.field, every=every)
-    true = getattr(scene.material, unknown.field)
+    simulate = functools.partial(predict, scene, state, path=unknown.path, every=every)
+    true = functools.reduce(getattr, unknown.path.split("."), scene.material)
     exact = np.asarray(simulate(true)[0])
     seen = exact + NOISE * scene.grid.spacing * np.random.default_rng(seed).standard_normal(exact.shape)
 
@@ -137,7 +140,7 @@ def run(scale: str = "small") -> dict[str, Any]:
         unknown = UNKNOWNS[name]
         scene, state = block(CELLS[scale], unknown.material)
         paths[name] = identify(scene, state, unknown)
-        what = f"{unknown.field} of {name}, guessed {unknown.guess:.3g}"
+        what = f"{unknown.path.split('.')[-1]} of {name}, guessed {unknown.guess:.3g}"
         checks.append(relative(what, paths[name]["values"][-1], paths[name]["true"], 0.02, unknown.unit))
     return {"checks": checks, "paths": paths}
 
@@ -146,7 +149,7 @@ def plot(results: dict[str, Any], path: Path | str) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2))
     for name, found in results["paths"].items():
         unknown = UNKNOWNS[name]
-        left.plot(found["values"] / found["true"], "o-", ms=3, lw=1, label=f"{unknown.field} of {name}")
+        left.plot(found["values"] / found["true"], "o-", ms=3, lw=1, label=f"{unknown.path.split('.')[-1]} of {name}")
         right.semilogy(found["errors"] * 1e3, "o-", ms=3, lw=1)
     left.axhline(1.0, color="k", ls=":", lw=1)
     left.set(xlabel="Gauss-Newton step", ylabel="estimate / true value")

@@ -51,7 +51,11 @@ def columns(sizes: tuple[tuple[int, int], ...]) -> tuple[mpm.MPMScene, np.ndarra
     x = np.stack([np.stack([(k % a + 0.5) * h, (k // a + 0.5) * h, zero], axis=1) for a, _ in sizes])
     height = max(b for _, b in sizes) * h
     reach = max(a * h * (1 + max(1.6 * (b / a), 2.4 * (b / a) ** (2 / 3))) for a, b in sizes)
-    material = Material(density=DENSITY, elasticity=Hencky(youngs_modulus=60 * DENSITY * GRAVITY * height, poissons_ratio=0.3), plasticity=DruckerPrager(friction_angle=FRICTION_ANGLE),)  # fmt: skip
+    material = Material(
+        density=DENSITY,
+        elasticity=Hencky(youngs_modulus=60 * DENSITY * GRAVITY * height, poissons_ratio=0.3),
+        plasticity=DruckerPrager(friction_angle=FRICTION_ANGLE),
+    )
     side, floor = Wall(position=0.5 * SPACING), Wall(position=0.5 * SPACING, friction=FLOOR_FRICTION)
     shape = (round(reach / SPACING) + 8, round(height / SPACING) + 7, 4)
     scene = mpm.make_scene(

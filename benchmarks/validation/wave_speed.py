@@ -21,8 +21,9 @@ from rewax.physics.mpm import Grid, Hencky, Material, Walls, sound_speed
 SIZES = {"tiny": (16, 10, 1), "small": (40, 20, 2), "full": (80, 40, 4)}
 """Cells along the confined bar, along the slender bar, across the slender bar."""
 LENGTH, STRAIN, PERIODS = 1.0, 1e-7, 2.0
-MATERIAL = Material(density=1000.0, elasticity=Hencky(youngs_modulus=1e6, poissons_ratio=0.3))
-BAR_SPEED = float(np.sqrt(MATERIAL.youngs_modulus / MATERIAL.density))
+YOUNGS_MODULUS, DENSITY = 1e6, 1000.0
+MATERIAL = Material(density=DENSITY, elasticity=Hencky(youngs_modulus=YOUNGS_MODULUS, poissons_ratio=0.3))
+BAR_SPEED = float(np.sqrt(YOUNGS_MODULUS / DENSITY))
 
 
 def free_bar(cells: int, across: int | None, dt: float | None = None) -> tuple[mpm.MPMScene, mpm.MPMState]:

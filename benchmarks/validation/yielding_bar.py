@@ -26,9 +26,13 @@ LENGTH, YIELD_STRAIN, STRAIN = 1.0, 0.01, 0.04
 TRANSITS = {"tiny": 20.0, "small": 30.0, "full": 60.0}
 """How often a wave goes along the bar while the plate comes down."""
 EVERY = 10
-E = 1e6
+E, DENSITY = 1e6, 1000.0
 TAU_Y = YIELD_STRAIN * E
-MATERIAL = Material(density=1000.0, elasticity=Hencky(youngs_modulus=E, poissons_ratio=0.3), plasticity=VonMises(yield_stress=TAU_Y / float(np.sqrt(1.5))),)  # fmt: skip
+MATERIAL = Material(
+    density=DENSITY,
+    elasticity=Hencky(youngs_modulus=E, poissons_ratio=0.3),
+    plasticity=VonMises(yield_stress=TAU_Y / float(np.sqrt(1.5))),
+)
 
 
 def bar(cells: int, across: int) -> tuple[mpm.MPMScene, mpm.MPMState]:
@@ -78,13 +82,13 @@ def middle(scene: mpm.MPMScene, state: mpm.MPMState) -> dict[str, Any]:
 def run(scale: str = "small") -> dict[str, Any]:
     """Strain and stress of the bar's middle over a cycle; remaining strain, flow stress and modulus."""
     scene, state = bar(*SIZES[scale])
-    duration = 2 * TRANSITS[scale] * LENGTH / float(np.sqrt(E / MATERIAL.density))
+    duration = 2 * TRANSITS[scale] * LENGTH / float(np.sqrt(E / DENSITY))
     num_samples = round(duration / (scene.dt * EVERY))
     y = plate_heights(num_samples * EVERY + 1, scene.grid.spacing)
     position = jnp.stack([jnp.zeros_like(y), jnp.asarray(y), jnp.zeros_like(y)], axis=-1)[:, None]
     poses = Pose(position, jnp.broadcast_to(jnp.eye(3), (len(y), 1, 3, 3)))
     # Waves along the bar calm down within a few transits; the plate is much slower.
-    keep = float(np.exp(-0.5 * np.sqrt(E / MATERIAL.density) / LENGTH * scene.dt * EVERY))
+    keep = float(np.exp(-0.5 * np.sqrt(E / DENSITY) / LENGTH * scene.dt * EVERY))
     _, seen = record(scene, state, every=EVERY, num_samples=num_samples, observe=middle, poses=poses, keep=keep)
     strain, stress = -np.asarray(seen["strain"]), -np.asarray(seen["stress"])
     peak = strain.max()

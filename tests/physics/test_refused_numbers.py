@@ -58,7 +58,7 @@ IMPOSSIBLE = {
         collider(HeightField(heights=np.zeros((2, 2)), origin=np.zeros(2), spacing=0.0)),
         "colliders[0].shape.spacing is 0.0, but must be positive",
     ),
-    "no collider": ({"colliders": (Sphere(radius=0.1),)}, "colliders[0] is Sphere(radius=0.1): give a Collider(shape="),
+    "no collider": ({"colliders": (Sphere(radius=0.1),)}, "colliders[0] is Sphere(radius="),
     "friction of a wall": (
         floor(position=0.1, friction=-0.2),
         "walls.lower[1].friction is -0.2, but must be 0 or more",

@@ -163,7 +163,7 @@ def _as_array(number: Number) -> np.ndarray:
 
 
 def _sentence(number: Number, array: np.ndarray, bad: np.ndarray) -> str:
-    where, value = "", array
+    where, value = "", array[()]  # a scalar prints the digits of its own precision
     if array.ndim:
         index = tuple(int(i) for i in np.argwhere(bad)[0])
         where, value = f"[{', '.join(map(str, index))}]", array[index]

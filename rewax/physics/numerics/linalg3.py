@@ -26,7 +26,8 @@ from rewax.types import Array
 SpectralFunction = Callable[[Principal, Any], tuple[Principal | Array, ...]]
 """``(eigenvalues, parameters) -> principal values of each result``, made of operations of ``divided_differences``.
 
-A result may also be one number, the same on all axes. The function is equivariant under permutations of the axes, and gives divided differences if the eigenvalues have them.
+A result may also be one number, the same on all axes. The function is equivariant under permutations of the axes, and
+gives divided differences if the eigenvalues have them.
 """
 
 _ROTATIONS = ((0, 1), (0, 2), (1, 2))

@@ -78,7 +78,7 @@ def test_water_beside_snow_keeps_momentum_and_each_its_law(x64):
 )
 def test_twenty_substeps_reverse_forward_and_finite_difference(x64, random_like, derivatives, inner, material):
     """By particles and by every parameter."""
-    scene = jax.tree.map(jnp.asarray, make(material.replace(viscosity=Newtonian(viscosity=0.3))))
+    scene = jax.tree.map(lambda a: jnp.asarray(a, float), make(material.replace(viscosity=Newtonian(viscosity=0.3))))
     state = moving(scene)
     state = state.replace(x=state.x + 1e-3 * state.v)
     program = derivatives(lambda args: mpm.step(*args, STILL))

@@ -44,6 +44,10 @@ class Stretches(NamedTuple):
         """J = s_1 s_2 s_3 [-]."""
         return self.values.product
 
+    def volume_to(self, power: float) -> Array:
+        """J^power by the logarithmic strains, finite for flattened and inverted particles [-]."""
+        return jnp.exp(power * self.log.sum)
+
     @classmethod
     def of(cls, values: Principal) -> "Stretches":
         """With their logarithms."""

@@ -103,7 +103,8 @@ def test_sand_that_is_pulled_apart_goes_to_the_apex(x64):
     np.testing.assert_allclose(stress, (2 * MU + 3 * LAM) * 0.01, rtol=1e-12)
 
 
-SNOW = Snow(critical_compression=0.025, critical_stretch=0.0075, hardening=10.0)
+def snow() -> Snow:
+    return Snow(critical_compression=0.025, critical_stretch=0.0075, hardening=10.0)
 
 
 def test_snow_is_clipped_and_what_flows_changes_its_moduli(x64):
@@ -112,7 +113,7 @@ def test_snow_is_clipped_and_what_flows_changes_its_moduli(x64):
     clipped = np.clip(s, 0.975, 1.0075)
     plastic_volume = 0.99 * s.prod() / clipped.prod()
     harder = np.exp(10.0 * (1 - plastic_volume))
-    new, stress = plastic(SNOW, s, FixedCorotated, (0.99,))
+    new, stress = plastic(snow(), s, FixedCorotated, (0.99,))
     np.testing.assert_allclose(new, clipped, rtol=1e-14)
     J = clipped.prod()
     np.testing.assert_allclose(
@@ -121,6 +122,6 @@ def test_snow_is_clipped_and_what_flows_changes_its_moduli(x64):
 
 
 def test_packed_snow_is_at_most_so_much_harder(x64):
-    _, soft = plastic(SNOW, [0.99] * 3, FixedCorotated, (1.0,))
-    _, hard = plastic(SNOW, [0.99] * 3, FixedCorotated, (0.3,))
+    _, soft = plastic(snow(), [0.99] * 3, FixedCorotated, (1.0,))
+    _, hard = plastic(snow(), [0.99] * 3, FixedCorotated, (0.3,))
     np.testing.assert_allclose(hard, MAX_HARDENING * soft, rtol=1e-12)
