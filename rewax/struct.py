@@ -108,7 +108,7 @@ def _convert_first(cls: Any) -> None:
 
 
 def _as_leaf(value: Any, is_real: bool) -> Any:
-    """Numbers as a JAX array, anything else as it is; tuples and the integers of a real field become floats."""
+    """Numbers as a JAX array, anything else as it is. Tuples, and the integers of a real field, become floats."""
     if isinstance(value, (tuple, list)):
         if not value or not _all_numbers(value):
             return value

@@ -107,19 +107,14 @@ def _check_stress(m: Material, F: Array, seed: int) -> None:
     sym = 0.5 * (dF + jnp.swapaxes(dF, 1, 2))
     hooke = 2 * mu * sym + lam * jnp.trace(sym, axis1=1, axis2=2)[:, None, None] * jnp.eye(3)
     source = "density sound_speed^2 as the bulk modulus" if fluid else "moduli() as Lame parameters"
-    _near(
-        tangent,
-        hooke,
-        _size(hooke),
-        f"stress of small strains is not Hooke's with {source}",
-        "correct one of both",
-        1e-6,
-    )
+    what = f"stress of small strains is not Hooke's with {source}"
+    _near(tangent, hooke, _size(hooke), what, "correct one of both", 1e-6)
     energy = jax.jit(lambda F: elastic_energy_density(m, F))
     P = jax.grad(lambda F: jnp.sum(elastic_energy_density(m, F)))(F)
     factor = None if m.plasticity is None else m.plasticity.stiffness(_at_start(m, F))
-    _near(P @ jnp.swapaxes(F, 1, 2), tau if factor is None else _expand(factor) * tau, size,
-          "stress is not the derivative of energy by deformation, tau_i = s_i dpsi/ds_i", "correct one of both")  # fmt: skip
+    tau = tau if factor is None else _expand(factor) * tau
+    what = "stress is not the derivative of energy by deformation, tau_i = s_i dpsi/ds_i"
+    _near(P @ jnp.swapaxes(F, 1, 2), tau, size, what, "correct one of both")
     _near(energy(rest), 0.0 * energy(rest), lam + mu, "energy at rest is not zero", "subtract it")
 
 
@@ -165,7 +160,7 @@ def _check_derivatives(m: Material, F: Array, seed: int) -> None:
             ends = [_response(*jax.tree.map(lambda a, d, h=h: a + h * d, args, part)) for h in (h, -h)]
             errors.append(abs((_inner(weights, ends[0]) - _inner(weights, ends[1])) / (2 * h) - reverse))
         assert min(errors) < 1e-5 * size, (
-            f"the derivative by {name} is {reverse:.6g}, by finite differences it differs by {min(errors):.2g}: {_ADVICE}"
+            f"the derivative by {name} is {reverse:.6g}, finite differences differ by {min(errors):.2g}: {_ADVICE}"
         )
         assert abs(_inner(rough, part) - reverse) < 1e-2 * size, (
             f"in float32 the derivative by {name} is {_inner(rough, part):.4g}, in float64 {reverse:.4g}: use the "
@@ -224,7 +219,7 @@ def _check_stable(scene: mpm.MPMScene, state: mpm.MPMState) -> None:
     start, after = (float(mpm.invariants.kinetic_energy(scene, s)) for s in (state, end))
     moving = scene.material.muscle is not None  # type: ignore[union-attr]
     assert np.isfinite(after) and (moving or after < 10.0 * start), (
-        f"300 substeps at mpm.largest_stable_dt take the kinetic energy of a free block from {start:.3g} to {after:.3g} J: "
+        f"300 substeps at mpm.largest_stable_dt take a free block's kinetic energy from {start:.3g} to {after:.3g} J: "
         "let moduli(), sound_speed(), dynamic_viscosity() and largest_stiffness say how stiff the law can become"
     )
 

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 from rewax.envs.randomize.distributions import Distribution, Per, Scale, Shift
-from rewax.envs.wrappers import is_number
 from rewax.types import Array, Key
 
 Draw: TypeAlias = Distribution | Scale | Shift
@@ -80,7 +81,7 @@ class LeafDraws:
           env: one environment.
 
         Returns:
-          An environment of the same structure, shapes and dtypes; leaves that are plain Python numbers become arrays.
+          An environment of the same structure, shapes and dtypes.
 
         Raises:
           ValueError: a name of no leaf, a leaf that cannot be drawn so, or one that is drawn twice.
@@ -160,11 +161,15 @@ def _check_leaves(places: list[_Place], named: list[tuple[Any, Any]], draw: Draw
     for place in places:
         name, leaf = _name(place, named), named[place.leaf][1]
         if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
-            kind = type(leaf).__name__ if is_number(leaf) else jnp.result_type(leaf).name
+            kind = jnp.result_type(leaf).name
             raise ValueError(f"{name} is of type {kind}: only floats can be drawn; give the environment a float there")
-        fixed = is_number(leaf) and (leaf in (0.0, float("inf"), float("-inf")))
-        if isinstance(draw, Scale) and fixed:
+        if isinstance(draw, Scale) and _is_fixed(_part(leaf, place.index)):
             raise ValueError(f"{name} is {leaf}, which no factor changes: give its values, as in Uniform(0.1, 0.5)")
+
+
+def _is_fixed(part: Any) -> bool:
+    """Whether no factor changes it: zero or infinite. Of a traced leaf that is not known."""
+    return not isinstance(part, Tracer) and bool(np.all((part == 0.0) | np.isinf(part)))
 
 
 def _shape_of_draw(places: list[_Place], named: list[tuple[Any, Any]], per: Per) -> tuple[int, ...]:

@@ -7,11 +7,9 @@ from jax.core import Tracer
 
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number, check_numbers
+from rewax.physics.numerics.checks import FINITE, Number, check_numbers, numbers_of
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.sizes import size_numbers
-
-_FRICTION = "give a Coulomb coefficient, 0 for none"
 
 
 def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None) -> list[Number]:
@@ -21,15 +19,7 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
         name = f"colliders[{i}]"
         if not isinstance(collider, Collider):
             raise ValueError(f"{name} is {collider!r}: give a Collider(shape=..., friction=...)")
-        numbers += [
-            *size_numbers(collider.shape, f"{name}.shape"),
-            Number(f"{name}.offset", collider.offset, FINITE, "give a position in metres", (3,)),
-            Number(f"{name}.rotation", collider.rotation, FINITE, "give a rotation matrix", (3, 3)),
-            Number(f"{name}.friction", collider.friction, NOT_NEGATIVE, _FRICTION),
-        ]
-        if collider.softness is not None:
-            remedy = "give a decay per metre, or None for a reach of one cell"
-            numbers.append(Number(f"{name}.softness", collider.softness, POSITIVE, remedy))
+        numbers += [*size_numbers(collider.shape, f"{name}.shape"), *numbers_of(collider, f"{name}.")]
     if poses is not None and colliders:
         numbers += [
             Number("poses.position", poses.position, FINITE, "give positions in metres"),
@@ -42,22 +32,12 @@ def penalty_numbers(contact: PenaltyContact, name: str = "contact") -> list[Numb
     """The numbers of a penalty law."""
     if not isinstance(contact, PenaltyContact):
         raise ValueError(f"{name} is {contact!r}: give a PenaltyContact(stiffness=...)")
-    units = {
-        "damping": "N s/m", "friction_damping": "N s/m", "radius": "m", "onset": "m", "depth_damping": "N s/m^2",
-    }  # fmt: skip
-    return [
-        Number(f"{name}.stiffness", contact.stiffness, POSITIVE, "give a force per penetration in N/m"),
-        Number(f"{name}.friction", contact.friction, NOT_NEGATIVE, _FRICTION),
-        *(Number(f"{name}.{f}", getattr(contact, f), NOT_NEGATIVE, f"give a number of {u}") for f, u in units.items()),
-    ]
+    return numbers_of(contact, f"{name}.")
 
 
 def ground_numbers(ground: Ground) -> list[Number]:
     """The numbers of the ground."""
-    return [
-        Number("ground.normal", ground.normal, FINITE, "give a unit vector, (0, 1, 0) for y up"),
-        Number("ground.height", ground.height, FINITE, "give a distance in metres"),
-    ]
+    return numbers_of(ground, "ground.")
 
 
 def check_ground(ground: Any) -> None:

@@ -8,6 +8,7 @@ from rewax import struct
 from rewax.lowering.kernels import joined, pointwise, separated
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import signed_distance_components
@@ -30,13 +31,13 @@ class PenaltyContact(struct.Replaceable):
         law: nothing sets in at a step).
     """
 
-    stiffness: Scalar
-    damping: Scalar = 0.0
-    friction_damping: Scalar = 0.0
-    friction: Scalar = 0.0
-    radius: Scalar = 0.0
-    onset: Scalar = 0.0
-    depth_damping: Scalar = 0.0
+    stiffness: Scalar = struct.number(POSITIVE, "give a force per penetration in N/m")
+    damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", default=0.0)
+    friction_damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", default=0.0)
+    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none", default=0.0)
+    radius: Scalar = struct.number(NOT_NEGATIVE, "give a number of m", default=0.0)
+    onset: Scalar = struct.number(NOT_NEGATIVE, "give a number of m", default=0.0)
+    depth_damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m^2", default=0.0)
 
 
 @struct.dataclass
@@ -48,8 +49,8 @@ class Ground(struct.Replaceable):
       height: distance of its surface from the origin along the normal [m].
     """
 
-    normal: Array
-    height: Scalar = 0.0
+    normal: Array = struct.number(FINITE, "give a unit vector, (0, 1, 0) for y up")
+    height: Scalar = struct.number(FINITE, "give a distance in metres", default=0.0)
 
 
 def ground_force(ground: Ground, contact: PenaltyContact, x: Vec3, v: Vec3) -> Vec3:

@@ -163,11 +163,11 @@ def _as_array(number: Number) -> np.ndarray:
 
 
 def _sentence(number: Number, array: np.ndarray, bad: np.ndarray) -> str:
-    where, value = "", array[()]  # a scalar prints the digits of its own precision
+    where, value = "", array[()]
     if array.ndim:
         index = tuple(int(i) for i in np.argwhere(bad)[0])
         where, value = f"[{', '.join(map(str, index))}]", array[index]
     must = str(number.legal)
     if must != "finite" and not np.isfinite(value):
         must += " and finite"
-    return f"{number.name}{where} is {value}, but must be {must}: {number.remedy}"
+    return f"{number.name}{where} is {value!s}, but must be {must}: {number.remedy}"

@@ -2,18 +2,18 @@
 
 # pyright: reportAttributeAccessIssue=false
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
 from rewax.physics.contact.penalty import PenaltyContact, penalty_force
-from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers
+from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers, numbers_of
 from rewax.physics.numerics.components import join_vector, split_vector
 from rewax.physics.rigid.kinematics import Kinematics, moving_points
-from rewax.types import Array
+from rewax.types import Array, Scalar
+
+_UNIT = "see Penalty for its unit"
 
 
 @struct.dataclass
@@ -40,13 +40,13 @@ class Penalty(struct.Replaceable):
         True: at one, which takes less time; see ``box_box``.
     """
 
-    stiffness: Array | float
-    damping: Array | float = 0.0
-    friction_damping: Array | float = 0.0
-    onset: Array | float = 0.0
-    depth_damping: Array | float = 0.0
-    limit_stiffness: Array | float = 1e3
-    limit_damping: Array | float = 10.0
+    stiffness: Scalar = struct.number(NOT_NEGATIVE, _UNIT)
+    damping: Scalar = struct.number(NOT_NEGATIVE, _UNIT, default=0.0)
+    friction_damping: Scalar = struct.number(NOT_NEGATIVE, _UNIT, default=0.0)
+    onset: Scalar = struct.number(NOT_NEGATIVE, _UNIT, default=0.0)
+    depth_damping: Scalar = struct.number(NOT_NEGATIVE, _UNIT, default=0.0)
+    limit_stiffness: Scalar = struct.number(NOT_NEGATIVE, _UNIT, default=1e3)
+    limit_damping: Scalar = struct.number(NOT_NEGATIVE, _UNIT, default=10.0)
     among: "Penalty | None" = None
     at_surfaces: bool = struct.static_field(default=False)
     boxes_touch_once: bool = struct.static_field(default=False)
@@ -61,12 +61,8 @@ _CONTACT = ("stiffness", "damping", "friction_damping", "onset", "depth_damping"
 
 def penalty_numbers(penalty: Penalty) -> list[Number]:
     """The numbers of the law, and what they may be."""
-    return [
-        Number(f"the penalty's {field.name}", getattr(law, field.name), NOT_NEGATIVE, "see Penalty for its unit")
-        for law in (penalty, *([] if penalty.among is None else [penalty.among]))
-        for field in dataclasses.fields(law)
-        if field.name not in ("among", "at_surfaces", "boxes_touch_once")
-    ]
+    laws = (penalty, *([] if penalty.among is None else [penalty.among]))
+    return [number for law in laws for number in numbers_of(law, "the penalty's ")]
 
 
 def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:

@@ -111,7 +111,7 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
     )
     ground = Ground(normal=jnp.array([0.0, 1.0, 0.0]), height=jnp.array(-0.2))
     x, v = jnp.asarray(rng.uniform(-0.4, 0.4, (64, 3))), jnp.asarray(3.0 * rng.standard_normal((64, 3)))
-    law = jax.tree.map(jnp.asarray, LAW)
+    law = jax.tree.map(lambda a: jnp.asarray(a, float), LAW)
 
     @jax.jit
     def force(args):

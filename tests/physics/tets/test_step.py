@@ -136,7 +136,7 @@ def test_a_block_sinks_by_its_weight_over_the_stiffness_and_sticks_or_slides(x64
     """Below the friction angle it creeps at weight over friction damping, above it gains g (sin - mu cos)."""
     weight, bottom = 16.0 * 9.81, 6
     scene, state, speeds = on_slope(0.15, 2 * MANY, ground=FLOOR)
-    creep = weight * np.sin(0.15) / (bottom * CONTACT.friction_damping)
+    creep = weight * np.sin(0.15) / (bottom * float(CONTACT.friction_damping))
     assert speeds[-1] == pytest.approx(creep, rel=1e-3)
     lowest = np.sort(np.asarray(state.x[:, 1]))[:bottom]
     depth = FLOOR.height + CONTACT.radius - lowest.mean()
