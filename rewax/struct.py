@@ -39,8 +39,8 @@ def number(
 ) -> Any:
     """A field that holds a number, or an array of them, with what it may be.
 
-    ``rewax.physics.numerics.checks.numbers_of`` collects such fields of an object; scenes check them when they are built
-    and inside compiled programs.
+    ``rewax.physics.numerics.checks.numbers_of`` collects such fields of an object; scenes check them when they are
+    built and inside compiled programs.
 
     Args:
       legal: a ``rewax.physics.numerics.checks.Legal``, ``POSITIVE`` for example.

@@ -15,6 +15,8 @@ from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.scene_checks import (
+    GRAVITY,
+    VOLUME,
     check_box,
     check_count,
     check_lengths,
@@ -85,8 +87,8 @@ class MPMScene(struct.Replaceable):
     grid: Grid = struct.static_field()
     dt: float = struct.static_field()
     material: Material | tuple[Material, ...]
-    particle_volume: Scalar
-    gravity: Array
+    particle_volume: Scalar = struct.number(POSITIVE, VOLUME)
+    gravity: Array = struct.number(FINITE, GRAVITY, shape=(3,))
     particle_counts: tuple[int, ...] | None = struct.static_field(default=None)
     colliders: tuple[Collider, ...] = ()
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))
@@ -192,7 +194,7 @@ def make_scene(
         material=material,
         particle_volume=particle_volume,
         particle_counts=None if particle_counts is None else tuple(int(n) for n in particle_counts),
-        gravity=jnp.asarray(gravity),
+        gravity=gravity,
         colliders=colliders,
         walls=walls,
         max_active_nodes=max_active_nodes,

@@ -18,6 +18,8 @@ from rewax.types import Array
 
 Counts = tuple[int, ...] | None
 """How many particles are of each of several materials; None with one material."""
+VOLUME = "give the body's rest volume over its number of particles, in m^3"
+GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
 
 
 def part_numbers(
@@ -30,11 +32,10 @@ def part_numbers(
 ) -> list[Number]:
     """All numbers of a scene that are data of the compiled program, and what they may be."""
     several = len(materials) > 1
-    volume = "give the body's rest volume over its number of particles, in m^3"
     return [
         *(n for i, m in enumerate(materials) for n in material_numbers(m, f"material[{i}]." if several else "")),
-        Number("particle_volume", particle_volume, POSITIVE, volume),
-        Number("gravity", gravity, FINITE, "give an acceleration in m/s^2, (0, -9.81, 0) on Earth", (3,)),
+        Number("particle_volume", particle_volume, POSITIVE, VOLUME),
+        Number("gravity", gravity, FINITE, GRAVITY, (3,)),
         *collider_numbers(colliders, poses),
         *wall_numbers(walls),
     ]

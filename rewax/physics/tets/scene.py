@@ -24,6 +24,7 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.tets.edges import TetTopology
 from rewax.physics.tets.law import DampingLaw, wave_modulus
 from rewax.physics.tets.scene_checks import (
+    GRAVITY,
     check_length,
     check_moduli,
     contact_numbers,
@@ -85,7 +86,7 @@ class TetScene(struct.Replaceable):
     lam: Scalar
     damping: Scalar | None = None
     activation: Scalar = 0.0
-    gravity: Array
+    gravity: Array = struct.number(FINITE, GRAVITY, shape=(3,))
     mobility: Array | None = None
     contact: PenaltyContact | None = None
     ground: Ground | None = None
@@ -181,7 +182,7 @@ def make_scene(
         lam=lam,
         damping=damping,
         activation=activation,
-        gravity=jnp.asarray(gravity),
+        gravity=gravity,
         mobility=jnp.ones(num_vertices).at[held].set(0.0) if held.size else None,
         contact=contact,
         ground=ground,

@@ -12,6 +12,8 @@ from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number
 from rewax.physics.numerics.pose import Pose
 
+GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
+
 
 def material_numbers(mu: Any, lam: Any, damping: Any, activation: Any) -> list[Number]:
     """The parameters of the material, and what they may be."""
@@ -34,7 +36,7 @@ def contact_numbers(
 
 
 def gravity_number(gravity: Any) -> Number:
-    return Number("gravity", gravity, FINITE, "give an acceleration in m/s^2, (0, -9.81, 0) on Earth", (3,))
+    return Number("gravity", gravity, FINITE, GRAVITY, (3,))
 
 
 def check_length(number: Number, length: int) -> None:
