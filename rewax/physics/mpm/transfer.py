@@ -46,7 +46,7 @@ class GridFields(NamedTuple):
 def particle_to_grid(
     grid: Grid, x: Vec3, mass: Array, momentum: Vec3, affine: Mat3, *, active: ActiveNodes | None = None
 ) -> GridFields:
-    """Spread particles' mass and momentum onto the nodes around them.
+    """Particle-to-grid transfer (P2G): mass and momentum of particles, summed on the nodes around them.
 
     Node i receives w_i mass and w_i (momentum + affine d_i), d_i its offset from the particle. Mass is conserved to
     rounding, momentum too, whatever the affine part.
@@ -72,7 +72,7 @@ def particle_to_grid(
 
 
 def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes | None = None) -> tuple[Vec3, Mat3]:
-    """Interpolate node velocities at particles, with their first moment.
+    """Grid-to-particle transfer (G2P): node velocities interpolated at particles, with their first moment.
 
     Args:
       grid: the nodes.

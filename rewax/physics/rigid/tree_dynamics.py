@@ -16,7 +16,10 @@ from rewax.types import Array
 
 
 def mass_matrix(topology: TreeTopology, parameters: TreeParameters, kin: Kinematics) -> Array:
-    """Joint-space inertia, symmetric and positive definite, shape (num_dofs, num_dofs)."""
+    """Mass matrix, the joint-space inertia, symmetric and positive definite, shape (num_dofs, num_dofs).
+
+    Composite rigid body algorithm (CRBA), with sums over subtrees for its recursion.
+    """
     num_bodies, num_dofs = topology.moves.shape
     mass, arm = parameters.body_mass[:, None], kin.com - kin.tree_com
     turned = skew(arm)
@@ -41,7 +44,7 @@ def inverse_dynamics(
     qacc: Array,
     gravity: Array,
 ) -> Array:
-    """Generalized forces that make the tree accelerate so, shape (num_dofs,).
+    """Inverse dynamics (RNEA): generalized forces that make the tree accelerate so, shape (num_dofs,).
 
     Args:
       topology, parameters, kin: the tree and where it is.
