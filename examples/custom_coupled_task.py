@@ -71,7 +71,7 @@ def make_fling() -> Fling:
     return Fling(
         model=model,
         scene=scene,
-        rest_positions=jnp.asarray(block, jnp.float32),
+        rest_positions=block,
         noise=reset_noise((-0.005, 0.0, 0.0), (0.02, 0.0, 0.0)),
         cloud=PointCloud(num_points=32, stride=len(block) // 32),
         num_substeps=10,

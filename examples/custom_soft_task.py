@@ -62,7 +62,7 @@ def make_push_sand() -> PushSand:
         particle_volume=0.1 * 0.07 * 0.1 / len(sand),
         colliders=(
             Collider(
-                shape=Box(half_size=jnp.array([0.025, 0.06, 0.06])),  # at least a cell thick, or sand passes through
+                shape=Box(half_size=(0.025, 0.06, 0.06)),  # at least a cell thick, or sand passes through
                 friction=0.3,
             ),
         ),
@@ -71,13 +71,13 @@ def make_push_sand() -> PushSand:
     )
     return PushSand(
         scene=scene,
-        rest_positions=jnp.asarray(sand, jnp.float32),
+        rest_positions=sand,
         noise=reset_noise((0.0, 0.0, -0.05), (0.0, 0.0, 0.05)),
-        joint_start=jnp.array([0.165, 0.3]),  # it touches the sand: a tool far from it has no gradient
-        joint_lower=jnp.array([0.08, 0.15]),
-        joint_upper=jnp.array([0.5, 0.45]),
-        joint_step=jnp.array([0.01, 0.01]),
-        mark=jnp.array([0.42, FLOOR, 0.3]),
+        joint_start=(0.165, 0.3),  # it touches the sand: a tool far from it has no gradient
+        joint_lower=(0.08, 0.15),
+        joint_upper=(0.5, 0.45),
+        joint_step=(0.01, 0.01),
+        mark=(0.42, FLOOR, 0.3),
         cloud=PointCloud(num_points=64, stride=len(sand) // 64),
         num_substeps=12,
         max_steps=60,

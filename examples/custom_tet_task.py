@@ -59,7 +59,7 @@ def make_crawl() -> Crawl:
         lam=moduli.lam,
         damping=20.0,
         dt=1e-3,  # refused, with the largest stable one, if it is too long
-        ground=Ground(normal=jnp.array([0.0, 1.0, 0.0])),
+        ground=Ground(normal=(0.0, 1.0, 0.0)),
         contact=PenaltyContact(  # of each vertex: forces per metre of depth, and per metre a second
             stiffness=500.0,
             damping=1.0,
@@ -71,7 +71,7 @@ def make_crawl() -> Crawl:
     rest = mesh.vertices - mesh.vertices.min(0) + np.array([0.0, 0.005, 0.0])  # it touches: no derivative in the air
     return Crawl(
         scene=scene,
-        rest_positions=jnp.asarray(rest, jnp.float32),
+        rest_positions=rest,
         noise=reset_noise((0.0, 0.0, 0.0), (0.0, 0.01, 0.0)),
         cloud=PointCloud(num_points=len(rest)),
         num_substeps=20,
