@@ -8,6 +8,8 @@ import jax
 Array: TypeAlias = jax.Array
 Scalar: TypeAlias = jax.Array | float
 """A number: shape ()."""
+Vector: TypeAlias = Any
+"""An array in a field of a ``struct.dataclass``, whose constructor also takes tuples and NumPy arrays of numbers."""
 Key: TypeAlias = jax.Array
 """A typed PRNG key (``jax.random.key``), shape ()."""
 Observation: TypeAlias = Mapping[str, jax.Array]

@@ -19,7 +19,7 @@ from rewax.envs.task import Task, against
 from rewax.physics import rigid
 from rewax.physics.coupling import Wrench, articulated, no_wrench
 from rewax.physics.rigid import RigidModel, RigidState
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, Observation, PyTree, Vector
 
 
 @struct.dataclass
@@ -37,7 +37,7 @@ class CoupledPhysics(struct.Replaceable):
     rigid: RigidState
     soft: Soft
     touch: Wrench
-    action: Array
+    action: Vector
     task: PyTree = None
 
 
@@ -61,7 +61,7 @@ class CoupledTask(Task):
 
     model: RigidModel
     scene: Scene
-    rest_positions: Array
+    rest_positions: Vector
     noise: ResetNoise = struct.field(default_factory=no_noise)
     cloud: PointCloud
     num_substeps: int = struct.static_field()

@@ -22,7 +22,7 @@ from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid, MPMScene, WallKind
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box
-from rewax.types import Array, Key, Observation, PyTree, Scalar
+from rewax.types import Array, Key, Observation, PyTree, Scalar, Vector
 
 REFERENCE = {
     "grid": 48,
@@ -67,9 +67,9 @@ class FluidMove(SoftTask):
         container's own place and the water's middle are not (static).
     """
 
-    target_lower: Array
-    target_upper: Array
-    outer: Array
+    target_lower: Vector
+    target_upper: Vector
+    outer: Vector
     spill_width: Scalar
     distance_scale: Scalar
     relative: bool = struct.static_field(default=False)

@@ -15,7 +15,7 @@ from rewax.envs.soft_parts import box_walls, dough, lattice_box, random_box
 from rewax.envs.soft_task import SoftPhysics
 from rewax.physics import mpm
 from rewax.physics.mpm import Grid, WallKind
-from rewax.types import Array
+from rewax.types import Array, Vector
 
 REFERENCE = {
     "grid": 64,
@@ -52,8 +52,8 @@ class HandLift(HandTask):
       unit: height above it that earns 1 [m]; 1 in the reference.
     """
 
-    datum: Array
-    unit: Array
+    datum: Vector
+    unit: Vector
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
         """(h - datum) / unit, h the mean height of all particles [m]."""

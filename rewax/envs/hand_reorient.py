@@ -13,7 +13,7 @@ from rewax.envs.rigid_task import RigidPhysics, RigidTask, load_asset, uniform, 
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
 from rewax.physics.rigid import Penalty, RigidState
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, Observation, PyTree, Vector
 
 REFERENCE_CONTACT = Penalty(
     stiffness=500.0,
@@ -51,9 +51,9 @@ class HandReorient(RigidTask):
       fall_distance: between cube and goal, at which the episode ends [m].
     """
 
-    goal_position: Array
-    tolerance: Array
-    fall_distance: Array
+    goal_position: Vector
+    tolerance: Vector
+    fall_distance: Vector
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         keys = jax.random.split(key, 4)

@@ -16,7 +16,7 @@ from rewax.envs.rigid_task import RigidPhysics, RigidTask, load_asset, random_tu
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_to_matrix
 from rewax.physics.rigid import Penalty, RigidState
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, Observation, PyTree, Vector
 
 _WEIGHTS = {
     "velocity": 2.0,
@@ -45,11 +45,11 @@ class Quadruped(RigidTask):
       fallen_height, fallen_upright: height of the trunk [m] and cosine of its tilt, below which the episode ends.
     """
 
-    stance: Array
-    reach: Array
-    command: Array
-    fallen_height: Array
-    fallen_upright: Array
+    stance: Vector
+    reach: Vector
+    command: Vector
+    fallen_height: Vector
+    fallen_upright: Vector
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         turn_key, joint_key, velocity_key = jax.random.split(key, 3)

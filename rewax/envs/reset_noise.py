@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.types import Array, Key, Scalar
+from rewax.types import Array, Key, Scalar, Vector
 
 
 @struct.dataclass
@@ -16,8 +16,8 @@ class ResetNoise(struct.Replaceable):
       stretch: coordinates are multiplied by a number within 1 - stretch and 1 + stretch [-].
     """
 
-    shift_lower: Array
-    shift_upper: Array
+    shift_lower: Vector
+    shift_upper: Vector
     stretch: Scalar
 
     def apply(self, positions: Array, shift_key: Key, stretch_key: Key) -> Array:

@@ -15,7 +15,7 @@ from rewax import struct
 from rewax.envs.task import Task, against
 from rewax.physics import rigid
 from rewax.physics.rigid import RigidModel, RigidState
-from rewax.types import Array, Key, PyTree
+from rewax.types import Array, Key, PyTree, Vector
 
 ASSETS = Path(__file__).parent / "assets"
 """MJCF of the tasks that come with rewax."""
@@ -32,7 +32,7 @@ class RigidPhysics(struct.Replaceable):
     """
 
     rigid: RigidState
-    action: Array
+    action: Vector
     task: PyTree = None
 
 

@@ -18,7 +18,7 @@ from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Capsule
-from rewax.types import Array, Observation
+from rewax.types import Array, Observation, Vector
 
 _Y_TO_Z = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """Turns a capsule, whose axis is y, so that it lies along z."""
@@ -37,9 +37,9 @@ class RollingFlat(SoftTask):
       observe_velocity: whether the pin's last motion is observed as joint_qd (static).
     """
 
-    pin_pivot: Array
-    height_scale: Array
-    height_origin: Array
+    pin_pivot: Vector
+    height_scale: Vector
+    height_origin: Vector
     observe_velocity: bool = struct.static_field(default=False)
 
     def poses(self, joint_q: Array) -> Pose:

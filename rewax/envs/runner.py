@@ -9,7 +9,7 @@ from rewax.envs.rigid_task import RigidPhysics, RigidTask, random_turn, uniform,
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
 from rewax.physics.rigid import RigidState
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, Observation, PyTree, Vector
 
 _FORWARD, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 """Axes of the torso, whose model is written z up."""
@@ -30,10 +30,10 @@ class Runner(RigidTask):
       target: where to run [m], shape (3,).
     """
 
-    start_height: Array
-    start_joints: Array
-    fallen_height: Array
-    target: Array
+    start_height: Vector
+    start_joints: Vector
+    fallen_height: Vector
+    target: Vector
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         """The model's pose, with noise: place 0.1 m, turn 7.5 degrees, joints 0.2 rad, velocities 0.25."""

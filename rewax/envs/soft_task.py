@@ -20,7 +20,7 @@ from rewax.physics.contact import drawings
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import TetScene, TetState
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, Observation, PyTree, Vector
 
 Scene: TypeAlias = MPMScene | TetScene
 Soft: TypeAlias = MPMState | TetState
@@ -39,9 +39,9 @@ class SoftPhysics(struct.Replaceable):
     """
 
     soft: Soft
-    joint_q: Array
-    joint_qd: Array
-    action: Array
+    joint_q: Vector
+    joint_qd: Vector
+    action: Vector
     task: PyTree = None
 
 
@@ -68,12 +68,12 @@ class SoftTask(Task):
     """
 
     scene: Scene
-    rest_positions: Array
+    rest_positions: Vector
     noise: ResetNoise = struct.field(default_factory=no_noise)
-    joint_start: Array = struct.field(default_factory=lambda: jnp.zeros(0))
-    joint_lower: Array = struct.field(default_factory=lambda: jnp.zeros(0))
-    joint_upper: Array = struct.field(default_factory=lambda: jnp.zeros(0))
-    joint_step: Array = struct.field(default_factory=lambda: jnp.zeros(0))
+    joint_start: Vector = struct.field(default_factory=lambda: jnp.zeros(0))
+    joint_lower: Vector = struct.field(default_factory=lambda: jnp.zeros(0))
+    joint_upper: Vector = struct.field(default_factory=lambda: jnp.zeros(0))
+    joint_step: Vector = struct.field(default_factory=lambda: jnp.zeros(0))
     cloud: PointCloud
     num_substeps: int = struct.static_field()
     max_steps: int = struct.static_field()

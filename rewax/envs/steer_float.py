@@ -21,7 +21,7 @@ from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid, Material, NeoHookean, WallKind
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box
-from rewax.types import Array, Key, Observation, PyTree, Scalar
+from rewax.types import Array, Key, Observation, PyTree, Scalar, Vector
 
 BASIN = ((0.05, 0.45), (0.075, 0.3), (0.05, 0.35))
 """Where its sides, floor and open top are, along x, y and z [m]."""
@@ -48,8 +48,8 @@ class SteerFloat(SoftTask):
       float_count: particles of the float (static).
     """
 
-    mark_lower: Array
-    mark_upper: Array
+    mark_lower: Vector
+    mark_upper: Vector
     unit: Scalar
     float_count: int = struct.static_field()
 

@@ -8,7 +8,7 @@ from rewax import struct
 from rewax.envs.rigid_task import RigidPhysics, RigidTask, load_asset, uniform
 from rewax.physics import rigid
 from rewax.physics.rigid import Penalty, RigidState
-from rewax.types import Array, Key, Observation, PyTree
+from rewax.types import Array, Key, Observation, PyTree, Vector
 
 
 @struct.dataclass
@@ -23,7 +23,7 @@ class Hopper(RigidTask):
       fallen_height: below which the episode ends [m].
     """
 
-    fallen_height: Array
+    fallen_height: Vector
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         place_key, velocity_key = jax.random.split(key)

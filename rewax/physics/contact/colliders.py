@@ -21,7 +21,7 @@ from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.shapes.primitives import Shape, has_edges, signed_distance_components
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 T = TypeVar("T")
 
@@ -47,8 +47,10 @@ class Collider(struct.Replaceable):
     """
 
     shape: Shape
-    offset: Array = struct.number(FINITE, "give a position in metres", shape=(3,), default_factory=lambda: jnp.zeros(3))
-    rotation: Array = struct.number(FINITE, "give a rotation matrix", shape=(3, 3), default_factory=lambda: jnp.eye(3))
+    offset: Vector = struct.number(
+        FINITE, "give a position in metres", shape=(3,), default_factory=lambda: jnp.zeros(3)
+    )
+    rotation: Vector = struct.number(FINITE, "give a rotation matrix", shape=(3, 3), default_factory=lambda: jnp.eye(3))
     friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none")
     softness: Scalar | None = struct.number(
         POSITIVE, "give a decay per metre, or None for a reach of one cell", default=None

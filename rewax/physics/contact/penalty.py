@@ -12,7 +12,7 @@ from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.primitives import signed_distance_components
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 
 @struct.dataclass
@@ -49,7 +49,7 @@ class Ground(struct.Replaceable):
       height: distance of its surface from the origin along the normal [m].
     """
 
-    normal: Array = struct.number(FINITE, "give a unit vector, (0, 1, 0) for y up")
+    normal: Vector = struct.number(FINITE, "give a unit vector, (0, 1, 0) for y up")
     height: Scalar = struct.number(FINITE, "give a distance in metres", default=0.0)
 
 

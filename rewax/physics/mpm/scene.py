@@ -36,7 +36,7 @@ from rewax.physics.numerics.checks import (
 )
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes.primitives import signed_distance
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 STABLE_COURANT_NUMBER = 0.5
 """Largest tested-stable ratio of substep to the time sound takes through a cell; see ``largest_stable_dt``."""
@@ -88,7 +88,7 @@ class MPMScene(struct.Replaceable):
     dt: float = struct.static_field()
     material: Material | tuple[Material, ...]
     particle_volume: Scalar = struct.number(POSITIVE, VOLUME)
-    gravity: Array = struct.number(FINITE, GRAVITY, shape=(3,))
+    gravity: Vector = struct.number(FINITE, GRAVITY, shape=(3,))
     particle_counts: tuple[int, ...] | None = struct.static_field(default=None)
     colliders: tuple[Collider, ...] = ()
     walls: Walls = Walls(lower=(None, None, None), upper=(None, None, None))

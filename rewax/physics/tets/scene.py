@@ -33,7 +33,7 @@ from rewax.physics.tets.scene_checks import (
     material_numbers,
 )
 from rewax.physics.tets.tetmesh import TetMesh, check_tetmesh
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 STABLE_FRACTION = 0.8
 """Of the bound that ``largest_stable_dt`` derives; see there."""
@@ -86,7 +86,7 @@ class TetScene(struct.Replaceable):
     lam: Scalar
     damping: Scalar | None = None
     activation: Scalar = 0.0
-    gravity: Array = struct.number(FINITE, GRAVITY, shape=(3,))
+    gravity: Vector = struct.number(FINITE, GRAVITY, shape=(3,))
     mobility: Array | None = None
     contact: PenaltyContact | None = None
     ground: Ground | None = None

@@ -7,7 +7,7 @@ from rewax.physics.mpm.laws.base import ActiveStress, Viscosity
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE
 from rewax.physics.numerics.components import Mat3
-from rewax.types import Array, Scalar
+from rewax.types import Scalar, Vector
 
 
 @struct.dataclass
@@ -38,7 +38,7 @@ class Muscle(ActiveStress):
       activation: active stress [Pa], positive pulls together.
     """
 
-    fibre: Array = struct.number(FINITE, "give unit vectors along the fibres", vector=True)
+    fibre: Vector = struct.number(FINITE, "give unit vectors along the fibres", vector=True)
     activation: Scalar = struct.number(FINITE, "give an active stress in Pa")
 
     def stress(self, F: Mat3) -> Mat3:
