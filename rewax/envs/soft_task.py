@@ -222,7 +222,8 @@ def soft_at_rest(scene: Scene, positions: Array) -> Soft:
     """The state of undeformed particles, or of vertices, that do not move [m]."""
     if isinstance(scene, TetScene):
         return tets.initial_state(positions)
-    return mpm.initial_state(positions, scene)
+    materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
+    return mpm.initial_state(positions, scene if any(m.initial_memory for m in materials) else None)
 
 
 def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:
