@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from rewax.physics.shapes import primitives as sdf
+from rewax.physics import shapes as sdf
 
 NUM = 64
 R, H, HALF = 0.4, 0.7, np.array([0.3, 0.5, 0.8])

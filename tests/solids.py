@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.shapes import primitives as sdf
+from rewax.physics import shapes as sdf
 
 NODES = np.indices((25, 25, 25)) * 0.05 - 0.6
 SHAPES = {

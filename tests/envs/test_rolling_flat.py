@@ -14,7 +14,7 @@ from rewax.envs.soft_task import SoftPhysics
 from rewax.physics import mpm
 from rewax.physics.mpm.materials import Elasticity, Plasticity
 from rewax.physics.mpm.walls import WallKind
-from rewax.physics.shapes.primitives import Capsule
+from rewax.physics.shapes import Capsule
 from rewax.status import Status
 
 PAPER, SMALL = paper(), small()

@@ -5,17 +5,17 @@ import functools
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.shapes.sampled import HeightField, SampledDistance
+from rewax.types import Array, Scalar
 
-_MAX_NODES = 64
+MAX_NODES = 64
 """Along an axis of the grid; finer grids are drawn from every second node, every third, ..."""
 
 
-def sampled_surface(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray] | None:
-    """The surface of a sampled distance (marching cubes, Lorensen and Cline 1987), made once for equal shapes.
+def sampled_surface(values: Array, origin: Array, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
+    """The surface of a sampled distance (marching cubes, Lorensen and Cline 1987), made once for equal numbers.
 
     Args:
-      shape: a solid whose numbers are known, not traced.
+      values, origin, spacing: those of a ``SampledDistance``.
 
     Returns:
       Vertices in the shape's frame [m], float32 of shape (num_vertices, 3), and triangles, indices of shape
@@ -24,18 +24,17 @@ def sampled_surface(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray] | N
 
     Gradient: none.
     """
-    if any(isinstance(number, Tracer) for number in (shape.values, shape.origin, shape.spacing)):
+    if any(isinstance(number, Tracer) for number in (values, origin, spacing)):
         return None
-    coarse, step = _coarse(np.asarray(shape.values, np.float32))
-    origin = np.asarray(shape.origin, np.float64)
-    return _surface(coarse.tobytes(), coarse.shape, origin.tobytes(), step * float(shape.spacing))
+    coarse, step = _coarse(np.asarray(values, np.float32))
+    return _surface(coarse.tobytes(), coarse.shape, np.asarray(origin, np.float64).tobytes(), step * float(spacing))
 
 
-def height_surface(shape: HeightField) -> tuple[np.ndarray, np.ndarray] | None:
-    """The surface of a height field over its grid, made once for equal shapes.
+def height_surface(heights: Array, origin: Array, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
+    """The surface of a height field over its grid, made once for equal numbers.
 
     Args:
-      shape: ground whose numbers are known, not traced.
+      heights, origin, spacing: those of a ``HeightField``.
 
     Returns:
       Vertices in the shape's frame [m], float32 of shape (num_nodes, 3), and triangles, indices of shape
@@ -43,16 +42,15 @@ def height_surface(shape: HeightField) -> tuple[np.ndarray, np.ndarray] | None:
 
     Gradient: none.
     """
-    if any(isinstance(number, Tracer) for number in (shape.heights, shape.origin, shape.spacing)):
+    if any(isinstance(number, Tracer) for number in (heights, origin, spacing)):
         return None
-    coarse, step = _coarse(np.asarray(shape.heights, np.float32))
-    origin = np.asarray(shape.origin, np.float64)
-    return _ground(coarse.tobytes(), coarse.shape, origin.tobytes(), step * float(shape.spacing))
+    coarse, step = _coarse(np.asarray(heights, np.float32))
+    return _ground(coarse.tobytes(), coarse.shape, np.asarray(origin, np.float64).tobytes(), step * float(spacing))
 
 
 def _coarse(values: np.ndarray) -> tuple[np.ndarray, int]:
     """Values at few enough nodes, and the step between them."""
-    step = -(-(max(values.shape) - 1) // (_MAX_NODES - 1))
+    step = -(-(max(values.shape) - 1) // (MAX_NODES - 1))
     # Where the steps do not end at the last node, its value stands for the one beyond.
     nodes = (np.minimum(np.arange(0, n - 1 + step, step), n - 1) for n in values.shape)
     return np.ascontiguousarray(values[np.ix_(*nodes)]), step

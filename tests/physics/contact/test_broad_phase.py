@@ -14,7 +14,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere
+from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere
 from rewax.physics.shapes.sampling import fill, fill_box
 from rewax.status import Status
 

@@ -9,9 +9,18 @@ import pytest
 
 from rewax.physics.contact import Collider, drawings
 from rewax.physics.numerics import Pose
-from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, SampledDistance, Sphere
+from rewax.physics.shapes import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Plane,
+    SampledDistance,
+    Sphere,
+    signed_distance,
+)
 from rewax.physics.shapes import sampled_surface as surfaces
-from rewax.physics.shapes.primitives import signed_distance
 from rewax.viz.shapes import check_drawing, support
 
 QUARTER = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rewax.physics.coupling import free_body
-from rewax.physics.shapes.primitives import Box, Capsule, Cylinder, Sphere, signed_distance
+from rewax.physics.shapes import Box, Capsule, Cylinder, Sphere, signed_distance
 from rewax.physics.shapes.sampling import fill_box
 
 BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))

@@ -12,7 +12,7 @@ from rewax.physics.mpm.laws import FLUIDS, MAX_HARDENING
 from rewax.physics.mpm.materials import Elasticity, Material, Plasticity, sound_speed
 from rewax.physics.mpm.scene import STABLE_DIFFUSION_NUMBER, per_material
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Sphere
+from rewax.physics.shapes import Sphere
 
 
 @pytest.mark.parametrize("elasticity", [e for e in Elasticity if e not in FLUIDS])

@@ -9,10 +9,10 @@ from hypothesis import strategies as hs
 from shape_cases import ALL, HALF, NUM, SAMPLED, SHAPES, TERRAIN, H, R, derivatives, evaluate, points
 
 from rewax.lowering.recompute import recomputed
+from rewax.physics import shapes as sdf
 from rewax.physics.contact.colliders import Collider, apply_collider
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes import primitives as sdf
 
 
 def radial(p):

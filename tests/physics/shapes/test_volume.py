@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import FURTHER, SHAPES, distance
 
-from rewax.physics.shapes import primitives as sdf
+from rewax.physics import shapes as sdf
 from rewax.physics.shapes.sampling import volume
 from rewax.physics.shapes.volume import bounding_box
 
