@@ -8,17 +8,18 @@ from rewax.physics import shapes as sdf
 NUM = 64
 R, H, HALF = 0.4, 0.7, np.array([0.3, 0.5, 0.8])
 RNG = np.random.default_rng(7)
-SHAPES = {
-    "sphere": sdf.Sphere(radius=R),
-    "capsule": sdf.Capsule(radius=R, half_length=H),
-    "box": sdf.Box(half_size=HALF),
-    "cylinder": sdf.Cylinder(radius=R, half_length=H),
-    "cone": sdf.Cone(radius=R, half_length=H),
-    "plane": sdf.Plane(),
-}
-SAMPLED = sdf.SampledDistance(values=RNG.normal(size=(4, 3, 5)), origin=np.array([-0.6, -0.5, -0.7]), spacing=0.45)
-TERRAIN = sdf.HeightField(heights=RNG.normal(size=(5, 4)), origin=np.array([-0.8, -0.5]), spacing=0.4)
-ELLIPSOID = sdf.Ellipsoid(semi_axes=HALF)
+with jax.enable_x64(True):  # numbers become arrays when a shape is built, of the type that is then the default
+    SHAPES = {
+        "sphere": sdf.Sphere(radius=R),
+        "capsule": sdf.Capsule(radius=R, half_length=H),
+        "box": sdf.Box(half_size=HALF),
+        "cylinder": sdf.Cylinder(radius=R, half_length=H),
+        "cone": sdf.Cone(radius=R, half_length=H),
+        "plane": sdf.Plane(),
+    }
+    SAMPLED = sdf.SampledDistance(values=RNG.normal(size=(4, 3, 5)), origin=np.array([-0.6, -0.5, -0.7]), spacing=0.45)
+    TERRAIN = sdf.HeightField(heights=RNG.normal(size=(5, 4)), origin=np.array([-0.8, -0.5]), spacing=0.4)
+    ELLIPSOID = sdf.Ellipsoid(semi_axes=HALF)
 ALL = SHAPES | {"ellipsoid": ELLIPSOID, "sampled": SAMPLED, "terrain": TERRAIN}
 evaluate = jax.jit(sdf.signed_distance)
 

@@ -1,7 +1,5 @@
 """Shapes with flat faces: boxes and half-spaces."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 
 from rewax import struct
@@ -17,7 +15,7 @@ class Box(Shape):
     """A box around the origin. ``half_size``: half its edges along x, y, z [m], shape (3,)."""
 
     half_size: Array = struct.number(POSITIVE, "give three lengths in metres", shape=(3,))
-    fills_its_box: ClassVar[bool] = True
+    fills_its_box = True
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact. Inside, the normal is that of the nearest face; at edges and corners it is one side's."""
@@ -63,7 +61,7 @@ class Box(Shape):
 class Plane(Shape):
     """The half-space y < 0; its surface is y = 0 and its normal (0, 1, 0). It has no bounds and is not drawn."""
 
-    has_edges: ClassVar[bool] = False
+    has_edges = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact."""

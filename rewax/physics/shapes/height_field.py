@@ -1,7 +1,5 @@
 """Terrain, given by its height at the nodes of a grid."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 
 from rewax import struct
@@ -31,7 +29,7 @@ class HeightField(Shape):
     heights: Array = struct.number(FINITE, "give heights in metres")
     origin: Array = struct.number(FINITE, "give x and z in metres", shape=(2,))
     spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
-    is_exact: ClassVar[bool] = False
+    is_exact = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Height above the surface times the normal's y component, and the surface's normal below or above the point.

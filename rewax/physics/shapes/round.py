@@ -1,7 +1,6 @@
 """Balls and capsules: all points within a radius of a point or of a segment."""
 
 import math
-from typing import ClassVar
 
 import jax.numpy as jnp
 
@@ -19,7 +18,7 @@ class Sphere(Shape):
     """A ball around the origin. ``radius`` [m]."""
 
     radius: Scalar = struct.number(POSITIVE, "give a length in metres")
-    has_edges: ClassVar[bool] = False
+    has_edges = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact. At the centre normal and gradient are zero."""
@@ -53,7 +52,7 @@ class Capsule(Shape):
 
     radius: Scalar = struct.number(POSITIVE, "give a length in metres")
     half_length: Scalar = struct.number(NOT_NEGATIVE, "give a length in metres")
-    has_edges: ClassVar[bool] = False
+    has_edges = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact. On the axis normal and gradient are zero."""

@@ -1,7 +1,5 @@
 """Solids of any form, given by their distance at the nodes of a grid."""
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 import numpy as np
 
@@ -35,7 +33,7 @@ class SampledDistance(Shape):
     values: Array = struct.number(FINITE, "give distances in metres")
     origin: Array = struct.number(FINITE, "give a position in metres", shape=(3,))
     spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
-    is_exact: ClassVar[bool] = False
+    is_exact = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """The interpolant, and its gradient made unit length; where it is flat the normal is zero.
