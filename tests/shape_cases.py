@@ -1,5 +1,7 @@
 """One shape of each kind, points around it, and its distance with derivatives, compiled once."""
 
+from collections.abc import Callable
+
 import jax
 import numpy as np
 
@@ -28,6 +30,19 @@ def points(seed: int) -> np.ndarray:
     p = np.random.default_rng(seed).uniform(-1.2, 1.2, (NUM, 3))
     p[: NUM // 4] *= 0.2
     return p
+
+
+def assert_nearest(shape, seed: int, project: Callable, depth: Callable) -> None:
+    """Distances and normals of a shape are those that its projection and depth inside say."""
+    p = points(seed)
+    distance, normal = (np.asarray(a) for a in evaluate(shape, p))
+    outside = np.linalg.norm(p - project(p), axis=1)
+    is_out = outside > 0
+    assert is_out.any() and not is_out.all()
+    np.testing.assert_allclose(distance[is_out], outside[is_out], rtol=1e-12)
+    np.testing.assert_allclose(distance[~is_out], -depth(p[~is_out]), rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose((p - distance[:, None] * normal)[is_out], project(p)[is_out], atol=1e-12)
 
 
 @jax.jit

@@ -25,8 +25,8 @@ def check_shape(
     normal is the unit gradient of the distance and points out; the distance changes by one per metre, and point minus
     distance times normal lies on the surface (where ``is_exact`` is False: near the surface the distance changes by at
     most one). Derivatives are those of finite differences, finite everywhere, also at the centre, on axes and at
-    corners; each size has one. The bounding box and radius hold the solid, the box tightly; volume and inertia are those
-    of random points; pictures have the extents of the box. ``jit``, ``vmap`` and C++ give the same numbers.
+    corners; each size has one. The bounding box and radius hold the solid, the box tightly; volume and inertia are
+    those of random points; pictures have the extents of the box. ``jit``, ``vmap`` and C++ give the same numbers.
 
     Args:
       shape: with known sizes.

@@ -11,6 +11,7 @@ from rewax.physics.shapes import Shape, signed_distance
 from rewax.physics.shapes.base import require_shape
 from rewax.physics.shapes.sizes import size_numbers
 from rewax.testing.shape_points import Sample, at
+from rewax.testing.traced import named
 from rewax.types import Array
 
 _STEP = 1e-6
@@ -22,26 +23,32 @@ _KINKS = "use jnp.where, and safe_sqrt, safe_rsqrt and unit of rewax.physics.num
 
 def check_protocol(shape: Any) -> None:
     """A decorated ``Shape`` whose sizes are declared and legal, and whose distance has the form that is asked for."""
+    kind = type(shape).__name__
     try:
         require_shape(shape)
-        check_numbers(size_numbers(shape, type(shape).__name__))
+        check_numbers(size_numbers(shape, kind))
+        shape.distance((jnp.ones(5), jnp.ones(5), jnp.ones(5)))
     except ValueError as error:
         raise AssertionError(str(error)) from error
     declared = {number.name for number in size_numbers(shape, "")}
     for path, _ in jax.tree.leaves_with_path(shape):
         name = jax.tree_util.keystr(path)
         assert name in declared, (
-            f"{type(shape).__name__}{name} does not say what it may be: declare it with struct.number(POSITIVE, "
+            f"{kind}{name} does not say what it may be: declare it with struct.number(POSITIVE, "
             '"give a length in metres") or another range of rewax.physics.numerics.checks'
         )
+    named(f"distance of {kind}", jax.eval_shape, signed_distance, shape, jnp.ones((5, 3)))
+    named(f"bounding_radius of {kind}", jax.eval_shape, lambda shape: shape.bounding_radius(), shape)
+    if shape.is_bounded:
+        named(f"volume of {kind}", jax.eval_shape, lambda shape: shape.volume(), shape)
     for form in ((5,), (2, 3), ()):
         p = (jnp.zeros(form), jnp.ones(form), jnp.ones(form))
         found = shape.distance(p)
         legal = isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and len(found[1]) == 3
-        assert legal, f"distance of {type(shape).__name__} returns {found!r}: return distance, (normal_x, y, z)"
+        assert legal, f"distance of {kind} returns {found!r}: return distance, (normal_x, y, z)"
         shapes = [jnp.shape(a) for a in (found[0], *found[1])]
         assert all(s == form for s in shapes), (
-            f"distance of {type(shape).__name__} returns arrays of shapes {shapes} for points of shape {form}: compute "
+            f"distance of {kind} returns arrays of shapes {shapes} for points of shape {form}: compute "
             "with the components p[0], p[1], p[2] alone, and give constants their shape with jnp.zeros_like(p[0])"
         )
 
@@ -88,8 +95,8 @@ def check_normals(sample: Sample, tolerance: float) -> None:
     off = _OFF if exact else tolerance
     along = np.sum(n * gradient, axis=1) / np.maximum(slope, 1e-30)
     assert np.mean(along < 0) < 0.5, (
-        f"the normal at {at(points[along < 0][0])} points to the inside: give it the other sign, the direction in which "
-        "the distance grows"
+        f"the normal at {at(points[along < 0][0])} points to the inside: give it the direction in which the distance "
+        "grows"
     )
     wrong = np.linalg.norm(n - gradient / np.maximum(slope, 1e-30)[:, None], axis=1) > off
     assert not wrong.any(), (
@@ -111,9 +118,8 @@ def _check_feet(sample: Sample) -> None:
     left = np.abs(sample.distance(sample.random - d[:, None] * n)[0])
     wrong = left > 1e-5 * sample.size
     assert not wrong.any(), (
-        f"the point {at(sample.random[wrong][0])} is said to be {d[wrong][0]:.4g} m from the surface, but the point that "
-        f"far along its normal is {left[wrong][0]:.4g} m away from it: give the distance to the nearest point, or set "
-        "is_exact = False"
+        f"{at(sample.random[wrong][0])} is said to be {d[wrong][0]:.4g} m from the surface, but that far along its "
+        f"normal the distance is still {left[wrong][0]:.4g} m: give that to the nearest point, or set is_exact = False"
     )
 
 

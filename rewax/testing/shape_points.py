@@ -77,7 +77,7 @@ class Sample:
     def _surface(self) -> np.ndarray:
         """Points pulled onto the surface: in one step where the distance is exact."""
         points = self.random
-        for _ in range(1 if self.shape.is_exact else 8):
+        for _ in range(1 if self.shape.is_exact else 20):
             d, n = self.distance(points)
             points = points - d[:, None] * n
         on_it = np.abs(self.distance(points)[0]) <= 1e-6 * self.size

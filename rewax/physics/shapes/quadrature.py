@@ -39,11 +39,15 @@ def fractions_inside(shape: Solid) -> tuple[Array, Array, Array]:
     Gradient: exact for what is returned, with respect to the shape's sizes.
     """
     lower, upper = (jnp.asarray(corner) for corner in shape.bounding_box())
-    dtype = jnp.result_type(lower, upper, float)
-    steps = jnp.arange(NUM_CELLS + 1, dtype=dtype) / NUM_CELLS
+    return _fractions(shape, lower, upper), lower, upper
+
+
+@jax.jit
+def _fractions(shape: Solid, lower: Array, upper: Array) -> Array:
+    steps = jnp.arange(NUM_CELLS + 1, dtype=jnp.result_type(lower, upper, float)) / NUM_CELLS
     x, y, z = jnp.meshgrid(*((lower + steps[:, None] * (upper - lower)).T), indexing="ij")
     values, _ = shape.distance((x.reshape(-1), y.reshape(-1), z.reshape(-1)))
-    return jnp.sum(fractions_below_zero(values.reshape(x.shape)), axis=0) / 6.0, lower, upper
+    return jnp.sum(fractions_below_zero(values.reshape(x.shape)), axis=0) / 6.0
 
 
 def volume(fractions: Array, lower: Array, upper: Array) -> Array:

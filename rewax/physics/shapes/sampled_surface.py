@@ -1,6 +1,9 @@
 """Surfaces of sampled distances and of height fields as triangles, for pictures."""
 
 import functools
+import warnings
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jax.core import Tracer
@@ -71,15 +74,29 @@ def _ground(heights: bytes, shape: tuple[int, int], origin: bytes, spacing: floa
 def _surface(
     values: bytes, shape: tuple[int, ...], origin: bytes, spacing: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    try:
-        from skimage.measure import marching_cubes
-    except ImportError:
+    marching_cubes = _marching_cubes()
+    if marching_cubes is None:
         return None
     distance, margin = _closed(np.frombuffer(values, np.float32).reshape(shape).copy(), spacing)
     if not distance.min() < 0.0 < distance.max():
         return None
     vertices, triangles, _, _ = marching_cubes(distance, 0.0, spacing=(spacing,) * 3, allow_degenerate=False)
     return (vertices - margin * spacing + np.frombuffer(origin)).astype(np.float32), triangles
+
+
+@functools.cache
+def _marching_cubes() -> Callable[..., Any] | None:
+    """scikit-image's, or None, with one warning."""
+    try:
+        from skimage.measure import marching_cubes
+    except ImportError:
+        warnings.warn(
+            "shapes given by their distance alone are left out of pictures: they need scikit-image, "
+            "pip install 'rewax[surfaces]'",
+            stacklevel=2,
+        )
+        return None
+    return marching_cubes
 
 
 def _closed(distance: np.ndarray, spacing: float) -> tuple[np.ndarray, int]:

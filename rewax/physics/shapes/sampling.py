@@ -176,7 +176,7 @@ def _distance(shape: Shape) -> Distance:
 
     def distance(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         distances, normals = [np.zeros(0)], [np.zeros((0, 3))]
-        with jax.enable_x64(True):
+        with jax.enable_x64(True), jax.ensure_compile_time_eval():
             for start in range(0, len(points), CHUNK):
                 part = points[start : start + CHUNK]
                 d, n = _signed_distance(shape, np.pad(part, ((0, CHUNK - len(part)), (0, 0))))

@@ -18,6 +18,7 @@ from rewax.physics.shapes import (
     Plane,
     SampledDistance,
     Sphere,
+    distance_surface,
     signed_distance,
 )
 from rewax.physics.shapes import sampled_surface as surfaces
@@ -46,9 +47,14 @@ def baked(shape, spacing=0.02, half=0.4):
 
 @pytest.fixture
 def skimage():
-    surfaces._surface.cache_clear()
+    forget()
     yield pytest.importorskip("skimage")
-    surfaces._surface.cache_clear()
+    forget()
+
+
+def forget():
+    for memory in (surfaces._surface, surfaces._marching_cubes, distance_surface._surface):
+        memory.cache_clear()
 
 
 def test_outermost_points_of_drawings_lie_on_the_colliders_surfaces():
@@ -104,4 +110,7 @@ def test_shapes_without_a_drawing_are_left_out(skimage, monkeypatch):
     counts = []
     jax.eval_shape(lambda collider: counts.append(len(drawings([collider], BODIES))), sampled)  # its numbers are traced
     monkeypatch.setitem(sys.modules, "skimage.measure", None)
-    assert counts == [0] and drawings([sampled], BODIES) == []
+    with pytest.warns(
+        UserWarning, match=r"left out of pictures: they need scikit-image, pip install 'rewax\[surfaces\]'"
+    ):
+        assert counts == [0] and drawings([sampled], BODIES) == []
