@@ -16,7 +16,7 @@ def check_shape(
     *,
     key: Key | None = None,
     region: tuple[Sequence[float], Sequence[float]] | None = None,
-    tolerance: float = 0.05,
+    tolerance: float = 0.1,
     notify: Callable[[str], None] | None = print,
 ) -> None:
     """Check a shape against the protocol of ``rewax.physics.shapes.Shape``.

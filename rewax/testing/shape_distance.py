@@ -37,10 +37,6 @@ def check_protocol(shape: Any) -> None:
             f"{kind}{name} does not say what it may be: declare it with struct.number(POSITIVE, "
             '"give a length in metres") or another range of rewax.physics.numerics.checks'
         )
-    named(f"distance of {kind}", jax.eval_shape, signed_distance, shape, jnp.ones((5, 3)))
-    named(f"bounding_radius of {kind}", jax.eval_shape, lambda shape: shape.bounding_radius(), shape)
-    if shape.is_bounded:
-        named(f"volume of {kind}", jax.eval_shape, lambda shape: shape.volume(), shape)
     for form in ((5,), (2, 3), ()):
         p = (jnp.zeros(form), jnp.ones(form), jnp.ones(form))
         found = shape.distance(p)
@@ -51,6 +47,10 @@ def check_protocol(shape: Any) -> None:
             f"distance of {kind} returns arrays of shapes {shapes} for points of shape {form}: compute "
             "with the components p[0], p[1], p[2] alone, and give constants their shape with jnp.zeros_like(p[0])"
         )
+    named(f"distance of {kind}", jax.eval_shape, signed_distance, shape, jnp.ones((5, 3)))
+    named(f"bounding_radius of {kind}", jax.eval_shape, lambda shape: shape.bounding_radius(), shape)
+    if shape.is_bounded:
+        named(f"volume of {kind}", jax.eval_shape, lambda shape: shape.volume(), shape)
 
 
 def check_values(sample: Sample) -> None:
@@ -80,16 +80,17 @@ def check_normals(sample: Sample, tolerance: float) -> None:
     """The normal is the gradient of the distance, which is one per metre."""
     exact = sample.shape.is_exact
     points = sample.random
-    if not exact:
-        nudge = 1e-4 * sample.size * sample.rng.uniform(-1.0, 1.0, (len(sample.surface), 3))
-        points = sample.surface + nudge
-    _, n = sample.distance(points)
     gradient, is_smooth = _gradient(sample, points)
     share = is_smooth.mean()
     assert share > 0.9, (
         f"the distance jumps at {1 - share:.0%} of random points, at {at(points[~is_smooth][0])} for one: let it be "
         "continuous"
     )
+    if not exact:
+        nudge = 1e-4 * sample.size * sample.rng.uniform(-1.0, 1.0, (len(sample.surface), 3))
+        points = sample.surface + nudge
+        gradient, is_smooth = _gradient(sample, points)
+    _, n = sample.distance(points)
     points, n, gradient = points[is_smooth], n[is_smooth], gradient[is_smooth]
     slope = np.linalg.norm(gradient, axis=1)
     off = _OFF if exact else tolerance
