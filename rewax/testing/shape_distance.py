@@ -27,7 +27,7 @@ def check_protocol(shape: Any) -> None:
     try:
         require_shape(shape)
         check_numbers(size_numbers(shape, kind))
-        shape.distance((jnp.ones(5), jnp.ones(5), jnp.ones(5)))
+        jax.eval_shape(lambda: shape.distance((jnp.ones(5),) * 3))
     except ValueError as error:
         raise AssertionError(str(error)) from error
     declared = {number.name for number in size_numbers(shape, "")}
@@ -38,8 +38,8 @@ def check_protocol(shape: Any) -> None:
             '"give a length in metres") or another range of rewax.physics.numerics.checks'
         )
     for form in ((5,), (2, 3), ()):
-        p = (jnp.zeros(form), jnp.ones(form), jnp.ones(form))
-        found = shape.distance(p)
+        p = (jnp.ones(form),) * 3
+        found = named(f"distance of {kind}", jax.eval_shape, lambda shape, p: shape.distance(p), shape, p)
         legal = isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], tuple) and len(found[1]) == 3
         assert legal, f"distance of {kind} returns {found!r}: return distance, (normal_x, y, z)"
         shapes = [jnp.shape(a) for a in (found[0], *found[1])]
@@ -47,7 +47,6 @@ def check_protocol(shape: Any) -> None:
             f"distance of {kind} returns arrays of shapes {shapes} for points of shape {form}: compute "
             "with the components p[0], p[1], p[2] alone, and give constants their shape with jnp.zeros_like(p[0])"
         )
-    named(f"distance of {kind}", jax.eval_shape, signed_distance, shape, jnp.ones((5, 3)))
     named(f"bounding_radius of {kind}", jax.eval_shape, lambda shape: shape.bounding_radius(), shape)
     if shape.is_bounded:
         named(f"volume of {kind}", jax.eval_shape, lambda shape: shape.volume(), shape)

@@ -13,6 +13,8 @@ from rewax.physics.shapes import Shape, bounding_box, signed_distance
 from rewax.types import Key
 
 NUM = 1024
+_CHUNK = 4096
+"""Points that are evaluated at once, always as many: each operation is compiled once."""
 
 
 class Sample:
@@ -45,10 +47,15 @@ class Sample:
 
     def distance(self, points: np.ndarray, shape: Shape | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (num,) and normal (num, 3), in float64."""
+        found = []
         with jax.enable_x64(True):
-            # Not compiled: fused copies of one comparison may round differently at edges.
-            d, n = signed_distance(self.exact if shape is None else shape, jnp.asarray(points))
-            return np.asarray(d), np.asarray(n)
+            for first in range(0, len(points), _CHUNK):
+                part = points[first : first + _CHUNK]
+                padded = jnp.asarray(np.pad(part, ((0, _CHUNK - len(part)), (0, 0))))
+                # Operation by operation: fused copies of one comparison may round differently at edges.
+                d, n = signed_distance(self.exact if shape is None else shape, padded)
+                found.append((np.asarray(d)[: len(part)], np.asarray(n)[: len(part)]))
+        return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))  # type: ignore[return-value]
 
     @functools.cached_property
     def inside(self) -> tuple[np.ndarray, np.ndarray]:

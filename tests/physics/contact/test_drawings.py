@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from own_shapes import Torus
 
+from rewax import struct
 from rewax.physics.contact import Collider, drawings
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import (
@@ -22,7 +24,7 @@ from rewax.physics.shapes import (
     signed_distance,
 )
 from rewax.physics.shapes import sampled_surface as surfaces
-from rewax.viz.shapes import check_drawing, support
+from rewax.viz.shapes import check_drawing, placed, support
 
 QUARTER = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Turns x to y."""
@@ -87,6 +89,27 @@ def test_a_sampled_distance_is_drawn_like_the_shape_it_was_sampled_from(skimage)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         reach, exact = (np.sum(support(drawing, directions) * directions, axis=1) for drawing in (found, expected))
         np.testing.assert_allclose(reach, exact, atol=0.02)  # the tip of the cone is rounded off
+
+
+def test_a_shape_without_a_drawing_of_its_own_is_drawn_where_its_distance_is_zero(skimage):
+    collider = Collider(shape=Torus(ring=0.3, tube=0.1), offset=jnp.array([0.5, 0.0, 0.0]), friction=0.0, body=1)
+    (found,) = drawings([collider], BODIES)
+    check_drawing(found)
+    local = (placed(found, found["vertices"]) - np.array([1.0, 2.5, 3.0])) @ np.asarray(QUARTER)
+    assert found["kind"] == "mesh" and np.abs(signed_distance(collider.shape, jnp.asarray(local))[0]).max() < 2e-3
+    np.testing.assert_allclose(np.ptp(local, axis=0), [0.8, 0.2, 0.8], atol=5e-3)
+
+
+def test_a_drawing_may_lie_beside_the_origin_of_its_shape():
+    class Dumbbell(Sphere):
+        def draw(self):
+            end = {"kind": "cylinder", "radius": 0.1, "half_length": 0.02, "direction": np.array([1.0, 0.0, 0.0])}
+            return [{**end, "center": np.array([x, 0.0, 0.0])} for x in (-0.2, 0.2)]
+
+    kind = struct.dataclass(Dumbbell)
+    left, right = drawings([Collider(shape=kind(radius=0.2), friction=0.0, body=1)], BODIES)
+    np.testing.assert_allclose([left["center"], right["center"]], [[1.0, 1.8, 3.0], [1.0, 2.2, 3.0]], atol=1e-6)
+    np.testing.assert_allclose(left["direction"], [0.0, 1.0, 0.0], atol=1e-6)
 
 
 def test_triangles_of_a_moving_collider_are_no_part_of_the_program(skimage):
