@@ -176,7 +176,7 @@ def _gradient(sample: Sample, points: np.ndarray) -> tuple[np.ndarray, np.ndarra
     sides = [(sample.distance(points + step * e)[0], sample.distance(points - step * e)[0]) for e in np.eye(3)]
     central = np.stack([(a - b) / (2.0 * step) for a, b in sides], axis=1)
     bends = np.stack([np.abs(a - 2.0 * middle + b) / step for a, b in sides], axis=1)
-    return central, (bends < 1e-3).all(axis=1)
+    return central, np.max(bends, axis=1) < 1e-3
 
 
 def _reverse(sample: Sample, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:

@@ -2,9 +2,9 @@
 
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
@@ -190,7 +190,7 @@ UPRIGHT = np.array([0.0, 1.0, 0.0])
 
 def is_traced(*numbers: Any) -> bool:
     """Whether the value of one of the numbers is not known."""
-    return any(isinstance(number, jax.core.Tracer) for number in numbers)
+    return any(isinstance(number, Tracer) for number in numbers)
 
 
 def _writes(shape: Shape, method: str) -> bool:

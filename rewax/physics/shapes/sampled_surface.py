@@ -10,11 +10,12 @@ from jax.core import Tracer
 
 from rewax.types import Array, Scalar
 
+Numbers = Array | np.ndarray
 MAX_NODES = 64
 """Along an axis of the grid; finer grids are drawn from every second node, every third, ..."""
 
 
-def sampled_surface(values: Array, origin: Array, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
+def sampled_surface(values: Numbers, origin: Numbers, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
     """The surface of a sampled distance (marching cubes, Lorensen and Cline 1987), made once for equal numbers.
 
     Args:
@@ -33,7 +34,7 @@ def sampled_surface(values: Array, origin: Array, spacing: Scalar) -> tuple[np.n
     return _surface(coarse.tobytes(), coarse.shape, np.asarray(origin, np.float64).tobytes(), step * float(spacing))
 
 
-def height_surface(heights: Array, origin: Array, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
+def height_surface(heights: Numbers, origin: Numbers, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
     """The surface of a height field over its grid, made once for equal numbers.
 
     Args:
