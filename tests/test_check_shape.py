@@ -147,6 +147,10 @@ BROKEN = {
         bent(lambda self, p, d, n: (d + 0.5 * (self.tube - jax.lax.stop_gradient(self.tube)), n)),
         "the derivative of the distance by Broken.tube at (",
     ),
+    "a rigid normal": (
+        bent(lambda self, p, d, n: (d, jax.lax.stop_gradient(n))),
+        "the derivative of the normal by Broken.ring at (",
+    ),
     "an ellipse": (torus(distance=ellipse), "the normal at ("),
     "a small box": (box(0.8), "("),
     "a large box": (box(1.5), "the lower bound of Broken along x is -0.6, but the solid reaches to -0."),

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import jax
 
 from rewax.physics.shapes import Shape
-from rewax.testing import shape_distance, shape_programs, shape_solid
+from rewax.testing import shape_derivatives, shape_distance, shape_programs, shape_protocol, shape_solid
 from rewax.testing.progress import Progress
 from rewax.testing.shape_points import Sample
 from rewax.types import Key
@@ -44,13 +44,13 @@ def check_shape(
     """
     say = Progress(f"check_shape {type(shape).__name__}", notify)
     say("sizes")
-    shape_distance.check_protocol(shape)
+    shape_protocol.check_protocol(shape)
     sample = Sample(shape, jax.random.key(0) if key is None else key, region)
     say("distance and normal")
     shape_distance.check_values(sample)
     shape_distance.check_normals(sample, tolerance)
     say("derivatives")
-    shape_distance.check_derivatives(sample)
+    shape_derivatives.check_derivatives(sample)
     if shape.is_bounded:
         say("bounds, volume and inertia")
         shape_solid.check_bounds(sample)

@@ -3,18 +3,14 @@
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
-import numpy as np
-from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes import quadrature
 from rewax.physics.shapes.distance_surface import distance_surface
+from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.types import Array, Scalar
-
-Drawing = dict[str, Any]
-"""A rigid shape in a picture; the table in ``rewax.viz.shapes`` lists its keys."""
 
 
 class Shape(struct.Replaceable):
@@ -175,26 +171,8 @@ def around_origin(x: Scalar, y: Scalar, z: Scalar) -> tuple[Array, Array]:
     return -half, half
 
 
-def mesh(surface: tuple[np.ndarray, np.ndarray] | None) -> list[Drawing]:
-    """The drawing of vertices [m], shape (num_vertices, 3), and triangles, shape (num_triangles, 3); none of None."""
-    if surface is None:
-        return []
-    vertices, triangles = surface
-    return [{"kind": "mesh", "center": ORIGIN, "vertices": vertices, "triangles": triangles, "rotation": STRAIGHT}]
-
-
-ORIGIN, STRAIGHT = np.zeros(3), np.eye(3)
-UPRIGHT = np.array([0.0, 1.0, 0.0])
-"""Direction of the axis of shapes that have one."""
-
-
-def is_traced(*numbers: Any) -> bool:
-    """Whether the value of one of the numbers is not known."""
-    return any(isinstance(number, Tracer) for number in numbers)
-
-
 def _writes(shape: Shape, method: str) -> bool:
     return getattr(type(shape), method) is not getattr(Shape, method)
 
 
-__all__ = ["Drawing", "Shape", "around_origin", "is_traced", "mesh", "require_shape", "signed_distance"]
+__all__ = ["Shape", "around_origin", "require_shape", "signed_distance"]

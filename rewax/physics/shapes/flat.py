@@ -6,7 +6,8 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import ORIGIN, STRAIGHT, Drawing, Shape
+from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.drawn import ORIGIN, STRAIGHT, Drawing
 from rewax.types import Array, Scalar
 
 

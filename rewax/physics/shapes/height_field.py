@@ -7,7 +7,8 @@ from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import Drawing, Shape, mesh
+from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.physics.shapes.grid_cells import check_nodes, locate, take
 from rewax.physics.shapes.sampled_surface import height_surface
 from rewax.types import Array, Scalar

@@ -8,7 +8,8 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import ORIGIN, UPRIGHT, Drawing, Shape, around_origin
+from rewax.physics.shapes.base import Shape, around_origin
+from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
 from rewax.physics.shapes.revolved import cylinder_inertia
 from rewax.types import Array, Scalar
 

@@ -2,13 +2,15 @@
 
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import Drawing, Shape, is_traced, mesh
+from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.physics.shapes.grid_cells import check_nodes, locate, take
 from rewax.physics.shapes.quadrature import fractions_below_zero
 from rewax.physics.shapes.sampled_surface import sampled_surface
@@ -76,7 +78,7 @@ class SampledDistance(Shape):
         Raises:
           ValueError: the values are traced, or nowhere negative.
         """
-        if is_traced(self.values, self.origin, self.spacing):
+        if any(isinstance(number, Tracer) for number in (self.values, self.origin, self.spacing)):
             raise ValueError("SampledDistance is traced, so its bounds are not known: ask for them before jit")
         inside = np.argwhere(np.asarray(self.values) < 0)
         if len(inside) == 0:

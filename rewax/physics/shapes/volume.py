@@ -2,8 +2,9 @@
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
-from rewax.physics.shapes.base import Shape, is_traced, require_shape
+from rewax.physics.shapes.base import Shape, require_shape
 from rewax.types import Scalar
 
 
@@ -30,7 +31,7 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     Gradient: none.
     """
     require_shape(shape)
-    if is_traced(*jax.tree.leaves(shape)):
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(shape)):
         raise ValueError("the sizes of shape are traced: ask for its bounding_box before jit, or use its own method")
     with jax.ensure_compile_time_eval():
         lower, upper = shape.bounding_box()

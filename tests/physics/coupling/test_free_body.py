@@ -27,7 +27,9 @@ BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
 )
 def test_mass_and_inertia_of_solids(shape):
     """Against sums over many points inside."""
-    size = np.array({Box: (0.06, 0.04, 0.06), Sphere: (0.4, 0.4, 0.4), Torus: (0.2, 0.06, 0.2)}.get(type(shape), (0.2, 0.62, 0.2)))
+    size = np.array(
+        {Box: (0.06, 0.04, 0.06), Sphere: (0.4, 0.4, 0.4), Torus: (0.2, 0.06, 0.2)}.get(type(shape), (0.2, 0.62, 0.2))
+    )
     points = fill_box((0.0, 0.0, 0.0), size, size.min() / 60)
     volume = np.prod(size) / len(points)
     points = points[np.asarray(signed_distance(shape, jnp.asarray(points))[0]) < 0]
