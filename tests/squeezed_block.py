@@ -6,11 +6,11 @@ import numpy as np
 from flat_materials import flat_material
 
 from rewax.physics import mpm
+from rewax.physics import shapes as sdf
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.walls import Wall, Walls
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes import primitives as sdf
 
 NUM, DT = 27, 1e-3
 GRID = Grid(shape=(9, 8, 9), spacing=0.05)

@@ -10,7 +10,7 @@ from rewax.debug import locate_nan
 from rewax.physics import mpm
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.shapes.primitives import Sphere
+from rewax.physics.shapes import Sphere
 from rewax.physics.shapes.sampling import fill_box
 
 NUM_SUBSTEPS = 6

@@ -162,6 +162,25 @@ def test_the_tutorial_of_a_soft_task_runs(capsys):
     assert "Press" in names["rewax"].list_envs() and names["agent"].name == "sapo" and env.num_actions == 1
 
 
+def test_the_torus_of_the_shapes_page_pushes_is_filled_and_is_drawn(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/your_own_shape.md")
+    assert capsys.readouterr().out.splitlines()[-1].endswith("passed")
+    listing = code("docs/your_own_shape.md").split("from rewax.testing import")[0]
+    assert len([line for line in listing.splitlines() if line.strip()]) < 40
+    torus, x = names["torus"], np.asarray(names["x"]) - [0.25, 0.33, 0.25]
+    assert np.all((np.hypot(x[:, 0], x[:, 2]) - 0.1) ** 2 + x[:, 1] ** 2 < 0.04**2)
+    np.testing.assert_allclose(names["volume"](torus), 2.0 * np.pi**2 * 0.1 * 0.04**2, rtol=2e-3)
+    after = np.asarray(names["after"].x) - [0.25, 0.15, 0.25]
+    depth = 0.04 - np.hypot(np.hypot(after[:, 0], after[:, 1]) - 0.1, after[:, 2])  # of particles in the rigid one
+    assert depth.max() < 0.02 and 0.04 < after[:, 1].mean() < 0.15  # it hangs on the upper half
+    assert float(names["slope"]) > 0.5
+    (drawing,) = names["drawings"](names["scene"].colliders, names["body"])
+    low, high = (np.asarray(drawing["vertices"]).min(axis=0), np.asarray(drawing["vertices"]).max(axis=0))
+    np.testing.assert_allclose([low, high], [[-0.14, -0.04, -0.14], [0.14, 0.04, 0.14]], atol=2e-3)
+    assert imread(tmp_path / "torus.png").shape == imread(ROOT / "docs/pictures/torus.png").shape
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tet", "soft", "coupled"])
 def test_the_examples_of_soft_tasks_train(kind, tmp_path, monkeypatch):

@@ -1,7 +1,8 @@
-"""Checks that users can run on their own environments and laws."""
+"""Checks that users can run on their own environments, laws and shapes."""
 
 from rewax.testing.env import check_env
 from rewax.testing.law import check_law
 from rewax.testing.lowered import where_it_runs
+from rewax.testing.shape import check_shape
 
-__all__ = ["check_env", "check_law", "where_it_runs"]
+__all__ = ["check_env", "check_law", "check_shape", "where_it_runs"]

@@ -1,12 +1,12 @@
 """The check of an environment: what is checked, in which order."""
 
-import time
 from collections.abc import Callable
 
 import jax
 
 from rewax.envs.base import Env
 from rewax.testing import functions, states
+from rewax.testing.progress import Progress
 from rewax.testing.traced import random_action, traced_reset, traced_step
 
 _JIT_TOLERANCE = 1e-3
@@ -49,7 +49,7 @@ def check_env(
     """
     if gradient_steps < 1:
         raise ValueError(f"gradient_steps is {gradient_steps}: use 1 or more")
-    say, key = _Report(type(env).__name__, notify), jax.random.key(seed)
+    say, key = Progress(f"check_env {type(env).__name__}", notify), jax.random.key(seed)
     say("specs and leaves")
     states.check_specs(env)
     states.check_leaves(env)
@@ -74,14 +74,3 @@ def check_env(
         say(f"an episode of {env.episode_length} steps")
         functions.check_episode(env, step, state, key)
     say("passed")
-
-
-class _Report:
-    """Says what is under way, and after how many seconds."""
-
-    def __init__(self, name: str, notify: Callable[[str], None] | None) -> None:
-        self._name, self._notify, self._began = name, notify, time.perf_counter()
-
-    def __call__(self, what: str) -> None:
-        if self._notify is not None:
-            self._notify(f"check_env {self._name}, {time.perf_counter() - self._began:.0f} s: {what}")

@@ -15,7 +15,7 @@ from rewax.envs.soft_task import SoftPhysics
 from rewax.physics import mpm
 from rewax.physics.mpm import Hencky, VonMises
 from rewax.physics.mpm.walls import WallKind
-from rewax.physics.shapes.primitives import Capsule
+from rewax.physics.shapes import Capsule
 from rewax.status import Status
 from rewax.struct import replace_leaf
 

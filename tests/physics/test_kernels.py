@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import material_cases as cases
 import numpy as np
 import pytest
+from own_shapes import Torus
 
 from rewax.lowering import build, kernels
 from rewax.physics.contact import Collider, Ground, PenaltyContact, collider_force, ground_force, place
@@ -24,6 +25,7 @@ MATRIX = (VECTOR, VECTOR, VECTOR)
 SHAPES = [
     Sphere(radius=0.3), Capsule(radius=0.3, half_length=0.2), Box(half_size=jnp.ones(3)), Plane(),
     Cylinder(radius=0.3, half_length=0.2), Cone(radius=0.3, half_length=0.2), Ellipsoid(semi_axes=jnp.ones(3)),
+    Torus(ring=0.3, tube=0.1),
 ]  # fmt: skip
 
 

@@ -52,7 +52,11 @@ IMPOSSIBLE = {
     "ball": (collider(Sphere(radius=0.0)), "colliders[0].shape.radius is 0.0, but must be positive: give a length"),
     "capsule": (collider(Capsule(radius=nan, half_length=1.0)), "colliders[0].shape.radius is nan, but must be"),
     "cylinder": (collider(Cylinder(radius=1.0, half_length=-1.0)), "colliders[0].shape.half_length is -1.0, but"),
-    "box": (collider(Box(half_size=np.array([1, 2, 0]))), "colliders[0].shape.half_size[2] is 0, but must be positive"),
+    "box": (
+        collider(Box(half_size=np.array([1, 2, 0]))),
+        "colliders[0].shape.half_size[2] is 0.0, but must be positive",
+    ),
+    "box of two": (collider(Box(half_size=(1, 2))), "colliders[0].shape.half_size has shape (2,): give an array of"),
     "ellipsoid": (collider(Ellipsoid(semi_axes=np.array([1, nan, 1]))), "colliders[0].shape.semi_axes[1] is nan, but"),
     "terrain": (
         collider(HeightField(heights=np.zeros((2, 2)), origin=np.zeros(2), spacing=0.0)),

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from rewax.physics.contact.colliders import MIN_INFLUENCE, Collider, known_softness, runs, shape_pose, stacked
 from rewax.physics.contact.motion import Placed
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
-from rewax.types import Array, Scalar
+from rewax.types import Array
 
 T = TypeVar("T")
 
@@ -71,25 +70,6 @@ def count_excess(colliders: tuple[Collider, ...], poses: Pose, lower: Array, upp
     return jnp.max(jnp.stack(counts)) - max_near if counts else jnp.int32(-max_near)
 
 
-def bounding_radius(shape: Shape) -> Scalar:
-    """Radius of a ball around the shape's origin that holds it [m]; infinite for planes and whatever has no size.
-
-    Gradient: exact.
-    """
-    match shape:
-        case Sphere():
-            return shape.radius
-        case Capsule():
-            return shape.radius + shape.half_length
-        case Box():
-            return jnp.sqrt(jnp.sum(jnp.asarray(shape.half_size) ** 2, axis=-1))
-        case Cylinder() | Cone():
-            return jnp.sqrt(jnp.asarray(shape.radius) ** 2 + jnp.asarray(shape.half_length) ** 2)
-        case Ellipsoid():
-            return jnp.max(jnp.asarray(shape.semi_axes), axis=-1)
-    return jnp.inf
-
-
 def _take(tree: T, index: Any) -> T:
     return jax.tree.map(lambda a: a[index], tree)
 
@@ -100,6 +80,6 @@ def _gaps(run: tuple[Collider, ...], centers: Array, lower: Array, upper: Array)
     """
     away = jnp.maximum(jnp.maximum(lower - centers, centers - upper), 0.0)
     reach = jnp.stack(
-        [jnp.asarray(bounding_radius(c.shape) - math.log(MIN_INFLUENCE) / known_softness(c)) for c in run]
+        [jnp.asarray(c.shape.bounding_radius() - math.log(MIN_INFLUENCE) / known_softness(c)) for c in run]
     )
     return jax.lax.stop_gradient(jnp.sqrt(jnp.sum(away * away, axis=-1)) - reach)

@@ -20,7 +20,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, placed_at
-from rewax.physics.shapes.primitives import Shape, has_edges, signed_distance_components
+from rewax.physics.shapes.base import Shape
 from rewax.types import Array, Scalar, Vector
 
 T = TypeVar("T")
@@ -181,10 +181,10 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
     """
     # Once where shapes compare places in their frame (faces of a box, cells of a grid): all parts of distance and
     # normal must come from one face or cell.
-    edges = has_edges(collider.shape)
+    edges = collider.shape.has_edges
     local, body = at_nodes(placed, position)
     (lx, ly, lz), (bx, by, bz) = compute_once(local) if edges else materialize(local), materialize(body)
-    distance, local_normal = signed_distance_components(collider.shape, (lx, ly, lz))
+    distance, local_normal = collider.shape.distance((lx, ly, lz))
     # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
     influence = jnp.exp(-jnp.maximum(known_softness(collider) * distance, 0.0))
     # Once: each component of the velocity compares the influence with the least one that acts. It is faster too: XLA

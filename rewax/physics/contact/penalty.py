@@ -11,7 +11,6 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import signed_distance_components
 from rewax.types import Array, Scalar, Vector
 
 
@@ -123,7 +122,7 @@ def surface(collider: Collider, x: Vec3, body: Pose) -> tuple[Array, Vec3, Vec3]
     in_body = cp.matvec(cp.transpose(rotation), cp.vector(lambda i: x[i] - body.position[i]))
     own = cp.split_matrix(collider.rotation)
     local = cp.matvec(cp.transpose(own), cp.vector(lambda i: in_body[i] - collider.offset[i]))
-    distance, normal = signed_distance_components(collider.shape, local)
+    distance, normal = collider.shape.distance(local)
     return distance, cp.matvec(rotation, cp.matvec(own, normal)), in_body
 
 

@@ -5,14 +5,13 @@ rigid bodies are the business of MuJoCo MJX.
 """
 
 import jax.numpy as jnp
-import numpy as np
 
 from rewax import struct
 from rewax.physics.contact.motion import Motion
 from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_number, check_numbers
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix, skew, turn_quaternion
-from rewax.physics.shapes.primitives import Box, Capsule, Cylinder, Shape, Sphere
+from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.sizes import size_numbers
 from rewax.types import Array, Scalar
 
@@ -76,44 +75,18 @@ def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
     """Mass [kg], shape (), and moments of inertia [kg m^2], shape (3, 3), of a homogeneous body.
 
     Args:
-      shape: box, sphere, cylinder or capsule, in its own frame.
+      shape: one that is bounded and whose centre of mass is the origin of its frame. Exact for balls, capsules, boxes,
+        cylinders and ellipsoids, by quadrature for others, see ``Shape.inertia``.
       density: [kg/m^3], > 0.
 
     Raises:
-      ValueError: another shape, or a density or size that is not positive.
+      ValueError: a shape without bounds, a centre of mass elsewhere, or a density or size that is not positive.
 
     Gradient: exact.
     """
     density_number = Number("density", density, POSITIVE, "give the body's density in kg/m^3")
     check_numbers([density_number, *size_numbers(shape, "shape")])
-    match shape:
-        case Box():
-            a, b, c = (2.0 * shape.half_size[..., i] for i in range(3))
-            mass = density * a * b * c
-            return mass, jnp.diag(jnp.stack([b * b + c * c, a * a + c * c, a * a + b * b])) * (mass / 12.0)
-        case Sphere():
-            mass = density * (4.0 / 3.0) * np.pi * shape.radius**3
-            return mass, jnp.eye(3) * (0.4 * mass * shape.radius**2)
-        case Cylinder():
-            mass, along, across = _cylinder(shape.radius, 2.0 * shape.half_length, density)
-            return mass, jnp.diag(jnp.stack([across, along, across]))
-        case Capsule():
-            r, h = shape.radius, shape.half_length
-            tube, along, across = _cylinder(r, 2.0 * h, density)
-            ball = density * (4.0 / 3.0) * np.pi * r**3
-            # Each cap's centre of mass lies 3/8 r beyond the tube's end.
-            across = across + ball * (0.4 * r * r + h * h + 0.75 * h * r)
-            along = along + 0.4 * ball * r * r
-            return tube + ball, jnp.diag(jnp.stack([across, along, across]))
-    raise ValueError(
-        f"shape is {shape!r}: mass and inertia are known of Box, Sphere, Cylinder and Capsule; give Inertia yourself"
-    )
-
-
-def _cylinder(radius: Scalar, length: Scalar, density: Scalar) -> tuple[Array, Array, Array]:
-    """Mass, and moments of inertia about the axis and across it."""
-    mass = jnp.asarray(density * np.pi * radius**2 * length)
-    return mass, 0.5 * mass * radius**2, mass * (3.0 * radius**2 + length**2) / 12.0
+    return shape.inertia(density)
 
 
 def inertia_numbers(inertia: Inertia) -> list[Number]:

@@ -35,7 +35,7 @@ from rewax.physics.numerics.checks import (
     whole_number,
 )
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.shapes.primitives import signed_distance
+from rewax.physics.shapes import signed_distance
 from rewax.types import Array, Scalar, Vector
 
 STABLE_COURANT_NUMBER = 0.5

@@ -1,18 +1,13 @@
-"""Shapes by their signed distance: primitives, meshes, sampled fields; volumes and points of them."""
+"""Shapes by their signed distance: primitives, meshes, sampled fields, your own; volumes and points of them."""
 
+from rewax.physics.shapes.base import Shape, signed_distance
+from rewax.physics.shapes.ellipsoid import Ellipsoid
+from rewax.physics.shapes.flat import Box, Plane
+from rewax.physics.shapes.height_field import HeightField
 from rewax.physics.shapes.mesh_sdf import bake_mesh, check_mesh
-from rewax.physics.shapes.primitives import (
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Plane,
-    Shape,
-    Sphere,
-    signed_distance,
-)
-from rewax.physics.shapes.sampled import HeightField, SampledDistance
+from rewax.physics.shapes.revolved import Cone, Cylinder
+from rewax.physics.shapes.round import Capsule, Sphere
+from rewax.physics.shapes.sampled import SampledDistance
 from rewax.physics.shapes.sampling import fill, fill_box, sample, sample_box, sample_poisson_disk
 from rewax.physics.shapes.volume import bounding_box, volume
 

@@ -1,21 +1,25 @@
 """Surfaces of sampled distances and of height fields as triangles, for pictures."""
 
 import functools
+import warnings
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.shapes.sampled import HeightField, SampledDistance
+from rewax.types import Array, Scalar
 
-_MAX_NODES = 64
+Numbers = Array | np.ndarray
+MAX_NODES = 64
 """Along an axis of the grid; finer grids are drawn from every second node, every third, ..."""
 
 
-def sampled_surface(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray] | None:
-    """The surface of a sampled distance (marching cubes, Lorensen and Cline 1987), made once for equal shapes.
+def sampled_surface(values: Numbers, origin: Numbers, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
+    """The surface of a sampled distance (marching cubes, Lorensen and Cline 1987), made once for equal numbers.
 
     Args:
-      shape: a solid whose numbers are known, not traced.
+      values, origin, spacing: those of a ``SampledDistance``.
 
     Returns:
       Vertices in the shape's frame [m], float32 of shape (num_vertices, 3), and triangles, indices of shape
@@ -24,18 +28,17 @@ def sampled_surface(shape: SampledDistance) -> tuple[np.ndarray, np.ndarray] | N
 
     Gradient: none.
     """
-    if any(isinstance(number, Tracer) for number in (shape.values, shape.origin, shape.spacing)):
+    if any(isinstance(number, Tracer) for number in (values, origin, spacing)):
         return None
-    coarse, step = _coarse(np.asarray(shape.values, np.float32))
-    origin = np.asarray(shape.origin, np.float64)
-    return _surface(coarse.tobytes(), coarse.shape, origin.tobytes(), step * float(shape.spacing))
+    coarse, step = _coarse(np.asarray(values, np.float32))
+    return _surface(coarse.tobytes(), coarse.shape, np.asarray(origin, np.float64).tobytes(), step * float(spacing))
 
 
-def height_surface(shape: HeightField) -> tuple[np.ndarray, np.ndarray] | None:
-    """The surface of a height field over its grid, made once for equal shapes.
+def height_surface(heights: Numbers, origin: Numbers, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
+    """The surface of a height field over its grid, made once for equal numbers.
 
     Args:
-      shape: ground whose numbers are known, not traced.
+      heights, origin, spacing: those of a ``HeightField``.
 
     Returns:
       Vertices in the shape's frame [m], float32 of shape (num_nodes, 3), and triangles, indices of shape
@@ -43,16 +46,15 @@ def height_surface(shape: HeightField) -> tuple[np.ndarray, np.ndarray] | None:
 
     Gradient: none.
     """
-    if any(isinstance(number, Tracer) for number in (shape.heights, shape.origin, shape.spacing)):
+    if any(isinstance(number, Tracer) for number in (heights, origin, spacing)):
         return None
-    coarse, step = _coarse(np.asarray(shape.heights, np.float32))
-    origin = np.asarray(shape.origin, np.float64)
-    return _ground(coarse.tobytes(), coarse.shape, origin.tobytes(), step * float(shape.spacing))
+    coarse, step = _coarse(np.asarray(heights, np.float32))
+    return _ground(coarse.tobytes(), coarse.shape, np.asarray(origin, np.float64).tobytes(), step * float(spacing))
 
 
 def _coarse(values: np.ndarray) -> tuple[np.ndarray, int]:
     """Values at few enough nodes, and the step between them."""
-    step = -(-(max(values.shape) - 1) // (_MAX_NODES - 1))
+    step = -(-(max(values.shape) - 1) // (MAX_NODES - 1))
     # Where the steps do not end at the last node, its value stands for the one beyond.
     nodes = (np.minimum(np.arange(0, n - 1 + step, step), n - 1) for n in values.shape)
     return np.ascontiguousarray(values[np.ix_(*nodes)]), step
@@ -73,15 +75,29 @@ def _ground(heights: bytes, shape: tuple[int, int], origin: bytes, spacing: floa
 def _surface(
     values: bytes, shape: tuple[int, ...], origin: bytes, spacing: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    try:
-        from skimage.measure import marching_cubes
-    except ImportError:
+    marching_cubes = _marching_cubes()
+    if marching_cubes is None:
         return None
     distance, margin = _closed(np.frombuffer(values, np.float32).reshape(shape).copy(), spacing)
     if not distance.min() < 0.0 < distance.max():
         return None
     vertices, triangles, _, _ = marching_cubes(distance, 0.0, spacing=(spacing,) * 3, allow_degenerate=False)
     return (vertices - margin * spacing + np.frombuffer(origin)).astype(np.float32), triangles
+
+
+@functools.cache
+def _marching_cubes() -> Callable[..., Any] | None:
+    """scikit-image's, or None, with one warning."""
+    try:
+        from skimage.measure import marching_cubes
+    except ImportError:
+        warnings.warn(
+            "shapes given by their distance alone are left out of pictures: they need scikit-image, "
+            "pip install 'rewax[surfaces]'",
+            stacklevel=2,
+        )
+        return None
+    return marching_cubes
 
 
 def _closed(distance: np.ndarray, spacing: float) -> tuple[np.ndarray, int]:

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from rewax.physics.shapes.base import Shape, signed_distance
 from rewax.physics.shapes.poisson_disk import maximal_poisson_disk
-from rewax.physics.shapes.primitives import Box, Shape, signed_distance
 from rewax.physics.shapes.volume import bounding_box, volume
 from rewax.types import Array, Key
 
@@ -78,7 +78,7 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
     """Points of a cubic lattice that lie in a shape, symmetric about the middle of its bounding box.
 
     Args:
-      shape: one that is bounded. A ``Box`` is filled by ``fill_box``.
+      shape: one that is bounded. One that fills its box, as ``Box`` does, is filled by ``fill_box``.
       spacing: distance of neighbouring points [m], > 0.
 
     Returns:
@@ -93,8 +93,8 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
     """
     _check_length("spacing", spacing, "distance of neighbours")
     lower, upper = bounding_box(shape)
-    if isinstance(shape, Box):
-        return fill_box((0.0, 0.0, 0.0), tuple(upper - lower), spacing)
+    if shape.fills_its_box:
+        return fill_box(tuple(0.5 * (lower + upper)), tuple(upper - lower), spacing)
     counts = np.maximum(1, np.round((upper - lower) / spacing)).astype(int)
     axes = [m + spacing * (np.arange(n) - 0.5 * (n - 1)) for m, n in zip(0.5 * (lower + upper), counts, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -176,7 +176,7 @@ def _distance(shape: Shape) -> Distance:
 
     def distance(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         distances, normals = [np.zeros(0)], [np.zeros((0, 3))]
-        with jax.enable_x64(True):
+        with jax.enable_x64(True), jax.ensure_compile_time_eval():
             for start in range(0, len(points), CHUNK):
                 part = points[start : start + CHUNK]
                 d, n = _signed_distance(shape, np.pad(part, ((0, CHUNK - len(part)), (0, 0))))

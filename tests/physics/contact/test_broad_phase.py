@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from rewax.physics import mpm
-from rewax.physics.contact.broad_phase import bounding_radius, near_colliders
+from rewax.physics.contact.broad_phase import near_colliders
 from rewax.physics.contact.colliders import Collider, apply_colliders, place
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.laws import Hencky
 from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere
-from rewax.physics.shapes.sampling import fill, fill_box
+from rewax.physics.shapes import Box, Sphere
+from rewax.physics.shapes.sampling import fill_box
 from rewax.status import Status
 
 NUM_SUBSTEPS = 4
@@ -94,25 +94,6 @@ def test_a_step_uses_the_nearest_and_tells_when_more_are_near(scene_and_state):
     assert float(jnp.abs(end.v[:, 0]).max()) > 1e-3  # something was pushed
     assert int(mpm.check_status(near, end, start=state, poses=poses())) == 0
     assert int(mpm.check_status(one, end, start=state, poses=poses())) == Status.FAR_COLLIDERS
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [
-        Sphere(radius=0.3),
-        Capsule(radius=0.1, half_length=0.2),
-        Box(half_size=np.array([0.1, 0.2, 0.3])),
-        Cylinder(radius=0.2, half_length=0.1),
-        Cone(radius=0.2, half_length=0.3),
-        Ellipsoid(semi_axes=np.array([0.1, 0.3, 0.2])),
-    ],
-    ids=lambda s: type(s).__name__,
-)
-def test_bounding_radius_holds_the_shape_tightly(shape):
-    farthest = np.linalg.norm(fill(shape, 0.01), axis=1).max()
-    radius = float(bounding_radius(shape))
-    assert farthest <= radius < farthest + 0.02
-    assert bounding_radius(Plane()) == jnp.inf
 
 
 def test_at_least_one():

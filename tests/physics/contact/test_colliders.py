@@ -20,7 +20,7 @@ from rewax.physics.contact.colliders import (
 from rewax.physics.contact.motion import Motion, placed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.shapes.primitives import Box, Capsule, Plane, Sphere
+from rewax.physics.shapes import Box, Capsule, Plane, Sphere
 
 EYE, ORIGIN, DT = jnp.eye(3), jnp.zeros(3), 1e-3
 REST = Pose(ORIGIN, EYE)

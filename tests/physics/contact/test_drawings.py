@@ -6,13 +6,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from own_shapes import Torus
 
+from rewax import struct
 from rewax.physics.contact import Collider, drawings
 from rewax.physics.numerics import Pose
-from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, SampledDistance, Sphere
+from rewax.physics.shapes import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Plane,
+    SampledDistance,
+    Sphere,
+    distance_surface,
+    signed_distance,
+)
 from rewax.physics.shapes import sampled_surface as surfaces
-from rewax.physics.shapes.primitives import signed_distance
-from rewax.viz.shapes import check_drawing, support
+from rewax.viz.shapes import check_drawing, placed, support
 
 QUARTER = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Turns x to y."""
@@ -37,9 +49,14 @@ def baked(shape, spacing=0.02, half=0.4):
 
 @pytest.fixture
 def skimage():
-    surfaces._surface.cache_clear()
+    forget()
     yield pytest.importorskip("skimage")
-    surfaces._surface.cache_clear()
+    forget()
+
+
+def forget():
+    for memory in (surfaces._surface, surfaces._marching_cubes, distance_surface._surface):
+        memory.cache_clear()
 
 
 def test_outermost_points_of_drawings_lie_on_the_colliders_surfaces():
@@ -74,6 +91,27 @@ def test_a_sampled_distance_is_drawn_like_the_shape_it_was_sampled_from(skimage)
         np.testing.assert_allclose(reach, exact, atol=0.02)  # the tip of the cone is rounded off
 
 
+def test_a_shape_without_a_drawing_of_its_own_is_drawn_where_its_distance_is_zero(skimage):
+    collider = Collider(shape=Torus(ring=0.3, tube=0.1), offset=jnp.array([0.5, 0.0, 0.0]), friction=0.0, body=1)
+    (found,) = drawings([collider], BODIES)
+    check_drawing(found)
+    local = (placed(found, found["vertices"]) - np.array([1.0, 2.5, 3.0])) @ np.asarray(QUARTER)
+    assert found["kind"] == "mesh" and np.abs(signed_distance(collider.shape, jnp.asarray(local))[0]).max() < 2e-3
+    np.testing.assert_allclose(np.ptp(local, axis=0), [0.8, 0.2, 0.8], atol=5e-3)
+
+
+def test_a_drawing_may_lie_beside_the_origin_of_its_shape():
+    class Dumbbell(Sphere):
+        def draw(self):
+            end = {"kind": "cylinder", "radius": 0.1, "half_length": 0.02, "direction": np.array([1.0, 0.0, 0.0])}
+            return [{**end, "center": np.array([x, 0.0, 0.0])} for x in (-0.2, 0.2)]
+
+    kind = struct.dataclass(Dumbbell)
+    left, right = drawings([Collider(shape=kind(radius=0.2), friction=0.0, body=1)], BODIES)
+    np.testing.assert_allclose([left["center"], right["center"]], [[1.0, 1.8, 3.0], [1.0, 2.2, 3.0]], atol=1e-6)
+    np.testing.assert_allclose(left["direction"], [0.0, 1.0, 0.0], atol=1e-6)
+
+
 def test_triangles_of_a_moving_collider_are_no_part_of_the_program(skimage):
     collider = Collider(shape=baked(SHAPES[0]), friction=0.0, body=1)
     kept = []
@@ -95,4 +133,7 @@ def test_shapes_without_a_drawing_are_left_out(skimage, monkeypatch):
     counts = []
     jax.eval_shape(lambda collider: counts.append(len(drawings([collider], BODIES))), sampled)  # its numbers are traced
     monkeypatch.setitem(sys.modules, "skimage.measure", None)
-    assert counts == [0] and drawings([sampled], BODIES) == []
+    with pytest.warns(
+        UserWarning, match=r"left out of pictures: they need scikit-image, pip install 'rewax\[surfaces\]'"
+    ):
+        assert counts == [0] and drawings([sampled], BODIES) == []

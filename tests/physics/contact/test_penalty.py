@@ -9,7 +9,7 @@ from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact, collider_force, ground_force
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Box, Capsule, Plane, Sphere
+from rewax.physics.shapes import Box, Capsule, Plane, Sphere
 
 EYE, ORIGIN, DT = jnp.eye(3), jnp.zeros(3), 1e-3
 REST = Pose(ORIGIN, EYE)

@@ -16,7 +16,7 @@ from rewax.physics.mpm import VonMises, invariants
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Box, Sphere
+from rewax.physics.shapes import Box, Sphere
 from rewax.physics.shapes.sampling import fill_box
 
 SPACING, GRAVITY = 0.02, 9.81

@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from own_shapes import Torus
 
 from rewax.physics.coupling import free_body
-from rewax.physics.shapes.primitives import Box, Capsule, Cylinder, Sphere, signed_distance
+from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere, signed_distance
 from rewax.physics.shapes.sampling import fill_box
 
 BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
@@ -14,12 +15,21 @@ BOX = Box(half_size=jnp.array([0.03, 0.02, 0.03]))
 
 @pytest.mark.parametrize(
     "shape",
-    [BOX, Sphere(radius=0.2), Cylinder(radius=0.1, half_length=0.3), Capsule(radius=0.1, half_length=0.2)],
+    [
+        BOX,
+        Sphere(radius=0.2),
+        Cylinder(radius=0.1, half_length=0.3),
+        Capsule(radius=0.1, half_length=0.2),
+        Ellipsoid(semi_axes=(0.1, 0.2, 0.1)),
+        Torus(ring=0.07, tube=0.03),
+    ],
     ids=lambda s: type(s).__name__,
 )
 def test_mass_and_inertia_of_solids(shape):
     """Against sums over many points inside."""
-    size = np.array({Box: (0.06, 0.04, 0.06), Sphere: (0.4, 0.4, 0.4)}.get(type(shape), (0.2, 0.62, 0.2)))
+    size = np.array(
+        {Box: (0.06, 0.04, 0.06), Sphere: (0.4, 0.4, 0.4), Torus: (0.2, 0.06, 0.2)}.get(type(shape), (0.2, 0.62, 0.2))
+    )
     points = fill_box((0.0, 0.0, 0.0), size, size.min() / 60)
     volume = np.prod(size) / len(points)
     points = points[np.asarray(signed_distance(shape, jnp.asarray(points))[0]) < 0]
@@ -69,3 +79,20 @@ def test_equations_of_badly_conditioned_matrices(rotations, ratio):
 def test_whole_numbers_become_floats():
     bodies = free_body.bodies_at_rest([[0, 1, 0]], jnp.array([[1, 0, 0, 0]]))
     assert {leaf.dtype for leaf in jax.tree.leaves(bodies)} == {np.dtype(np.float32)}
+
+
+@pytest.mark.parametrize(
+    ("shape", "sentence"),
+    [
+        (
+            Cone(radius=0.1, half_length=0.2),
+            r"^the centre of mass of the Cone is \(.*, -0\.(1|0999), .*\), but must be the origin",
+        ),
+        (Plane(), "^shape is a Plane, which has no bounds"),
+        (Sphere(radius=-0.1), r"^shape\.radius is -0\.1"),
+        ("ball", "^shape is 'ball': give a shape"),
+    ],
+)
+def test_solids_without_moments_are_refused(shape, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        free_body.solid(shape, 700.0)

@@ -15,7 +15,7 @@ from rewax.physics.mpm.active_nodes import REACHES, all_nodes, count_nodes, list
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Capsule
+from rewax.physics.shapes import Capsule
 from rewax.status import Status
 
 GRID = Grid(shape=(17, 14, 15), spacing=0.05, origin=(-0.2, 0.1, 0.3))

@@ -12,7 +12,7 @@ from rewax.physics.mpm import Hencky, VonMises
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.memory import predict_peak_bytes
 from rewax.physics.mpm.walls import Wall, Walls
-from rewax.physics.shapes.primitives import Capsule
+from rewax.physics.shapes import Capsule
 
 
 def make(num_colliders: int, max_active_nodes: int | None, plasticity: type[VonMises] | None) -> mpm.MPMScene:

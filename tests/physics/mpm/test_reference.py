@@ -17,7 +17,7 @@ from rewax.physics.mpm import FixedCorotated, Hencky, NeoHookean, VonMises
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Sphere
+from rewax.physics.shapes import Sphere
 
 GRID = Grid(shape=(10, 9, 8), spacing=0.1, origin=(0.0, -0.1, 0.2))
 NUM, FLOOR = 10, 0.12

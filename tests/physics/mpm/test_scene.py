@@ -15,7 +15,7 @@ from rewax.physics.mpm.laws import MAX_HARDENING
 from rewax.physics.mpm.materials import sound_speed
 from rewax.physics.mpm.scene import STABLE_DIFFUSION_NUMBER, per_material
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Sphere
+from rewax.physics.shapes import Sphere
 
 SNOW = Snow(critical_compression=0.02, critical_stretch=0.01, hardening=5.0)
 

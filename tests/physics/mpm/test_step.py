@@ -13,7 +13,7 @@ from rewax.physics.mpm import VonMises, invariants
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes.primitives import Sphere
+from rewax.physics.shapes import Sphere
 from rewax.physics.shapes.sampling import fill_box
 from rewax.status import Status
 from rewax.struct import replace_leaf

@@ -9,7 +9,7 @@ import pytest
 from rewax.physics import rigid
 from rewax.physics.contact import shape_pose
 from rewax.physics.numerics.pose import body_pose
-from rewax.physics.shapes.primitives import signed_distance
+from rewax.physics.shapes import signed_distance
 
 TOOLS = """
 <mujoco><asset><mesh name="wedge" vertex="0 0 0 .2 0 0 0 .2 0 0 0 .2"/></asset><worldbody>

@@ -9,7 +9,7 @@ import pytest
 from rewax.physics import rigid
 from rewax.physics.rigid.penalty import Penalty
 from rewax.physics.rigid.sphere_box import sphere_box
-from rewax.physics.shapes.primitives import Box, signed_distance
+from rewax.physics.shapes import Box, signed_distance
 
 HALF, RADIUS = np.array([0.3, 0.2, 0.1]), 0.05
 WORLD = f"""<mujoco><option gravity="0 0 -9.81"/><default><geom {{filter}}/></default><worldbody>

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as hs
 from shape_cases import NUM, SHAPES, R, derivatives, evaluate, points
 
-from rewax.physics.shapes import primitives as sdf
+from rewax.physics import shapes as sdf
 
 
 def on_sphere(num):

@@ -9,12 +9,12 @@ import pytest
 import trimesh
 
 from rewax.physics import mpm
+from rewax.physics import shapes as sdf
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.laws import Hencky, VonMises
 from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes import primitives as sdf
 from rewax.physics.shapes.mesh_sdf import bake_mesh, check_mesh, signed_volume
 from rewax.physics.shapes.sampling import fill_box, volume
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from solids import FURTHER, SHAPES, distance
 
-from rewax.physics.shapes import primitives as sdf
+from rewax.physics import shapes as sdf
 from rewax.physics.shapes.sampling import sample, sample_poisson_disk, volume
 
 

@@ -24,6 +24,10 @@ def egg(num_nodes, half=1.0, scale=1.0):
     )
 
 
+def surface(shape):
+    return sampled_surface(shape.values, shape.origin, shape.spacing)
+
+
 def volume(vertices, triangles):
     a, b, c = (vertices[triangles[:, i]].astype(float) for i in range(3))
     return np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6.0
@@ -37,7 +41,7 @@ def is_closed(triangles):
 @pytest.mark.parametrize("num_nodes", [40, 64, 65, 150])
 def test_vertices_are_where_the_distance_is_zero(num_nodes):
     shape = egg((num_nodes,) * 3)
-    vertices, triangles = sampled_surface(shape)
+    vertices, triangles = surface(shape)
     assert vertices.dtype == np.float32 and len(triangles) < 40_000
     assert np.abs(signed_distance(shape, jnp.asarray(vertices))[0]).max() < 2e-3
     assert is_closed(triangles)
@@ -47,14 +51,14 @@ def test_vertices_are_where_the_distance_is_zero(num_nodes):
 
 
 def test_equal_shapes_have_one_surface():
-    assert sampled_surface(egg((20,) * 3))[0] is sampled_surface(egg((20,) * 3))[0]
-    assert sampled_surface(egg((20,) * 3))[0] is not sampled_surface(egg((20,) * 3, scale=0.9))[0]
+    assert surface(egg((20,) * 3))[0] is surface(egg((20,) * 3))[0]
+    assert surface(egg((20,) * 3))[0] is not surface(egg((20,) * 3, scale=0.9))[0]
 
 
 def test_a_solid_that_fills_its_grid_ends_a_little_beyond_it():
     """Beyond the grid the distance is that at its border and the one to it."""
     shape = egg((21,) * 3, half=0.45)
-    vertices, triangles = sampled_surface(shape)
+    vertices, triangles = surface(shape)
     assert is_closed(triangles) and volume(vertices - [1.0, 2.0, 3.0], triangles) > 0.9**3
     assert np.abs(signed_distance(shape, jnp.asarray(vertices))[0]).max() < 0.01
     assert np.abs(vertices - [1.0, 2.0, 3.0]).max() > 0.46
@@ -62,7 +66,7 @@ def test_a_solid_that_fills_its_grid_ends_a_little_beyond_it():
 
 def test_a_grid_without_a_surface_has_none():
     nothing = egg((8,) * 3)
-    assert sampled_surface(nothing.replace(values=jnp.ones((8, 8, 8)))) is None
+    assert surface(nothing.replace(values=jnp.ones((8, 8, 8)))) is None
 
 
 @pytest.mark.parametrize("num_nodes", [(2, 3), (9, 5), (130, 70)])
@@ -71,8 +75,12 @@ def test_ground_is_drawn_where_its_distance_is_zero_and_faces_up(num_nodes):
     x, z = np.meshgrid(np.arange(nx), np.arange(nz), indexing="ij")
     heights = jnp.asarray(0.3 * np.sin(0.05 * x) * np.cos(0.04 * z), jnp.float32)
     shape = HeightField(heights=heights, origin=jnp.array([1.0, -2.0]), spacing=0.1)
-    vertices, triangles = height_surface(shape)
-    assert height_surface(shape)[0] is vertices and vertices.dtype == np.float32 and len(triangles) < 10_000
+    vertices, triangles = height_surface(shape.heights, shape.origin, shape.spacing)
+    assert (
+        height_surface(shape.heights, shape.origin, shape.spacing)[0] is vertices
+        and vertices.dtype == np.float32
+        and len(triangles) < 10_000
+    )
     assert np.abs(signed_distance(shape, jnp.asarray(vertices))[0]).max() < 0.01
     np.testing.assert_allclose(vertices[[0, -1]][:, [0, 2]], [[1.0, -2.0], vertices[:, [0, 2]].max(axis=0)])
     assert (vertices[:, [0, 2]].max(axis=0) > [0.1 * (nx - 1) + 0.99, 0.1 * (nz - 1) - 2.01]).all()
@@ -82,5 +90,4 @@ def test_ground_is_drawn_where_its_distance_is_zero_and_faces_up(num_nodes):
 
 
 def test_ground_of_traced_numbers_is_left_out():
-    ground = HeightField(heights=jnp.zeros((3, 3)), origin=jnp.zeros(2), spacing=0.1)
-    jax.jit(lambda heights: [height_surface(ground.replace(heights=heights))] == [None] or 1 / 0)(jnp.zeros((3, 3)))
+    jax.jit(lambda heights: [height_surface(heights, jnp.zeros(2), 0.1)] == [None] or 1 / 0)(jnp.zeros((3, 3)))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as hs
 from solids import SHAPES, distance
 
-from rewax.physics.shapes import primitives as sdf
+from rewax.physics import shapes as sdf
 from rewax.physics.shapes.sampling import fill, fill_box, sample, sample_box, sample_poisson_disk, volume
 from rewax.physics.shapes.volume import bounding_box
 

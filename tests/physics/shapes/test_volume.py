@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from solids import FURTHER, SHAPES, distance
 
-from rewax.physics.shapes import primitives as sdf
+from rewax.physics import shapes as sdf
 from rewax.physics.shapes.sampling import volume
 from rewax.physics.shapes.volume import bounding_box
 
@@ -39,3 +39,14 @@ def test_volume_is_differentiable(x64):
     np.testing.assert_allclose(box, 8 * np.array([0.15, 0.1, 0.06]), rtol=1e-12)
     shrunk = jax.grad(lambda d: volume(SHAPES["baked"].replace(values=SHAPES["baked"].values + d)))(0.0)
     np.testing.assert_allclose(shrunk, -4 * np.pi * 0.41**2, rtol=0.02)
+
+
+@pytest.mark.parametrize("name", [name for name in SHAPES | FURTHER if name != "baked"])
+def test_bounding_radius_holds_the_shape_tightly(name):
+    shape = (SHAPES | FURTHER)[name]
+    farthest = np.linalg.norm(sdf.fill(shape, 0.02), axis=1).max()
+    assert farthest <= float(shape.bounding_radius()) < farthest + 0.04
+
+
+def test_shapes_without_bounds_reach_to_infinity():
+    assert sdf.Plane().bounding_radius() == SHAPES["baked"].bounding_radius() == np.inf

@@ -24,7 +24,7 @@ from tet_bodies import (
 from rewax.physics import tets
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.numerics.pose import Pose, static_poses
-from rewax.physics.shapes.primitives import Plane, Sphere
+from rewax.physics.shapes import Plane, Sphere
 from rewax.physics.tets.law import DampingLaw, stable_parameters
 from rewax.physics.tets.step import TetState
 from rewax.status import Status

@@ -1,0 +1,178 @@
+"""The base of all shapes: the methods of a solid, and what follows from its distance for those that it lacks."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.shapes import quadrature
+from rewax.physics.shapes.distance_surface import distance_surface
+from rewax.physics.shapes.drawn import Drawing, mesh
+from rewax.types import Array, Scalar
+
+
+class Shape(struct.Replaceable):
+    """A rigid solid in its own frame, given by its signed distance. Derive from it to add a shape.
+
+    Decorate the class with ``rewax.struct.dataclass`` and declare sizes with ``struct.number``, which says what they
+    may be. Write ``distance``, and ``bounding_box`` if the solid is bounded. Everything else has a default.
+    ``rewax.testing.check_shape`` checks the result; docs/your_own_shape.md builds a torus.
+
+    Example:
+      >>> @struct.dataclass
+      ... class Ball(Shape):
+      ...     radius: Scalar = struct.number(POSITIVE, "give a length in metres")
+      ...
+      ...     def distance(self, p):
+      ...         length, normal = cp.unit(p)
+      ...         return length - self.radius, normal
+    """
+
+    has_edges: ClassVar[bool] = True
+    """Whether the normal jumps at edges: contact then computes points in the shape's frame once, so that distance and
+    normal belong to one face. True is always right. Write False for a smooth surface: it is faster on a GPU."""
+    is_exact: ClassVar[bool] = True
+    """Whether ``distance`` is the Euclidean distance everywhere. False: only near the surface, to first order."""
+    fills_its_box: ClassVar[bool] = False
+    """Whether the shape is its whole bounding box. ``fill`` then cuts its edges into equal intervals."""
+
+    def distance(self, p: Vec3) -> tuple[Array, Vec3]:
+        """Distance to the surface, and the direction away from it.
+
+        Args:
+          p: points in the shape's frame [m], components of one shape (...).
+
+        Returns:
+          Signed distance [m], shape (...), negative inside; unit normal, its gradient, components of shape (...).
+
+        Raises:
+          ValueError: the class does not write this method.
+
+        Gradient: to be exact with respect to p and sizes, and finite everywhere. ``components.unit``, ``safe_sqrt`` and
+          ``safe_rsqrt`` are finite where the distance has a kink (at the centre of a ball).
+        """
+        raise ValueError(f"{type(self).__name__} has no distance: write its method distance(self, p)")
+
+    def bounding_box(self) -> tuple[Array, Array]:
+        """Smallest and largest coordinates [m], shape (3,) each; by default of the ball of ``bounding_radius``.
+
+        Raises:
+          ValueError: the class writes neither this method nor ``bounding_radius``, so it counts as unbounded.
+
+        Gradient: exact with respect to sizes.
+        """
+        if not _writes(self, "bounding_radius"):
+            name = type(self).__name__
+            raise ValueError(
+                f"shape is a {name}, which has no bounds: use one that has, such as Box, or write the method "
+                f"bounding_box(self) of {name}"
+            )
+        return around_origin(*[self.bounding_radius()] * 3)
+
+    def bounding_radius(self) -> Scalar:
+        """Radius of a ball around the origin that holds the shape [m]; by default to the corners of ``bounding_box``.
+
+        Infinite for shapes without bounds. Gradient: exact with respect to sizes.
+        """
+        if not _writes(self, "bounding_box"):
+            return jnp.inf
+        lower, upper = self.bounding_box()
+        farthest = jnp.maximum(jnp.abs(jnp.asarray(lower)), jnp.abs(jnp.asarray(upper)))
+        return jnp.sqrt(jnp.sum(farthest**2, axis=-1))
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether ``bounding_box`` or ``bounding_radius`` is written."""
+        return _writes(self, "bounding_box") or _writes(self, "bounding_radius")
+
+    def volume(self) -> Scalar:
+        """Volume [m^3]; by default by quadrature on 64^3 cells of the bounding box.
+
+        The default is off by the order of (cell / size)^2: below 0.2 % for the bounded shapes of rewax.
+
+        Raises:
+          ValueError: the shape has no bounds.
+
+        Gradient: exact with respect to sizes, of the quadrature where it is the default.
+        """
+        return quadrature.volume(*quadrature.fractions_inside(self))
+
+    def inertia(self, density: Scalar) -> tuple[Scalar, Array]:
+        """Mass and moments of inertia of a homogeneous solid whose centre of mass is the origin.
+
+        The default is a quadrature like that of ``volume``.
+
+        Args:
+          density: [kg/m^3], > 0.
+
+        Returns:
+          Mass [kg], shape (); moments and products of inertia about the origin [kg m^2], shape (3, 3).
+
+        Raises:
+          ValueError: the shape has no bounds, or its centre of mass is known not to be the origin.
+
+        Gradient: as for ``volume``.
+        """
+        return quadrature.inertia(type(self).__name__, density, *quadrature.fractions_inside(self))
+
+    def draw(self) -> list[Drawing]:
+        """Drawings in the shape's frame, with the keys that ``rewax.viz.shapes`` lists.
+
+        By default a mesh of the distance (marching cubes), made once for equal sizes. It is an empty list for shapes
+        without bounds, sizes that are traced, and without scikit-image. Gradient: none.
+        """
+        return mesh(distance_surface(self) if self.is_bounded else None)
+
+
+def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
+    """Distance to a shape's surface, and the direction away from it.
+
+    Args:
+      shape: the shape, in its own frame.
+      points: where to evaluate, in the shape's frame [m], shape (..., 3).
+
+    Returns:
+      Signed distance [m], shape (...), negative inside; unit normal, shape (..., 3).
+
+    Raises:
+      ValueError: shape is no ``Shape``.
+
+    Gradient: exact with respect to points and the shape's sizes, finite everywhere. On the medial axis (the middle of
+      a ball, the axis of a capsule), where the normal is not defined, it is zero or the mean of those around it (on the
+      axis of a cone), except in an ellipsoid, which takes one of the nearest points; edges take one side's.
+    """
+    d, n = require_shape(shape).distance(cp.split_vector(points))
+    return d, cp.join_vector(n)
+
+
+def require_shape(shape: Any, name: str = "shape") -> Shape:
+    """The shape itself.
+
+    Args:
+      shape: what a user gave.
+      name: what the message calls it.
+
+    Raises:
+      ValueError: it is no object of a class that derives from ``Shape`` and is a ``struct.dataclass``.
+    """
+    if not isinstance(shape, Shape):
+        raise ValueError(f"{name} is {shape!r}: give a shape of rewax.physics.shapes, or of a class derived from Shape")
+    kind = type(shape)
+    if "__dataclass_fields__" not in vars(kind):
+        raise ValueError(f"{name} is a {kind.__name__}, which is no pytree: decorate it with rewax.struct.dataclass")
+    return shape
+
+
+def around_origin(x: Scalar, y: Scalar, z: Scalar) -> tuple[Array, Array]:
+    """Corners of a box around the origin whose half edges are given [m], shape (3,) each. Gradient: exact."""
+    half = jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)])
+    return -half, half
+
+
+def _writes(shape: Shape, method: str) -> bool:
+    return getattr(type(shape), method) is not getattr(Shape, method)
+
+
+__all__ = ["Shape", "around_origin", "require_shape", "signed_distance"]

@@ -1,0 +1,113 @@
+"""Solids of revolution with edges: cylinders and cones around y."""
+
+import math
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import POSITIVE
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.shapes.base import Shape, around_origin
+from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
+from rewax.types import Array, Scalar
+
+
+class _Revolved(Shape):
+    """What cylinders and cones have in common."""
+
+    radius: Scalar
+    half_length: Scalar
+
+    def bounding_box(self) -> tuple[Array, Array]:
+        """Exact."""
+        return around_origin(self.radius, self.half_length, self.radius)
+
+    def bounding_radius(self) -> Scalar:
+        """Exact."""
+        return jnp.sqrt(jnp.asarray(self.radius) ** 2 + jnp.asarray(self.half_length) ** 2)
+
+    def draw(self) -> list[Drawing]:
+        """A cylinder or a cone."""
+        size = {"radius": self.radius, "half_length": self.half_length}
+        return [{"kind": type(self).__name__.lower(), "center": ORIGIN, **size, "direction": UPRIGHT}]
+
+
+@struct.dataclass
+class Cylinder(_Revolved):
+    """A solid cylinder around y. ``radius`` and ``half_length`` [m]."""
+
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
+    half_length: Scalar = struct.number(POSITIVE, "give a length in metres")
+
+    def distance(self, p: Vec3) -> tuple[Array, Vec3]:
+        """Exact. On the axis the normal's radial part is zero."""
+        square = p[0] * p[0] + p[2] * p[2]
+        inverse = cp.safe_rsqrt(square)
+        r = square * inverse
+        side, cap = r - self.radius, jnp.abs(p[1]) - self.half_length
+        a, b = jnp.maximum(side, 0.0), jnp.maximum(cap, 0.0)
+        scale = cp.safe_rsqrt(a * a + b * b)
+        outside = (a * a + b * b) * scale
+        inside = jnp.maximum(side, cap) <= 0
+        on_side = side >= cap
+        radial = jnp.where(inside, jnp.where(on_side, 1.0, 0.0), a * scale)
+        axial = jnp.where(inside, jnp.where(on_side, 0.0, 1.0), b * scale)
+        distance = jnp.where(inside, jnp.maximum(side, cap), outside)
+        return distance, (radial * p[0] * inverse, axial * jnp.where(p[1] < 0, -1.0, 1.0), radial * p[2] * inverse)
+
+    def volume(self) -> Scalar:
+        """Exact."""
+        return 2.0 * math.pi * self.radius**2 * self.half_length
+
+    def inertia(self, density: Scalar) -> tuple[Scalar, Array]:
+        """Exact."""
+        mass, along, across = cylinder_inertia(self.radius, 2.0 * self.half_length, density)
+        return mass, jnp.diag(jnp.stack([across, along, across]))
+
+
+@struct.dataclass
+class Cone(_Revolved):
+    """A solid cone around y: base of ``radius`` at y = -half_length, apex at y = +half_length [m]."""
+
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
+    half_length: Scalar = struct.number(POSITIVE, "give a length in metres")
+
+    def distance(self, p: Vec3) -> tuple[Array, Vec3]:
+        """Exact: in the half-plane (r, y) the cone is the triangle of the axis, the base and the slant."""
+        radius, half_length = self.radius, self.half_length
+        square = p[0] * p[0] + p[2] * p[2]
+        inverse = cp.safe_rsqrt(square)
+        r = square * inverse
+        height = 2.0 * half_length
+        shrink = cp.safe_rsqrt(jnp.asarray(radius * radius + height * height))
+        slant_r, slant_y = height * shrink, radius * shrink  # normal of the slant
+        from_edge_r, from_edge_y = r - radius, p[1] + half_length
+        slant, base = from_edge_r * slant_r + from_edge_y * slant_y, -from_edge_y
+        inside = jnp.maximum(slant, base) <= 0
+        # How far along the slant, from the edge of the base (0) to the apex (1).
+        along = (from_edge_y * slant_r - from_edge_r * slant_y) * shrink
+        to_slant = jnp.where(inside, slant >= base, (slant > 0) & (along > 0) & (along < 1))
+        to_base = jnp.where(inside, slant < base, (slant <= 0) & (from_edge_r < 0))
+        to_apex = (slant > 0) & (along >= 1)
+        corner_r = jnp.where(to_apex, r, from_edge_r)
+        corner_y = jnp.where(to_apex, p[1] - half_length, from_edge_y)
+        from_corner = corner_r * corner_r + corner_y * corner_y
+        scale = cp.safe_rsqrt(from_corner)
+        distance = jnp.where(to_slant, slant, jnp.where(to_base, base, from_corner * scale))
+        radial = jnp.where(to_slant, slant_r, jnp.where(to_base, 0.0, corner_r * scale))
+        axial = jnp.where(to_slant, slant_y, jnp.where(to_base, -1.0, corner_y * scale))
+        return distance, (radial * p[0] * inverse, axial, radial * p[2] * inverse)
+
+    def volume(self) -> Scalar:
+        """Exact."""
+        return 2.0 / 3.0 * math.pi * self.radius**2 * self.half_length
+
+
+def cylinder_inertia(radius: Scalar, length: Scalar, density: Scalar) -> tuple[Array, Array, Array]:
+    """Mass [kg] of a cylinder, and moments of inertia about its axis and across it [kg m^2], shape () each."""
+    mass = jnp.asarray(density * math.pi * radius**2 * length)
+    return mass, 0.5 * mass * radius**2, mass * (3.0 * radius**2 + length**2) / 12.0
+
+
+__all__ = ["Cone", "Cylinder", "cylinder_inertia"]

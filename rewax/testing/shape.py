@@ -1,0 +1,67 @@
+"""The check of a shape: what is checked, in which order."""
+
+from collections.abc import Callable, Sequence
+
+import jax
+
+from rewax.physics.shapes import Shape
+from rewax.testing import shape_derivatives, shape_distance, shape_programs, shape_protocol, shape_solid
+from rewax.testing.progress import Progress
+from rewax.testing.shape_points import Sample
+from rewax.types import Key
+
+
+def check_shape(
+    shape: Shape,
+    *,
+    key: Key | None = None,
+    region: tuple[Sequence[float], Sequence[float]] | None = None,
+    tolerance: float = 0.1,
+    notify: Callable[[str], None] | None = print,
+) -> None:
+    """Check a shape against the protocol of ``rewax.physics.shapes.Shape``.
+
+    The shape is a pytree whose sizes say what they may be. In float64, at points near and far, inside and outside: the
+    normal is the unit gradient of the distance and points out; the distance changes by one per metre, and point minus
+    distance times normal lies on the surface (where ``is_exact`` is False: near the surface the distance changes by at
+    most one). Derivatives are those of finite differences, finite everywhere, also at the centre, on axes and at
+    corners; each size has one. The bounding box and radius hold the solid, the box tightly; volume and inertia are
+    those of random points; pictures have the extents of the box. ``jit``, ``vmap`` and C++ give the same numbers.
+
+    Args:
+      shape: with known sizes.
+      key: of the points; None: ``jax.random.key(0)``.
+      region: lower and upper corner of the box in which points are drawn [m], shape (3,) each; None: the bounding box,
+        or from -1 to 1 m for shapes without bounds.
+      tolerance: by how much gradient and normal may be off near the surface where ``is_exact`` is False [-].
+      notify: gets a line before each part, and one if the shape runs in XLA, slower than in C++; None: silence.
+
+    Raises:
+      AssertionError: a sentence that names what is wrong, and what helps.
+
+    Example:
+      >>> check_shape(Box(half_size=(0.1, 0.2, 0.3)))
+    """
+    say = Progress(f"check_shape {type(shape).__name__}", notify)
+    say("sizes")
+    shape_protocol.check_protocol(shape)
+    sample = Sample(shape, jax.random.key(0) if key is None else key, region)
+    say("distance and normal")
+    shape_distance.check_values(sample)
+    shape_distance.check_normals(sample, tolerance)
+    say("derivatives")
+    shape_derivatives.check_derivatives(sample)
+    if shape.is_bounded:
+        say("bounds, volume and inertia")
+        shape_solid.check_bounds(sample)
+        shape_solid.check_volume(sample)
+        shape_solid.check_inertia(sample)
+    say("pictures")
+    shape_solid.check_drawings(sample)
+    say("jit, vmap and C++")
+    for line in shape_programs.check_programs(sample):
+        say(line)
+    say("passed")
+
+
+__all__ = ["check_shape"]

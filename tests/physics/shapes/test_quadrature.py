@@ -1,0 +1,74 @@
+"""Quadrature against shapes whose volume and moments are known."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from own_shapes import Torus
+from solids import FURTHER, SHAPES
+
+from rewax import struct
+from rewax.physics.shapes import Shape, Sphere, quadrature
+
+BOUNDED = {name: shape for name, shape in (SHAPES | FURTHER).items() if name != "baked"}
+
+
+@pytest.mark.parametrize("name", BOUNDED)
+def test_volumes_are_those_of_the_formulas(x64, name):
+    shape = BOUNDED[name]
+    fractions, lower, upper = quadrature.fractions_inside(shape)
+    assert fractions.shape == (64, 64, 64) and fractions.min() >= 0.0 and fractions.max() <= 1.0
+    np.testing.assert_allclose(quadrature.volume(fractions, lower, upper), shape.volume(), rtol=2e-3)
+
+
+@pytest.mark.parametrize("name", [name for name in BOUNDED if name != "cone"])
+def test_moments_are_those_of_the_formulas(x64, name):
+    shape = BOUNDED[name]
+    mass, moment = quadrature.inertia(name, 700.0, *quadrature.fractions_inside(shape))
+    expected_mass, expected = shape.inertia(700.0)
+    np.testing.assert_allclose(mass, expected_mass, rtol=2e-3)
+    np.testing.assert_allclose(moment, expected, rtol=2e-3, atol=2e-4 * expected.max())
+
+
+def test_the_error_is_of_second_order(x64, monkeypatch):
+    errors = []
+    for num_cells in (16, 32):
+        monkeypatch.setattr(quadrature, "NUM_CELLS", num_cells)
+        jax.clear_caches()
+        volume = quadrature.volume(*quadrature.fractions_inside(Sphere(radius=0.4)))
+        errors.append(abs(float(volume) / (4 / 3 * np.pi * 0.4**3) - 1.0))
+    jax.clear_caches()
+    assert 3.0 < errors[0] / errors[1] < 5.0
+
+
+def test_a_solid_beside_the_origin_has_no_moments_about_it():
+    with pytest.raises(
+        ValueError, match=r"^the centre of mass of the Cone is \(.*, -0\.25, .*\), but must be the origin"
+    ):
+        FURTHER["cone"].inertia(1.0)
+
+
+def test_derivatives_of_the_volume_inside_a_program(x64):
+    """By both radii, sizes traced, for two shapes at once."""
+    tori = Torus(ring=jnp.array([0.3, 0.5]), tube=jnp.array([0.1, 0.2]))
+    found = jax.jit(jax.vmap(jax.grad(lambda torus: torus.volume())))(tori)
+    np.testing.assert_allclose(found.ring, 2 * np.pi**2 * tori.tube**2, rtol=5e-3)
+    np.testing.assert_allclose(found.tube, 4 * np.pi**2 * tori.ring * tori.tube, rtol=5e-3)
+
+
+@struct.dataclass
+class Half(Shape):
+    """The lower half of its box: nodes lie on the surface."""
+
+    def distance(self, p):
+        zero = jnp.zeros_like(p[1])
+        return p[1], (zero, zero + 1.0, zero)
+
+    def bounding_box(self):
+        return -jnp.ones(3), jnp.ones(3)
+
+
+def test_nodes_on_a_surface_count_as_outside():
+    fractions, lower, upper = quadrature.fractions_inside(Half())
+    np.testing.assert_array_equal(np.unique(fractions[:, :32]), [1.0])
+    assert quadrature.volume(fractions, lower, upper) == 4.0
