@@ -1,0 +1,152 @@
+"""The check of a contact pair: distances, points, normals and derivatives of geoms that touch and that do not."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.rigid import ContactPair, Geom
+from rewax.physics.rigid.contact_pair import NO_CONTACT, check_contact_pairs, find
+from rewax.testing.touching_geoms import Touching, distance_to, stacked, touching
+from rewax.types import Array, Key
+
+_DEPTH, _FAR = 1e-3, 0.5
+"""By how much geoms of 0.1 m overlap or are apart, and how far those are that do not touch at all [m]."""
+_STEP = 1e-6
+"""Of central differences [m]."""
+
+
+def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64, tolerance: float = 1e-3) -> None:
+    """Check what ``ContactPair`` says of a pair's function.
+
+    In double precision, for geoms of about 0.1 m with random sizes and poses that overlap by 1 mm, are 1 mm apart or
+    are far away, and for such that stand or lie exactly on each other. The function returns arrays of the right shapes.
+    Geoms that overlap have a contact as deep as they overlap. Normals have length 1, and that of the deepest contact is
+    the derivative of the distance with respect to the second geom's position. Points lie within half the distance of
+    both surfaces. ``jax.grad`` gives the same derivative, and all derivatives with respect to positions, rotations and
+    sizes are finite. Slots without contact are left out.
+
+    Args:
+      pair: the contact pair.
+      seed: of the geoms.
+      num_states: how many pairs of geoms are drawn for each distance.
+      tolerance: of lengths, relative to 1 mm, and of normals. Iterative functions need more.
+
+    Raises:
+      AssertionError: a sentence that names what is wrong, and what helps.
+      ValueError: the function returns something of another shape, or num_states is below 1.
+
+    Example:
+      >>> check_contact_pair(rigid.ContactPair(("sphere", "sphere"), 1, spheres))  # doctest: +SKIP
+    """
+    if num_states < 1:
+        raise ValueError(f"num_states is {num_states}: use 1 or more")
+    check_contact_pairs([pair])
+    with jax.enable_x64(True):
+        key = jax.random.key(seed)
+        for gap in (-_DEPTH, _DEPTH, _FAR):
+            key, one = jax.random.split(key)
+            drawn = _drawn(one, pair, num_states, gap)
+            what = f"of geoms that {'overlap by' if gap < 0 else 'are apart by'} {abs(gap)} m"
+            _check_derivatives(pair, drawn, what)
+            if gap != _FAR:
+                _check_contacts(pair, drawn, gap, tolerance, what)
+        lies = itertools.product((False, True), repeat=2)
+        exact = [stacked(pair.kinds, lie, gap) for lie in lies for gap in (-_DEPTH, _DEPTH)]
+        _check_derivatives(pair, jax.tree.map(lambda *a: jnp.stack(a), *exact), "of geoms exactly upon each other")
+
+
+def _drawn(key: Key, pair: ContactPair, num: int, gap: float) -> Touching:
+    return jax.jit(jax.vmap(lambda k: touching(k, pair.kinds, gap)))(jax.random.split(key, num))
+
+
+def _met(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
+    """Contacts of two geoms: distances, points and frames."""
+    return find(pair, *jax.tree.map(lambda a: a[None], (first, second)))
+
+
+def _smallest(pair: ContactPair, first: Geom, second: Geom) -> Array:
+    return jnp.min(_met(pair, first, second)[0])
+
+
+def _check_contacts(pair: ContactPair, drawn: Touching, gap: float, tolerance: float, what: str) -> None:
+    """Distances, points and normals."""
+
+    def one(state: Touching) -> tuple[Array, ...]:
+        distance, point, frame = _met(pair, state.first, state.second)
+        geoms = zip(pair.kinds, (state.first, state.second), strict=True)
+        off = [jax.vmap(lambda p, kind=kind, geom=geom: distance_to(kind, geom, p))(point) for kind, geom in geoms]
+
+        def moved(shift: Array) -> Array:
+            return _smallest(pair, state.first, state.second._replace(position=state.second.position + shift))
+
+        steps = _STEP * jnp.eye(3)
+        slope = (jax.vmap(moved)(steps) - jax.vmap(moved)(-steps)) / (2.0 * _STEP)
+        return distance, frame, jnp.stack(off), slope, jax.grad(moved)(jnp.zeros(3))
+
+    distance, frame, off, slope, gradient = map(np.asarray, jax.jit(jax.vmap(one))(drawn))
+    is_contact = distance < NO_CONTACT
+    rows, deepest = np.arange(len(distance)), np.argmin(distance, axis=1)
+    least = distance[rows, deepest]
+    slack, who = tolerance * _DEPTH, f"the function of {pair}"
+    if gap < 0:
+        wrong = np.abs(least - gap) > slack
+        assert not wrong.any(), (
+            f"{who} returns {least[wrong][0]:.3g} as the smallest distance {what}: distances are negative where geoms "
+            "overlap, by how far one must move to be free"
+        )
+    normal = frame[:, :, 0]
+    length = np.linalg.norm(normal, axis=-1)
+    wrong = is_contact & ~(np.abs(length - 1.0) < tolerance)
+    assert not wrong.any(), f"{who} returns a normal of length {length[wrong][0]:.3g} {what}: give it length 1"
+    product = np.einsum("...ij,...kj->...ik", frame, frame) - np.eye(3)
+    wrong = is_contact & ~(np.abs(product).max(axis=(-1, -2)) < tolerance)
+    assert not wrong.any(), f"{who} returns a frame {what} whose rows are not of length 1 and perpendicular: make them"
+    touches = is_contact[rows, deepest]
+    for found, name in ((slope, "a central difference"), (gradient, "jax.grad")):
+        wrong = touches & ~(np.abs(found - normal[rows, deepest]).max(axis=1) < tolerance)
+        if wrong.any():
+            state = np.flatnonzero(wrong)[0]
+            raise AssertionError(
+                f"{who} returns the normal {_numbers(normal[state, deepest[state]])} {what}, but the distance changes "
+                f"by {_numbers(found[state])} as the second geom moves ({name}): the normal points from the first geom "
+                "to the second, and is that derivative"
+            )
+    for index, kind in enumerate(pair.kinds):
+        far = np.abs(off[:, index]) - 0.5 * np.abs(distance)
+        wrong = is_contact & ~(far < slack)
+        assert not wrong.any(), (
+            f"{who} returns a point {what} that is {np.abs(off[:, index])[wrong][0]:.3g} m from the surface of the "
+            f"{kind}, at a distance of {distance[wrong][0]:.3g}: put points halfway between the two surfaces"
+        )
+
+
+def _check_derivatives(pair: ContactPair, drawn: Touching, what: str) -> None:
+    """Numbers and derivatives are finite."""
+
+    def values(first: Geom, second: Geom) -> dict[str, Array]:
+        return dict(zip(("distance", "point", "frame"), _met(pair, first, second), strict=True))
+
+    def one(state: Touching) -> tuple[dict[str, Array], dict[str, tuple[Geom, Geom]]]:
+        geoms = state.first, state.second
+        return values(*geoms), jax.jacrev(values, argnums=(0, 1))(*geoms)
+
+    found, slopes = jax.jit(jax.vmap(one))(drawn)
+    for name, value in found.items():
+        assert np.isfinite(value).all(), f"the function of {pair} returns a {name} {what} that is not finite"
+    for name, geoms in slopes.items():
+        for kind, geom in zip(("first", "second"), geoms, strict=True):
+            for field, slope in geom._asdict().items():
+                assert np.isfinite(slope).all(), (
+                    f"the derivative of the {name} with respect to the {field} of the {kind} geom is not finite, for "
+                    f"{pair}, {what}: a root, a norm or a division at 0 does it, in the branch of a jnp.where that is "
+                    "not taken too"
+                )
+
+
+def _numbers(vector: np.ndarray) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in vector) + ")"
+
+
+__all__ = ["check_contact_pair"]
