@@ -1,6 +1,8 @@
 """The check of a contact pair: distances, points, normals and derivatives of geoms that touch and that do not."""
 
 import itertools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ import numpy as np
 from rewax.physics.rigid import ContactPair, Geom
 from rewax.physics.rigid.contact_pair import NO_CONTACT, check_contact_pairs, find
 from rewax.testing.touching_geoms import Touching, distance_to, stacked, touching
-from rewax.types import Array, Key
+from rewax.types import Array
 
 _DEPTH, _FAR = 1e-3, 0.5
 """By how much geoms of 0.1 m overlap or are apart, and how far those are that do not touch at all [m]."""
@@ -23,9 +25,9 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
     In double precision, for geoms of about 0.1 m with random sizes and poses that overlap by 1 mm, are 1 mm apart or
     are far away, and for such that stand or lie exactly on each other. The function returns arrays of the right shapes.
     Geoms that overlap have a contact as deep as they overlap. Normals have length 1, and that of the deepest contact is
-    the derivative of the distance with respect to the second geom's position. Points lie within half the distance of
-    both surfaces. ``jax.grad`` gives the same derivative, and all derivatives with respect to positions, rotations and
-    sizes are finite. Slots without contact are left out.
+    the derivative of the distance with respect to the second geom's position. ``jax.grad`` gives the same derivative.
+    Points of the deepest contact, and of all that overlap, lie within half the distance of both surfaces. All
+    derivatives with respect to positions, rotations and sizes are finite. Slots without contact are left out.
 
     Args:
       pair: the contact pair.
@@ -44,21 +46,21 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
         raise ValueError(f"num_states is {num_states}: use 1 or more")
     check_contact_pairs([pair])
     with jax.enable_x64(True):
-        key = jax.random.key(seed)
-        for gap in (-_DEPTH, _DEPTH, _FAR):
-            key, one = jax.random.split(key)
-            drawn = _drawn(one, pair, num_states, gap)
-            what = f"of geoms that {'overlap by' if gap < 0 else 'are apart by'} {abs(gap)} m"
-            _check_derivatives(pair, drawn, what)
-            if gap != _FAR:
-                _check_contacts(pair, drawn, gap, tolerance, what)
+        gaps = np.repeat([-_DEPTH, _DEPTH, _FAR], num_states)
+        keys = jax.random.split(jax.random.key(seed), len(gaps))
+        drawn = _compiled(lambda key, gap: touching(key, pair.kinds, gap))(keys, jnp.asarray(gaps))
         lies = itertools.product((False, True), repeat=2)
         exact = [stacked(pair.kinds, lie, gap) for lie in lies for gap in (-_DEPTH, _DEPTH)]
-        _check_derivatives(pair, jax.tree.map(lambda *a: jnp.stack(a), *exact), "of geoms exactly upon each other")
+        states = jax.tree.map(lambda many, *few: jnp.concatenate([many, jnp.stack(few)]), drawn, *exact)
+        _check_derivatives(pair, states)
+        found = _measured(pair, states)
+    for gap in (-_DEPTH, _DEPTH):
+        _check_contacts(pair, _Measured(*(a[: len(gaps)][gaps == gap] for a in found)), gap, tolerance)
 
 
-def _drawn(key: Key, pair: ContactPair, num: int, gap: float) -> Touching:
-    return jax.jit(jax.vmap(lambda k: touching(k, pair.kinds, gap)))(jax.random.split(key, num))
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """For each of many arguments; programs that run once need no optimisation."""
+    return jax.jit(jax.vmap(function), compiler_options={"xla_backend_optimization_level": 0})
 
 
 def _met(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
@@ -66,26 +68,42 @@ def _met(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Ar
     return find(pair, *jax.tree.map(lambda a: a[None], (first, second)))
 
 
-def _smallest(pair: ContactPair, first: Geom, second: Geom) -> Array:
-    return jnp.min(_met(pair, first, second)[0])
+class _Measured(NamedTuple):
+    """Of pairs of geoms with k slots for contacts."""
+
+    distance: np.ndarray
+    """Shape (k,)."""
+    frame: np.ndarray
+    """Shape (k, 3, 3)."""
+    off: np.ndarray
+    """Of the points from both surfaces, shape (2, k)."""
+    slope: np.ndarray
+    """Of the smallest distance by the second geom's position, a central difference, shape (3,)."""
+    gradient: np.ndarray
+    """The same, of ``jax.grad``."""
 
 
-def _check_contacts(pair: ContactPair, drawn: Touching, gap: float, tolerance: float, what: str) -> None:
-    """Distances, points and normals."""
-
+def _measured(pair: ContactPair, states: Touching) -> _Measured:
     def one(state: Touching) -> tuple[Array, ...]:
         distance, point, frame = _met(pair, state.first, state.second)
         geoms = zip(pair.kinds, (state.first, state.second), strict=True)
         off = [jax.vmap(lambda p, kind=kind, geom=geom: distance_to(kind, geom, p))(point) for kind, geom in geoms]
 
         def moved(shift: Array) -> Array:
-            return _smallest(pair, state.first, state.second._replace(position=state.second.position + shift))
+            second = state.second._replace(position=state.second.position + shift)
+            return jnp.min(_met(pair, state.first, second)[0])
 
-        steps = _STEP * jnp.eye(3)
-        slope = (jax.vmap(moved)(steps) - jax.vmap(moved)(-steps)) / (2.0 * _STEP)
-        return distance, frame, jnp.stack(off), slope, jax.grad(moved)(jnp.zeros(3))
+        ends = jax.vmap(moved)(_STEP * jnp.concatenate([jnp.eye(3), -jnp.eye(3)]))
+        slope = (ends[:3] - ends[3:]) / (2.0 * _STEP)
+        return distance, frame, jnp.abs(jnp.stack(off)), slope, jax.grad(moved)(jnp.zeros(3))
 
-    distance, frame, off, slope, gradient = map(np.asarray, jax.jit(jax.vmap(one))(drawn))
+    return _Measured(*map(np.asarray, _compiled(one)(states)))
+
+
+def _check_contacts(pair: ContactPair, found: _Measured, gap: float, tolerance: float) -> None:
+    """Distances, points and normals."""
+    distance, frame, off, slope, gradient = found
+    what = f"of geoms that {'overlap by' if gap < 0 else 'are apart by'} {abs(gap)} m"
     is_contact = distance < NO_CONTACT
     rows, deepest = np.arange(len(distance)), np.argmin(distance, axis=1)
     least = distance[rows, deepest]
@@ -104,25 +122,25 @@ def _check_contacts(pair: ContactPair, drawn: Touching, gap: float, tolerance: f
     wrong = is_contact & ~(np.abs(product).max(axis=(-1, -2)) < tolerance)
     assert not wrong.any(), f"{who} returns a frame {what} whose rows are not of length 1 and perpendicular: make them"
     touches = is_contact[rows, deepest]
-    for found, name in ((slope, "a central difference"), (gradient, "jax.grad")):
-        wrong = touches & ~(np.abs(found - normal[rows, deepest]).max(axis=1) < tolerance)
+    for change, name in ((slope, "a central difference"), (gradient, "jax.grad")):
+        wrong = touches & ~(np.abs(change - normal[rows, deepest]).max(axis=1) < tolerance)
         if wrong.any():
             state = np.flatnonzero(wrong)[0]
             raise AssertionError(
                 f"{who} returns the normal {_numbers(normal[state, deepest[state]])} {what}, but the distance changes "
-                f"by {_numbers(found[state])} as the second geom moves ({name}): the normal points from the first geom "
+                f"by {_numbers(change[state])} as the second geom moves ({name}): the normal points from the first geom "
                 "to the second, and is that derivative"
             )
+    counts = is_contact & (distance <= np.maximum(least, 0.0)[:, None])
     for index, kind in enumerate(pair.kinds):
-        far = np.abs(off[:, index]) - 0.5 * np.abs(distance)
-        wrong = is_contact & ~(far < slack)
+        wrong = counts & ~(off[:, index] - 0.5 * np.abs(distance) < slack)
         assert not wrong.any(), (
-            f"{who} returns a point {what} that is {np.abs(off[:, index])[wrong][0]:.3g} m from the surface of the "
+            f"{who} returns a point {what} that is {off[:, index][wrong][0]:.3g} m from the surface of the "
             f"{kind}, at a distance of {distance[wrong][0]:.3g}: put points halfway between the two surfaces"
         )
 
 
-def _check_derivatives(pair: ContactPair, drawn: Touching, what: str) -> None:
+def _check_derivatives(pair: ContactPair, states: Touching) -> None:
     """Numbers and derivatives are finite."""
 
     def values(first: Geom, second: Geom) -> dict[str, Array]:
@@ -132,15 +150,15 @@ def _check_derivatives(pair: ContactPair, drawn: Touching, what: str) -> None:
         geoms = state.first, state.second
         return values(*geoms), jax.jacrev(values, argnums=(0, 1))(*geoms)
 
-    found, slopes = jax.jit(jax.vmap(one))(drawn)
+    found, slopes = _compiled(one)(states)
     for name, value in found.items():
-        assert np.isfinite(value).all(), f"the function of {pair} returns a {name} {what} that is not finite"
+        assert np.isfinite(value).all(), f"the function of {pair} returns a {name} that is not finite"
     for name, geoms in slopes.items():
         for kind, geom in zip(("first", "second"), geoms, strict=True):
             for field, slope in geom._asdict().items():
                 assert np.isfinite(slope).all(), (
                     f"the derivative of the {name} with respect to the {field} of the {kind} geom is not finite, for "
-                    f"{pair}, {what}: a root, a norm or a division at 0 does it, in the branch of a jnp.where that is "
+                    f"{pair}: a root, a norm or a division at 0 does it, in the branch of a jnp.where that is "
                     "not taken too"
                 )
 

@@ -30,7 +30,7 @@ class Touching(NamedTuple):
     normal: Array
 
 
-def touching(key: Key, kinds: tuple[str, str], gap: float) -> Touching:
+def touching(key: Key, kinds: tuple[str, str], gap: Array) -> Touching:
     """Two geoms with random sizes and rotations, ``gap`` [m] apart, or overlapping by that much where it is negative.
 
     One of them touches with a face or a curved surface, the other with what of it comes first: a corner, an end. Of
