@@ -26,8 +26,8 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
     are far away, and for such that stand or lie exactly on each other. The function returns arrays of the right shapes.
     Geoms that overlap have a contact as deep as they overlap. Normals have length 1, and that of the deepest contact is
     the derivative of the distance with respect to the second geom's position. ``jax.grad`` gives the same derivative.
-    Points of the deepest contact, and of all that overlap, lie within half the distance of both surfaces. All
-    derivatives with respect to positions, rotations and sizes are finite. Slots without contact are left out.
+    The deepest contact's point lies within half the distance of both surfaces, others that overlap within all of it.
+    All derivatives with respect to positions, rotations and sizes are finite. Slots without contact are left out.
 
     Args:
       pair: the contact pair.
@@ -128,12 +128,13 @@ def _check_contacts(pair: ContactPair, found: _Measured, gap: float, tolerance: 
             state = np.flatnonzero(wrong)[0]
             raise AssertionError(
                 f"{who} returns the normal {_numbers(normal[state, deepest[state]])} {what}, but the distance changes "
-                f"by {_numbers(change[state])} as the second geom moves ({name}): the normal points from the first geom "
-                "to the second, and is that derivative"
+                f"by {_numbers(change[state])} as the second geom moves ({name}): the normal points from the first "
+                "geom to the second, and is that derivative"
             )
-    counts = is_contact & (distance <= np.maximum(least, 0.0)[:, None])
+    share = np.where(distance == least[:, None], 0.5, 1.0)
     for index, kind in enumerate(pair.kinds):
-        wrong = counts & ~(off[:, index] - 0.5 * np.abs(distance) < slack)
+        wrong = is_contact & (distance <= np.maximum(least, 0.0)[:, None])
+        wrong &= ~(off[:, index] - share * np.abs(distance) < slack)
         assert not wrong.any(), (
             f"{who} returns a point {what} that is {off[:, index][wrong][0]:.3g} m from the surface of the "
             f"{kind}, at a distance of {distance[wrong][0]:.3g}: put points halfway between the two surfaces"

@@ -14,6 +14,8 @@ _SMALL, _LARGE = 0.05, 0.15
 """Sizes [m]."""
 _INSIDE = 0.8
 """Share of a face or an edge, around its middle, where geoms touch."""
+_CLEAR = 0.3
+"""Sine of the least angle between two edges, and between their common normal and those of faces."""
 _WITH_EDGES = ("capsule", "cylinder", "box")
 
 
@@ -45,7 +47,8 @@ def touching(key: Key, kinds: tuple[str, str], gap: Array) -> Touching:
         other, normal = _on_surface(keys[3], kinds[1], second)
         found.append((_furthest(kinds[0], first, -normal), other, -normal))
         if set(kinds) <= set(_WITH_EDGES):
-            found.append(_crossing(keys[4], kinds, first, second))
+            crossing, is_clear = _crossing(keys[4], kinds, first, second)
+            found.append(jax.tree.map(lambda a, b: jnp.where(is_clear, a, b), crossing, found[0]))
     choice = jax.random.randint(keys[5], (), 0, len(found))
     place, other, normal = (jnp.stack(parts)[choice] for parts in zip(*found, strict=True))
     position = first.position + place + gap * normal - other
@@ -143,8 +146,11 @@ def _on_surface(key: Key, kind: str, geom: Geom) -> tuple[Array, Array]:
     return geom.rotation @ place, geom.rotation @ normal
 
 
-def _crossing(key: Key, kinds: tuple[str, str], first: Geom, second: Geom) -> tuple[Array, Array, Array]:
-    """Points on two edges, from each geom's center, and their common normal, from first to second."""
+def _crossing(key: Key, kinds: tuple[str, str], first: Geom, second: Geom) -> tuple[tuple[Array, Array, Array], Array]:
+    """Points on two edges, from each geom's center, and their common normal, from first to second.
+
+    And whether the edges are far from parallel to each other and to all faces: otherwise a face may touch first.
+    """
     keys = jax.random.split(key, 4)
     numbers = [
         jax.random.randint(k, (), 0, 3) if kind == "box" else jnp.array(2)
@@ -152,7 +158,11 @@ def _crossing(key: Key, kinds: tuple[str, str], first: Geom, second: Geom) -> tu
     ]
     axes = [geom.rotation[:, number] for geom, number in zip((first, second), numbers, strict=True)]
     normal = jnp.cross(*axes)
-    normal = normal / jnp.maximum(jnp.linalg.norm(normal), 1e-12)
+    sine = jnp.linalg.norm(normal)
+    normal = normal / jnp.maximum(sine, 1e-12)
+    is_clear = sine > _CLEAR
+    for geom in (first, second):
+        is_clear &= jnp.max(jnp.abs(geom.rotation.T @ normal)) < 1.0 - 0.5 * _CLEAR**2
     points = []
     for k, kind, geom, number, axis, n in zip(
         keys[2:], kinds, (first, second), numbers, axes, (normal, -normal), strict=True
@@ -160,7 +170,7 @@ def _crossing(key: Key, kinds: tuple[str, str], first: Geom, second: Geom) -> tu
         half = geom.size[number] if kind == "box" else geom.size[1]
         point = _furthest(kind, geom, n)
         points.append(point + axis * (_INSIDE * half * jax.random.uniform(k, minval=-1.0) - jnp.dot(point, axis)))
-    return points[0], points[1], normal
+    return (points[0], points[1], normal), is_clear
 
 
 __all__ = ["Touching", "distance_to", "stacked", "touching"]
