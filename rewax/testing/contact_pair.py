@@ -24,10 +24,10 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
 
     In double precision, for geoms of about 0.1 m with random sizes and poses that overlap by 1 mm, are 1 mm apart or
     are far away, and for such that stand or lie exactly on each other. The function returns arrays of the right shapes.
-    Geoms that overlap have a contact as deep as they overlap. Normals have length 1, and that of the deepest contact is
-    the derivative of the distance with respect to the second geom's position. ``jax.grad`` gives the same derivative.
-    The deepest contact's point lies within half the distance of both surfaces, others that overlap within all of it.
-    All derivatives with respect to positions, rotations and sizes are finite. Slots without contact are left out.
+    Distances are negative where geoms overlap, and there alone; the smallest is as deep as they overlap. Its normal is
+    the derivative of the distance with respect to the second geom's position, which ``jax.grad`` finds as well; its
+    point lies within half the distance of both surfaces. Frames are orthonormal. All derivatives with respect to
+    positions, rotations and sizes are finite. Slots without contact are left out.
 
     Args:
       pair: the contact pair.
@@ -54,8 +54,10 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
         states = jax.tree.map(lambda many, *few: jnp.concatenate([many, jnp.stack(few)]), drawn, *exact)
         _check_derivatives(pair, states)
         found = _measured(pair, states)
-    for gap in (-_DEPTH, _DEPTH):
-        _check_contacts(pair, _Measured(*(a[: len(gaps)][gaps == gap] for a in found)), gap, tolerance)
+    found = _Measured(*(a[: len(gaps)] for a in found))
+    _check_frames(pair, found, tolerance)
+    _check_signs(pair, found, gaps, tolerance)
+    _check_deepest(pair, _Measured(*(a[gaps < 0] for a in found)), tolerance)
 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -100,44 +102,51 @@ def _measured(pair: ContactPair, states: Touching) -> _Measured:
     return _Measured(*map(np.asarray, _compiled(one)(states)))
 
 
-def _check_contacts(pair: ContactPair, found: _Measured, gap: float, tolerance: float) -> None:
-    """Distances, points and normals."""
-    distance, frame, off, slope, gradient = found
-    what = f"of geoms that {'overlap by' if gap < 0 else 'are apart by'} {abs(gap)} m"
-    is_contact = distance < NO_CONTACT
-    rows, deepest = np.arange(len(distance)), np.argmin(distance, axis=1)
-    least = distance[rows, deepest]
-    slack, who = tolerance * _DEPTH, f"the function of {pair}"
-    if gap < 0:
-        wrong = np.abs(least - gap) > slack
-        assert not wrong.any(), (
-            f"{who} returns {least[wrong][0]:.3g} as the smallest distance {what}: distances are negative where geoms "
-            "overlap, by how far one must move to be free"
-        )
-    normal = frame[:, :, 0]
-    length = np.linalg.norm(normal, axis=-1)
+def _check_frames(pair: ContactPair, found: _Measured, tolerance: float) -> None:
+    is_contact = found.distance < NO_CONTACT
+    length = np.linalg.norm(found.frame[:, :, 0], axis=-1)
     wrong = is_contact & ~(np.abs(length - 1.0) < tolerance)
-    assert not wrong.any(), f"{who} returns a normal of length {length[wrong][0]:.3g} {what}: give it length 1"
-    product = np.einsum("...ij,...kj->...ik", frame, frame) - np.eye(3)
+    assert not wrong.any(), (
+        f"the function of {pair} returns a normal of length {length[wrong][0]:.3g}: give it length 1"
+    )
+    product = np.einsum("...ij,...kj->...ik", found.frame, found.frame) - np.eye(3)
     wrong = is_contact & ~(np.abs(product).max(axis=(-1, -2)) < tolerance)
-    assert not wrong.any(), f"{who} returns a frame {what} whose rows are not of length 1 and perpendicular: make them"
-    touches = is_contact[rows, deepest]
-    for change, name in ((slope, "a central difference"), (gradient, "jax.grad")):
-        wrong = touches & ~(np.abs(change - normal[rows, deepest]).max(axis=1) < tolerance)
+    assert not wrong.any(), (
+        f"the function of {pair} returns a frame whose rows are not of length 1 and perpendicular: make them so, or "
+        "return normals"
+    )
+
+
+def _check_signs(pair: ContactPair, found: _Measured, gaps: np.ndarray, tolerance: float) -> None:
+    least = found.distance.min(axis=1)
+    wrong = np.where(gaps < 0, np.abs(least - gaps) > tolerance * _DEPTH, least < 0)
+    if wrong.any():
+        state = np.flatnonzero(wrong)[0]
+        raise AssertionError(
+            f"the function of {pair} returns {least[state]:.3g} as the smallest distance of geoms that "
+            f"{'overlap by' if gaps[state] < 0 else 'are apart by'} {abs(gaps[state])} m: a distance is negative where "
+            "geoms overlap, by how far one must move to be free, and positive where they do not"
+        )
+
+
+def _check_deepest(pair: ContactPair, found: _Measured, tolerance: float) -> None:
+    """Normals and points of the deepest contacts of geoms that overlap."""
+    rows, deepest = np.arange(len(found.distance)), np.argmin(found.distance, axis=1)
+    normal = found.frame[rows, deepest, 0]
+    for slope, name in ((found.slope, "a central difference"), (found.gradient, "jax.grad")):
+        wrong = ~(np.abs(slope - normal).max(axis=1) < tolerance)
         if wrong.any():
-            state = np.flatnonzero(wrong)[0]
+            one, other = (_numbers(vectors[np.argmax(wrong)]) for vectors in (normal, slope))
             raise AssertionError(
-                f"{who} returns the normal {_numbers(normal[state, deepest[state]])} {what}, but the distance changes "
-                f"by {_numbers(change[state])} as the second geom moves ({name}): the normal points from the first "
-                "geom to the second, and is that derivative"
+                f"the function of {pair} returns the normal {one}, but the distance changes by {other} as the second "
+                f"geom moves ({name}): the normal points from the first geom to the second, and is that derivative"
             )
-    share = np.where(distance == least[:, None], 0.5, 1.0)
-    for index, kind in enumerate(pair.kinds):
-        wrong = is_contact & (distance <= np.maximum(least, 0.0)[:, None])
-        wrong &= ~(off[:, index] - share * np.abs(distance) < slack)
+    half = 0.5 * np.abs(found.distance[rows, deepest])
+    for kind, off in zip(pair.kinds, found.off[rows, :, deepest].T, strict=True):
+        wrong = ~(off < half + tolerance * _DEPTH)
         assert not wrong.any(), (
-            f"{who} returns a point {what} that is {off[:, index][wrong][0]:.3g} m from the surface of the "
-            f"{kind}, at a distance of {distance[wrong][0]:.3g}: put points halfway between the two surfaces"
+            f"the function of {pair} returns a point that is {off[wrong][0]:.3g} m from the surface of the {kind}, "
+            f"where they overlap by {2.0 * half[wrong][0]:.3g} m: put points halfway between the two surfaces"
         )
 
 
