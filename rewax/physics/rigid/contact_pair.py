@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -102,7 +102,9 @@ def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Ar
     num, dtype = pair.num_contacts, first.position.dtype
 
     def one(first: Geom, second: Geom) -> tuple[Array, Array, Array]:
-        distance, point, normal = _checked(pair, pair.function(first, second))
+        result = pair.function(first, second)
+        _check_result(pair, result)
+        distance, point, normal = map(jnp.asarray, result)
         return distance.astype(dtype).reshape(num), point.astype(dtype).reshape(num, 3), normal.astype(dtype)
 
     distance, point, normal = jax.vmap(one)(first, second)
@@ -134,32 +136,32 @@ def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
         if any(pair.kinds == other.kinds for other in pairs[:i]):
             raise ValueError(f"contact_pairs holds {str(pair)[4:]} twice: leave one out")
         geom = Geom(*(jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype) for shape in ((3,), (3, 3), (3,))))
-        jax.eval_shape(lambda *geoms, pair=pair: _checked(pair, pair.function(*geoms)), geom, geom)
+        _check_result(pair, jax.eval_shape(pair.function, geom, geom))
 
 
-def _checked(pair: ContactPair, result: object) -> tuple[Array, Array, Array]:
-    """What a pair's function returned, as three arrays of real numbers of the right shapes."""
+def _check_result(pair: ContactPair, result: Any) -> None:
+    """Raises a ValueError unless a pair's function returned three arrays of real numbers of the right shapes."""
     if not isinstance(result, (tuple, list)) or len(result) != 3:
         raise ValueError(
             f"the function of {pair} returned a {type(result).__name__}: return distance, point and normal"
         )
     num = pair.num_contacts
-    arrays = [jnp.asarray(a) for a in result]
     legal = {
         "distance": [(num,)] + [()] * (num == 1),
         "point": [(num, 3)] + [(3,)] * (num == 1),
         "normal": [(num, 3), (3,), (num, 3, 3)],
     }
-    for array, (name, shapes) in zip(arrays, legal.items(), strict=True):
-        if array.shape not in shapes:
+    for array, (name, shapes) in zip(result, legal.items(), strict=True):
+        if jnp.shape(array) not in shapes:
             wanted = ", or ".join(map(str, shapes))
             raise ValueError(
-                f"the function of {pair} returned a {name} of shape {array.shape}: return shape {wanted}, for "
+                f"the function of {pair} returned a {name} of shape {jnp.shape(array)}: return shape {wanted}, for "
                 f"num_contacts={num}"
             )
-        if not jnp.issubdtype(array.dtype, jnp.floating):
-            raise ValueError(f"the function of {pair} returned a {name} of dtype {array.dtype}: return floats")
-    return arrays[0], arrays[1], arrays[2]
+        if not jnp.issubdtype(jnp.result_type(array), jnp.floating):
+            raise ValueError(
+                f"the function of {pair} returned a {name} of dtype {jnp.result_type(array)}: return floats"
+            )
 
 
 __all__ = ["KINDS", "NO_CONTACT", "ContactPair", "Geom", "check_contact_pairs", "contact_frame", "find"]

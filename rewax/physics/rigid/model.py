@@ -264,9 +264,9 @@ def load(
     try:
         static = _Model(compiled, penalty, contact_pairs)
     except (NotImplementedError, AssertionError) as error:
+        remedy = ", or give contact_pairs one of these kinds" if "collisions not implemented" in str(error) else ""
         raise ValueError(
-            f"MJX does not support this model ({error}): remove that, let such geoms not touch, or give load a "
-            "ContactPair of their kinds (contact_pairs)"
+            f"MJX does not support this model ({error}): remove that, or let such geoms not touch{remedy}"
         ) from error
     gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
     real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)
