@@ -136,9 +136,9 @@ def test_a_pair_of_the_user_comes_before_those_built_in(x64):
 
 
 HEAP = """<mujoco>{}<asset><mesh name="m" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody><geom type="plane" size="9 9 9" solmix="2"/>
-<body name="a"><freejoint/><geom name="a" size=".06" margin=".003"/></body><body name="b"><freejoint/><geom name="b" size=".05" priority="1" condim="4"/></body>
+<body name="a"><freejoint/><geom name="a" size=".06"/></body><body name="b"><freejoint/><geom name="b" size=".05" priority="1" condim="4"/></body>
 <body name="c"><freejoint/><geom type="mesh" mesh="m"/></body><body name="d"><freejoint/><geom name="d" size=".04" friction=".3"/></body>
-</worldbody><contact><pair geom1="d" geom2="a" condim="1" friction="0 0 0 0 0"/><exclude body1="b" body2="d"/></contact></mujoco>"""
+</worldbody><contact><pair geom1="d" geom2="a" condim="1" friction="0 0 0 0 0" margin=".003"/><exclude body1="b" body2="d"/></contact></mujoco>"""
 LIMITS = {
     "all": "",
     "points": '<custom><numeric name="max_contact_points" data="3"/></custom>',
