@@ -160,6 +160,12 @@ def test_the_tutorial_of_a_soft_task_runs(capsys):
     assert "Press" in names["rewax"].list_envs() and names["agent"].name == "sapo" and env.num_actions == 1
 
 
+def test_the_page_of_a_contact_pair_runs():
+    names = run_page("docs/your_own_contact_pair.md")
+    assert float(names["state"].qpos[2]) == pytest.approx(0.15, abs=1e-3)
+    assert names["model"].static.collisions.functions == (names["pair"],)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tet", "soft", "coupled"])
 def test_the_examples_of_soft_tasks_train(kind, tmp_path, monkeypatch):
