@@ -181,6 +181,21 @@ def test_the_torus_of_the_shapes_page_pushes_is_filled_and_is_drawn(tmp_path, mo
     assert imread(tmp_path / "torus.png").shape == imread(ROOT / "docs/pictures/torus.png").shape
 
 
+def test_the_page_of_a_contact_pair_runs():
+    names = run_page("docs/your_own_contact_pair.md")
+    assert float(names["state"].qpos[2]) == pytest.approx(0.15, abs=1e-3)
+    assert names["model"].static.collisions.functions == (names["pair"],)
+
+
+def test_the_page_of_a_law_runs(capsys):
+    names = run_page("docs/your_own_law.md")
+    assert capsys.readouterr().out.count("passed") == 2
+    listings = re.split(r"```python\n", (ROOT / "docs/your_own_law.md").read_text())[1:3]
+    for listing in listings:
+        assert len([line for line in listing.split("```")[0].splitlines() if line.strip()]) < 40
+    assert names["tearing"].initial_memory == (0.0,)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tet", "soft", "coupled"])
 def test_the_examples_of_soft_tasks_train(kind, tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """Articulated rigid bodies from MJCF models."""
 
 from rewax.physics.rigid.colliders import colliders, poses
+from rewax.physics.rigid.contact_pair import ContactPair, Geom
 from rewax.physics.rigid.model import PARAMETERS, RigidModel, RigidState, check_shape, load
 from rewax.physics.rigid.penalty import Penalty
 from rewax.physics.rigid.queries import (
@@ -14,7 +15,7 @@ from rewax.physics.rigid.queries import (
 from rewax.physics.rigid.step import check_status, initial_state, step
 
 __all__ = [
-    "PARAMETERS", "Penalty", "RigidModel", "RigidState", "body_poses", "body_velocities", "centers_of_mass",
-    "check_shape", "check_status", "colliders", "contact_distances", "geom_poses", "initial_state", "load", "poses",
-    "shapes", "step",
+    "PARAMETERS", "ContactPair", "Geom", "Penalty", "RigidModel", "RigidState", "body_poses", "body_velocities",
+    "centers_of_mass", "check_shape", "check_status", "colliders", "contact_distances", "geom_poses", "initial_state",
+    "load", "poses", "shapes", "step",
 ]  # fmt: skip

@@ -23,8 +23,8 @@ def sphere_capsule(
 
     Gradient: exact, finite everywhere. Where the sphere's centre lies on the axis the normal is zero.
     """
-    place = jnp.clip(jnp.sum((center - other_center) * axis, axis=-1), -size[:, 1], size[:, 1])
-    return _spheres(center, radius, other_center + place[:, None] * axis, size[:, 0])
+    place = jnp.clip(jnp.sum((center - other_center) * axis, axis=-1), -size[..., 1], size[..., 1])
+    return _spheres(center, radius, other_center + place[..., None] * axis, size[..., 0])
 
 
 def capsule_capsule(
@@ -53,7 +53,7 @@ def capsule_capsule(
     Gradient: exact, finite everywhere. Where the axes cross the normal is zero.
     Source: Ericson 2005, Real-Time Collision Detection, section 5.1.9. MuJoCo gives parallel capsules a second contact.
     """
-    length, other_length = size[:, 1], other_size[:, 1]
+    length, other_length = size[..., 1], other_size[..., 1]
     gap = other_center - center
     cosine = jnp.sum(axis * other_axis, axis=-1)
     along, other_along = jnp.sum(axis * gap, axis=-1), jnp.sum(other_axis * gap, axis=-1)
@@ -62,8 +62,8 @@ def capsule_capsule(
     place = jnp.clip(place, -length, length)
     other_place = jnp.clip(cosine * place - other_along, -other_length, other_length)
     place = jnp.clip(cosine * other_place + along, -length, length)
-    nearest = center + place[:, None] * axis
-    return _spheres(nearest, size[:, 0], other_center + other_place[:, None] * other_axis, other_size[:, 0])
+    nearest = center + place[..., None] * axis
+    return _spheres(nearest, size[..., 0], other_center + other_place[..., None] * other_axis, other_size[..., 0])
 
 
 def _spheres(center: Array, radius: Array, other_center: Array, other_radius: Array) -> tuple[Array, Array, Array]:
@@ -71,9 +71,9 @@ def _spheres(center: Array, radius: Array, other_center: Array, other_radius: Ar
     square = jnp.sum(across * across, axis=-1)
     apart = square > 0.0
     between = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
-    normal = across / jnp.where(apart, between, 1.0)[:, None]
+    normal = across / jnp.where(apart, between, 1.0)[..., None]
     distance = between - radius - other_radius
-    return distance, center + normal * (radius + 0.5 * distance)[:, None], normal
+    return distance, center + normal * (radius + 0.5 * distance)[..., None], normal
 
 
 __all__ = ["capsule_capsule", "sphere_capsule"]

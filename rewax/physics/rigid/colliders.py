@@ -12,7 +12,8 @@ from rewax.physics.contact.colliders import Collider
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix
 from rewax.physics.rigid.forces import kinematics
-from rewax.physics.rigid.model import RigidModel, mujoco
+from rewax.physics.rigid.mjx_access import mujoco
+from rewax.physics.rigid.model import RigidModel
 from rewax.physics.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 from rewax.physics.shapes.mesh_sdf import bake_mesh
 from rewax.types import Array, Scalar

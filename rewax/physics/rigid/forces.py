@@ -18,14 +18,25 @@ from rewax.physics.numerics.rotations import (
 )
 from rewax.physics.rigid.box_box import box_box
 from rewax.physics.rigid.capsules import capsule_capsule
+from rewax.physics.rigid.collide import collide
 from rewax.physics.rigid.connect import connect_drifts
 from rewax.physics.rigid.kinematic_tree import TreeParameters
 from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces
 from rewax.physics.rigid.kinematics import kinematics as tree_kinematics
 from rewax.physics.rigid.mjcf import is_disabled
-from rewax.physics.rigid.model import RigidModel, RigidState, mjx, mujoco
+from rewax.physics.rigid.mjx_access import (
+    actuator_moments,
+    actuator_velocities,
+    constraint_arrays,
+    mjx,
+    mujoco,
+    num_bounded_rows,
+    tendon_jacobian,
+    with_actuator_velocities,
+    with_tendon_velocities,
+)
+from rewax.physics.rigid.model import RigidModel, RigidState
 from rewax.physics.rigid.penalty import Penalty, contact_wrenches, limit_forces
-from rewax.physics.rigid.routines import own_routines
 from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select, spread
 from rewax.physics.rigid.solver import Rows
 from rewax.physics.rigid.sphere_box import sphere_box
@@ -56,8 +67,6 @@ def mjx_data(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array)
         # The exponent of the impedance has a derivative with log(0) in it; the rest may be differentiated.
         value = parameters[name]
         parameters[name] = jnp.concatenate([value[:, :4], jax.lax.stop_gradient(value[:, 4:])], axis=1)
-    if len(static.mjx_pairs) < static.mj.npair:
-        parameters.update((name, parameters[name][static.mjx_pairs]) for name in parameters if name.startswith("pair_"))
     m = static.mjx.replace(**parameters, opt=static.mjx.opt.replace(gravity=model.gravity))
     d = static.data.replace(
         qpos=state.qpos,
@@ -128,15 +137,16 @@ def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     d = _drives(model, m, d)
 
     def pull(velocity: Array) -> Array:
-        return mjx.fwd_actuation(m, d.tree_replace({"_impl.actuator_velocity": velocity})).actuator_force
+        return mjx.fwd_actuation(m, with_actuator_velocities(d, velocity)).actuator_force
 
     damping = jnp.diag(model.parameters["dof_damping"])
     if model.static.mj.nu and not is_disabled(model.static.mj, "ACTUATION"):
-        moment, velocity = d._impl.actuator_moment, d._impl.actuator_velocity
+        moment, velocity = actuator_moments(d), actuator_velocities(d)
         slope = jax.jvp(pull, (velocity,), (jnp.ones_like(velocity),))[1]  # each force depends on its own velocity
         damping -= dot(moment.T, slope[:, None] * moment)
     if model.static.mj.ntendon:
-        damping += dot(d._impl.ten_J.T, m.tendon_damping[:, None] * d._impl.ten_J)
+        jacobian = tendon_jacobian(d)
+        damping += dot(jacobian.T, m.tendon_damping[:, None] * jacobian)
     return damping
 
 
@@ -146,12 +156,8 @@ def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
         d = mjx.tendon(m, d)
     d = mjx.transmission(m, d)
     d = d.replace(actuator_length=_actuator_lengths(model, m, d))
-    return d.tree_replace(  # pyright: ignore[reportReturnType]
-        {
-            "_impl.actuator_velocity": dot(d._impl.actuator_moment, d.qvel),
-            "_impl.ten_velocity": dot(d._impl.ten_J, d.qvel),
-        }
-    )
+    d = with_actuator_velocities(d, dot(actuator_moments(d), d.qvel))
+    return with_tendon_velocities(d, dot(tendon_jacobian(d), d.qvel))
 
 
 def _spring_forces(model: RigidModel, qpos: Array) -> Array:
@@ -187,12 +193,6 @@ def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     return d.actuator_length.at[own].set(jnp.sum(turn * m.actuator_gear[own, :3], axis=-1))
 
 
-def _collide(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
-    """Contacts of all pairs."""
-    with own_routines(model.penalty is not None):
-        return mjx.collision(m, d)
-
-
 class _Contacts(NamedTuple):
     """What the penalty law needs to know of all pairs that may touch, see ``penalty.contact_wrenches``."""
 
@@ -205,8 +205,8 @@ class _Contacts(NamedTuple):
 
 
 def contacts(model: RigidModel, m: mjx.Model, d: mjx.Data) -> _Contacts:
-    """Those that MJX finds, then those that are ours: of spheres, capsules and boxes in explicit pairs."""
-    contact = _collide(model, m, d)._impl.contact
+    """Those of all pairs of geoms, then those that the penalty law has apart: of spheres, capsules, boxes, listed."""
+    contact = collide(model.static.collisions, m, d)
     friction = jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0)
     found = [
         _Contacts(
@@ -270,15 +270,13 @@ def _contact_wrenches(
 def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data) -> Rows:
     """Constraints of limits, contacts, dry friction and equalities; none under the penalty law."""
     if model.penalty is None:
-        if model.static.has_contacts:
-            d = _collide(model, m, d)
+        contact = collide(model.static.collisions, m, d) if model.static.has_contacts else None
         if model.static.mj.ntendon:
             d = mjx.tendon(m, d)
-        d = mjx.make_constraint(m, d)
-        impl = d._impl
-        loss, infinite = impl.efc_frictionloss, jnp.full_like(impl.efc_D, jnp.inf)
-        index = np.arange(len(loss))
-        equality, dry = index < impl.ne, (index >= impl.ne) & (index < impl.ne + impl.nf)
+        jacobian, stiffness, target, loss = constraint_arrays(m, d, contact)
+        infinite = jnp.full_like(stiffness, jnp.inf)
+        index, (num_equalities, num_dry) = np.arange(len(loss)), num_bounded_rows(d)
+        equality, dry = index < num_equalities, (index >= num_equalities) & (index < num_equalities + num_dry)
         lower = jnp.where(equality, -infinite, jnp.where(dry, -loss, 0.0))
         upper = jnp.where(dry, loss, infinite)
         sites = d.site_xpos if model.static.mj.nsite else None
@@ -286,7 +284,7 @@ def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Dat
         drifts = connect_drifts(*held, sites)
         if model.static.has_welds:
             drifts = jnp.concatenate([drifts, weld_drifts(*held, d.xquat, m.site_quat, sites)])
-        target = impl.efc_aref.at[: len(drifts)].add(-drifts)
-        return Rows(impl.efc_J, impl.efc_D, target, lower, upper)
+        target = target.at[: len(drifts)].add(-drifts)
+        return Rows(jacobian, stiffness, target, lower, upper)
     none = jnp.zeros(0, d.qpos.dtype)
     return Rows(jnp.zeros((0, model.num_dofs), d.qpos.dtype), none, none, none, none)

@@ -41,6 +41,18 @@ def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
     return bool(mj.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
 
 
+def numeric(mj: mujoco.MjModel, name: str) -> list[int]:
+    """Where MJX reads a custom number of this name, shape (1,) or (0,): at the number's place among their names."""
+    found = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_NUMERIC, name)
+    return [found] if found >= 0 else []
+
+
+def limit(mj: mujoco.MjModel, name: str) -> int | None:
+    """One of ``LIMITS``; None: the model has none."""
+    found = [int(value) for value in mj.numeric_data[numeric(mj, name)]]
+    return found[0] if found and found[0] >= 0 else None
+
+
 def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numbers of the explicit pairs of two kinds of geoms, unless contacts are disabled or limited; their geoms.
 
@@ -50,7 +62,7 @@ def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, 
       mj: the model.
       first, second: kinds of geoms, "sphere", "capsule" or "box".
     """
-    limited = any(mj.numeric(i).name in LIMITS and mj.numeric_data[i] > -1 for i in range(mj.nnumeric))
+    limited = any(limit(mj, name) is not None for name in LIMITS)
     geoms = np.stack([mj.pair_geom1, mj.pair_geom2], axis=1)
     kinds = [int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")) for kind in (first, second)]
     ordered = (mj.geom_type[geoms] == kinds).all(axis=1)
@@ -229,4 +241,6 @@ def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
     return f"{kind} {name!r}" if name else f"{kind} number {number}"
 
 
-__all__ = ["check_model", "compile_model", "is_disabled", "lone_dofs", "number", "own_pairs"]
+__all__ = [
+    "LIMITS", "check_model", "compile_model", "is_disabled", "limit", "lone_dofs", "number", "numeric", "own_pairs",
+]  # fmt: skip

@@ -1,16 +1,11 @@
-"""Articulated rigid bodies: a model read from MJCF, its numbers, its state.
-
-The one place that imports MJX, quietly, for this and for ``rigid_forces``.
-"""
+"""Articulated rigid bodies: a model read from MJCF, its numbers, its state."""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
-import contextlib
 import copy
 import functools
 import hashlib
-import io
-import logging
+from collections.abc import Sequence
 from typing import Any, Unpack
 
 import jax
@@ -20,22 +15,15 @@ import numpy as np
 from rewax import struct
 from rewax.physics.numerics.checks import POSITIVE, check_numbers, static_number
 from rewax.physics.rigid import mjcf
+from rewax.physics.rigid.collide import collisions
+from rewax.physics.rigid.contact_pair import ContactPair, check_contact_pairs
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
+from rewax.physics.rigid.mjx_access import mjx, mujoco, num_bounded_rows
 from rewax.physics.rigid.numbers import parameter_numbers
 from rewax.physics.rigid.overrides import Overrides, moving_geoms, with_overrides, without_idle_parts
 from rewax.physics.rigid.penalty import Penalty, check_penalty
+from rewax.physics.rigid.shown_to_mjx import with_groups_that_touch, without_contacts
 from rewax.types import Array
-
-with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-    # Without the optional package warp MJX prints two warnings that mean nothing to its JAX implementation.
-    _level = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    import mujoco
-    from mujoco import mjx
-
-    from rewax.physics.rigid.routines import own_routines
-
-    logging.disable(_level)
 
 PARAMETERS = (
     *TreeParameters._fields,
@@ -49,34 +37,40 @@ PARAMETERS = (
 
 
 class _Model:
-    """The static part of a ``RigidModel``: two of the same MJCF are equal.
+    """The static part of a ``RigidModel``: two of the same MJCF with the same contact pairs are equal.
 
     Under a penalty law explicit pairs of a sphere and a box, of two capsules and, where it wants that, of two boxes are
-    not MJX's, but ours.
+    apart from all others, unless the user added a contact pair of these kinds.
     """
 
-    def __init__(self, compiled: mujoco.MjModel, penalty: Penalty | None) -> None:
+    def __init__(
+        self, compiled: mujoco.MjModel, penalty: Penalty | None, contact_pairs: tuple[ContactPair, ...] = ()
+    ) -> None:
         buffer = np.empty(mujoco.mj_sizeModel(compiled), np.uint8)
         mujoco.mj_saveModel(compiled, None, buffer)
         law = (penalty is not None, penalty is not None and penalty.boxes_touch_once)
         self.key = hashlib.sha256(buffer.tobytes()).hexdigest() + f"{jnp.zeros(()).dtype} {law}"
+        self.contact_pairs = contact_pairs
         self.mj = compiled
         self.topology: TreeTopology = tree_topology(compiled.body_parentid, compiled.jnt_bodyid, compiled.jnt_type)
+        none, added = (np.zeros(0, int),) * 3, {pair.kinds for pair in contact_pairs}
+
+        def apart(kinds: tuple[str, str], wanted: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return mjcf.own_pairs(compiled, *kinds) if wanted and kinds not in added else none
+
+        self.sphere_boxes = apart(("sphere", "box"), law[0])
+        self.capsules = apart(("capsule", "capsule"), law[0])
+        self.boxes = apart(("box", "box"), law[1])
+        own = np.concatenate([self.sphere_boxes[0], self.capsules[0], self.boxes[0]])
+        others = np.setdiff1d(np.arange(compiled.npair), own)
+        self.collisions = collisions(compiled, others, penalty=law[0], added=contact_pairs)
+        shown = without_idle_parts(compiled)
+        if any(group.kinds in added for group in self.collisions.groups):
+            shown = with_groups_that_touch(shown, self.collisions.of_mjx)
         with jax.ensure_compile_time_eval():
-            self.mjx = mjx.put_model(without_idle_parts(compiled), jax.local_devices()[0], impl="jax")
-            none = (np.zeros(0, int),) * 3
-            self.sphere_boxes = mjcf.own_pairs(compiled, "sphere", "box") if penalty else none
-            self.capsules = mjcf.own_pairs(compiled, "capsule", "capsule") if penalty else none
-            self.boxes = mjcf.own_pairs(compiled, "box", "box") if law[1] else none
-            own = np.concatenate([self.sphere_boxes[0], self.capsules[0], self.boxes[0]])
-            self.mjx_pairs = np.setdiff1d(np.arange(compiled.npair), own)
-            if len(self.mjx_pairs) < compiled.npair:
-                fields = [name for name in vars(self.mjx) if name.startswith("pair_")]
-                kept = {name: getattr(self.mjx, name)[self.mjx_pairs] for name in fields}
-                self.mjx = self.mjx.replace(npair=len(self.mjx_pairs), **kept)
-            with own_routines(penalty is not None):
-                self.data = mjx.make_data(self.mjx, jax.local_devices()[0], impl="jax")
-        self.has_contacts = self.data._impl.ncon + len(own) > 0
+            self.mjx = without_contacts(shown, mjx.put_model(shown, jax.local_devices()[0], impl="jax"))
+            self.data = mjx.make_data(self.mjx, jax.local_devices()[0], impl="jax")
+        self.has_contacts = len(self.collisions.groups) + len(own) > 0
         self.moving_geoms = moving_geoms(compiled)
         self.is_implicit = compiled.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         self.lone_dofs = mjcf.lone_dofs(compiled) if self.is_implicit else np.zeros((0, 6), int)
@@ -84,13 +78,13 @@ class _Model:
             bool(np.any(compiled.dof_damping)) and not mjcf.is_disabled(compiled, "EULERDAMP")
         )
         self.has_welds = bool(np.any(compiled.eq_type == mujoco.mjtEq.mjEQ_WELD))
-        self.num_bounded = int(self.data._impl.ne + self.data._impl.nf)
+        self.num_bounded = sum(num_bounded_rows(self.data))
 
     def __hash__(self) -> int:
-        return hash(self.key)
+        return hash((self.key, self.contact_pairs))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Model) and self.key == other.key
+        return isinstance(other, _Model) and (self.key, self.contact_pairs) == (other.key, other.contact_pairs)
 
 
 @struct.dataclass
@@ -222,7 +216,12 @@ class RigidState(struct.Replaceable):
 
 
 def load(
-    source: Any, *, dt: float | None = None, penalty: Penalty | None = None, **overrides: Unpack[Overrides]
+    source: Any,
+    *,
+    dt: float | None = None,
+    penalty: Penalty | None = None,
+    contact_pairs: Sequence[ContactPair] = (),
+    **overrides: Unpack[Overrides],
 ) -> RigidModel:
     """A model from MJCF.
 
@@ -234,16 +233,21 @@ def load(
       penalty: contact by springs and dampers with these numbers; None: MuJoCo's soft constraints. For gradients of use
         give these an impedance that begins at zero (``solimp="0.0001 0.95 0.02"``, and dt of at most 1/240 s): by
         default it jumps to 0.9 on contact, and the derivative of that jump's time is missing from every gradient.
+      contact_pairs: how geoms of some kinds touch, added to those that rewax has built in
+        (``built_in_pairs.BUILT_IN_PAIRS``) or in place of them. All other kinds are MJX's.
       **overrides: options in place of the model's own, such as ``integrator="Euler"`` and ``cone="pyramidal"`` for
         models whose own are not supported; ``overrides.Overrides`` lists them.
 
     Raises:
       ValueError: it cannot be read, or uses something that is not supported; the message says what and where, and which
-        override helps. An override is unknown or has a value that cannot be.
+        override helps. An override is unknown or has a value that cannot be. A contact pair is not what ``ContactPair``
+        says, or there are two of the same kinds.
 
     Example:
       >>> model = rigid.load("humanoid.xml", integrator="implicitfast", cone="pyramidal")  # doctest: +SKIP
     """
+    contact_pairs = tuple(contact_pairs)
+    check_contact_pairs(contact_pairs)
     compiled = with_overrides(mjcf.compile_model(source), overrides)
     if dt is not None:
         compiled = copy.copy(compiled)
@@ -258,10 +262,11 @@ def load(
     if penalty is not None:
         check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
     try:
-        static = _Model(compiled, penalty)
+        static = _Model(compiled, penalty, contact_pairs)
     except (NotImplementedError, AssertionError) as error:
+        remedy = ", or give contact_pairs one of these kinds" if "collisions not implemented" in str(error) else ""
         raise ValueError(
-            f"MJX does not support this model ({error}): remove that, or let such geoms not touch"
+            f"MJX does not support this model ({error}): remove that, or let such geoms not touch{remedy}"
         ) from error
     gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
     real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)

@@ -28,7 +28,7 @@ def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_
     Source: MuJoCo's own plane and box. MJX keeps of the corners those within 1 mm of the deepest, so that a soft box
       which tilts loses the force of its other corners from one step to the next.
     """
-    arms = jnp.sum(rotation * (_CORNERS * half_size)[:, None, :], axis=-1)
+    arms = jnp.sum(rotation * (jnp.asarray(_CORNERS, half_size.dtype) * half_size)[:, None, :], axis=-1)
     height = jnp.sum(arms * normal, axis=-1)
     lower = jax.lax.top_k(-height, 4)[1]
     onehot = jax.nn.one_hot(lower, len(_CORNERS), dtype=arms.dtype)

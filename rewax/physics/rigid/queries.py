@@ -17,7 +17,8 @@ from rewax.physics.rigid.forces import (
 )
 from rewax.physics.rigid.kinematics import body_velocities as spatial_velocities
 from rewax.physics.rigid.kinematics import point_velocities
-from rewax.physics.rigid.model import RigidModel, RigidState, mujoco
+from rewax.physics.rigid.mjx_access import mujoco
+from rewax.physics.rigid.model import RigidModel, RigidState
 from rewax.types import Array
 
 

@@ -27,7 +27,7 @@ def sphere_box(
       pairs that do not touch MJX returns a distance of 1.
     """
     # Sums over axes of length 3 instead of ``components``: there are too few pairs for these to pay.
-    place = jnp.sum(rotation * (center - box)[:, :, None], axis=-2)
+    place = jnp.sum(rotation * (center - box)[..., :, None], axis=-2)
     beyond = place - jnp.clip(place, -half_size, half_size)
     square = jnp.sum(beyond * beyond, axis=-1)
     outside = square > 0.0
@@ -36,10 +36,10 @@ def sphere_box(
     nearest = depth <= jnp.min(depth, axis=-1, keepdims=True)
     nearest &= jnp.cumsum(nearest, axis=-1) <= 1  # one face, where several are equally near
     inward = jnp.where(nearest, jnp.where(place < 0.0, 1.0, -1.0), 0.0)
-    inward = jnp.where(outside[:, None], -beyond / length[:, None], inward)
+    inward = jnp.where(outside[..., None], -beyond / length[..., None], inward)
     distance = jnp.where(outside, length, -jnp.sum(jnp.where(nearest, depth, 0.0), axis=-1)) - radius
-    normal = jnp.sum(rotation * inward[:, None, :], axis=-1)
-    return distance, center + normal * (radius + 0.5 * distance)[:, None], normal
+    normal = jnp.sum(rotation * inward[..., None, :], axis=-1)
+    return distance, center + normal * (radius + 0.5 * distance)[..., None], normal
 
 
 __all__ = ["sphere_box"]

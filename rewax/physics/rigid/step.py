@@ -1,6 +1,6 @@
 """Articulated rigid bodies: a state moved forward in time.
 
-MJX finds the contacts and builds the constraint rows (``model``, ``forces``; nothing else of rewax touches it).
+MJX builds the constraint rows, and finds contacts of kinds that rewax has no function for (``mjx_access``).
 Kinematics, dynamics and the solver (``kinematics``, ``tree_dynamics``, ``solver``) are ours. Their derivative comes
 from the implicit function theorem: the backward pass neither repeats nor differentiates the solver.
 
@@ -27,7 +27,8 @@ from rewax.physics.rigid.forces import (
     velocity_damping,
 )
 from rewax.physics.rigid.kinematics import Kinematics, integrate
-from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, mjx, mujoco
+from rewax.physics.rigid.mjx_access import mjx, mujoco
+from rewax.physics.rigid.model import RigidModel, RigidState, check_shape
 from rewax.physics.rigid.numbers import has_invalid_parameters
 from rewax.physics.rigid.small_products import dot
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spin_slopes

@@ -139,7 +139,7 @@ REFUSED = {
             extra=rigid_models.touching(("can", "box")),
         ),
         "MJX does not support this model ((mjtGeom.mjGEOM_CYLINDER, mjtGeom.mjGEOM_BOX) collisions not implemented.): "
-        "remove that, or let such geoms not touch",
+        "remove that, or let such geoms not touch, or give contact_pairs one of these kinds",
     ),
 }  # fmt: skip
 

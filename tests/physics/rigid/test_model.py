@@ -1,4 +1,4 @@
-"""A loaded model: each of its parameters is heeded, one program per model, names, and what is used of MJX."""
+"""A loaded model: each of its parameters is heeded, one program per model, names."""
 
 import functools
 
@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 import rigid_models
-from mujoco import mjx
 from rigid_cases import STEPS, VERSIONS, advance, draw, home, hop, loaded, simulate_in_c
 
 from rewax.physics import rigid
@@ -138,32 +137,8 @@ def test_a_model_is_compiled_once(x64):
     assert single.static != first.static and single.home.dtype == np.float32
 
 
-FUNCTIONS = (
-    "collision", "make_constraint", "passive", "transmission", "fwd_actuation", "tendon", "put_model", "make_data",
-)  # fmt: skip
-READ_AND_WRITTEN = (
-    "qpos", "qvel", "act", "ctrl", "xpos", "xmat", "xipos", "ximat", "subtree_com", "cdof", "cvel", "geom_xpos", "geom_xmat",
-    "site_xpos", "site_xmat", "qfrc_passive", "qfrc_actuator", "act_dot", "actuator_length", "eq_active",
-)  # fmt: skip
-OF_THE_IMPLEMENTATION = (
-    "ne", "nf", "ncon", "contact", "actuator_moment", "actuator_velocity", "ten_J", "ten_velocity", "efc_J", "efc_D",
-    "efc_aref", "efc_frictionloss",
-)  # fmt: skip
-OF_A_CONTACT = ("dist", "pos", "frame", "includemargin", "friction", "dim", "geom")
-
-
-def test_mjx_has_what_is_used_of_it():
+def test_parameters_have_the_shapes_of_mujoco():
     mj, model = loaded("contraption")
-    data = model.static.data
-    missing = [f"mjx.{name}" for name in FUNCTIONS if not callable(getattr(mjx, name, None))]
-    for what, holder, fields in (
-        ("mjx.Model", model.static.mjx, (*rigid.PARAMETERS, "opt", "site_pos", "site_quat", "eq_data")),
-        ("mjx.Data", data, READ_AND_WRITTEN),
-        ("mjx.Data._impl", data._impl, OF_THE_IMPLEMENTATION),
-        ("Contact", data._impl.contact, OF_A_CONTACT),
-    ):
-        missing += [f"{what}.{name}" for name in fields if not hasattr(holder, name)]
-    assert not missing, f"{VERSIONS} {', '.join(missing)} are gone"
     for name in rigid.PARAMETERS:
         ours, theirs = getattr(mj, name).shape, getattr(model.static.mjx, name).shape
         assert ours == theirs, f"{VERSIONS} {name} has shape {theirs} in MJX and {ours} in MuJoCo"

@@ -1,4 +1,4 @@
-"""Our contact routines inside MJX: one step's acceleration is MuJoCo's, MJX stays as it was, frames."""
+"""Contacts that rewax finds itself: MuJoCo's, of all kinds; a fall is MuJoCo's; the public check passes them."""
 
 import functools
 
@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 import rigid_models
-from mujoco import mjx
-from mujoco.mjx._src import collision_driver
 
 from rewax.physics import rigid
 from rewax.physics.rigid import forces
-from rewax.physics.rigid.routines import contact_frame, own_routines
+from rewax.physics.rigid.built_in_pairs import BUILT_IN_PAIRS, UNDER_A_PENALTY
+from rewax.physics.rigid.collide import collide
+from rewax.testing import check_contact_pair
 
 HEAP = """<mujoco><worldbody><geom type="plane" size="9 9 9" margin=".003"/>
 <body><freejoint/><geom type="box" size=".05 .06 .07"/></body><body><freejoint/><geom type="box" size=".1 .03 .05"/></body>
@@ -31,8 +31,7 @@ def test_contacts_of_all_kinds_are_mujocos(x64):
     def contacts(qpos):
         kin, state = forces.kinematics(model, qpos), rigid.initial_state(model, qpos)
         m, d = forces.mjx_data(model, kin, state, jnp.zeros(0))
-        with own_routines(False):
-            found = mjx.collision(m, d)._impl.contact
+        found = collide(model.static.collisions, m, d)
         return found.geom, found.dist - found.includemargin, found.dist, found.pos, found.frame
 
     qpos = np.tile(mj.qpos0, (40, 1)).reshape(40, 5, 7)
@@ -57,8 +56,6 @@ def test_contacts_of_all_kinds_are_mujocos(x64):
                      (capsule, box), (box, box)}  # fmt: skip
 
 
-CUBE = """<mujoco>{}<worldbody><geom type="plane" size="9 9 9"/><body pos="0 0 .07"><freejoint/>
-<geom type="box" size=".05 .06 .07"/></body></worldbody></mujoco>"""
 ON_THE_FLOOR = """<mujoco><option timestep="0.004" iterations="100" ls_iterations="100" tolerance="1e-15"/><worldbody>
 <geom type="plane" size="9 9 9"/><body pos="0 0 .06"><freejoint/><geom type="capsule" size=".04 .08" condim="4" friction=".7 .02 .01"/></body>
 <body pos="0 0 .2"><freejoint/><geom type="box" size=".05 .06 .07" density="700"/></body></worldbody></mujoco>"""
@@ -92,36 +89,30 @@ def test_a_fall_is_that_of_mujoco(x64):
     assert error.max() < 1e-9 and most >= 4
 
 
-def test_contacts_may_be_limited_as_in_mjx_and_the_limit_lifted(x64):
-    """Four corners of a cube on a plane; of these, the two deepest."""
-    custom = '<custom><numeric name="max_contact_points" data="2"/></custom>'
-    text = CUBE.format(custom)
-    for overrides, count in (({}, 2), ({"max_contact_points": 3}, 3), ({"max_contact_points": None}, 4)):
-        model = rigid.load(text, **overrides)
-        state = rigid.initial_state(model, model.home.at[2].set(0.069))
-        distance = jax.jit(rigid.contact_distances)(model, state)
-        assert len(distance) == count
-        np.testing.assert_allclose(distance, -0.001, atol=1e-12)
+SLOW = (("capsule", "capsule"), ("capsule", "box"), ("box", "box"), ("sphere", "capsule"))
+"""To compile."""
 
 
-def test_mjx_is_as_it_was_afterwards():
-    before = dict(collision_driver._COLLISION_FUNC)
-    with own_routines(False):
-        assert sum(collision_driver._COLLISION_FUNC[kinds] is not routine for kinds, routine in before.items()) == 7
-    with own_routines(True):
-        changed = [kinds for kinds, routine in before.items() if collision_driver._COLLISION_FUNC[kinds] is not routine]
-    assert [tuple(map(int, kinds)) for kinds in changed] == [(0, 6)]
-    with pytest.raises(RuntimeError), own_routines(False):
-        raise RuntimeError
-    assert before == collision_driver._COLLISION_FUNC
+@pytest.mark.parametrize(
+    "pair",
+    [
+        pytest.param(pair, marks=[pytest.mark.slow] * (pair.kinds in SLOW), id="-".join(pair.kinds))
+        for pair in BUILT_IN_PAIRS
+    ],
+)
+def test_the_public_check_passes_them(pair):
+    check_contact_pair(pair)
 
 
-def test_frames_are_mujocos(x64):
-    normal = np.random.default_rng(0).standard_normal((30, 3))
-    normal[:3] = np.eye(3)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    for ours, up in zip(np.asarray(contact_frame(jnp.asarray(normal))), normal, strict=True):
-        tangent = np.array([0, 1, 0.0]) if -0.5 < up[1] < 0.5 else np.array([0, 0, 1.0])
-        tangent -= up * (up @ tangent)
-        tangent /= np.linalg.norm(tangent)
-        np.testing.assert_allclose(ours, [up, tangent, np.cross(up, tangent)], atol=1e-12)
+def test_one_table_says_what_is_ours():
+    kinds = [pair.kinds for pair in BUILT_IN_PAIRS]
+    assert len(set(kinds)) == len(kinds) == 7
+    assert [pair.kinds for pair in UNDER_A_PENALTY] == [("plane", "box")]
+    world = "".join(
+        f'<body><freejoint/><geom type="{k}" size=".1 .1 .1"/></body>' for k in ("sphere", "capsule", "box") * 2
+    )
+    text = f'<mujoco><worldbody><geom type="plane" size="9 9 9"/>{world}</worldbody></mujoco>'
+    for penalty, ours in ((None, {*kinds}), (rigid.Penalty(stiffness=1e3), {("plane", "box")})):
+        found = rigid.load(text, dt=1e-3, penalty=penalty).static.collisions
+        functions = dict(zip((group.kinds for group in found.groups), found.functions, strict=True))
+        assert {pair for pair, function in functions.items() if function is not None} == ours and len(functions) == 9

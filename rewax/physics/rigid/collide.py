@@ -1,0 +1,164 @@
+"""Contacts of a model: of the kinds of geoms that rewax has functions for, and of all others, for which it asks MJX.
+
+MJX's ``collision`` has one table of functions, which all its users in a process share. So that stays as it is: MJX is
+shown the pairs of geoms that it has to collide, as explicit ones of a model that has no other.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.rigid.built_in_pairs import BUILT_IN_PAIRS, UNDER_A_PENALTY
+from rewax.physics.rigid.contact_pair import ContactPair, Geom, find
+from rewax.physics.rigid.contact_parameters import ContactParameters, contact_parameters
+from rewax.physics.rigid.geom_pairs import GeomPairs, geom_pairs
+from rewax.physics.rigid.mjcf import limit
+from rewax.physics.rigid.mjx_access import contact_of, listed_collisions, mjx, mujoco
+from rewax.physics.rigid.shown_to_mjx import with_one_group
+from rewax.types import Array
+
+_ENDLESS = {"plane", "hfield"}
+"""Kinds that have no bounding sphere: all their pairs are looked at."""
+
+
+class Collisions(NamedTuple):
+    """Which geoms of a model may touch, and who finds their contacts: part of the program.
+
+    Attributes:
+      mj: MuJoCo's model.
+      groups: pairs of geoms.
+      functions: one for each group; None: MJX's.
+      max_geom_pairs: so many pairs of a group are looked at, those whose bounding spheres are nearest; None: all.
+      max_contact_points: so many contacts of each dimension count, the deepest; None: all.
+    """
+
+    mj: mujoco.MjModel
+    groups: tuple[GeomPairs, ...]
+    functions: tuple[ContactPair | None, ...]
+    max_geom_pairs: int | None
+    max_contact_points: int | None
+
+    @property
+    def of_mjx(self) -> list[GeomPairs]:
+        return [group for group, pair in zip(self.groups, self.functions, strict=True) if pair is None]
+
+
+def collisions(
+    mj: mujoco.MjModel, listed: np.ndarray, *, penalty: bool = False, added: Sequence[ContactPair] = ()
+) -> Collisions:
+    """Which geoms of a model may touch, and who finds their contacts.
+
+    Args:
+      mj: MuJoCo's model.
+      listed: numbers of the explicit pairs that count, shape (n,).
+      penalty: whether under a penalty law.
+      added: the user's contact pairs, which replace those that rewax has built in.
+    """
+    known = {pair.kinds: pair for pair in (*(UNDER_A_PENALTY if penalty else BUILT_IN_PAIRS), *added)}
+    most_pairs, most_points = limit(mj, "max_geom_pairs"), limit(mj, "max_contact_points")
+    groups = geom_pairs(mj, listed) if most_points != 0 else ()
+    groups = tuple(group for group in groups if most_pairs != 0 or _ENDLESS & {*group.kinds})
+    return Collisions(mj, groups, tuple(known.get(group.kinds) for group in groups), most_pairs, most_points)
+
+
+class _Contacts(NamedTuple):
+    """n contacts of geoms."""
+
+    distance: Array
+    point: Array
+    frame: Array
+    parameters: ContactParameters
+    geoms: Array | np.ndarray
+    """Numbers of the two geoms, shape (n, 2); NumPy's while they belong to the program."""
+
+
+def collide(found: Collisions, m: mjx.Model, d: mjx.Data) -> mjx.Contact:
+    """Contacts of all geoms that may touch, in MJX's order: by dimension, by group, by pair.
+
+    Args:
+      found: who collides what.
+      m: MJX's model ``without_contacts``, with the numbers that may be traced.
+      d: poses of the geoms.
+
+    Returns:
+      MJX's contacts [m]. Slots without a contact have a distance above their margin.
+
+    Gradient: that of the functions of the pairs; through MJX's routines as these have it.
+    Source: MuJoCo MJX 3.17, ``collision_driver.collision``, with which order and parameters agree to the bit.
+    """
+    by_dim: dict[int, list[_Contacts]] = {}
+    for group, pair in zip(found.groups, found.functions, strict=True):
+        by_dim.setdefault(group.condim, []).append(_of_group(found, m, d, group, pair))
+    if found.max_contact_points is not None:
+        by_dim = {dim: [_deepest(found.max_contact_points, parts)] for dim, parts in by_dim.items()}
+    dims = [np.full(len(part.distance), dim) for dim in sorted(by_dim) for part in by_dim[dim]]
+    parts = [part for dim in sorted(by_dim) for part in by_dim[dim]] or [_none(d.geom_xpos.dtype)]
+    every = _joined(parts)
+    geoms = jnp.asarray(every.geoms)
+    dim = np.concatenate([np.zeros(0, int), *dims])
+    return contact_of(every.distance, every.point, every.frame, every.parameters, geoms, dim)
+
+
+def _of_group(found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pair: ContactPair | None) -> _Contacts:
+    parameters, geoms = contact_parameters(found.mj, m, group), group.geoms
+    is_culled = found.max_geom_pairs is not None and len(geoms) > found.max_geom_pairs and not _ENDLESS & {*group.kinds}
+    if pair is None:
+        contact = listed_collisions(with_one_group(m, group), d)
+        met = contact.dist, contact.pos, contact.frame
+        if is_culled:
+            numbers = contact.includemargin  # see with_one_group
+            return _Contacts(*met, jax.tree.map(lambda a: a[numbers], parameters), contact.geom)
+    else:
+        if is_culled:
+            nearest = _nearest(found, m, d, geoms)
+            geoms, parameters = jax.tree.map(lambda a: a[nearest], (jnp.asarray(geoms), parameters))
+        first, second = (Geom(d.geom_xpos[g], d.geom_xmat[g], m.geom_size[g]) for g in geoms.T)
+        met = find(pair, first, second)
+    num = len(met[0]) // len(geoms)
+    return _Contacts(*met, *_repeated(num, (parameters, geoms)))
+
+
+def _nearest(found: Collisions, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
+    """Numbers of the pairs whose bounding spheres are nearest, shape (max_geom_pairs,)."""
+    center, other_center = d.geom_xpos[geoms.T]
+    radius, other_radius = m.geom_rbound[geoms.T]
+    distance = jax.vmap(jnp.linalg.norm)(other_center - center) - (radius + other_radius)
+    return jax.lax.top_k(-distance, k=found.max_geom_pairs)[1]
+
+
+def _deepest(num: int, parts: list[_Contacts]) -> _Contacts:
+    every = _joined(parts)
+    if len(every.distance) <= num:
+        return every
+    chosen = jax.lax.top_k(-every.distance, k=num)[1]
+    return jax.tree.map(lambda a: jnp.asarray(a)[chosen], every)
+
+
+def _repeated(num: int, tree: Any) -> Any:
+    """Each row as often as a pair of geoms has contacts."""
+
+    def rows(a: Array | np.ndarray) -> Array | np.ndarray:
+        return (np if isinstance(a, np.ndarray) else jnp).repeat(a, num, axis=0)
+
+    return jax.tree.map(rows, tree) if num > 1 else tree
+
+
+def _joined(parts: list[_Contacts]) -> _Contacts:
+    def rows(*arrays: Array | np.ndarray) -> Array | np.ndarray:
+        constant = all(isinstance(a, np.ndarray) for a in arrays)
+        return np.concatenate(arrays) if constant else jnp.concatenate([jnp.asarray(a) for a in arrays])
+
+    return jax.tree.map(rows, *parts) if len(parts) > 1 else parts[0]
+
+
+def _none(dtype: Any) -> _Contacts:
+    scalar, pair, vector, five, matrix = (jnp.zeros((0, *shape), dtype) for shape in ((), (2,), (3,), (5,), (3, 3)))
+    return _Contacts(scalar, vector, matrix, ContactParameters(scalar, five, pair, pair, five), np.zeros((0, 2), int))
+
+
+__all__ = ["Collisions", "collide", "collisions"]

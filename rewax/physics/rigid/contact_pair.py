@@ -1,0 +1,167 @@
+"""How two kinds of geoms touch, as an object: what users add to a model, and what rewax has built in."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax.physics.rigid.small_products import cross
+from rewax.types import Array
+
+KINDS = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
+"""Kinds of geoms that position, rotation and size say all about, in MuJoCo's order."""
+NO_CONTACT = 1.0
+"""Distance [m] in a slot that holds no contact, as in MuJoCo's JAX implementation."""
+
+
+class Geom(NamedTuple):
+    """One geom of a model.
+
+    Attributes:
+      position: of its center [m], shape (3,).
+      rotation: from its frame to the world's, shape (3, 3). Planes have their normal, capsules and cylinders their
+        axis, along the frame's z: ``rotation[:, 2]``.
+      size: MuJoCo's ``geom_size`` [m], shape (3,): of a sphere the radius, of a capsule or cylinder the radius and half
+        the length, of a box half the edges, of an ellipsoid the semi-axes; numbers that a kind has not are 0.
+    """
+
+    position: Array
+    rotation: Array
+    size: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class ContactPair:
+    """How geoms of two kinds touch; give it to ``load`` as one of ``contact_pairs``.
+
+    Attributes:
+      kinds: of the two geoms, by their names in MJCF, in MuJoCo's order: plane, sphere, capsule, ellipsoid, cylinder,
+        box.
+      num_contacts: number n of slots for contacts of one pair of geoms.
+      function: ``function(first, second)`` of two ``Geom``s returns three arrays. Signed distances between the surfaces
+        [m], shape (n,), negative where they overlap, 1 in a slot without contact. Points halfway between the surfaces
+        [m], shape (n, 3). Unit normals from the first geom to the second, shape (n, 3), or (3,) for one that all
+        contacts have in common; or frames, shape (n, 3, 3), whose rows are the normal and two directions of friction.
+        With one contact the axis of length n may be left out of distance and point. It is a pure JAX function of one
+        pair of geoms; rewax maps it over all pairs of the model. Models that share the function share programs.
+
+    Raises:
+      ValueError: a kind is unknown, or they are in another order, or the number of contacts is no whole number above 0.
+
+    Gradient: that of the function, with respect to positions, rotations and sizes.
+
+    Example:
+      >>> def spheres(first, second):
+      ...     across = second.position - first.position
+      ...     length = jnp.sqrt(jnp.sum(across**2))
+      ...     distance, normal = length - first.size[0] - second.size[0], across / length
+      ...     return distance, first.position + normal * (first.size[0] + 0.5 * distance), normal
+      >>> pair = ContactPair(("sphere", "sphere"), 1, spheres)
+      >>> model = rigid.load("balls.xml", contact_pairs=(pair,))  # doctest: +SKIP
+    """
+
+    kinds: tuple[str, str]
+    num_contacts: int
+    function: Callable[[Geom, Geom], tuple[Array, Array, Array]]
+
+    def __post_init__(self) -> None:
+        kinds = tuple(self.kinds) if isinstance(self.kinds, (tuple, list)) else self.kinds
+        if not isinstance(kinds, tuple) or len(kinds) != 2 or not all(kind in KINDS for kind in kinds):
+            raise ValueError(f"kinds is {self.kinds!r}: give two of {', '.join(map(repr, KINDS))}")
+        if kinds == ("plane", "plane"):
+            raise ValueError("kinds is ('plane', 'plane'), which never touch: give another kind beside plane")
+        if KINDS.index(kinds[0]) > KINDS.index(kinds[1]):
+            raise ValueError(f"kinds is {self.kinds!r}: give {kinds[::-1]!r}, MuJoCo's order, and a function of these")
+        object.__setattr__(self, "kinds", kinds)
+        if not isinstance(self.num_contacts, int) or isinstance(self.num_contacts, bool) or self.num_contacts < 1:
+            raise ValueError(f"num_contacts of {self} is {self.num_contacts!r}: give a whole number, at least 1")
+        if not callable(self.function):
+            raise ValueError(f"function of {self} is {self.function!r}: give a function of two geoms")
+
+    def __str__(self) -> str:
+        return f"the contact pair {self.kinds[0]}-{self.kinds[1]}"
+
+
+def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
+    """Contacts of n pairs of geoms, those of a pair one after another.
+
+    Args:
+      pair: how they touch, with k contacts each.
+      first, second: the geoms, each array with a leading axis of length n.
+
+    Returns:
+      Distances [m], shape (n k,); points [m], shape (n k, 3); frames, shape (n k, 3, 3).
+
+    Raises:
+      ValueError: the pair's function returns something else than ``ContactPair`` says.
+
+    Gradient: that of the pair's function; of the directions of friction as ``contact_frame`` says.
+    """
+    num, dtype = pair.num_contacts, first.position.dtype
+
+    def one(first: Geom, second: Geom) -> tuple[Array, Array, Array]:
+        result = pair.function(first, second)
+        _check_result(pair, result)
+        distance, point, normal = map(jnp.asarray, result)
+        return distance.astype(dtype).reshape(num), point.astype(dtype).reshape(num, 3), normal.astype(dtype)
+
+    distance, point, normal = jax.vmap(one)(first, second)
+    if normal.ndim == 2:
+        frame = contact_frame(normal)
+        frame = jnp.repeat(frame, num, axis=0) if num > 1 else frame
+    else:
+        frame = normal if normal.ndim == 4 else contact_frame(normal)
+    return distance.reshape(-1), point.reshape(-1, 3), frame.reshape(-1, 3, 3)
+
+
+def contact_frame(normal: Array) -> Array:
+    """A right-handed frame of a normal, as MuJoCo makes it: rows normal and two tangents. (..., 3) -> (..., 3, 3).
+
+    Gradient: exact, but where the tangent changes from about y to about z.
+    """
+    level = (normal[..., 1] > -0.5) & (normal[..., 1] < 0.5)
+    start = jnp.where(level[..., None], jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
+    tangent = start - normal * jnp.sum(start * normal, axis=-1, keepdims=True)
+    tangent = tangent / jnp.sqrt(jnp.sum(tangent * tangent, axis=-1, keepdims=True))
+    return jnp.stack([normal, tangent, cross(normal, tangent)], axis=-2)
+
+
+def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
+    """Raises a ValueError unless all are contact pairs, of different kinds, whose functions return what they should."""
+    for i, pair in enumerate(pairs):
+        if not isinstance(pair, ContactPair):
+            raise ValueError(f"contact_pairs holds {pair!r}: give rigid.ContactPair(kinds, num_contacts, function)")
+        if any(pair.kinds == other.kinds for other in pairs[:i]):
+            raise ValueError(f"contact_pairs holds {str(pair)[4:]} twice: leave one out")
+        geom = Geom(*(jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype) for shape in ((3,), (3, 3), (3,))))
+        _check_result(pair, jax.eval_shape(pair.function, geom, geom))
+
+
+def _check_result(pair: ContactPair, result: Any) -> None:
+    """Raises a ValueError unless a pair's function returned three arrays of real numbers of the right shapes."""
+    if not isinstance(result, (tuple, list)) or len(result) != 3:
+        raise ValueError(
+            f"the function of {pair} returned a {type(result).__name__}: return distance, point and normal"
+        )
+    num = pair.num_contacts
+    legal = {
+        "distance": [(num,)] + [()] * (num == 1),
+        "point": [(num, 3)] + [(3,)] * (num == 1),
+        "normal": [(num, 3), (3,), (num, 3, 3)],
+    }
+    for array, (name, shapes) in zip(result, legal.items(), strict=True):
+        if jnp.shape(array) not in shapes:
+            wanted = ", or ".join(map(str, shapes))
+            raise ValueError(
+                f"the function of {pair} returned a {name} of shape {jnp.shape(array)}: return shape {wanted}, for "
+                f"num_contacts={num}"
+            )
+        if not jnp.issubdtype(jnp.result_type(array), jnp.floating):
+            raise ValueError(
+                f"the function of {pair} returned a {name} of dtype {jnp.result_type(array)}: return floats"
+            )
+
+
+__all__ = ["KINDS", "NO_CONTACT", "ContactPair", "Geom", "check_contact_pairs", "contact_frame", "find"]

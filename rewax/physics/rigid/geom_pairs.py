@@ -1,0 +1,118 @@
+"""Which geoms of a model may touch: explicit pairs, and those that their masks and bodies let touch."""
+
+import itertools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from rewax.physics.rigid.mjcf import is_disabled
+
+
+class GeomPairs(NamedTuple):
+    """Pairs of geoms of the same kinds, meshes and number of friction directions; n pairs.
+
+    The order of groups, and of the pairs within one, is that of MJX: contacts, and with them constraint rows, have the
+    order that users of MJX know.
+    """
+
+    kinds: tuple[str, str]
+    """Of the two geoms, by their names in MJCF, in MuJoCo's order."""
+    condim: int
+    """Dimensions of the contact force: 1, 3, 4 or 6."""
+    geoms: np.ndarray
+    """Numbers of the geoms, shape (n, 2)."""
+    listed: np.ndarray
+    """Number of the model's explicit pair, or -1, shape (n,). Explicit pairs come first."""
+
+
+def geom_pairs(mj: mujoco.MjModel, listed: np.ndarray) -> tuple[GeomPairs, ...]:
+    """Pairs of geoms that may touch, in groups.
+
+    Args:
+      mj: the model.
+      listed: numbers of the explicit pairs that count, shape (m,).
+
+    Source: MuJoCo MJX 3.17, ``collision_driver.geom_pairs`` and ``_geom_groups``.
+    """
+    groups: dict[tuple, list[tuple[int, int, int]]] = {}
+    if is_disabled(mj, "CONTACT"):
+        return ()
+    for first, second, pair in _pairs(mj, listed):
+        groups.setdefault(_key(mj, first, second, pair), []).append((first, second, pair))
+    return tuple(
+        GeomPairs(kinds, condim, np.array(pairs)[:, :2], np.array(pairs)[:, 2])
+        for (kinds, condim, *_), pairs in groups.items()
+    )
+
+
+def kind(mj: mujoco.MjModel, geom: int) -> str:
+    """A geom's kind by its name in MJCF."""
+    return mujoco.mjtGeom(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+
+
+def _key(mj: mujoco.MjModel, first: int, second: int, pair: int) -> tuple:
+    """What pairs of one group have in common."""
+    if pair >= 0:
+        condim = mj.pair_dim[pair]
+    else:
+        priority = mj.geom_priority[first] - mj.geom_priority[second]
+        condims = mj.geom_condim[first], mj.geom_condim[second]
+        condim = max(condims) if priority == 0 else condims[0] if priority > 0 else condims[1]
+    kinds, meshes = (kind(mj, first), kind(mj, second)), (mj.geom_dataid[first], mj.geom_dataid[second])
+    return kinds, int(condim), *map(int, meshes), *_cells(mj, kinds[0], meshes[0], second)
+
+
+def _cells(mj: mujoco.MjModel, first_kind: str, field: int, geom: int) -> tuple[int, ...]:
+    """How many cells of a height field, along x and y, a geom can cover."""
+    if first_kind != "hfield":
+        return ()
+    counts = mj.hfield_ncol[field], mj.hfield_nrow[field]
+    cells = [2 * half / (count - 1) for half, count in zip(mj.hfield_size[field][:2], counts, strict=True)]
+    reach = 2 * mj.geom_rbound[geom]
+    return tuple(min(int(np.ceil(reach / c)) + 1, int(n)) for c, n in zip(cells, counts, strict=True))
+
+
+def _pairs(mj: mujoco.MjModel, listed: np.ndarray) -> list[tuple[int, int, int]]:
+    """Two geoms, the lower kind first, and the number of their explicit pair, or -1."""
+    found: set[tuple[int, int]] = set()
+    pairs = []
+
+    def ordered(first: int, second: int) -> tuple[int, int]:
+        return (second, first) if mj.geom_type[first] > mj.geom_type[second] else (first, second)
+
+    for pair in listed:
+        geoms = ordered(int(mj.pair_geom1[pair]), int(mj.pair_geom2[pair]))
+        found.add(geoms)
+        pairs.append((*geoms, int(pair)))
+    for first, second in _of_bodies_that_meet(mj):
+        geoms = ordered(first, second)
+        if geoms not in found and _match(mj, *geoms):
+            found.add(geoms)
+            pairs.append((*geoms, -1))
+    return pairs
+
+
+def _of_bodies_that_meet(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+    """Geoms with masks, of bodies that are neither one nor parent and child, as far as welds go, nor excluded."""
+    has_mask = (mj.geom_contype | mj.geom_conaffinity) != 0
+    geoms = {body: np.flatnonzero(has_mask & (mj.geom_bodyid == body)).tolist() for body in range(mj.nbody)}
+    excluded, filters = set(mj.exclude_signature.tolist()), not is_disabled(mj, "FILTERPARENT")
+    weld = mj.body_weldid.tolist()
+    above = [weld[parent] for parent in mj.body_parentid[weld]]
+    for body, other in itertools.combinations([body for body in geoms if geoms[body]], 2):
+        related = weld[body] and weld[other] and (weld[body] == above[other] or weld[other] == above[body])
+        if (body << 16) + other not in excluded and weld[body] != weld[other] and not (filters and related):
+            yield from itertools.product(geoms[body], geoms[other])
+
+
+def _match(mj: mujoco.MjModel, first: int, second: int) -> bool:
+    """Whether the masks of two geoms let them touch, and their kinds can."""
+    if kind(mj, first) == "plane" and kind(mj, second) in ("plane", "hfield"):
+        return False
+    types, affinities = mj.geom_contype, mj.geom_conaffinity
+    return bool(types[first] & affinities[second] or types[second] & affinities[first])
+
+
+__all__ = ["GeomPairs", "geom_pairs", "kind"]

@@ -1,0 +1,180 @@
+"""The check of a contact pair: distances, points, normals and derivatives of geoms that touch and that do not."""
+
+import itertools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.rigid import ContactPair, Geom
+from rewax.physics.rigid.contact_pair import NO_CONTACT, check_contact_pairs, find
+from rewax.testing.touching_geoms import Touching, distance_to, stacked, touching
+from rewax.types import Array
+
+_DEPTH, _FAR = 1e-3, 0.5
+"""By how much geoms of 0.1 m overlap or are apart, and how far those are that do not touch at all [m]."""
+_STEP = 1e-6
+"""Of central differences [m]."""
+
+
+def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64, tolerance: float = 1e-3) -> None:
+    """Check what ``ContactPair`` says of a pair's function.
+
+    In double precision, for geoms of about 0.1 m with random sizes and poses that overlap by 1 mm, are 1 mm apart or
+    are far away, and for such that stand or lie exactly on each other. The function returns arrays of the right shapes.
+    Distances are negative where geoms overlap, and there alone; the smallest is as deep as they overlap. Its normal is
+    the derivative of the distance with respect to the second geom's position, which ``jax.grad`` finds as well; its
+    point lies within half the distance of both surfaces. Frames are orthonormal. All derivatives with respect to
+    positions, rotations and sizes are finite. Slots without contact are left out.
+
+    Args:
+      pair: the contact pair.
+      seed: of the geoms.
+      num_states: how many pairs of geoms are drawn for each distance.
+      tolerance: of lengths, relative to 1 mm, and of normals. Iterative functions need more.
+
+    Raises:
+      AssertionError: a sentence that names what is wrong, and what helps.
+      ValueError: the function returns something of another shape, or num_states is below 1.
+
+    Example:
+      >>> check_contact_pair(rigid.ContactPair(("sphere", "sphere"), 1, spheres))  # doctest: +SKIP
+    """
+    if num_states < 1:
+        raise ValueError(f"num_states is {num_states}: use 1 or more")
+    check_contact_pairs([pair])
+    with jax.enable_x64(True):
+        gaps = np.repeat([-_DEPTH, _DEPTH, _FAR], num_states)
+        keys = jax.random.split(jax.random.key(seed), len(gaps))
+        drawn = _compiled(lambda key, gap: touching(key, pair.kinds, gap))(keys, jnp.asarray(gaps))
+        lies = itertools.product((False, True), repeat=2)
+        exact = [stacked(pair.kinds, lie, gap) for lie in lies for gap in (-_DEPTH, _DEPTH)]
+        states = jax.tree.map(lambda many, *few: jnp.concatenate([many, jnp.stack(few)]), drawn, *exact)
+        _check_derivatives(pair, states)
+        found = _measured(pair, states)
+    found = _Measured(*(a[: len(gaps)] for a in found))
+    _check_frames(pair, found, tolerance)
+    _check_signs(pair, found, gaps, tolerance)
+    _check_deepest(pair, _Measured(*(a[gaps < 0] for a in found)), tolerance)
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """For each of many arguments; programs that run once need no optimisation."""
+    return jax.jit(jax.vmap(function), compiler_options={"xla_backend_optimization_level": 0})
+
+
+def _met(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
+    """Contacts of two geoms: distances, points and frames."""
+    return find(pair, *jax.tree.map(lambda a: a[None], (first, second)))
+
+
+class _Measured(NamedTuple):
+    """Of pairs of geoms with k slots for contacts."""
+
+    distance: np.ndarray
+    """Shape (k,)."""
+    frame: np.ndarray
+    """Shape (k, 3, 3)."""
+    off: np.ndarray
+    """Of the points from both surfaces, shape (2, k)."""
+    slope: np.ndarray
+    """Of the smallest distance by the second geom's position, a central difference, shape (3,)."""
+    gradient: np.ndarray
+    """The same, of ``jax.grad``."""
+
+
+def _measured(pair: ContactPair, states: Touching) -> _Measured:
+    def one(state: Touching) -> tuple[Array, ...]:
+        distance, point, frame = _met(pair, state.first, state.second)
+        geoms = zip(pair.kinds, (state.first, state.second), strict=True)
+        off = [jax.vmap(lambda p, kind=kind, geom=geom: distance_to(kind, geom, p))(point) for kind, geom in geoms]
+
+        def moved(shift: Array) -> Array:
+            second = state.second._replace(position=state.second.position + shift)
+            return jnp.min(_met(pair, state.first, second)[0])
+
+        ends = jax.vmap(moved)(_STEP * jnp.concatenate([jnp.eye(3), -jnp.eye(3)]))
+        slope = (ends[:3] - ends[3:]) / (2.0 * _STEP)
+        return distance, frame, jnp.abs(jnp.stack(off)), slope, jax.grad(moved)(jnp.zeros(3))
+
+    return _Measured(*map(np.asarray, _compiled(one)(states)))
+
+
+def _check_frames(pair: ContactPair, found: _Measured, tolerance: float) -> None:
+    is_contact = found.distance < NO_CONTACT
+    length = np.linalg.norm(found.frame[:, :, 0], axis=-1)
+    wrong = is_contact & ~(np.abs(length - 1.0) < tolerance)
+    assert not wrong.any(), (
+        f"the function of {pair} returns a normal of length {length[wrong][0]:.3g}: give it length 1"
+    )
+    product = np.einsum("...ij,...kj->...ik", found.frame, found.frame) - np.eye(3)
+    wrong = is_contact & ~(np.abs(product).max(axis=(-1, -2)) < tolerance)
+    assert not wrong.any(), (
+        f"the function of {pair} returns a frame whose rows are not of length 1 and perpendicular: make them so, or "
+        "return normals"
+    )
+
+
+def _check_signs(pair: ContactPair, found: _Measured, gaps: np.ndarray, tolerance: float) -> None:
+    least = found.distance.min(axis=1)
+    wrong = np.where(gaps < 0, np.abs(least - gaps) > tolerance * _DEPTH, least < 0)
+    if wrong.any():
+        state = np.flatnonzero(wrong)[0]
+        raise AssertionError(
+            f"the function of {pair} returns {least[state]:.3g} as the smallest distance of geoms that "
+            f"{'overlap by' if gaps[state] < 0 else 'are apart by'} {abs(gaps[state])} m: a distance is negative where "
+            "geoms overlap, by how far one must move to be free, and positive where they do not"
+        )
+
+
+def _check_deepest(pair: ContactPair, found: _Measured, tolerance: float) -> None:
+    """Normals and points of the deepest contacts of geoms that overlap."""
+    rows, deepest = np.arange(len(found.distance)), np.argmin(found.distance, axis=1)
+    normal = found.frame[rows, deepest, 0]
+    for slope, name in ((found.slope, "a central difference"), (found.gradient, "jax.grad")):
+        wrong = ~(np.abs(slope - normal).max(axis=1) < tolerance)
+        if wrong.any():
+            one, other = (_numbers(vectors[np.argmax(wrong)]) for vectors in (normal, slope))
+            raise AssertionError(
+                f"the function of {pair} returns the normal {one}, but the distance changes by {other} as the second "
+                f"geom moves ({name}): the normal points from the first geom to the second, and is that derivative"
+            )
+    half = 0.5 * np.abs(found.distance[rows, deepest])
+    for kind, off in zip(pair.kinds, found.off[rows, :, deepest].T, strict=True):
+        wrong = ~(off < half + tolerance * _DEPTH)
+        assert not wrong.any(), (
+            f"the function of {pair} returns a point that is {off[wrong][0]:.3g} m from the surface of the {kind}, "
+            f"where they overlap by {2.0 * half[wrong][0]:.3g} m: put points halfway between the two surfaces"
+        )
+
+
+def _check_derivatives(pair: ContactPair, states: Touching) -> None:
+    """Numbers and derivatives are finite."""
+
+    def values(first: Geom, second: Geom) -> dict[str, Array]:
+        return dict(zip(("distance", "point", "frame"), _met(pair, first, second), strict=True))
+
+    def one(state: Touching) -> tuple[dict[str, Array], dict[str, tuple[Geom, Geom]]]:
+        geoms = state.first, state.second
+        return values(*geoms), jax.jacrev(values, argnums=(0, 1))(*geoms)
+
+    found, slopes = _compiled(one)(states)
+    for name, value in found.items():
+        assert np.isfinite(value).all(), f"the function of {pair} returns a {name} that is not finite"
+    for name, geoms in slopes.items():
+        for kind, geom in zip(("first", "second"), geoms, strict=True):
+            for field, slope in geom._asdict().items():
+                assert np.isfinite(slope).all(), (
+                    f"the derivative of the {name} with respect to the {field} of the {kind} geom is not finite, for "
+                    f"{pair}: a root, a norm or a division at 0 does it, in the branch of a jnp.where that is "
+                    "not taken too"
+                )
+
+
+def _numbers(vector: np.ndarray) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in vector) + ")"
+
+
+__all__ = ["check_contact_pair"]
