@@ -1,6 +1,6 @@
 """Optimizers that the algorithms share."""
 
-from typing import Any
+from typing import TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -69,7 +69,7 @@ class Packing:
                 parts[i] = self._parts(packed)
         return jax.tree.unflatten(treedef, parts)
 
-    def _fits(self, part: Any) -> bool:
+    def _fits(self, part: PyTree) -> bool:
         if not self._pays or jax.tree.structure(part) != self._treedef:
             return False
         leaves = jax.tree.leaves(part)
@@ -82,11 +82,11 @@ class Packing:
         return jax.tree.unflatten(self._treedef, split_vector(packed.vector, self._shapes))
 
 
-def _have_one_type(leaves: list[Any]) -> bool:
+def _have_one_type(leaves: list[Array]) -> bool:
     return len({jnp.result_type(leaf) for leaf in leaves}) == 1
 
 
-def _is_packed(part: Any) -> bool:
+def _is_packed(part: object) -> TypeGuard[Packed]:
     return isinstance(part, Packed)
 
 
@@ -104,3 +104,8 @@ def apply(
     updates, opt_state = optimizer.update(grad, opt_state, params)
     params = optax.apply_updates(params, optax.tree.scale(scale, updates))
     return packing.unpack((params, opt_state))
+
+
+def finite_or_zero(grad: PyTree) -> PyTree:
+    """The gradient with zeros where it is not finite."""
+    return jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), grad)
