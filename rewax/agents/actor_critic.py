@@ -14,11 +14,10 @@ from rewax.agents.networks import ACTIVATIONS, Critics, Encoder, GaussianActor
 from rewax.agents.normalization import RunningStatistics, normalize
 from rewax.agents.optimizers import apply, clipped_adamw, finite_or_zero, linear_fall
 from rewax.agents.rollout import Policy
-from rewax.agents.run_state import Environments, PolicyState, RunKeys, partition, start_environments
+from rewax.agents.run_state import PolicyState, partition
 from rewax.envs.base import ArraySpec, Env
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
-from rewax.envs.wrappers import Vmap
 from rewax.types import Array, Key, Observation, PyTree
 
 P = TypeVar("P", bound=AnyPolicyConfig, covariant=True)
@@ -41,18 +40,6 @@ class Actor(Generic[P]):
     network: GaussianActor
     action_size: int
     observation_spec: dict[str, ArraySpec]
-
-    def start(self, leaves: EnvLeaves, keys: RunKeys) -> Environments:
-        """The environments of a run that has not begun."""
-        config = self.config
-        return start_environments(
-            leaves,
-            keys.environments,
-            keys.stagger,
-            num_envs=config.num_envs,
-            stagger=config.stagger_episodes,
-            learn_statistics=config.normalize_observations,
-        )
 
     def normalize(self, statistics: RunningStatistics, obs: Observation) -> Observation:
         """Observations as the networks take them. Gradient: with respect to obs."""
@@ -153,7 +140,7 @@ def make_actor_critic(env: Env, config: C) -> ActorCritic[C]:
 
 def actor_agent(
     name: str,
-    env: Env | Vmap,
+    env: Env,
     config: P,
     *,
     init: Callable[[P, EnvLeaves, Key], S],

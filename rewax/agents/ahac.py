@@ -14,6 +14,7 @@ Simulation" (ICML 2024). Different:
 
 import dataclasses
 import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -76,6 +77,9 @@ class AHACConfig(FirstOrderConfig):
         return self.initial_horizon
 
 
+Networks: TypeAlias = ActorCritic[AHACConfig]
+
+
 @struct.dataclass
 class AHACState(ActorCriticState):
     """Everything a run is; a checkpoint holds just this.
@@ -111,23 +115,17 @@ def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics
     loss = functools.partial(actor_loss, networks=networks)
 
     params = (state.actor_params, jnp.zeros(config.horizon))
-    losses, data, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
-    state, actor = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
-    state, critics = critic_update(networks, state, data, data.transitions.reward)
-    state, horizon = horizon_update(config, state, gradient_growth(norms, data.transitions))
+    losses, segments, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
+    state, actor_metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
+    state, critic_metrics = critic_update(networks, state, segments, segments.transitions.reward)
+    state, horizon_metrics = horizon_update(config, state, gradient_growth(norms, segments.transitions))
 
-    state, episodes = state.after(data.state, data.transitions, key, learn_statistics=config.normalize_observations)
-    return state, {**episodes, **horizon, **actor, **critics}
+    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
+    return state, {**episode_metrics, **horizon_metrics, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
-    params: tuple[PyTree, Array],
-    common: AHACState,
-    env: AutoReset,
-    env_state: State,
-    key: Key,
-    *,
-    networks: ActorCritic[AHACConfig],
+    params: tuple[PyTree, Array], common: AHACState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[Array, Segment]:
     """Minus the return per step of one environment's rollout over the adaptive horizon.
 

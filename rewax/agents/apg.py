@@ -20,7 +20,7 @@ from rewax.agents.config import Activation, GradientOptions, Optimizer, PolicyCo
 from rewax.agents.first_order import actor_update
 from rewax.agents.returns import short_horizon_return
 from rewax.agents.rollout import Transition, rollout
-from rewax.agents.run_state import PolicyState, run_keys
+from rewax.agents.run_state import PolicyState, run_keys, start_environments
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -55,7 +55,7 @@ def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize 
 def init(config: APGConfig, leaves: EnvLeaves, key: Key) -> PolicyState:
     """The state of a run that has not begun."""
     actor, keys = make_actor(leaves.first(), config), run_keys(key)
-    environments = actor.start(leaves, keys)
+    environments = start_environments(config, leaves, keys)
     params = actor.network.init(keys.actor, environments.first_observation())
     opt = actor.actor_optimizer.init(params)
     return PolicyState(environments=environments, key=keys.run, actor_params=params, actor_opt=opt)
@@ -71,8 +71,8 @@ def train_step(config: APGConfig, state: PolicyState) -> tuple[PolicyState, Metr
 
     loss = functools.partial(actor_loss, actor=actor, horizon=config.steps_in(env))
     state, metrics, (end, t) = actor_update(actor, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
-    state, episodes = state.after(end, t, key, learn_statistics=config.normalize_observations)
-    return state, {**episodes, **metrics}
+    state, episode_metrics = state.after(config, end, t, key)
+    return state, {**episode_metrics, **metrics}
 
 
 def actor_loss(

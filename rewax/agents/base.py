@@ -21,9 +21,9 @@ T = TypeVar("T")
 
 
 class Act(Protocol):
-    """``Agent.policy``; ``step`` counts the control steps of the episode where an algorithm takes it."""
+    """What ``Agent.policy`` is."""
 
-    def __call__(self, state: TrainState, obs: Observation, key: Key, deterministic: bool = False) -> Array:
+    def __call__(self, state: TrainState, obs: Observation, key: Key, /, deterministic: bool = False) -> Array:
         """The action for one environment."""
         ...
 

@@ -15,6 +15,8 @@ from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias, TypedDic
 from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
 
+Value: TypeAlias = bool | int | float | str | tuple[int | float, ...] | None
+"""What an option can be."""
 Optimizer = Literal["adamw", "adam"]
 Combination = Literal["mean", "min"]
 Activation = Literal["silu", "elu", "relu", "tanh"]

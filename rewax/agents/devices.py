@@ -21,8 +21,8 @@ AXIS = "envs"
 """The axis of the mesh, and the name under which ``jax.lax.psum`` knows it."""
 
 
-def mesh_of(devices: "Sequence[jax.Device]") -> Mesh:
-    """A mesh over which environments are sharded."""
+def mesh_of(devices: Sequence[object]) -> Mesh:
+    """A mesh of some of ``jax.devices()``, over which environments are sharded."""
     return Mesh(np.asarray(devices), (AXIS,), axis_types=(AxisType.Auto,))
 
 
@@ -90,8 +90,7 @@ def check_closes_over_no_array(function: Callable[..., object]) -> None:
 
 def _bound(function: object) -> Iterator[tuple[str, object]]:
     """Names and values that a function brings with it."""
-    if hasattr(function, "__wrapped__"):  # by jax.jit, for example
-        yield "its function", function.__wrapped__
+    yield "its function", getattr(function, "__wrapped__", None)  # of jax.jit, for example
     if isinstance(function, functools.partial):
         yield "its function", function.func
         yield from ((f"argument {i}", value) for i, value in enumerate(function.args))

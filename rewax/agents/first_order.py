@@ -15,7 +15,7 @@ from rewax.agents.gradients import Loss, mean_gradient, per_env_gradients
 from rewax.agents.optimizers import apply
 from rewax.agents.returns import short_horizon_return, td_lambda
 from rewax.agents.rollout import Transition
-from rewax.agents.run_state import ActorCriticState, PolicyState, run_keys
+from rewax.agents.run_state import ActorCriticState, PolicyState, run_keys, start_environments
 from rewax.agents.value_fitting import chunk_size, fit_values
 from rewax.envs.base import State
 from rewax.envs.leaves import EnvLeaves
@@ -47,7 +47,7 @@ def start_actor_critic(
       own: the fields that the subclass adds.
     """
     keys = run_keys(key)
-    environments = networks.start(leaves, keys)
+    environments = start_environments(networks.config, leaves, keys)
     actor_params = networks.network.init(keys.actor, environments.first_observation())
     critic_params = networks.critics.init(keys.critics, environments.first_observation())
     return state_type(
@@ -63,7 +63,11 @@ def start_actor_critic(
 
 
 def segment_loss(
-    networks: ActorCritic[FirstOrderConfig], common: ActorCriticState, end: State, transitions: Transition, reward: Array
+    networks: ActorCritic[FirstOrderConfig],
+    common: ActorCriticState,
+    end: State,
+    transitions: Transition,
+    reward: Array,
 ) -> tuple[Array, Segment]:
     """Minus the return per step of one environment's rollout: rewards, and values where a segment ends.
 
@@ -111,18 +115,18 @@ def actor_step(
 
 
 def critic_update(
-    networks: ActorCritic[FirstOrderConfig], state: A, segment: Segment, reward: Array
+    networks: ActorCritic[FirstOrderConfig], state: A, segments: Segment, reward: Array
 ) -> tuple[A, Metrics]:
     """Regress all critics onto TD(lambda) targets; the target network follows.
 
     Args:
       networks, state: what is fitted.
-      segment: rollouts, leading axis of environments.
+      segments: rollouts, leading axis of environments.
       reward: of each step, with or without a bonus, shape (num_envs, T).
     """
-    t, config, statistics = segment.transitions, networks.config, state.environments.statistics
-    next_values = segment.next_values
-    if state.target_params is not None:
+    t, config, statistics = segments.transitions, networks.config, state.environments.statistics
+    next_values = segments.next_values
+    if config.target_decay is not None:
         next_obs = networks.normalize(statistics, t.next_obs)
         next_values = jax.vmap(lambda obs: networks.values(state.target_params, obs))(next_obs)
     value = jnp.where(t.terminated, 0.0, combined(next_values, config.target_value))

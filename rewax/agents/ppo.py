@@ -12,7 +12,7 @@ of the last observation, and failed steps are masked.
 
 import dataclasses
 import functools
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from rewax.agents.distributions import TanhNormal
 from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
 from rewax.agents.returns import td_lambda
 from rewax.agents.rollout import Transition, rollout
-from rewax.agents.run_state import PolicyState, run_keys
+from rewax.agents.run_state import PolicyState, run_keys, start_environments
 from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -81,6 +81,9 @@ class PPOConfig(ActorCriticConfig):
             )
 
 
+Networks: TypeAlias = ActorCritic[PPOConfig]
+
+
 @struct.dataclass
 class PPOState(PolicyState):
     """Everything a run is; a checkpoint holds just this.
@@ -133,7 +136,7 @@ class Batch(NamedTuple):
 def init(config: PPOConfig, leaves: EnvLeaves, key: Key) -> PPOState:
     """The state of a run that has not begun."""
     networks, keys = make_actor_critic(leaves.first(), config), run_keys(key)
-    environments = networks.start(leaves, keys)
+    environments = start_environments(config, leaves, keys)
     actor_params = networks.network.init(keys.actor, environments.first_observation())
     critic_params = networks.critics.init(keys.critics, environments.first_observation())
     return PPOState(
@@ -157,12 +160,12 @@ def train_step(config: PPOConfig, state: PPOState) -> tuple[PPOState, Metrics]:
     batch, value_statistics = make_batch(networks, state, t)
     state, metrics = epochs(networks, state, batch, epoch_key)
     state = state.replace(value_statistics=value_statistics)
-    state, episodes = state.after(end, t, key, learn_statistics=config.normalize_observations)
-    return state, {**episodes, **metrics}
+    state, episode_metrics = state.after(config, end, t, key)
+    return state, {**episode_metrics, **metrics}
 
 
 def act(
-    common: PPOState, env: AutoReset, env_state: State, key: Key, *, networks: ActorCritic[PPOConfig]
+    common: PPOState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[State, Transition]:
     """Rollout of one environment."""
 
@@ -175,7 +178,7 @@ def act(
     return rollout(env, env_state, policy, key, horizon=networks.config.horizon, differentiate="none")
 
 
-def make_batch(networks: ActorCritic[PPOConfig], state: PPOState, t: Transition) -> tuple[Batch, RunningStatistics]:
+def make_batch(networks: Networks, state: PPOState, t: Transition) -> tuple[Batch, RunningStatistics]:
     """Samples with normalised targets and advantages; and the statistics of the targets.
 
     Source: advantages, Schulman et al. 2016, eq. 16 (GAE).
@@ -211,7 +214,7 @@ def _scale(statistics: RunningStatistics) -> Array:
     return jnp.sqrt(statistics.variance["value"] + 1e-5)
 
 
-def epochs(networks: ActorCritic[PPOConfig], state: PPOState, batch: Batch, key: Key) -> tuple[PPOState, Metrics]:
+def epochs(networks: Networks, state: PPOState, batch: Batch, key: Key) -> tuple[PPOState, Metrics]:
     """Several passes over the data; the learning rate follows the divergence after each."""
     config = networks.config
 
@@ -231,7 +234,7 @@ def epochs(networks: ActorCritic[PPOConfig], state: PPOState, batch: Batch, key:
     return learnt.replace(environments=state.environments), metrics
 
 
-def update(networks: ActorCritic[PPOConfig], state: PPOState, batch: Batch) -> tuple[PPOState, Metrics]:
+def update(networks: Networks, state: PPOState, batch: Batch) -> tuple[PPOState, Metrics]:
     """One step of actor and critic along the gradient of a minibatch."""
     params = (state.actor_params, state.critic_params)
     grad, metrics = jax.grad(functools.partial(ppo_loss, networks=networks, batch=batch), has_aux=True)(params)
@@ -240,9 +243,7 @@ def update(networks: ActorCritic[PPOConfig], state: PPOState, batch: Batch) -> t
     return state, {**metrics, "actor_grad_norm": optax.tree.norm(grad)}
 
 
-def ppo_loss(
-    params: tuple[PyTree, PyTree], *, networks: ActorCritic[PPOConfig], batch: Batch
-) -> tuple[Array, Metrics]:
+def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch) -> tuple[Array, Metrics]:
     """The clipped surrogate, the values' error and the entropy, means over the samples that count.
 
     Args:

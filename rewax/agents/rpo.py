@@ -12,6 +12,7 @@ of the normal distribution before the tanh; observations' statistics stay as the
 
 import dataclasses
 import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -64,6 +65,9 @@ class RPOConfig(FirstOrderConfig):
             )
 
 
+Networks: TypeAlias = ActorCritic[RPOConfig]
+
+
 def make_rpo(env: Env, config: RPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """RPO on an environment.
 
@@ -90,26 +94,20 @@ def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticS
 
     # Every environment's actions are shifted by the same zeros; their derivatives are its own.
     shift = jnp.zeros((config.horizon, networks.action_size))
-    losses, data, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
+    losses, segments, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
     if config.max_env_grad_norm is not None:
         by_action = clip_per_env(by_action, config.max_env_grad_norm)
     finite = jnp.isfinite(losses) & jnp.all(jnp.isfinite(by_action), axis=(1, 2))
-    state, actor = actor_epochs(networks, state, data, by_action, finite)
-    state, critics = critic_update(networks, state, data, data.transitions.reward)
+    state, actor_metrics = actor_epochs(networks, state, segments, by_action, finite)
+    state, critic_metrics = critic_update(networks, state, segments, segments.transitions.reward)
 
-    state, episodes = state.after(data.state, data.transitions, key, learn_statistics=config.normalize_observations)
+    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
     own = {"actor_loss": jnp.mean(losses, where=finite), "dropped_gradients": jnp.sum(~finite)}
-    return state, {**episodes, **own, **actor, **critics}
+    return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
 
 
 def shifted_loss(
-    shift: Array,
-    common: ActorCriticState,
-    env: AutoReset,
-    env_state: State,
-    key: Key,
-    *,
-    networks: ActorCritic[RPOConfig],
+    shift: Array, common: ActorCriticState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[Array, Segment]:
     """Minus the return per step of one environment whose actions before the tanh are shifted, shape (T, action_size).
 
@@ -127,17 +125,17 @@ def shifted_loss(
 
 
 def actor_epochs(
-    networks: ActorCritic[RPOConfig], state: ActorCriticState, data: Segment, by_action: Array, finite: Array
+    networks: Networks, state: ActorCriticState, segments: Segment, by_action: Array, finite: Array
 ) -> tuple[ActorCriticState, Metrics]:
     """Several updates of the actor on the same derivatives.
 
     Args:
       networks, state: what is updated.
-      data: rollouts, leading axis of environments.
+      segments: rollouts, leading axis of environments.
       by_action: derivative of each environment's loss by its actions before the tanh, shape (num_envs, T, action_size).
       finite: environments that count, shape (num_envs,).
     """
-    optimizer, t = actor_optimizer(networks), data.transitions
+    optimizer, t = actor_optimizer(networks), segments.transitions
     loss = functools.partial(
         surrogate_loss,
         networks=networks,
@@ -160,13 +158,7 @@ def actor_epochs(
 
 
 def surrogate_loss(
-    params: PyTree,
-    *,
-    networks: ActorCritic[RPOConfig],
-    obs: Observation,
-    aux: dict[str, Array],
-    by_action: Array,
-    counts: Array,
+    params: PyTree, *, networks: Networks, obs: Observation, aux: dict[str, Array], by_action: Array, counts: Array
 ) -> tuple[Array, Metrics]:
     """What an epoch descends: the reused derivatives along the actions, the divergence, minus the entropy.
 
@@ -197,6 +189,6 @@ def surrogate_loss(
     return gain + config.kl_coefficient * kl - config.entropy_coefficient * entropy, metrics
 
 
-def actor_optimizer(networks: ActorCritic[RPOConfig]) -> optax.GradientTransformation:
+def actor_optimizer(networks: Networks) -> optax.GradientTransformation:
     """With a learning rate that falls, updated several times per iteration."""
     return networks.falling_optimizer(networks.config.actor_learning_rate, networks.config.epochs)

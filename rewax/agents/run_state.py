@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.agents.base import Metrics
+from rewax.agents.config import PolicyOptions, RunConfig
 from rewax.agents.devices import sharded
 from rewax.agents.episodes import episode_metrics, running_returns
 from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
@@ -21,7 +22,7 @@ from rewax.types import Array, Key, Observation, PyTree
 T = TypeVar("T")
 
 _ABSENT: Any = None
-"""In the place of what environments do not share."""
+"""Stands in ``Environments.common()`` for fields of other types, which must not be read there."""
 
 
 @struct.dataclass
@@ -73,10 +74,10 @@ class Environments(struct.Replaceable):
         """All environments at the beginning of new episodes."""
         return self.replace(state=_reset(self.env, self.split(key)), episode_return=jnp.zeros_like(self.episode_return))
 
-    def after(self, end: State, transitions: Transition, *, learn_statistics: bool) -> "Environments":
+    def after(self, config: RunConfig, end: State, transitions: Transition) -> "Environments":
         """The environments after a rollout of all of them, leading axes (num_envs, horizon)."""
         statistics = self.statistics
-        if learn_statistics:
+        if _normalizes(config):
             # Exclude rollouts with a failed step from the statistics.
             healthy = ~jnp.any(transitions.failed, axis=1, keepdims=True)
             statistics = update_statistics(statistics, transitions.obs, transitions.active & healthy)
@@ -104,19 +105,17 @@ class RunState(struct.Replaceable):
         """What all environments share, without what each has of its own."""
         return self.replace(environments=self.environments.common())
 
-    def after(
-        self, end: State, transitions: Transition, key: Key, *, learn_statistics: bool = False
-    ) -> tuple[Self, Metrics]:
+    def after(self, config: RunConfig, end: State, transitions: Transition, key: Key) -> tuple[Self, Metrics]:
         """The state after an iteration: environments moved on, counters raised; and the metrics of the episodes.
 
         Args:
+          config: of the run.
           end: of the environments after the rollout, leading axis (num_envs,).
           transitions: of the rollout, leading axes (num_envs, horizon).
           key: of the next iteration.
-          learn_statistics: add the observations to their statistics.
         """
         new = self.replace(
-            environments=self.environments.after(end, transitions, learn_statistics=learn_statistics),
+            environments=self.environments.after(config, end, transitions),
             key=key,
             iteration=self.iteration + 1,
             env_steps=self.env_steps + jnp.sum(transitions.active, dtype=jnp.int32),
@@ -165,7 +164,7 @@ def run_keys(key: Key) -> RunKeys:
     return RunKeys(*jax.random.split(key, 5))
 
 
-def partition(env: Env | Vmap, num_envs: int, randomize: Randomize | None = None) -> EnvLeaves:
+def partition(env: Env, num_envs: int, randomize: Randomize | None = None) -> EnvLeaves:
     """The parameters of an environment, or of a batch (``Vmap(env=..., env_axis=0)``), apart from its program.
 
     Raises:
@@ -173,37 +172,40 @@ def partition(env: Env | Vmap, num_envs: int, randomize: Randomize | None = None
     """
     if randomize is not None:
         check_hook(EnvLeaves.of(env).first(), randomize)
-        batch = isinstance(env, Vmap) and env.env_axis is not None
-        wrapped = Randomized(env=env.env if batch else env, randomize=randomize)
-        env = Vmap(env=wrapped, env_axis=0) if batch else wrapped
+        if isinstance(env, Vmap) and env.env_axis is not None:
+            env = Vmap(env=Randomized(env=env.env, randomize=randomize), env_axis=0)
+        else:
+            env = Randomized(env=env, randomize=randomize)
     leaves = EnvLeaves.of(env)
     leaves.check_size(num_envs)
     return leaves
 
 
-def start_environments(
-    env: EnvLeaves, key: Key, stagger_key: Key, *, num_envs: int, stagger: bool = False, learn_statistics: bool = True
-) -> Environments:
+def start_environments(config: RunConfig, env: EnvLeaves, keys: RunKeys) -> Environments:
     """Environments at the beginning of a run.
 
     Args:
+      config: with ``stagger_episodes`` they start at random points of their time limit; with
+        ``normalize_observations`` the statistics begin with the first observations.
       env: their parameters.
-      key, stagger_key: draw initial states, and where in their time limit environments start.
-      num_envs: how many.
-      stagger: start at random points of the time limit, so that environments do not reset together.
-      learn_statistics: begin the statistics with the first observations.
+      keys: of the run.
     """
-    state, first = _reset(env, jax.random.split(key, num_envs)), env.first()
+    num_envs, first = config.num_envs, env.first()
+    state = _reset(env, jax.random.split(keys.environments, num_envs))
     episode_return = jnp.zeros(num_envs)
-    if stagger:
-        start = jax.random.randint(stagger_key, (num_envs,), 0, first.episode_length, jnp.int32)
+    if isinstance(config, PolicyOptions) and config.stagger_episodes:
+        start = jax.random.randint(keys.stagger, (num_envs,), 0, first.episode_length, jnp.int32)
         state = state.replace(step_count=start)
         # The return of a shortened first episode would not compare with the others'.
         episode_return = jnp.where(start > 0, jnp.nan, episode_return)
     statistics = init_statistics(first.observation_spec)
-    if learn_statistics:
+    if _normalizes(config):
         statistics = update_statistics(statistics, state.obs, jnp.ones(num_envs, bool))
     return Environments(env=env, state=state, statistics=statistics, episode_return=episode_return)
+
+
+def _normalizes(config: RunConfig) -> bool:
+    return isinstance(config, PolicyOptions) and config.normalize_observations
 
 
 def _reset(env: EnvLeaves, keys: Key) -> State:

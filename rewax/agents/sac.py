@@ -7,6 +7,7 @@ last, and failed steps are masked.
 
 import dataclasses
 import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ from rewax.agents.config import ActorCriticConfig, Count, Positive, Share
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.replay import Replay, Sample, Step
 from rewax.agents.rollout import Transition, rollout
-from rewax.agents.run_state import Environments, run_keys
+from rewax.agents.run_state import Environments, run_keys, start_environments
 from rewax.agents.temperature import SoftState, start_temperature, update_temperature
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
@@ -75,6 +76,9 @@ class SACConfig(ActorCriticConfig):
         return self.replay_size // self.samples * self.horizon
 
 
+Networks: TypeAlias = ActorCritic[SACConfig]
+
+
 @struct.dataclass
 class SACState(SoftState):
     """Everything a run is; a checkpoint holds just this.
@@ -102,7 +106,7 @@ def init(config: SACConfig, leaves: EnvLeaves, key: Key) -> SACState:
     """The state of a run that has not begun."""
     env, keys = leaves.first(), run_keys(key)
     networks = make_actor_critic(env, config)
-    environments = networks.start(leaves, keys)
+    environments = start_environments(config, leaves, keys)
     obs, action = environments.first_observation(), jnp.zeros(env.action_spec.shape)
     actor_params = networks.network.init(keys.actor, obs)
     critic_params = networks.critics.init(keys.critics, obs, action)
@@ -137,23 +141,18 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     end, t = state.environments.map(rollout_of_one, shared, state.environments.split(rollout_key))
     steps = Step(t.obs, t.action, t.reward, t.next_obs, t.terminated, t.done, t.valid)
     replay = replays.add(state.replay, jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), steps))
-    state, episodes = state.after(end, t, key, learn_statistics=config.normalize_observations)
+    state, episode_metrics = state.after(config, end, t, key)
 
     start = state.common().replace(replay=None)  # what the updates change, and small
     one_update = functools.partial(update, networks, replay)
     learnt, rows = jax.lax.scan(one_update, start, jax.random.split(update_key, config.updates))
     learnt = select(warming_up, start, learnt)
     metrics = {**jax.tree.map(jnp.mean, rows), "temperature": jnp.exp(learnt.log_temperature)}
-    return learnt.replace(environments=state.environments, replay=replay), {**episodes, **metrics}
+    return learnt.replace(environments=state.environments, replay=replay), {**episode_metrics, **metrics}
 
 
 def act(
-    shared: tuple[PyTree, RunningStatistics, Array],
-    env: AutoReset,
-    env_state: State,
-    key: Key,
-    *,
-    networks: ActorCritic[SACConfig],
+    shared: tuple[PyTree, RunningStatistics, Array], env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[State, Transition]:
     """Rollout of one environment; ``shared``: the actor's parameters, statistics, and whether actions are random."""
     actor_params, statistics, warming_up = shared
@@ -167,7 +166,7 @@ def act(
     return rollout(env, env_state, policy, key, horizon=networks.config.horizon, differentiate="none")
 
 
-def update(networks: ActorCritic[SACConfig], replay: Replay, state: SACState, key: Key) -> tuple[SACState, Metrics]:
+def update(networks: Networks, replay: Replay, state: SACState, key: Key) -> tuple[SACState, Metrics]:
     """One update of critics, actor, temperature and target network on a batch from the replay buffer."""
     config, statistics = networks.config, state.environments.statistics
     batch_key, next_key, actor_key = jax.random.split(key, 3)
@@ -192,7 +191,7 @@ def update(networks: ActorCritic[SACConfig], replay: Replay, state: SACState, ke
 
 
 def critic_loss(
-    params: PyTree, *, networks: ActorCritic[SACConfig], state: SACState, batch: Sample, key: Key
+    params: PyTree, *, networks: Networks, state: SACState, batch: Sample, key: Key
 ) -> tuple[Array, Metrics]:
     """Mean square error of all action values against the soft n-step target of the smaller one.
 
@@ -208,7 +207,7 @@ def critic_loss(
 
 
 def actor_loss(
-    params: PyTree, *, networks: ActorCritic[SACConfig], state: SACState, batch: Sample, key: Key
+    params: PyTree, *, networks: Networks, state: SACState, batch: Sample, key: Key
 ) -> tuple[Array, Metrics]:
     """Minus the soft value of the policy's own actions. Gradient: through the samples.
 
@@ -220,9 +219,7 @@ def actor_loss(
     return loss, {"actor_loss": loss, "entropy": -_mean(log_prob, batch.valid)}
 
 
-def _sampled(
-    networks: ActorCritic[SACConfig], params: PyTree, normalized: Observation, key: Key
-) -> tuple[Array, Array]:
+def _sampled(networks: Networks, params: PyTree, normalized: Observation, key: Key) -> tuple[Array, Array]:
     """Actions and their log probabilities, one of each for every observation."""
     keys = jax.random.split(key, len(jax.tree.leaves(normalized)[0]))
     return jax.vmap(lambda obs, key: networks.distribution(params, obs).sample_and_log_prob(key))(normalized, keys)

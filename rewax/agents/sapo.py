@@ -11,6 +11,7 @@ is not finite is left out and counted, and a step that failed numerically is mas
 
 import dataclasses
 import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +20,8 @@ from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_criti
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import POSITIVE, FirstOrderConfig, Positive
 from rewax.agents.first_order import Segment, actor_update, critic_update, segment_loss, start_actor_critic
-from rewax.agents.rollout import Policy, rollout
 from rewax.agents.normalization import RunningStatistics
+from rewax.agents.rollout import Policy, rollout
 from rewax.agents.temperature import SoftState, normalized_entropy, start_temperature, update_temperature
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
@@ -56,6 +57,9 @@ class SAPOConfig(FirstOrderConfig):
             POSITIVE.check("initial_temperature", self.initial_temperature)
 
 
+Networks: TypeAlias = ActorCritic[SAPOConfig]
+
+
 def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SAPO on an environment.
 
@@ -80,33 +84,27 @@ def train_step(config: SAPOConfig, state: SoftState) -> tuple[SoftState, Metrics
     key, rollout_key = jax.random.split(state.key)
     loss = functools.partial(actor_loss, networks=networks)
 
-    state, actor, data = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
+    state, actor_metrics, segments = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
 
-    entropy = data.transitions.aux["entropy"]
-    mean_entropy = jnp.mean(entropy, where=data.transitions.valid)
+    entropy = segments.transitions.aux["entropy"]
+    mean_entropy = jnp.mean(entropy, where=segments.transitions.valid)
     own = {"entropy": mean_entropy, "temperature": jnp.exp(state.log_temperature)}
     if config.learn_temperature:
         rate, target = config.temperature_learning_rate, target_entropy(networks)
         state, temperature = update_temperature(networks, state, mean_entropy, target=target, learning_rate=rate)
         own |= temperature
 
-    reward = data.transitions.reward
+    reward = segments.transitions.reward
     if config.entropy_in_targets:
         reward = reward + bonus(networks, state.log_temperature, entropy)
-    state, critics = critic_update(networks, state, data, reward)
+    state, critic_metrics = critic_update(networks, state, segments, reward)
 
-    state, episodes = state.after(data.state, data.transitions, key, learn_statistics=config.normalize_observations)
-    return state, {**episodes, **own, **actor, **critics}
+    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
+    return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
-    actor_params: PyTree,
-    common: SoftState,
-    env: AutoReset,
-    env_state: State,
-    key: Key,
-    *,
-    networks: ActorCritic[SAPOConfig],
+    actor_params: PyTree, common: SoftState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[Array, Segment]:
     """Minus the soft return per step of one environment's rollout. Gradient: through the simulation.
 
@@ -120,7 +118,7 @@ def actor_loss(
     return segment_loss(networks, common, end, transitions, reward)
 
 
-def soft_policy(networks: ActorCritic[SAPOConfig], actor_params: PyTree, statistics: RunningStatistics) -> Policy:
+def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningStatistics) -> Policy:
     """Samples an action, and beside it an estimate of the entropy from a sample of its own."""
 
     def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
@@ -132,12 +130,12 @@ def soft_policy(networks: ActorCritic[SAPOConfig], actor_params: PyTree, statist
     return policy
 
 
-def target_entropy(networks: ActorCritic[SAPOConfig]) -> float:
+def target_entropy(networks: Networks) -> float:
     """The entropy that the temperature steers to: minus half the number of action components in the paper."""
     return -networks.config.target_entropy_scale * networks.action_size
 
 
-def bonus(networks: ActorCritic[SAPOConfig], log_temperature: Array, entropy: Array) -> Array:
+def bonus(networks: Networks, log_temperature: Array, entropy: Array) -> Array:
     """alpha times the entropy of each step, which is normalised first. Gradient: exact."""
     if networks.config.normalize_entropy:
         entropy = normalized_entropy(entropy, target_entropy(networks))

@@ -10,6 +10,7 @@ and the corrections named in ``rewax.agents.sapo``.
 
 import dataclasses
 import functools
+from typing import TypeAlias
 
 import jax
 
@@ -40,6 +41,9 @@ class SHACConfig(FirstOrderConfig):
     target_decay: float | None = 0.995
 
 
+Networks: TypeAlias = ActorCritic[SHACConfig]
+
+
 def make_shac(env: Env, config: SHACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SHAC on an environment.
 
@@ -62,20 +66,14 @@ def train_step(config: SHACConfig, state: ActorCriticState) -> tuple[ActorCritic
     key, rollout_key = jax.random.split(state.key)
     loss = functools.partial(actor_loss, networks=networks)
 
-    state, actor, data = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
-    state, critics = critic_update(networks, state, data, data.transitions.reward)
-    state, episodes = state.after(data.state, data.transitions, key, learn_statistics=config.normalize_observations)
-    return state, {**episodes, **actor, **critics}
+    state, actor_metrics, segments = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
+    state, critic_metrics = critic_update(networks, state, segments, segments.transitions.reward)
+    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
+    return state, {**episode_metrics, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
-    actor_params: PyTree,
-    common: ActorCriticState,
-    env: AutoReset,
-    env_state: State,
-    key: Key,
-    *,
-    networks: ActorCritic[SHACConfig],
+    actor_params: PyTree, common: ActorCriticState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[Array, Segment]:
     """Minus the return per step of one environment's rollout. Gradient: through the simulation.
 

@@ -25,7 +25,7 @@ from rewax.agents.run_state import RunState, partition, run_keys, start_environm
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
-from rewax.envs.wrappers import AutoReset, Vmap
+from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
 
 
@@ -69,7 +69,7 @@ class TrajOptState(RunState):
     opt_state: PyTree
 
 
-def make_trajopt(env: Env | Vmap, config: TrajOptConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
+def make_trajopt(env: Env, config: TrajOptConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """TrajOpt on an environment.
 
     Args:
@@ -98,9 +98,7 @@ def init(config: TrajOptConfig, leaves: EnvLeaves, key: Key) -> TrajOptState:
     """The state of a run that has not begun: all actions zero."""
     env, keys = leaves.first(), run_keys(key)
     actions = jnp.zeros((env.episode_length, *env.action_spec.shape))
-    environments = start_environments(
-        leaves, keys.environments, keys.stagger, num_envs=config.num_envs, learn_statistics=False
-    )
+    environments = start_environments(config, leaves, keys)
     opt_state = config.optimizer.init(actions)
     return TrajOptState(environments=environments, key=keys.run, actions=actions, opt_state=opt_state)
 
@@ -116,8 +114,8 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
     grad, metrics = mean_gradient(losses, grads, max_norm=config.max_env_grad_norm)
     actions, opt_state = apply(config.optimizer, grad, state.opt_state, state.actions)
     state = state.replace(actions=jnp.clip(actions, spec.low, spec.high), opt_state=opt_state)
-    state, episodes = state.after(*data, key)
-    return state, {**episodes, **metrics}
+    state, episode_metrics = state.after(config, *data, key)
+    return state, {**episode_metrics, **metrics}
 
 
 def sequence_loss(
