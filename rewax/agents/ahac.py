@@ -23,7 +23,7 @@ from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Activation, Combination, Count, FirstOrderConfig, Optimizer, Positive
-from rewax.agents.first_order import Segment, actor_step, critic_update, segment_loss, start_actor_critic
+from rewax.agents.first_order import Rollout, actor_step, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import per_env_gradients
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.run_state import ActorCriticState
@@ -115,18 +115,18 @@ def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics
     loss = functools.partial(actor_loss, networks=networks)
 
     params = (state.actor_params, jnp.zeros(config.horizon))
-    losses, segments, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
+    losses, rollouts, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
     state, actor_metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
-    state, critic_metrics = critic_update(networks, state, segments, segments.transitions.reward)
-    state, horizon_metrics = horizon_update(config, state, gradient_growth(norms, segments.transitions))
+    state, critic_metrics = critic_update(networks, state, rollouts, rollouts.transitions.reward)
+    state, horizon_metrics = horizon_update(config, state, gradient_growth(norms, rollouts.transitions))
 
-    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
+    state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
     return state, {**episode_metrics, **horizon_metrics, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
     params: tuple[PyTree, Array], common: AHACState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
-) -> tuple[Array, Segment]:
+) -> tuple[Array, Rollout]:
     """Minus the return per step of one environment's rollout over the adaptive horizon.
 
     Args:
@@ -146,7 +146,7 @@ def actor_loss(
         probes=probes,
         **config.gradient_flow,
     )
-    return segment_loss(networks, common, end, t, t.reward)
+    return rollout_loss(networks, common, end, t, t.reward)
 
 
 def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple[AHACState, Metrics]:

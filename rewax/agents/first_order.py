@@ -1,8 +1,8 @@
-"""What first-order actor-critic algorithms share: the loss of a segment, the updates of actor and critics."""
+"""What first-order actor-critic algorithms share: the loss of a rollout, the updates of actor and critics."""
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,18 +24,19 @@ from rewax.types import Array, Key, PyTree
 A = TypeVar("A", bound=ActorCriticState)
 S = TypeVar("S", bound=PolicyState)
 D = TypeVar("D")
+Networks: TypeAlias = ActorCritic[FirstOrderConfig]
 
 
-class Segment(NamedTuple):
-    """One environment's rollout, with the value of every next observation by every critic, (T, num_critics)."""
+class Rollout(NamedTuple):
+    """One environment's rollout: its end, and the values of next observations by all critics, (T, num_critics)."""
 
-    state: State
+    end: State
     transitions: Transition
     next_values: Array
 
 
 def start_actor_critic(
-    state_type: Callable[..., A], networks: ActorCritic[FirstOrderConfig], leaves: EnvLeaves, key: Key, **own: PyTree
+    state_type: Callable[..., A], networks: Networks, leaves: EnvLeaves, key: Key, **own: PyTree
 ) -> A:
     """The state of a run that has not begun.
 
@@ -62,13 +63,9 @@ def start_actor_critic(
     )
 
 
-def segment_loss(
-    networks: ActorCritic[FirstOrderConfig],
-    common: ActorCriticState,
-    end: State,
-    transitions: Transition,
-    reward: Array,
-) -> tuple[Array, Segment]:
+def rollout_loss(
+    networks: Networks, common: ActorCriticState, end: State, transitions: Transition, reward: Array
+) -> tuple[Array, Rollout]:
     """Minus the return per step of one environment's rollout: rewards, and values where a segment ends.
 
     Args:
@@ -83,7 +80,7 @@ def segment_loss(
     next_values = networks.values(common.critic_params, networks.normalize(common.environments.statistics, t.next_obs))
     value = jnp.where(t.terminated, 0.0, combined(next_values, config.actor_value))
     objective = short_horizon_return(reward, value, t.done, t.valid, discount=config.discount)
-    return -objective / jnp.sum(t.active), Segment(end, t, next_values)  # Xu et al. 2022 (SHAC), eq. 5
+    return -objective / jnp.sum(t.active), Rollout(end, t, next_values)  # Xu et al. 2022 (SHAC), eq. 5
 
 
 def actor_update(
@@ -114,18 +111,16 @@ def actor_step(
     return state.replace(actor_params=params, actor_opt=opt), metrics
 
 
-def critic_update(
-    networks: ActorCritic[FirstOrderConfig], state: A, segments: Segment, reward: Array
-) -> tuple[A, Metrics]:
+def critic_update(networks: Networks, state: A, rollouts: Rollout, reward: Array) -> tuple[A, Metrics]:
     """Regress all critics onto TD(lambda) targets; the target network follows.
 
     Args:
       networks, state: what is fitted.
-      segments: rollouts, leading axis of environments.
+      rollouts: rollouts, leading axis of environments.
       reward: of each step, with or without a bonus, shape (num_envs, T).
     """
-    t, config, statistics = segments.transitions, networks.config, state.environments.statistics
-    next_values = segments.next_values
+    t, config, statistics = rollouts.transitions, networks.config, state.environments.statistics
+    next_values = rollouts.next_values
     if config.target_decay is not None:
         next_obs = networks.normalize(statistics, t.next_obs)
         next_values = jax.vmap(lambda obs: networks.values(state.target_params, obs))(next_obs)
@@ -157,13 +152,13 @@ def combined(values: Array, how: Combination) -> Array:
     return values.mean(axis=-1) if how == "mean" else values.min(axis=-1)
 
 
-def critic_optimizer(networks: ActorCritic[FirstOrderConfig]) -> optax.GradientTransformation:
+def critic_optimizer(networks: Networks) -> optax.GradientTransformation:
     """With a learning rate that falls with the iterations; for ``fit_values``."""
     config = networks.config
     return networks.falling_optimizer(config.critic_learning_rate, config.critic_passes * config.critic_minibatches)
 
 
-def critic_chunk(networks: ActorCritic[FirstOrderConfig]) -> int:
+def critic_chunk(networks: Networks) -> int:
     """Samples that the critics differentiate at a time: a divisor of the minibatch."""
     config = networks.config
     if config.critic_chunk is not None:

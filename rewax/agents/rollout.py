@@ -83,7 +83,8 @@ def rollout(
       state_gradient_decay: factor on that gradient at every step; 1: exact.
       inputs: what the policy is given beside observation and key, leading axis (horizon,).
       num_active: steps after which the environment stands still, at most ``horizon``; None: it never does.
-      probes: zeros, shape (horizon,). The gradient with respect to ``probes[t]`` is the norm of the cotangent of state t.
+      probes: zeros, shape (horizon,). The gradient with respect to ``probes[t]`` is the norm of the cotangent of
+        state t.
 
     Returns:
       Final state, and transitions with leading axis (horizon,). Gradient: through actions, physics, observations and

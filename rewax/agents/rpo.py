@@ -22,7 +22,7 @@ from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_criti
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Count, FirstOrderConfig
 from rewax.agents.distributions import TanhNormal
-from rewax.agents.first_order import Segment, critic_update, segment_loss, start_actor_critic
+from rewax.agents.first_order import Rollout, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import clip_per_env, per_env_gradients
 from rewax.agents.optimizers import apply, finite_or_zero
 from rewax.agents.rollout import rollout
@@ -94,21 +94,21 @@ def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticS
 
     # Every environment's actions are shifted by the same zeros; their derivatives are its own.
     shift = jnp.zeros((config.horizon, networks.action_size))
-    losses, segments, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
+    losses, rollouts, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
     if config.max_env_grad_norm is not None:
         by_action = clip_per_env(by_action, config.max_env_grad_norm)
     finite = jnp.isfinite(losses) & jnp.all(jnp.isfinite(by_action), axis=(1, 2))
-    state, actor_metrics = actor_epochs(networks, state, segments, by_action, finite)
-    state, critic_metrics = critic_update(networks, state, segments, segments.transitions.reward)
+    state, actor_metrics = actor_epochs(networks, state, rollouts, by_action, finite)
+    state, critic_metrics = critic_update(networks, state, rollouts, rollouts.transitions.reward)
 
-    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
+    state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
     own = {"actor_loss": jnp.mean(losses, where=finite), "dropped_gradients": jnp.sum(~finite)}
     return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
 
 
 def shifted_loss(
     shift: Array, common: ActorCriticState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
-) -> tuple[Array, Segment]:
+) -> tuple[Array, Rollout]:
     """Minus the return per step of one environment whose actions before the tanh are shifted, shape (T, action_size).
 
     Gradient: through the simulation and the later actions of the policy, with respect to the shift.
@@ -121,21 +121,21 @@ def shifted_loss(
         return jnp.tanh(raw), {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
 
     end, t = rollout(env, env_state, policy, key, horizon=config.horizon, inputs=shift, **config.gradient_flow)
-    return segment_loss(networks, common, end, t, t.reward)
+    return rollout_loss(networks, common, end, t, t.reward)
 
 
 def actor_epochs(
-    networks: Networks, state: ActorCriticState, segments: Segment, by_action: Array, finite: Array
+    networks: Networks, state: ActorCriticState, rollouts: Rollout, by_action: Array, finite: Array
 ) -> tuple[ActorCriticState, Metrics]:
     """Several updates of the actor on the same derivatives.
 
     Args:
       networks, state: what is updated.
-      segments: rollouts, leading axis of environments.
+      rollouts: rollouts, leading axis of environments.
       by_action: derivative of each environment's loss by its actions before the tanh, shape (num_envs, T, action_size).
       finite: environments that count, shape (num_envs,).
     """
-    optimizer, t = actor_optimizer(networks), segments.transitions
+    optimizer, t = actor_optimizer(networks), rollouts.transitions
     loss = functools.partial(
         surrogate_loss,
         networks=networks,

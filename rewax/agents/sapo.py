@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import POSITIVE, FirstOrderConfig, Positive
-from rewax.agents.first_order import Segment, actor_update, critic_update, segment_loss, start_actor_critic
+from rewax.agents.first_order import Rollout, actor_update, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.rollout import Policy, rollout
 from rewax.agents.temperature import SoftState, normalized_entropy, start_temperature, update_temperature
@@ -84,28 +84,28 @@ def train_step(config: SAPOConfig, state: SoftState) -> tuple[SoftState, Metrics
     key, rollout_key = jax.random.split(state.key)
     loss = functools.partial(actor_loss, networks=networks)
 
-    state, actor_metrics, segments = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
+    state, actor_metrics, rollouts = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
 
-    entropy = segments.transitions.aux["entropy"]
-    mean_entropy = jnp.mean(entropy, where=segments.transitions.valid)
+    entropy = rollouts.transitions.aux["entropy"]
+    mean_entropy = jnp.mean(entropy, where=rollouts.transitions.valid)
     own = {"entropy": mean_entropy, "temperature": jnp.exp(state.log_temperature)}
     if config.learn_temperature:
         rate, target = config.temperature_learning_rate, target_entropy(networks)
         state, temperature = update_temperature(networks, state, mean_entropy, target=target, learning_rate=rate)
         own |= temperature
 
-    reward = segments.transitions.reward
+    reward = rollouts.transitions.reward
     if config.entropy_in_targets:
         reward = reward + bonus(networks, state.log_temperature, entropy)
-    state, critic_metrics = critic_update(networks, state, segments, reward)
+    state, critic_metrics = critic_update(networks, state, rollouts, reward)
 
-    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
+    state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
     return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
     actor_params: PyTree, common: SoftState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
-) -> tuple[Array, Segment]:
+) -> tuple[Array, Rollout]:
     """Minus the soft return per step of one environment's rollout. Gradient: through the simulation.
 
     Source: Xing, Luk and Oh 2025, section on SAPO: SHAC's loss with r + alpha H in place of r.
@@ -115,7 +115,7 @@ def actor_loss(
     reward = transitions.reward
     if config.entropy_in_return:
         reward = reward + bonus(networks, common.log_temperature, transitions.aux["entropy"])
-    return segment_loss(networks, common, end, transitions, reward)
+    return rollout_loss(networks, common, end, transitions, reward)
 
 
 def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningStatistics) -> Policy:

@@ -17,7 +17,7 @@ import jax
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Activation, FirstOrderConfig, Optimizer
-from rewax.agents.first_order import Segment, actor_update, critic_update, segment_loss, start_actor_critic
+from rewax.agents.first_order import Rollout, actor_update, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.rollout import rollout
 from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
@@ -66,19 +66,19 @@ def train_step(config: SHACConfig, state: ActorCriticState) -> tuple[ActorCritic
     key, rollout_key = jax.random.split(state.key)
     loss = functools.partial(actor_loss, networks=networks)
 
-    state, actor_metrics, segments = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
-    state, critic_metrics = critic_update(networks, state, segments, segments.transitions.reward)
-    state, episode_metrics = state.after(config, segments.state, segments.transitions, key)
+    state, actor_metrics, rollouts = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
+    state, critic_metrics = critic_update(networks, state, rollouts, rollouts.transitions.reward)
+    state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
     return state, {**episode_metrics, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
     actor_params: PyTree, common: ActorCriticState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
-) -> tuple[Array, Segment]:
+) -> tuple[Array, Rollout]:
     """Minus the return per step of one environment's rollout. Gradient: through the simulation.
 
     Source: Xu et al. 2022, eq. 5.
     """
     config, policy = networks.config, networks.sampling(actor_params, common.environments.statistics)
     end, transitions = rollout(env, env_state, policy, key, horizon=config.horizon, **config.gradient_flow)
-    return segment_loss(networks, common, end, transitions, transitions.reward)
+    return rollout_loss(networks, common, end, transitions, transitions.reward)
