@@ -70,20 +70,20 @@ def check_closes_over_no_array(function: Callable[..., object]) -> None:
     Raises:
       ValueError: it closes over an array; the message names the function and the variable.
     """
-    seen: set[int] = set()
+    visited: set[int] = set()
     waiting: list[object] = [function]
     while waiting:
         one = waiting.pop()
-        if id(one) in seen:
+        if id(one) in visited:
             continue
-        seen.add(id(one))
+        visited.add(id(one))
         for name, value in _bound(one):
             leaves = jax.tree.leaves(value)
             if any(isinstance(leaf, jax.Array) for leaf in leaves):
                 raise ValueError(
-                    f"{_name(one)} closes over {name}, which holds an array: give it as an argument (a field of the "
-                    "training state is in the argument `common`), and bind with functools.partial only what is known "
-                    "when the program is traced"
+                    f"{_name(one)} closes over {name}, which holds an array: give it as an argument (the argument `common` "
+                    "of a loss is the training state), and bind with functools.partial only what is known when the "
+                    "program is traced"
                 )
             waiting += [leaf for leaf in leaves if callable(leaf)]
 

@@ -139,7 +139,7 @@ def scale_gradient(tree: PyTree, factor: Array) -> PyTree:
     """The same values; their gradient times a factor, which has no gradient itself."""
 
     def scaled(factor: Array, grads: list[Array]) -> tuple[list[Array], Array]:
-        # Times 0 is a cut, also of what is not finite.
+        # A factor of 0 cuts non-finite gradients too.
         return [jnp.where(factor == 0, 0.0, g * factor).astype(g.dtype) for g in grads], jnp.zeros_like(factor)
 
     return _with_backward(tree, factor, scaled)
@@ -154,17 +154,17 @@ def probed(tree: PyTree, probe: Array) -> PyTree:
     return _with_backward(tree, probe, measured)
 
 
-def _with_backward(tree: PyTree, number: Array, backward: Callable[..., tuple[list[Array], Array]]) -> PyTree:
-    """The same values; ``backward(number, grads)`` gives the gradients by their floating leaves and by the number."""
+def _with_backward(tree: PyTree, scalar: Array, backward: Callable[..., tuple[list[Array], Array]]) -> PyTree:
+    """The same values; ``backward(scalar, grads)`` gives the gradients with respect to floating leaves and scalar."""
 
     @jax.custom_vjp
-    def same(floats: list[Array], number: Array) -> list[Array]:
-        del number
+    def same(floats: list[Array], scalar: Array) -> list[Array]:
+        del scalar
         return floats
 
-    same.defvjp(lambda floats, number: (floats, number), backward)
+    same.defvjp(lambda floats, scalar: (floats, scalar), backward)
     leaves, structure = jax.tree.flatten(tree)
     floating = [i for i, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    for i, leaf in zip(floating, same([leaves[i] for i in floating], number), strict=True):
+    for i, leaf in zip(floating, same([leaves[i] for i in floating], scalar), strict=True):
         leaves[i] = leaf
     return jax.tree.unflatten(structure, leaves)

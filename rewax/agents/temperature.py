@@ -57,7 +57,8 @@ def temperature_loss(log_temperature: Array, entropy: Array, target: float) -> A
       entropy: mean over the data, shape (). Gradient: none.
       target: of the entropy.
 
-    Source: Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications", eq. 18, times |target|.
+    Source: Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications", section "Automating Entropy
+      Adjustment for Maximum Entropy RL", times |target|.
     """
     return jnp.exp(log_temperature) * abs(target) * (jax.lax.stop_gradient(entropy) - target)
 
