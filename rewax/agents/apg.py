@@ -42,12 +42,7 @@ class APGConfig(PolicyConfig, GradientOptions):
 
 
 def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """APG on an environment.
-
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+    """APG on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = APGConfig() if config is None else config
     return actor_agent("apg", env, config, init=init, train_step=train_step, randomize=randomize)
 

@@ -81,9 +81,9 @@ def check_closes_over_no_array(function: Callable[..., object]) -> None:
             leaves = jax.tree.leaves(value)
             if any(isinstance(leaf, jax.Array) for leaf in leaves):
                 raise ValueError(
-                    f"{_name(one)} closes over {name}, which holds an array: give it as an argument (the argument `common` "
-                    "of a loss is the training state), and bind with functools.partial only what is known when the "
-                    "program is traced"
+                    f"{_name(one)} closes over {name}, which holds an array: give it as an argument (the argument "
+                    "`common` of a loss is the training state), and bind with functools.partial only what is known "
+                    "when the program is traced"
                 )
             waiting += [leaf for leaf in leaves if callable(leaf)]
 

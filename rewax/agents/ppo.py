@@ -25,7 +25,7 @@ from rewax.agents.config import POSITIVE, ActorCriticConfig, Count, Positive, Sh
 from rewax.agents.distributions import TanhNormal
 from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
 from rewax.agents.returns import td_lambda
-from rewax.agents.rollout import Transition, rollout
+from rewax.agents.rollout import Transition, masked, rollout
 from rewax.agents.run_state import PolicyState, run_keys, start_environments
 from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.leaves import EnvLeaves
@@ -101,12 +101,7 @@ class PPOState(PolicyState):
 
 
 def make_ppo(env: Env, config: PPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """PPO on an environment.
-
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+    """PPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = PPOConfig() if config is None else config
     return actor_agent("ppo", env, config, init=init, train_step=train_step, randomize=randomize)
 
@@ -201,7 +196,7 @@ def make_batch(networks: Networks, state: PPOState, t: Transition) -> tuple[Batc
         statistics = update_statistics(statistics, {"value": returns}, t.valid)
     obs = networks.normalize(state.environments.statistics, t.obs)
     batch = Batch(
-        obs=jax.tree.map(lambda a: _masked(a, t.valid), obs),
+        obs=masked(obs, t.valid),
         **t.aux,
         target=jnp.where(t.valid, (returns - statistics.mean["value"]) / _scale(statistics), 0.0),
         advantage=jnp.where(t.valid, (advantage - mean) / (deviation + 1e-8), 0.0),
@@ -288,7 +283,3 @@ def shuffled(key: Key, batch: PyTree, num_parts: int) -> PyTree:
     flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), batch)
     order = jax.random.permutation(key, len(jax.tree.leaves(flat)[0]))
     return jax.tree.map(lambda a: a[order].reshape(num_parts, -1, *a.shape[1:]), flat)
-
-
-def _masked(a: Array, valid: Array) -> Array:
-    return jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - 2)), a, 0.0)

@@ -135,6 +135,11 @@ def rollout(
     return jax.lax.stop_gradient(out) if differentiate == "none" else out
 
 
+def masked(tree: PyTree, valid: Array) -> PyTree:
+    """The tree with zeros where samples do not count; its arrays begin with the axes of ``valid``, bool."""
+    return jax.tree.map(lambda a: jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - valid.ndim)), a, 0.0), tree)
+
+
 def scale_gradient(tree: PyTree, factor: Array) -> PyTree:
     """The same values; their gradient times a factor, which has no gradient itself."""
 

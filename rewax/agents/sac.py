@@ -92,11 +92,9 @@ class SACState(SoftState):
 
 
 def make_sac(env: Env, config: SACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """SAC on an environment. ``train_step`` consumes its input: the replay buffer is changed in place.
+    """SAC on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``.
 
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
+    ``train_step`` consumes its input: the replay buffer is changed in place.
     """
     config = SACConfig() if config is None else config
     return actor_agent("sac", env, config, init=init, train_step=train_step, randomize=randomize, donate=True)
@@ -110,6 +108,7 @@ def init(config: SACConfig, leaves: EnvLeaves, key: Key) -> SACState:
     obs, action = environments.first_observation(), jnp.zeros(env.action_spec.shape)
     actor_params = networks.network.init(keys.actor, obs)
     critic_params = networks.critics.init(keys.critics, obs, action)
+    log_alpha, alpha_opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
     return SACState(
         environments=environments,
         key=keys.run,
@@ -118,7 +117,8 @@ def init(config: SACConfig, leaves: EnvLeaves, key: Key) -> SACState:
         critic_params=critic_params,
         critic_opt=networks.optimizer(config.critic_learning_rate).init(critic_params),
         target_params=critic_params,
-        **start_temperature(networks, config.initial_temperature, config.temperature_learning_rate),
+        log_temperature=log_alpha,
+        temperature_opt=alpha_opt,
         replay=_empty_replay(environments, action, config.capacity),
     )
 
@@ -172,22 +172,34 @@ def update(networks: Networks, replay: Replay, state: SACState, key: Key) -> tup
     batch_key, next_key, actor_key = jax.random.split(key, 3)
     batch = replays.sample(replay, batch_key, config.batch_size, num_steps=config.num_steps, discount=config.discount)
     obs, next_obs = (networks.normalize(statistics, obs) for obs in (batch.obs, batch.next_obs))
-    given = {"networks": networks, "batch": batch._replace(obs=obs, next_obs=next_obs)}
+    batch = batch._replace(obs=obs, next_obs=next_obs)
 
-    loss = functools.partial(critic_loss, **given, state=state, key=next_key)
-    grad, critic = jax.grad(loss, has_aux=True)(state.critic_params)
+    state, critic_metrics = critic_update(networks, state, batch, next_key)
+    state, actor_metrics = actor_update(networks, state, batch, actor_key)
+    rate, target = config.temperature_learning_rate, -config.target_entropy_scale * networks.action_size
+    entropy = actor_metrics["entropy"]
+    state, temperature = update_temperature(networks, state, entropy, target=target, learning_rate=rate)
+    return state, {**critic_metrics, **actor_metrics, **temperature}
+
+
+def critic_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
+    """One step of the critics; the target network follows."""
+    config = networks.config
+    loss = functools.partial(critic_loss, networks=networks, state=state, batch=batch, key=key)
+    grad, metrics = jax.grad(loss, has_aux=True)(state.critic_params)
     params, opt = networks.update(config.critic_learning_rate, grad, state.critic_opt, state.critic_params)
     target = optax.incremental_update(params, state.target_params, config.target_rate)
-    state = state.replace(critic_params=params, critic_opt=opt, target_params=target)
+    return state.replace(critic_params=params, critic_opt=opt, target_params=target), metrics
 
-    loss = functools.partial(actor_loss, **given, state=state, key=actor_key)
-    grad, actor = jax.grad(loss, has_aux=True)(state.actor_params)
-    params, opt = networks.update(config.actor_learning_rate, grad, state.actor_opt, state.actor_params)
-    state = state.replace(actor_params=params, actor_opt=opt)
 
-    rate, target = config.temperature_learning_rate, -config.target_entropy_scale * networks.action_size
-    state, temperature = update_temperature(networks, state, actor["entropy"], target=target, learning_rate=rate)
-    return state, {**critic, **actor, **temperature, "actor_grad_norm": optax.tree.norm(grad)}
+def actor_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
+    """One step of the actor."""
+    loss = functools.partial(actor_loss, networks=networks, state=state, batch=batch, key=key)
+    grad, metrics = jax.grad(loss, has_aux=True)(state.actor_params)
+    rate = networks.config.actor_learning_rate
+    params, opt = networks.update(rate, grad, state.actor_opt, state.actor_params)
+    metrics |= {"actor_grad_norm": optax.tree.norm(grad)}
+    return state.replace(actor_params=params, actor_opt=opt), metrics
 
 
 def critic_loss(

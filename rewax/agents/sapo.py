@@ -61,12 +61,7 @@ Networks: TypeAlias = ActorCritic[SAPOConfig]
 
 
 def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """SAPO on an environment.
-
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+    """SAPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = SAPOConfig() if config is None else config
     return actor_agent("sapo", env, config, init=init, train_step=train_step, randomize=randomize)
 
@@ -74,8 +69,8 @@ def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomiz
 def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SoftState:
     """The state of a run that has not begun."""
     networks = make_actor_critic(leaves.first(), config)
-    own = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
-    return start_actor_critic(SoftState, networks, leaves, key, **own)
+    log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
+    return start_actor_critic(SoftState, networks, leaves, key, log_temperature=log_alpha, temperature_opt=opt)
 
 
 def train_step(config: SAPOConfig, state: SoftState) -> tuple[SoftState, Metrics]:

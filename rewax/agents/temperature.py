@@ -29,13 +29,10 @@ class SoftState(ActorCriticState):
 S = TypeVar("S", bound=SoftState)
 
 
-def start_temperature(actor: Actor[AnyPolicyConfig], alpha: float, learning_rate: float) -> dict[str, PyTree]:
-    """The fields that ``SoftState`` adds, in a run that has not begun."""
+def start_temperature(actor: Actor[AnyPolicyConfig], alpha: float, learning_rate: float) -> tuple[Array, PyTree]:
+    """``log_temperature`` and ``temperature_opt`` of a run that has not begun."""
     log_temperature = jnp.log(jnp.full((), alpha))
-    return {
-        "log_temperature": log_temperature,
-        "temperature_opt": actor.optimizer(learning_rate).init(log_temperature),
-    }
+    return log_temperature, actor.optimizer(learning_rate).init(log_temperature)
 
 
 def normalized_entropy(entropy: Array, target: float) -> Array:

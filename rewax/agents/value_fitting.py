@@ -11,6 +11,7 @@ import optax
 from rewax.agents.base import Metrics
 from rewax.agents.devices import mean_over_devices, sharded
 from rewax.agents.optimizers import Packing, apply, finite_or_zero
+from rewax.agents.rollout import masked
 from rewax.envs.base import ArraySpec
 from rewax.types import Array, Observation, PyTree
 
@@ -59,8 +60,7 @@ def fit_values(
     Returns:
       Parameters, optimizer state, and the metrics ``critic_loss`` (of the last pass) and ``critic_grad_norm``.
     """
-    obs = jax.tree.map(lambda a: jnp.where(_expand(valid, a), a, 0.0), dict(obs))
-    targets = jnp.where(valid, targets, 0.0)
+    obs, targets = masked((dict(obs), targets), valid)
     fit = functools.partial(
         _fit, objective=functools.partial(_objective, values=values, loss=loss), optimizer=optimizer, passes=passes,
         minibatches=minibatches, chunk=chunk,
@@ -138,7 +138,3 @@ def chunk_size(minibatch: int, observation_spec: dict[str, ArraySpec]) -> int:
         return minibatch
     points = max((spec.shape[0] for spec in observation_spec.values() if len(spec.shape) == 2), default=1)
     return max(n for n in range(1, minibatch + 1) if minibatch % n == 0 and (n == 1 or n * points <= _CACHED_POINTS))
-
-
-def _expand(mask: Array, like: Array) -> Array:
-    return mask.reshape(*mask.shape, *[1] * (like.ndim - mask.ndim))

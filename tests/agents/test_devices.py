@@ -103,9 +103,7 @@ def test_gradients_of_environments_refuse_a_loss_that_closes_over_the_state():
         del common
         return shac.actor_loss(params, state, env, env_state, key, networks=networks)
 
-    sentence = (
-        r"loss closes over state, which holds an array: give it as an argument \(a field of the training state is"
-    )
+    sentence = r"loss closes over state, which holds an array: give it as an argument \(the argument `common`"
     with pytest.raises(ValueError, match=sentence):
         gradients(loss)
     losses, _, _ = gradients(functools.partial(shac.actor_loss, networks=networks))
