@@ -61,7 +61,13 @@ def data(start):
 @functools.cache
 def update(**changes):
     networks = make_actor_critic(ENV, dataclasses.replace(CONFIG, **changes))
-    return jax.jit(lambda state, data, reward: critic_update(networks, state, data, reward))
+
+    @jax.jit
+    def learnt(state, data, reward):
+        state, metrics = critic_update(networks, state, data, reward)
+        return (state.critic_params, state.critic_opt), metrics
+
+    return learnt
 
 
 def values(start, obs):
