@@ -250,10 +250,11 @@ def legal_values(config_type: type) -> dict[str, Legal]:
     """Options whose types restrict their values. An algorithm that gives another default keeps the restriction."""
     found = {}
     for part in reversed(config_type.__mro__):
-        for name, hint in inspect.get_annotations(part, eval_str=True).items():
-            legal = _legal(hint)
-            if legal is not None:
-                found[name] = legal
+        try:
+            hints = inspect.get_annotations(part, eval_str=True)
+        except NameError:  # written as a string that only a type checker can resolve
+            hints = inspect.get_annotations(part)
+        found |= {name: legal for name, hint in hints.items() if (legal := _legal(hint)) is not None}
     return found
 
 

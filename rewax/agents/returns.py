@@ -12,7 +12,7 @@ from rewax.types import Array
 def segment_ends(done_t: Array, valid_t: Array) -> Array:
     """Marks segment ends, shape (T,), bool: ends of episodes, the last step, and steps before one that failed.
 
-    Before a failed step, returns bootstrap with V(s_t), because its reward and next state are unknown.
+    Returns bootstrap with the value of the state before a failed step, because its reward and next state are unknown.
 
     Args:
       done_t: whether the step ended an episode, shape (T,).

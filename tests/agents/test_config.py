@@ -47,7 +47,8 @@ def test_another_default_keeps_the_restriction():
 
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class Mine(FirstOrderConfig):
-        discount: float = 0.9
+        discount: "float" = 0.9
+        own: "Unresolved" = None  # noqa: F821
 
     assert Mine().discount == 0.9
     with pytest.raises(ValueError, match=r"^discount is 2.0: give a number between 0 and 1$"):
