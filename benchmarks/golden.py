@@ -5,6 +5,8 @@ Run it in two checkouts on one machine, then compare: what differs is listed by 
     PYTHONPATH=../other python benchmarks/golden.py --out before.npz
     PYTHONPATH=. python benchmarks/golden.py --out after.npz
     python benchmarks/golden.py --compare before.npz after.npz
+
+With ``--agents``: every algorithm on the tests' point mass instead, which needs their folder: ``PYTHONPATH=.:tests``.
 """
 
 import argparse
@@ -52,12 +54,24 @@ def values_of(name: str) -> dict[str, Any]:
     gradient = jax.jit(jax.value_and_grad(total, argnums=(0, 1), has_aux=True, allow_int=True))
     (_, steps), (by_action, by_env) = gradient(actions, env, state)
     agent = make_sapo(env, dataclasses.replace(sapo_preset(name, "small"), num_envs=4, horizon=8))
-    first = train_state = agent.init(jax.random.key(0))
-    metrics = None
-    for _ in range(NUM_ITERATIONS):
-        train_state, metrics = agent.train_step(train_state)
     parts = {"reset": state, "steps": steps, "gradient by actions": by_action, "gradient by leaves": by_env}
-    return {**parts, "init": first, "train_step": (train_state, metrics)}
+    return {**parts, **trained(agent)}
+
+
+def values_of_agent(name: str) -> dict[str, Any]:
+    """Trees of values of one case of ``tests/agent_cases.py``."""
+    from agent_cases import agent  # type: ignore[import-not-found]
+
+    return trained(agent(name))
+
+
+def trained(agent: Any) -> dict[str, Any]:
+    """The first state of a run, and the last with its metrics."""
+    first, metrics = agent.init(jax.random.key(0)), None
+    state = jax.tree.map(jnp.copy, first)  # SAC consumes its input
+    for _ in range(NUM_ITERATIONS):
+        state, metrics = agent.train_step(state)
+    return {"init": first, "train_step": (state, metrics)}
 
 
 def compare(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> list[str]:
@@ -87,17 +101,22 @@ def _difference(a: np.ndarray, b: np.ndarray) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", help="names; every registered one by default")
+    parser.add_argument("--agents", action="store_true", help="algorithms instead of tasks")
     parser.add_argument("--out", default="golden.npz")
     parser.add_argument("--compare", nargs=2, metavar=("BEFORE", "AFTER"))
     args = parser.parse_args()
     if args.compare:
         print("\n".join(compare(*(dict(np.load(path)) for path in args.compare))))
         return
-    from rewax.envs import list_envs
+    if args.agents:
+        from agent_cases import CASES as known  # type: ignore[import-not-found]
+    else:
+        from rewax.envs import list_envs
 
+        known = list_envs()
     found = {}
-    for task in args.tasks or list_envs():
-        for part, tree in values_of(task).items():
+    for task in args.tasks or known:
+        for part, tree in (values_of_agent if args.agents else values_of)(task).items():
             found |= {f"{task}|{part}|{leaf}": value for leaf, value in arrays(tree).items()}
         print(task, flush=True)
         np.savez(Path(args.out), **found)

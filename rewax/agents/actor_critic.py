@@ -2,57 +2,61 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Generic, TypeVar, cast
 
 import jax
 import optax
 
-from rewax.agents.base import Agent, Init, TrainStep, bind
-from rewax.agents.config import ActorCriticConfig, PolicyConfig
+from rewax.agents.base import Agent, Metrics, bind
+from rewax.agents.config import AnyCriticConfig, AnyPolicyConfig
 from rewax.agents.distributions import TanhNormal
-from rewax.agents.environments import taken_apart
 from rewax.agents.networks import ACTIVATIONS, Critics, Encoder, GaussianActor
 from rewax.agents.normalization import RunningStatistics, normalize
-from rewax.agents.optimizers import clipped_adamw, linear_fall
+from rewax.agents.optimizers import apply, clipped_adamw, finite_or_zero, linear_fall
 from rewax.agents.rollout import Policy
-from rewax.agents.value_fitting import chunk_size
+from rewax.agents.run_state import PolicyState, partition
 from rewax.envs.base import ArraySpec, Env
+from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
 from rewax.types import Array, Key, Observation, PyTree
 
+P = TypeVar("P", bound=AnyPolicyConfig, covariant=True)
+C = TypeVar("C", bound=AnyCriticConfig, covariant=True)
+S = TypeVar("S", bound=PolicyState)
+
 
 @dataclasses.dataclass(frozen=True)
-class Actor:
+class Actor(Generic[P]):
     """The policy network and its optimizer, as they follow from a configuration and the specs of an environment.
 
     Attributes:
-      config: a ``PolicyConfig``: sizes and learning rates.
+      config: sizes and learning rates.
       network: flax module.
       action_size: components of an action.
       observation_spec: of the environment.
     """
 
-    config: Any
+    config: P
     network: GaussianActor
     action_size: int
     observation_spec: dict[str, ArraySpec]
 
-    def seen(self, statistics: RunningStatistics, obs: Observation) -> Observation:
-        """Observations as the networks see them. Gradient: with respect to obs."""
+    def normalize(self, statistics: RunningStatistics, obs: Observation) -> Observation:
+        """Observations as the networks take them. Gradient: with respect to obs."""
         if not self.config.normalize_observations:
             return obs
         return normalize(statistics, obs, clip=self.config.observation_clip)
 
     def action_distribution(self, params: PyTree, statistics: RunningStatistics, obs: Observation) -> TanhNormal:
         """Of one environment's action. Gradient: exact, with respect to params and obs."""
-        return self.distribution(params, self.seen(statistics, obs))
+        return self.distribution(params, self.normalize(statistics, obs))
 
-    def distribution(self, params: PyTree, seen: Observation) -> TanhNormal:
-        """The same for an observation that ``seen`` returned."""
-        out: Any = self.network.apply(params, seen)
-        return TanhNormal(mean=out[0], log_std=out[1])
+    def distribution(self, params: PyTree, normalized: Observation) -> TanhNormal:
+        """The same for an observation that ``normalize`` returned."""
+        mean, log_std = cast(tuple[Array, Array], self.network.apply(params, normalized))
+        return TanhNormal(mean=mean, log_std=log_std)
 
-    def acting(self, params: PyTree, statistics: RunningStatistics) -> Policy:
+    def sampling(self, params: PyTree, statistics: RunningStatistics) -> Policy:
         """A policy for ``rollout`` that samples its actions. Gradient: through the samples, into params and obs."""
 
         def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
@@ -60,8 +64,8 @@ class Actor:
 
         return policy
 
-    def policy(self, state: Any, obs: Observation, key: Key, deterministic: bool = False) -> Array:
-        """``Agent.policy`` of every algorithm whose state has ``actor_params`` and ``environments``."""
+    def policy(self, state: PolicyState, obs: Observation, key: Key, deterministic: bool = False) -> Array:
+        """``Agent.policy`` of every algorithm with a policy network."""
         distribution = self.action_distribution(state.actor_params, state.environments.statistics, obs)
         return distribution.mode() if deterministic else distribution.sample(key)
 
@@ -92,10 +96,19 @@ class Actor:
             )
         )
 
+    def update(
+        self, learning_rate: float, grad: PyTree, opt_state: PyTree, params: PyTree, *, scale: Array | float = 1.0
+    ) -> tuple[PyTree, PyTree]:
+        """Parameters and optimizer state after one step of the configuration's Adam, ``scale`` times as long.
+
+        Components of the gradient that are not finite count as zero.
+        """
+        return apply(self.optimizer(learning_rate), finite_or_zero(grad), opt_state, params, scale=scale)
+
 
 @dataclasses.dataclass(frozen=True)
-class ActorCritic(Actor):
-    """The critics too; ``config`` is an ``ActorCriticConfig``.
+class ActorCritic(Actor[C]):
+    """The critics too.
 
     Attributes:
       critics: flax module.
@@ -103,71 +116,58 @@ class ActorCritic(Actor):
 
     critics: Critics
 
-    def values(self, params: PyTree, seen: Observation) -> Array:
-        """By all critics, for observations with one leading axis that ``seen`` returned, shape (T, num_critics)."""
-        out: Any = jax.vmap(lambda obs: self.critics.apply(params, obs))(seen)
-        return out
+    def values(self, params: PyTree, normalized: Observation) -> Array:
+        """By all critics, for a batch of observations that ``normalize`` returned, shape (n, num_critics)."""
+        return cast(Array, jax.vmap(lambda obs: self.critics.apply(params, obs))(normalized))
 
-    @property
-    def critic_optimizer(self) -> optax.GradientTransformation:
-        """With a learning rate that falls; for ``fit_values``."""
-        return self.falling_optimizer(
-            self.config.critic_learning_rate, self.config.critic_passes * self.config.critic_minibatches
-        )
-
-    @property
-    def critic_chunk(self) -> int:
-        """Samples that the critics differentiate at a time: a divisor of the minibatch."""
-        chunk = self.config.critic_chunk
-        return chunk_size(self.config.minibatch, self.observation_spec) if chunk is None else chunk
+    def action_values(self, params: PyTree, normalized: Observation, action: Array) -> Array:
+        """The same for critics of observations and actions."""
+        return cast(Array, jax.vmap(lambda *one: self.critics.apply(params, *one))(normalized, action))
 
 
-def make_actor(env: Env, config: PolicyConfig) -> Actor:
+def make_actor(env: Env, config: P) -> Actor[P]:
     """Policy network and optimizer for an environment, of which only the specs are used."""
     return Actor(config, _network(env, config), env.action_spec.shape[0], env.observation_spec)
 
 
-def make_actor_critic(env: Env, config: ActorCriticConfig) -> ActorCritic:
+def make_actor_critic(env: Env, config: C) -> ActorCritic[C]:
     """Networks and optimizers for an environment, of which only the specs are used."""
-    actor = make_actor(env, config)
     critics = Critics(
         _encoder(config), config.critic_widths, config.num_critics, ACTIVATIONS[config.activation], config.initial_gain
     )
-    return ActorCritic(config, actor.network, actor.action_size, actor.observation_spec, critics)
+    return ActorCritic(config, _network(env, config), env.action_spec.shape[0], env.observation_spec, critics)
 
 
 def actor_agent(
     name: str,
     env: Env,
-    config: Any,
+    config: P,
     *,
-    init: Init,
-    train_step: TrainStep,
-    networks: Callable[[Env, Any], Actor] = make_actor_critic,
+    init: Callable[[P, EnvLeaves, Key], S],
+    train_step: Callable[[P, S], tuple[S, Metrics]],
     randomize: Randomize | None = None,
     donate: bool = False,
-) -> Agent:
+) -> Agent[S]:
     """An agent with a policy network from pure functions of its configuration.
 
     Args:
       name: of the algorithm.
       env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
-      config: a ``PolicyConfig``.
-      init, train_step, donate: as for ``bind``. Training states have ``actor_params`` and ``environments``.
-      networks: ``(env, config) -> Actor``.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
+      config: hyper-parameters.
+      init, train_step, donate: as for ``bind``.
+      randomize: ``(key, env) -> env``: draws parameters of the environment anew at each reset.
     """
-    leaves = taken_apart(env, config.num_envs, randomize)
-    policy = networks(leaves.first(), config).policy
+    leaves = partition(env, config.num_envs, randomize)
+    policy = make_actor(leaves.first(), config).policy
     return bind(name, config, leaves, init=init, train_step=train_step, policy=policy, donate=donate)
 
 
-def _encoder(config: PolicyConfig) -> Encoder:
+def _encoder(config: AnyPolicyConfig) -> Encoder:
     sizes = (config.point_widths, config.point_features, config.vector_features)
     return Encoder(*sizes, ACTIVATIONS[config.activation], config.initial_gain)
 
 
-def _network(env: Env, config: PolicyConfig) -> GaussianActor:
+def _network(env: Env, config: AnyPolicyConfig) -> GaussianActor:
     return GaussianActor(
         _encoder(config),
         config.actor_widths,

@@ -8,11 +8,13 @@ Simulation" (ICML 2024). Different:
 - One horizon for all environments moves along the mean excess of that growth (an earlier rule of the authors), instead
   of by a multiplier for each step.
 - The rollout always computes ``horizon`` steps; beyond the adaptive horizon the environments stand still.
-- Critics are fitted for a fixed number of passes over all samples at once: parts of the time beyond the horizon would
-  hold nothing.
+- Critics are fitted for a fixed number of passes over all samples at once: minibatches beyond the horizon would hold
+  no samples.
 """
 
 import dataclasses
+import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,19 +22,11 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Combination, FirstOrderConfig, SHACPolicyConfig, check_count, check_positive
-from rewax.agents.episodes import episode_metrics
-from rewax.agents.first_order import (
-    FirstOrderState,
-    Stretch,
-    actor_step,
-    critic_update,
-    start_actor_critic,
-    stretch_loss,
-)
+from rewax.agents.config import Activation, Combination, Count, FirstOrderConfig, Optimizer, Positive
+from rewax.agents.first_order import Rollout, actor_step, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import per_env_gradients
 from rewax.agents.rollout import Transition, rollout
-from rewax.agents.run_state import advanced, fields
+from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -41,7 +35,7 @@ from rewax.types import Array, Key, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AHACConfig(SHACPolicyConfig, FirstOrderConfig):
+class AHACConfig(FirstOrderConfig):
     """Hyper-parameters beyond those of ``FirstOrderConfig``.
 
     Attributes:
@@ -52,20 +46,23 @@ class AHACConfig(SHACPolicyConfig, FirstOrderConfig):
       critic_minibatches: 1.
     """
 
+    optimizer: Optimizer = "adam"
+    max_grad_norm: float = 1.0
+    activation: Activation = "elu"
+    initial_gain: float = 2.0**0.5
+    state_dependent_std: bool = False
+    initial_log_std: float = -1.0
     actor_value: Combination = "min"
     horizon: int = 64
-    min_horizon: int = 8
+    min_horizon: Count = 8
     initial_horizon: int = 32
-    max_growth: float = 1.1
-    horizon_rate: float = 1.0
+    max_growth: Positive = 1.1
+    horizon_rate: Positive = 1.0
     critic_passes: int = 64
     critic_minibatches: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_count("min_horizon", self.min_horizon)
-        for name in ("max_growth", "horizon_rate"):
-            check_positive(name, getattr(self, name))
         if self.critic_minibatches != 1:
             raise ValueError(f"critic_minibatches is {self.critic_minibatches}: AHAC fits all samples at once, give 1")
         if not self.min_horizon <= self.initial_horizon <= self.horizon:
@@ -80,8 +77,11 @@ class AHACConfig(SHACPolicyConfig, FirstOrderConfig):
         return self.initial_horizon
 
 
+Networks: TypeAlias = ActorCritic[AHACConfig]
+
+
 @struct.dataclass
-class AHACState(FirstOrderState):
+class AHACState(ActorCriticState):
     """Everything a run is; a checkpoint holds just this.
 
     Attributes:
@@ -92,72 +92,78 @@ class AHACState(FirstOrderState):
 
 
 def make_ahac(env: Env, config: AHACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """AHAC on an environment.
-
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+    """AHAC on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = AHACConfig() if config is None else config
     return actor_agent("ahac", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
 def init(config: AHACConfig, leaves: EnvLeaves, key: Key) -> AHACState:
     """The state of a run that has not begun."""
-    base = start_actor_critic(make_actor_critic(leaves.first(), config), leaves, key)
-    return AHACState(**fields(base), horizon=jnp.full((), float(config.initial_horizon)))
+    networks = make_actor_critic(leaves.first(), config)
+    return start_actor_critic(AHACState, networks, leaves, key, horizon=jnp.full((), float(config.initial_horizon)))
 
 
 def train_step(config: AHACConfig, state: AHACState) -> tuple[AHACState, Metrics]:
     """One iteration: actor, critics, horizon."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
-
-    def loss(
-        params: tuple[PyTree, Array], common: AHACState, env: AutoReset, env_state: State, key: Key
-    ) -> tuple[Array, Stretch]:
-        return actor_loss(networks, common, params, env, env_state, key)
+    loss = functools.partial(actor_loss, networks=networks)
 
     params = (state.actor_params, jnp.zeros(config.horizon))
-    losses, data, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
-    actor, actor_metrics = actor_step(networks, state, losses, grads)
-    critics, critic_metrics = critic_update(networks, state, data, data.transitions.reward)
-    growth = gradient_growth(norms, data.transitions)
-    horizon = state.horizon - config.horizon_rate * (growth - jnp.log(config.max_growth))
-    horizon = jnp.clip(horizon, config.min_horizon, config.horizon)
+    losses, rollouts, (grads, norms) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
+    state, actor_metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
+    state, critic_metrics = critic_update(networks, state, rollouts, rollouts.transitions.reward)
+    state, horizon_metrics = horizon_update(config, state, gradient_growth(norms, rollouts.transitions))
 
-    new = advanced(config, state, data.state, data.transitions, key=key, horizon=horizon, **actor, **critics)
-    own = {"horizon": jnp.round(state.horizon), "growth": jnp.exp(growth)}
-    return new, {**episode_metrics(state.environments, data.transitions), **own, **actor_metrics, **critic_metrics}
+    state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
+    return state, {**episode_metrics, **horizon_metrics, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
-    networks: ActorCritic,
-    state: AHACState,
-    params: tuple[PyTree, Array],
-    env: AutoReset,
-    env_state: State,
-    key: Key,
-) -> tuple[Array, Stretch]:
-    """Minus the return per step of one environment's stretch of the adaptive horizon.
+    params: tuple[PyTree, Array], common: AHACState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
+) -> tuple[Array, Rollout]:
+    """Minus the return per step of one environment's rollout over the adaptive horizon.
 
     Args:
       params: of the actor; and probes, see ``rollout``.
 
-    Gradient: through the simulation; by the probes: norms of the state's gradient.
+    Gradient: through the simulation; with respect to the probes: norms of the state's cotangents.
     """
     (actor_params, probes), config = params, networks.config
-    policy = networks.acting(actor_params, state.environments.statistics)
-    num_active = jnp.round(state.horizon).astype(jnp.int32)
-    end, t = rollout(env, env_state, policy, key, num_active=num_active, probes=probes, **config.rollout_options)
-    return stretch_loss(networks, state, end, t, t.reward)
+    policy = networks.sampling(actor_params, common.environments.statistics)
+    end, t = rollout(
+        env,
+        env_state,
+        policy,
+        key,
+        horizon=config.horizon,
+        num_active=jnp.round(common.horizon).astype(jnp.int32),
+        probes=probes,
+        **config.gradient_flow,
+    )
+    return rollout_loss(networks, common, end, t, t.reward)
+
+
+def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple[AHACState, Metrics]:
+    """Move the horizon against the excess of the gradient's growth.
+
+    Args:
+      config, state: what is updated.
+      growth: see ``gradient_growth``.
+
+    Returns:
+      The state; the metrics ``horizon``, of the rollout that was taken, and ``growth``.
+    """
+    horizon = state.horizon - config.horizon_rate * (growth - jnp.log(config.max_growth))
+    new = state.replace(horizon=jnp.clip(horizon, config.min_horizon, config.horizon))
+    return new, {"horizon": jnp.round(state.horizon), "growth": jnp.exp(growth)}
 
 
 def gradient_growth(norms: Array, transitions: Transition) -> Array:
     """Mean logarithm of the factor by which the state's gradient grows backwards over a control step, shape ().
 
     Args:
-      norms: of the gradient by the state that each step starts from, shape (num_envs, T).
+      norms: of the gradient with respect to the state that each step starts from, shape (num_envs, T).
       transitions: leading axes (num_envs, T). Steps that end an episode pass no gradient on and do not count.
     """
     before, after = norms[:, :-1], norms[:, 1:]

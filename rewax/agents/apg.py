@@ -8,6 +8,7 @@ settings as in Xing, Luk and Oh 2025, with the corrections named in ``rewax.agen
 """
 
 import dataclasses
+import functools
 from typing import ClassVar
 
 import jax
@@ -15,12 +16,11 @@ import jax.numpy as jnp
 
 from rewax.agents.actor_critic import Actor, actor_agent, make_actor
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import GradientConfig, SHACPolicyConfig
-from rewax.agents.episodes import episode_metrics
+from rewax.agents.config import Activation, GradientOptions, Optimizer, PolicyConfig
 from rewax.agents.first_order import actor_update
 from rewax.agents.returns import short_horizon_return
 from rewax.agents.rollout import Transition, rollout
-from rewax.agents.run_state import PolicyState, advanced, run_keys, start_policy
+from rewax.agents.run_state import PolicyState, run_keys, start_environments
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -29,49 +29,59 @@ from rewax.types import Array, Key, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class APGConfig(SHACPolicyConfig, GradientConfig):
+class APGConfig(PolicyConfig, GradientOptions):
     """Hyper-parameters of its bases; the defaults are those of SAPO's paper."""
 
     least_horizon: ClassVar[int] = 0
+    optimizer: Optimizer = "adam"
+    max_grad_norm: float = 1.0
+    activation: Activation = "elu"
+    initial_gain: float = 2.0**0.5
+    state_dependent_std: bool = False
+    initial_log_std: float = -1.0
 
 
 def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """APG on an environment.
-
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+    """APG on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = APGConfig() if config is None else config
-    return actor_agent("apg", env, config, init=init, train_step=train_step, randomize=randomize, networks=make_actor)
+    return actor_agent("apg", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
 def init(config: APGConfig, leaves: EnvLeaves, key: Key) -> PolicyState:
     """The state of a run that has not begun."""
-    return start_policy(make_actor(leaves.first(), config), leaves, run_keys(key))
+    actor, keys = make_actor(leaves.first(), config), run_keys(key)
+    environments = start_environments(config, leaves, keys)
+    params = actor.network.init(keys.actor, environments.first_observation())
+    opt = actor.actor_optimizer.init(params)
+    return PolicyState(environments=environments, key=keys.run, actor_params=params, actor_opt=opt)
 
 
 def train_step(config: APGConfig, state: PolicyState) -> tuple[PolicyState, Metrics]:
     """One iteration."""
     env = state.environments.env.first()
-    actor, horizon = make_actor(env, config), config.steps_in(env)
+    actor = make_actor(env, config)
     key, rollout_key, reset_key = jax.random.split(state.key, 3)
     if config.horizon == 0:
         state = state.replace(environments=state.environments.restarted(reset_key))
 
-    def loss(actor_params: PyTree, common: PolicyState, env: AutoReset, env_state: State, key: Key):
-        return actor_loss(actor, common, actor_params, env, env_state, key, horizon)
-
-    changes, (end, transitions), actor_metrics = actor_update(actor, state, loss, rollout_key)
-    new = advanced(config, state, end, transitions, key=key, **changes)
-    return new, {**episode_metrics(state.environments, transitions), **actor_metrics}
+    loss = functools.partial(actor_loss, actor=actor, horizon=config.steps_in(env))
+    state, metrics, (end, t) = actor_update(actor, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
+    state, episode_metrics = state.after(config, end, t, key)
+    return state, {**episode_metrics, **metrics}
 
 
 def actor_loss(
-    actor: Actor, state: PolicyState, actor_params: PyTree, env: AutoReset, env_state: State, key: Key, horizon: int
+    actor_params: PyTree,
+    common: PolicyState,
+    env: AutoReset,
+    env_state: State,
+    key: Key,
+    *,
+    actor: Actor[APGConfig],
+    horizon: int,
 ) -> tuple[Array, tuple[State, Transition]]:
-    """Minus the return per step of one environment's stretch. Gradient: through the simulation."""
-    config, policy = actor.config, actor.acting(actor_params, state.environments.statistics)
-    end, t = rollout(env, env_state, policy, key, **{**config.rollout_options, "horizon": horizon})
+    """Minus the return per step of one environment's rollout. Gradient: through the simulation."""
+    config, policy = actor.config, actor.sampling(actor_params, common.environments.statistics)
+    end, t = rollout(env, env_state, policy, key, horizon=horizon, **config.gradient_flow)
     objective = short_horizon_return(t.reward, jnp.zeros_like(t.reward), t.done, t.valid, discount=config.discount)
     return -objective / horizon, (end, t)

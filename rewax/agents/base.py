@@ -1,13 +1,13 @@
 """What an algorithm is to the training loop."""
 
 import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Callable, Hashable
+from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import jax
 
 from rewax.envs.leaves import EnvLeaves, strongly_typed
-from rewax.types import Array, Key, PyTree
+from rewax.types import Array, Key, Observation, PyTree
 
 TrainState: TypeAlias = PyTree
 """Everything a run is: parameters, optimizer states, statistics, environments, keys, counters. A pytree with at least
@@ -15,8 +15,20 @@ the fields ``iteration`` and ``env_steps`` (shape (), int32)."""
 Metrics: TypeAlias = dict[str, Array]
 """Named scalars of one iteration, the same keys every time."""
 
+S = TypeVar("S")
+C = TypeVar("C", bound=Hashable)
+T = TypeVar("T")
 
-class Agent(NamedTuple):
+
+class Act(Protocol):
+    """What ``Agent.policy`` is."""
+
+    def __call__(self, state: TrainState, obs: Observation, key: Key, /, deterministic: bool = False) -> Array:
+        """The action for one environment."""
+        ...
+
+
+class Agent(NamedTuple, Generic[S]):
     """An algorithm bound to an environment and a configuration.
 
     Attributes:
@@ -29,36 +41,32 @@ class Agent(NamedTuple):
       consumes: ``train_step`` changes its input in place: it cannot be used afterwards.
     """
 
-    init: Callable[[Key], Any]
-    train_step: Callable[[Any], tuple[Any, Metrics]]
-    policy: Callable[..., Array]
+    init: Callable[[Key], S]
+    train_step: Callable[[S], tuple[S, Metrics]]
+    policy: Act
     name: str = ""
-    config: Any = None
+    config: Hashable = None
     consumes: bool = False
-
-
-Init: TypeAlias = Callable[[Any, EnvLeaves, Key], TrainState]
-TrainStep: TypeAlias = Callable[[Any, TrainState], tuple[TrainState, Metrics]]
 
 
 def bind(
     name: str,
-    config: Any,
+    config: C,
     leaves: EnvLeaves,
     *,
-    init: Init,
-    train_step: TrainStep,
-    policy: Callable[..., Array],
+    init: Callable[[C, EnvLeaves, Key], S],
+    train_step: Callable[[C, S], tuple[S, Metrics]],
+    policy: Act,
     donate: bool = False,
-) -> Agent:
+) -> Agent[S]:
     """An agent from pure functions of its configuration.
 
-    Agents of equal configurations share their compiled programs: environments whose leaves have other values compile
-    nothing.
+    Agents of equal configurations share their compiled programs: environments whose parameters have other values
+    compile nothing.
 
     Args:
       name: of the algorithm.
-      config: hashable.
+      config: hyper-parameters.
       leaves: of the environment.
       init: ``(config, leaves, key) -> TrainState``.
       train_step: ``(config, TrainState) -> (TrainState, Metrics)``.
@@ -66,21 +74,16 @@ def bind(
       donate: ``train_step`` may reuse the memory of its input.
     """
     start, step = _compiled(init, config, True), _compiled(train_step, config, donate=donate)
-    return Agent(
-        init=lambda key: start(leaves, key),
-        train_step=step,
-        policy=policy,
-        name=name,
-        config=config,
-        consumes=donate,
-    )
+    return Agent(lambda key: start(leaves, key), step, policy, name, config, consumes=donate)
 
 
 @functools.cache
-def _compiled(function: Callable[..., Any], config: Any, fix_types: bool = False, donate: bool = False) -> Any:
+def _compiled(
+    function: Callable[..., T], config: Hashable, fix_types: bool = False, donate: bool = False
+) -> Callable[..., T]:
     """``function`` with its first argument fixed, jitted; once per configuration."""
 
-    def program(*args: Any) -> Any:
+    def program(*args: PyTree) -> T:
         out = function(config, *args)
         # A run's first state has the types of all later ones, so that train_step is compiled once.
         return jax.tree.map(strongly_typed, out) if fix_types else out

@@ -1,15 +1,56 @@
-"""Hyper-parameters that algorithms share, and their checks."""
+"""Hyper-parameters that algorithms share.
+
+Groups of options have no base class and no default of another group's option: ``RunConfig``, ``PolicyOptions``,
+``CriticOptions``, ``GradientOptions``, ``FittingOptions``. Three classes combine them, and an algorithm adds its own
+options and defaults to one of these. The legal values of an option stand in its type.
+"""
 
 import dataclasses
+import functools
+import inspect
 import math
-from typing import Any, ClassVar, Literal, get_args
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias, TypedDict, get_args, get_origin
 
 from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
 
+Value: TypeAlias = bool | int | float | str | tuple[int | float, ...] | None
+"""What an option can be."""
 Optimizer = Literal["adamw", "adam"]
 Combination = Literal["mean", "min"]
 Activation = Literal["silu", "elu", "relu", "tanh"]
+
+
+class Legal(NamedTuple):
+    """Legal values of an option: a part of its type, ``Annotated[int, Legal(...)]``.
+
+    Attributes:
+      remedy: what to do instead.
+      holds: whether a value is legal.
+    """
+
+    remedy: str
+    holds: Callable[[object], bool]
+
+    def check(self, name: str, value: object) -> None:
+        """Raises ValueError unless the value is legal."""
+        if not self.holds(value):
+            raise ValueError(f"{name} is {value!r}: {self.remedy}")
+
+    def or_none(self, remedy: str) -> "Legal":
+        """None is legal too."""
+        return Legal(remedy, lambda value: value is None or self.holds(value))
+
+
+COUNT = Legal("give a whole number of at least 1", lambda v: isinstance(v, int) and v >= 1)
+SHARE = Legal("give a number between 0 and 1", lambda v: isinstance(v, (int, float)) and 0.0 <= v <= 1.0)
+POSITIVE = Legal("give a positive number", lambda v: isinstance(v, (int, float)) and v > 0.0 and math.isfinite(v))
+
+Count = Annotated[int, COUNT]
+Share = Annotated[float, SHARE]
+Positive = Annotated[float, POSITIVE]
+Limit = Annotated[float | None, POSITIVE.or_none("give a positive number, or None for no limit")]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -27,9 +68,9 @@ class RunConfig:
     """
 
     least_horizon: ClassVar[int] = 1
-    num_envs: int = 32
+    num_envs: Count = 32
     horizon: int = 32
-    num_iterations: int = 4000
+    num_iterations: Count = 4000
     quick_compile: bool = False
 
     def __post_init__(self) -> None:
@@ -37,10 +78,10 @@ class RunConfig:
             value = getattr(self, field.name)
             if isinstance(value, list):
                 object.__setattr__(self, field.name, tuple(value))
-        for name in ("num_envs", "num_iterations"):
-            check_count(name, getattr(self, name))
+        for name, legal in legal_values(type(self)).items():
+            legal.check(name, getattr(self, name))
         if self.horizon != 0 or self.least_horizon > 0:
-            check_count("horizon", self.horizon)
+            COUNT.check("horizon", self.horizon)
 
     @property
     def samples(self) -> int:
@@ -53,7 +94,7 @@ class RunConfig:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PolicyConfig(RunConfig):
+class PolicyOptions:
     """What every algorithm with a policy network has; the defaults are SAPO's for the deformable tasks.
 
     Attributes:
@@ -74,52 +115,30 @@ class PolicyConfig(RunConfig):
       stagger_episodes: start environments at random points of their time limit, so that they do not reset together.
     """
 
-    discount: float = 0.99
-    actor_learning_rate: float = 2e-3
+    discount: Share = 0.99
+    actor_learning_rate: Positive = 2e-3
     final_learning_rate: float = 1e-5
     optimizer: Optimizer = "adamw"
     adam_b1: float = 0.7
     adam_b2: float = 0.95
     weight_decay: float = 0.01
-    max_grad_norm: float = 0.5
+    max_grad_norm: Positive = 0.5
     actor_widths: tuple[int, ...] = (512, 256)
     point_widths: tuple[int, ...] = (64, 128, 256)
     point_features: int = 64
     vector_features: int = 128
     activation: Activation = "silu"
-    initial_gain: float = 1.0
+    initial_gain: Positive = 1.0
     state_dependent_std: bool = True
     log_std_range: tuple[float, float] = (-5.0, 2.0)
     initial_log_std: float = 0.0
     normalize_observations: bool = True
-    observation_clip: float | None = 100.0
+    observation_clip: Limit = 100.0
     stagger_episodes: bool = False
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_share("discount", self.discount)
-        for name in ("actor_learning_rate", "max_grad_norm", "initial_gain"):
-            check_positive(name, getattr(self, name))
-        if self.observation_clip is not None:
-            check_positive("observation_clip", self.observation_clip, "a positive number, or None for no limit")
-        check_choice("optimizer", self.optimizer, get_args(Optimizer))
-        check_choice("activation", self.activation, get_args(Activation))
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SHACPolicyConfig(PolicyConfig):
-    """Other defaults: those that SAPO's paper gives the algorithms from before SAPO."""
-
-    optimizer: Optimizer = "adam"
-    max_grad_norm: float = 1.0
-    activation: Activation = "elu"
-    initial_gain: float = 2.0**0.5
-    state_dependent_std: bool = False
-    initial_log_std: float = -1.0
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ActorCriticConfig(PolicyConfig):
+class CriticOptions:
     """What every algorithm with critics has.
 
     Attributes:
@@ -128,18 +147,21 @@ class ActorCriticConfig(PolicyConfig):
       critic_widths: sizes of each head.
     """
 
-    critic_learning_rate: float = 5e-4
-    num_critics: int = 2
+    critic_learning_rate: Positive = 5e-4
+    num_critics: Count = 2
     critic_widths: tuple[int, ...] = (256, 256)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_count("num_critics", self.num_critics)
-        check_positive("critic_learning_rate", self.critic_learning_rate)
+
+class GradientFlow(TypedDict):
+    """Keyword arguments of ``rewax.agents.rollout.rollout`` that say how it is differentiated."""
+
+    differentiate: Differentiation
+    truncate_every: int | None
+    state_gradient_decay: float
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class GradientConfig:
+class GradientOptions:
     """How the gradient flows through a rollout.
 
     Attributes:
@@ -150,32 +172,26 @@ class GradientConfig:
     """
 
     differentiate: Differentiation = "checkpointed"
-    truncate_every: int | None = None
-    state_gradient_decay: float = 1.0
-    max_env_grad_norm: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()  # type: ignore[misc]  # of the configuration that it is mixed into
-        check_choice("differentiate", self.differentiate, get_args(Differentiation))
-        if self.truncate_every is not None:
-            check_count("truncate_every", self.truncate_every)
-        check_share("state_gradient_decay", self.state_gradient_decay)
-        if self.max_env_grad_norm is not None:
-            check_positive("max_env_grad_norm", self.max_env_grad_norm, "a positive number, or None for no limit")
+    truncate_every: Count | None = None
+    state_gradient_decay: Share = 1.0
+    max_env_grad_norm: Limit = None
 
     @property
-    def rollout_options(self) -> dict[str, Any]:
-        """Keyword arguments of ``rewax.agents.rollout.rollout``."""
-        names = ("horizon", "differentiate", "truncate_every", "state_gradient_decay")
-        return {name: getattr(self, name) for name in names}
+    def gradient_flow(self) -> GradientFlow:
+        """For ``rewax.agents.rollout.rollout``."""
+        return {
+            "differentiate": self.differentiate,
+            "truncate_every": self.truncate_every,
+            "state_gradient_decay": self.state_gradient_decay,
+        }
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FirstOrderConfig(GradientConfig, ActorCriticConfig):
-    """What every first-order actor-critic algorithm has.
+class FittingOptions:
+    """How critics are fitted to the values along a differentiated rollout.
 
     Attributes:
-      td_lambda: lambda of the critics' targets [-].
+      td_lambda: lambda of the critics' targets, TD(lambda) [-].
       critic_passes, critic_minibatches: how often each iteration's data is used, in how many contiguous parts.
       critic_chunk: samples of a minibatch that are differentiated at a time, their gradients added up; the update is
         the same but for rounding. None: all on an accelerator, as many as fit its cache on a CPU.
@@ -183,23 +199,31 @@ class FirstOrderConfig(GradientConfig, ActorCriticConfig):
       target_decay: share of the old parameters that the target network keeps each iteration; None: no target network.
     """
 
-    td_lambda: float = 0.95
-    critic_passes: int = 16
-    critic_minibatches: int = 4
+    td_lambda: Share = 0.95
+    critic_passes: Count = 16
+    critic_minibatches: Count = 4
     critic_chunk: int | None = None
     actor_value: Combination = "mean"
     target_value: Combination = "min"
-    target_decay: float | None = None
+    target_decay: Share | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PolicyConfig(PolicyOptions, RunConfig):
+    """Options of an algorithm with a policy network alone."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ActorCriticConfig(CriticOptions, PolicyOptions, RunConfig):
+    """Options of an algorithm with a policy network and critics."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FirstOrderConfig(FittingOptions, GradientOptions, CriticOptions, PolicyOptions, RunConfig):
+    """Options of an actor-critic algorithm that differentiates the simulation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("critic_passes", "critic_minibatches"):
-            check_count(name, getattr(self, name))
-        check_share("td_lambda", self.td_lambda)
-        for name in ("actor_value", "target_value"):
-            check_choice(name, getattr(self, name), ("mean", "min"))
-        if self.target_decay is not None:
-            check_share("target_decay", self.target_decay)
         if self.samples % self.critic_minibatches:
             raise ValueError(
                 f"critic_minibatches is {self.critic_minibatches}, which does not divide num_envs * horizon = "
@@ -217,26 +241,29 @@ class FirstOrderConfig(GradientConfig, ActorCriticConfig):
         return self.samples // self.critic_minibatches
 
 
-def check_count(name: str, value: Any) -> None:
-    """Raises ValueError unless ``value`` is a whole number of at least 1."""
-    if not isinstance(value, int) or value < 1:
-        raise ValueError(f"{name} is {value}: give a whole number of at least 1")
+AnyPolicyConfig: TypeAlias = PolicyConfig | ActorCriticConfig | FirstOrderConfig
+AnyCriticConfig: TypeAlias = ActorCriticConfig | FirstOrderConfig
 
 
-def check_share(name: str, value: float) -> None:
-    """Raises ValueError unless ``value`` lies between 0 and 1."""
-    if not (isinstance(value, (int, float)) and 0.0 <= value <= 1.0):
-        raise ValueError(f"{name} is {value}: give a number between 0 and 1")
+@functools.cache
+def legal_values(config_type: type) -> dict[str, Legal]:
+    """Options whose types restrict their values. An algorithm that gives another default keeps the restriction."""
+    found = {}
+    for part in reversed(config_type.__mro__):
+        try:
+            hints = inspect.get_annotations(part, eval_str=True)
+        except NameError:  # written as a string that only a type checker can resolve
+            hints = inspect.get_annotations(part)
+        found |= {name: legal for name, hint in hints.items() if (legal := _legal(hint)) is not None}
+    return found
 
 
-def check_positive(name: str, value: float, wanted: str = "a positive number") -> None:
-    """Raises ValueError unless ``value`` is finite and above 0."""
-    if not (isinstance(value, (int, float)) and value > 0.0 and math.isfinite(value)):
-        raise ValueError(f"{name} is {value}: give {wanted}")
-
-
-def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """Raises ValueError unless ``value`` is one of ``choices``."""
-    if value not in choices:
-        listed = f"{', '.join(choices[:-1])} or {choices[-1]}"
-        raise ValueError(f"{name} is {value!r}: use {listed}")
+def _legal(hint: object) -> Legal | None:
+    if get_origin(hint) is Literal:
+        choices = get_args(hint)
+        return Legal(f"use {', '.join(choices[:-1])} or {choices[-1]}", lambda value: value in choices)
+    if get_origin(hint) is Annotated:
+        return next((extra for extra in get_args(hint)[1:] if isinstance(extra, Legal)), None)
+    parts = [_legal(part) for part in get_args(hint) if part is not type(None)]
+    one = parts[0] if len(parts) == 1 else None
+    return one.or_none(one.remedy) if one is not None and type(None) in get_args(hint) else None

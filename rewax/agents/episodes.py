@@ -1,19 +1,20 @@
-"""What a rollout says of its episodes, as metrics."""
+"""Metrics of the episodes in a rollout."""
 
+import jax
 import jax.numpy as jnp
 
 from rewax.agents.base import Metrics
-from rewax.agents.environments import Environments, running_returns
 from rewax.agents.rollout import Transition
 from rewax.envs.base import NO_LEAF
 from rewax.status import Status
+from rewax.types import Array
 
 
-def episode_metrics(environments: Environments, transitions: Transition) -> Metrics:
+def episode_metrics(running: Array, transitions: Transition) -> Metrics:
     """Metrics that every algorithm reports.
 
     Args:
-      environments: before the rollout.
+      running: returns of the episodes under way before the rollout, see ``running_returns``.
       transitions: leading axes (num_envs, horizon).
 
     Returns:
@@ -22,10 +23,10 @@ def episode_metrics(environments: Environments, transitions: Transition) -> Metr
       that bit of ``Status``; ``failed_env``, ``failed_leaf``: the first environment that failed, and which of its
       arrays (see ``rewax.envs.base.failed_leaf_name``), -1 if none did; ``env/<name>``: means of the environment's own.
     """
-    _, finished = running_returns(environments.episode_return, transitions)
+    _, finished = running_returns(running, transitions)
     counted = jnp.isfinite(finished)
     failed = transitions.failed
-    # Reductions alone, no index: where environments are divided over devices none of them has to be sent.
+    # Reductions instead of an index: sharded environments then need not be sent to other devices.
     place = jnp.arange(failed.size, dtype=jnp.int32).reshape(failed.shape)
     first = jnp.min(jnp.where(failed, place, failed.size))
     env, leaf = first // failed.shape[1], jnp.max(jnp.where(place == first, transitions.failed_leaf, NO_LEAF))
@@ -42,3 +43,24 @@ def episode_metrics(environments: Environments, transitions: Transition) -> Metr
         "failed_leaf": jnp.where(failed.any(), leaf, NO_LEAF),
         **{f"env/{name}": value.mean(where=transitions.active) for name, value in transitions.metrics.items()},
     }
+
+
+def running_returns(running: Array, transitions: Transition) -> tuple[Array, Array]:
+    """Returns of the episodes under way, and those of the steps that ended one.
+
+    Args:
+      running: returns so far, shape (num_envs,); NaN counts as unknown until the episode ends.
+      transitions: leading axes (num_envs, horizon).
+
+    Returns:
+      The returns under way, shape (num_envs,); and, shape (num_envs, horizon), the whole return where a step ended an
+      episode, NaN elsewhere and for episodes that failed numerically.
+    """
+
+    def step(carry: Array, inputs: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        reward, done, valid = inputs
+        total = carry + reward
+        return jnp.where(done, 0.0, total), jnp.where(done & valid, total, jnp.nan)
+
+    running, finished = jax.lax.scan(step, running, (transitions.reward.T, transitions.done.T, transitions.valid.T))
+    return running, finished.T

@@ -1,38 +1,48 @@
-"""Gradients through rollouts: one per environment, so that no environment spoils another's."""
+"""Gradients through rollouts: one per environment, so that a non-finite gradient of one leaves the others intact."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import optax
 
 from rewax.agents.base import Metrics
-from rewax.agents.environments import Environments
+from rewax.agents.devices import check_closes_over_no_array
 from rewax.agents.optimizers import Packing
+from rewax.agents.run_state import Environments, RunState
+from rewax.envs.base import State
 from rewax.envs.wrappers import AutoReset
 from rewax.status import all_finite
 from rewax.types import Array, Key, PyTree
 
-Loss = Callable[[PyTree, Any, AutoReset, Any, Key], tuple[Array, Any]]
-"""``(params, common, env, state, key) -> (loss, data)`` of one environment; common: ``RunState.common()``."""
+R = TypeVar("R", bound=RunState)
+D = TypeVar("D")
+
+Loss: TypeAlias = Callable[[PyTree, R, AutoReset, State, Key], tuple[Array, D]]
+"""``(params, common, env, env_state, key) -> (loss, data)`` of one environment; common: ``RunState.common()``."""
 
 
 def per_env_gradients(
-    loss: Loss, params: PyTree, common: Any, environments: Environments, key: Key
-) -> tuple[Array, Any, PyTree]:
+    loss: Loss[R, D], params: PyTree, common: R, environments: Environments, key: Key
+) -> tuple[Array, D, PyTree]:
     """Loss, data and gradient of every environment.
 
     Args:
-      loss: of one environment behind ``AutoReset``, from its state.
+      loss: of one environment behind ``AutoReset``, from its state. A function of the module whose configuration is
+        bound by ``functools.partial``; it has its arrays from its arguments.
       params: what the gradient is taken with respect to.
-      common: what else all environments share, ``RunState.common()``. The loss must close over nothing computed.
+      common: what else all environments share, ``RunState.common()``.
       environments: ``num_envs`` of them.
       key: split into one key per environment.
 
     Returns:
       Losses, shape (num_envs,); data, no gradient flows out of it; gradients. All have a leading axis of environments.
+
+    Raises:
+      ValueError: the loss closes over an array.
     """
+    check_closes_over_no_array(loss)
     value_and_grad = jax.value_and_grad(loss, has_aux=True)
     (losses, data), grads = environments.map(
         lambda shared, env, state, key: value_and_grad(*shared, env, state, key),
@@ -86,17 +96,12 @@ def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
 def clip_per_env(grads: PyTree, max_norm: float) -> PyTree:
     """Each environment's gradient, shortened to a global norm of ``max_norm`` where it is longer.
 
-    Environments whose gradient or its norm is not finite are left with NaN; ``mean_of_finite`` leaves them out.
+    A gradient that is not finite, or whose norm is not, becomes NaN; ``mean_of_finite`` leaves it out.
     """
     norms = jax.vmap(optax.tree.norm)(grads)
     scale = jnp.minimum(1.0, max_norm / jnp.where(norms > 0, norms, 1.0))
     scale = jnp.where(jnp.isfinite(norms), scale, jnp.nan)
     return jax.tree.map(lambda g: g * _expand(scale, g), grads)
-
-
-def finite_or_zero(grad: PyTree) -> PyTree:
-    """The gradient with zeros where it is not finite."""
-    return jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), grad)
 
 
 def _expand(per_env: Array, like: Array) -> Array:

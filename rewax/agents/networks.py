@@ -8,6 +8,8 @@ from typing import Any
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+from jax.lax import DotDimensionNumbers
+from jax.typing import DTypeLike
 
 from rewax.types import Array, Key, Observation
 
@@ -16,7 +18,7 @@ _NARROW = 4
 """A product with so few terms is not worth a matrix product."""
 
 
-def orthogonal(gain: float) -> Any:
+def orthogonal(gain: float) -> nn.initializers.Initializer:
     """flax's orthogonal initialiser, one matrix at a time under ``vmap``.
 
     Several batched QR decompositions in one program can dead-lock the threads of XLA's CPU backend, so
@@ -24,14 +26,14 @@ def orthogonal(gain: float) -> Any:
     """
     initialise = nn.initializers.orthogonal(gain)
 
-    def init(key: Key, shape: Sequence[int], dtype: Any = jnp.float32) -> Array:
+    def init(key: Key, shape: Sequence[int], dtype: DTypeLike = jnp.float32, *_: object) -> Array:
         return jax.custom_batching.sequential_vmap(lambda key: initialise(key, shape, dtype))(key)
 
     return init
 
 
-def _product(x: Array, matrix: Array, dimension_numbers: Any, **options: Any) -> Array:
-    """``lax.dot_general`` of a layer. Rows of few numbers are summed up, which XLA fuses with what is around.
+def _product(x: Array, matrix: Array, dimension_numbers: DotDimensionNumbers, **options: Any) -> Array:
+    """``lax.dot_general`` of a layer, with flax's options for it. Short rows are summed up, which XLA can fuse.
 
     Without it jax 0.10.1 fails to compile products of long batches of points (num_points, 3) for GPUs.
     """

@@ -15,7 +15,7 @@ ranges beyond the quartiles of their batch, whichever is wider."""
 
 @struct.dataclass
 class RunningStatistics:
-    """Mean and variance of everything seen so far, per component of the vector observations.
+    """Mean and variance of all samples so far, per component of the vector observations.
 
     Attributes:
       count: number of samples, starting at 1 (a prior of mean 0 and variance 1), shape ().
@@ -45,9 +45,9 @@ def init_statistics(spec: dict[str, ArraySpec]) -> RunningStatistics:
 def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Array | None = None) -> RunningStatistics:
     """Add a batch of observations. Gradient: none.
 
-    Samples are winsorised (``WINSOR_WIDTH``): one that lies far from all others counts as one at the border, so that
-    neither 9e5 nor a finite 1e20 among ordinary numbers changes the statistics by more than a little. A sample with a
-    number that is not finite is left out.
+    Samples are winsorised (``WINSOR_WIDTH``): one that lies far from all others is clipped to the usual range, so that
+    neither 9e5 nor a finite 1e20 among ordinary numbers changes the statistics by much. A sample with a non-finite
+    component is left out.
 
     Args:
       statistics: so far.
@@ -66,13 +66,13 @@ def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Ar
     total = statistics.count + added
     mean, variance, quartiles = {}, {}, _quartiles(flat, keep)
     for name, batch in flat.items():
-        old, spread = statistics.mean[name], statistics.variance[name]
-        batch = _winsorised(batch, quartiles[name], keep, old, spread)
+        old, old_variance = statistics.mean[name], statistics.variance[name]
+        batch = _winsorised(batch, quartiles[name], keep, old, old_variance)
         batch_mean, batch_variance = _moments(batch, keep, added)
         delta = batch_mean - old
         mean[name] = old + delta * (added / total)
         variance[name] = (
-            spread * statistics.count + batch_variance * added + delta**2 * (statistics.count * added / total)
+            old_variance * statistics.count + batch_variance * added + delta**2 * (statistics.count * added / total)
         ) / total
     return RunningStatistics(count=total, mean=mean, variance=variance)
 
@@ -109,10 +109,10 @@ def _quartiles(flat: dict[str, Array], keep: Array) -> dict[str, Array]:
 
 
 def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) -> Array:
-    """Of each column the least sample that at least such a share of the samples that count do not exceed.
+    """Quantiles of each column: the smallest sample that at least a given share of the samples does not exceed.
 
-    Two bits of the answer at a time, by counting: the counts are sums, which devices take of their own samples. A sort
-    would have to see all samples, and takes longer.
+    Finds two bits of the answer at a time, by counting: counts are sums, which devices take of their own samples. A
+    sort would need all samples on one device, and takes longer.
 
     Args:
       columns: shape (n, d).
@@ -140,7 +140,7 @@ def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) ->
 
 
 def _winsorised(batch: Array, quartiles: Array, keep: Array, mean: Array, variance: Array) -> Array:
-    """Samples moved to the border of what is usual; those that do not count are zero."""
+    """Samples clipped to the usual range; those that do not count are zero."""
     low, high = jnp.where(jnp.any(keep), quartiles, mean)
     deviation, between = jnp.sqrt(variance), high - low
     low = jnp.minimum(mean - WINSOR_WIDTH * deviation, low - WINSOR_WIDTH * between)

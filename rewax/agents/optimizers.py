@@ -1,6 +1,6 @@
 """Optimizers that the algorithms share."""
 
-from typing import Any
+from typing import TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ def linear_fall(start: float, end: float, num_iterations: int, *, updates_per_it
 
 @struct.dataclass
 class Packed:
-    """Parameters, or what is built like them, as one vector, shape (number of parameters,)."""
+    """Parameters, or a tree of the same structure and shapes, as one vector, shape (number of parameters,)."""
 
     vector: Array
 
@@ -57,19 +57,19 @@ class Packing:
         self._pays = len(leaves) > 1 and _have_one_type(leaves)
 
     def pack(self, tree: PyTree) -> PyTree:
-        """The tree with ``Packed`` in place of each of its subtrees that is built like the parameters."""
+        """The tree with ``Packed`` in place of each subtree that has the parameters' structure and shapes."""
         return jax.tree.map(lambda part: self._packed(part) if self._fits(part) else part, tree, is_leaf=self._fits)
 
     def unpack(self, tree: PyTree) -> PyTree:
         """A packed tree as it was."""
         parts, treedef = jax.tree.flatten(tree, is_leaf=_is_packed)
         where = [i for i, part in enumerate(parts) if _is_packed(part)]
-        if where:  # stored: else each part of a vector would compute its own share of it, in a kernel of its own
+        if where:  # materialised: otherwise XLA computes each part of a vector in a kernel of its own
             for i, packed in zip(where, materialize([parts[i] for i in where]), strict=True):
                 parts[i] = self._parts(packed)
         return jax.tree.unflatten(treedef, parts)
 
-    def _fits(self, part: Any) -> bool:
+    def _fits(self, part: PyTree) -> bool:
         if not self._pays or jax.tree.structure(part) != self._treedef:
             return False
         leaves = jax.tree.leaves(part)
@@ -82,11 +82,11 @@ class Packing:
         return jax.tree.unflatten(self._treedef, split_vector(packed.vector, self._shapes))
 
 
-def _have_one_type(leaves: list[Any]) -> bool:
+def _have_one_type(leaves: list[Array]) -> bool:
     return len({jnp.result_type(leaf) for leaf in leaves}) == 1
 
 
-def _is_packed(part: Any) -> bool:
+def _is_packed(part: object) -> TypeGuard[Packed]:
     return isinstance(part, Packed)
 
 
@@ -98,9 +98,14 @@ def apply(
     *,
     scale: Array | float = 1.0,
 ) -> tuple[PyTree, PyTree]:
-    """Parameters and optimizer state after one update, ``scale`` times as long as the optimizer says."""
+    """Parameters and optimizer state after one update, which is multiplied by ``scale``."""
     packing = Packing(params)
     grad, opt_state, params = packing.pack((grad, opt_state, params))
     updates, opt_state = optimizer.update(grad, opt_state, params)
     params = optax.apply_updates(params, optax.tree.scale(scale, updates))
     return packing.unpack((params, opt_state))
+
+
+def finite_or_zero(grad: PyTree) -> PyTree:
+    """The gradient with zeros where it is not finite."""
+    return jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), grad)

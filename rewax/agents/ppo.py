@@ -1,13 +1,18 @@
 """PPO, proximal policy optimisation: the zeroth-order baseline; no gradient of the simulation is used.
 
-Source: Schulman et al. 2017, "Proximal Policy Optimization Algorithms"; generalised advantages from Schulman et al.
-2016; settings as in Xing, Luk and Oh 2025. Different from theirs: actor and critic have an encoder each, actions are a
-squashed normal's (theirs a normal's with squashed mean, clipped), the value at a time limit is that of the last
-observation, and failed steps are masked.
+One iteration: every environment acts for a horizon; several epochs follow the clipped surrogate of these actions. To
+read a train step, read this file, ``actor_critic`` (networks and their optimizer), ``run_state`` (environments and
+counters), ``rollout`` and ``returns``.
+
+Source: Schulman et al. 2017, "Proximal Policy Optimization Algorithms"; generalised advantage estimation (GAE) from
+Schulman et al. 2016; settings as in Xing, Luk and Oh 2025. Different from theirs: actor and critic have an encoder
+each, actions are a squashed normal's (theirs a normal's with squashed mean, clipped), the value at a time limit is that
+of the last observation, and failed steps are masked.
 """
 
 import dataclasses
-from typing import Any
+import functools
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +21,19 @@ import optax
 from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import ActorCriticConfig, check_count, check_positive, check_share
+from rewax.agents.config import POSITIVE, ActorCriticConfig, Count, Positive, Share
 from rewax.agents.distributions import TanhNormal
-from rewax.agents.episodes import episode_metrics
-from rewax.agents.gradients import finite_or_zero
-from rewax.agents.minibatches import shuffled
 from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
-from rewax.agents.optimizers import apply
 from rewax.agents.returns import td_lambda
-from rewax.agents.rollout import Transition, rollout
-from rewax.agents.run_state import PolicyState, advanced, fields, first_observation, run_keys, start_policy
-from rewax.envs.base import ArraySpec, Env
+from rewax.agents.rollout import Transition, masked, rollout
+from rewax.agents.run_state import PolicyState, run_keys, start_environments
+from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
+from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
+
+_FIXED_RATE = "give a positive number, or None for a fixed learning rate"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,32 +60,28 @@ class PPOConfig(ActorCriticConfig):
     initial_gain: float = 2.0**0.5
     num_critics: int = 1
     observation_clip: float | None = 5.0
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
-    epochs: int = 5
-    minibatches: int = 1
-    value_coefficient: float = 4.0
+    gae_lambda: Share = 0.95
+    clip_range: Positive = 0.2
+    epochs: Count = 5
+    minibatches: Count = 1
+    value_coefficient: Positive = 4.0
     entropy_coefficient: float = 0.0
-    target_kl: float | None = 0.008
+    target_kl: Annotated[float | None, POSITIVE.or_none(_FIXED_RATE)] = 0.008
     learning_rate_range: tuple[float, float] = (1e-6, 1e-2)
     normalize_values: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_share("gae_lambda", self.gae_lambda)
-        for name in ("epochs", "minibatches"):
-            check_count(name, getattr(self, name))
-        for name in ("clip_range", "value_coefficient"):
-            check_positive(name, getattr(self, name))
         if self.num_critics != 1:
             raise ValueError(f"num_critics is {self.num_critics}: PPO has one critic, give 1")
-        if self.target_kl is not None:
-            check_positive("target_kl", self.target_kl, "a positive number, or None for a fixed learning rate")
         if self.samples % self.minibatches:
             raise ValueError(
                 f"minibatches is {self.minibatches}, which does not divide num_envs * horizon = {self.samples}: "
                 "choose a divisor"
             )
+
+
+Networks: TypeAlias = ActorCritic[PPOConfig]
 
 
 @struct.dataclass
@@ -101,24 +101,44 @@ class PPOState(PolicyState):
 
 
 def make_ppo(env: Env, config: PPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """PPO on an environment.
-
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+    """PPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = PPOConfig() if config is None else config
     return actor_agent("ppo", env, config, init=init, train_step=train_step, randomize=randomize)
+
+
+class Batch(NamedTuple):
+    """Samples of a rollout, leading axes (num_envs, T), or (n,) in a minibatch; the action's parts are of its normal.
+
+    Attributes:
+      obs: normalised.
+      raw, log_prob: the action before its tanh, and the log probability of the action.
+      mean, log_std: of the policy that acted.
+      target: of the value.
+      advantage: normalised.
+      weight: 1 for samples that count, else 0.
+    """
+
+    obs: Observation
+    raw: Array
+    log_prob: Array
+    mean: Array
+    log_std: Array
+    target: Array
+    advantage: Array
+    weight: Array
 
 
 def init(config: PPOConfig, leaves: EnvLeaves, key: Key) -> PPOState:
     """The state of a run that has not begun."""
     networks, keys = make_actor_critic(leaves.first(), config), run_keys(key)
-    base = start_policy(networks, leaves, keys)
-    critic_params = networks.critics.init(keys.critics, first_observation(base))
-    base = base.replace(actor_opt=networks.optimizer(1.0).init((base.actor_params, critic_params)))
+    environments = start_environments(config, leaves, keys)
+    actor_params = networks.network.init(keys.actor, environments.first_observation())
+    critic_params = networks.critics.init(keys.critics, environments.first_observation())
     return PPOState(
-        **fields(base),
+        environments=environments,
+        key=keys.run,
+        actor_params=actor_params,
+        actor_opt=networks.optimizer(1.0).init((actor_params, critic_params)),
         critic_params=critic_params,
         value_statistics=init_statistics({"value": ArraySpec(())}),
         learning_rate=jnp.full((), config.actor_learning_rate),
@@ -129,109 +149,137 @@ def train_step(config: PPOConfig, state: PPOState) -> tuple[PPOState, Metrics]:
     """One iteration: rollouts, then several epochs on them."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key, epoch_key = jax.random.split(state.key, 3)
-    statistics = state.environments.statistics
 
-    def act(common: PPOState, env: Any, env_state: Any, key: Key):
-        def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-            distribution = networks.action_distribution(common.actor_params, common.environments.statistics, obs)
-            raw = distribution.sample_raw(key)
-            said = {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
-            return jnp.tanh(raw), {**said, "log_prob": distribution.log_prob_raw(raw)}
-
-        return rollout(env, env_state, policy, key, horizon=config.horizon, differentiate="none")
-
-    end, t = state.environments.map(act, state.common(), state.environments.split(rollout_key))
-    targets, advantages, value_statistics = _targets(networks, state, t)
-    batch = {
-        "obs": jax.tree.map(lambda a: _masked(a, t.valid), networks.seen(statistics, t.obs)),
-        **t.extras,
-        "target": targets,
-        "advantage": advantages,
-        "weight": t.valid.astype(targets.dtype),
-    }
-    changes, metrics = _epochs(networks, state, batch, epoch_key)
-    new = advanced(config, state, end, t, key=key, value_statistics=value_statistics, **changes)
-    return new, {**episode_metrics(state.environments, t), **metrics}
+    rollout_of_one = functools.partial(act, networks=networks)
+    end, t = state.environments.map(rollout_of_one, state.common(), state.environments.split(rollout_key))
+    batch, value_statistics = make_batch(networks, state, t)
+    state, metrics = epochs(networks, state, batch, epoch_key)
+    state = state.replace(value_statistics=value_statistics)
+    state, episode_metrics = state.after(config, end, t, key)
+    return state, {**episode_metrics, **metrics}
 
 
-def _targets(networks: ActorCritic, state: PPOState, t: Transition) -> tuple[Array, Array, RunningStatistics]:
-    """Normalised targets of the values, normalised advantages, (num_envs, T) each; statistics of the targets."""
+def act(
+    common: PPOState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
+) -> tuple[State, Transition]:
+    """Rollout of one environment."""
+
+    def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
+        distribution = networks.action_distribution(common.actor_params, common.environments.statistics, obs)
+        raw = distribution.sample_raw(key)
+        aux = {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
+        return jnp.tanh(raw), {**aux, "log_prob": distribution.log_prob_raw(raw)}
+
+    return rollout(env, env_state, policy, key, horizon=networks.config.horizon, differentiate="none")
+
+
+def make_batch(networks: Networks, state: PPOState, t: Transition) -> tuple[Batch, RunningStatistics]:
+    """Samples with normalised targets and advantages; and the statistics of the targets.
+
+    Source: advantages, Schulman et al. 2016, eq. 16 (GAE).
+    """
     config, statistics = networks.config, state.value_statistics
 
     def values(obs: Observation) -> Array:
-        seen = networks.seen(state.environments.statistics, obs)
-        value = jax.vmap(lambda one: networks.values(state.critic_params, one))(seen)[..., 0]
+        normalized = networks.normalize(state.environments.statistics, obs)
+        value = jax.vmap(lambda one: networks.values(state.critic_params, one))(normalized)[..., 0]
         return value * _scale(statistics) + statistics.mean["value"]
 
     value, next_value = values(t.obs), jnp.where(t.terminated, 0.0, values(t.next_obs))
-    returns = jax.vmap(lambda *steps: td_lambda(*steps, discount=config.discount, lambda_=config.gae_lambda))(
+    returns = jax.vmap(functools.partial(td_lambda, discount=config.discount, lambda_=config.gae_lambda))(
         t.reward, next_value, t.done, t.valid
     )
     advantage = jnp.where(t.valid, returns - value, 0.0)
     mean = jnp.mean(advantage, where=t.valid)
     deviation = jnp.std(advantage, where=t.valid)
-    advantage = jnp.where(t.valid, (advantage - mean) / (deviation + 1e-8), 0.0)
     if config.normalize_values:
         statistics = update_statistics(statistics, {"value": returns}, t.valid)
-    target = jnp.where(t.valid, (returns - statistics.mean["value"]) / _scale(statistics), 0.0)
-    return target, advantage, statistics
+    obs = networks.normalize(state.environments.statistics, t.obs)
+    batch = Batch(
+        obs=masked(obs, t.valid),
+        **t.aux,
+        target=jnp.where(t.valid, (returns - statistics.mean["value"]) / _scale(statistics), 0.0),
+        advantage=jnp.where(t.valid, (advantage - mean) / (deviation + 1e-8), 0.0),
+        weight=t.valid.astype(returns.dtype),
+    )
+    return batch, statistics
 
 
 def _scale(statistics: RunningStatistics) -> Array:
     return jnp.sqrt(statistics.variance["value"] + 1e-5)
 
 
-def _epochs(networks: ActorCritic, state: PPOState, batch: dict[str, Any], key: Key) -> tuple[dict[str, Any], Metrics]:
+def epochs(networks: Networks, state: PPOState, batch: Batch, key: Key) -> tuple[PPOState, Metrics]:
     """Several passes over the data; the learning rate follows the divergence after each."""
     config = networks.config
 
-    def update(carry: tuple[PyTree, PyTree, Array], part: dict[str, Any]):
-        params, opt, learning_rate = carry
-        grad, said = jax.grad(lambda p: ppo_loss(networks, p, part), has_aux=True)(params)
-        updated = apply(networks.optimizer(1.0), finite_or_zero(grad), opt, params, scale=learning_rate)
-        return (*updated, learning_rate), {**said, "actor_grad_norm": optax.tree.norm(grad)}
-
-    def epoch(carry: tuple[PyTree, PyTree, Array], key: Key):
-        (params, opt, learning_rate), said = jax.lax.scan(update, carry, shuffled(key, batch, config.minibatches))
+    def epoch(state: PPOState, key: Key) -> tuple[PPOState, Metrics]:
+        parts = shuffled(key, batch, config.minibatches)
+        state, rows = jax.lax.scan(functools.partial(update, networks), state, parts)
         if config.target_kl is not None:
-            kl, (low, high) = said["kl"].mean(), config.learning_rate_range
+            kl, (low, high) = rows["kl"].mean(), config.learning_rate_range
             slower, faster = kl > 2.0 * config.target_kl, kl < 0.5 * config.target_kl
             factor = jnp.where(slower, 1.0 / 1.5, jnp.where(faster, 1.5, 1.0))
-            learning_rate = jnp.clip(learning_rate * factor, low, high)
-        return (params, opt, learning_rate), said
+            state = state.replace(learning_rate=jnp.clip(state.learning_rate * factor, low, high))
+        return state, rows
 
-    start = ((state.actor_params, state.critic_params), state.actor_opt, state.learning_rate)
-    end: Any
-    end, said = jax.lax.scan(epoch, start, jax.random.split(key, config.epochs))
-    (actor_params, critic_params), opt, learning_rate = end
-    learnt = {"actor_params": actor_params, "critic_params": critic_params, "actor_opt": opt}
-    metrics = {name: values.mean() for name, values in said.items()}
-    changes = {**learnt, "learning_rate": learning_rate}
-    return changes, {**metrics, "kl": said["kl"][-1].mean(), "learning_rate": learning_rate}
+    learnt, rows = jax.lax.scan(epoch, state.common(), jax.random.split(key, config.epochs))
+    metrics = {name: values.mean() for name, values in rows.items()}
+    metrics |= {"kl": rows["kl"][-1].mean(), "learning_rate": learnt.learning_rate}
+    return learnt.replace(environments=state.environments), metrics
 
 
-def ppo_loss(networks: ActorCritic, params: Any, batch: dict[str, Any]) -> tuple[Array, Metrics]:
-    """The clipped surrogate, the values' error and the entropy, means over the samples that count."""
+def update(networks: Networks, state: PPOState, batch: Batch) -> tuple[PPOState, Metrics]:
+    """One step of actor and critic along the gradient of a minibatch."""
+    params = (state.actor_params, state.critic_params)
+    grad, metrics = jax.grad(functools.partial(ppo_loss, networks=networks, batch=batch), has_aux=True)(params)
+    (actor, critic), opt = networks.update(1.0, grad, state.actor_opt, params, scale=state.learning_rate)
+    state = state.replace(actor_params=actor, critic_params=critic, actor_opt=opt)
+    return state, {**metrics, "actor_grad_norm": optax.tree.norm(grad)}
+
+
+def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch) -> tuple[Array, Metrics]:
+    """The clipped surrogate, the values' error and the entropy, means over the samples that count.
+
+    Args:
+      params: of actor and critic.
+      networks: actor and critic.
+      batch: one minibatch.
+
+    Source: Schulman et al. 2017, as marked.
+    """
     config, (actor_params, critic_params) = networks.config, params
 
-    now = jax.vmap(lambda obs: networks.distribution(actor_params, obs))(batch["obs"])
-    before = TanhNormal(mean=batch["mean"], log_std=batch["log_std"])
-    log_prob = jax.vmap(TanhNormal.log_prob_raw)(now, batch["raw"])
+    now = jax.vmap(lambda obs: networks.distribution(actor_params, obs))(batch.obs)
+    before = TanhNormal(mean=batch.mean, log_std=batch.log_std)
+    log_prob = jax.vmap(TanhNormal.log_prob_raw)(now, batch.raw)
     kl = jax.vmap(TanhNormal.kl_divergence)(before, now)
-    ratio = jnp.exp(log_prob - batch["log_prob"])
+    ratio = jnp.exp(log_prob - batch.log_prob)
     clipped = jnp.clip(ratio, 1.0 - config.clip_range, 1.0 + config.clip_range)
-    gain = jnp.minimum(ratio * batch["advantage"], clipped * batch["advantage"])
-    error = 0.5 * (networks.values(critic_params, batch["obs"])[:, 0] - batch["target"]) ** 2
-    weight = batch["weight"] / jnp.maximum(batch["weight"].sum(), 1.0)
-    said = {
+    gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)  # eq. 7
+    error = 0.5 * (networks.values(critic_params, batch.obs)[:, 0] - batch.target) ** 2
+    weight = batch.weight / jnp.maximum(batch.weight.sum(), 1.0)
+    metrics = {
         "actor_loss": -jnp.sum(weight * gain),
         "critic_loss": jnp.sum(weight * error),
         "entropy": jnp.sum(weight * now.base.entropy().sum(axis=-1)),
         "kl": jnp.sum(weight * kl),
     }
-    loss = said["actor_loss"] + config.value_coefficient * said["critic_loss"]
-    return loss - config.entropy_coefficient * said["entropy"], said
+    loss = metrics["actor_loss"] + config.value_coefficient * metrics["critic_loss"]
+    return loss - config.entropy_coefficient * metrics["entropy"], metrics  # minus eq. 9
 
 
-def _masked(a: Array, valid: Array) -> Array:
-    return jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - 2)), a, 0.0)
+def shuffled(key: Key, batch: PyTree, num_parts: int) -> PyTree:
+    """Samples in a new order, in equal parts.
+
+    Args:
+      key: draws the order.
+      batch: leaves with two leading axes (num_envs, T).
+      num_parts: a divisor of num_envs * T.
+
+    Returns:
+      Leaves with leading axes (num_parts, num_envs * T / num_parts).
+    """
+    flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), batch)
+    order = jax.random.permutation(key, len(jax.tree.leaves(flat)[0]))
+    return jax.tree.map(lambda a: a[order].reshape(num_parts, -1, *a.shape[1:]), flat)

@@ -5,10 +5,11 @@ their own from ``rewax.agents.<algorithm>``.
 """
 
 import dataclasses
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
+from rewax.agents.config import RunConfig, Value
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.rpo import RPOConfig
 from rewax.agents.sac import SACConfig
@@ -17,7 +18,7 @@ from rewax.agents.shac import SHACConfig
 from rewax.agents.trajopt import TrajOptConfig
 from rewax.envs.registry import list_envs, make
 
-C = TypeVar("C")
+C = TypeVar("C", bound=RunConfig)
 
 SMALL = SAPOConfig(
     num_envs=8,
@@ -45,7 +46,7 @@ _HUMANOID = dataclasses.replace(_RUNNER, actor_widths=(256, 128), critic_widths=
 _CARTPOLE = dataclasses.replace(_RUNNER, actor_widths=(64, 64), critic_widths=(64, 64))
 
 
-def _small(paper: SAPOConfig, **changes: Any) -> SAPOConfig:
+def _small(paper: SAPOConfig, **changes: Value) -> SAPOConfig:
     """The same networks on two cores: fewer environments and iterations; a rollout's memory is no concern."""
     small = {"num_envs": 32, "num_iterations": 300, "vector_features": 64, "initial_temperature": 0.1}
     shared = {"stagger_episodes": True, "differentiate": "full"}
@@ -207,6 +208,6 @@ def _whole_episodes(env_name: str, scale: str, base: SAPOConfig) -> int:
     return max(1, base.num_iterations * base.horizon // length)
 
 
-def _sized(config_type: type[C], base: SAPOConfig, **changes: Any) -> C:
-    names = {field.name for field in dataclasses.fields(config_type)} & set(_SIZES)  # type: ignore[arg-type]
-    return config_type(**{**{name: getattr(base, name) for name in names}, **changes})
+def _sized(config_type: type[C], base: SAPOConfig, **changes: Value) -> C:
+    names = {field.name for field in dataclasses.fields(config_type)} & set(_SIZES)
+    return dataclasses.replace(config_type(), **{name: getattr(base, name) for name in names} | changes)

@@ -4,10 +4,12 @@ import dataclasses
 import difflib
 import functools
 import importlib
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from rewax.agents.base import Agent
+from rewax.agents.config import RunConfig, Value
+from rewax.envs.base import Env
 
 
 class Algorithm(NamedTuple):
@@ -15,13 +17,13 @@ class Algorithm(NamedTuple):
 
     Attributes:
       make: ``(env, config) -> Agent``; keyword ``randomize`` as for ``make_sapo``.
-      config_type: frozen dataclass of hyper-parameters, with ``num_envs``, ``horizon`` and ``num_iterations``.
+      config_type: frozen dataclass of hyper-parameters; a ``RunConfig``, or one with its fields.
       preset: ``(env_name, scale) -> config``, tuned where there is something tuned.
     """
 
     make: Callable[..., Agent]
-    config_type: type
-    preset: Callable[[str, str], Any]
+    config_type: type[RunConfig]
+    preset: Callable[[str, str], RunConfig]
 
 
 def _own(name: str, config: str, preset: str = "") -> Callable[[], Algorithm]:
@@ -36,7 +38,7 @@ def _own(name: str, config: str, preset: str = "") -> Callable[[], Algorithm]:
     return load
 
 
-def _variant(of: str, changes: dict[str, Any]) -> Callable[[], Algorithm]:
+def _variant(of: str, changes: Mapping[str, Value]) -> Callable[[], Algorithm]:
     """An algorithm with some options changed in all its presets."""
 
     def load() -> Algorithm:
@@ -46,7 +48,10 @@ def _variant(of: str, changes: dict[str, Any]) -> Callable[[], Algorithm]:
     return load
 
 
-def _changed_preset(preset: Callable[[str, str], Any], changes: tuple, env_name: str, scale: str) -> Any:
+def _changed_preset(
+    preset: Callable[[str, str], RunConfig], changes: tuple[tuple[str, Value], ...], env_name: str, scale: str
+) -> RunConfig:
+    """A preset with other values of some options."""
     return dataclasses.replace(preset(env_name, scale), **dict(changes))
 
 
@@ -102,7 +107,7 @@ def algorithm(name: str) -> Algorithm:
     return _ALGORITHMS[name]()
 
 
-def make_agent(name: str, env: Any, config: Any = None, **kwargs: Any) -> Agent:
+def make_agent(name: str, env: Env, config: RunConfig | None = None, **options: object) -> Agent:
     """An agent of a registered algorithm; ``config`` defaults to the algorithm's own defaults."""
     known = algorithm(name)
-    return known.make(env, known.config_type() if config is None else config, **kwargs)
+    return known.make(env, known.config_type() if config is None else config, **options)

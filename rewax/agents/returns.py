@@ -1,4 +1,7 @@
-"""Returns along one trajectory; time is the leading axis, ``vmap`` over environments."""
+"""Returns along one trajectory: TD(lambda), GAE, short horizons. Time is the leading axis, ``vmap`` over environments.
+
+A trajectory consists of segments: steps of one episode without a failed step between them.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -6,11 +9,10 @@ import jax.numpy as jnp
 from rewax.types import Array
 
 
-def stretch_ends(done_t: Array, valid_t: Array) -> Array:
-    """Where a stretch of steps that belong together ends, shape (T,), bool.
+def segment_ends(done_t: Array, valid_t: Array) -> Array:
+    """Marks segment ends, shape (T,), bool: ends of episodes, the last step, and steps before one that failed.
 
-    At the end of an episode, at the last step, and before a step that failed: what that step would have earned is
-    unknown, so the value of the state before it stands for it.
+    Returns bootstrap with the value of the state before a failed step, because its reward and next state are unknown.
 
     Args:
       done_t: whether the step ended an episode, shape (T,).
@@ -22,27 +24,31 @@ def stretch_ends(done_t: Array, valid_t: Array) -> Array:
 def td_lambda(
     r_t: Array, v_tp1: Array, done_t: Array, valid_t: Array | None = None, *, discount: float, lambda_: float
 ) -> Array:
-    """TD(lambda) targets of a stretch that may hold several episodes.
+    """TD(lambda) targets of a trajectory that may hold several episodes.
 
-    G_t = r_t + discount * (v_tp1 if the episode ends at t or t is last, else (1 - lambda) v_tp1 + lambda G_tp1).
+    G_t = r_t + discount * (v_tp1 if a segment ends at t, else (1 - lambda) v_tp1 + lambda G_tp1).
+
+    Minus V(s_t) they are the advantages of GAE, generalised advantage estimation, with the same lambda.
 
     Args:
       r_t: rewards, shape (T,).
       v_tp1: value of the state each step leads to, before any reset, and 0 where it is terminal, shape (T,).
       done_t: whether the step ended an episode, terminated or truncated, shape (T,).
       valid_t: whether the step succeeded, shape (T,); None: all did. A failed step has no part in the targets of
-        those before it (``stretch_ends``); its own is meaningless.
+        those before it (``segment_ends``); its own target is meaningless.
       discount: gamma [-].
-      lambda_: 0 bootstraps after one step, 1 at the end of the stretch.
+      lambda_: 0 bootstraps after one step, 1 at the end of the segment.
 
     Returns:
       Targets, shape (T,). Gradient: exact.
-    Source: Sutton and Barto 2018, eq. 12.18; equal to the recursion of DiffRL and SAPO.
+    Source: Sutton and Barto 2018, eq. 12.18; advantages: Schulman et al. 2016, eq. 16. Equal to the recursion in the
+      code of SHAC and SAPO.
     """
-    end_t = stretch_ends(done_t, jnp.ones_like(done_t) if valid_t is None else valid_t)
+    end_t = segment_ends(done_t, jnp.ones_like(done_t) if valid_t is None else valid_t)
 
     def backward(g_tp1: Array, inputs: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         r, v, end = inputs
+        # Sutton and Barto, eq. 12.18
         g = r + discount * jnp.where(end, v, (1.0 - lambda_) * v + lambda_ * g_tp1)
         return g, g
 
@@ -52,27 +58,28 @@ def td_lambda(
 def short_horizon_return(
     r_t: Array, v_tp1: Array, done_t: Array, valid_t: Array | None = None, *, discount: float
 ) -> Array:
-    """What a first-order agent ascends: discounted rewards of each stretch of an episode, plus the value at its end.
+    """What a first-order agent ascends: discounted rewards of each segment, plus the value at its end.
 
-    The discount starts anew after each end of an episode; the last step of the horizon ends a stretch too.
+    The discount starts anew with each segment.
 
     Args:
       r_t: rewards, shape (T,).
       v_tp1: value of the state each step leads to, before any reset, and 0 where it is terminal, shape (T,).
       done_t: whether the step ended an episode, shape (T,).
-      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step counts for nothing, and the stretch
+      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step counts for nothing, and the segment
         before it ends with the value of the state that it started from.
       discount: gamma [-].
 
     Returns:
-      The sum over all stretches, shape (). Gradient: exact.
+      The sum over all segments, shape (). Gradient: exact.
     Source: Xu et al. 2022, SHAC, eq. 5.
     """
     valid_t = jnp.ones_like(done_t) if valid_t is None else valid_t
-    end_t = stretch_ends(done_t, valid_t)
+    end_t = segment_ends(done_t, valid_t)
 
     def forward(weight: Array, inputs: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
         r, v, end, valid = inputs
+        # Xu et al., eq. 5: gamma^k r_k, and gamma^h V at the end of a segment
         gained = weight * (r + jnp.where(end, discount * v, 0.0))
         return jnp.where(end, 1.0, weight * discount), jnp.where(valid, gained, 0.0)
 

@@ -29,10 +29,11 @@ class Transition(NamedTuple):
     failed_leaf: Array
     """See ``State.failed_leaf``."""
     metrics: dict[str, Array]
-    extras: dict[str, Array]
-    """What the policy said beside its action, e.g. its entropy."""
+    aux: dict[str, Array]
+    """What the policy returned beside its action, e.g. its entropy."""
     active: Array
-    """False where a rollout stood still, beyond its ``num_active`` steps: nothing of such a step counts."""
+    """False beyond the rollout's ``num_active`` steps, where the environment stands still: such a step counts for
+    nothing."""
 
     @property
     def done(self) -> Array:
@@ -51,7 +52,7 @@ class Transition(NamedTuple):
 
 
 Policy = Callable[..., tuple[Array, dict[str, Array]]]
-"""``(obs, key) -> (action, extras)``; ``(obs, key, input) -> ...`` in a rollout with an input for every step."""
+"""``(obs, key) -> (action, aux)``; ``(obs, key, input) -> ...`` in a rollout with an input for every step."""
 
 
 def rollout(
@@ -73,7 +74,7 @@ def rollout(
     Args:
       env: an environment whose states carry ``final_obs``.
       state: where to start; no gradient is taken through it unless the caller does.
-      policy: ``(obs, key) -> (action, extras)``; with ``inputs``: ``(obs, key, input) -> (action, extras)``.
+      policy: ``(obs, key) -> (action, aux)``; with ``inputs``: ``(obs, key, input) -> (action, aux)``.
       key: randomness of the policy.
       horizon: number of steps.
       differentiate: ``"full"`` stores every intermediate value of every step, ``"checkpointed"`` stores states and
@@ -82,8 +83,8 @@ def rollout(
       state_gradient_decay: factor on that gradient at every step; 1: exact.
       inputs: what the policy is given beside observation and key, leading axis (horizon,).
       num_active: steps after which the environment stands still, at most ``horizon``; None: it never does.
-      probes: numbers that change nothing, shape (horizon,); the derivative by each is the norm of the gradient by the
-        state that its step starts from.
+      probes: zeros, shape (horizon,). The gradient with respect to ``probes[t]`` is the norm of the cotangent of
+        state t.
 
     Returns:
       Final state, and transitions with leading axis (horizon,). Gradient: through actions, physics, observations and
@@ -103,7 +104,7 @@ def rollout(
             state = probed(state, probe)
         if factor is not None:
             state = scale_gradient(state, factor)
-        action, extras = policy(state.obs, key) if inputs is None else policy(state.obs, key, own)
+        action, aux = policy(state.obs, key) if inputs is None else policy(state.obs, key, own)
         new = env.step(state, action)
         if num_active is not None:
             still = state.replace(
@@ -124,7 +125,7 @@ def rollout(
             status=new.status,
             failed_leaf=new.failed_leaf,
             metrics=new.metrics,
-            extras=extras,
+            aux=aux,
             active=active,
         )
         return new, transition
@@ -134,18 +135,23 @@ def rollout(
     return jax.lax.stop_gradient(out) if differentiate == "none" else out
 
 
+def masked(tree: PyTree, valid: Array) -> PyTree:
+    """The tree with zeros where samples do not count; its arrays begin with the axes of ``valid``, bool."""
+    return jax.tree.map(lambda a: jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - valid.ndim)), a, 0.0), tree)
+
+
 def scale_gradient(tree: PyTree, factor: Array) -> PyTree:
     """The same values; their gradient times a factor, which has no gradient itself."""
 
     def scaled(factor: Array, grads: list[Array]) -> tuple[list[Array], Array]:
-        # Times 0 is a cut, also of what is not finite.
+        # A factor of 0 cuts non-finite gradients too.
         return [jnp.where(factor == 0, 0.0, g * factor).astype(g.dtype) for g in grads], jnp.zeros_like(factor)
 
     return _with_backward(tree, factor, scaled)
 
 
 def probed(tree: PyTree, probe: Array) -> PyTree:
-    """The same values; the derivative by ``probe``, shape (), is the norm of the gradient by all of them."""
+    """The same values; the gradient with respect to ``probe``, shape (), is the norm of their cotangent."""
 
     def measured(probe: Array, grads: list[Array]) -> tuple[list[Array], Array]:
         return grads, jnp.sqrt(sum(jnp.sum(g * g) for g in grads)).astype(probe.dtype)
@@ -153,17 +159,17 @@ def probed(tree: PyTree, probe: Array) -> PyTree:
     return _with_backward(tree, probe, measured)
 
 
-def _with_backward(tree: PyTree, number: Array, backward: Callable[..., tuple[list[Array], Array]]) -> PyTree:
-    """The same values; ``backward(number, grads)`` gives the gradients by their floating leaves and by the number."""
+def _with_backward(tree: PyTree, scalar: Array, backward: Callable[..., tuple[list[Array], Array]]) -> PyTree:
+    """The same values; ``backward(scalar, grads)`` gives the gradients with respect to floating leaves and scalar."""
 
     @jax.custom_vjp
-    def same(floats: list[Array], number: Array) -> list[Array]:
-        del number
+    def same(floats: list[Array], scalar: Array) -> list[Array]:
+        del scalar
         return floats
 
-    same.defvjp(lambda floats, number: (floats, number), backward)
+    same.defvjp(lambda floats, scalar: (floats, scalar), backward)
     leaves, structure = jax.tree.flatten(tree)
-    places = [i for i, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    for place, leaf in zip(places, same([leaves[i] for i in places], number), strict=True):
-        leaves[place] = leaf
+    floating = [i for i, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    for i, leaf in zip(floating, same([leaves[i] for i in floating], scalar), strict=True):
+        leaves[i] = leaf
     return jax.tree.unflatten(structure, leaves)

@@ -11,7 +11,8 @@ of the normal distribution before the tanh; observations' statistics stay as the
 """
 
 import dataclasses
-from typing import Any
+import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -19,14 +20,13 @@ import optax
 
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import FirstOrderConfig, check_count
+from rewax.agents.config import Count, FirstOrderConfig
 from rewax.agents.distributions import TanhNormal
-from rewax.agents.episodes import episode_metrics
-from rewax.agents.first_order import FirstOrderState, Stretch, critic_update, start_actor_critic, stretch_loss
-from rewax.agents.gradients import clip_per_env, finite_or_zero, per_env_gradients
-from rewax.agents.optimizers import apply
+from rewax.agents.first_order import Rollout, critic_update, rollout_loss, start_actor_critic
+from rewax.agents.gradients import clip_per_env, per_env_gradients
+from rewax.agents.optimizers import apply, finite_or_zero
 from rewax.agents.rollout import rollout
-from rewax.agents.run_state import advanced
+from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -50,7 +50,7 @@ class RPOConfig(FirstOrderConfig):
     actor_learning_rate: float = 5e-4
     max_grad_norm: float = 1.0
     weight_decay: float = 0.0
-    epochs: int = 5
+    epochs: Count = 5
     lowest_ratio: float = 0.2
     highest_ratio: float = 2.0
     kl_coefficient: float = 0.2
@@ -58,7 +58,6 @@ class RPOConfig(FirstOrderConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_count("epochs", self.epochs)
         if not 0.0 <= self.lowest_ratio < 1.0 < self.highest_ratio:
             raise ValueError(
                 f"lowest_ratio is {self.lowest_ratio} and highest_ratio {self.highest_ratio}: give numbers below and "
@@ -66,125 +65,125 @@ class RPOConfig(FirstOrderConfig):
             )
 
 
-def make_rpo(env: Env, config: RPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """RPO on an environment.
+Networks: TypeAlias = ActorCritic[RPOConfig]
 
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+
+def make_rpo(env: Env, config: RPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
+    """RPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = RPOConfig() if config is None else config
     return actor_agent("rpo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
-def init(config: RPOConfig, leaves: EnvLeaves, key: Key) -> FirstOrderState:
+def init(config: RPOConfig, leaves: EnvLeaves, key: Key) -> ActorCriticState:
     """The state of a run that has not begun."""
     networks = make_actor_critic(leaves.first(), config)
-    state = start_actor_critic(networks, leaves, key)
+    state = start_actor_critic(ActorCriticState, networks, leaves, key)
     return state.replace(actor_opt=actor_optimizer(networks).init(state.actor_params))
 
 
-def train_step(config: RPOConfig, state: FirstOrderState) -> tuple[FirstOrderState, Metrics]:
+def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticState, Metrics]:
     """One iteration: derivatives by actions, epochs of the actor, critics."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
-
-    def loss(
-        shift: Array, common: FirstOrderState, env: AutoReset, env_state: State, key: Key
-    ) -> tuple[Array, Stretch]:
-        return shifted_loss(networks, common, shift, env, env_state, key)
+    loss = functools.partial(shifted_loss, networks=networks)
 
     # Every environment's actions are shifted by the same zeros; their derivatives are its own.
     shift = jnp.zeros((config.horizon, networks.action_size))
-    losses, data, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
+    losses, rollouts, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
     if config.max_env_grad_norm is not None:
         by_action = clip_per_env(by_action, config.max_env_grad_norm)
     finite = jnp.isfinite(losses) & jnp.all(jnp.isfinite(by_action), axis=(1, 2))
-    actor, actor_metrics = actor_epochs(networks, state, data, by_action, finite)
-    critics, critic_metrics = critic_update(networks, state, data, data.transitions.reward)
+    state, actor_metrics = actor_epochs(networks, state, rollouts, by_action, finite)
+    state, critic_metrics = critic_update(networks, state, rollouts, rollouts.transitions.reward)
 
-    new = advanced(config, state, data.state, data.transitions, key=key, **actor, **critics)
+    state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
     own = {"actor_loss": jnp.mean(losses, where=finite), "dropped_gradients": jnp.sum(~finite)}
-    return new, {**episode_metrics(state.environments, data.transitions), **own, **actor_metrics, **critic_metrics}
+    return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
 
 
 def shifted_loss(
-    networks: ActorCritic, state: FirstOrderState, shift: Array, env: AutoReset, env_state: State, key: Key
-) -> tuple[Array, Stretch]:
+    shift: Array, common: ActorCriticState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
+) -> tuple[Array, Rollout]:
     """Minus the return per step of one environment whose actions before the tanh are shifted, shape (T, action_size).
 
     Gradient: through the simulation and the later actions of the policy, with respect to the shift.
     """
-    config, statistics = networks.config, state.environments.statistics
+    config, statistics = networks.config, common.environments.statistics
 
     def policy(obs: Observation, key: Key, shift: Array) -> tuple[Array, dict[str, Array]]:
-        distribution = networks.action_distribution(state.actor_params, statistics, obs)
+        distribution = networks.action_distribution(common.actor_params, statistics, obs)
         raw = distribution.sample_raw(key) + shift
         return jnp.tanh(raw), {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
 
-    end, transitions = rollout(env, env_state, policy, key, inputs=shift, **config.rollout_options)
-    return stretch_loss(networks, state, end, transitions, transitions.reward)
+    end, t = rollout(env, env_state, policy, key, horizon=config.horizon, inputs=shift, **config.gradient_flow)
+    return rollout_loss(networks, common, end, t, t.reward)
 
 
 def actor_epochs(
-    networks: ActorCritic, state: FirstOrderState, data: Stretch, by_action: Array, finite: Array
-) -> tuple[dict[str, PyTree], Metrics]:
+    networks: Networks, state: ActorCriticState, rollouts: Rollout, by_action: Array, finite: Array
+) -> tuple[ActorCriticState, Metrics]:
     """Several updates of the actor on the same derivatives.
 
     Args:
       networks, state: what is updated.
-      data: rollouts, leading axis of environments.
+      rollouts: rollouts, leading axis of environments.
       by_action: derivative of each environment's loss by its actions before the tanh, shape (num_envs, T, action_size).
       finite: environments that count, shape (num_envs,).
     """
-    optimizer, t = actor_optimizer(networks), data.transitions
-    counts = finite[:, None] & t.valid
-    seen = networks.seen(state.environments.statistics, t.obs)
+    optimizer, t = actor_optimizer(networks), rollouts.transitions
+    loss = functools.partial(
+        surrogate_loss,
+        networks=networks,
+        obs=networks.normalize(state.environments.statistics, t.obs),
+        aux=t.aux,
+        by_action=by_action,
+        counts=finite[:, None] & t.valid,
+    )
 
     def epoch(carry: tuple[PyTree, PyTree], _: None) -> tuple[tuple[PyTree, PyTree], Metrics]:
         params, opt = carry
-        grad, said = jax.grad(
-            lambda params: surrogate_loss(networks, params, seen, t.extras, by_action, counts), has_aux=True
-        )(params)
-        return apply(optimizer, finite_or_zero(grad), opt, params), {**said, "actor_grad_norm": optax.tree.norm(grad)}
+        grad, metrics = jax.grad(loss, has_aux=True)(params)
+        metrics |= {"actor_grad_norm": optax.tree.norm(grad)}
+        return apply(optimizer, finite_or_zero(grad), opt, params), metrics
 
-    (params, opt), said = jax.lax.scan(
-        epoch, (state.actor_params, state.actor_opt), None, length=networks.config.epochs
-    )
-    metrics = {name: values.mean() for name, values in said.items()}
-    return {"actor_params": params, "actor_opt": opt}, {**metrics, "kl": said["kl"][-1]}
+    start = (state.actor_params, state.actor_opt)
+    (params, opt), rows = jax.lax.scan(epoch, start, None, length=networks.config.epochs)
+    metrics = {name: values.mean() for name, values in rows.items()}
+    return state.replace(actor_params=params, actor_opt=opt), {**metrics, "kl": rows["kl"][-1]}
 
 
 def surrogate_loss(
-    networks: ActorCritic, params: PyTree, seen: Observation, acted: dict[str, Any], by_action: Array, counts: Array
+    params: PyTree, *, networks: Networks, obs: Observation, aux: dict[str, Array], by_action: Array, counts: Array
 ) -> tuple[Array, Metrics]:
     """What an epoch descends: the reused derivatives along the actions, the divergence, minus the entropy.
 
     Args:
+      params: new parameters of the policy.
       networks: of the policy.
-      params: its new parameters.
-      seen: observations as the networks see them, leading axes (num_envs, T).
-      acted: ``raw``, ``mean`` and ``log_std`` of the policy that acted, the same axes.
+      obs: normalised observations, leading axes (num_envs, T).
+      aux: ``raw``, ``mean`` and ``log_std`` of the policy that acted, the same axes.
       by_action: derivative of the loss by the actions before the tanh, the same axes.
       counts: samples that count, shape (num_envs, T), bool.
+
+    Source: Zhong et al. 2025, sections on the surrogate objective, the clipped policy gradient and the KL divergence.
     """
     config = networks.config
-    now = jax.vmap(jax.vmap(lambda obs: networks.distribution(params, obs)))(seen)
-    before = TanhNormal(mean=acted["mean"], log_std=acted["log_std"])
-    log_ratio = jnp.sum(jnp.subtract(now.base.log_prob(acted["raw"]), before.base.log_prob(acted["raw"])), axis=-1)
+    now = jax.vmap(jax.vmap(lambda obs: networks.distribution(params, obs)))(obs)
+    before = TanhNormal(mean=aux["mean"], log_std=aux["log_std"])
+    log_ratio = jnp.sum(jnp.subtract(now.base.log_prob(aux["raw"]), before.base.log_prob(aux["raw"])), axis=-1)
     ratio = jax.lax.stop_gradient(jnp.exp(jnp.clip(log_ratio, -_MAX_LOG_RATIO, _MAX_LOG_RATIO)))
     kept = counts & (ratio >= config.lowest_ratio) & (ratio <= config.highest_ratio)
-    noise = jax.lax.stop_gradient((acted["raw"] - now.mean) * jnp.exp(-now.log_std))
+    noise = jax.lax.stop_gradient((aux["raw"] - now.mean) * jnp.exp(-now.log_std))
     again = now.mean + jnp.exp(now.log_std) * noise
     # A sum over time and a mean over environments: the derivatives are those of a loss per step already.
     along = jnp.sum(jnp.where(counts[..., None], by_action, 0.0) * again, axis=-1)
     gain = jnp.sum(jnp.where(kept, ratio * along, 0.0)) / jnp.maximum(jnp.any(counts, axis=1).sum(), 1)
     kl = jnp.mean(jnp.sum(before.base.kl_divergence(now.base), axis=-1), where=counts)
     entropy = jnp.mean(jnp.sum(now.base.entropy(), axis=-1), where=counts)
-    said = {"kl": kl, "entropy": entropy, "kept": jnp.mean(kept, where=counts)}
-    return gain + config.kl_coefficient * kl - config.entropy_coefficient * entropy, said
+    metrics = {"kl": kl, "entropy": entropy, "kept": jnp.mean(kept, where=counts)}
+    return gain + config.kl_coefficient * kl - config.entropy_coefficient * entropy, metrics
 
 
-def actor_optimizer(networks: ActorCritic) -> optax.GradientTransformation:
+def actor_optimizer(networks: Networks) -> optax.GradientTransformation:
     """With a learning rate that falls, updated several times per iteration."""
     return networks.falling_optimizer(networks.config.actor_learning_rate, networks.config.epochs)

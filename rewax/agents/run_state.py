@@ -1,19 +1,89 @@
-"""The state of a run: what every algorithm's has, and how it begins."""
+"""The state of a run: its environments, what has been learnt, counters."""
 
-import dataclasses
-from typing import Any, NamedTuple, Self
+from collections.abc import Callable
+from typing import Any, NamedTuple, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.agents.actor_critic import Actor
-from rewax.agents.config import RunConfig
-from rewax.agents.environments import Environments, start_environments
+from rewax.agents.base import Metrics
+from rewax.agents.config import PolicyOptions, RunConfig
+from rewax.agents.devices import sharded
+from rewax.agents.episodes import episode_metrics, running_returns
+from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
 from rewax.agents.rollout import Transition
-from rewax.envs.base import State
+from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
+from rewax.envs.randomized import Randomize, Randomized, check_hook
+from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.types import Array, Key, Observation, PyTree
+
+T = TypeVar("T")
+
+_ABSENT: Any = None
+"""Stands in ``Environments.common()`` for fields of other types, which must not be read there."""
+
+
+@struct.dataclass
+class Environments(struct.Replaceable):
+    """``num_envs`` environments side by side, and the statistics of their observations.
+
+    Attributes:
+      env: their parameters: data, not constants of a compiled program. Give other values with
+        ``env.replace(arrays=...)``, or those of another environment with ``EnvLeaves.of(env)``.
+      state: behind ``AutoReset``, leading axis (num_envs,).
+      statistics: of the vector observations so far.
+      episode_return: of the episodes under way; NaN for one whose beginning is unknown, shape (num_envs,).
+    """
+
+    env: EnvLeaves
+    state: State
+    statistics: RunningStatistics
+    episode_return: Array
+
+    @property
+    def num_envs(self) -> int:
+        return self.episode_return.shape[0]
+
+    def first_observation(self) -> Observation:
+        """Of the first environment; networks are initialised with it."""
+        return jax.tree.map(lambda a: a[0], self.state.obs)
+
+    def split(self, key: Key) -> Key:
+        """A key for each environment."""
+        return jax.random.split(key, self.num_envs)
+
+    def map(self, function: Callable[..., T], shared: PyTree, *args: PyTree) -> T:
+        """``function(shared, env, state, *args)`` of every environment behind ``AutoReset``.
+
+        Args:
+          function: of one environment; it closes over no array, see ``sharded``.
+          shared: what is the same for all environments.
+          args: trees with a leading axis of environments.
+        """
+        axes = (None, self.env.axis, 0, *[0] * len(args))
+        mapped = jax.vmap(lambda shared, env, *rest: function(shared, AutoReset(env=env.build()), *rest), axes)
+        return sharded(mapped, (shared, self.env.replace(axis=None), self.state, *args), [axis == 0 for axis in axes])
+
+    def common(self) -> "Environments":
+        """What all environments share: the statistics. All else is None."""
+        return self.replace(env=_ABSENT, state=_ABSENT, episode_return=_ABSENT)
+
+    def restarted(self, key: Key) -> "Environments":
+        """All environments at the beginning of new episodes."""
+        return self.replace(state=_reset(self.env, self.split(key)), episode_return=jnp.zeros_like(self.episode_return))
+
+    def after(self, config: RunConfig, end: State, transitions: Transition) -> "Environments":
+        """The environments after a rollout of all of them, leading axes (num_envs, horizon)."""
+        statistics = self.statistics
+        if _normalizes(config):
+            # Exclude rollouts with a failed step from the statistics.
+            healthy = ~jnp.any(transitions.failed, axis=1, keepdims=True)
+            statistics = update_statistics(statistics, transitions.obs, transitions.active & healthy)
+        return self.replace(
+            state=end, statistics=statistics, episode_return=running_returns(self.episode_return, transitions)[0]
+        )
 
 
 @struct.dataclass
@@ -28,12 +98,29 @@ class RunState(struct.Replaceable):
 
     environments: Environments
     key: Key
-    iteration: Array
-    env_steps: Array
+    iteration: Array = struct.field(default_factory=lambda: jnp.zeros((), jnp.int32))
+    env_steps: Array = struct.field(default_factory=lambda: jnp.zeros((), jnp.int32))
 
     def common(self) -> Self:
         """What all environments share, without what each has of its own."""
         return self.replace(environments=self.environments.common())
+
+    def after(self, config: RunConfig, end: State, transitions: Transition, key: Key) -> tuple[Self, Metrics]:
+        """The state after an iteration: environments moved on, counters raised; and the metrics of the episodes.
+
+        Args:
+          config: of the run.
+          end: of the environments after the rollout, leading axis (num_envs,).
+          transitions: of the rollout, leading axes (num_envs, horizon).
+          key: of the next iteration.
+        """
+        new = self.replace(
+            environments=self.environments.after(config, end, transitions),
+            key=key,
+            iteration=self.iteration + 1,
+            env_steps=self.env_steps + jnp.sum(transitions.active, dtype=jnp.int32),
+        )
+        return new, episode_metrics(self.environments.episode_return, transitions)
 
 
 @struct.dataclass
@@ -46,6 +133,20 @@ class PolicyState(RunState):
 
     actor_params: PyTree
     actor_opt: PyTree
+
+
+@struct.dataclass
+class ActorCriticState(PolicyState):
+    """That of an algorithm with critics and an optimizer of their own.
+
+    Attributes:
+      critic_params, critic_opt: of the critics and their optimizer.
+      target_params: of the critics' target network, which moves slowly; None: there is none.
+    """
+
+    critic_params: PyTree
+    critic_opt: PyTree
+    target_params: PyTree
 
 
 class RunKeys(NamedTuple):
@@ -63,49 +164,51 @@ def run_keys(key: Key) -> RunKeys:
     return RunKeys(*jax.random.split(key, 5))
 
 
-def start_run(config: RunConfig, leaves: EnvLeaves, keys: RunKeys) -> RunState:
-    """Environments at the beginning, nothing learnt."""
-    environments = start_environments(
-        leaves,
-        keys.environments,
-        keys.stagger,
-        num_envs=config.num_envs,
-        stagger=getattr(config, "stagger_episodes", False),
-        learn_statistics=getattr(config, "normalize_observations", False),
-    )
-    zero = jnp.zeros((), jnp.int32)
-    return RunState(environments=environments, key=keys.run, iteration=zero, env_steps=zero)
+def partition(env: Env, num_envs: int, randomize: Randomize | None = None) -> EnvLeaves:
+    """The parameters of an environment, or of a batch (``Vmap(env=..., env_axis=0)``), apart from its program.
+
+    Raises:
+      ValueError: a batch of another size than ``num_envs``, or a hook that this environment refuses.
+    """
+    if randomize is not None:
+        check_hook(EnvLeaves.of(env).first(), randomize)
+        if isinstance(env, Vmap) and env.env_axis is not None:
+            env = Vmap(env=Randomized(env=env.env, randomize=randomize), env_axis=0)
+        else:
+            env = Randomized(env=env, randomize=randomize)
+    leaves = EnvLeaves.of(env)
+    leaves.check_size(num_envs)
+    return leaves
 
 
-def start_policy(actor: Actor, leaves: EnvLeaves, keys: RunKeys) -> PolicyState:
-    """The same, with a policy that has not learnt anything."""
-    base = start_run(actor.config, leaves, keys)
-    actor_params = actor.network.init(keys.actor, first_observation(base))
-    return PolicyState(**fields(base), actor_params=actor_params, actor_opt=actor.actor_optimizer.init(actor_params))
-
-
-def first_observation(state: RunState) -> Observation:
-    """Of the first environment; networks are initialised with it."""
-    return jax.tree.map(lambda a: a[0], state.environments.state.obs)
-
-
-def fields(state: Any) -> dict[str, Any]:
-    """The fields of a state by name, to build one of a subclass from."""
-    return {field.name: getattr(state, field.name) for field in dataclasses.fields(state)}
-
-
-def advanced(config: RunConfig, state: Any, end: State, transitions: Transition, **changes: Any) -> Any:
-    """The state after an iteration: environments moved on, counters raised, and what ``changes`` names.
+def start_environments(config: RunConfig, env: EnvLeaves, keys: RunKeys) -> Environments:
+    """Environments at the beginning of a run.
 
     Args:
-      config, state: of the run.
-      end: of the environments after the rollout, leading axis (num_envs,).
-      transitions: of the rollout, leading axes (num_envs, horizon).
+      config: with ``stagger_episodes`` they start at random points of their time limit; with
+        ``normalize_observations`` the statistics begin with the first observations.
+      env: their parameters.
+      keys: of the run.
     """
-    environments = state.environments.advanced(
-        end, transitions, learn_statistics=getattr(config, "normalize_observations", False)
-    )
-    steps = jnp.sum(transitions.active, dtype=jnp.int32)
-    return state.replace(
-        environments=environments, iteration=state.iteration + 1, env_steps=state.env_steps + steps, **changes
-    )
+    num_envs, first = config.num_envs, env.first()
+    state = _reset(env, jax.random.split(keys.environments, num_envs))
+    episode_return = jnp.zeros(num_envs)
+    if isinstance(config, PolicyOptions) and config.stagger_episodes:
+        start = jax.random.randint(keys.stagger, (num_envs,), 0, first.episode_length, jnp.int32)
+        state = state.replace(step_count=start)
+        # The return of a shortened first episode would not compare with the others'.
+        episode_return = jnp.where(start > 0, jnp.nan, episode_return)
+    statistics = init_statistics(first.observation_spec)
+    if _normalizes(config):
+        statistics = update_statistics(statistics, state.obs, jnp.ones(num_envs, bool))
+    return Environments(env=env, state=state, statistics=statistics, episode_return=episode_return)
+
+
+def _normalizes(config: RunConfig) -> bool:
+    return isinstance(config, PolicyOptions) and config.normalize_observations
+
+
+def _reset(env: EnvLeaves, keys: Key) -> State:
+    """First states of the environments behind ``AutoReset``, one per key."""
+    reset = jax.vmap(lambda env, key: AutoReset(env=env.build()).reset(key), (env.axis, 0))
+    return reset(env.replace(axis=None), keys)

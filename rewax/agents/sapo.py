@@ -1,6 +1,6 @@
 """SAPO, soft analytic policy optimization: maximum-entropy first-order reinforcement learning.
 
-One iteration: every environment acts for a short horizon; the soft return of that stretch plus the soft value at its
+One iteration: every environment acts for a short horizon; the soft return of that segment plus the soft value at its
 end is differentiated through the simulation into the actor; temperature and critics follow.
 
 Source: Xing, Luk and Oh 2025, "Stabilizing Reinforcement Learning in Differentiable Multiphysics Simulation"
@@ -10,26 +10,19 @@ is not finite is left out and counted, and a step that failed numerically is mas
 """
 
 import dataclasses
+import functools
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 
-from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import FirstOrderConfig, check_positive
-from rewax.agents.episodes import episode_metrics
-from rewax.agents.first_order import (
-    FirstOrderState,
-    Stretch,
-    actor_update,
-    critic_update,
-    start_actor_critic,
-    stretch_loss,
-)
-from rewax.agents.rollout import rollout
-from rewax.agents.run_state import advanced, fields
-from rewax.agents.temperature import normalized_entropy, update_temperature
+from rewax.agents.config import POSITIVE, FirstOrderConfig, Positive
+from rewax.agents.first_order import Rollout, actor_update, critic_update, rollout_loss, start_actor_critic
+from rewax.agents.normalization import RunningStatistics
+from rewax.agents.rollout import Policy, rollout
+from rewax.agents.temperature import SoftState, normalized_entropy, start_temperature, update_temperature
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -52,8 +45,8 @@ class SAPOConfig(FirstOrderConfig):
 
     initial_temperature: float = 1.0
     learn_temperature: bool = True
-    temperature_learning_rate: float = 5e-3
-    target_entropy_scale: float = 0.5
+    temperature_learning_rate: Positive = 5e-3
+    target_entropy_scale: Positive = 0.5
     entropy_in_return: bool = True
     entropy_in_targets: bool = True
     normalize_entropy: bool = True
@@ -61,100 +54,84 @@ class SAPOConfig(FirstOrderConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.learn_temperature or self.initial_temperature != 0.0:
-            check_positive("initial_temperature", self.initial_temperature)
-        for name in ("temperature_learning_rate", "target_entropy_scale"):
-            check_positive(name, getattr(self, name))
+            POSITIVE.check("initial_temperature", self.initial_temperature)
 
 
-@struct.dataclass
-class SAPOState(FirstOrderState):
-    """Everything a run is; a checkpoint holds just this."""
-
-    log_temperature: Array
-    temperature_opt: PyTree
+Networks: TypeAlias = ActorCritic[SAPOConfig]
 
 
 def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
-    """SAPO on an environment.
-
-    Args:
-      env, randomize: as for ``rewax.agents.actor_critic.actor_agent``.
-      config: hyper-parameters.
-    """
+    """SAPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = SAPOConfig() if config is None else config
     return actor_agent("sapo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 
-def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SAPOState:
+def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SoftState:
     """The state of a run that has not begun."""
     networks = make_actor_critic(leaves.first(), config)
-    base = start_actor_critic(networks, leaves, key)
-    log_temperature = jnp.log(jnp.full((), config.initial_temperature))
-    temperature_opt = networks.optimizer(config.temperature_learning_rate).init(log_temperature)
-    return SAPOState(**fields(base), log_temperature=log_temperature, temperature_opt=temperature_opt)
+    log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
+    return start_actor_critic(SoftState, networks, leaves, key, log_temperature=log_alpha, temperature_opt=opt)
 
 
-def train_step(config: SAPOConfig, state: SAPOState) -> tuple[SAPOState, Metrics]:
+def train_step(config: SAPOConfig, state: SoftState) -> tuple[SoftState, Metrics]:
     """One iteration: actor, temperature, critics."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
+    loss = functools.partial(actor_loss, networks=networks)
 
-    def loss(
-        actor_params: PyTree, common: SAPOState, env: AutoReset, env_state: State, key: Key
-    ) -> tuple[Array, Stretch]:
-        return actor_loss(networks, common, actor_params, env, env_state, key)
+    state, actor_metrics, rollouts = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
 
-    actor, data, actor_metrics = actor_update(networks, state, loss, rollout_key)
-
-    entropy = data.transitions.extras["entropy"]
-    mean_entropy = jnp.mean(entropy, where=data.transitions.valid)
-    temperature = {"log_temperature": state.log_temperature, "temperature_opt": state.temperature_opt}
+    entropy = rollouts.transitions.aux["entropy"]
+    mean_entropy = jnp.mean(entropy, where=rollouts.transitions.valid)
+    own = {"entropy": mean_entropy, "temperature": jnp.exp(state.log_temperature)}
     if config.learn_temperature:
-        temperature = update_temperature(
-            **temperature,
-            entropy=mean_entropy,
-            target=target_entropy(networks),
-            optimizer=networks.optimizer(config.temperature_learning_rate),
-        )
+        rate, target = config.temperature_learning_rate, target_entropy(networks)
+        state, temperature = update_temperature(networks, state, mean_entropy, target=target, learning_rate=rate)
+        own |= temperature
 
-    reward = data.transitions.reward
+    reward = rollouts.transitions.reward
     if config.entropy_in_targets:
-        reward = reward + bonus(networks, temperature["log_temperature"], entropy)
-    critics, critic_metrics = critic_update(networks, state, data, reward)
+        reward = reward + bonus(networks, state.log_temperature, entropy)
+    state, critic_metrics = critic_update(networks, state, rollouts, reward)
 
-    new = advanced(config, state, data.state, data.transitions, key=key, **actor, **temperature, **critics)
-    own = {"entropy": mean_entropy, "temperature": jnp.exp(new.log_temperature)}
-    episodes = episode_metrics(state.environments, data.transitions)
-    return new, {**episodes, **own, **actor_metrics, **critic_metrics}
+    state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
+    return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
 
 
 def actor_loss(
-    networks: ActorCritic, state: SAPOState, actor_params: PyTree, env: AutoReset, env_state: State, key: Key
-) -> tuple[Array, Stretch]:
-    """Minus the soft return per step of one environment's stretch. Gradient: through the simulation."""
-    config, statistics = networks.config, state.environments.statistics
+    actor_params: PyTree, common: SoftState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
+) -> tuple[Array, Rollout]:
+    """Minus the soft return per step of one environment's rollout. Gradient: through the simulation.
+
+    Source: Xing, Luk and Oh 2025, section on SAPO: SHAC's loss with r + alpha H in place of r.
+    """
+    config, policy = networks.config, soft_policy(networks, actor_params, common.environments.statistics)
+    end, transitions = rollout(env, env_state, policy, key, horizon=config.horizon, **config.gradient_flow)
+    reward = transitions.reward
+    if config.entropy_in_return:
+        reward = reward + bonus(networks, common.log_temperature, transitions.aux["entropy"])
+    return rollout_loss(networks, common, end, transitions, reward)
+
+
+def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningStatistics) -> Policy:
+    """Samples an action, and beside it an estimate of the entropy from a sample of its own."""
 
     def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
         distribution = networks.action_distribution(actor_params, statistics, obs)
         action_key, entropy_key = jax.random.split(key)
-        # A fresh sample, independent of the action that is taken.
-        _, log_prob = distribution.sample_and_log_prob(entropy_key)
+        _, log_prob = distribution.sample_and_log_prob(entropy_key)  # not of the action that is taken
         return distribution.sample(action_key), {"entropy": -log_prob}
 
-    end, transitions = rollout(env, env_state, policy, key, **config.rollout_options)
-    reward = transitions.reward
-    if config.entropy_in_return:
-        reward = reward + bonus(networks, state.log_temperature, transitions.extras["entropy"])
-    return stretch_loss(networks, state, end, transitions, reward)
+    return policy
 
 
-def target_entropy(networks: ActorCritic) -> float:
-    """What the temperature steers to: minus half the number of action components in the paper."""
+def target_entropy(networks: Networks) -> float:
+    """The entropy that the temperature steers to: minus half the number of action components in the paper."""
     return -networks.config.target_entropy_scale * networks.action_size
 
 
-def bonus(networks: ActorCritic, log_temperature: Array, entropy: Array) -> Array:
-    """What the entropy of each step is worth. Gradient: exact."""
+def bonus(networks: Networks, log_temperature: Array, entropy: Array) -> Array:
+    """alpha times the entropy of each step, which is normalised first. Gradient: exact."""
     if networks.config.normalize_entropy:
         entropy = normalized_entropy(entropy, target_entropy(networks))
     return jnp.exp(log_temperature) * entropy

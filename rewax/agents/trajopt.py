@@ -8,6 +8,7 @@ environments, by Adam. The actions are clipped to their bounds after each update
 """
 
 import dataclasses
+import functools
 from typing import ClassVar
 
 import jax
@@ -16,13 +17,11 @@ import optax
 
 from rewax import struct
 from rewax.agents.base import Agent, Metrics, bind
-from rewax.agents.config import GradientConfig, RunConfig, check_positive
-from rewax.agents.environments import taken_apart
-from rewax.agents.episodes import episode_metrics
+from rewax.agents.config import GradientOptions, Positive, RunConfig
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.optimizers import apply
 from rewax.agents.rollout import Transition, rollout
-from rewax.agents.run_state import RunState, advanced, fields, run_keys, start_run
+from rewax.agents.run_state import RunState, partition, run_keys, start_environments
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
@@ -31,7 +30,7 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrajOptConfig(GradientConfig, RunConfig):
+class TrajOptConfig(GradientOptions, RunConfig):
     """Hyper-parameters.
 
     Attributes:
@@ -42,13 +41,12 @@ class TrajOptConfig(GradientConfig, RunConfig):
     least_horizon: ClassVar[int] = 0
     horizon: int = 0
     num_iterations: int = 50
-    learning_rate: float = 1e-2
+    learning_rate: Positive = 1e-2
     adam_b1: float = 0.9
     adam_b2: float = 0.999
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("learning_rate", self.learning_rate)
         if self.horizon != 0:
             raise ValueError(f"horizon is {self.horizon}: TrajOpt plays whole episodes, give 0")
 
@@ -77,14 +75,14 @@ def make_trajopt(env: Env, config: TrajOptConfig | None = None, *, randomize: Ra
     Args:
       env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws leaves of the environment anew at each reset.
+      randomize: ``(key, env) -> env``: draws parameters of the environment anew at each reset.
 
     Returns:
       ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False, step=0)``, which looks at
       the number of the step alone.
     """
     config = TrajOptConfig() if config is None else config
-    leaves = taken_apart(env, config.num_envs, randomize)
+    leaves = partition(env, config.num_envs, randomize)
     return bind("trajopt", config, leaves, init=init, train_step=train_step, policy=policy)
 
 
@@ -98,43 +96,38 @@ def policy(
 
 def init(config: TrajOptConfig, leaves: EnvLeaves, key: Key) -> TrajOptState:
     """The state of a run that has not begun: all actions zero."""
-    env = leaves.first()
+    env, keys = leaves.first(), run_keys(key)
     actions = jnp.zeros((env.episode_length, *env.action_spec.shape))
-    base = start_run(config, leaves, run_keys(key))
-    return TrajOptState(**fields(base), actions=actions, opt_state=config.optimizer.init(actions))
+    environments = start_environments(config, leaves, keys)
+    opt_state = config.optimizer.init(actions)
+    return TrajOptState(environments=environments, key=keys.run, actions=actions, opt_state=opt_state)
 
 
 def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState, Metrics]:
     """One iteration."""
     spec = state.environments.env.first().action_spec
     key, loss_key, reset_key = jax.random.split(state.key, 3)
-    environments = state.environments.restarted(reset_key)
+    state = state.replace(environments=state.environments.restarted(reset_key))
 
-    def loss(
-        actions: Array, common: None, env: AutoReset, env_state: State, key: Key
-    ) -> tuple[Array, tuple[State, Transition]]:
-        del common
-
-        def play(obs: Observation, key: Key, action: Array) -> tuple[Array, dict[str, Array]]:
-            del obs, key
-            return action, {}
-
-        options = {**config.rollout_options, "horizon": len(actions)}
-        end, t = rollout(env, env_state, play, key, inputs=actions, **options)
-        first = jnp.cumsum(t.done) - t.done == 0  # up to the first end of the episode
-        return -jnp.sum(jnp.where(first & t.valid, t.reward, 0.0)), (end, t)
-
-    losses, (end, transitions), grads = per_env_gradients(loss, state.actions, None, environments, loss_key)
+    loss = functools.partial(sequence_loss, config=config)
+    losses, data, grads = per_env_gradients(loss, state.actions, state.common(), state.environments, loss_key)
     grad, metrics = mean_gradient(losses, grads, max_norm=config.max_env_grad_norm)
     actions, opt_state = apply(config.optimizer, grad, state.opt_state, state.actions)
-    actions = jnp.clip(actions, spec.low, spec.high)
-    new = advanced(
-        config,
-        state.replace(environments=environments),
-        end,
-        transitions,
-        key=key,
-        actions=actions,
-        opt_state=opt_state,
-    )
-    return new, {**episode_metrics(environments, transitions), **metrics}
+    state = state.replace(actions=jnp.clip(actions, spec.low, spec.high), opt_state=opt_state)
+    state, episode_metrics = state.after(config, *data, key)
+    return state, {**episode_metrics, **metrics}
+
+
+def sequence_loss(
+    actions: Array, common: TrajOptState, env: AutoReset, env_state: State, key: Key, *, config: TrajOptConfig
+) -> tuple[Array, tuple[State, Transition]]:
+    """Minus the undiscounted return of one environment that plays the sequence. Gradient: through the simulation."""
+    del common
+
+    def play(obs: Observation, key: Key, action: Array) -> tuple[Array, dict[str, Array]]:
+        del obs, key
+        return action, {}
+
+    end, t = rollout(env, env_state, play, key, horizon=len(actions), inputs=actions, **config.gradient_flow)
+    first = jnp.cumsum(t.done) - t.done == 0  # up to the first end of the episode
+    return -jnp.sum(jnp.where(first & t.valid, t.reward, 0.0)), (end, t)

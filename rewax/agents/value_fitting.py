@@ -1,25 +1,32 @@
 """Regression of critics onto targets."""
 
+import functools
 import math
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 
 from rewax.agents.base import Metrics
-from rewax.agents.devices import divided, mean_over_devices
-from rewax.agents.gradients import finite_or_zero
-from rewax.agents.optimizers import Packing, apply
+from rewax.agents.devices import mean_over_devices, sharded
+from rewax.agents.optimizers import Packing, apply, finite_or_zero
+from rewax.agents.rollout import masked
 from rewax.envs.base import ArraySpec
 from rewax.types import Array, Observation, PyTree
 
 Values = Callable[[PyTree, Observation], Array]
 """``(params, obs) -> values`` of all critics for observations with one leading axis, shape (n, num_critics)."""
+ValueLoss = Callable[[Array, Array], Array]
+"""``(values, targets) -> loss`` of each value; shapes (n, num_critics), (n, 1) and (n, num_critics)."""
 
 _CACHED_POINTS = 4096
 """Observed points whose activations stay in a CPU's cache; at 64,000 a critic's gradient takes twice as long each."""
+
+
+def square_error(values: Array, targets: Array) -> Array:
+    """(values - targets)^2."""
+    return (values - targets) ** 2
 
 
 def fit_values(
@@ -34,48 +41,57 @@ def fit_values(
     passes: int,
     minibatches: int,
     chunk: int,
+    loss: ValueLoss = square_error,
 ) -> tuple[PyTree, PyTree, Metrics]:
-    """Several passes over contiguous minibatches in order of time; the loss is the mean square error.
+    """Several passes over contiguous minibatches in order of time.
 
     Args:
       values: all critics.
       params, opt_state, optimizer: what is fitted.
-      obs: what the critics see, leading axes (num_envs, horizon).
+      obs: what the critics take, leading axes (num_envs, horizon).
       targets: shape (num_envs, horizon). Gradient: none.
       valid: samples that count, shape (num_envs, horizon), bool; of the others even a NaN does no harm.
       passes: over all data.
       minibatches: contiguous parts of the data; a divisor of the number of samples.
       chunk: samples that are differentiated at a time; a divisor of the minibatch. The update is the same but for
         rounding.
+      loss: of each value; its mean over samples and critics is descended.
 
     Returns:
       Parameters, optimizer state, and the metrics ``critic_loss`` (of the last pass) and ``critic_grad_norm``.
     """
-    obs = jax.tree.map(lambda a: jnp.where(_expand(valid, a), a, 0.0), dict(obs))
-    targets = jnp.where(valid, targets, 0.0)
-
-    def fit(params: PyTree, opt_state: PyTree, *samples: Any) -> tuple[PyTree, PyTree, Metrics]:
-        size = len(samples[1]) * samples[1].shape[1] // minibatches
-        return _fit(values, optimizer, params, opt_state, *samples, passes, minibatches, math.gcd(chunk, size))
-
+    obs, targets = masked((dict(obs), targets), valid)
+    fit = functools.partial(
+        _fit, objective=functools.partial(_objective, values=values, loss=loss), optimizer=optimizer, passes=passes,
+        minibatches=minibatches, chunk=chunk,
+    )  # fmt: skip
     given = (params, opt_state, obs, targets, valid)
-    if targets.shape[1] % minibatches:  # minibatches that begin amid a time step are those of all environments
+    if targets.shape[1] % minibatches:  # a minibatch crosses a time step: fit unsharded
         return fit(*given)
-    return divided(fit, given, (False, False, True, True, True), same=True)
+    return sharded(fit, given, (False, False, True, True, True), same=True)
+
+
+def _objective(
+    params: PyTree, obs: Observation, target: Array, weight: Array, *, values: Values, loss: ValueLoss
+) -> Array:
+    return jnp.mean(weight[:, None] * loss(values(params, obs), target[:, None]))
 
 
 def _fit(
-    values: Values,
-    optimizer: optax.GradientTransformation,
     params: PyTree,
     opt_state: PyTree,
     obs: Observation,
     targets: Array,
     valid: Array,
+    *,
+    objective: Callable[..., Array],
+    optimizer: optax.GradientTransformation,
     passes: int,
     minibatches: int,
     chunk: int,
 ) -> tuple[PyTree, PyTree, Metrics]:
+    chunk = math.gcd(chunk, targets.size // minibatches)  # of this device's share
+
     def parts(a: Array) -> Array:
         by_time = jnp.swapaxes(a, 0, 1)
         return by_time.reshape(minibatches, -1, chunk, *a.shape[2:])
@@ -84,16 +100,12 @@ def _fit(
     share = mean_over_devices(weight.mean(axis=(1, 2), keepdims=True))
     weight = weight / jnp.where(share > 0, share, 1.0)  # exactly 1 where all samples count
     batches = (jax.tree.map(parts, obs), parts(targets), weight)
-
-    def loss(params: PyTree, obs: Observation, target: Array, weight: Array) -> Array:
-        return jnp.mean(weight[:, None] * (values(params, obs) - target[:, None]) ** 2)
-
     packing = Packing(params)
 
     def update(carry: tuple[PyTree, PyTree], batch: tuple[Observation, Array, Array]):
         params = packing.unpack(carry[0])
         value, grad = mean_over_devices(
-            mean_over_chunks(lambda *chunk: packing.pack(jax.value_and_grad(loss)(params, *chunk)), batch)
+            mean_over_chunks(lambda *chunk: packing.pack(jax.value_and_grad(objective)(params, *chunk)), batch)
         )
         grad = finite_or_zero(grad)
         return apply(optimizer, grad, carry[1], carry[0]), (value, optax.tree.norm(grad))
@@ -126,7 +138,3 @@ def chunk_size(minibatch: int, observation_spec: dict[str, ArraySpec]) -> int:
         return minibatch
     points = max((spec.shape[0] for spec in observation_spec.values() if len(spec.shape) == 2), default=1)
     return max(n for n in range(1, minibatch + 1) if minibatch % n == 0 and (n == 1 or n * points <= _CACHED_POINTS))
-
-
-def _expand(mask: Array, like: Array) -> Array:
-    return mask.reshape(*mask.shape, *[1] * (like.ndim - mask.ndim))

@@ -12,7 +12,7 @@ import numpy as np
 from jax import export
 
 from rewax.agents.actor_critic import Actor, make_actor
-from rewax.agents.config import PolicyConfig
+from rewax.agents.config import AnyPolicyConfig
 from rewax.agents.normalization import EPSILON
 from rewax.agents.registry import algorithm
 from rewax.training import numpy_policy
@@ -68,7 +68,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
 def _actor(run: SavedRun) -> Actor:
     config = run.config[run.config["agent"]]
     config = agent_config(algorithm(run.config["agent"]).config_type, config)
-    if not isinstance(config, PolicyConfig) or not hasattr(run.train_state, "actor_params"):
+    if not isinstance(config, AnyPolicyConfig) or not hasattr(run.train_state, "actor_params"):
         raise ValueError(
             f"{run.config['agent']} learns no policy network, so there is nothing to export: train with another "
             "algorithm, or read what it learns from load_run(run).train_state"

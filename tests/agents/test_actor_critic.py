@@ -5,7 +5,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 import toys
 
 from rewax.agents.actor_critic import make_actor_critic
@@ -19,12 +18,12 @@ STATISTICS = init_statistics(ENV.observation_spec).__class__(
 )
 
 
-def test_what_the_networks_see_is_normalised_and_clipped_if_asked_to():
+def test_observations_are_normalised_and_clipped_if_asked_to():
     networks = make_actor_critic(ENV, CONFIG)
-    np.testing.assert_allclose(networks.seen(STATISTICS, {"x": jnp.array([4.0])})["x"], [1.5], rtol=1e-5)
-    np.testing.assert_allclose(networks.seen(STATISTICS, {"x": jnp.array([9e5])})["x"], [2.0])
+    np.testing.assert_allclose(networks.normalize(STATISTICS, {"x": jnp.array([4.0])})["x"], [1.5], rtol=1e-5)
+    np.testing.assert_allclose(networks.normalize(STATISTICS, {"x": jnp.array([9e5])})["x"], [2.0])
     raw = make_actor_critic(ENV, dataclasses.replace(CONFIG, normalize_observations=False))
-    np.testing.assert_array_equal(raw.seen(STATISTICS, {"x": jnp.array([9e5])})["x"], [9e5])
+    np.testing.assert_array_equal(raw.normalize(STATISTICS, {"x": jnp.array([9e5])})["x"], [9e5])
 
 
 def test_distribution_and_values_are_those_of_the_networks():
@@ -38,20 +37,3 @@ def test_distribution_and_values_are_those_of_the_networks():
     values = networks.values(critics, {"x": jnp.array([[0.5], [1.0]])})
     assert values.shape == (2, 3)
     np.testing.assert_allclose(values[1], networks.critics.apply(critics, {"x": jnp.array([1.0])}), rtol=1e-5)
-
-
-@pytest.mark.parametrize(("asked", "got"), [(None, 256), (4, 4)])
-def test_the_chunk_is_the_configurations_or_what_fits(asked, got):
-    assert make_actor_critic(ENV, dataclasses.replace(CONFIG, critic_chunk=asked)).critic_chunk == got
-
-
-def test_critics_learning_rate_counts_iterations_not_updates():
-    config = dataclasses.replace(CONFIG, num_iterations=2, critic_passes=1, critic_minibatches=2)
-    optimizer = make_actor_critic(ENV, config).critic_optimizer
-    params, sizes = jnp.zeros(1), []
-    state = optimizer.init(params)
-    for _ in range(6):
-        update, state = optimizer.update(jnp.ones(1), state, params)
-        sizes.append(-float(update[0]))
-    middle = 0.5 * (5e-4 + 1e-5)
-    np.testing.assert_allclose(sizes, [5e-4, 5e-4, middle, middle, 1e-5, 1e-5], rtol=1e-3)

@@ -1,10 +1,15 @@
 """Hyper-parameters: the paper's by default, impossible ones refused."""
 
 import dataclasses
+import inspect
 
 import pytest
 
 from rewax.agents.config import FirstOrderConfig
+from rewax.agents.ppo import PPOConfig
+from rewax.agents.registry import algorithm, list_algorithms
+from rewax.agents.sac import SACConfig
+from rewax.agents.shac import SHACConfig
 
 
 @pytest.mark.parametrize(
@@ -33,6 +38,33 @@ from rewax.agents.config import FirstOrderConfig
 def test_impossible_configurations_say_what_to_do(changes, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}$"):
         FirstOrderConfig(**changes)
+
+
+def test_another_default_keeps_the_restriction():
+    for config_type in (SHACConfig, SACConfig, PPOConfig):
+        with pytest.raises(ValueError, match=r"^initial_gain is 0.0: give a positive number$"):
+            config_type(initial_gain=0.0)
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Mine(FirstOrderConfig):
+        discount: "float" = 0.9
+        own: "Unresolved" = None  # noqa: F821
+
+    assert Mine().discount == 0.9
+    with pytest.raises(ValueError, match=r"^discount is 2.0: give a number between 0 and 1$"):
+        Mine(discount=2.0)
+
+
+def test_an_option_has_one_default_whatever_the_order_of_the_bases():
+    """Groups of options have no base class and no option in common; an algorithm has one combination of them."""
+    for name in list_algorithms():
+        config_type = algorithm(name).config_type
+        parts = config_type.__mro__[1:-1]
+        groups = [part for part in parts if part.__bases__ == (object,)]
+        options = [field.name for part in groups for field in dataclasses.fields(part)]
+        assert len(options) == len(set(options)), name
+        combinations = [part for part in parts if part not in groups]
+        assert len(combinations) <= 1 and not any(map(inspect.get_annotations, combinations)), name
 
 
 def test_a_list_is_as_good_as_a_tuple():

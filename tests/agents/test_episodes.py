@@ -3,8 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.agents.environments import Environments, running_returns
-from rewax.agents.episodes import episode_metrics
+from rewax.agents.episodes import episode_metrics, running_returns
 from rewax.agents.rollout import Transition
 from rewax.status import Status
 
@@ -23,14 +22,13 @@ def transitions(status, terminated, truncated=None):
         status=jnp.asarray(status, jnp.int32),
         failed_leaf=jnp.where(jnp.asarray(status) & 1, 3, -1),
         metrics={"height": jnp.asarray(REWARD)},
-        extras={},
+        aux={},
         active=jnp.ones((2, 4), bool),
     )
 
 
 def metrics_of(t, running=(10.0, 20.0)):
-    environments = Environments(env=None, state=None, statistics=None, episode_return=jnp.asarray(running))
-    return {name: np.asarray(value) for name, value in episode_metrics(environments, t).items()}
+    return {name: np.asarray(value) for name, value in episode_metrics(jnp.asarray(running), t).items()}
 
 
 def test_every_bit_has_a_counter_of_its_own():

@@ -12,7 +12,8 @@ import toys
 
 from rewax.agents import sapo
 from rewax.agents.actor_critic import make_actor_critic
-from rewax.agents.first_order import critic_update
+from rewax.agents.config import FirstOrderConfig
+from rewax.agents.first_order import critic_chunk, critic_optimizer, critic_update
 from rewax.agents.returns import td_lambda
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.agents.temperature import normalized_entropy
@@ -49,7 +50,7 @@ def data(start):
         key = jax.random.split(state.key)[1]
         envs = state.environments
         return envs.map(
-            lambda common, env, s, k: sapo.actor_loss(networks, common, common.actor_params, env, s, k)[1],
+            lambda common, *one: sapo.actor_loss(common.actor_params, common, *one, networks=networks)[1],
             state.common(),
             envs.split(key),
         )
@@ -60,7 +61,13 @@ def data(start):
 @functools.cache
 def update(**changes):
     networks = make_actor_critic(ENV, dataclasses.replace(CONFIG, **changes))
-    return jax.jit(lambda state, data, reward: critic_update(networks, state, data, reward))
+
+    @jax.jit
+    def learnt(state, data, reward):
+        state, metrics = critic_update(networks, state, data, reward)
+        return (state.critic_params, state.critic_opt), metrics
+
+    return learnt
 
 
 def values(start, obs):
@@ -92,7 +99,7 @@ def test_critics_regress_onto_targets_of_the_smaller_value(start, data):
     np.testing.assert_allclose(metrics["critic_loss"], expected_loss(start, data, reward), rtol=1e-4)
 
 
-def test_a_failed_step_is_no_sample_and_ends_the_stretch_before_it(start, data):
+def test_a_failed_step_is_no_sample_and_ends_the_segment_before_it(start, data):
     status = data.transitions.status.at[2, 1].set(1)
     failed = data._replace(
         transitions=data.transitions._replace(
@@ -124,7 +131,7 @@ def test_targets_take_the_temperature_after_its_update(start, data):
     new, metrics = agent.train_step(start)
     before, after = CONFIG.initial_temperature, float(metrics["temperature"])
     assert abs(after - before) > 0.1
-    entropy = data.transitions.extras["entropy"]
+    entropy = data.transitions.aux["entropy"]
     loss = {
         alpha: update()(start, data, data.transitions.reward + alpha * normalized_entropy(entropy, -0.5))[1]
         for alpha in (before, after)
@@ -147,4 +154,21 @@ def test_entropy_is_a_sample_of_its_own(start, data):
     std = np.exp(np.asarray(distribution.log_std))
     log_prob = -0.5 * ((raw - distribution.mean) / std) ** 2 - np.log(std * np.sqrt(2 * np.pi))
     of_the_action = -(log_prob - np.log1p(-(np.tanh(raw) ** 2))).sum(-1)
-    assert np.abs(of_the_action - np.asarray(t.extras["entropy"])).min() > 1e-4
+    assert np.abs(of_the_action - np.asarray(t.aux["entropy"])).min() > 1e-4
+
+
+@pytest.mark.parametrize(("asked", "got"), [(None, 256), (4, 4)])
+def test_the_chunk_is_the_configurations_or_what_fits(asked, got):
+    assert critic_chunk(make_actor_critic(ENV, FirstOrderConfig(critic_chunk=asked))) == got
+
+
+def test_critics_learning_rate_counts_iterations_not_updates():
+    config = FirstOrderConfig(num_iterations=2, critic_passes=1, critic_minibatches=2)
+    optimizer = critic_optimizer(make_actor_critic(ENV, config))
+    params, sizes = jnp.zeros(1), []
+    state = optimizer.init(params)
+    for _ in range(6):
+        update, state = optimizer.update(jnp.ones(1), state, params)
+        sizes.append(-float(update[0]))
+    middle = 0.5 * (5e-4 + 1e-5)
+    np.testing.assert_allclose(sizes, [5e-4, 5e-4, middle, middle, 1e-5, 1e-5], rtol=1e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import optax
 import pytest
 
-from rewax.agents.optimizers import Packing, apply, clipped_adamw, linear_fall
+from rewax.agents.optimizers import Packing, apply, clipped_adamw, finite_or_zero, linear_fall
 
 ADAM = {"b1": 0.7, "b2": 0.95, "weight_decay": 0.01, "max_grad_norm": 0.5}
 
@@ -91,3 +91,8 @@ def test_an_update_can_be_longer_or_shorter():
     optimizer = optax.sgd(0.1)
     new, _ = apply(optimizer, PARAMS, optimizer.init(PARAMS), PARAMS, scale=0.5)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, 0.95 * b, rtol=1e-6), new, PARAMS)
+
+
+@pytest.mark.parametrize("bad", [jnp.nan, jnp.inf, -jnp.inf])
+def test_single_numbers_that_are_not_finite_become_zero(bad):
+    np.testing.assert_array_equal(finite_or_zero(jnp.array([1.0, bad, -2.0])), [1.0, 0.0, -2.0])

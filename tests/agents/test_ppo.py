@@ -10,7 +10,7 @@ from agent_cases import CASES, ENV, trained
 from scipy import stats
 
 from rewax.agents.actor_critic import make_actor_critic
-from rewax.agents.ppo import PPOConfig, ppo_loss
+from rewax.agents.ppo import Batch, PPOConfig, ppo_loss, shuffled
 from rewax.agents.registry import make_agent
 from rewax.agents.returns import td_lambda
 
@@ -26,16 +26,17 @@ def batch_of(networks, params, key, n=6):
     log_prob = stats.norm.logpdf(raw, mean, np.exp(log_std)).sum(-1) - 2 * (
         np.log(2.0) - raw - jax.nn.softplus(-2 * raw)
     ).sum(-1)
-    return {
-        "obs": obs,
-        "raw": raw,
-        "mean": mean,
-        "log_std": log_std,
-        "log_prob": jnp.asarray(log_prob, jnp.float32),
-        "advantage": jax.random.normal(keys[2], (n,)),
-        "target": jax.random.normal(keys[3], (n,)),
-        "weight": jnp.ones(n).at[2].set(0.0),
-    }, now
+    batch = Batch(
+        obs=obs,
+        raw=raw,
+        mean=mean,
+        log_std=log_std,
+        log_prob=jnp.asarray(log_prob, jnp.float32),
+        advantage=jax.random.normal(keys[2], (n,)),
+        target=jax.random.normal(keys[3], (n,)),
+        weight=jnp.ones(n).at[2].set(0.0),
+    )
+    return batch, now
 
 
 def test_the_loss_is_the_clipped_surrogate_and_the_values_error():
@@ -43,22 +44,19 @@ def test_the_loss_is_the_clipped_surrogate_and_the_values_error():
     actor = networks.network.init(jax.random.key(0), {"x": jnp.zeros(1)})
     critic = networks.critics.init(jax.random.key(1), {"x": jnp.zeros(1)})
     batch, now = batch_of(networks, actor, jax.random.key(2))
-    loss, said = ppo_loss(networks, (actor, critic), batch)
-    counts = np.asarray(batch["weight"], bool)
-    new, old = (
-        stats.norm.logpdf(batch["raw"], d["mean"], np.exp(d["log_std"])).sum(-1)
-        for d in ({"mean": now.mean, "log_std": now.log_std}, batch)
-    )
-    ratio, advantage = np.exp(new - old), np.asarray(batch["advantage"])
+    loss, metrics = ppo_loss((actor, critic), networks=networks, batch=batch)
+    counts = np.asarray(batch.weight, bool)
+    new, old = (stats.norm.logpdf(batch.raw, policy.mean, np.exp(policy.log_std)).sum(-1) for policy in (now, batch))
+    ratio, advantage = np.exp(new - old), np.asarray(batch.advantage)
     gain = np.minimum(ratio * advantage, np.clip(ratio, 0.8, 1.2) * advantage)[counts].mean()
-    value = np.asarray(networks.values(critic, batch["obs"]))[:, 0]
-    error = 0.5 * ((value - batch["target"]) ** 2)[counts].mean()
-    np.testing.assert_allclose(said["actor_loss"], -gain, rtol=1e-4)
-    np.testing.assert_allclose(said["critic_loss"], error, rtol=1e-4)
+    value = np.asarray(networks.values(critic, batch.obs))[:, 0]
+    error = 0.5 * ((value - batch.target) ** 2)[counts].mean()
+    np.testing.assert_allclose(metrics["actor_loss"], -gain, rtol=1e-4)
+    np.testing.assert_allclose(metrics["critic_loss"], error, rtol=1e-4)
     np.testing.assert_allclose(loss, -gain + 4.0 * error, rtol=1e-4)
-    s0, s1 = np.exp(batch["log_std"]), np.exp(now.log_std)
+    s0, s1 = np.exp(batch.log_std), np.exp(now.log_std)
     kl = (np.log(s1 / s0) + (s0**2 + 0.1**2) / (2 * s1**2) - 0.5).sum(-1)[counts].mean()
-    np.testing.assert_allclose(said["kl"], kl, rtol=1e-3)
+    np.testing.assert_allclose(metrics["kl"], kl, rtol=1e-3)
 
 
 def gae(reward, value, next_value, done, discount, lambda_):
@@ -94,3 +92,12 @@ def test_the_learning_rate_follows_the_divergence():
 def test_minibatches_divide_the_samples():
     with pytest.raises(ValueError, match=r"minibatches is 3, which does not divide num_envs \* horizon = 64"):
         PPOConfig(num_envs=8, horizon=8, minibatches=3)
+
+
+def test_every_sample_is_in_one_minibatch_and_keeps_its_fields_together():
+    batch = {"a": jnp.arange(12.0).reshape(3, 4), "b": 2.0 * jnp.arange(12.0).reshape(3, 4)[..., None]}
+    parts = shuffled(jax.random.key(0), batch, 4)
+    assert parts["a"].shape == (4, 3) and parts["b"].shape == (4, 3, 1)
+    np.testing.assert_array_equal(np.sort(parts["a"].ravel()), np.arange(12.0))
+    np.testing.assert_array_equal(parts["b"][..., 0], 2.0 * parts["a"])
+    assert not np.array_equal(parts["a"].ravel(), np.arange(12.0))

@@ -25,7 +25,7 @@ def reference_targets(reward, value, done, discount, lambda_):
 
 
 def segments(done):
-    """First and last step of every stretch of an episode."""
+    """First and last step of every segment."""
     starts = [0, *(t + 1 for t in range(len(done) - 1) if done[t])]
     return list(zip(starts, [*(s - 1 for s in starts[1:]), len(done) - 1], strict=True))
 

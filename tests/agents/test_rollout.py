@@ -54,7 +54,7 @@ def test_records_every_step(runs, state):
     np.testing.assert_array_equal(transitions.truncated, np.arange(HORIZON) == LENGTH - 1)
     np.testing.assert_array_equal(transitions.terminated, np.zeros(HORIZON, bool))
     np.testing.assert_allclose(final.obs["x"][0], 0.64 * fresh, rtol=1e-5)
-    assert len(np.unique(np.asarray(transitions.extras["noise"]))) == HORIZON  # a new key each step
+    assert len(np.unique(np.asarray(transitions.aux["noise"]))) == HORIZON  # a new key each step
 
 
 def test_full_equals_checkpointed_equals_the_derivative_by_hand(runs):

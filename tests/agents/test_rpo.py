@@ -1,6 +1,7 @@
 """RPO: its first epoch follows SHAC's gradient; later ones weigh and leave out samples."""
 
 import dataclasses
+import functools
 
 import chex
 import jax
@@ -30,31 +31,28 @@ def rolled(start):
 
     @jax.jit
     def roll(state):
-        def loss(shift, common, env, env_state, key):
-            return rpo.shifted_loss(NETWORKS, common, shift, env, env_state, key)
-
+        loss = functools.partial(rpo.shifted_loss, networks=NETWORKS)
         return per_env_gradients(loss, jnp.zeros((CONFIG.horizon, 1)), state.common(), state.environments, KEY)
 
     return roll(start)
 
 
 def slope(params, start, rolled, config=CONFIG, counts=None):
-    _, data, by_action = rolled
+    _, rollouts, by_action = rolled
     networks = dataclasses.replace(NETWORKS, config=config)
-    seen = networks.seen(start.environments.statistics, data.transitions.obs)
-    counts = jnp.ones(by_action.shape[:2], bool) if counts is None else counts
-    run = jax.jit(
-        jax.value_and_grad(
-            lambda p: rpo.surrogate_loss(networks, p, seen, data.transitions.extras, by_action, counts), has_aux=True
-        )
+    loss = functools.partial(
+        rpo.surrogate_loss,
+        networks=networks,
+        obs=networks.normalize(start.environments.statistics, rollouts.transitions.obs),
+        aux=rollouts.transitions.aux,
+        by_action=by_action,
+        counts=jnp.ones(by_action.shape[:2], bool) if counts is None else counts,
     )
-    return run(params)
+    return jax.jit(jax.value_and_grad(loss, has_aux=True))(params)
 
 
 def test_the_first_epoch_follows_the_gradient_of_shac(start, rolled):
-    def loss(params, common, env, env_state, key):
-        return shac.actor_loss(NETWORKS, common, params, env, env_state, key)
-
+    loss = functools.partial(shac.actor_loss, networks=NETWORKS)
     losses, _, grads = jax.jit(lambda p: per_env_gradients(loss, p, start.common(), start.environments, KEY))(
         start.actor_params
     )
@@ -68,9 +66,9 @@ def test_samples_whose_ratio_has_left_its_range_count_for_nothing(start, rolled)
     far = jax.tree.map(lambda a: a + 0.3, start.actor_params)
     (_, said), _ = slope(far, start, rolled)
     assert 0.0 < said["kept"] < 1.0 and said["kl"] > 0.01
-    acted = {name: np.asarray(value, np.float64) for name, value in rolled[1].transitions.extras.items()}
-    seen = NETWORKS.seen(start.environments.statistics, rolled[1].transitions.obs)
-    now = jax.vmap(jax.vmap(lambda obs: NETWORKS.distribution(far, obs)))(seen)
+    acted = {name: np.asarray(value, np.float64) for name, value in rolled[1].transitions.aux.items()}
+    obs = NETWORKS.normalize(start.environments.statistics, rolled[1].transitions.obs)
+    now = jax.vmap(jax.vmap(lambda one: NETWORKS.distribution(far, one)))(obs)
 
     def log_density(mean, log_std):
         return (-0.5 * ((acted["raw"] - mean) / np.exp(log_std)) ** 2 - log_std).sum(-1)

@@ -37,7 +37,7 @@ def batch(valid):
 
 def test_critics_regress_onto_the_soft_target_of_the_smaller_value(start):
     data, key = batch([True, True, False, True]), jax.random.key(4)
-    loss, _ = sac.critic_loss(NETWORKS, start, start.critic_params, data, key)
+    loss, _ = sac.critic_loss(start.critic_params, networks=NETWORKS, state=start, batch=data, key=key)
     errors = []
     for i, one_key in enumerate(jax.random.split(key, 4)):
         obs, following = ({"x": a["x"][i]} for a in (data.obs, data.next_obs))
@@ -50,12 +50,12 @@ def test_critics_regress_onto_the_soft_target_of_the_smaller_value(start):
 
 def test_the_actor_ascends_the_soft_value(start):
     data, key = batch([True, False]), jax.random.key(4)
-    loss, (entropy, _) = sac.actor_loss(NETWORKS, start, start.actor_params, start.critic_params, data, key)
+    loss, metrics = sac.actor_loss(start.actor_params, networks=NETWORKS, state=start, batch=data, key=key)
     obs = {"x": data.obs["x"][0]}
     action, log_prob = NETWORKS.distribution(start.actor_params, obs).sample_and_log_prob(jax.random.split(key, 2)[0])
     value = NETWORKS.critics.apply(start.critic_params, obs, action).min()
     np.testing.assert_allclose(loss, 0.1 * log_prob - value, rtol=1e-4)
-    np.testing.assert_allclose(entropy, -log_prob, rtol=1e-5)
+    np.testing.assert_allclose(metrics["entropy"], -log_prob, rtol=1e-5)
 
 
 def test_nothing_is_learnt_while_actions_are_random(start):

@@ -1,6 +1,7 @@
 """SAPO on a point mass: the gradient it follows, that it learns, and what a broken environment may not do."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -101,9 +102,7 @@ def per_env_gradients(config):
 
     @jax.jit
     def gradients(state):
-        def loss(params, common, env, env_state, key):
-            return sapo.actor_loss(networks, common, params, env, env_state, key)
-
+        loss = functools.partial(sapo.actor_loss, networks=networks)
         losses, data, grads = all_gradients(
             loss, state.actor_params, state.common(), state.environments, jax.random.split(state.key)[1]
         )
@@ -200,7 +199,7 @@ def test_train_step_follows_the_mean_of_the_environments_gradients(agent, start,
     updates, _ = optimizer.update(grad, start.actor_opt, start.actor_params)
     expected = optax.apply_updates(start.actor_params, updates)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=2e-4), new.actor_params, expected)
-    # statistics: everything that was seen
+    # statistics: of all observations
     x = np.concatenate([raw(start.environments.state.obs["x"]), raw(data.transitions.obs["x"]).reshape(-1, 1)])
     np.testing.assert_allclose(new.environments.statistics.mean["x"], x.sum(0) / (len(x) + 1), rtol=1e-5)
 

@@ -55,6 +55,17 @@ def test_samples_that_do_not_count_are_as_if_they_were_not_there():
     chex.assert_trees_all_close(got, expected, rtol=1e-5)
 
 
+def test_the_loss_is_an_argument():
+    def absolute(values, targets):
+        return jnp.abs(values - targets)
+
+    params, _, metrics = fit(loss=absolute, passes=1, minibatches=1, chunk=32)
+    x, y = np.asarray(OBS["x"], np.float64).reshape(32, 3), np.asarray(TARGETS).reshape(32)
+    error = x @ np.asarray(PARAMS) - y[:, None]
+    np.testing.assert_allclose(metrics["critic_loss"], np.abs(error).mean(), rtol=1e-5)
+    np.testing.assert_allclose(params, PARAMS - 0.05 * x.T @ np.sign(error) / error.size, rtol=1e-4)
+
+
 def test_nothing_is_learnt_from_no_samples():
     params, _, metrics = fit(valid=~ALL)
     np.testing.assert_array_equal(params, PARAMS)

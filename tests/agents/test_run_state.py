@@ -1,4 +1,4 @@
-"""Environments of a run: alike, different, drawn anew; their leaves are data of the compiled program."""
+"""Environments of a run: alike, different, drawn anew; their parameters are data of the compiled program."""
 
 import dataclasses
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import toys
 
-from rewax.agents.environments import start_environments, taken_apart
 from rewax.agents.gradients import per_env_gradients
 from rewax.agents.rollout import rollout
+from rewax.agents.run_state import RunState, partition, run_keys, start_environments
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs.leaves import EnvLeaves, stack
 from rewax.envs.randomize import Scale, Uniform, hook
@@ -29,9 +29,9 @@ CONFIG = SAPOConfig(
 ENVS = [toys.point_mass().replace(gain=jnp.float32(g)) for g in (0.1, 0.5, 1.0)]
 
 
-def start(env, randomize=None, **kwargs):
-    a, b = jax.random.split(jax.random.key(0))
-    return start_environments(taken_apart(env, NUM, randomize), a, b, num_envs=NUM, **kwargs)
+def start(env, randomize=None, **changes):
+    config = dataclasses.replace(CONFIG, **changes)
+    return start_environments(config, partition(env, NUM, randomize), run_keys(jax.random.key(0)))
 
 
 def double():
@@ -40,14 +40,19 @@ def double():
 
 def test_a_batch_is_each_environment_alone():
     def loss(params, common, env, state, key):
-        assert common is None
+        assert common.environments.state is None  # each has its own
         _, t = rollout(env, state, lambda obs, k: (params, {}), key, horizon=4, differentiate="full")
         return -t.reward.sum(), t
 
     params, key = jnp.array([0.3]), jax.random.key(1)
-    losses, data, grads = per_env_gradients(loss, params, None, start(stack(ENVS)), key)
+
+    def gradients(env):
+        state = RunState(environments=start(env), key=key)
+        return per_env_gradients(loss, params, state.common(), state.environments, key)
+
+    losses, data, grads = gradients(stack(ENVS))
     for i, env in enumerate(ENVS):
-        one = per_env_gradients(loss, params, None, start(env), key)
+        one = gradients(env)
         np.testing.assert_allclose(losses[i], one[0][i], rtol=1e-6)
         np.testing.assert_allclose(grads[i], one[2][i], rtol=1e-5)
         np.testing.assert_allclose(data.obs["x"][i], one[1].obs["x"][i], rtol=1e-6)
@@ -57,7 +62,7 @@ def test_a_batch_is_each_environment_alone():
 @pytest.mark.parametrize(
     "kind", ["one", *(pytest.param(k, marks=pytest.mark.slow) for k in ("batch", "randomized", "randomized batch"))]
 )
-def test_the_second_step_with_other_leaves_compiles_nothing(kind):
+def test_the_second_step_with_other_parameters_compiles_nothing(kind):
     env = stack(ENVS) if "batch" in kind else ENVS[1]
     agent = make_sapo(env, CONFIG, randomize=double() if "randomized" in kind else None)
     state = agent.init(jax.random.key(0))
@@ -65,15 +70,15 @@ def test_the_second_step_with_other_leaves_compiles_nothing(kind):
     first, _ = agent.train_step(state)
     envs = state.environments
     arrays = {name: 0.5 * a for name, a in envs.env.arrays.items()}
-    assert arrays, "the leaves are part of the training state"
+    assert arrays, "the parameters are part of the training state"
     other, _ = agent.train_step(state.replace(environments=envs.replace(env=envs.env.replace(arrays=arrays))))
     assert agent.train_step._cache_size() == before + 1
     x = [np.asarray(s.environments.state.physics) for s in (first, other)]
-    if "randomized" not in kind:  # there the drawn leaves act until the next reset
+    if "randomized" not in kind:  # there the drawn parameters act until the next reset
         assert (x[0] != x[1]).all()
 
 
-def test_agents_of_other_leaves_share_their_program():
+def test_agents_of_other_parameters_share_their_program():
     one, two = (make_sapo(env, CONFIG) for env in ENVS[:2])
     assert one.train_step is two.train_step
     one.train_step(one.init(jax.random.key(0)))
@@ -85,13 +90,13 @@ def test_agents_of_other_leaves_share_their_program():
     assert third.train_step is not one.train_step
 
 
-def test_leaves_are_arguments_of_the_program_not_constants():
+def test_parameters_are_arguments_of_the_program_not_constants():
     agent = make_sapo(ENVS[0].replace(gain=jnp.float32(0.123457)), CONFIG)
     text = agent.train_step.lower(jax.eval_shape(agent.init, jax.random.key(0))).as_text()
     assert "0.123457" not in text
 
 
-def test_each_episode_draws_leaves_of_its_own():
+def test_each_episode_draws_parameters_of_its_own():
     agent = make_sapo(ENVS[1], CONFIG, randomize=double())
     assert agent.train_step is make_sapo(ENVS[1], CONFIG, randomize=double()).train_step
     state = agent.init(jax.random.key(0))
@@ -117,7 +122,7 @@ def test_a_hook_that_the_environment_refuses_is_refused_before_anything_compiles
 
 
 def test_environments_start_apart_if_asked_to():
-    counts = np.asarray(start(ENVS[0], stagger=True).state.step_count)
+    counts = np.asarray(start(ENVS[0], stagger_episodes=True).state.step_count)
     assert (counts < LENGTH).all() and len(set(counts)) > 1
     np.testing.assert_array_equal(start(ENVS[0]).state.step_count, np.zeros(NUM))
 
@@ -132,7 +137,7 @@ def test_seeds_side_by_side_are_each_seed_alone():
         np.testing.assert_allclose(a[1], b, rtol=1e-4, atol=1e-6)
 
 
-def test_the_training_state_restores_an_environments_leaves():
+def test_the_training_state_restores_an_environments_parameters():
     leaves = EnvLeaves.of(ENVS[2])
     state = make_sapo(ENVS[0], CONFIG).init(jax.random.key(0))
     moved = state.replace(environments=state.environments.replace(env=leaves))
