@@ -1,0 +1,41 @@
+"""Deformations of all kinds, and what a material makes of them, for the check of laws."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.mpm import Material
+from rewax.physics.mpm.materials import respond
+from rewax.physics.numerics import components as cp
+from rewax.types import Array
+
+NUM = 64
+"""Deformations at a time."""
+
+
+def deformations(rng: np.random.Generator, strain: float, stretches: np.ndarray | None = None) -> Array:
+    """Random rotations times stretches times random rotations, (NUM, 3, 3)."""
+    s = np.exp(rng.uniform(-strain, strain, (NUM, 3))) if stretches is None else stretches
+    return jnp.asarray(rotations(rng, len(s)) @ (s[:, :, None] * rotations(rng, len(s))))
+
+
+def rotations(rng: np.random.Generator, num: int) -> np.ndarray:
+    """Random rotations, (num, 3, 3)."""
+    q, r = np.linalg.qr(rng.normal(size=(num, 3, 3)))
+    q = q * np.sign(np.diagonal(r, axis1=1, axis2=2))[:, None, :]
+    return q * np.linalg.det(q)[:, None, None]
+
+
+@jax.jit
+def response(material: Material, F: Array, C: Array, memory: tuple[Array, ...]) -> tuple[Array, Array, tuple]:
+    """Deformation after flow, stress and memory, of deformations and velocity gradients (NUM, 3, 3)."""
+    r = respond(material, cp.split_matrix(F), velocity_gradient=cp.split_matrix(C), memory=memory)
+    return cp.join_matrix(r.F), cp.join_matrix(r.stress), r.memory
+
+
+def at_start(material: Material, F: Array) -> tuple[Array, ...]:
+    """Memory of particles with these deformations at the start."""
+    return tuple(jnp.full(F.shape[0], a, F.dtype) for a in material.initial_memory)
+
+
+__all__ = ["NUM", "at_start", "deformations", "response", "rotations"]
