@@ -114,6 +114,10 @@ def ellipse(self, p):
     return Torus(ring=self.ring, tube=self.tube).distance((p[0], 1.5 * p[1], p[2]))
 
 
+def scale(factor, d, n):
+    return factor * d, n
+
+
 BROKEN = {
     "a torus": ("ball", "shape is 'ball': give a shape of rewax.physics.shapes, or of a class derived from Shape"),
     "bare": (Bare(ring=0.3, tube=0.1), "shape is a Bare, which is no pytree: decorate it with rewax.struct.dataclass"),
@@ -150,6 +154,10 @@ BROKEN = {
     "a rigid normal": (
         bent(lambda self, p, d, n: (d, jax.lax.stop_gradient(n))),
         "the derivative of the normal by Broken.ring at (",
+    ),
+    "a slow distance": (
+        torus(is_exact=False, distance=lambda self, p: scale(1e-3, *Torus.distance(self, p))),
+        "twenty steps of the distance along the normal lead from ",
     ),
     "an ellipse": (torus(distance=ellipse), "the normal at ("),
     "a small box": (box(0.8), "("),
@@ -206,10 +214,6 @@ def test_a_bound_is_legal_where_it_says_so():
     """A distance that shrinks by 0.7 misleads nobody about the surface."""
     scaled = torus(is_exact=False, distance=lambda self, p: scale(0.7, *Torus.distance(self, p)))
     check_shape(scaled, notify=None)
-
-
-def scale(factor, d, n):
-    return factor * d, n
 
 
 def test_what_python_remembers_is_found():

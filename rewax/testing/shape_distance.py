@@ -8,6 +8,8 @@ STEP = 1e-6
 """Of finite differences, in sizes of the shape."""
 OFF = 1e-4
 """What finite differences in float64 may be off, relative."""
+_FEWEST = 100
+"""Points on the surface."""
 KINKS = "use jnp.where, and safe_sqrt, safe_rsqrt and unit of rewax.physics.numerics.components for roots"
 
 
@@ -45,6 +47,10 @@ def check_normals(sample: Sample, tolerance: float) -> None:
         "continuous"
     )
     if not exact:
+        assert len(sample.surface) >= _FEWEST, (
+            f"twenty steps of the distance along the normal lead from {len(sample.surface)} of {len(points)} random "
+            f"points to the surface of {sample.name}: let the distance change by nearly 1 per metre near the surface"
+        )
         nudge = 1e-4 * sample.size * sample.rng.uniform(-1.0, 1.0, (len(sample.surface), 3))
         points = sample.surface + nudge
         gradient, is_smooth = gradient_by_differences(sample, points)
