@@ -106,9 +106,7 @@ def _check_frames(pair: ContactPair, found: _Measured, tolerance: float) -> None
     is_contact = found.distance < NO_CONTACT
     length = np.linalg.norm(found.frame[:, :, 0], axis=-1)
     wrong = is_contact & ~(np.abs(length - 1.0) < tolerance)
-    assert not wrong.any(), (
-        f"the function of {pair} returns a normal of length {length[wrong][0]:.3g}: give it length 1"
-    )
+    assert not wrong.any(), f"the function of {pair} returns a normal of length {length[wrong][0]:.3g}: make it 1"
     product = np.einsum("...ij,...kj->...ik", found.frame, found.frame) - np.eye(3)
     wrong = is_contact & ~(np.abs(product).max(axis=(-1, -2)) < tolerance)
     assert not wrong.any(), (
