@@ -39,6 +39,7 @@ QUICK = {
 OWN = {
     "ppo": {"minibatches": 2, "epochs": 2},
     "sac": {"replay_size": 64, "batch_size": 8, "updates": 2, "warmup_steps": 4},
+    "ahac": {"min_horizon": 2, "initial_horizon": 4},
 }
 
 
