@@ -227,7 +227,7 @@ def worker(what: str) -> None:
 
     jax.config.update("jax_platforms", "cpu")
     from rewax.lowering import build, compiler
-    from rewax.physics.mpm import transfer_native
+    from rewax.physics.mpm import transfer_cpp as transfer_native
 
     os.environ.pop("REWAX_NATIVE", None)
     source = build.Source("total", TEXT) if what == "total" else transfer_native.SOURCE
@@ -273,7 +273,8 @@ def transfers_agree() -> bool:
     import jax
     import numpy as np
 
-    from rewax.physics.mpm import transfer_cpu, transfer_native
+    from rewax.physics.mpm import transfer_cpp as transfer_native
+    from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
     from rewax.physics.mpm.grid import Grid
 
     draw, grid = np.random.default_rng(0), Grid(shape=(9, 8, 7), spacing=0.1)

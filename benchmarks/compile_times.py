@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from rewax.agents.registry import algorithm
 from rewax.envs import make
 from rewax.envs.registry import list_envs
-from rewax.training.compilation import compiler_options, no_garbage_collection
+from rewax.training.loop.compilation import compiler_options, no_garbage_collection
 
 
 def best(lower: Callable[[], list[Any]], options: dict[str, bool], repeats: int) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import tyro
 
 from rewax.physics import rigid
 from rewax.physics.rigid import Penalty
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 DURATION = 0.5
 OPTION = '<option timestep="0.004" integrator="Euler" cone="pyramidal" iterations="20"/>'

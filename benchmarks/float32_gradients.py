@@ -22,7 +22,7 @@ import tyro
 
 import rewax
 from rewax.physics.numerics import components as cp
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 LEAVES = ("F", "x", "v", "C")
 FIRST_STEPS = {"RollingFlat": (0, 10, 20, 40), "HandFlip": (0, 30, 50, 70)}

@@ -21,10 +21,7 @@ from PIL import Image
 
 import rewax
 from rewax.statistics import learning_curve
-from rewax.training.cache import enable_compilation_cache
-from rewax.training.metrics import read_csv
-from rewax.training.recording import record
-from rewax.training.saved import load_run
+from rewax.training import enable_compilation_cache, load_run, read_csv, record
 from rewax.viz.curves import curves_with_intervals
 from rewax.viz.render import pictures
 from rewax.viz.surface import has_surfaces

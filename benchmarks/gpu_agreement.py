@@ -20,7 +20,7 @@ import tyro
 
 import rewax
 from rewax.status import describe
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,8 +19,8 @@ import tyro
 from scaling import best
 
 import rewax
-from rewax.envs.hand_flip import REFERENCE, mirrored_disc
-from rewax.training.cache import enable_compilation_cache
+from rewax.envs.tasks.hand_flip import REFERENCE, mirrored_disc
+from rewax.training import enable_compilation_cache
 
 PAPER = {(2500, 1): 210, (2500, 32): 1400}
 PAPER |= {(30_000, n): rate for n, rate in zip((1, 2, 4, 8, 16, 32), (85, 118, 150, 169, 172, 179), strict=True)}

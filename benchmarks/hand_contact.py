@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import rewax
-from rewax.envs.hand_reorient import REFERENCE_CONTACT, HandReorient
+from rewax.envs.tasks.hand_reorient import REFERENCE_CONTACT, HandReorient
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_to_matrix
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 from rewax.types import Array
 
 NUM, NUM_STEPS = 32, 240

@@ -16,7 +16,7 @@ STATEMENTS = (
     "from rewax.physics import mpm, shapes, tets, coupling",
     "from rewax.physics import rigid",
     "from rewax.agents.sapo import make_sapo",
-    "from rewax.training.loop import train",
+    "from rewax.training import train",
     "import rewax.viz.plots",
     "import rewax.cli.main",
 )

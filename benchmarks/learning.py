@@ -20,9 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from rewax.training.cache import enable_compilation_cache
-from rewax.training.evaluate import constant_policy, evaluate_actions, make_evaluate
-from rewax.training.saved import load_run
+from rewax.training import constant_policy, enable_compilation_cache, evaluate_actions, load_run, make_evaluate
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 from rewax.physics import mpm
 from rewax.physics.mpm import FixedCorotated, Grid, Material, Wall, Walls
 from rewax.status import describe
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 ACTIVE_NODES = {48: 2560, 64: 10240}
 """Room for the block and a few cells to move in, by nodes per axis of the grid."""

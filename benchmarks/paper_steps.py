@@ -23,16 +23,15 @@ import tyro  # noqa: E402
 
 import rewax  # noqa: E402
 from rewax.envs.base import State  # noqa: E402
-from rewax.envs.coupled_task import CoupledTask  # noqa: E402
-from rewax.envs.soft_task import SoftTask  # noqa: E402
+from rewax.envs.kit import CoupledTask, SoftTask  # noqa: E402
 from rewax.physics import coupling, mpm, tets  # noqa: E402
 from rewax.physics.coupling import FreeBodies, Inertia, articulated  # noqa: E402
 from rewax.physics.mpm import MPMScene, Walls, invariants  # noqa: E402
 from rewax.physics.mpm.packing import split  # noqa: E402
-from rewax.physics.mpm.step import nodes_of_step, to_nodes  # noqa: E402
+from rewax.physics.mpm.stepping import nodes_of_step, to_nodes  # noqa: E402
 from rewax.physics.tets import invariants as tet_invariants  # noqa: E402
 from rewax.status import describe  # noqa: E402
-from rewax.training.cache import enable_compilation_cache  # noqa: E402
+from rewax.training import enable_compilation_cache  # noqa: E402
 
 SOFT = ("RollingFlat", "HandFlip", "HandLift", "FluidMove", "SoftJumper", "GripperLift", "SteerFloat")
 DRIFT = {"RollingFlat": (0.3, -1.0, 0.0), "HandFlip": 0.6, "HandLift": 0.6, "GripperLift": (0.0, 0.8, 0.8)}

@@ -28,7 +28,7 @@ from rewax.physics.mpm import Grid, Hencky, Material, MPMScene, VonMises, Wall, 
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, Capsule, fill_box
 from rewax.struct import replace_leaf
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 WIDTH, HEIGHT = 0.4, 0.1
 """Of slab and dough [m]."""

@@ -13,8 +13,7 @@ from pathlib import Path
 import jax
 
 from rewax.envs import make
-from rewax.training.evaluate import uniform_policy
-from rewax.training.recording import record
+from rewax.training import record, uniform_policy
 from rewax.viz.player import write_player
 from rewax.viz.render import pictures
 from rewax.viz.video import SIZE, write_video

@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 import tyro
 
 import rewax
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 PARTS = ("law", "particle_to_grid", "grid", "grid_to_particle", "update")
 """Named scopes of a substep; everything else is 'rest': the list of nodes, stacking of particles, the task itself."""

@@ -22,7 +22,7 @@ import numpy as np
 import rewax
 from rewax.agents.presets import sapo_preset
 from rewax.agents.sapo import make_sapo
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 FACTORS = (0.5, 0.707, 1.0, 1.414, 2.0)
 CONTROL_DT, NUM_SUBSTEPS = (

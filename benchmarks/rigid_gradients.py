@@ -22,7 +22,7 @@ from rigid_models import MODELS, Contact, penalty_of
 
 from rewax.physics import rigid
 from rewax.status import all_finite
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 HORIZONS = (1, 4, 8, 16, 32)
 SOFT = (1e-4, 0.95, 0.02, 0.5, 2.0)

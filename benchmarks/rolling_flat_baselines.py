@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 import rewax
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 
 @dataclasses.dataclass(frozen=True)

@@ -26,7 +26,7 @@ import tyro
 from rewax.physics import mpm
 from rewax.physics.mpm import FixedCorotated, Grid, Material, Wall, Walls, count_nodes
 from rewax.physics.shapes import fill_box
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 FLOATS_PER_PARTICLE = 24
 FLOATS_PER_NODE = 4

@@ -53,7 +53,7 @@ def measure(args: Args, what: str, task: str, scale: str) -> dict[str, float]:
     import jax
 
     import rewax
-    from rewax.training.cache import enable_compilation_cache
+    from rewax.training import enable_compilation_cache
 
     enable_compilation_cache()
     env: Any = rewax.make(task, scale=scale)
@@ -89,7 +89,7 @@ def measure_train_step(args: Args, env: Any, task: str, scale: str) -> dict[str,
     from rewax.agents.rollout import rollout
     from rewax.agents.sapo import make_sapo
     from rewax.envs.wrappers import AutoReset
-    from rewax.training.compilation import compile_train_step
+    from rewax.training import compile_train_step
 
     config = sapo_preset(task, scale)
     agent = make_sapo(env, config)

@@ -14,9 +14,9 @@ from pathlib import Path
 import tyro
 from PIL import Image
 
-from rewax.training.bench import rows
-from rewax.training.suite import Suite, read_suite
-from rewax.training.tables import markdown, write_results
+from rewax.training import Suite, read_suite
+from rewax.training.suites.runs import rows
+from rewax.training.suites.tables import markdown, write_results
 
 FEW_COLORS = {"colors": 128, "method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
 """Of a picture: a quarter of the bytes, and its curves can still be told apart."""

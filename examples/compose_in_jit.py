@@ -16,7 +16,7 @@ import optax
 import tyro
 
 import rewax
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 
 @dataclasses.dataclass(frozen=True)

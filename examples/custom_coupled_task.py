@@ -6,15 +6,12 @@ import tyro
 from rewax import struct
 from rewax.agents.presets import SMALL
 from rewax.agents.sapo import make_sapo
-from rewax.envs.coupled_task import CoupledTask
-from rewax.envs.point_cloud import PointCloud
-from rewax.envs.reset_noise import reset_noise
+from rewax.envs.kit import CoupledTask, PointCloud, reset_noise
 from rewax.physics import mpm, rigid
 from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
 from rewax.physics.shapes import fill_box
 from rewax.testing import check_env
-from rewax.training.loop import TrainConfig, train
-from rewax.training.metrics import read_csv
+from rewax.training import TrainConfig, read_csv, train
 
 SPACING = 0.025
 FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almost a cell below its position

@@ -5,12 +5,11 @@ import tyro
 
 from rewax import struct
 from rewax.agents.sapo import SAPOConfig, make_sapo
-from rewax.envs.rigid_task import RigidTask, uniform
+from rewax.envs.kit.rigid_task import RigidTask, uniform
 from rewax.physics import rigid
 from rewax.physics.rigid import Penalty
 from rewax.testing import check_env
-from rewax.training.loop import TrainConfig, train
-from rewax.training.metrics import read_csv
+from rewax.training import TrainConfig, read_csv, train
 
 CRAWLER = """<mujoco><option timestep="0.004"/><default><geom type="capsule" size="0.03"/><motor gear="12"/>
 <joint axis="0 1 0"/><default class="leg"><joint range="-60 60" stiffness="12" damping="0.6" armature="0.02"/></default>

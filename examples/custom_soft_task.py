@@ -7,17 +7,14 @@ import tyro
 from rewax import struct
 from rewax.agents.presets import SMALL
 from rewax.agents.sapo import make_sapo
-from rewax.envs.point_cloud import PointCloud
-from rewax.envs.reset_noise import reset_noise
-from rewax.envs.soft_task import SoftTask
+from rewax.envs.kit import PointCloud, SoftTask, reset_noise
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
 from rewax.physics.mpm import DruckerPrager, Grid, Hencky, Material, Wall, WallKind, Walls
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, fill_box
 from rewax.testing import check_env
-from rewax.training.loop import TrainConfig, train
-from rewax.training.metrics import read_csv
+from rewax.training import TrainConfig, read_csv, train
 from rewax.types import Array
 
 SPACING = 0.025

@@ -7,15 +7,12 @@ import tyro
 from rewax import struct
 from rewax.agents.presets import SMALL
 from rewax.agents.sapo import make_sapo
-from rewax.envs.point_cloud import PointCloud
-from rewax.envs.reset_noise import reset_noise
-from rewax.envs.soft_task import SoftTask
+from rewax.envs.kit import PointCloud, SoftTask, reset_noise
 from rewax.physics import tets
 from rewax.physics.contact import Ground, PenaltyContact
 from rewax.physics.tets import tetmesh
 from rewax.testing import check_env
-from rewax.training.loop import TrainConfig, train
-from rewax.training.metrics import read_csv
+from rewax.training import TrainConfig, read_csv, train
 from rewax.types import Array
 
 MUSCLES = 4  # along the bar, above and below

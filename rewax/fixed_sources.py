@@ -4,7 +4,7 @@ import numpy as np
 
 from rewax.lowering import machine, splitting
 from rewax.lowering.build import Source
-from rewax.physics.mpm import transfer_native
+from rewax.physics.mpm import transfer_cpp as transfer_native
 
 
 def fixed_sources() -> tuple[Source, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import rewax
-from rewax.envs.rigid_task import RigidPhysics
+from rewax.envs.kit.rigid_task import RigidPhysics
 from rewax.physics import rigid
 from rewax.viz.shapes import support
 

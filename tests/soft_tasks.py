@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rewax
-from rewax.envs.soft_task import SoftPhysics
+from rewax.envs.kit.soft_task import SoftPhysics
 
 
 @functools.cache

@@ -15,8 +15,8 @@ from matplotlib.image import imread
 from native_cases import NEEDS_COMPILER
 
 import rewax
-from rewax.physics.mpm import transfer_native
-from rewax.training.suite import read_suite
+from rewax.physics.mpm import transfer_cpp as transfer_native
+from rewax.training.suites.suite import read_suite
 from rewax.viz.curves import CURVE_COLORS
 
 ROOT = Path(__file__).resolve().parent.parent

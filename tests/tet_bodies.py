@@ -9,7 +9,7 @@ from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.pose import static_poses
 from rewax.physics.tets import tetmesh
 from rewax.physics.tets.law import DampingLaw
-from rewax.physics.tets.step import TetState
+from rewax.physics.tets.stepping import TetState
 
 MESH = tetmesh.box((0.4, 0.2, 0.2), (2, 1, 1), tets_per_cell=5)
 NUM_TETS, NUM_VERTICES = 10, 12

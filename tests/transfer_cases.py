@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from squeezed_block import one_substep, squeezed
 
-from rewax.physics.mpm import Hencky, VonMises, transfer_cpu
+from rewax.physics.mpm import Hencky, VonMises
+from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
 from rewax.physics.mpm.active_nodes import count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.walls import Wall, WallKind

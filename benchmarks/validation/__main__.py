@@ -11,7 +11,7 @@ import tyro
 
 from benchmarks.validation import CASES
 from benchmarks.validation.common import SCALES, Check
-from rewax.training.cache import enable_compilation_cache
+from rewax.training import enable_compilation_cache
 
 
 @dataclasses.dataclass(frozen=True)

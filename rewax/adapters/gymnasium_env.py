@@ -23,7 +23,7 @@ from rewax.adapters.conversion import (
 )
 from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.wrappers import AutoReset, Vmap
-from rewax.training.recording import snapshots
+from rewax.training.evaluation.recording import snapshots
 from rewax.viz.render import pictures
 
 try:

@@ -43,9 +43,9 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: the suite cannot be; one sentence.
     """
-    from rewax.training.bench import run_suite
-    from rewax.training.cache import enable_compilation_cache
-    from rewax.training.suite import read_suite
+    from rewax.training.storage.cache import enable_compilation_cache
+    from rewax.training.suites.runs import run_suite
+    from rewax.training.suites.suite import read_suite
 
     quiet()
     options = parse(Options, argv, prog="rewax bench", description="Compare algorithms on tasks.")

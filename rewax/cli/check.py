@@ -42,7 +42,7 @@ def run(argv: Sequence[str]) -> int:
     """
     from rewax.envs import registry
     from rewax.testing import check_env, where_it_runs
-    from rewax.training.cache import enable_compilation_cache
+    from rewax.training.storage.cache import enable_compilation_cache
 
     quiet()
     options = parse(Options, argv, prog="rewax check", description="Check an environment against the protocol.")

@@ -196,7 +196,7 @@ def _origin(paths: Sequence[Path]) -> str:
 
 def cache_problems() -> Iterator[tuple[str, str]]:
     """Whether compiled programs can be kept."""
-    from rewax.training.cache import enable_compilation_cache
+    from rewax.training.storage.cache import enable_compilation_cache
 
     folder = enable_compilation_cache()
     try:

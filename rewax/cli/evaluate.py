@@ -44,11 +44,11 @@ def run(argv: Sequence[str]) -> int:
     import jax
 
     from rewax.statistics import bootstrap_interval
-    from rewax.training.cache import enable_compilation_cache
-    from rewax.training.evaluate import make_evaluate
-    from rewax.training.pictures import attempt, draw_video
-    from rewax.training.recording import can_record, record
-    from rewax.training.saved import load_run
+    from rewax.training.evaluation.episodes import make_evaluate
+    from rewax.training.evaluation.pictures import attempt, draw_video
+    from rewax.training.evaluation.recording import can_record, record
+    from rewax.training.storage.cache import enable_compilation_cache
+    from rewax.training.storage.saved import load_run
     from rewax.viz.surface import need_marching_cubes
 
     quiet()

@@ -33,8 +33,8 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: there is no such run or checkpoint, or nothing to export; one sentence.
     """
-    from rewax.training.export import export_policy
-    from rewax.training.saved import load_run
+    from rewax.training.storage.export import export_policy
+    from rewax.training.storage.saved import load_run
 
     quiet()
     options = parse(Options, argv, prog="rewax export", description="Write a trained policy as StableHLO and NumPy.")

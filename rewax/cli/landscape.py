@@ -42,9 +42,9 @@ def run(argv: Sequence[str]) -> int:
     import jax
     import numpy as np
 
-    from rewax.training.cache import enable_compilation_cache
-    from rewax.training.landscape import landscape
-    from rewax.training.saved import load_run
+    from rewax.training.evaluation.landscape import landscape
+    from rewax.training.storage.cache import enable_compilation_cache
+    from rewax.training.storage.saved import load_run
     from rewax.viz.curves import landscape_picture
 
     quiet()

@@ -55,9 +55,9 @@ def run(argv: Sequence[str]) -> int:
     """
     import jax
 
-    from rewax.training.cache import enable_compilation_cache
-    from rewax.training.recording import record
-    from rewax.training.saved import load_run
+    from rewax.training.evaluation.recording import record
+    from rewax.training.storage.cache import enable_compilation_cache
+    from rewax.training.storage.saved import load_run
     from rewax.viz.player import MAX_RUNS, write_player
 
     quiet()
@@ -98,9 +98,9 @@ def _live(options: Options) -> int:
     """Show the newest checkpoint of a run, and each that follows, until interrupted."""
     import jax
 
-    from rewax.training import checkpoint
-    from rewax.training.recording import make_record
-    from rewax.training.saved import load_run
+    from rewax.training.evaluation.recording import make_record
+    from rewax.training.storage import checkpoint
+    from rewax.training.storage.saved import load_run
     from rewax.viz.live import LiveViewer
 
     if len(options.runs) != 1 or options.step is not None:

@@ -56,8 +56,8 @@ def run(argv: Sequence[str]) -> int:
 
 def _curve(directory: Path, by: str) -> tuple[str, Curve]:
     """A run's curve and its name."""
-    from rewax.training.description import read_config
-    from rewax.training.metrics import read_csv
+    from rewax.training.storage.description import read_config
+    from rewax.training.storage.metrics import read_csv
 
     path = directory / "metrics.csv"
     if not path.is_file():

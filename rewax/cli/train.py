@@ -32,12 +32,12 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: an input that cannot be; one sentence.
     """
-    from rewax.training.cache import enable_compilation_cache
     from rewax.training.config import ReportConfig, TrainConfig
-    from rewax.training.hosts import connect, leads, num_processes
-    from rewax.training.loop import train
-    from rewax.training.progress import say
-    from rewax.training.seeds import train_seeds
+    from rewax.training.loop.hosts import connect, leads, num_processes
+    from rewax.training.loop.progress import say
+    from rewax.training.loop.seeds import train_seeds
+    from rewax.training.loop.train import train
+    from rewax.training.storage.cache import enable_compilation_cache
 
     quiet()
     console = Console(highlight=False)

@@ -6,22 +6,22 @@ from rewax.envs.randomized import Randomized
 from rewax.envs.registry import list_envs, make, register
 from rewax.envs.wrappers import AutoReset, Vmap
 
-register("RollingFlat", {scale: f"rewax.envs.rolling_flat:{scale}" for scale in ("paper", "small")})
-register("HandFlip", {scale: f"rewax.envs.hand_flip:{scale}" for scale in ("paper", "small")})
-register("HandLift", {scale: f"rewax.envs.hand_lift:{scale}" for scale in ("paper", "small")})
-register("FluidMove", {scale: f"rewax.envs.fluid_move:{scale}" for scale in ("paper", "small")})
-register("SoftJumper", {scale: f"rewax.envs.soft_jumper:{scale}" for scale in ("paper", "small")})
-register("SoftJumperMPM", {scale: f"rewax.envs.soft_jumper_mpm:{scale}" for scale in ("paper", "small")})
-register("GripperLift", {scale: f"rewax.envs.gripper_lift:{scale}" for scale in ("paper", "small")})
-register("SteerFloat", {scale: f"rewax.envs.steer_float:{scale}" for scale in ("paper", "small")})
-register("AntRun", "rewax.envs.ant_run:make_ant_run")
-register("HandReorient", "rewax.envs.hand_reorient:make_hand_reorient")
-register("Ant", "rewax.envs.ant_run:make_ant")
-register("CartpoleSwingUp", "rewax.envs.dflex.cartpole:make_cartpole_swing_up")
-register("Hopper", "rewax.envs.dflex.hopper:make_hopper")
-register("HalfCheetah", "rewax.envs.dflex.half_cheetah:make_half_cheetah")
-register("Humanoid", "rewax.envs.dflex.humanoid:make_humanoid")
-register("Quadruped", "rewax.envs.quadruped:make_quadruped")
+register("RollingFlat", {scale: f"rewax.envs.tasks.rolling_flat:{scale}" for scale in ("paper", "small")})
+register("HandFlip", {scale: f"rewax.envs.tasks.hand_flip:{scale}" for scale in ("paper", "small")})
+register("HandLift", {scale: f"rewax.envs.tasks.hand_lift:{scale}" for scale in ("paper", "small")})
+register("FluidMove", {scale: f"rewax.envs.tasks.fluid_move:{scale}" for scale in ("paper", "small")})
+register("SoftJumper", {scale: f"rewax.envs.tasks.soft_jumper:{scale}" for scale in ("paper", "small")})
+register("SoftJumperMPM", {scale: f"rewax.envs.tasks.soft_jumper_mpm:{scale}" for scale in ("paper", "small")})
+register("GripperLift", {scale: f"rewax.envs.tasks.gripper_lift:{scale}" for scale in ("paper", "small")})
+register("SteerFloat", {scale: f"rewax.envs.tasks.steer_float:{scale}" for scale in ("paper", "small")})
+register("AntRun", "rewax.envs.tasks.ant_run:make_ant_run")
+register("HandReorient", "rewax.envs.tasks.hand_reorient:make_hand_reorient")
+register("Ant", "rewax.envs.tasks.ant_run:make_ant")
+register("CartpoleSwingUp", "rewax.envs.tasks.cartpole:make_cartpole_swing_up")
+register("Hopper", "rewax.envs.tasks.hopper:make_hopper")
+register("HalfCheetah", "rewax.envs.tasks.half_cheetah:make_half_cheetah")
+register("Humanoid", "rewax.envs.tasks.humanoid:make_humanoid")
+register("Quadruped", "rewax.envs.tasks.quadruped:make_quadruped")
 
 __all__ = [
     "ArraySpec", "AutoReset", "Env", "EnvLeaves", "Randomized", "State", "Vmap", "failed_leaf_name", "first_state",

@@ -1,1 +1,1 @@
-"""Suites of ``rewax bench``: TOML files, read by ``rewax.training.suite``."""
+"""Suites of ``rewax bench``: TOML files, read by ``rewax.training.suites.suite``."""

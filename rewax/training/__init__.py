@@ -1,0 +1,40 @@
+"""Training: the loop, what it stores, evaluations and pictures, suites of runs.
+
+Names are imported when they are first used.
+"""
+
+from typing import TYPE_CHECKING
+
+from rewax.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from rewax.training.config import TrainConfig
+    from rewax.training.evaluation.episodes import constant_policy, evaluate_actions, make_evaluate, uniform_policy
+    from rewax.training.evaluation.recording import record
+    from rewax.training.loop.compilation import compile_train_step
+    from rewax.training.loop.train import train
+    from rewax.training.storage.cache import enable_compilation_cache
+    from rewax.training.storage.metrics import read_csv
+    from rewax.training.storage.saved import load_run
+    from rewax.training.suites.suite import Suite, read_suite
+
+_HOMES = {
+    "TrainConfig": "rewax.training.config",
+    "train": "rewax.training.loop.train",
+    "compile_train_step": "rewax.training.loop.compilation",
+    "enable_compilation_cache": "rewax.training.storage.cache",
+    "load_run": "rewax.training.storage.saved",
+    "read_csv": "rewax.training.storage.metrics",
+    **dict.fromkeys(
+        ("constant_policy", "evaluate_actions", "make_evaluate", "uniform_policy"), "rewax.training.evaluation.episodes"
+    ),
+    "record": "rewax.training.evaluation.recording",
+    **dict.fromkeys(("Suite", "read_suite"), "rewax.training.suites.suite"),
+}
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+
+__all__ = [
+    "Suite", "TrainConfig", "compile_train_step", "constant_policy", "enable_compilation_cache", "evaluate_actions",
+    "load_run", "make_evaluate", "read_csv", "read_suite", "record", "train", "uniform_policy",
+]  # fmt: skip

@@ -16,7 +16,7 @@ from matplotlib.ticker import EngFormatter
 from rewax.viz.shapes import Drawing, View, bounds, check_cloud, outline
 
 Columns: TypeAlias = Mapping[str, np.ndarray]
-"""Columns of a table by name, as ``rewax.training.metrics.read_csv`` reads them."""
+"""Columns of a table by name, as ``rewax.training.storage.metrics.read_csv`` reads them."""
 
 STYLE: dict[Any, Any] = {
     "font.size": 9,

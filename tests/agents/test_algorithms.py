@@ -10,8 +10,8 @@ from agent_cases import CASES, ENV, agent, assert_same_bits, raw, trained
 
 from rewax.agents.registry import algorithm, list_algorithms
 from rewax.status import Status
-from rewax.training import checkpoint
-from rewax.training.evaluate import make_evaluate
+from rewax.training.evaluation.episodes import make_evaluate
+from rewax.training.storage import checkpoint
 
 ALL = sorted(CASES)
 

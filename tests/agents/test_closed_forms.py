@@ -13,7 +13,7 @@ from rewax.agents.sapo import SAPOConfig
 from rewax.agents.shac import SHACConfig
 from rewax.envs.base import ArraySpec, first_state, next_state
 from rewax.envs.wrappers import AutoReset
-from rewax.training.evaluate import make_evaluate
+from rewax.training.evaluation.episodes import make_evaluate
 
 LENGTH = 24
 A, B = np.array([[1.0, 0.25], [0.0, 1.0]]), np.array([[0.0], [0.5]])

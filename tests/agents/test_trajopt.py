@@ -7,8 +7,8 @@ import pytest
 from agent_cases import ENV, agent, trained
 
 from rewax.agents.trajopt import TrajOptConfig, make_trajopt
-from rewax.training.evaluate import evaluate_actions, make_evaluate
-from rewax.training.recording import record
+from rewax.training.evaluation.episodes import evaluate_actions, make_evaluate
+from rewax.training.evaluation.recording import record
 
 
 def test_it_finds_the_best_sequence():

@@ -77,7 +77,7 @@ def test_a_harmful_flag_ends_in_exit_code_1(monkeypatch, capsys):
 def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")
-    monkeypatch.setattr("rewax.training.cache.enable_compilation_cache", lambda: blocked / "cache")
+    monkeypatch.setattr("rewax.training.storage.cache.enable_compilation_cache", lambda: blocked / "cache")
     ((problem, remedy),) = doctor.cache_problems()
     assert "every start compiles anew" in problem and "JAX_COMPILATION_CACHE_DIR" in remedy
 

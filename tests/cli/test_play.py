@@ -10,7 +10,7 @@ import toys
 
 from rewax.cli.main import main
 from rewax.envs import registry
-from rewax.training import pictures
+from rewax.training.evaluation import pictures
 
 TINY = toys.TINY
 
@@ -94,8 +94,8 @@ def test_a_live_view_shows_each_new_checkpoint_until_interrupted(run, monkeypatc
     import jax
 
     from rewax.cli import play
-    from rewax.training import checkpoint
-    from rewax.training.saved import load_run
+    from rewax.training.storage import checkpoint
+    from rewax.training.storage.saved import load_run
 
     saved, looks = load_run(run), []
 
@@ -117,7 +117,7 @@ def test_a_live_view_shows_each_new_checkpoint_until_interrupted(run, monkeypatc
 def test_a_live_view_passes_over_a_damaged_checkpoint_once(run, monkeypatch, capsys, recwarn):
     pytest.importorskip("viser")
     from rewax.cli import play
-    from rewax.training import checkpoint
+    from rewax.training.storage import checkpoint
 
     newest, looks = checkpoint.latest_step(run), []
 

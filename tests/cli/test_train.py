@@ -16,8 +16,8 @@ from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
 from rewax.cli.main import main as command
 from rewax.envs import registry
-from rewax.training.metrics import read_csv
-from rewax.training.saved import load_run
+from rewax.training.storage.metrics import read_csv
+from rewax.training.storage.saved import load_run
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ import jax
 import pytest
 
 from rewax.lowering import build
-from rewax.physics.mpm import transfer_native
+from rewax.physics.mpm import transfer_cpp as transfer_native
 
 EMPTY = 'extern "C" int one() { return 1; }\n'
 needs_compiler = pytest.mark.skipif(build.compiler() is None, reason="there is no C++ compiler")

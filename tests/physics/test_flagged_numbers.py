@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.envs.rolling_flat import small
+from rewax.envs.tasks.rolling_flat import small
 from rewax.physics import mpm, rigid, tets
 from rewax.physics.contact import Collider, Ground, PenaltyContact
 from rewax.physics.mpm import Grid, Hencky, Material, Newtonian, Tait, VonMises, Wall, Walls
-from rewax.physics.mpm.step import free_velocity
+from rewax.physics.mpm.stepping import free_velocity
 from rewax.physics.mpm.transfer import GridFields
 from rewax.physics.numerics import Pose
 from rewax.physics.rigid import Penalty

@@ -12,11 +12,11 @@ from rewax.physics.contact import Collider, Ground, PenaltyContact, collider_for
 from rewax.physics.contact.colliders import apply_colliders
 from rewax.physics.mpm import Muscle, Newtonian
 from rewax.physics.mpm.materials import split_parameters
-from rewax.physics.mpm.step import stress_and_momentum
+from rewax.physics.mpm.stepping import stress_and_momentum
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere
 from rewax.physics.tets.law import DampingLaw
-from rewax.physics.tets.step import Vertices, _columns, _moved
+from rewax.physics.tets.stepping import Vertices, _columns, _moved
 
 NUM = 4
 ONES = jnp.ones(NUM)

@@ -11,7 +11,7 @@ from rewax.envs.randomize.distributions import (
     Shift,
     Uniform,
 )
-from rewax.envs.randomize.hook import Draw, LeafDraws, hook, leaves
+from rewax.envs.randomize.hooks import Draw, LeafDraws, hook, leaves
 
 __all__ = [
     "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogUniform", "Normal", "Per", "Scale", "Shift",

@@ -1,5 +1,6 @@
 """What a moving shape does to whatever it touches."""
 
+from rewax.physics.contact.collider_drawings import drawings
 from rewax.physics.contact.colliders import (
     Collider,
     Overlap,
@@ -9,7 +10,6 @@ from rewax.physics.contact.colliders import (
     shape_pose,
     with_softness,
 )
-from rewax.physics.contact.drawings import drawings
 from rewax.physics.contact.motion import Placed
 from rewax.physics.contact.penalty import Ground, PenaltyContact, collider_force, ground_force, penalty_force
 

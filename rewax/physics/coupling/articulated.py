@@ -28,7 +28,7 @@ from rewax.physics.rigid import RigidModel, RigidState
 from rewax.physics.rigid.forces import kinematics, tree_parameters
 from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces, integrate
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
-from rewax.physics.rigid.step import checked_inputs, rates
+from rewax.physics.rigid.stepping import checked_inputs, rates
 from rewax.physics.rigid.tree_dynamics import mass_matrix
 from rewax.types import Array
 

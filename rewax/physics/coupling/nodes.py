@@ -26,7 +26,7 @@ from rewax.physics.contact.motion import Motion, Placed, placed, velocity_at
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.scene import MPMScene
-from rewax.physics.mpm.step import Deformed, free_velocity, from_nodes, to_nodes, where_mass
+from rewax.physics.mpm.stepping import Deformed, free_velocity, from_nodes, to_nodes, where_mass
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3

@@ -8,11 +8,11 @@ from rewax.physics.coupling.exchange import SoftContact
 from rewax.physics.mpm.packing import join as join_particles
 from rewax.physics.mpm.packing import split as split_particles
 from rewax.physics.mpm.scene import MPMScene, MPMState
-from rewax.physics.mpm.step import nodes_of_step
+from rewax.physics.mpm.stepping import nodes_of_step
 from rewax.physics.tets.scene import TetScene, TetState
-from rewax.physics.tets.step import join as join_vertices
-from rewax.physics.tets.step import rest
-from rewax.physics.tets.step import split as split_vertices
+from rewax.physics.tets.stepping import join as join_vertices
+from rewax.physics.tets.stepping import rest
+from rewax.physics.tets.stepping import split as split_vertices
 
 Scene = MPMScene | TetScene
 Soft = TypeVar("Soft", MPMState, TetState)

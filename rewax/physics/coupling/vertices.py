@@ -33,7 +33,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.tets.scene import TetScene
-from rewax.physics.tets.step import Rest, Vertices, contact_forces, moved, vertex_forces
+from rewax.physics.tets.stepping import Rest, Vertices, contact_forces, moved, vertex_forces
 from rewax.types import Array
 
 

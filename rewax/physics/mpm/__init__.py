@@ -33,7 +33,7 @@ from rewax.physics.mpm.scene import (
     make_scene,
     particle_mass,
 )
-from rewax.physics.mpm.step import check_status, deform, nodes_of_step, step, substep
+from rewax.physics.mpm.stepping import check_status, deform, nodes_of_step, step, substep
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import static_poses
 

@@ -8,7 +8,7 @@ energy the field holds.
 import jax.numpy as jnp
 
 from rewax.physics.mpm.materials import Material, elastic_energy_density
-from rewax.physics.mpm.step import MPMScene, MPMState, particle_mass, per_material, respond_particles
+from rewax.physics.mpm.stepping import MPMScene, MPMState, particle_mass, per_material, respond_particles
 from rewax.physics.numerics import components as cp
 from rewax.types import Array
 

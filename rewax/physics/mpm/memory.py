@@ -1,7 +1,7 @@
 """How much memory a gradient through a simulation takes, before it is compiled."""
 
-from rewax.physics.mpm import transfer_native
-from rewax.physics.mpm.step import MPMScene
+from rewax.physics.mpm import transfer_cpp as transfer_native
+from rewax.physics.mpm.stepping import MPMScene
 
 _PARTICLE_FLOATS = 24
 """Position, velocity, affine field and deformation gradient: what is stored of a particle."""

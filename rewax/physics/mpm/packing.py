@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from rewax.lowering.linear_primitive import Arrays, linear_call
 from rewax.physics.mpm.scene import MPMState
-from rewax.physics.mpm.transfer_cpu import as_matrix, as_vector
+from rewax.physics.mpm.transfer_xla_cpu import as_matrix, as_vector
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.types import Array
 

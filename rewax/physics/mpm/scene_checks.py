@@ -7,7 +7,7 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.numbers import collider_numbers
+from rewax.physics.contact.contact_checks import collider_numbers
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import check_material, material_numbers
 from rewax.physics.mpm.materials import Material, parameters_of

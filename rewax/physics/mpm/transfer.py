@@ -20,10 +20,12 @@ import jax
 import jax.numpy as jnp
 
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
-from rewax.physics.mpm import transfer_cpu, transfer_gpu, transfer_native
+from rewax.physics.mpm import transfer_cpp as transfer_native
+from rewax.physics.mpm import transfer_gpu
+from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.transfer_cpu import Layout, as_matrix, as_vector, flat, split
+from rewax.physics.mpm.transfer_xla_cpu import Layout, as_matrix, as_vector, flat, split
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.types import Array
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from rewax.lowering.fusion import compute_once
 from rewax.lowering.linear_primitive import Arrays
 from rewax.physics.mpm.splines import lowest_node
-from rewax.physics.mpm.transfer_cpu import (
+from rewax.physics.mpm.transfer_xla_cpu import (
     SLOPE_MOMENTS,
     VALUE_MOMENTS,
     Layout,

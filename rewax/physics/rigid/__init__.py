@@ -1,9 +1,8 @@
 """Articulated rigid bodies from MJCF models."""
 
-from rewax.physics.rigid.colliders import colliders, poses
 from rewax.physics.rigid.contact_pair import ContactPair, Geom
+from rewax.physics.rigid.geom_colliders import colliders, poses
 from rewax.physics.rigid.model import PARAMETERS, RigidModel, RigidState, check_shape, load
-from rewax.physics.rigid.penalty import Penalty
 from rewax.physics.rigid.queries import (
     body_poses,
     body_velocities,
@@ -12,7 +11,8 @@ from rewax.physics.rigid.queries import (
     geom_poses,
     shapes,
 )
-from rewax.physics.rigid.step import check_status, initial_state, step
+from rewax.physics.rigid.spring_contacts import Penalty
+from rewax.physics.rigid.stepping import check_status, initial_state, step
 
 __all__ = [
     "PARAMETERS", "ContactPair", "Geom", "Penalty", "RigidModel", "RigidState", "body_poses", "body_velocities",

@@ -36,10 +36,10 @@ from rewax.physics.rigid.mjx_access import (
     with_tendon_velocities,
 )
 from rewax.physics.rigid.model import RigidModel, RigidState
-from rewax.physics.rigid.penalty import Penalty, contact_wrenches, limit_forces
 from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select, spread
 from rewax.physics.rigid.solver import Rows
 from rewax.physics.rigid.sphere_box import sphere_box
+from rewax.physics.rigid.spring_contacts import Penalty, contact_wrenches, limit_forces
 from rewax.physics.rigid.weld import weld_drifts
 from rewax.types import Array
 

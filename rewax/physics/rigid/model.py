@@ -19,10 +19,10 @@ from rewax.physics.rigid.collide import collisions
 from rewax.physics.rigid.contact_pair import ContactPair, check_contact_pairs
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
 from rewax.physics.rigid.mjx_access import mjx, mujoco, num_bounded_rows
-from rewax.physics.rigid.numbers import parameter_numbers
 from rewax.physics.rigid.overrides import Overrides, moving_geoms, with_overrides, without_idle_parts
-from rewax.physics.rigid.penalty import Penalty, check_penalty
+from rewax.physics.rigid.parameter_checks import parameter_numbers
 from rewax.physics.rigid.shown_to_mjx import with_groups_that_touch, without_contacts
+from rewax.physics.rigid.spring_contacts import Penalty, check_penalty
 from rewax.types import Array
 
 PARAMETERS = (

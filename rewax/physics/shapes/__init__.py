@@ -9,7 +9,7 @@ from rewax.physics.shapes.revolved import Cone, Cylinder
 from rewax.physics.shapes.round import Capsule, Sphere
 from rewax.physics.shapes.sampled import SampledDistance
 from rewax.physics.shapes.sampling import fill, fill_box, sample, sample_box, sample_poisson_disk
-from rewax.physics.shapes.volume import bounding_box, volume
+from rewax.physics.shapes.volumes import bounding_box, volume
 
 __all__ = [
     "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "HeightField", "Plane", "SampledDistance", "Shape",

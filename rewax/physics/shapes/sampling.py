@@ -13,7 +13,7 @@ from jax.core import Tracer
 
 from rewax.physics.shapes.base import Shape, signed_distance
 from rewax.physics.shapes.poisson_disk import maximal_poisson_disk
-from rewax.physics.shapes.volume import bounding_box, volume
+from rewax.physics.shapes.volumes import bounding_box, volume
 from rewax.types import Array, Key
 
 CHUNK = 8192

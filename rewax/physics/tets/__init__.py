@@ -11,7 +11,7 @@ from rewax.physics.tets.invariants import (
 )
 from rewax.physics.tets.law import DampingLaw, small_strain_moduli, stable_parameters
 from rewax.physics.tets.scene import TetScene, TetState, initial_state, largest_stable_dt, make_scene
-from rewax.physics.tets.step import check_status, contact_force, deformation_gradient, internal_force, step, substep
+from rewax.physics.tets.stepping import check_status, contact_force, deformation_gradient, internal_force, step, substep
 from rewax.physics.tets.tetmesh import TetMesh, boundary_faces, check_tetmesh, load_tetmesh, soft_jumper_table
 
 __all__ = [

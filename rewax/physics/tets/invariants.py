@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from rewax.physics.numerics import components as cp
 from rewax.physics.tets.law import energy_density
 from rewax.physics.tets.scene import TetScene, TetState
-from rewax.physics.tets.step import deformation, rest
+from rewax.physics.tets.stepping import deformation, rest
 from rewax.types import Array
 
 

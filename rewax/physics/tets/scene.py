@@ -8,7 +8,7 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.numbers import check_ground, penalty_numbers
+from rewax.physics.contact.contact_checks import check_ground, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.checks import (
     FINITE,

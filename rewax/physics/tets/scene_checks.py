@@ -7,7 +7,7 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.numbers import collider_numbers, ground_numbers, penalty_numbers
+from rewax.physics.contact.contact_checks import collider_numbers, ground_numbers, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number
 from rewax.physics.numerics.pose import Pose

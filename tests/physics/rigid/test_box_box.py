@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rewax.physics import rigid
 from rewax.physics.rigid.box_box import box_box
-from rewax.physics.rigid.penalty import Penalty
+from rewax.physics.rigid.spring_contacts import Penalty
 
 CUBE, LINK = np.array([0.0325, 0.0325, 0.0325]), np.array([0.0098, 0.01375, 0.027])
 NUM = 400

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rewax.physics import rigid
-from rewax.physics.rigid.penalty import Penalty
+from rewax.physics.rigid.spring_contacts import Penalty
 
 LAW = Penalty(stiffness=2000.0, damping=30.0, friction_damping=12.0)
 SLIDING_BALL = """<mujoco><option gravity="0 0 0"/><worldbody><geom name="floor" type="plane" size="1 1 1"/>

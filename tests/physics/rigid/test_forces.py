@@ -12,7 +12,7 @@ from rigid_cases import ARM_ON_THE_FLOOR, VERSIONS, draw, home, loaded, simulate
 
 from rewax.physics import rigid
 from rewax.physics.rigid import forces as rigid_forces
-from rewax.physics.rigid.penalty import Penalty
+from rewax.physics.rigid.spring_contacts import Penalty
 
 
 def test_the_contraption_has_all_kinds_of_rows():

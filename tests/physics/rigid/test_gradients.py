@@ -10,7 +10,7 @@ import pytest
 import rigid_models
 
 from rewax.physics import rigid
-from rewax.physics.rigid.penalty import Penalty
+from rewax.physics.rigid.spring_contacts import Penalty
 
 NUM, HORIZON, STEP = 64, 8, 1e-6
 slow = pytest.mark.slow

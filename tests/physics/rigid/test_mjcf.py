@@ -9,7 +9,7 @@ import rigid_models
 
 from rewax.physics import rigid
 from rewax.physics.rigid import mjcf
-from rewax.physics.rigid.penalty import Penalty
+from rewax.physics.rigid.spring_contacts import Penalty
 
 PENALTY = Penalty(stiffness=1e4)
 

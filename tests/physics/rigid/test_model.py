@@ -11,7 +11,7 @@ import rigid_models
 from rigid_cases import STEPS, VERSIONS, advance, draw, home, hop, loaded, simulate_in_c
 
 from rewax.physics import rigid
-from rewax.physics.rigid.penalty import Penalty
+from rewax.physics.rigid.spring_contacts import Penalty
 
 ADDED = {
     "qpos0",

@@ -12,7 +12,7 @@ from rigid_cases import hop
 
 from rewax.physics import rigid
 from rewax.physics.rigid.overrides import moving_geoms, with_overrides
-from rewax.physics.rigid.penalty import Penalty
+from rewax.physics.rigid.spring_contacts import Penalty
 
 REFUSED_AS_WRITTEN = """<mujoco><option integrator="RK4" cone="elliptic" noslip_iterations="3" timestep="0.003" iterations="7" solver="PGS"
   gravity="0 0 -2"><flag energy="enable" fwdinv="enable" sleep="enable"/></option><worldbody>

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rewax.physics import rigid
-from rewax.physics.rigid.penalty import Penalty
 from rewax.physics.rigid.sphere_box import sphere_box
+from rewax.physics.rigid.spring_contacts import Penalty
 from rewax.physics.shapes import Box, signed_distance
 
 HALF, RADIUS = np.array([0.3, 0.2, 0.1]), 0.05

@@ -10,7 +10,7 @@ from solids import SHAPES, distance
 
 from rewax.physics import shapes as sdf
 from rewax.physics.shapes.sampling import fill, fill_box, sample, sample_box, sample_poisson_disk, volume
-from rewax.physics.shapes.volume import bounding_box
+from rewax.physics.shapes.volumes import bounding_box
 
 CENTER, SIZE = (0.5, -0.1, 2.0), (0.2, 0.4, 0.6)
 

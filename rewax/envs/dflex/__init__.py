@@ -1,1 +1,0 @@
-"""The dflex suite: the tasks of DiffRL (Xu et al. 2022), with its observations, rewards and terminations."""

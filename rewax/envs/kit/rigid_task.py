@@ -1,0 +1,130 @@
+"""What tasks on articulated rigid bodies share: reset, control step, time limit, pictures.
+
+A task is a subclass that says how an episode starts, what is observed, what is rewarded and when it is over; see
+``examples/custom_rigid_task.py``.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.envs.kit.task import Task, against
+from rewax.physics import rigid
+from rewax.physics.rigid import RigidModel, RigidState
+from rewax.types import Array, Key, PyTree, Vector
+
+ASSETS = Path(__file__).parent.parent / "assets"
+"""MJCF of the tasks that come with rewax."""
+
+
+@struct.dataclass
+class RigidPhysics(struct.Replaceable):
+    """What a task on rigid bodies simulates.
+
+    Attributes:
+      rigid: positions and velocities of the bodies.
+      action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
+      task: what else the task keeps (a goal, say), or None.
+    """
+
+    rigid: RigidState
+    action: Vector
+    task: PyTree = None
+
+
+@struct.dataclass
+class RigidTask(Task):
+    """A task on one model. Subclasses define ``start``, ``observe`` and ``reward``, and what else they need.
+
+    Attributes:
+      model: bodies, actuators and contact law; its numbers are leaves: differentiate or vmap with respect to them.
+      num_substeps: per control step (static).
+      max_steps: control steps per episode (static).
+    """
+
+    model: RigidModel
+    num_substeps: int = struct.static_field()
+    max_steps: int = struct.static_field()
+
+    # --- What a task defines ---
+
+    def start(self, key: Key) -> tuple[RigidState, PyTree]:
+        """Bodies at the beginning of an episode, and what else the task keeps (None for nothing)."""
+        raise NotImplementedError(f"{type(self).__name__} has no start(key): define it")
+
+    def control(self, action: Array) -> Array:
+        """Controls of the model's actuators for an action within [-1, 1]: from end to end of limited ones' range."""
+        return control_in_range(self.model, action)
+
+    # --- The environment ---
+
+    @property
+    def num_actions(self) -> int:
+        return self.model.num_actuators
+
+    @property
+    def control_dt(self) -> float:
+        """Duration of a control step [s]."""
+        return self.num_substeps * self.model.dt
+
+    def begin(self, key: Key) -> tuple[RigidPhysics, Key]:
+        key, start_key = jax.random.split(key)
+        bodies, task = self.start(start_key)
+        action = jnp.zeros(self.action_spec.shape, bodies.qpos.dtype)
+        return RigidPhysics(rigid=bodies, action=action, task=task), key
+
+    def advance(self, physics: RigidPhysics, action: Array) -> tuple[RigidPhysics, Array]:
+        bodies = rigid.step(self.model, physics.rigid, self.control(action), num_substeps=self.num_substeps)
+        return physics.replace(rigid=bodies, action=action), rigid.check_status(bodies, self.model)
+
+    @property
+    def up(self) -> np.ndarray:
+        """Unit vector against gravity, for pictures, shape (3,); z without gravity."""
+        return against(self.model.gravity, (0.0, 0.0, 1.0))
+
+    @property
+    def appearance(self) -> dict[str, Any]:
+        """The camera of pictures; see ``rewax.viz.recording``."""
+        return {"camera": self.camera}
+
+    def render_shapes(self, physics: RigidPhysics) -> list[dict[str, Any]]:
+        """Drawings of the geoms, see ``rewax.viz.shapes``."""
+        return rigid.shapes(self.model, physics.rigid)
+
+
+def control_in_range(model: RigidModel, action: Array) -> Array:
+    """Controls from end to end of the range of limited actuators, the action itself for others."""
+    limited = model.static.mj.actuator_ctrllimited.astype(bool)
+    low, high = jnp.moveaxis(model.parameters["actuator_ctrlrange"], -1, 0)
+    return jnp.where(limited, 0.5 * (low + high) + 0.5 * (high - low) * action, action)
+
+
+def load_asset(name: str, *, dt: float, **kwargs: Any) -> RigidModel:
+    """A model of ``assets/`` with another substep [s]; keyword arguments are those of ``rigid.load``."""
+    return rigid.load(ASSETS / name, dt=dt, **kwargs)
+
+
+def uniform(key: Key, size: int, bound: float) -> Array:
+    """Numbers between -bound and bound, shape (size,)."""
+    return jax.random.uniform(key, (size,), minval=-bound, maxval=bound)
+
+
+def random_turn(key: Key, bound: float) -> Array:
+    """Unit quaternion (w, x, y, z) of a turn by an angle within [-bound, bound] about a random axis.
+
+    The axis is a point of the cube [-0.5, 0.5]^3, normalised, as in DiffRL.
+    """
+    angle_key, axis_key = jax.random.split(key)
+    half = 0.5 * jax.random.uniform(angle_key, (), minval=-bound, maxval=bound)
+    axis = jax.random.uniform(axis_key, (3,), minval=-0.5, maxval=0.5)
+    axis = axis / jnp.linalg.norm(axis)
+    return jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * axis])
+
+
+def xyzw(quaternion: Array) -> Array:
+    """MuJoCo's (w, x, y, z) in the order of the reference's observations."""
+    return quaternion[np.array([1, 2, 3, 0])]

@@ -1,0 +1,67 @@
+"""What AntRun and Humanoid share: a free body on legs that runs along x in a world whose y points up."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, random_turn, uniform, xyzw
+from rewax.physics import rigid
+from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
+from rewax.physics.rigid import RigidState
+from rewax.types import Array, Key, Observation, PyTree, Vector
+
+_FORWARD, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+"""Axes of the torso, whose model is written z up."""
+
+
+@struct.dataclass
+class Runner(RigidTask):
+    """A task on a model whose first joint is free and whose other joints are hinges, an actuator each.
+
+    With n joints, observation ``state`` is 13 + 3 n numbers: height (1), orientation x, y, z, w (4), velocity (3),
+    angular velocity (3), joint angles (n), 0.1 joint rates (n), upright (1), heading (1), last action (n). Actions
+    have the opposite sign of the joints' torques, as in the reference. The episode ends when the torso is too low.
+
+    Attributes:
+      start_height: of the torso [m].
+      start_joints: angles [rad], shape (n,).
+      fallen_height: of the torso, below which the episode ends [m].
+      target: where to run [m], shape (3,).
+    """
+
+    start_height: Vector
+    start_joints: Vector
+    fallen_height: Vector
+    target: Vector
+
+    def start(self, key: Key) -> tuple[RigidState, PyTree]:
+        """The model's pose, with noise: place 0.1 m, turn 7.5 degrees, joints 0.2 rad, velocities 0.25."""
+        keys = jax.random.split(key, 4)
+        place = jnp.zeros(3).at[1].set(self.start_height) + uniform(keys[0], 3, 0.1)
+        turn = quaternion_product(self.model.home[3:7], random_turn(keys[1], np.pi / 24))
+        joints = self.start_joints + uniform(keys[2], self.model.num_actuators, 0.2)
+        # Of velocities the model takes the angular one in the torso's frame; uniform noise has none to prefer.
+        velocity = uniform(keys[3], self.model.num_dofs, 0.25)
+        return rigid.initial_state(self.model, jnp.concatenate([place, turn, joints]), velocity), None
+
+    def control(self, action: Array) -> Array:
+        return -action
+
+    def observe(self, physics: RigidPhysics) -> Observation:
+        q, v = physics.rigid.qpos, physics.rigid.qvel
+        rotation, upright, heading = self.posture(physics)
+        torso = [q[1:2], xyzw(q[3:7]), v[:3], rotation @ v[3:6]]
+        joints = [q[7:], 0.1 * v[6:], upright[None], heading[None], physics.action]
+        return {"state": jnp.concatenate([*torso, *joints])}
+
+    def terminated(self, physics: RigidPhysics) -> Array:
+        return physics.rigid.qpos[1] < self.fallen_height
+
+    def posture(self, physics: RigidPhysics) -> tuple[Array, Array, Array]:
+        """Rotation of the torso, cosine between its up and the world's, and between its forward and the target."""
+        q = physics.rigid.qpos
+        rotation = quaternion_to_matrix(q[3:7])
+        ahead = (self.target - q[:3]) * np.array([1.0, 0.0, 1.0])
+        ahead = ahead / jnp.linalg.norm(ahead)
+        return rotation, rotation[1] @ _UP, jnp.sum(rotation @ _FORWARD * ahead)

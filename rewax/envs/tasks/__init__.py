@@ -1,0 +1,1 @@
+"""Tasks, one a file. ``rewax.make`` makes them; a task's file is imported when it is first made."""

@@ -1,0 +1,50 @@
+"""HalfCheetah: a two-legged animal in a plane runs along x."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, uniform
+from rewax.physics import rigid
+from rewax.physics.rigid import Penalty, RigidState
+from rewax.types import Array, Key, Observation, PyTree
+
+_START = np.array([0.0, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@struct.dataclass
+class HalfCheetah(RigidTask):
+    """The environment; build it with ``rewax.make("HalfCheetah", scale=...)``.
+
+    Observation ``state``, 17 numbers: height, pitch and the angles of thigh, shin and foot, of the back leg and of the
+    front one, then the rates of x and of these. An action times 200 N m is the joints' torques. Height is that of the
+    torso above the model's own, 1 m. Episodes end by their time limit only.
+    """
+
+    def start(self, key: Key) -> tuple[RigidState, PyTree]:
+        place_key, velocity_key = jax.random.split(key)
+        qpos = _START + uniform(place_key, 9, 0.1)
+        return rigid.initial_state(self.model, qpos, uniform(velocity_key, 9, 0.25)), None
+
+    def observe(self, physics: RigidPhysics) -> Observation:
+        return {"state": jnp.concatenate([physics.rigid.qpos[1:], physics.rigid.qvel])}
+
+    def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
+        """Forward velocity - 0.1 |action|^2."""
+        velocity = physics.rigid.qvel[0]
+        metrics = {"velocity": velocity, "height": physics.rigid.qpos[1], "pitch": physics.rigid.qpos[2]}
+        return velocity - 0.1 * jnp.sum(physics.action**2), metrics
+
+
+def make_half_cheetah(*, scale: str, onset: float = 0.0) -> HalfCheetah:
+    """Factory for the registry: 16 substeps and 1000 steps of 1/60 s; ``small``: 8 substeps, 300 steps.
+
+    Args:
+      scale: ``"paper"`` or ``"small"``.
+      onset: depth over which the contacts' damping sets in [m]; the reference has 0.
+    """
+    num_substeps, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
+    penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3, onset=onset)
+    model = load_asset("half_cheetah.xml", dt=1.0 / 60 / num_substeps, penalty=penalty)
+    return HalfCheetah(model=model, num_substeps=num_substeps, max_steps=max_steps)

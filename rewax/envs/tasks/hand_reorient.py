@@ -1,0 +1,172 @@
+"""HandReorient: an Allegro hand, palm up, catches a cube and turns it to a goal orientation.
+
+The world's z axis points up. Scale ``paper`` has the reference's hand, cube, goal and step; ``small`` has longer
+substeps and shorter episodes.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, uniform, xyzw
+from rewax.physics import rigid
+from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
+from rewax.physics.rigid import Penalty, RigidState
+from rewax.types import Array, Key, Observation, PyTree, Vector
+
+REFERENCE_CONTACT = Penalty(
+    stiffness=500.0,
+    damping=100.0,
+    friction_damping=100.0,
+    limit_stiffness=100.0,
+    limit_damping=10.0,
+    at_surfaces=True,
+    boxes_touch_once=True,
+)
+"""Contacts and joint limits as Rewarped simulates them; there two boxes touch at up to 24 points, here at one."""
+
+_NUM_JOINTS = 16
+_WIDTH = 1e-3
+"""Of the two sigmoids that stand for steps in the bonus: of an angle [rad], and of the first sigmoid [-]."""
+_MAX_SINE = 1.0 - 1e-3
+"""Of half the angle to the goal: its arc sine has an infinite derivative at 1."""
+
+
+@struct.dataclass
+class HandReorient(RigidTask):
+    """The environment; build it with ``rewax.make("HandReorient", scale=...)``.
+
+    Observation ``state``, 72 numbers: joint angles, -1 and 1 at their limits (16), 0.2 joint rates (16), the cube's
+    position (3), orientation x, y, z, w (4), velocity (3) and 0.2 angular velocity (3), the goal's position (3) and
+    orientation (4), the turn from the goal to the cube (4), last action (16). Joints and actions come thumb first, then
+    ring, middle and index finger, each from the palm outwards. An action times 2 N m is the joints' torques.
+
+    What the task keeps, ``state.physics.task``, is the goal's orientation (w, x, y, z), shape (4,). It is drawn anew by
+    a reset and whenever the cube comes within ``tolerance`` of it; the observation then shows the new one.
+
+    Attributes:
+      goal_position: where to hold the cube [m], shape (3,).
+      tolerance: angle at which a goal is reached [rad].
+      fall_distance: between cube and goal, at which the episode ends [m].
+    """
+
+    goal_position: Vector
+    tolerance: Vector
+    fall_distance: Vector
+
+    def start(self, key: Key) -> tuple[RigidState, PyTree]:
+        keys = jax.random.split(key, 4)
+        low, high = self._joint_limits()
+        joints = 0.2 * jax.random.uniform(keys[0], (_NUM_JOINTS,), minval=low, maxval=high)
+        place = self.model.home[_NUM_JOINTS:][:3] + uniform(keys[1], 3, 0.01)
+        cube = jnp.concatenate([place, random_goal(keys[2])])
+        return rigid.initial_state(self.model, jnp.concatenate([joints, cube])), random_goal(keys[3])
+
+    def observe(self, physics: RigidPhysics) -> Observation:
+        q, v, goal = physics.rigid.qpos, physics.rigid.qvel, physics.task
+        low, high = self._joint_limits()
+        joints = (2.0 * q[:_NUM_JOINTS] - high - low) / (high - low)
+        position, orientation = q[_NUM_JOINTS:][:3], q[_NUM_JOINTS:][3:]
+        velocity, spin = v[_NUM_JOINTS:][:3], quaternion_to_matrix(orientation) @ v[_NUM_JOINTS:][3:]
+        hand = [joints, 0.2 * v[:_NUM_JOINTS]]
+        cube = [position, xyzw(orientation), velocity, 0.2 * spin]
+        goals = [self.goal_position, xyzw(goal), xyzw(turn_between(goal, orientation))]
+        return {"state": jnp.concatenate([*hand, *cube, *goals, physics.action])}
+
+    def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
+        """-10 distance + 1 / (angle + 0.1) - 0.0002 |action|^2 + bonus, the latter at most 125.
+
+        The bonus is the reference's: 250 times a sigmoid of -|s - 1|, which is 0.5 at most, where s is a sigmoid that
+        tells whether the goal is reached. A flag that would hold s at 1 while a reached goal stays is 0 here as there:
+        by the next reward the goal is another.
+        """
+        distance, angle = self._distance(physics), self._angle(physics)
+        reached = 1.0 - jax.nn.sigmoid((angle - self.tolerance) / _WIDTH)
+        bonus = 250.0 * jax.nn.sigmoid(-jnp.abs(reached - 1.0) / _WIDTH)
+        reward = -10.0 * distance + 1.0 / (angle + 0.1) - 0.0002 * jnp.sum(physics.action**2) + bonus
+        return reward, {"distance": distance, "angle": angle, "reached": self._reached(physics).astype(angle.dtype)}
+
+    def terminated(self, physics: RigidPhysics) -> Array:
+        return self._distance(physics) >= self.fall_distance
+
+    def next_task(self, physics: RigidPhysics, key: Key) -> PyTree:
+        return jnp.where(self._reached(physics), random_goal(key), physics.task)
+
+    def _joint_limits(self) -> tuple[Array, Array]:
+        limits = self.model.parameters["jnt_range"][:_NUM_JOINTS]
+        return limits[:, 0], limits[:, 1]
+
+    def _distance(self, physics: RigidPhysics) -> Array:
+        return _norm(physics.rigid.qpos[_NUM_JOINTS:][:3] - self.goal_position)
+
+    def _angle(self, physics: RigidPhysics) -> Array:
+        """Between cube and goal [rad], at most 3.05, shape ()."""
+        turn = turn_between(physics.task, physics.rigid.qpos[_NUM_JOINTS:][3:])
+        return 2.0 * jnp.arcsin(jnp.minimum(_norm(turn[1:]), _MAX_SINE))
+
+    def _reached(self, physics: RigidPhysics) -> Array:
+        return self._angle(physics) <= self.tolerance
+
+
+def random_goal(key: Key) -> Array:
+    """Unit quaternion (w, x, y, z) of a turn about y and then one about x, by angles between -pi and pi."""
+    half_x, half_y = 0.5 * uniform(key, 2, np.pi)
+    zero = jnp.zeros(())
+    about_x = jnp.stack([jnp.cos(half_x), jnp.sin(half_x), zero, zero])
+    about_y = jnp.stack([jnp.cos(half_y), zero, jnp.sin(half_y), zero])
+    return quaternion_product(about_x, about_y)
+
+
+def turn_between(first: Array, second: Array) -> Array:
+    """The turn that takes one orientation to another, all unit quaternions (w, x, y, z). Gradient: exact."""
+    return quaternion_product(second, first * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def _norm(a: Array) -> Array:
+    """Euclidean norm; its derivative at zero is zero."""
+    square = jnp.sum(a * a)
+    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
+
+
+def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReorient:
+    """Factory for the registry.
+
+    Args:
+      scale: ``"paper"``: 64 substeps per control step of 1/120 s and 600 steps; ``"small"``: 8 and 150.
+      contact: contacts and joint limits other than the scale's own, ``REFERENCE_CONTACT`` for example.
+    """
+    num_substeps, max_steps, own = _SCALES[scale]
+    model = load_asset("allegro.xml", dt=1.0 / 120 / num_substeps, penalty=own if contact is None else contact)
+    return HandReorient(
+        model=model,
+        num_substeps=num_substeps,
+        max_steps=max_steps,
+        goal_position=model.home[_NUM_JOINTS:][:3] - jnp.array([0.0, 0.0, 0.04]),
+        tolerance=0.1,
+        fall_distance=0.24,
+    )
+
+
+_SELF = Penalty(stiffness=2000.0, damping=100.0, friction_damping=100.0, onset=1e-3)
+"""Of the hand with itself: about four of the reference's points, so that its poses stay near the reference's."""
+_FIRM = Penalty(
+    stiffness=8000.0,
+    damping=100.0,
+    friction_damping=100.0,
+    onset=1e-3,
+    limit_stiffness=100.0,
+    limit_damping=10.0,
+    among=_SELF,
+    boxes_touch_once=True,
+)
+_SMALL = _FIRM.replace(
+    stiffness=5000.0,
+    damping=40.0,
+    friction_damping=60.0,
+    limit_stiffness=40.0,
+    limit_damping=1.2,
+    among=_SELF.replace(damping=40.0, friction_damping=60.0),
+)
+_SCALES = {"paper": (64, 600, _FIRM), "small": (8, 150, _SMALL)}
+"""Substeps, steps of an episode, contact."""

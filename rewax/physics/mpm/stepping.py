@@ -1,0 +1,364 @@
+"""The moving least squares material point method: substep, step, status.
+
+One substep: return map and stress, particle to grid, gravity and contact on the grid, grid to particle. A step is a
+``scan`` of substeps in which the backward pass recomputes instead of storing, so memory grows with the number of
+stored substeps and not with their grids.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax.lowering.fusion import materialize
+from rewax.lowering.kernels import pointwise
+from rewax.lowering.recompute import recomputed
+from rewax.physics.contact.broad_phase import count_excess, near_colliders
+from rewax.physics.contact.colliders import Collider, apply_colliders, check_bodies, place
+from rewax.physics.contact.motion import Placed
+from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
+from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.materials import Material, Response, joined_parameters, respond, split_parameters
+from rewax.physics.mpm.packing import Particles, join, pack, rows_of, split, unpack
+from rewax.physics.mpm.scene import (
+    STABLE_COURANT_NUMBER,
+    MPMScene,
+    MPMState,
+    check_placement,
+    has_invalid_parameters,
+    initial_state,
+    largest_stable_dt,
+    least_particle_mass,
+    make_scene,
+    particle_mass,
+    per_material,
+)
+from rewax.physics.mpm.transfer import GridFields, grid_to_particle, particle_to_grid
+from rewax.physics.mpm.transfer_xla_cpu import as_matrix
+from rewax.physics.mpm.walls import apply_walls
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.numerics.substeps import both_ends, scan_substeps
+from rewax.status import Status, all_finite, flag
+from rewax.types import Array, Scalar
+
+MIN_NODE_MASS = 2e-11
+"""Nodes with less than this share of a particle's mass [-] have velocity zero."""
+
+
+def substep(
+    scene: MPMScene, state: MPMState, before: Pose, after: Pose, *, nodes: ActiveNodes | None = None
+) -> MPMState:
+    """One substep of duration ``scene.dt``.
+
+    Args:
+      scene: the scene.
+      state: particles.
+      before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
+      nodes: those that take part, if they are known from the step's start (``nodes_of_step``); None: found here.
+
+    Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
+    Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
+    """
+    check_bodies(scene.colliders, before.position.shape[0])
+    nodes = nodes_of_step(scene, state.x) if nodes is None else nodes
+    return join(_recomputed_substep(scene, nodes, split(state), place(scene.colliders, before, after, scene.dt)))
+
+
+def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
+    """As many substeps as ``poses`` has intervals.
+
+    Args:
+      scene: the scene.
+      state: particles.
+      poses: poses of all bodies at the num_substeps + 1 boundaries of substeps, shapes (num_substeps + 1, num_bodies,
+        3) and (num_substeps + 1, num_bodies, 3, 3); see ``static_poses`` for a scene without bodies.
+      store_every: how the backward pass gets its intermediate values. A number k, which must divide the number of
+        substeps: particles are stored every k substeps and everything else is recomputed (k = 1 recomputes each
+        substep once; larger k stores less and recomputes twice). None: everything is stored, fastest and largest.
+
+    Gradient: exact, as for ``substep``.
+    """
+    check_bodies(scene.colliders, poses.position.shape[1])
+    nodes = nodes_of_step(scene, state.x)
+    one = _substep if store_every is None else _recomputed_substep
+
+    def body(packed: Array, placed: Placed) -> Array:
+        return one(scene, nodes, packed, placed)
+
+    placed = place(scene.colliders, *both_ends(poses), scene.dt)
+    return join(scan_substeps(body, split(state), placed, store_every))
+
+
+def check_status(
+    scene: MPMScene, state: MPMState, *, start: MPMState | None = None, poses: Pose | None = None
+) -> Array:
+    """Status bits of a state: non-finite numbers, particles at the box's border, inverted, or too fast; and of a scene
+    whose numbers cannot be.
+
+    Args:
+      scene: the scene.
+      state: particles at the end of a step.
+      start: particles at its beginning. A scene with ``max_active_nodes`` needs them, to tell whether these sufficed.
+      poses: of its bodies, as for ``step``, to tell whether they are finite, and whether the scene's
+        ``max_near_colliders`` sufficed; that needs ``start``. Coupled scenes evaluate all colliders: give none there.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+
+    Raises:
+      ValueError: ``start`` is None where it is needed.
+    """
+    if start is None and scene.max_active_nodes is not None:
+        raise ValueError(
+            f"start is None with a scene of max_active_nodes {scene.max_active_nodes}: give the particles at the "
+            "beginning of the step, check_status(scene, state, start=before), to tell whether these nodes sufficed"
+        )
+    state = jax.lax.stop_gradient(state)
+    lower, upper = _bounds(scene.grid, state.x.dtype)
+    at_border = jnp.any((state.x <= lower) | (state.x >= upper))
+    too_fast = jnp.any(jnp.abs(state.v) * scene.dt > scene.grid.spacing)
+    inverted = jnp.any(cp.det(cp.split_matrix(state.F)) <= 0.0)
+    status = (
+        flag(~all_finite(state), Status.NAN)
+        | flag(at_border, Status.OUT_OF_DOMAIN)
+        | flag(too_fast, Status.CFL)
+        | flag(inverted, Status.INVERTED)
+        | flag(has_invalid_parameters(scene, poses), Status.INVALID_PARAMETERS)
+    )
+    before = state.x if start is None else jax.lax.stop_gradient(start).x
+    if poses is not None and scene.max_near_colliders is not None:
+        if start is None:
+            raise ValueError("start is None: give the particles at the beginning of the step that poses belong to")
+        both = jnp.concatenate([state.x, before])
+        # Nodes with mass are at most 1.5 cells away from a particle, which may have been a cell further in between.
+        lower, upper = (
+            jnp.min(both, axis=0) - 2.5 * scene.grid.spacing,
+            jnp.max(both, axis=0) + 2.5 * scene.grid.spacing,
+        )
+        excess = count_excess(scene.sized_colliders, poses, lower, upper, scene.max_near_colliders)
+        status = status | flag(excess > 0, Status.FAR_COLLIDERS)
+    if scene.max_active_nodes is not None:
+        too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
+        too_far = jnp.any(jnp.abs(state.x - before) > scene.reach * scene.grid.spacing)
+        status = status | flag(too_few | too_far, Status.INACTIVE_NODES)
+    return status
+
+
+def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
+    """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
+    deformed = respond_particles(scene, state)
+    return deformed.F, deformed.stress
+
+
+class DeformedParticles(NamedTuple):
+    """Particles after the pending return map."""
+
+    F: Array
+    """Elastic deformation gradient [-], shape (num_particles, 3, 3)."""
+    stress: Array
+    """Kirchhoff stress [Pa], shape (num_particles, 3, 3)."""
+    memory: tuple[Array, ...]
+    """What particles remember, k arrays of shape (num_particles,)."""
+
+
+def respond_particles(scene: MPMScene, state: MPMState) -> DeformedParticles:
+    """What the materials make of the particles' trial states. Gradient: exact."""
+    response = per_material(scene, _response, unpack(split(state)))
+    return DeformedParticles(cp.join_matrix(response.F), cp.join_matrix(response.stress), response.memory)
+
+
+# --- One substep, by components --------------------------------------------------------------------------------------
+
+
+class Deformed(NamedTuple):
+    """Particles between the halves of a substep."""
+
+    x: Vec3
+    """Positions [m]."""
+    memory: Array
+    """Deformation gradients after plastic flow [-], and what particles remember of it, (9 + k, num_particles)."""
+
+
+def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, placed: Placed) -> Array:
+    deformed, fields = to_nodes(scene, nodes, packed)
+    with jax.named_scope("grid"):
+        velocity = grid_velocity(scene, nodes, fields, placed)
+    return from_nodes(scene, nodes, deformed, velocity)
+
+
+def to_nodes(scene: MPMScene, nodes: ActiveNodes, packed: Array) -> tuple[Deformed, GridFields]:
+    """First half of a substep: what the material answers, and mass and momentum on the nodes.
+
+    Gradient: exact.
+    """
+    mass = particle_mass(scene, packed[0])
+    volume = jnp.broadcast_to(scene.particle_volume, mass.shape).astype(mass.dtype)
+    factor = -scene.dt * _inertia(scene.grid)
+
+    def one(material: Material, part: tuple[Array, Array, Array]) -> tuple[Deformed, Mat3, Vec3]:
+        shared, own = split_parameters(material)
+        return stress_and_momentum((shared, factor), (own, *part))
+
+    with jax.named_scope("law"):
+        deformed, affine, momentum = per_material(scene, one, (packed, mass, volume), axis=-1)
+    with jax.named_scope("particle_to_grid"):
+        return deformed, particle_to_grid(scene.grid, deformed.x, mass, momentum, affine, active=_active(scene, nodes))
+
+
+@pointwise
+def stress_and_momentum(
+    shared: tuple[Material, Scalar], particles: tuple[dict[str, Array], Array, Array, Array]
+) -> tuple[Deformed, Mat3, Vec3]:
+    """The law of one material, and what particles send to the nodes.
+
+    Args:
+      shared: the material without ``own``, and -dt times the inverse of the splines' second moment [s/m^2].
+      particles: parameters of the material of which each particle has its own; packed particles; their masses [kg] and
+        rest volumes [m^3].
+
+    Returns:
+      The particles; the affine field of momentum around each [kg/s]; its momentum [kg m/s].
+
+    Gradient: exact.
+    """
+    (material, factor), (own, packed, mass, volume) = shared, particles
+    material = joined_parameters(material, own)
+    # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
+    p = materialize(unpack(packed))
+    response = materialize(_response(material, p))
+    impulse = factor * volume
+    affine = cp.matrix(lambda i, j: impulse * response.stress[i][j] + mass * p.C[i][j])
+    memory = pack((response.F, response.memory))
+    return Deformed(p.x, memory), affine, cp.vector(lambda i: mass * p.v[i])
+
+
+def from_nodes(scene: MPMScene, nodes: ActiveNodes, deformed: Deformed, velocity: Vec3) -> Array:
+    """Second half of a substep: particles moved and deformed by the velocities of the nodes [m/s].
+
+    Gradient: exact.
+    """
+    grid = scene.grid
+    with jax.named_scope("grid_to_particle"):
+        v, moment = grid_to_particle(grid, deformed.x, velocity, active=_active(scene, nodes))
+    with jax.named_scope("update"):
+        return _moved((scene.dt, _inertia(grid), grid.lower, grid.upper), (deformed, v, moment))
+
+
+@pointwise
+def _moved(
+    shared: tuple[Scalar, Scalar, Sequence[Scalar], Sequence[Scalar]], particles: tuple[Deformed, Vec3, Mat3]
+) -> Array:
+    (dt, inertia, lower, upper), (deformed, v, moment) = shared, particles
+    v, moment = materialize((v, moment))
+    rows = rows_of(deformed.memory)
+    F, C = as_matrix(rows[:9]), cp.matrix(lambda i, j: inertia * moment[i][j])
+    CF = cp.matmul(C, F)
+    x = cp.vector(lambda i: jnp.clip(deformed.x[i] + dt * v[i], lower[i], upper[i]))
+    return pack(Particles(x, v, C, cp.matrix(lambda i, j: F[i][j] + dt * CF[i][j]), tuple(rows[9:])))
+
+
+def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, placed: Placed) -> Vec3:
+    """Velocities of the given nodes [m/s] after gravity, colliders and walls, components of shape (num_nodes,).
+
+    ``placed`` are all of the scene's colliders.
+
+    Gradient: exact with respect to fields, placements and every leaf of the scene.
+    """
+    has_mass, velocity = free_velocity(scene, fields)
+    colliders = _colliders(scene, nodes, has_mass, placed)
+    velocity = apply_colliders(colliders, nodes.position, velocity, overlap=scene.overlap)
+    velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
+    return where_mass(has_mass, velocity)
+
+
+@recomputed  # a few operations on each number: XLA, which computes them with their neighbours, is faster than C++
+def where_mass(has_mass: Array, velocity: Vec3) -> Vec3:
+    """Velocity zero at nodes without mass. Gradient: exact."""
+    return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
+
+
+def _colliders(scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Placed) -> list[tuple[Collider, Placed]]:
+    """The colliders that are evaluated."""
+    colliders = scene.sized_colliders
+    if scene.max_near_colliders is None or len(colliders) <= scene.max_near_colliders:
+        return [(c, jax.tree.map(lambda a, i=i: a[i], placed)) for i, c in enumerate(colliders)]
+    lower, upper = (
+        jnp.stack([reduce(jnp.where(has_mass, a, far)) for a in nodes.position])
+        for reduce, far in ((jnp.min, jnp.inf), (jnp.max, -jnp.inf))
+    )
+    return near_colliders(colliders, placed, lower, upper, scene.max_near_colliders)
+
+
+def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
+    """Which nodes have mass, and the velocity of nodes [m/s] after gravity, before any contact. Gradient: exact."""
+    has_mass = fields.mass > MIN_NODE_MASS * least_particle_mass(scene, fields.mass.dtype)
+    # Masses in a unit near that of a cell: in kg the square of 1 / mass, which the derivative has, overflows float32
+    # for small cells. The unit is a power of two, so nothing is rounded.
+    unit = 2.0 ** round(-3.0 * math.log2(scene.grid.spacing))
+    return has_mass, _free(unit, scene.dt, scene.gravity, has_mass, fields)
+
+
+@recomputed  # as ``where_mass``
+def _free(unit: float, dt: Scalar, gravity: Array, has_mass: Array, fields: GridFields) -> Vec3:
+    inverse = jnp.where(has_mass, unit / jnp.where(has_mass, unit * fields.mass, 1.0), 0.0)
+    return cp.vector(lambda i: fields.momentum[i] * inverse + dt * gravity[i])
+
+
+def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
+    """The nodes that take part in the step that starts at positions x (num_particles, 3)."""
+    if scene.max_active_nodes is None:
+        return all_nodes(scene.grid, x.dtype)
+    return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)
+
+
+def _response(material: Material, p: Particles) -> Response:
+    own = len(material.initial_memory)
+    response = respond(material, p.F, velocity_gradient=p.C, memory=p.memory[:own])
+    # Numbers that only other materials of the scene remember pass through.
+    return response._replace(memory=(*response.memory, *p.memory[own:]))
+
+
+_recomputed_substep = recomputed(_substep)
+
+
+def _active(scene: MPMScene, nodes: ActiveNodes) -> ActiveNodes | None:
+    return None if scene.max_active_nodes is None else nodes
+
+
+def _inertia(grid: Grid) -> float:
+    """Inverse of the second moment of quadratic B-splines [1/m^2]."""
+    return 4.0 / grid.spacing**2
+
+
+def _bounds(grid: Grid, dtype: Any) -> tuple[Array, Array]:
+    return jnp.asarray(grid.lower, dtype), jnp.asarray(grid.upper, dtype)
+
+
+__all__ = [
+    "MIN_NODE_MASS",
+    "STABLE_COURANT_NUMBER",
+    "Deformed",
+    "MPMScene",
+    "MPMState",
+    "Particles",
+    "check_placement",
+    "check_status",
+    "deform",
+    "free_velocity",
+    "from_nodes",
+    "grid_velocity",
+    "initial_state",
+    "largest_stable_dt",
+    "make_scene",
+    "nodes_of_step",
+    "particle_mass",
+    "per_material",
+    "step",
+    "substep",
+    "to_nodes",
+    "where_mass",
+]

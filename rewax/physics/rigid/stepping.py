@@ -1,0 +1,249 @@
+"""Articulated rigid bodies: a state moved forward in time.
+
+MJX builds the constraint rows, and finds contacts of kinds that rewax has no function for (``mjx_access``).
+Kinematics, dynamics and the solver (``kinematics``, ``tree_dynamics``, ``solver``) are ours. Their derivative comes
+from the implicit function theorem: the backward pass neither repeats nor differentiates the solver.
+
+Contact follows one of two laws: MuJoCo's soft constraints, or springs and dampers with regularised Coulomb friction
+(``Penalty``). The second is the law of the simulators that first-order reinforcement learning began with.
+"""
+
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.lowering.machine import interpreted
+from rewax.physics.rigid import solver as constraint_solver
+from rewax.physics.rigid.forces import (
+    applied_forces,
+    constraint_rows,
+    kinematics,
+    mjx_data,
+    tree_parameters,
+    velocity_damping,
+)
+from rewax.physics.rigid.kinematics import Kinematics, integrate
+from rewax.physics.rigid.mjx_access import mjx, mujoco
+from rewax.physics.rigid.model import RigidModel, RigidState, check_shape
+from rewax.physics.rigid.parameter_checks import has_invalid_parameters
+from rewax.physics.rigid.small_products import dot
+from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spin_slopes
+from rewax.status import Status, flag
+from rewax.types import Array
+
+_MIN_ITERATIONS = 4
+"""Of the solver, whatever the model says: the derivative is that of a balance that has been reached."""
+
+
+def initial_state(
+    model: RigidModel, qpos: Array | np.ndarray | None = None, qvel: Array | np.ndarray | None = None
+) -> RigidState:
+    """A state in given positions and velocities, by default the model's home, at rest; activations are zero.
+
+    Raises:
+      ValueError: a shape does not fit, or a number is not finite.
+    """
+    dtype = model.parameters["qpos0"].dtype
+    # Copies: MuJoCo writes into its own arrays, which asarray may share.
+    qpos = model.home if qpos is None else jnp.array(qpos, dtype)
+    qvel = jnp.zeros(model.num_dofs, dtype) if qvel is None else jnp.array(qvel, dtype)
+    for name, value, size in (("qpos", qpos, model.num_positions), ("qvel", qvel, model.num_dofs)):
+        check_shape(name, value, (size,))
+        if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(jnp.isfinite(value))):
+            raise ValueError(f"{name} holds a number that is not finite ({value}): give a finite start")
+    act = jnp.zeros(model.static.mj.na, qpos.dtype)
+    return RigidState(qpos=qpos, qvel=qvel, act=act, qacc=jnp.zeros(model.num_dofs, qpos.dtype))
+
+
+def step(
+    model: RigidModel,
+    state: RigidState,
+    ctrl: Array | None = None,
+    *,
+    wrenches: Array | None = None,
+    num_substeps: int = 1,
+) -> RigidState:
+    """The state ``num_substeps`` substeps of ``model.dt`` later (semi-implicit Euler, MuJoCo's).
+
+    Args:
+      model: bodies, actuators, contact law.
+      state: before.
+      ctrl: controls, held meanwhile, shape (num_actuators,); None: zero.
+      wrenches: force [N] and torque [N m] at each body's centre of mass, world axes, held meanwhile, shape
+        (num_bodies, 6); None: none.
+      num_substeps: at least 1.
+
+    Gradient: exact for the discrete map, forward and reverse, with respect to state, controls, wrenches and parameters;
+      the backward pass keeps a state per substep. Zero through ``qacc`` and saturated controls. The solver takes the
+      model's ``iterations``, but at least 4: forces that do not balance yet have another derivative.
+
+    Raises:
+      ValueError: a shape does not fit.
+    """
+    ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, state.qpos.dtype)
+
+    def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
+        return _substep(model, state, ctrl, wrenches)[0], None
+
+    return jax.lax.scan(substep, state, None, length=num_substeps)[0]
+
+
+def checked_inputs(
+    model: RigidModel, ctrl: Array | None, wrenches: Array | None, num_substeps: int, dtype: Any
+) -> tuple[Array, Array]:
+    """Controls and wrenches of ``step``, zero where none are given.
+
+    Raises:
+      ValueError: a shape does not fit, or the number of substeps is none.
+    """
+    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else jnp.asarray(ctrl, dtype)
+    wrenches = jnp.zeros((model.num_bodies, 6), dtype) if wrenches is None else jnp.asarray(wrenches, dtype)
+    check_shape("ctrl", ctrl, (model.num_actuators,), " (one number per actuator of the model)")
+    check_shape("wrenches", wrenches, (model.num_bodies, 6), " (force and torque per body, the world included)")
+    if not isinstance(num_substeps, (int, np.integer)) or num_substeps < 1:
+        raise ValueError(f"num_substeps is {num_substeps}: give a whole number, at least 1")
+    return ctrl, wrenches
+
+
+def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
+    """Status bits of a state and of the model that led to it.
+
+    Args:
+      state: bodies. A number that is not finite, or beyond a million (it soon will be), sets ``NAN``.
+      model: its numbers that cannot be (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None:
+        they are not looked at.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
+    largest = jnp.max(jnp.abs(jnp.concatenate([state.qpos, state.qvel])), initial=0.0)
+    status = flag(~(largest < 1e6), Status.NAN)
+    if model is None:
+        return status
+    invalid = has_invalid_parameters(model.parameters, model.gravity, model.penalty)
+    return status | flag(invalid, Status.INVALID_PARAMETERS)
+
+
+def rates(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) -> tuple[Array, RigidState]:
+    """How a substep changes the velocity.
+
+    Args:
+      model, state: as for ``step``.
+      ctrl, wrenches: as for ``step``; none may be missing.
+
+    Returns:
+      The acceleration that the velocity would change with [m/s^2, rad/s^2], shape (num_dofs,); the state after the
+      substep, whose activations and ``qacc`` hold also where something else changes the velocity. Gradient: exact.
+    """
+    after, rate = _substep(model, state, ctrl, wrenches)
+    return rate, after
+
+
+# --- One substep ------------------------------------------------------------------------------------------------------
+
+
+def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) -> tuple[RigidState, Array]:
+    """One substep; the state after it, and the acceleration that its velocity changed with, shape (num_dofs,)."""
+    with jax.default_matmul_precision("highest"):
+        topology, parameters = model.static.topology, tree_parameters(model)
+        kin = kinematics(model, state.qpos)
+        m, d = mjx_data(model, kin, state, ctrl)
+        applied, act_dot = applied_forces(model, kin, m, d, wrenches)
+        rows = constraint_rows(model, kin, m, d)
+        still = jnp.zeros_like(state.qvel)
+        force = applied - inverse_dynamics(topology, parameters, kin, state.qvel, still, model.gravity)
+        mass = mass_matrix(topology, parameters, kin)
+        qacc = constraint_solver.solve_accelerations(
+            mass,
+            force,
+            rows,
+            state.qacc,
+            max_iterations=max(model.static.mj.opt.iterations, _MIN_ITERATIONS),
+            num_bounded=model.static.num_bounded,
+        )
+        rate = qacc
+        if model.static.has_damping:
+            total = force + rows.jacobian.T @ constraint_solver.row_forces(rows, qacc)
+            rate = constraint_solver.solve_spd(_damped(model, kin, m, d, mass, qacc)[0], total)
+        return _advance(model, state, act_dot, qacc, rate), rate
+
+
+def _acceleration_derivative(
+    known: tuple[RigidState, Array], model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array
+) -> tuple[RigidState, Array]:
+    """What ``_accelerate`` returned, with its derivative: all forces balance at the accelerations found."""
+    with jax.default_matmul_precision("highest"):
+        topology, parameters = model.static.topology, tree_parameters(model)
+        qacc, rate = jax.lax.stop_gradient((known[0].qacc, known[1]))
+        kin = kinematics(model, state.qpos)
+        m, d = mjx_data(model, kin, state, ctrl)
+        applied, act_dot = applied_forces(model, kin, m, d, wrenches)
+        rows = constraint_rows(model, kin, m, d)
+        mass = mass_matrix(topology, *jax.lax.stop_gradient((parameters, kin)))
+
+        accelerations = jnp.stack([qacc, rate] if model.static.has_damping else [qacc])
+        needed = jax.vmap(lambda a: inverse_dynamics(topology, parameters, kin, state.qvel, a, model.gravity))(
+            accelerations
+        )
+
+        def correction(matrix: Array, needed: Array, forces: Array, symmetric: bool = True) -> Array:
+            residual = needed - applied - rows.jacobian.T @ forces
+            return constraint_solver.implicit_correction(matrix, residual, symmetric=symmetric)
+
+        matrix = constraint_solver.curvature(mass, jax.lax.stop_gradient(rows), qacc)
+        solved = qacc - correction(matrix, needed[0], constraint_solver.row_forces(rows, qacc))
+        if model.static.has_damping:
+            held = constraint_solver.row_forces(rows, solved)
+            damped, damping = _damped(model, kin, m, d, mass, rate)
+            solved = rate - correction(damped, needed[1] + damping, held, not len(model.static.lone_dofs))
+        return _advance(model, state, act_dot, qacc, solved), solved
+
+
+_substep = interpreted(_accelerate, derivative_of=_acceleration_derivative)
+
+
+def _damped(
+    model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data, mass: Array, rate: Array
+) -> tuple[Array, Array]:
+    """The matrix of a step implicit in velocity, and what velocity takes from the forces at an acceleration.
+
+    In MuJoCo's Euler step by the damping of joints. In its implicitfast by all damping, and by inertia of bodies that
+    fly alone.
+    """
+    if not model.static.is_implicit:
+        damping = model.dt * model.parameters["dof_damping"]
+        return mass + jnp.diag(damping), damping * rate
+    damping, lone = velocity_damping(model, m, d), model.static.lone_dofs
+    if len(lone):
+        damping += spin_slopes(model.static.topology, tree_parameters(model), kin, d.qvel, lone)
+    return mass + model.dt * damping, model.dt * dot(damping, rate)
+
+
+def _advance(model: RigidModel, state: RigidState, act_dot: Array, qacc: Array, rate: Array) -> RigidState:
+    qvel = state.qvel + model.dt * rate
+    return RigidState(
+        qpos=integrate(model.static.topology, state.qpos, qvel, model.dt),
+        qvel=qvel,
+        act=_next_activations(model, state.act, act_dot),
+        qacc=jax.lax.stop_gradient(qacc),
+    )
+
+
+def _next_activations(model: RigidModel, act: Array, act_dot: Array) -> Array:
+    mj = model.static.mj
+    if not mj.na:
+        return act
+    actuator = np.repeat(np.arange(mj.nu), np.maximum(mj.actuator_actnum, 0))
+    exact = mj.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_FILTEREXACT
+    tau = np.maximum(mj.actuator_dynprm[actuator, 0], mujoco.mjMINVAL)
+    span = np.where(exact, tau * -np.expm1(-mj.opt.timestep / tau), mj.opt.timestep)
+    limited = mj.actuator_actlimited[actuator].astype(bool)
+    low, high = (np.where(limited, mj.actuator_actrange[actuator, i], (-np.inf, np.inf)[i]) for i in (0, 1))
+    return jnp.clip(act + jnp.asarray(span, act.dtype) * act_dot, low, high).astype(act.dtype)
+
+
+__all__ = ["check_status", "checked_inputs", "initial_state", "rates", "step"]

@@ -1,0 +1,1 @@
+"""Episodes of trained policies: returns, recordings, pictures, landscapes."""

@@ -1,0 +1,182 @@
+"""Episodes recorded for pictures: what is seen in each frame, and the rewards and status of every step."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from rewax.envs.base import Env, State
+from rewax.envs.wrappers import select
+from rewax.training.evaluation.episodes import Policy, told_the_step
+from rewax.types import Array, Key, PyTree
+from rewax.viz.recording import Recording
+
+_NOTHING = "the environment has neither particles(physics) nor render_shapes(physics): define one of them for pictures"
+
+
+def can_record(env: Any) -> bool:
+    """Whether an environment offers anything to pictures."""
+    return hasattr(env, "particles") or hasattr(env, "render_shapes")
+
+
+def record(
+    env: Env,
+    policy: Policy,
+    train_state: PyTree,
+    key: Key,
+    *,
+    max_frames: int = 301,
+    deterministic: bool = True,
+    name: str = "",
+) -> Recording:
+    """Run one episode and keep what pictures need.
+
+    Args:
+      env: unbatched environment with ``particles(physics)``, ``render_shapes(physics)`` or both; ``up``,
+        ``control_dt``, ``particle_values(physics)`` and ``appearance`` are used where there are.
+      policy, train_state: as for ``make_evaluate``.
+      key: draws the initial state and the policy's samples.
+      max_frames: at least 2; longer episodes are shown every second step, every third, ...
+      deterministic: passed to the policy.
+      name: of the recording.
+
+    Returns:
+      The episode up to its end. Frames are equally spaced, but for the last one.
+
+    Raises:
+      ValueError: too few frames, or nothing to show.
+    """
+    made = make_record(env, policy, max_frames=max_frames, deterministic=deterministic)
+    return made(train_state, key, name)
+
+
+def make_record(
+    env: Env, policy: Policy, *, max_frames: int = 301, deterministic: bool = True
+) -> Callable[[PyTree, Key, str], Recording]:
+    """``record`` for several training states: ``(train_state, key, name) -> recording``, compiled once.
+
+    Raises:
+      ValueError: too few frames, or nothing to show.
+    """
+    if max_frames < 2:
+        raise ValueError(f"max_frames is {max_frames}: use 2 or more")
+    if not can_record(env):
+        raise ValueError(_NOTHING)
+    every = max(1, -(-env.episode_length // (max_frames - 1)))
+    reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
+    see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
+
+    def made(train_state: PyTree, key: Key, name: str = "") -> Recording:
+        reset_key, act_key = jax.random.split(key)
+        state = reset(reset_key)
+        seen, steps, rewards, status = [see(state.physics)], [0], [], []
+        while not bool(state.done) and steps[-1] < env.episode_length:
+            state, of_steps = advance(train_state, state, act_key)
+            count = int(state.step_count) - steps[-1]
+            reward, bits = jax.device_get(of_steps)
+            rewards.append(reward[:count])
+            status.append(bits[:count])
+            steps.append(int(state.step_count))
+            seen.append(see(state.physics))
+        return _recording(env, seen, steps, rewards, status, name)
+
+    return made
+
+
+def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
+    """A function that makes a recording of given physics, one frame each, without rewards.
+
+    Raises:
+      ValueError: the environment has nothing to show.
+    """
+    if not can_record(env):
+        raise ValueError(_NOTHING)
+    see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
+
+    def of(frames: list[PyTree]) -> Recording:
+        return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], [], "")
+
+    return of
+
+
+def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> Callable[..., Any]:
+    """``(train_state, state, key) -> state, (rewards, status)`` of at most ``every`` steps, none after the episode's
+    end.
+    """
+    told = told_the_step(policy)
+
+    @jax.jit
+    def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, tuple[Array, Array]]:
+        def body(state: State, _: None) -> tuple[State, tuple[Array, Array]]:
+            step = state.step_count
+            action = told(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
+            over = state.done | (step >= env.episode_length)
+            new = select(over, state, env.step(state, action))
+            return new, (new.reward, new.status)
+
+        return jax.lax.scan(body, state, None, length=every)
+
+    return advance
+
+
+def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
+    """What is seen of a state, as numpy arrays; compiled unless the environment's own methods cannot be traced."""
+
+    def see(physics: PyTree) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        if hasattr(env, "particles"):
+            found["particles"] = env.particles(physics)
+        if hasattr(env, "particle_values"):
+            found["values"] = dict(env.particle_values(physics))
+        if hasattr(env, "render_shapes"):
+            found["drawings"] = [dict(drawing) for drawing in env.render_shapes(physics)]
+        return found
+
+    kept: dict[str, Any] = {}
+
+    def arrays(physics: PyTree) -> list[Any]:
+        """What changes; the rest, the kinds of drawings and the triangles of meshes, is kept while it is traced."""
+        leaves, kept["tree"] = jax.tree.flatten(see(physics))
+        kept["rest"] = [leaf if isinstance(leaf, str | np.ndarray) else None for leaf in leaves]
+        return [leaf for leaf in leaves if not isinstance(leaf, str | np.ndarray)]
+
+    try:
+        jax.eval_shape(arrays, physics)
+    except Exception:  # an environment's own code, which may need numbers
+        return lambda physics: jax.device_get(see(physics))
+    compiled = jax.jit(arrays)
+
+    def call(physics: PyTree) -> dict[str, Any]:
+        values = iter(jax.device_get(compiled(physics)))
+        return jax.tree.unflatten(kept["tree"], [next(values) if a is None else a for a in kept["rest"]])
+
+    return call
+
+
+def _recording(
+    env: Any, seen: list[dict[str, Any]], steps: list[int], rewards: Any, status: Any, name: str
+) -> Recording:
+    first = seen[0]
+    options = dict(getattr(env, "appearance", {}))
+    dt = getattr(env, "control_dt", None)
+    return Recording(
+        steps=np.asarray(steps),
+        rewards=np.concatenate([*rewards, np.zeros(0)]),
+        status=np.concatenate([*status, np.zeros(0, np.int32)]),
+        particles=np.stack([np.asarray(frame["particles"], np.float32) for frame in seen])
+        if "particles" in first
+        else None,
+        values={
+            value: np.stack([np.asarray(frame["values"][value], np.float32) for frame in seen])
+            for value in first.get("values", {})
+        },
+        drawings=[frame["drawings"] for frame in seen] if "drawings" in first else (),
+        control_dt=None if dt is None else float(dt),
+        up=np.asarray(getattr(env, "up", (0.0, 1.0, 0.0)), float),
+        name=name,
+        **options,
+    )
+
+
+__all__ = ["can_record", "make_record", "record", "snapshots"]

@@ -1,0 +1,160 @@
+"""Evaluations and pictures of a run, and the files that hold them."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rewax.envs.base import Env
+from rewax.status import Status
+from rewax.training.config import ReportConfig
+from rewax.training.evaluation.episodes import Policy, make_evaluate, told_the_step, uniform_policy
+from rewax.training.evaluation.pictures import attempt, draw_page, draw_strip, draw_video, reason
+from rewax.training.evaluation.recording import can_record, record
+from rewax.training.storage.metrics import CsvWriter, read_csv
+from rewax.types import Key
+
+_STATISTICS = ("mean", "std", "min", "max", "failed", *(f"status/{bit.name}" for bit in Status if bit))
+
+
+class Evaluator:
+    """Evaluates a policy, sampled and deterministic, always from the same initial states; appends to ``eval.csv``.
+
+    Args:
+      env: unbatched environment.
+      policy: as of ``Agent.policy``.
+      config: of the run.
+      run_dir: directory of the run.
+      key: draws initial states.
+      resume_at: iteration that the run continues from.
+    """
+
+    def __init__(
+        self, env: Env, policy: Policy, config: ReportConfig, run_dir: Path, key: Key, *, resume_at: int
+    ) -> None:
+        self._env, self._policy, self._config, self._run_dir, self._key = env, policy, config, run_dir, key
+        self._evaluate = make_evaluate(env, _any_of(env, policy), config.num_eval_episodes)
+        self.csv = CsvWriter(run_dir / "eval.csv", resume_at=resume_at)
+        self.last: dict[str, Any] = {}
+
+    def is_due(self, iteration: int) -> bool:
+        """The schedule asks for an evaluation here, and ``eval.csv`` does not have it yet."""
+        every = self._config.eval_every
+        return every > 0 and iteration % every == 0 and self.csv.last_iteration < iteration
+
+    def evaluate(self, iteration: int, env_steps: int, train_state: Any) -> dict[str, Any]:
+        """Evaluate and append a row: ``sampled_mean``, ..., ``sampled_failed``, ``sampled_status/NAN``, ..., and so for
+        ``deterministic``. Counts are episodes.
+        """
+        row: dict[str, Any] = {"env_steps": env_steps}
+        for name in ("sampled", "deterministic"):
+            result = jax.device_get(self._evaluate((train_state, _MODES.index(name)), self._key))
+            row |= {f"{name}_{statistic}": result[statistic] for statistic in _STATISTICS}
+            if "success" in result:
+                row[f"{name}_success"] = result["success"]
+        if self.csv.last_iteration < iteration:
+            self.csv.write(iteration, row)
+        self.last = row
+        return row
+
+    def baselines(self, train_state: Any) -> dict[str, float]:
+        """Mean returns of no action and of random actions from the same initial states, kept in ``baselines.json``.
+
+        The training state is not used, but the program that was compiled for ``evaluate`` is. A baseline whose episodes
+        failed has that in its name.
+        """
+        path = self._run_dir / "baselines.json"
+        try:
+            return {str(name): float(value) for name, value in json.loads(path.read_text()).items()}
+        except (OSError, ValueError, TypeError, AttributeError):  # missing or damaged
+            pass
+        returns = {}
+        for name in _MODES[2:]:
+            result = self._evaluate((train_state, _MODES.index(name)), self._key)
+            count = _failed_of(int(result["failed"]), self._config.num_eval_episodes)
+            returns[name + count] = float(result["mean"])
+        path.write_text(json.dumps(returns, indent=2) + "\n")
+        return returns
+
+    def sentences(self, row: Mapping[str, Any]) -> list[str]:
+        """What a user must know of an evaluation: its returns, how many episodes failed, and the status bits."""
+        episodes = self._config.num_eval_episodes
+        failed = {mode: int(row[f"{mode}_failed"]) for mode in _MODES[:2]}
+        returns = [
+            f"{row[f'{mode}_mean']:.4g} +- {row[f'{mode}_std']:.2g} {mode}{_failed_of(count, episodes)}"
+            for mode, count in failed.items()
+        ]
+        said = [f"evaluation after {row['env_steps']:,} steps: return {', '.join(returns)}"]
+        if total := sum(failed.values()):
+            said.append(
+                f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns "
+                "are those of the steps before: shorter substeps or softer contacts and materials help"
+            )
+        bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in _MODES[:2]) for bit in Status if bit}
+        if any(bits.values()):
+            counts = ", ".join(f"{name} in {count}" for name, count in bits.items() if count)
+            said.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status says what each means)")
+        return said
+
+    def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[str]:
+        """Draw the learning curve and, where the environment offers ``particles`` or ``render_shapes``, one
+        deterministic episode: ``episode.png``, and with ``config.video`` also ``episode.mp4`` and ``episode.html``.
+
+        Returns:
+          A sentence about each file: where it is, or why it could not be drawn. Nothing is raised.
+        """
+        env: Any = getattr(self._env, "unwrapped", self._env)
+        said = [attempt(self._run_dir / "learning_curve.png", lambda path: self._draw_curve(path, baselines))]
+        if not can_record(env):
+            return said
+        try:
+            recording = record(env, self._policy, train_state, self._key, name=self._run_dir.resolve().name)
+        except Exception as error:  # an environment's own code is called
+            return [*said, f"warning: episode.png was not drawn ({reason(error)}); nothing else is affected"]
+        frames = self._config.num_frames
+        files = {"episode.png": lambda path: draw_strip(recording, path, num_frames=frames)}
+        if self._config.video:
+            files |= {
+                "episode.html": lambda path: draw_page(recording, path),
+                "episode.mp4": lambda path: draw_video(recording, path),
+            }
+        return said + [attempt(self._run_dir / name, draw) for name, draw in files.items()]
+
+    def _draw_curve(self, path: Path, baselines: Mapping[str, float]) -> str:
+        from rewax.viz import plots  # matplotlib is slow to import
+
+        metrics, evaluation = read_csv(self._run_dir / "metrics.csv"), read_csv(self._run_dir / "eval.csv")
+        plots.learning_curve(metrics, path, evaluation=evaluation, baselines=baselines)
+        return ""
+
+    def close(self) -> None:
+        """Close ``eval.csv``."""
+        self.csv.close()
+
+
+_MODES = ("sampled", "deterministic", "no action", "random actions")
+
+
+def _failed_of(failed: int, episodes: int) -> str:
+    return f" ({failed} of {episodes} episodes failed)" if failed else ""
+
+
+def _any_of(env: Env, policy: Policy) -> Policy:
+    """A policy of ``(train_state, mode)``: one program, compiled once, for the agent's policies and the baselines."""
+    random, told = uniform_policy(env), told_the_step(policy)
+
+    def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> jax.Array:
+        train_state, mode = state_and_mode
+        shape, dtype = env.action_spec.shape, jnp.result_type(float)
+        branches = (
+            lambda: told(train_state, obs, key, step, False).astype(dtype),
+            lambda: told(train_state, obs, key, step, True).astype(dtype),
+            lambda: jnp.zeros(shape, dtype),
+            lambda: random(None, obs, key).astype(dtype),
+        )
+        return jax.lax.switch(mode, branches)
+
+    return choose

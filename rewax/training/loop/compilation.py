@@ -1,0 +1,74 @@
+"""From an algorithm's ``train_step`` to a program of the machine."""
+
+import contextlib
+import functools
+import gc
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+from rich.console import Console
+
+from rewax.agents.base import Agent
+from rewax.training.loop.devices import ONE_DEVICE, Placement
+from rewax.training.loop.progress import say
+
+_QUICK = {"xla_cpu_use_fusion_emitters": False}
+"""XLA's older generator of code for loops. XLA of jax 0.12 has it no more."""
+
+
+def compile_train_step(agent: Agent, train_state: Any, console: Console, where: Placement = ONE_DEVICE) -> Any:
+    """Compile ``agent.train_step`` ahead of the first iteration, telling the user how long it takes.
+
+    On a CPU the agent's ``config.quick_compile`` chooses the generator of code, see ``RunConfig``.
+
+    Returns:
+      The compiled function; it never traces again.
+    """
+    without = _wants_quick(agent) and not _has_older_generator()
+    note = f" (quick_compile changes nothing: XLA of jax {jax.__version__} has no older generator)" if without else ""
+    say(console, f"compiling train_step ...{note}")
+    began = time.perf_counter()
+    with no_garbage_collection():
+        lowered = where.lowered(agent.train_step, train_state, donate=agent.consumes)
+        compiled = lowered.compile(compiler_options(agent))
+    divided = f", environments on {where.num_devices} devices" if where.divides(train_state) else ""
+    say(console, f"compiled in {time.perf_counter() - began:.1f} s{divided}")
+    return compiled
+
+
+def compiler_options(agent: Agent) -> dict[str, bool]:
+    """What XLA is told about how to compile the agent's programs."""
+    return _QUICK if _wants_quick(agent) and _has_older_generator() else {}
+
+
+def _wants_quick(agent: Agent) -> bool:
+    return getattr(agent.config, "quick_compile", False) and jax.default_backend() == "cpu"
+
+
+@functools.cache
+def _has_older_generator() -> bool:
+    """Whether this XLA can be asked for it: an option that it does not know is an error."""
+    try:
+        jax.jit(lambda x: x + 1.0).lower(0.0).compile(_QUICK)
+    except jax.errors.JaxRuntimeError as error:
+        if "No such compile option" not in str(error):
+            raise
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def no_garbage_collection() -> Iterator[None]:
+    """Tracing makes millions of objects that stay: to look for cycles among them is a fifth of its time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+__all__ = ["compile_train_step", "compiler_options", "no_garbage_collection"]

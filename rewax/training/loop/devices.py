@@ -1,0 +1,112 @@
+"""Where a run computes: its environments divided over devices."""
+
+import dataclasses
+from typing import Any
+
+import jax
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from rewax.agents.devices import AXIS, mesh_of
+from rewax.training.storage.leaves import is_key, to_numpy
+
+
+@dataclasses.dataclass(frozen=True)
+class Placement:
+    """Devices of a run: environments are divided, all else is the same on each.
+
+    Attributes:
+      mesh: None for one device.
+    """
+
+    mesh: Mesh | None
+
+    @property
+    def num_devices(self) -> int:
+        return 1 if self.mesh is None else self.mesh.size
+
+    def divides(self, train_state: Any) -> bool:
+        """Whether it does anything for this state: one of an algorithm of one's own may have no ``environments``."""
+        return self.mesh is not None and hasattr(train_state, "environments")
+
+    def place(self, train_state: Any) -> Any:
+        """The training state on the devices of the mesh."""
+        if not self.divides(train_state):
+            return train_state
+        shardings = self.shardings(train_state)
+        if jax.process_count() == 1:
+            return jax.device_put(train_state, shardings)
+        return jax.tree.map(_own_part, train_state, shardings)
+
+    def shardings(self, train_state: Any) -> Any:
+        """Where each leaf of a training state lies."""
+        assert self.mesh is not None
+        same, split = (NamedSharding(self.mesh, PartitionSpec(*axis)) for axis in ((), (AXIS,)))
+
+        def all_of(tree: Any, sharding: NamedSharding) -> Any:
+            return jax.tree.map(lambda _: sharding, tree)
+
+        environments = train_state.environments
+        env = all_of(environments.env, same if environments.env.axis is None else split)
+        own = {"state": all_of(environments.state, split), "episode_return": split, "env": env}
+        return all_of(train_state, same).replace(environments=all_of(environments, same).replace(**own))
+
+    def lowered(self, train_step: Any, train_state: Any, *, donate: bool = False) -> jax.stages.Lowered:
+        """``train_step`` for a state that is placed; the state that its program returns is placed too."""
+        if self.mesh is None or not self.divides(train_state):
+            return (train_step if hasattr(train_step, "lower") else jax.jit(train_step)).lower(train_state)
+        out = (self.shardings(train_state), None)
+        placed = jax.jit(lambda state: train_step(state), out_shardings=out, donate_argnums=0 if donate else ())
+        with jax.set_mesh(self.mesh):
+            return placed.lower(train_state)
+
+
+def _own_part(leaf: Any, sharding: NamedSharding) -> Any:
+    """Of an array that all processes have, the part that each of them keeps."""
+    numbers = to_numpy(leaf)
+    array = jax.make_array_from_callback(numbers.shape, sharding, lambda part: numbers[part])
+    return jax.random.wrap_key_data(array, impl=str(jax.random.key_impl(leaf))) if is_key(leaf) else array
+
+
+ONE_DEVICE = Placement(None)
+
+
+def placement(num_envs: int | None, wanted: int) -> Placement:
+    """Devices for so many environments.
+
+    Args:
+      num_envs: of the run; None: the algorithm does not say, and one device is used.
+      wanted: how many devices; 0: as many of JAX's as divide the environments.
+
+    Raises:
+      ValueError: there are fewer devices, or they do not divide the environments.
+    """
+    devices = jax.devices()
+    if wanted > len(devices):
+        kind = devices[0].platform
+        remedy = "; on a CPU set jax_num_cpu_devices before JAX computes anything" if kind == "cpu" else ""
+        raise ValueError(f"devices is {wanted}, but JAX has {len(devices)} ({kind}): ask for that many at most{remedy}")
+    if wanted > 1 and (num_envs is None or num_envs % wanted):
+        raise ValueError(f"devices is {wanted}, which does not divide num_envs {num_envs}: give a divisor of it, or 1")
+    most = 1 if num_envs is None else len(devices)
+    count = wanted or max(n for n in range(1, most + 1) if n == 1 or num_envs % n == 0)
+    if jax.process_count() > 1 and count != len(devices):
+        raise ValueError(
+            f"{jax.process_count()} processes have {len(devices)} devices, which do not divide num_envs {num_envs} or "
+            f"are not the {wanted or count} asked for: give --devices 0 and a multiple of {len(devices)} environments"
+        )
+    return Placement(None if count == 1 else mesh_of(devices[:count]))
+
+
+def on_one_device(tree: Any) -> Any:
+    """The arrays on one of the devices that hold them, for programs that are not divided.
+
+    Of environments that are divided over several processes it is a part.
+    """
+    arrays = [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array)]
+    if not all(array.is_fully_addressable for array in arrays):
+        return jax.tree.map(lambda a: a.addressable_data(0) if isinstance(a, jax.Array) else a, tree)
+    devices = next((array.devices() for array in arrays), set())
+    return tree if len(devices) <= 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
+
+
+__all__ = ["ONE_DEVICE", "Placement", "on_one_device", "placement"]

@@ -1,0 +1,143 @@
+"""When a run has failed: too many episodes do, its critics' loss is not finite, or what it learnt is not."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.agents.replay import Replay
+from rewax.envs.base import Env, State, failed_leaf_name
+from rewax.status import all_finite
+from rewax.training.config import ReportConfig
+from rewax.training.loop.devices import on_one_device
+
+_SEEN = (State, Replay)
+_REMEDY = "shorter substeps, softer contacts and materials, or smaller learning rates help"
+
+
+class _Iteration(NamedTuple):
+    """Counts of one iteration. ``episodes``: that ended, or would have at their full length, whichever is more."""
+
+    failed: int
+    episodes: float
+    bad_critics: bool
+
+
+class FailureWatch:
+    """Follows the metrics of a run and says when it has failed.
+
+    The share of failed episodes is that over the last ``config.failure_window`` iterations. Failures end episodes
+    early, so a few of them would outweigh the healthy episodes that are still under way. Steps divided by the episode's
+    length count these.
+
+    Args:
+      env: names the arrays that were not finite.
+      config: ``max_failed_share`` and ``failure_window``.
+    """
+
+    def __init__(self, env: Env, config: ReportConfig) -> None:
+        self._env, self._config = env, config
+        self._recent: deque[_Iteration] = deque(maxlen=config.failure_window)
+        self._culprit = ""
+
+    def add(self, iteration: int, num_steps: int, metrics: Mapping[str, Any]) -> str:
+        """Take in an iteration.
+
+        Args:
+          iteration: its number.
+          num_steps: environment steps taken in it.
+          metrics: ``failed_episodes``, ``episodes``, ``failed_env``, ``failed_leaf``, ``critic_loss``, as far as the
+            algorithm has them.
+
+        Returns:
+          A sentence about the first failure that this process sees; else nothing.
+        """
+        failed = int(metrics.get("failed_episodes", 0))
+        ended = max(int(metrics.get("episodes", 0)), failed)
+        critics = [float(value) for name, value in metrics.items() if name == "critic_loss"]
+        episodes = max(ended, num_steps / max(self._env.episode_length, 1))
+        self._recent.append(_Iteration(failed, episodes, not all(map(math.isfinite, critics))))
+        if not failed:
+            return ""
+        first, self._culprit = not self._culprit, _culprit(self._env, metrics)
+        return f"warning: in iteration {iteration} {self._culprit}: {_REMEDY}" if first else ""
+
+    @property
+    def healthy(self) -> bool:
+        """Neither the last iteration alone nor those seen so far, were they all, give a reason to stop."""
+        last = [self._recent[-1]] if self._recent else []
+        return not self.reason(final=True) and not any(self._too_many(one.failed, one.episodes) for one in last)
+
+    def reason(self, *, final: bool = False) -> str:
+        """Why the run should stop; empty if it should go on.
+
+        Args:
+          final: judge what was seen even if it is less than a window.
+        """
+        seen = len(self._recent)
+        if not seen or (seen < self._config.failure_window and not final):
+            return ""
+        limit = self._config.max_failed_share
+        failed, episodes = sum(one.failed for one in self._recent), sum(one.episodes for one in self._recent)
+        if self._too_many(failed, episodes):
+            return (
+                f"{failed} of {max(round(episodes), failed)} episodes failed numerically in the last {seen} iterations "
+                f"(max_failed_share is {limit:g}); at last {self._culprit}: {_REMEDY}"
+            )
+        bad = sum(one.bad_critics for one in self._recent)
+        if bad > limit * seen:
+            where = f"in {bad} of the last {seen} iterations"
+            return f"critic_loss was not finite {where}: smaller rewards or learning rates help"
+        return ""
+
+    def _too_many(self, failed: int, episodes: float) -> bool:
+        return failed > self._config.max_failed_share * max(episodes, 1)
+
+
+class FiniteCheck:
+    """Finds numbers that are not finite in what an agent has learnt: every floating leaf of its training state.
+
+    The environments' states are left out, because a reset heals them, and what a replay buffer holds. So are leaves
+    that are not finite at the beginning, such as the returns of episodes whose start was not seen.
+
+    Args:
+      train_state: at the beginning.
+    """
+
+    def __init__(self, train_state: Any) -> None:
+        self._names = {name for name, leaf in on_one_device(_learnt(train_state)).items() if _is_finite(leaf)}
+        self._all_finite = jax.jit(all_finite)
+
+    def first_bad(self, train_state: Any) -> str:
+        """Name of the first leaf that is not finite, such as ``.critic_params['bias']``; empty if there is none."""
+        leaves = on_one_device({name: leaf for name, leaf in _learnt(train_state).items() if name in self._names})
+        if self._all_finite(list(leaves.values())):
+            return ""
+        return next(name for name, leaf in leaves.items() if not _is_finite(leaf))
+
+
+def _learnt(train_state: Any) -> dict[str, Any]:
+    """Floating leaves outside the environments' states and replay buffers, by name."""
+    return {
+        jax.tree_util.keystr(path): leaf
+        for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, _SEEN))
+        if not isinstance(leaf, _SEEN) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
+    }
+
+
+def _is_finite(leaf: Any) -> bool:
+    return bool(np.all(np.isfinite(np.asarray(leaf, np.float64))))
+
+
+def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:
+    """Which array of which environment was not finite, as far as the metrics say."""
+    index, leaf = int(metrics.get("failed_env", -1)), int(metrics.get("failed_leaf", -1))
+    if index < 0 or leaf < 0:
+        return "an environment failed because its physics, an observation or the reward was not finite"
+    name = failed_leaf_name(env, leaf)
+    what = "its status had a fatal bit" if name == "status" else f"{name} was not finite"
+    return f"environment {index} failed because {what}"

@@ -1,0 +1,234 @@
+"""A run under way: its training state, its open files, and what is done after each iteration."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+from rich.console import Console
+
+from rewax.agents.base import Agent
+from rewax.envs.base import Env
+from rewax.training.config import TrainConfig
+from rewax.training.evaluation.report import Evaluator
+from rewax.training.loop.devices import on_one_device
+from rewax.training.loop.failure import FailureWatch, FiniteCheck
+from rewax.training.loop.hosts import Leader
+from rewax.training.loop.interrupt import Stop
+from rewax.training.loop.progress import ProgressReport, say
+from rewax.training.storage import checkpoint
+from rewax.training.storage.description import read_config
+from rewax.training.storage.metrics import CsvWriter, TensorBoardWriter, WandbWriter
+from rewax.training.storage.schedule import Schedule, due_rows, lost_rows
+from rewax.types import Key
+
+_REMEDY = "smaller learning rates or rewards, or a smaller max_grad_norm help"
+
+
+class TrainResult(NamedTuple):
+    """What a run came to.
+
+    Attributes:
+      train_state: the last one whose numbers are finite, also in the newest checkpoint.
+      evaluation: row of the final evaluation (``sampled_mean``, ``deterministic_mean``, ...); empty if the run stopped
+        early.
+      signum: the signal that stopped the run early, 0 if none did.
+      failure: why the run failed, in a sentence; empty if it did not.
+    """
+
+    train_state: Any
+    evaluation: dict[str, Any]
+    signum: int = 0
+    failure: str = ""
+
+
+class Run:
+    """The open files of one run and its current training state.
+
+    Args:
+      agent, env, config, console: as for ``train``.
+      run_dir: directory of the run, which exists.
+      key: draws the initial states of evaluations.
+      train_state: to begin with.
+      leader: speaks to the other processes of this run.
+    """
+
+    def __init__(
+        self,
+        agent: Agent,
+        env: Env,
+        config: TrainConfig,
+        run_dir: Path,
+        key: Key,
+        train_state: Any,
+        console: Console,
+        leader: Leader,
+    ) -> None:
+        self.config, self.run_dir, self.console, self._leader = config, run_dir, console, leader
+        self.train_state, self.failure = train_state, ""
+        resume_at = self.iteration
+        self.metrics = CsvWriter(run_dir / "metrics.csv", resume_at=resume_at)
+        self.timing = CsvWriter(run_dir / "timing.csv", resume_at=resume_at)
+        self.boards = _boards(config, run_dir, resume_at)
+        self.evaluator = Evaluator(env, agent.policy, config, run_dir, key, resume_at=resume_at)
+        self.watch, self.finite = FailureWatch(env, config), FiniteCheck(train_state)
+        self._healthy: int | None = checkpoint.latest_step(run_dir)
+        self._consumes, self._env_steps = agent.consumes, int(train_state.env_steps)
+        self._progress: ProgressReport | None = None
+
+    @property
+    def iteration(self) -> int:
+        return int(self.train_state.iteration)
+
+    @property
+    def seen(self) -> Any:
+        """The training state for programs of this process alone."""
+        return on_one_device(self.train_state)
+
+    @property
+    def env_steps(self) -> int:
+        return int(self.train_state.env_steps)
+
+    def say(self, text: str) -> None:
+        """Print a line; an empty one is left out."""
+        if text:
+            say(self.console, text)
+
+    def report_lost_rows(self, schedule: Schedule) -> None:
+        """Say which rows the run that is resumed should have left and did not."""
+        due = due_rows(schedule, self.iteration)
+        for name, writer in (
+            ("metrics.csv", self.metrics),
+            ("timing.csv", self.timing),
+            ("eval.csv", self.evaluator.csv),
+        ):
+            self.say(lost_rows(name, writer.iterations, due[name]))
+
+    def iterate(self, train_step: Any, stop: Stop) -> None:
+        """Train to the last iteration, or until asked to stop or failed; what was trained is kept whatever happens."""
+        try:
+            self.begin(stop)
+            while not (self.over or stop.requested):
+                began = time.perf_counter()
+                self._leader.step()
+                new, metrics = jax.block_until_ready(train_step(self.train_state))
+                self.take(new, jax.device_get(metrics), time.perf_counter() - began)
+        finally:
+            self.end()
+
+    @property
+    def over(self) -> bool:
+        """There is nothing more to train: the last iteration is done, or the run has failed."""
+        return bool(self.failure) or self.iteration >= self.config.num_iterations
+
+    def begin(self, stop: Stop) -> None:
+        """Before the first iteration of this process: the evaluation that is due, and the progress report."""
+        if self.evaluator.is_due(self.iteration):
+            self.save()
+            stop.at_once = f"stopped before the first iteration: --resume continues {self.run_dir}"
+            self._evaluate()
+        elif self._consumes and self._healthy is None:
+            self.save()  # what a failing iteration goes back to
+        stop.at_once = ""
+        self._progress = ProgressReport(self.console, self.config.num_iterations, self.iteration)
+
+    def end(self) -> None:
+        """After the last iteration of this process: everything trained is kept."""
+        if self._progress is not None:
+            self._progress.close()
+        self.save()
+
+    def take(self, new: Any, metrics: Mapping[str, Any], seconds: float) -> None:
+        """Take in the training state and the metrics of an iteration that took so many seconds."""
+        before = self._env_steps
+        iteration, env_steps = int(new.iteration), int(new.env_steps)
+        speed = (env_steps - before) / seconds
+        if iteration % self.config.log_every == 0:
+            times = {"seconds": round(seconds, 6), "steps_per_second": round(speed, 3)}
+            self.metrics.write(iteration, {"env_steps": env_steps, **metrics})
+            self.timing.write(iteration, times)
+            for board in self.boards:
+                board.write(iteration, {**metrics, **times})
+        if self._progress is not None:
+            self._progress.update(iteration, env_steps, metrics, speed)
+        self.say(self.watch.add(iteration, env_steps - before, metrics))
+        if bad := self.finite.first_bad(new):
+            self.failure = f"iteration {iteration} made {bad} of the training state infinite or NaN: {_REMEDY}"
+            if self._consumes:
+                self.train_state = checkpoint.restore(self.run_dir, new)
+            return
+        self.train_state, self._env_steps = new, env_steps
+        if iteration < self.config.num_iterations and (reason := self.watch.reason()):
+            self.failure = reason
+            return
+        if self.config.checkpoint_every and iteration % self.config.checkpoint_every == 0:
+            self.save()
+        if self.evaluator.is_due(iteration):
+            self.save()
+            self._evaluate()
+
+    def save(self) -> None:
+        """Write a checkpoint of this iteration unless there is one.
+
+        The newest from before the last failures stays, however many follow it.
+        """
+        if any(leaf.is_deleted() for leaf in jax.tree.leaves(self.train_state) if isinstance(leaf, jax.Array)):
+            return  # an iteration was interrupted that had consumed it
+        if self.iteration not in checkpoint.steps(self.run_dir):
+            protect = None if self.watch.healthy else self._healthy
+            whole = self._leader.gathered(self.train_state)
+            checkpoint.save(self.run_dir, whole, keep=self.config.keep_checkpoints, protect=protect)
+        if self.watch.healthy:
+            self._healthy = self.iteration
+
+    def _evaluate(self) -> dict[str, Any]:
+        row = self.evaluator.evaluate(self.iteration, self.env_steps, self.seen)
+        for board in self.boards:
+            board.write(self.iteration, row, prefix="eval")
+        for sentence in self.evaluator.sentences(row):
+            self.say(sentence)
+        return row
+
+    def finish(self, stop: Stop) -> TrainResult:
+        """Final evaluation and plots; after an early stop plots only, and how to go on."""
+        row: dict[str, Any] = {}
+        baselines: dict[str, float] = {}
+        stopped = stop.requested or bool(self.failure)
+        if not stopped:
+            self.failure = self.watch.reason(final=True)
+            row = self.evaluator.last if self.evaluator.last.get("env_steps") == self.env_steps else self._evaluate()
+            if self.config.baselines:
+                baselines = self.evaluator.baselines(self.seen)
+                self.say("baselines: " + ", ".join(f"{name} {value:.4g}" for name, value in baselines.items()))
+        if self.config.plots:
+            for sentence in self.evaluator.draw(self.seen, baselines):
+                self.say(sentence)
+        if self.failure:
+            self.say(self._how_it_failed())
+        elif stopped:
+            done = f"stopped after iteration {self.iteration} of {self.config.num_iterations}"
+            rest = "continues from" if self.iteration < self.config.num_iterations else "does the final evaluation of"
+            self.say(f"{done}: the same command with --resume {rest} {self.run_dir}")
+        return TrainResult(self.train_state, row, stop.signum, self.failure)
+
+    def _how_it_failed(self) -> str:
+        done = f"failed after iteration {self.iteration} of {self.config.num_iterations}: {self.failure}"
+        if self._healthy is None or self._healthy == self.iteration:
+            return f"{done}; the last checkpoint is that of iteration {self.iteration}"
+        return f"{done}; the last checkpoint from before the failures is that of iteration {self._healthy}"
+
+    def close(self) -> None:
+        """Close every file."""
+        for writer in (self.metrics, self.timing, *self.boards, self.evaluator):
+            writer.close()
+
+
+def _boards(config: TrainConfig, run_dir: Path, resume_at: int) -> list[TensorBoardWriter | WandbWriter]:
+    """Where numbers go beside the CSV files."""
+    found: list[TensorBoardWriter | WandbWriter] = []
+    if config.tensorboard:
+        found.append(TensorBoardWriter(run_dir / "tensorboard", resume_at=resume_at))
+    if config.wandb:
+        found.append(WandbWriter(config.wandb, run_dir, read_config(run_dir)))
+    return found

@@ -1,0 +1,90 @@
+"""Several seeds of one run side by side, in one program."""
+
+import contextlib
+import functools
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from rich.console import Console
+
+from rewax.agents.base import Agent
+from rewax.envs.base import Env
+from rewax.training.config import TrainConfig
+from rewax.training.loop.compilation import compile_train_step
+from rewax.training.loop.interrupt import graceful_stop
+from rewax.training.loop.progress import say
+from rewax.training.loop.run import TrainResult
+from rewax.training.loop.train import FINISHING, prepared
+from rewax.training.storage.run_directory import hold
+
+
+def train_seeds(
+    agent: Agent,
+    env: Env,
+    configs: Sequence[TrainConfig],
+    *,
+    describe: Mapping[str, Any] | None = None,
+    console: Console | None = None,
+) -> list[TrainResult]:
+    """Train one agent from several seeds at once: ``vmap(train_step)``, a run directory for each.
+
+    Each seed's result is that of its run alone, up to rounding: a batched program adds in another order. A seed that
+    fails is ended; the others go on.
+
+    Args:
+      agent, env, describe, console: as for ``train``.
+      configs: alike but for ``seed`` and ``run_dir``.
+
+    Raises:
+      ValueError: as for ``train``; or runs that are resumed have done different numbers of iterations.
+    """
+    console = console or Console()
+    with contextlib.ExitStack() as stack:
+        for config in configs:
+            stack.enter_context(hold(Path(config.run_dir).absolute(), must_exist=config.resume))
+        stop = stack.enter_context(graceful_stop(functools.partial(say, console)))
+        stop.at_once = "stopped before the first iteration: nothing was trained"
+        ready = [prepared(agent, env, config, describe, console) for config in configs]
+        done = sorted({int(state.iteration) for state, _ in ready})
+        if len(done) > 1:
+            raise ValueError(
+                f"the runs of these seeds have done {done[0]} to {done[-1]} iterations: resume them one by one"
+            )
+        states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state for state, _ in ready])
+        together = agent._replace(train_step=jax.jit(jax.vmap(agent.train_step), donate_argnums=0))
+        train_step: Any = None
+        if done[0] < configs[0].num_iterations:
+            train_step = compile_train_step(together, states, console)
+        runs = [open_run() for _, open_run in ready]
+        for run in runs:
+            stack.callback(run.close)
+        del ready
+        try:
+            for run in runs:
+                run.save()  # all of them have a checkpoint, or a stop would leave a group that cannot be resumed
+            for run in runs:
+                run.begin(stop)
+            while not (all(run.over for run in runs) or stop.requested):
+                began = time.perf_counter()
+                states, metrics = jax.block_until_ready(train_step(states))
+                metrics, seconds = jax.device_get(metrics), time.perf_counter() - began
+                for i, run in enumerate(runs):
+                    if not run.over:
+                        run.take(_of(states, i), {name: values[i] for name, values in metrics.items()}, seconds)
+        finally:
+            for run in runs:
+                run.end()
+        stop.at_once, stop.notice = "", FINISHING
+        return [run.finish(stop) for run in runs]
+
+
+def _of(states: Any, i: int) -> Any:
+    """The training state of one seed."""
+    return jax.tree.map(lambda a: a[i], states)
+
+
+__all__ = ["train_seeds"]

@@ -1,0 +1,75 @@
+"""The training state that a run begins with: a fresh one, or the newest that its directory holds."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+from rich.console import Console
+
+from rewax.agents.base import Agent
+from rewax.training.config import TrainConfig
+from rewax.training.loop.progress import say
+from rewax.training.loop.warm_start import warm_started
+from rewax.training.storage import checkpoint
+from rewax.training.storage.description import changes, plain, read_config
+from rewax.types import Key
+
+_FLAGS = {"env": "--env", "scale": "--scale", "agent": "--algo"}
+
+
+def first_state(
+    agent: Agent, config: TrainConfig, run_dir: Path, key: Key, description: Mapping[str, Any], console: Console
+) -> Any:
+    """The training state to begin with.
+
+    Args:
+      agent: that trains.
+      config: of the run.
+      run_dir: its directory.
+      key: for ``agent.init``.
+      description: what will be written into ``config.json``.
+      console: notes what is different from the run that is resumed.
+
+    Raises:
+      ValueError: the directory holds a run and ``config.resume`` is off, or one that this configuration cannot resume;
+        ``config.init_from`` does not fit.
+    """
+    if not config.resume:
+        metrics = run_dir / "metrics.csv"
+        if checkpoint.latest_step(run_dir) is not None or (metrics.is_file() and metrics.stat().st_size):
+            raise ValueError(
+                f"{run_dir} holds a run already: resume it (--resume) or choose another directory (--run-dir)"
+            )
+        fresh = jax.jit(agent.init)(key)
+        if not config.init_from:
+            return fresh
+        say(console, f"beginning with what {config.init_from} has learnt")
+        return warm_started(fresh, config.init_from)
+    differences = changes(read_config(run_dir), plain(description))
+    for name, old, new in differences:
+        if name in _FLAGS:
+            raise ValueError(f"{run_dir} holds a run with {name} {old}, not {new}: resume it with {_FLAGS[name]} {old}")
+    try:
+        train_state = checkpoint.restore(
+            run_dir, jax.eval_shape(agent.init, key), set_aside=True, notify=lambda text: say(console, text)
+        )
+    except checkpoint.OtherStructure as error:
+        raise _other_options(run_dir, differences, error) from None
+    for name, old, new in differences:
+        if name == "train.seed" or not name.startswith("train."):  # how to report is free to change
+            say(console, f"note: resuming with {name} {new}, it was {old}")
+    say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
+    return train_state
+
+
+def _other_options(run_dir: Path, differences: list[tuple[str, Any, Any]], error: ValueError) -> ValueError:
+    """Names the options that differ; where none does, the leaf that does not fit."""
+    options = [(name, old, new) for name, old, new in differences if not name.startswith("train.")]
+    if not options:
+        return error
+    listed = ", ".join(f"{name} {old} (given: {new})" for name, old, new in options)
+    return ValueError(
+        f"{run_dir} holds a run with {listed}, whose training state does not fit the options given: resume it with the "
+        "stored ones (config.json), or choose another directory (--run-dir)"
+    )

@@ -1,0 +1,161 @@
+"""Training from beginning to end: start or resume, iterate, finish."""
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+from rich.console import Console
+
+from rewax.agents.base import Agent
+from rewax.envs.base import Env
+from rewax.lowering.report import recorded
+from rewax.training.config import ReportConfig, TrainConfig
+from rewax.training.loop.compilation import compile_train_step
+from rewax.training.loop.devices import ONE_DEVICE, Placement, placement
+from rewax.training.loop.hosts import Leader, follow, leads, received
+from rewax.training.loop.interrupt import graceful_stop
+from rewax.training.loop.progress import say
+from rewax.training.loop.run import Run, TrainResult
+from rewax.training.loop.start import first_state
+from rewax.training.storage.description import (
+    append_lowering,
+    describe_run,
+    read_config,
+    write_config,
+    write_environment,
+)
+from rewax.training.storage.metrics import need_wandb
+from rewax.training.storage.run_directory import hold
+from rewax.training.storage.schedule import continued
+
+_EVALUATION_STREAM = 0x5EED  # folded into the seed, so that evaluation draws other numbers than training
+_NOTHING_KEPT = "stopped while compiling: nothing was trained, and nothing is kept"
+_NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
+_NOTHING_LOST = (
+    "stopped before the first iteration: nothing was trained since the checkpoint, which --resume continues from"
+)
+FINISHING = "everything trained is kept; finishing evaluation and pictures, once more to leave at once"
+
+
+def train(
+    agent: Agent,
+    env: Env,
+    config: TrainConfig,
+    *,
+    describe: Mapping[str, Any] | None = None,
+    console: Console | None = None,
+) -> TrainResult:
+    """Train an agent and leave a run directory: checkpoints, metrics, evaluations, plots.
+
+    A run resumed from a checkpoint continues as if it had never stopped, bit for bit on a CPU: the same final state and
+    the same ``metrics.csv``. The last checkpoint is written before the final evaluation and the pictures: no failure
+    there loses it.
+
+    A run stops early when more than ``config.max_failed_share`` of its episodes fail numerically, or when its critics'
+    loss is not finite as often. It stops at once when a number that it has learnt is not finite. No checkpoint holds
+    such a number, and the newest one from before the failures stays.
+
+    Where several processes have joined (``jax.distributed.initialize``), each of them calls this: the first one does
+    all that is said here, and the others compute their share.
+
+    Args:
+      agent: algorithm bound to ``env``.
+      env: unbatched environment to evaluate in.
+      config: length, seed, place and reports of the run.
+      describe: written into ``config.json`` beside ``config`` and what agent and env say of themselves; ``env``,
+        ``scale`` and ``agent`` must not change on resuming.
+      console: where to print; standard output by default.
+
+    Raises:
+      ValueError: ``run_dir`` cannot be used, another process uses it, it holds a run already and ``resume`` is off,
+        its run cannot be resumed, or ``wandb`` is asked for and not installed.
+    """
+    console = console or Console()
+    if not leads():
+        return _follow(agent, config)
+    leader = Leader()
+    with (
+        _ended(leader),
+        hold(Path(config.run_dir).absolute(), must_exist=config.resume),
+        graceful_stop(functools.partial(say, console)) as stop,
+    ):
+        stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
+        where = placement(getattr(agent.config, "num_envs", None), config.devices)
+        train_state, open_run = prepared(agent, env, config, describe, console, where, leader)
+        train_step, decisions = None, []
+        if int(train_state.iteration) < config.num_iterations:
+            with recorded() as decisions:
+                train_step = compile_train_step(agent, train_state, console, where)
+        stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
+        run = open_run()
+        append_lowering(config.run_dir, decisions)
+        try:
+            if train_step is not None:
+                run.iterate(train_step, stop)
+            stop.at_once, stop.notice = "", FINISHING
+            return run.finish(stop)
+        finally:
+            run.close()
+
+
+@contextlib.contextmanager
+def _ended(leader: Leader) -> Iterator[None]:
+    """At the end, and after an input that is refused, the other processes leave too."""
+    try:
+        yield
+    except ValueError:
+        leader.end()
+        raise
+    leader.end()
+
+
+def _follow(agent: Agent, config: TrainConfig) -> TrainResult:
+    """What the processes do that do not lead. A signal to stop is for the leader; a second one ends the process."""
+    with graceful_stop(lambda _: None):
+        train_state = received(jax.jit(agent.init)(jax.random.key(config.seed)))
+        if train_state is None:
+            return TrainResult(None, {}, failure="the first process did not begin")
+        where = placement(getattr(agent.config, "num_envs", None), config.devices)
+        train_state, train_step = where.place(train_state), None
+        if int(train_state.iteration) < config.num_iterations:
+            train_step = compile_train_step(agent, train_state, Console(quiet=True), where)
+        return TrainResult(follow(train_step, train_state), {})
+
+
+def prepared(
+    agent: Agent,
+    env: Env,
+    config: TrainConfig,
+    describe: Mapping[str, Any] | None,
+    console: Console,
+    where: Placement = ONE_DEVICE,
+    leader: Leader | None = None,
+) -> tuple[Any, Callable[[], Run]]:
+    """The training state to begin with, and a function that opens the run's files; before it nothing is written.
+
+    The directory has to be held.
+    """
+    if config.wandb:
+        need_wandb()
+    run_dir, seed_key = Path(config.run_dir).absolute(), jax.random.key(config.seed)
+    description = {**describe_run(agent, env, describe), "train": config}
+    leader = leader or Leader()
+    train_state = where.place(leader.hand_out(first_state(agent, config, run_dir, seed_key, description, console)))
+
+    def open_run() -> Run:
+        stored = read_config(run_dir) if config.resume else {}
+        schedule = continued(stored, int(train_state.iteration), config)
+        write_config(run_dir, {**description, "schedule": schedule})
+        write_environment(run_dir)
+        key = jax.random.fold_in(seed_key, _EVALUATION_STREAM)
+        run = Run(agent, env, config, run_dir, key, train_state, console, leader)
+        run.report_lost_rows(schedule)
+        return run
+
+    return train_state, open_run
+
+
+__all__ = ["ReportConfig", "TrainConfig", "TrainResult", "prepared", "train"]

@@ -1,0 +1,217 @@
+"""Complete training states on disk, bit-exact.
+
+A checkpoint is one directory ``<run>/checkpoints/<iteration>`` holding ``arrays/`` (written by Orbax) and
+``leaves.json`` (name, shape, dtype and checksum of every leaf). It is written under another name and renamed when it is
+complete, so a directory with a number for a name and these contents is whole. Whatever else lies there is left alone.
+"""
+
+import json
+import shutil
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
+
+from rewax.training.storage.leaves import (
+    ENTRIES,
+    OtherStructure,
+    check_structure,
+    checksum,
+    describe_leaf,
+    from_numpy,
+    named_leaves,
+    to_numpy,
+)
+
+T = TypeVar("T")
+
+
+class DamagedCheckpoint(ValueError):
+    """A checkpoint that cannot be read."""
+
+
+def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int | None = None) -> Path:
+    """Write a checkpoint of a whole training state, then remove all but the latest ``keep``.
+
+    Args:
+      run_dir: directory of the run, made if missing.
+      train_state: pytree of arrays, typed PRNG keys among them, with a field ``iteration``.
+      keep: number of checkpoints that stay, at least 1.
+      protect: iteration of a checkpoint that stays as well.
+
+    Returns:
+      The checkpoint's directory; it appears complete or not at all, however the process ends.
+    """
+    folder = Path(run_dir).absolute() / "checkpoints"
+    folder.mkdir(parents=True, exist_ok=True)
+    for leftover in (*folder.glob(".writing-*"), *folder.glob(".removing-*")):  # of a process that was killed
+        _remove(leftover)
+    step = int(train_state.iteration)
+    unfinished, final = folder / f".writing-{step}", folder / str(step)
+    unfinished.mkdir()
+    leaves = {name: to_numpy(leaf) for name, leaf in named_leaves(train_state)}
+    described = {name: describe_leaf(leaf, leaves[name]) for name, leaf in named_leaves(train_state)}
+    # Orbax refuses arrays without elements; their description says all there is to know.
+    stored = {name: value for name, value in leaves.items() if value.size}
+    with _checkpointer() as checkpointer:
+        checkpointer.save(unfinished / "arrays", args=ocp.args.StandardSave(stored))
+    (unfinished / "leaves.json").write_text(json.dumps(described, indent=1))
+    if _is_checkpoint(final):
+        _discard(final)
+    elif final.exists():
+        _set_aside(final, "stray")
+    unfinished.rename(final)
+    for old in steps(run_dir)[: -max(keep, 1)]:
+        if old != protect:
+            _discard(folder / str(old))
+    return final
+
+
+def steps(run_dir: str | Path) -> list[int]:
+    """Iterations of the checkpoints of a run, in order; stray files and folders do not count."""
+    folder = Path(run_dir) / "checkpoints"
+    found = folder.iterdir() if folder.is_dir() else ()
+    return sorted(int(path.name) for path in found if _is_number(path.name) and _is_checkpoint(path))
+
+
+def latest_step(run_dir: str | Path) -> int | None:
+    """Iteration of the newest checkpoint of a run, None if there is none."""
+    found = steps(run_dir)
+    return found[-1] if found else None
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, stacklevel=3)
+
+
+def restore(
+    run_dir: str | Path,
+    like: T,
+    *,
+    step: int | None = None,
+    set_aside: bool = False,
+    notify: Callable[[str], None] = _warn,
+) -> T:
+    """Read a training state back, bit for bit.
+
+    Args:
+      run_dir: directory of the run.
+      like: a training state of the same structure, or its ``jax.eval_shape``; values are not used.
+      step: iteration of the checkpoint; by default the newest that can be read.
+      set_aside: rename the damaged checkpoints that were passed over, so that the run does not meet them again.
+      notify: called with a sentence about each damaged checkpoint that was passed over; a Python warning by default.
+
+    Raises:
+      ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
+        (``DamagedCheckpoint``), or a field has another shape or type than ``like`` (``OtherStructure``).
+    """
+    run_dir = Path(run_dir).absolute()
+    if not run_dir.is_dir():
+        raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
+    found = steps(run_dir)
+    if step is not None and step not in found:
+        raise ValueError(
+            f"{run_dir} holds no checkpoint of iteration {step}: choose one of {', '.join(map(str, found)) or 'none'}"
+        )
+    if not found:
+        raise ValueError(f"{run_dir} holds no complete checkpoint: start the run afresh in another directory")
+    damaged: dict[int, DamagedCheckpoint] = {}
+    for candidate in [step] if step is not None else found[::-1]:
+        try:
+            restored = _read(run_dir / "checkpoints" / str(candidate), like)
+        except DamagedCheckpoint as error:
+            damaged[candidate] = error
+            continue
+        for other, error in damaged.items():
+            kept = ""
+            if set_aside:
+                kept = f"; it is kept as {_set_aside(run_dir / 'checkpoints' / str(other), 'damaged').name}"
+            notify(f"warning: {error}: using the one of iteration {candidate} before it{kept}")
+        return restored
+    newest = next(iter(damaged.values()))
+    raise DamagedCheckpoint(f"{newest}: choose another one, or start the run afresh in another directory")
+
+
+def _is_number(name: str) -> bool:
+    return name.isascii() and name.isdigit() and str(int(name)) == name
+
+
+def _is_checkpoint(path: Path) -> bool:
+    """Whole, or what damage has left of one."""
+    return (path / "leaves.json").is_file() or (path / "arrays").is_dir()
+
+
+def _discard(path: Path) -> None:
+    """Remove a checkpoint; renamed first, so that a half-removed one does not look complete."""
+    _remove(path.rename(path.with_name(f".removing-{path.name}")))
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+
+
+def _set_aside(path: Path, what: str) -> Path:
+    """Rename ``9`` to ``9.<what>``, or to ``9.<what>-2`` and so on where that is taken."""
+    name, number = f"{path.name}.{what}", 1
+    while path.with_name(name).exists():
+        number += 1
+        name = f"{path.name}.{what}-{number}"
+    return path.rename(path.with_name(name))
+
+
+def _read(path: Path, like: T) -> T:
+    described = _read_description(path)
+    named = named_leaves(like)
+    check_structure(described, dict(named), path)
+    arrays = _read_arrays(path, described)
+    leaves = [from_numpy(arrays[name], leaf, described[name]["impl"]) for name, leaf in named]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+def _read_description(path: Path) -> dict[str, Any]:
+    try:
+        described = json.loads((path / "leaves.json").read_text())
+        complete = all(entry.keys() >= ENTRIES for entry in described.values())
+    except Exception as error:
+        raise _unreadable(path, error) from error
+    if not complete:
+        raise _unreadable(path, "leaves.json lacks entries")
+    return described
+
+
+def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, np.ndarray]:
+    try:
+        empty = {name: np.empty(entry["stored_shape"], entry["stored_dtype"]) for name, entry in described.items()}
+        stored = {name: value for name, value in empty.items() if value.size}
+        with _checkpointer() as checkpointer:
+            arrays = checkpointer.restore(path / "arrays", args=ocp.args.StandardRestore(stored))
+    except Exception as error:  # Orbax raises many kinds
+        raise _unreadable(path, error) from error
+    arrays = {name: np.asarray(value) for name, value in (empty | arrays).items()}
+    for name, value in arrays.items():
+        if checksum(value) != described[name]["crc32"]:
+            raise _unreadable(path, f"checksum of {name} differs")
+    return arrays
+
+
+def _checkpointer() -> ocp.Checkpointer:
+    """Of this process alone: Orbax's own would wait for the others."""
+    alone = ocp.options.MultiprocessingOptions(primary_host=jax.process_index(), active_processes={jax.process_index()})
+    if jax.process_count() == 1:
+        alone = ocp.options.MultiprocessingOptions()
+    return ocp.Checkpointer(ocp.StandardCheckpointHandler(multiprocessing_options=alone), multiprocessing_options=alone)
+
+
+def _unreadable(path: Path, error: object) -> DamagedCheckpoint:
+    reason = str(error).strip().split("\n")[0][:200] or type(error).__name__
+    return DamagedCheckpoint(f"checkpoint {path} is damaged and cannot be read ({reason})")
+
+
+__all__ = ["DamagedCheckpoint", "OtherStructure", "latest_step", "restore", "save", "steps"]

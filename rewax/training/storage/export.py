@@ -1,0 +1,104 @@
+"""Trained policies for programs without rewax: StableHLO for JAX and XLA, and weights for NumPy."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import flatbuffers  # noqa: F401 (jax.export needs it to serialize)
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+
+from rewax.agents.actor_critic import Actor, make_actor
+from rewax.agents.config import AnyPolicyConfig
+from rewax.agents.normalization import EPSILON
+from rewax.agents.registry import algorithm
+from rewax.training.storage import numpy_policy
+from rewax.training.storage.saved import SavedRun, agent_config
+from rewax.types import Array, Observation
+
+PLATFORMS = ("cpu", "cuda")
+
+
+def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
+    """Write a policy three times: ``policy.stablehlo``, ``weights.npz`` with ``numpy_policy.py``, ``policy.json``.
+
+    All compute ``action = tanh(mean(obs) + std(obs) * noise)``, with the statistics of the observations built in: noise
+    zero is the deterministic action, standard normal noise the sampled one. ``policy.stablehlo`` is for a batch of any
+    size, on a CPU and on an NVIDIA GPU:
+
+        exported = jax.export.deserialize(bytearray(Path("policy.stablehlo").read_bytes()))
+        action = exported.call(obs, noise)        # leading axis of environments; JAX alone, without rewax
+
+    Args:
+      run: from ``load_run``.
+      out: folder, made if missing.
+
+    Returns:
+      What was written.
+
+    Raises:
+      ValueError: the algorithm learns no policy network.
+    """
+    actor, params = _actor(run), run.train_state.actor_params
+    statistics = run.train_state.environments.statistics
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+
+    def action(obs: Observation, noise: Array) -> Array:
+        distribution = actor.action_distribution(params, statistics, obs)
+        return jnp.tanh(distribution.mean + jnp.exp(distribution.log_std) * noise)
+
+    (batch,) = export.symbolic_shape("b")
+    shapes = {name: spec.shape for name, spec in actor.observation_spec.items()}
+    obs = {name: jax.ShapeDtypeStruct((batch, *shape), jnp.float32) for name, shape in shapes.items()}
+    noise = jax.ShapeDtypeStruct((batch, actor.action_size), jnp.float32)
+    exported = export.export(jax.jit(jax.vmap(action)), platforms=PLATFORMS)(obs, noise)
+    described = _description(run, actor)
+    files = {name: out / name for name in ("policy.stablehlo", "weights.npz", "numpy_policy.py", "policy.json")}
+    files["policy.stablehlo"].write_bytes(exported.serialize())
+    np.savez(files["weights.npz"], describes=json.dumps(described), **_weights(actor, params, statistics))
+    shutil.copyfile(numpy_policy.__file__, files["numpy_policy.py"])
+    files["policy.json"].write_text(json.dumps(described, indent=1) + "\n")
+    return list(files.values())
+
+
+def _actor(run: SavedRun) -> Actor:
+    config = run.config[run.config["agent"]]
+    config = agent_config(algorithm(run.config["agent"]).config_type, config)
+    if not isinstance(config, AnyPolicyConfig) or not hasattr(run.train_state, "actor_params"):
+        raise ValueError(
+            f"{run.config['agent']} learns no policy network, so there is nothing to export: train with another "
+            "algorithm, or read what it learns from load_run(run).train_state"
+        )
+    return make_actor(run.env, config)
+
+
+def _description(run: SavedRun, actor: Actor) -> dict[str, Any]:
+    return {
+        "agent": run.config["agent"],
+        "env": run.config.get("env"),
+        "scale": run.config.get("scale"),
+        "iteration": int(run.train_state.iteration),
+        "observation": {name: list(spec.shape) for name, spec in actor.observation_spec.items()},
+        "action_size": actor.action_size,
+        "activation": actor.config.activation,
+        "log_std_range": list(actor.config.log_std_range),
+        "observation_clip": actor.config.observation_clip,
+    }
+
+
+def _weights(actor: Actor, params: Any, statistics: Any) -> dict[str, np.ndarray]:
+    """Parameters by path, and of each normalised observation its mean and what it is multiplied by."""
+    leaves = jax.tree.leaves_with_path(params["params"])
+    weights = {"/".join(str(part.key) for part in path): np.asarray(leaf) for path, leaf in leaves}
+    if actor.config.normalize_observations:
+        for name, mean in statistics.mean.items():
+            weights[f"mean_of/{name}"] = np.asarray(mean)
+            weights[f"scale_of/{name}"] = np.asarray(1.0 / np.sqrt(np.asarray(statistics.variance[name]) + EPSILON))
+    return weights
+
+
+__all__ = ["export_policy"]

@@ -1,0 +1,82 @@
+"""Trained policies from their run directories."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+
+from rewax.agents.base import Agent
+from rewax.agents.registry import algorithm, list_algorithms
+from rewax.envs import registry
+from rewax.envs.base import Env
+from rewax.training.storage import checkpoint
+from rewax.training.storage.description import read_config
+
+
+class SavedRun(NamedTuple):
+    """What a run directory holds.
+
+    Attributes:
+      env: the environment trained in, unbatched.
+      agent: the algorithm, bound to it; ``agent.policy(train_state, obs, key, deterministic=True)`` is the action for
+        one environment.
+      train_state: of the checkpoint.
+      config: the contents of ``config.json``.
+    """
+
+    env: Env
+    agent: Agent
+    train_state: Any
+    config: dict[str, Any]
+
+
+def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = None) -> SavedRun:
+    """Build environment and agent as a run had them, and read its training state back.
+
+    Args:
+      run_dir: directory of the run.
+      step: iteration of the checkpoint; by default the newest that can be read.
+      env: the environment that the run was trained in, unbatched; needed unless ``rewax.make`` built it.
+
+    Raises:
+      ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` does not say what to build.
+    """
+    if checkpoint.latest_step(run_dir) is None:
+        raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
+    config = read_config(run_dir)
+    name = config.get("agent")
+    if name not in list_algorithms() or not isinstance(config.get(name), Mapping):
+        raise ValueError(
+            f"{run_dir}/config.json names no registered algorithm and its options: build the agent as for training, "
+            "and use checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
+        )
+    env = _recorded_env(config, run_dir) if env is None else env
+    known = algorithm(name)
+    agent = known.make(env, agent_config(known.config_type, config[name]))
+    train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
+    return SavedRun(env, agent, train_state, config)
+
+
+def _recorded_env(config: Mapping[str, Any], run_dir: str | Path) -> Env:
+    kwargs = config.get("env_kwargs", {})
+    if not isinstance(config.get("env"), str) or "scale" not in config or not isinstance(kwargs, Mapping):
+        raise ValueError(
+            f"{run_dir}/config.json names no environment, because rewax.make did not build it: build it as for "
+            "training and give it, load_run(run_dir, env=env)"
+        )
+    return registry.make(config["env"], scale=config["scale"], **kwargs)
+
+
+def agent_config(config_type: type, stored: Mapping[str, Any]) -> Any:
+    """The agent's configuration from JSON; what a newer version has more keeps its default."""
+    known = {field.name for field in dataclasses.fields(config_type)}
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise ValueError(f"this version has no option {', '.join(unknown)}: use the version that the run was made with")
+    return config_type(**values)
+
+
+__all__ = ["SavedRun", "load_run"]

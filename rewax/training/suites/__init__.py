@@ -1,0 +1,1 @@
+"""Suites of runs: which tasks, algorithms and seeds, their runs and tables."""

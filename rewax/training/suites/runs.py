@@ -1,0 +1,244 @@
+"""Runs of a suite, one after the other: skips what is done, resumes what was interrupted, keeps one table.
+
+``results.csv`` and ``curves.csv`` say all that the table and the pictures need. A directory that holds these two alone,
+from another machine for example, is continued like any other.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+
+from rewax.agents.registry import algorithm
+from rewax.envs.registry import make
+from rewax.training.config import TrainConfig
+from rewax.training.evaluation.episodes import constant_policy, make_evaluate, uniform_policy
+from rewax.training.loop.progress import say
+from rewax.training.loop.train import train
+from rewax.training.storage import checkpoint
+from rewax.training.storage.description import plain
+from rewax.training.storage.metrics import read_csv
+from rewax.training.storage.run_directory import InUse, hold
+from rewax.training.suites.suite import Suite
+from rewax.training.suites.tables import COLUMNS, read_results, write_results
+
+_EVALUATION_KEY = 1234
+BASELINES = ("no action", "random actions")
+
+
+class Cell(NamedTuple):
+    """One run of a suite."""
+
+    task: str
+    algorithm: str
+    seed: int
+
+    def folder(self, out_dir: Path) -> Path:
+        """Its run directory."""
+        return out_dir / "runs" / self.task / self.algorithm / str(self.seed)
+
+
+def cells(suite: Suite) -> Iterator[Cell]:
+    """All runs, in the order in which they are done: the first seed of everything comes first."""
+    for seed in suite.seeds:
+        for task in suite.tasks:
+            for name in suite.algorithms:
+                yield Cell(task, name, seed)
+
+
+def run_suite(
+    suite: Suite, out_dir: str | Path, console: Console, *, part: Suite | None = None, devices: int = 0
+) -> int:
+    """Do all runs that are not done yet, and write ``results.csv``, ``table.md`` and learning curves after each.
+
+    A run that fails, or stops with an error, is written down as such, and the next one is done. A run is done if its
+    directory says so, or ``results.csv``; one that another process is at is left out.
+
+    Args:
+      suite: whose results are written.
+      out_dir: holds the results, and the run directories in ``runs/<task>/<algorithm>/<seed>``. Those of finished runs
+        may be removed.
+      console: where to print.
+      part: what to run of it; by default all.
+      devices: over how many environments are divided, see ``TrainConfig``.
+
+    Returns:
+      The signal that stopped it, 0 if all runs are done.
+
+    Raises:
+      ValueError: the suite cannot be, ``out_dir`` cannot be used, or it holds results of other options.
+    """
+    out_dir, part = Path(out_dir), suite if part is None else part
+    for cell in cells(suite):  # a suite that cannot be is refused before the first run
+        suite.config(cell.task, cell.algorithm)
+    _claim(suite, out_dir)
+    for task in part.tasks:
+        _baselines(suite, task, out_dir)
+    everything, kept = list(cells(part)), read_results(out_dir)
+    for number, cell in enumerate(everything, start=1):
+        if read_result(cell.folder(out_dir)) or cell in kept:
+            continue
+        say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
+        try:
+            signum = _run(suite, cell, out_dir, console, devices)
+        except InUse:  # benchmarks side by side
+            say(console, "another process is at it: left out")
+            continue
+        if signum:
+            say(console, f"stopped: the same command continues {out_dir}")
+            return signum
+        write_results(suite, rows(suite, out_dir), out_dir)
+    for sentence in write_results(suite, rows(suite, out_dir), out_dir):
+        say(console, sentence)
+    return 0
+
+
+def _claim(suite: Suite, out_dir: Path) -> None:
+    """Keep the suite's options in ``suite.json``; results of other options do not belong into one table."""
+    path, names = out_dir / "suite.json", ("scale", "steps", "options", "num_eval_episodes")
+    options = plain({name: getattr(suite, name) for name in names})
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        stored = json.loads(path.read_text()) if path.is_file() else options
+        path.write_text(json.dumps(options if stored == options else stored, indent=1) + "\n")
+    except (OSError, json.JSONDecodeError) as error:
+        raise ValueError(f"{out_dir} cannot hold results ({error}): choose another directory (--out)") from None
+    if stored != options:
+        odd = next(name for name in names if stored.get(name) != options[name])
+        raise ValueError(f"{out_dir} holds results with other {odd}: choose another directory (--out)")
+
+
+def rows(suite: Suite, out_dir: Path) -> list[dict[str, Any]]:
+    """What is known so far: one row per baseline, and one per finished run."""
+    found = []
+    for task in suite.tasks:
+        for name, mean in _known_baselines(out_dir, task).items():
+            found.append({"task": task, "algorithm": name, "seed": 0, "sampled": mean, "deterministic": mean})
+    return found + list(results(suite, out_dir).values())
+
+
+def results(suite: Suite, out_dir: Path) -> dict[Cell, dict[str, Any]]:
+    """Rows of the runs that are done: of their directories, and of ``results.csv`` where a directory is gone."""
+    kept = read_results(out_dir)
+    found = {cell: read_result(cell.folder(out_dir)) or kept.get(cell, {}) for cell in cells(suite)}
+    return {cell: row for cell, row in found.items() if row}
+
+
+def read_result(folder: Path) -> dict[str, Any]:
+    """The row of a run that is done; empty if it is not."""
+    try:
+        result = json.loads((folder / "result.json").read_text())
+    except (OSError, ValueError):
+        return {}
+    whole = isinstance(result, dict) and set(COLUMNS) <= set(result) and isinstance(result["sampled"], float)
+    return result if whole else {}
+
+
+def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int) -> int:
+    """One run, from its newest checkpoint if it has one; the signal that stopped it."""
+    folder, known, env = cell.folder(out_dir), algorithm(cell.algorithm), make(cell.task, scale=suite.scale)
+    config = suite.config(cell.task, cell.algorithm)
+    if cell.task in suite.steps:
+        per_iteration = config.num_envs * config.steps_in(env)
+        config = dataclasses.replace(config, num_iterations=math.ceil(suite.steps[cell.task] / per_iteration))
+    agent = known.make(env, config)
+    options = TrainConfig(
+        num_iterations=config.num_iterations,
+        run_dir=str(folder),
+        seed=cell.seed,
+        devices=devices,
+        resume=checkpoint.latest_step(folder) is not None,
+        num_eval_episodes=suite.num_eval_episodes,
+        eval_every=0,
+        # A replay buffer is large, and every checkpoint holds it.
+        checkpoint_every=max(10, config.num_iterations // 10) if agent.consumes else 10,
+        keep_checkpoints=1 if agent.consumes else 3,
+        baselines=False,
+        plots=False,
+        tensorboard=False,
+        max_failed_share=1.0,
+    )
+    if not options.resume:
+        with hold(folder):  # of a run that stopped before its first checkpoint
+            (folder / "metrics.csv").unlink(missing_ok=True)
+    describe = {
+        "env": cell.task,
+        "scale": suite.scale,
+        "seed": cell.seed,
+        "agent": cell.algorithm,
+        cell.algorithm: config,
+    }
+    row: dict[str, Any] = {
+        **dict.fromkeys(COLUMNS, 0),
+        **cell._asdict(),
+        "sampled": math.nan,
+        "deterministic": math.nan,
+        "success": math.nan,
+    }
+    try:
+        result = train(agent, env, options, describe=describe, console=console)
+    except ValueError:  # of the directory or the configuration: not this run's failure
+        raise
+    except Exception as error:  # out of memory, for example: the other runs may do better
+        row["failure"] = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        say(console, f"failed: {row['failure']}")
+    else:
+        if result.signum:
+            return result.signum
+        row |= {
+            "env_steps": int(result.train_state.env_steps),
+            "sampled": float(result.evaluation.get("sampled_mean", math.nan)),
+            "deterministic": float(result.evaluation.get("deterministic_mean", math.nan)),
+            "success": float(result.evaluation.get("sampled_success", math.nan)),
+            "failed": int(result.evaluation.get("sampled_failed", 0)),
+            "failure": result.failure,
+        }
+    seconds = read_csv(folder / "timing.csv").get("seconds", np.zeros(0))
+    # Not their sum: compilation, interruptions and other work on the machine stretch a few.
+    row["seconds"] = round(len(seconds) * float(np.median(seconds)), 3) if len(seconds) else 0.0
+    unfinished = folder / "result.json.writing"
+    unfinished.write_text(json.dumps(row, indent=1) + "\n")
+    unfinished.replace(folder / "result.json")
+    return 0
+
+
+def _known_baselines(out_dir: Path, task: str) -> dict[str, float]:
+    """Those of ``baselines.json``, or of ``results.csv``; empty if one is missing."""
+    try:
+        stored = json.loads(_baselines_path(out_dir, task).read_text())
+        return {name: float(stored[name]) for name in BASELINES}
+    except (OSError, ValueError, KeyError, TypeError):
+        kept = read_results(out_dir)
+        found = {name: kept[task, name, 0]["sampled"] for name in BASELINES if (task, name, 0) in kept}
+        return found if len(found) == len(BASELINES) else {}
+
+
+def _baselines_path(out_dir: Path, task: str) -> Path:
+    return out_dir / "runs" / task / "baselines.json"
+
+
+def _baselines(suite: Suite, task: str, out_dir: Path) -> None:
+    """Mean returns of doing nothing and of random actions, from initial states of their own; computed once."""
+    if _known_baselines(out_dir, task):
+        return
+    env = make(task, scale=suite.scale)
+    policies = (constant_policy(jnp.zeros(env.action_spec.shape)), uniform_policy(env))
+    returns = {
+        name: float(_mean_return(env, policy, suite.num_eval_episodes))
+        for name, policy in zip(BASELINES, policies, strict=True)
+    }
+    path = _baselines_path(out_dir, task)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(returns, indent=1) + "\n")
+
+
+def _mean_return(env: Any, policy: Any, num_episodes: int) -> Any:
+    evaluate = make_evaluate(env, policy, num_episodes)
+    return evaluate(None, jax.random.key(_EVALUATION_KEY))["mean"]

@@ -1,0 +1,256 @@
+"""Results of a suite: a CSV, a Markdown table beside the paper's numbers, learning curves."""
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from rewax.statistics import Curve, bootstrap_interval, interquartile_mean, learning_curve
+from rewax.training.storage.metrics import read_csv
+from rewax.training.suites.suite import Suite
+
+COLUMNS: tuple[str, ...] = (
+    "task",
+    "algorithm",
+    "seed",
+    "env_steps",
+    "sampled",
+    "deterministic",
+    "success",
+    "failed",
+    "seconds",
+    "failure",
+)
+
+_MEASURED = ("sampled", "deterministic", "success", "seconds")
+_CURVE_COLUMNS = ("task", "algorithm", "seed", "env_steps", "return")
+_POINTS = 60  # of a learning curve that is kept
+
+Run: TypeAlias = tuple[str, str, int]
+"""Task, algorithm, seed."""
+
+PAPER: dict[str, dict[str, str]] = {
+    "AntRun": {
+        "ppo": "2048.7 ± 36.6",
+        "sac": "2063.6 ± 13.9",
+        "trajopt": "915.5 ± 29.6",
+        "apg": "258.7 ± 20.3",
+        "shac": "3621.0 ± 54.4",
+        "sapo": "4535.9 ± 24.5",
+    },
+    "HandReorient": {
+        "ppo": "5.9 ± 4.9",
+        "sac": "70.5 ± 10.2",
+        "trajopt": "-12.5 ± 2.0",
+        "apg": "-11.6 ± 1.9",
+        "shac": "-2.5 ± 1.8",
+        "sapo": "221.7 ± 9.5",
+    },
+    "RollingFlat": {
+        "ppo": "81.2 ± 0.1",
+        "sac": "83.0 ± 0.3",
+        "trajopt": "81.5 ± 0.1",
+        "apg": "86.9 ± 0.4",
+        "shac": "86.8 ± 0.4",
+        "sapo": "100.4 ± 0.4",
+    },
+    "SoftJumper": {
+        "ppo": "261.5 ± 12.4",
+        "sac": "-161.8 ± 2.5",
+        "trajopt": "437.2 ± 17.7",
+        "apg": "956.6 ± 15.6",
+        "shac": "853.3 ± 10.2",
+        "sapo": "1820.5 ± 47.9",
+    },
+    "HandFlip": {
+        "ppo": "7.3 ± 1.1",
+        "sac": "4.6 ± 1.1",
+        "trajopt": "27.3 ± 2.6",
+        "apg": "38.2 ± 3.5",
+        "shac": "32.7 ± 2.9",
+        "sapo": "90.0 ± 2.2",
+        "sapo_hard_targets": "77 ± 3",
+        "sapo_hard_return": "59 ± 4",
+        "shac2": "56 ± 3",
+    },
+    "FluidMove": {
+        "ppo": "27.3 ± 0.2",
+        "sac": "28.2 ± 0.7",
+        "trajopt": "27.0 ± 0.1",
+        "apg": "26.3 ± 0.3",
+        "shac": "21.7 ± 0.4",
+        "sapo": "30.6 ± 0.4",
+    },
+}
+"""Returns at scale ``paper`` with sampled actions, mean and 95 % interval over ten seeds (tables 2 and 3)."""
+
+
+def write_results(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -> list[str]:
+    """Write ``results.csv``, ``curves.csv``, ``table.md`` and one ``<task>.png`` per task.
+
+    Args:
+      suite: that was run.
+      rows: as ``bench.rows`` gives them.
+      out_dir: where to.
+
+    Returns:
+      A sentence about each file.
+    """
+    out_dir.mkdir(parents=True, exist_ok=True)
+    curves = _curves(rows, out_dir)
+    texts = {"results.csv": results_csv(rows), "curves.csv": _curves_csv(curves), "table.md": markdown(suite, rows)}
+    for name, text in texts.items():
+        unfinished = out_dir / f"{name}.{os.getpid()}.writing"  # its own: benchmarks side by side
+        unfinished.write_text(text)
+        unfinished.replace(out_dir / name)
+    return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, rows, curves, out_dir)
+
+
+def read_results(out_dir: Path) -> dict[Run, dict[str, Any]]:
+    """Rows of ``results.csv``; none if it is missing. Rows that cannot be read are left out."""
+    try:
+        lines = (out_dir / "results.csv").read_text().splitlines()
+        read = [_typed(row) for row in csv.DictReader(lines)]
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return {}
+    return {(row["task"], row["algorithm"], row["seed"]): row for row in read if row}
+
+
+def _typed(row: dict[str, Any]) -> dict[str, Any]:
+    """A row of text as numbers, without what is empty; empty if it is damaged."""
+    kinds = {"seed": int, "env_steps": int, "failed": int} | dict.fromkeys(_MEASURED, float)
+    try:
+        typed = {name: kinds.get(name, str)(row[name]) for name in COLUMNS if row[name] != "" or name == "failure"}
+    except (KeyError, TypeError, ValueError):
+        return {}
+    return typed if {"task", "algorithm", "seed", "sampled"} <= set(typed) else {}
+
+
+def results_csv(rows: Sequence[dict[str, Any]]) -> str:
+    """All runs, one row each."""
+    return _csv(COLUMNS, rows)
+
+
+def _csv(columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> str:
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def _curves(rows: Sequence[dict[str, Any]], out_dir: Path) -> dict[Run, Curve]:
+    """Learning curves of the finished runs: of their directories, and of ``curves.csv`` where a directory is gone."""
+    kept, curves = _read_curves(out_dir / "curves.csv"), {}
+    for row in rows:
+        run = (row["task"], row["algorithm"], row["seed"])
+        if "env_steps" in row:
+            curve = learning_curve(read_csv(out_dir.joinpath("runs", *map(str, run)) / "metrics.csv"))
+            curves[run] = _thinned(curve) if curve.steps.size else kept.get(run, curve)
+    return curves
+
+
+def _thinned(curve: Curve) -> Curve:
+    if curve.steps.size <= _POINTS:
+        return curve
+    return curve.at(np.round(np.linspace(curve.steps[0], curve.steps[-1], _POINTS)))
+
+
+def _curves_csv(curves: Mapping[Run, Curve]) -> str:
+    return _csv(
+        _CURVE_COLUMNS,
+        (
+            dict(zip(_CURVE_COLUMNS, (*run, int(steps), f"{value:.6g}"), strict=True))
+            for run, curve in curves.items()
+            for steps, value in zip(*curve, strict=True)
+        ),
+    )
+
+
+def _read_curves(path: Path) -> dict[Run, Curve]:
+    points: dict[Run, list[tuple[float, float]]] = {}
+    try:
+        for row in csv.DictReader(path.read_text().splitlines()):
+            run = (row["task"], row["algorithm"], int(row["seed"]))
+            points.setdefault(run, []).append((float(row["env_steps"]), float(row["return"])))
+    except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError):
+        return {}
+    return {run: Curve(*np.array(pairs).T) for run, pairs in points.items()}
+
+
+def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
+    """One line per task, one column per algorithm: mean return with sampled actions, and its 95 % bootstrap interval
+    over seeds. Brackets say where seeds have failed, which are left out, or are not done yet. Below it interquartile
+    means, and how long runs took, without compilation.
+    """
+    names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
+    names += suite.algorithms
+    lines = ["| task | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
+    for task in suite.tasks:
+        lines.append(f"| {task} | " + " | ".join(_cell(suite, rows, task, name) for name in names) + " |")
+        if suite.scale == "paper" and task in PAPER:
+            lines.append("| the paper's | " + " | ".join(PAPER[task].get(name, "") for name in names) + " |")
+    for title, digest in (
+        ("Interquartile means over seeds:", _middle),
+        ("Minutes of a run, median over seeds:", _minutes),
+    ):
+        lines += ["", title, "", *lines[:2]]
+        for task in suite.tasks:
+            cells = (digest([r for r in rows if (r["task"], r["algorithm"]) == (task, name)]) for name in names)
+            lines.append(f"| {task} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _middle(rows: Sequence[dict[str, Any]]) -> str:
+    returns = _finite(rows)
+    return _number(interquartile_mean(returns)) if returns else ""
+
+
+def _minutes(rows: Sequence[dict[str, Any]]) -> str:
+    seconds = [row["seconds"] for row in rows if "seconds" in row]
+    return f"{float(np.median(seconds)) / 60.0:.1f}" if seconds else ""
+
+
+def _cell(suite: Suite, rows: Sequence[dict[str, Any]], task: str, name: str) -> str:
+    done = [row for row in rows if (row["task"], row["algorithm"]) == (task, name)]
+    returns = _finite(done)
+    if not returns:
+        return "failed" if done else ""
+    if len(returns) == 1:
+        text = _number(returns[0])
+    else:
+        low, high = bootstrap_interval(returns)
+        text = f"{_number(sum(returns) / len(returns))} [{_number(low)}, {_number(high)}]"
+    left = len(suite.seeds) - len(done) if name in suite.algorithms else 0
+    notes = [f"{count} {what}" for count, what in ((len(done) - len(returns), "failed"), (left, "to do")) if count]
+    return text + (f" ({', '.join(notes)})" if notes else "")
+
+
+def _finite(rows: Sequence[dict[str, Any]]) -> list[float]:
+    """Returns of the runs that did not fail."""
+    return [row["sampled"] for row in rows if math.isfinite(row["sampled"])]
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.1f}" if abs(value) >= 1 else f"{value:.2g}"
+
+
+def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], curves: Mapping[Run, Curve], out_dir: Path) -> list[str]:
+    from rewax.viz.curves import curves_with_intervals  # matplotlib is slow to import
+
+    said = []
+    for task in suite.tasks:
+        # All algorithms, in the suite's order: each has its color in all pictures.
+        drawn: dict[str, list[Curve]] = {name: [] for name in suite.algorithms}
+        for (name, algorithm, _), curve in curves.items():
+            if name == task and curve.steps.size:
+                drawn[algorithm].append(curve)
+        levels = {row["algorithm"]: row["sampled"] for row in rows if row["task"] == task and "env_steps" not in row}
+        if any(drawn.values()):
+            said.append(f"wrote {curves_with_intervals(drawn, out_dir / f'{task}.png', title=task, levels=levels)}")
+    return said

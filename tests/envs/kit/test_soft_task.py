@@ -1,0 +1,169 @@
+"""What soft tasks share: joints and their limits, point clouds, status, mistakes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import soft_tasks
+
+import rewax
+from rewax import struct
+from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.soft_task import SoftTask
+from rewax.envs.kit.start_noise import reset_noise
+from rewax.physics import tets
+from rewax.physics.contact import Collider, PenaltyContact
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import Sphere
+from rewax.testing import check_env
+
+
+@struct.dataclass
+class Poke(SoftTask):
+    """Push a tet along x with a ball; its one joint is the ball's place."""
+
+    def poses(self, joint_q):
+        position = joint_q * jnp.array([1.0, 0.0, 0.0])
+        return Pose(position[:, None], jnp.broadcast_to(jnp.eye(3), (len(joint_q), 1, 3, 3)))
+
+    def reward(self, physics):
+        reach = physics.soft.x[:, 0].mean()
+        return reach, {"reach": reach}
+
+
+def poke(**changes):
+    mesh = tets.TetMesh(vertices=np.eye(4)[:, :3], tets=np.array([[3, 0, 1, 2]]))
+    scene = tets.make_scene(
+        mesh=mesh, density=1.0, mu=100.0, lam=100.0, dt=1e-3, gravity=(0.0, 0.0, 0.0),
+        contact=PenaltyContact(stiffness=50.0), colliders=(Collider(shape=Sphere(radius=0.3), friction=0.0),),
+    )  # fmt: skip
+    options = {
+        "rest_positions": jnp.asarray(mesh.vertices, jnp.float32),
+        "joint_start": jnp.array([-0.25]),
+        "joint_lower": jnp.array([-0.6]),
+        "joint_upper": jnp.array([0.6]),
+        "joint_step": jnp.array([0.05]),
+        "noise": reset_noise((-0.01, 0.0, 0.0), (0.01, 0.0, 0.0)),
+        "cloud": PointCloud(num_points=4),
+        "num_substeps": 5,
+        "max_steps": 12,
+        **changes,
+    }
+    return Poke(scene=scene, **options)
+
+
+def test_a_tool_moves_linearly_and_pushes_what_it_meets():
+    env = poke()
+    state = env.reset(jax.random.key(0))
+    assert state.obs.keys() == {"particle_q", "com_q", "joint_q"}
+    step = jax.jit(env.step)
+    for i in range(8):
+        state = step(state, jnp.array([2.0]))
+        np.testing.assert_allclose(state.physics.joint_q, [-0.25 + 0.05 * (i + 1)], atol=1e-6)
+    assert float(state.metrics["reach"]) > 0.27
+    assert int(state.status) == rewax.Status.OK
+
+
+@pytest.mark.slow
+def test_a_task_with_tets_passes_check_env():
+    check_env(poke())
+
+
+@pytest.mark.parametrize(("exact", "slope"), [(False, 1.0), (True, 0.0)])
+def test_limits_are_frozen_or_exact(exact, slope):
+    """Where a limit stops a joint, its place after the step has a derivative of 1 by its place before, or of 0."""
+    env = poke(exact_limits=exact)
+    state = env.reset(jax.random.key(0))
+
+    def after(q, action):
+        return env.step(state.replace(physics=state.physics.replace(joint_q=q)), action).physics.joint_q[0]
+
+    by_place, by_action = jax.grad(after, argnums=(0, 1))(jnp.array([0.58]), jnp.array([1.0]))
+    np.testing.assert_allclose(by_place, [slope], atol=1e-6)
+    np.testing.assert_allclose(by_action, [0.0], atol=1e-6)
+    by_place, by_action = jax.grad(after, argnums=(0, 1))(jnp.array([0.0]), jnp.array([0.5]))
+    np.testing.assert_allclose([by_place[0], by_action[0]], [1.0, 0.05], rtol=1e-5)
+
+
+# --- Point clouds ----------------------------------------------------------------------------------------------------
+
+
+def see(cloud, key):
+    x = jnp.arange(30.0).reshape(10, 3)
+    return np.asarray(cloud.see(x, 100.0 + x, key)), np.asarray(x)
+
+
+def test_a_cloud_shows_every_so_many_points():
+    seen, x = see(PointCloud(num_points=3, stride=2), None)
+    np.testing.assert_array_equal(seen, x[[0, 2, 4]])
+
+
+def test_a_random_cloud_shows_other_points_at_every_step_none_twice():
+    cloud = PointCloud(num_points=6, random=True)
+    first, x = see(cloud, jax.random.key(0))
+    second, _ = see(cloud, jax.random.key(1))
+    rows = [{int(r[0]) // 3 for r in seen} for seen in (first, second)]
+    assert [len(r) for r in rows] == [6, 6] and rows[0] != rows[1]
+    assert all((row == x).all(axis=1).any() for row in first)
+
+
+def test_a_cloud_with_velocities_has_six_numbers_a_point():
+    seen, x = see(PointCloud(num_points=4, velocities=True), None)
+    np.testing.assert_array_equal(seen, np.concatenate([x, 100.0 + x], axis=1)[:4])
+
+
+def test_noise_falls_on_positions_alone_with_its_deviation():
+    cloud = PointCloud(num_points=10, velocities=True, noise=jnp.asarray(0.5))
+    seen, x = zip(*(see(cloud, jax.random.key(k)) for k in range(200)), strict=True)
+    error = np.asarray(seen)[..., :3] - np.asarray(x)
+    assert abs(error.mean()) < 0.03 and error.std() == pytest.approx(0.5, rel=0.05)
+    np.testing.assert_array_equal(np.asarray(seen)[..., 3:], 100.0 + np.asarray(x))
+
+
+def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
+    plain, noisy = poke(), poke(cloud=PointCloud(num_points=3, random=True, velocities=True, noise=jnp.asarray(0.01)))
+    assert noisy.observation_spec["particle_q"].shape == (3, 6)
+    a, b = (env.step(env.reset(jax.random.key(2)), jnp.ones(1)) for env in (plain, noisy))
+    np.testing.assert_array_equal(a.physics.soft.x, b.physics.soft.x)
+    assert float(a.reward) == float(b.reward)
+    check_env(noisy, check_full_episode=False)
+
+
+# --- Mistakes --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"num_substeps": 0}, "num_substeps is 0: give a whole number, at least 1"),
+        ({"max_steps": 2.5}, r"max_steps is 2\.5: give a whole number, at least 1"),
+        ({"list_every": 3}, "list_every is 3, which does not divide num_substeps = 5: choose a divisor, or None"),
+    ],
+)
+def test_impossible_numbers_say_what_to_do(changes, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}$"):
+        poke(**changes)
+
+
+@pytest.mark.parametrize("name", ["num_points", "stride"])
+def test_an_impossible_cloud_says_what_to_do(name):
+    with pytest.raises(ValueError, match=f"^{name} of the point cloud is 0: give a whole number, at least 1$"):
+        PointCloud(**{"num_points": 3, name: 0})
+
+
+def test_a_task_without_its_parts_says_what_to_define():
+    task = SoftTask(
+        **{name: getattr(poke(), name) for name in ("scene", "rest_positions", "cloud", "num_substeps", "max_steps")}
+    )
+    with pytest.raises(NotImplementedError, match=r"^SoftTask has no reward\(physics\): define it$"):
+        task.reset(jax.random.key(0))
+    with pytest.raises(NotImplementedError, match=r"^SoftTask has colliders but no poses\(joint_q\): define it$"):
+        task.poses(jnp.zeros((3, 0)))
+
+
+@pytest.mark.parametrize("name", ["HandFlip", "FluidMove", "SoftJumper"])
+def test_episodes_truncate_at_the_time_limit_and_never_terminate(name):
+    env, first = soft_tasks.make(name), soft_tasks.start(name)
+    state = soft_tasks.run(name, first.replace(step_count=jnp.int32(env.max_steps - 2)), 0.0, 2)
+    assert [bool(s.truncated) for s in state] == [False, True]
+    assert not any(bool(s.terminated) for s in state)

@@ -1,0 +1,92 @@
+"""SteerFloat: what floats, what the paddle moves with and without touching it, the reward, gradients."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import soft_tasks
+from soft_tasks import difference_errors, make
+
+from rewax.envs.tasks import steer_float
+from rewax.physics import mpm
+
+ENV = make("SteerFloat")
+FLOAT = slice(0, ENV.float_count)
+
+
+def middle(state):
+    return np.asarray(state.physics.soft.x[FLOAT].mean(0))
+
+
+@pytest.mark.parametrize("scale", ["paper", "small"])
+def test_float_and_water_fill_the_basin_without_overlap(scale):
+    env = make("SteerFloat", scale)
+    x = np.asarray(env.rest_positions)
+    solid, pool = x[: env.float_count], x[env.float_count :]
+    np.testing.assert_allclose(solid.mean(0), steer_float.FLOAT_START, atol=1e-5)
+    mass = np.asarray(mpm.particle_mass(env.scene, env.rest_positions))
+    assert mass[: env.float_count].sum() == pytest.approx(400.0 * 0.075 * 0.05 * 0.075, rel=1e-4)
+    half = 0.5 * np.asarray(steer_float.FLOAT_SIZE)
+    assert (np.abs(pool - steer_float.FLOAT_START) > half).any(1).all()
+    paddle = np.array([0.1, 0.075 + steer_float.PADDLE[1], 0.2])
+    assert (np.abs(pool - paddle) > np.asarray(steer_float.PADDLE)).any(1).all()
+    assert env.scene.particle_counts == (env.float_count, len(pool))
+
+
+def test_the_float_floats():
+    """Left alone it stays where it is, and displaces its own weight of water: 40 % of its height."""
+    end = soft_tasks.run("SteerFloat", soft_tasks.start("SteerFloat"), 0.0, 60)[-1]
+    moved = middle(end) - steer_float.FLOAT_START
+    assert np.abs(moved[[0, 2]]).max() < 0.015
+    x = np.asarray(end.physics.soft.x)
+    surface = np.quantile(x[ENV.float_count :, 1], 0.98)
+    immersed = (surface - x[FLOAT, 1].min()) / np.ptp(x[FLOAT, 1])
+    assert 0.2 < immersed < 0.7
+    assert int(end.status) == 0
+
+
+def test_the_paddle_moves_the_float_before_it_touches():
+    start, clear = soft_tasks.start("SteerFloat"), True
+    for state in soft_tasks.run("SteerFloat", start, jnp.array([0.5, 0.0, 0.0]), 8):
+        ahead = np.asarray(state.physics.soft.x[FLOAT, 0]).min() - float(state.physics.joint_q[0])
+        clear &= ahead > steer_float.PADDLE[0] + 0.5 * ENV.scene.grid.spacing
+    assert clear
+    assert middle(state)[0] > steer_float.FLOAT_START[0] + 0.003
+
+
+def test_the_mark_is_drawn_ahead():
+    marks = np.asarray(jax.jit(jax.vmap(ENV.reset))(jax.random.split(jax.random.key(0), 512)).physics.task)
+    shift = marks - [steer_float.FLOAT_START[0], steer_float.FLOAT_START[2]]
+    for values, low, high in zip(shift.T, (0.06, -0.05), (0.14, 0.05), strict=True):
+        assert low - 1e-6 <= values.min() < low + 0.002 and high - 0.002 < values.max() <= high + 1e-6
+        assert values.mean() == pytest.approx(0.5 * (low + high), abs=0.005)
+
+
+def test_reward_is_the_formula():
+    x = np.asarray(ENV.rest_positions, np.float64)
+    state = soft_tasks.physics(ENV, x, task=jnp.array([0.26, 0.23]))
+    reward, metrics = ENV.reward(state)
+    np.testing.assert_allclose(reward, 1.0 - (0.06**2 + 0.03**2) / 0.1**2, atol=1e-6)
+    assert float(metrics["success"]) == 0.0
+    near = soft_tasks.physics(ENV, x, task=jnp.array([0.21, 0.21]))
+    assert float(ENV.reward(near)[1]["success"]) == 1.0
+
+
+def test_observations_are_seen_from_the_float():
+    state = soft_tasks.run("SteerFloat", soft_tasks.start("SteerFloat"), jnp.array([1.0, 0.0, 0.5]), 3)[-1]
+    x, at = np.asarray(state.physics.soft.x), middle(state)
+    np.testing.assert_allclose(state.obs["particle_q"], x[::20][:64] - at, atol=1e-6)
+    vector = np.asarray(state.obs["vector"])
+    np.testing.assert_allclose(vector[:3], at, atol=1e-6)
+    np.testing.assert_allclose(vector[6:8], np.asarray(state.physics.joint_q)[:2] - at[[0, 2]], atol=1e-6)
+    np.testing.assert_allclose(vector[8:14], [*state.physics.joint_q, 1.0, 0.0, 0.5], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(vector[14:], np.asarray(state.physics.task) - at[[0, 2]], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_gradient_by_actions_is_that_of_differences(x64):
+    """The paddle at the float, three substeps a step; through both materials."""
+    env = steer_float.small()
+    env = env.replace(num_substeps=3, list_every=None, joint_start=jnp.array([0.14, 0.2, 0.1]))
+    errors = difference_errors(env, num_steps=4, scale=0.9, h=1e-6)
+    assert errors[:, 0].max() < 1e-9 and errors[:, 1].max() < 1e-4

@@ -1,0 +1,47 @@
+"""Numbers of rigid models are refused where they are given and flagged where they are traced."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rewax.physics import rigid
+from rewax.physics.rigid import Penalty
+from rewax.physics.rigid.parameter_checks import has_invalid_parameters
+
+nan, inf = float("nan"), float("inf")
+BALL = '<mujoco><worldbody><body><freejoint/><geom size="0.1" mass="1"/></body></worldbody></mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("text", "penalty", "sentence"),
+    [
+        (BALL, Penalty(stiffness=1e3, friction_damping=inf), "the penalty's friction_damping is inf, but must be 0 or mor"),
+        (BALL, Penalty(stiffness="stiff"), "the penalty's stiffness is 'stiff', which is no real number: see Penalty"),
+        (BALL.replace('mass="1"', 'mass="1" friction="-0.5"'), None, "geom_friction[0, 0] is -0.5, but must be 0 or more"),
+    ],
+)  # fmt: skip
+def test_rigid_models_refuse_impossible_numbers(text, penalty, sentence):
+    with pytest.raises(ValueError, match="^" + re.escape(sentence)):
+        rigid.load(text, dt=1e-3, penalty=penalty)
+
+
+def test_rigid_parameters_are_checked_when_replaced():
+    model = rigid.load(BALL)
+    with pytest.raises(ValueError, match=r"body_mass\[1\] is nan, but must be 0 or more and finite"):
+        model.with_parameters(body_mass=np.array([0.0, nan]))
+    with pytest.raises(ValueError, match=r"geom_friction\[0, 1\] is -1.0, but must be 0 or more"):
+        model.with_parameters(geom_friction=np.array([[1.0, -1.0, 0.0]]))
+
+
+def test_traced_parameters_are_flagged():
+    model = rigid.load(BALL, penalty=Penalty(stiffness=1e3))
+    invalid = jax.jit(
+        lambda p, damping: has_invalid_parameters(p, model.gravity, model.penalty.replace(damping=damping))
+    )
+    mass = jnp.array([0.0, -1.0])
+    assert not invalid(model.parameters, 0.0)
+    assert invalid(model.parameters, -1.0)
+    assert invalid({**model.parameters, "body_mass": mass}, 0.0)

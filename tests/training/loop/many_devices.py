@@ -1,0 +1,90 @@
+"""Trains tiny agents, by their names as arguments, on one and on several devices of a CPU; a process of its own, for JAX counts devices once."""
+
+import dataclasses
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_num_cpu_devices", int(os.environ.get("DEVICES", "8")))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
+
+import numpy as np  # noqa: E402
+from rich.console import Console  # noqa: E402
+from toys import point_mass  # noqa: E402
+
+from rewax.agents.registry import algorithm  # noqa: E402
+from rewax.training.config import TrainConfig  # noqa: E402
+from rewax.training.loop.devices import placement  # noqa: E402
+from rewax.training.loop.train import train  # noqa: E402
+
+SIZES = {
+    "num_envs": 8,
+    "horizon": 4,
+    "num_iterations": 4,
+    "actor_widths": (4,),
+    "critic_widths": (4,),
+    "vector_features": 4,
+}
+QUICK = {
+    "num_eval_episodes": 2,
+    "plots": False,
+    "baselines": False,
+    "tensorboard": False,
+    "eval_every": 0,
+    "checkpoint_every": 2,
+}
+OWN = {
+    "ppo": {"minibatches": 2, "epochs": 2},
+    "sac": {"replay_size": 64, "batch_size": 8, "updates": 2, "warmup_steps": 4},
+    "ahac": {"min_horizon": 2, "initial_horizon": 4},
+}
+
+
+def make(name):
+    env, known = point_mass(), algorithm(name)
+    names = {field.name for field in dataclasses.fields(known.config_type)}
+    sizes = {key: value for key, value in {**SIZES, **OWN.get(name, {})}.items() if key in names}
+    if name == "trajopt":
+        sizes.pop("horizon")
+    return env, known.make(env, known.config_type(**sizes))
+
+
+def run(name, num_devices, folder, *, resume=False, iterations=4):
+    env, agent = make(name)
+    config = TrainConfig(num_iterations=iterations, run_dir=folder, devices=num_devices, resume=resume, **QUICK)
+    return train(agent, env, config, console=Console(quiet=True)).train_state
+
+
+def numbers(state):
+    leaves = [leaf for leaf in jax.tree.leaves(state) if jax.numpy.issubdtype(leaf.dtype, jax.numpy.floating)]
+    return [np.asarray(leaf) for leaf in leaves]
+
+
+def compare(a, b):
+    for x, y in zip(numbers(a), numbers(b), strict=True):
+        np.testing.assert_allclose(x, y, rtol=2e-3, atol=2e-4)
+
+
+def main():
+    with tempfile.TemporaryDirectory() as folder:
+        for name in sys.argv[1:]:
+            one = run(name, 1, f"{folder}/{name}-1")
+            for count in (2, 8):
+                several = run(name, count, f"{folder}/{name}-{count}")
+                assert len(several.environments.episode_return.devices()) == count, name
+                compare(one, several)
+        run("sapo", 8, f"{folder}/resumed", iterations=2)
+        compare(run("sapo", 1, f"{folder}/resumed", resume=True), run("sapo", 1, f"{folder}/sapo-1b"))
+    _, agent = make("sapo")
+    where = placement(8, 2)
+    state = where.place(jax.jit(agent.init)(jax.random.key(0)))
+    program = where.lowered(agent.train_step, state).compile().as_text()
+    assert " all-reduce(" in program and " all-gather(" not in program
+    print("the same on one and on several devices")
+
+
+if __name__ == "__main__":
+    main()

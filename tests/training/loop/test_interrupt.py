@@ -1,0 +1,58 @@
+"""Ctrl-C before anything is trained: the process leaves at once and says what there is. See test_cli.py for later ones."""
+
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+import toys
+
+SLOW = textwrap.dedent("""
+    import sys, time
+    import jax.numpy as jnp, toys
+    from rewax.training.config import TrainConfig
+    from rewax.training.loop.train import train
+
+    def wait(*args, **kwargs):
+        print("waiting", flush=True)
+        time.sleep(300)
+
+    class Slow:
+        def lower(self, state):
+            return self
+        compile = wait
+
+    env = toys.point_mass()
+    slow = {"train_step": Slow()} if sys.argv[1] == "train_step" else {"policy": wait}
+    train(toys.make_toy(env)._replace(**slow), env, TrainConfig(num_iterations=2, run_dir="a"))
+""")
+
+
+@pytest.mark.parametrize(
+    ("compiled", "sentence", "kept"),
+    [
+        ("train_step", "stopped while compiling: nothing was trained, and nothing is kept", False),
+        ("policy", "stopped before the first iteration: --resume continues", True),
+    ],
+)
+def test_ctrl_c_while_compiling_leaves_at_once(tmp_path, compiled, sentence, kept):
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLOW, compiled],
+        cwd=tmp_path,
+        env=toys.subprocess_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    while process.stdout.readline() != "waiting\n":
+        assert process.poll() is None
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    text, _ = process.communicate(timeout=60)
+    assert process.returncode == 130 and time.monotonic() - began < 20
+    assert sentence in text and "Traceback" not in text
+    there = {path.name for path in (tmp_path / "a").iterdir()}
+    assert (tmp_path / "a" / "checkpoints" / "0").is_dir() if kept else there == {".lock"}
+    assert not list((tmp_path / "a").glob("*.png"))

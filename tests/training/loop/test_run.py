@@ -1,0 +1,123 @@
+"""A run that fails stops, says why, and keeps the last training state that is worth keeping."""
+
+import io
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import toys
+from rich.console import Console
+
+from rewax import struct
+from rewax.status import Status
+from rewax.training.config import TrainConfig
+from rewax.training.loop.train import train
+from rewax.training.storage import checkpoint
+from rewax.training.storage.metrics import read_csv
+
+QUIET = {"eval_every": 0, "baselines": False, "plots": False, "tensorboard": False, "num_eval_episodes": 2}
+
+
+@struct.dataclass
+class Fragile(toys.PointMass):
+    """A point mass whose second step fails if it is ``broken``; the last step of an episode breaks the CFL limit."""
+
+    broken: bool = struct.static_field(default=True)
+
+    def step(self, state, action):
+        x = state.physics + self.gain * jnp.clip(action, -1.0, 1.0)
+        x = jnp.where(self.broken & (state.step_count == 1), jnp.nan, x)
+        last = state.step_count + 1 == self.length
+        return self.after(state, x, status=jnp.where(last, int(Status.CFL), int(Status.OK)))
+
+
+FRAGILE, SOUND = Fragile(gain=jnp.float32(0.5)), Fragile(gain=jnp.float32(0.5), broken=False)
+AGENT, SOUND_AGENT = toys.make_toy(FRAGILE), toys.make_toy(SOUND)
+
+
+def run(run_dir, env, agent, **changes):
+    """Train; returns the result and what was printed."""
+    console = Console(file=io.StringIO(), width=200)
+    config = TrainConfig(**{"num_iterations": 12, "run_dir": str(run_dir), "checkpoint_every": 1, **QUIET, **changes})
+    result = train(agent, env, config, console=console)
+    return result, console.file.getvalue()
+
+
+def test_a_run_whose_episodes_fail_stops_and_says_so(tmp_path):
+    result, text = run(tmp_path, FRAGILE, AGENT, failure_window=4)
+    assert int(result.train_state.iteration) == 4 == checkpoint.latest_step(tmp_path)
+    assert "warning: in iteration 1 environment 0 failed because physics was not finite" in text
+    assert "failed after iteration 4 of 12: " in text and "episodes failed numerically in the last 4 iterations" in text
+    assert "evaluation after" not in text and result.evaluation == {}
+    assert "episodes failed numerically" in result.failure
+
+
+def test_a_failing_run_to_its_end_is_no_success(tmp_path):
+    result, text = run(tmp_path, FRAGILE, AGENT, num_iterations=2)
+    assert "episodes failed numerically in the last 2 iterations" in result.failure and result.failure in text
+    assert "sampled (2 of 2 episodes failed), " in text and "deterministic (2 of 2 episodes failed)" in text
+    assert "warning: 4 of 4 episodes failed numerically and ended there" in text
+    assert result.evaluation["sampled_failed"] == 2
+
+
+def test_a_share_of_one_lets_it_go_on(tmp_path):
+    result, text = run(tmp_path, FRAGILE, AGENT, num_iterations=4, failure_window=2, max_failed_share=1.0)
+    assert result.failure == "" and int(result.train_state.iteration) == 4
+    assert "warning: 4 of 4 episodes failed" in text
+
+
+def test_a_healthy_run_says_nothing(tmp_path):
+    result, text = run(tmp_path, SOUND, SOUND_AGENT, num_iterations=3, failure_window=1)
+    assert result.failure == "" and "failed" not in text and "warning" not in text
+    assert "status of 4 episodes: CFL in 4" in text
+    evaluation = read_csv(tmp_path / "eval.csv")
+    assert (evaluation["sampled_status/CFL"][-1], evaluation["deterministic_status/NAN"][-1]) == (2, 0)
+
+
+def stepping(change):
+    """The sound agent, whose state and metrics ``change`` alters after an iteration."""
+
+    @jax.jit
+    def train_step(state):
+        return change(*SOUND_AGENT.train_step(state))
+
+    return SOUND_AGENT._replace(train_step=train_step)
+
+
+def test_a_poisoned_training_state_is_never_kept(tmp_path):
+    def poison(state, metrics):
+        return state.replace(bias=jnp.where(state.iteration == 5, jnp.nan, state.bias)), metrics
+
+    result, text = run(tmp_path, SOUND, stepping(poison), keep_checkpoints=2)
+    assert "failed after iteration 4 of 12: iteration 5 made .bias of the training state infinite or NaN" in text
+    assert int(result.train_state.iteration) == 4 and np.isfinite(result.train_state.bias).all()
+    assert checkpoint.steps(tmp_path) == [3, 4]
+    assert np.isfinite(checkpoint.restore(tmp_path, result.train_state).bias).all()
+    assert result.evaluation == {} and result.failure
+
+
+def test_critics_whose_loss_is_nan_stop_the_run(tmp_path):
+    def lose(state, metrics):
+        return state, {**metrics, "critic_loss": jnp.where(state.iteration > 3, jnp.nan, 1.0)}
+
+    result, text = run(tmp_path, SOUND, stepping(lose), failure_window=2)
+    assert int(result.train_state.iteration) == 5
+    assert "critic_loss was not finite in 2 of the last 2 iterations" in text
+
+
+def test_the_last_checkpoint_before_the_failures_stays(tmp_path):
+    def fail_later(state, metrics):
+        failed = jnp.where(state.iteration > 3, 12, 0)
+        return state, {**metrics, "failed_episodes": failed, "episodes": 12}
+
+    result, text = run(tmp_path, SOUND, stepping(fail_later), failure_window=6, keep_checkpoints=1)
+    assert int(result.train_state.iteration) == 7  # with 4 of the last 6 iterations
+    assert checkpoint.steps(tmp_path) == [3, 7]
+    assert "the last checkpoint from before the failures is that of iteration 3" in text
+
+
+def test_the_console_counts_status_bits(tmp_path):
+    _, text = run(tmp_path, SOUND, SOUND_AGENT, num_iterations=5)
+    counts = read_csv(tmp_path / "metrics.csv")["status/CFL"]
+    last = [line for line in text.splitlines() if line.startswith("iteration 5/5")]
+    assert counts.sum() > 0 and f"CFL in {int(counts.sum())} steps" in last[0] and "NAN" not in last[0]

@@ -1,0 +1,80 @@
+"""What a run begins with, and what it refuses to go on with."""
+
+import dataclasses
+import io
+
+import pytest
+import toys
+from rich.console import Console
+
+from rewax.training.config import TrainConfig
+from rewax.training.loop.train import train
+
+ENV = toys.point_mass()
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Of the toy."""
+
+    width: int = 1
+    rate: float = 0.1
+
+
+AGENTS = {width: toys.make_toy(ENV, width=width) for width in (1, 2)}
+
+
+def run(run_dir, *, options=None, describe=None, **changes):
+    """One iteration of the toy, named ``toy`` if it has options; returns what was printed."""
+    console = Console(file=io.StringIO(), width=200)
+    quiet = {"eval_every": 0, "baselines": False, "plots": False, "tensorboard": False, "num_eval_episodes": 2}
+    config = TrainConfig(**{"num_iterations": 1, "run_dir": str(run_dir), **quiet, **changes})
+    agent = AGENTS[options.width if options else 1]
+    if options:
+        agent = agent._replace(name="toy", config=options)
+    train(agent, ENV, config, describe=describe, console=console)
+    return console.file.getvalue()
+
+
+def test_a_directory_with_a_run_is_refused(tmp_path):
+    run(tmp_path)
+    with pytest.raises(ValueError, match=r"holds a run already: resume it .* or choose another directory"):
+        run(tmp_path)
+    with pytest.raises(ValueError, match="there is no run directory"):
+        run(tmp_path / "nowhere", resume=True)
+
+
+def test_strays_are_no_run(tmp_path):
+    (tmp_path / "checkpoints" / "9").mkdir(parents=True)
+    (tmp_path / "checkpoints" / ".DS_Store").write_text("x")
+    run(tmp_path)
+
+
+def test_resuming_another_environment_is_refused_and_changes_are_told(tmp_path):
+    describe = {"env": "PointMass", "scale": "small", "agent": "toy", "toy": {"rate": 0.1}}
+    run(tmp_path, describe=describe)
+    for name, other, flag in (("scale", "paper", "--scale"), ("agent", "shac", "--algo")):
+        old = describe[name]
+        with pytest.raises(
+            ValueError, match=f"holds a run with {name} {old}, not {other}: resume it with {flag} {old}"
+        ):
+            run(tmp_path, resume=True, describe={**describe, name: other})
+    text = run(tmp_path, resume=True, num_iterations=2, describe={"env": "PointMass", "toy": {"rate": 0.2}})
+    assert "note: resuming with toy.rate 0.2, it was 0.1" in text
+
+
+def test_resuming_with_another_network_names_the_options(tmp_path):
+    run(tmp_path, options=Options())
+    with pytest.raises(ValueError) as caught:
+        run(tmp_path, options=Options(width=2, rate=0.2), resume=True)
+    message = str(caught.value)
+    assert "holds a run with toy.width 1 (given: 2), toy.rate 0.1 (given: 0.2)" in message
+    assert "resume it with the stored ones" in message and ".bias" not in message
+    assert "note: resuming with toy.rate" in run(tmp_path, options=Options(rate=0.2), resume=True, num_iterations=2)
+
+
+def test_resuming_with_other_shapes_names_the_field_where_no_option_differs(tmp_path):
+    run(tmp_path)
+    match = r"holds \.bias as float32 of shape \(1,\), .* needs float32 of shape \(2,\)"
+    with pytest.raises(ValueError, match=match):
+        train(AGENTS[2], ENV, TrainConfig(num_iterations=1, run_dir=str(tmp_path), resume=True))

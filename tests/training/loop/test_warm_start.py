@@ -1,0 +1,87 @@
+"""A new run begins with what an old one has learnt, and with nothing else of it."""
+
+import jax
+import numpy as np
+import pytest
+import toys
+
+from rewax.agents.ppo import make_ppo
+from rewax.agents.sapo import SAPOConfig, make_sapo
+from rewax.cli.main import main
+from rewax.envs import registry
+from rewax.training.loop.warm_start import warm_started
+from rewax.training.storage import checkpoint
+
+OPTIONS = [*toys.TINY, "--train.no-plots"]
+
+
+@pytest.fixture(scope="module")
+def toy():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(registry._FACTORIES, "ToyForWarmStart", lambda scale: toys.point_mass(4))
+        yield "ToyForWarmStart"
+
+
+@pytest.fixture(scope="module")
+def old(toy, tmp_path_factory):
+    """The directory of a run of two iterations."""
+    folder = tmp_path_factory.mktemp("runs") / "old"
+    assert main(["train", f"--env={toy}", "--scale=small", f"--run-dir={folder}", "--steps=8", *OPTIONS]) == 0
+    return folder
+
+
+def tiny(**changes):
+    """The options above, as a configuration."""
+    sizes = {"num_envs": 2, "horizon": 2, "critic_passes": 1, "critic_minibatches": 1, "vector_features": 4}
+    return SAPOConfig(**{**sizes, "actor_widths": (4, 4), "critic_widths": (4,), **changes})
+
+
+def equal(a, b):
+    """Whether two trees hold the same numbers."""
+    return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+
+def test_what_was_learnt_is_taken_over_and_all_else_begins_anew(old):
+    agent = make_sapo(toys.point_mass(4), tiny())
+    fresh = agent.init(jax.random.key(7))
+    then = checkpoint.restore(old, jax.eval_shape(agent.init, jax.random.key(0)))
+    warm = warm_started(fresh, old)
+    for name in ("actor_params", "critic_params", "log_temperature"):
+        assert equal(getattr(warm, name), getattr(then, name)), name
+        assert not equal(getattr(warm, name), getattr(fresh, name)), name
+    assert equal(warm.environments.statistics, then.environments.statistics)
+    assert float(warm.environments.statistics.count) > 1.0
+    assert int(then.iteration) == 2 and int(warm.iteration) == int(warm.env_steps) == 0
+    assert equal(warm.actor_opt, fresh.actor_opt) and not equal(fresh.actor_opt, then.actor_opt)
+    assert equal(jax.random.key_data(warm.key), jax.random.key_data(fresh.key))
+    assert equal(warm.environments.state.obs, fresh.environments.state.obs)
+
+
+def test_the_command_begins_with_the_old_run_and_goes_on_from_there(old, toy, tmp_path, capsys):
+    argv = [
+        "train",
+        f"--env={toy}",
+        "--scale=small",
+        f"--run-dir={tmp_path / 'new'}",
+        "--steps=4",
+        "--seed=3",
+        *OPTIONS,
+    ]
+    assert main([*argv, f"--init-from={old}"]) == 0
+    assert f"beginning with what {old} has learnt" in capsys.readouterr().out
+    assert checkpoint.latest_step(tmp_path / "new") == 1
+
+
+def test_what_does_not_fit_is_one_sentence(old, tmp_path):
+    env = toys.point_mass(4)
+    wide = make_sapo(env, tiny(actor_widths=(5, 4))).init(jax.random.key(0))
+    with pytest.raises(
+        ValueError, match=r"actor_params of .* has other shapes than this run's: give the networks' options"
+    ):
+        warm_started(wide, old)
+    with pytest.raises(
+        ValueError, match="is no run of this algorithm: begin with one of the same, or without --init-from"
+    ):
+        warm_started(make_ppo(env).init(jax.random.key(0)), old)
+    with pytest.raises(ValueError, match="nowhere holds no complete checkpoint: check the path"):
+        warm_started(wide, tmp_path / "nowhere")

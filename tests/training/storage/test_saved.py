@@ -1,0 +1,113 @@
+"""Runs from their directories: the same policy, and sentences where there is none to build."""
+
+import json
+import shutil
+
+import jax
+import numpy as np
+import pytest
+import toys
+
+from rewax.agents.sapo import SAPOConfig, make_sapo
+from rewax.envs import registry
+from rewax.training.config import TrainConfig
+from rewax.training.loop.train import train
+from rewax.training.storage.description import write_config
+from rewax.training.storage.saved import load_run
+
+CONFIG = SAPOConfig(
+    num_envs=2, horizon=3, num_iterations=2, critic_passes=1, critic_minibatches=1, actor_widths=(4, 4), critic_widths=(4,), vector_features=4,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A short run, its environment registered, and what training returned."""
+    run_dir = tmp_path_factory.mktemp("run")
+    registry._FACTORIES["PointMass"] = lambda scale: toys.point_mass(5 if scale == "small" else 7)
+    env = registry.make("PointMass", scale="paper")
+    quick = {"num_eval_episodes": 2, "plots": False, "baselines": False, "tensorboard": False}
+    config = TrainConfig(num_iterations=2, run_dir=str(run_dir), checkpoint_every=1, **quick)
+    describe = {"env": "PointMass", "scale": "paper", "agent": "sapo", "sapo": CONFIG}
+    yield run_dir, train(make_sapo(env, CONFIG), env, config, describe=describe).train_state
+    del registry._FACTORIES["PointMass"]
+
+
+def test_the_policy_is_the_one_that_was_trained(run):
+    run_dir, train_state = run
+    saved = load_run(run_dir)
+    assert saved.env.episode_length == 7 and saved.config["sapo"]["horizon"] == 3
+    obs, key = saved.env.reset(jax.random.key(1)).obs, jax.random.key(2)
+    for deterministic in (True, False):
+        actions = [
+            saved.agent.policy(state, obs, key, deterministic=deterministic)
+            for state in (saved.train_state, train_state)
+        ]
+        np.testing.assert_array_equal(*actions)
+    assert [int(load_run(run_dir, step=step).train_state.iteration) for step in (1, 2)] == [1, 2]
+
+
+def test_what_cannot_be_built_is_said(run, tmp_path):
+    run_dir, _ = run
+    with pytest.raises(ValueError, match="nowhere holds no complete checkpoint: check the path"):
+        load_run(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="no checkpoint of iteration 5"):
+        load_run(run_dir, step=5)
+    kept = (run_dir / "config.json").read_text()
+    try:
+        write_config(run_dir, {**json.loads(kept), "sapo": {"horizon": 3, "patience": 2}})
+        with pytest.raises(
+            ValueError, match="this version has no option patience: use the version that the run was made with"
+        ):
+            load_run(run_dir)
+        write_config(run_dir, {"train": {}})
+        with pytest.raises(ValueError, match="names no registered algorithm and its options: build the agent"):
+            load_run(run_dir)
+    finally:
+        (run_dir / "config.json").write_text(kept)
+
+
+def load_again(tmp_path, env):
+    """Train from code, without a word about agent or environment; returns the run directory and the training state."""
+    quick = {"eval_every": 0, "num_eval_episodes": 2, "plots": False, "baselines": False, "tensorboard": False}
+    config = TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run"), **quick)
+    return tmp_path / "run", train(make_sapo(env, CONFIG), env, config).train_state
+
+
+def test_a_run_from_code_is_loaded_with_its_environment(run, tmp_path):
+    env = toys.point_mass(7)
+    run_dir, train_state = load_again(tmp_path, env)
+    with pytest.raises(ValueError, match=r"names no environment, .* give it, load_run\(run_dir, env=env\)"):
+        load_run(run_dir)
+    saved = load_run(run_dir, env=env)
+    assert saved.agent.config == CONFIG
+    obs, key = env.reset(jax.random.key(1)).obs, jax.random.key(2)
+    np.testing.assert_array_equal(
+        *[saved.agent.policy(state, obs, key, deterministic=True) for state in (saved.train_state, train_state)]
+    )
+
+
+def test_a_run_from_code_is_loaded_by_the_name_of_its_environment(run, tmp_path):
+    registry._FACTORIES["PointMass"], usual = (
+        lambda scale, length=5: toys.point_mass(length),
+        registry._FACTORIES["PointMass"],
+    )
+    try:
+        env = registry.make("PointMass", scale="small", length=7)
+        object.__setattr__(env, "made_by", {"env": "PointMass", "scale": "small", "kwargs": {"length": 7}})
+        run_dir, _ = load_again(tmp_path, env)
+        saved = load_run(run_dir)
+        assert saved.env.episode_length == 7 and saved.config["agent"] == "sapo"
+    finally:
+        registry._FACTORIES["PointMass"] = usual
+
+
+def test_a_damaged_checkpoint_is_passed_over_with_a_warning(run, tmp_path):
+    run_dir = shutil.copytree(run[0], tmp_path / "run")
+    (run_dir / "checkpoints" / "2" / "leaves.json").write_text("{")
+    (run_dir / "checkpoints" / ".DS_Store").write_text("x")
+    with pytest.warns(UserWarning, match="checkpoints/2 is damaged .* using the one of iteration 1 before it"):
+        assert int(load_run(run_dir).train_state.iteration) == 1
+    (run_dir / "config.json").write_text("null")
+    with pytest.raises(ValueError, match=r"config\.json holds null, not named entries"):
+        load_run(run_dir)

@@ -1,0 +1,177 @@
+"""A suite is run, interrupted, continued and written down."""
+
+import csv
+import dataclasses
+import io
+import shutil
+import signal
+
+import numpy as np
+import pytest
+import toys
+from rich.console import Console
+
+from rewax.agents import registry as agents
+from rewax.agents.registry import Algorithm
+from rewax.envs import registry
+from rewax.training.storage.run_directory import hold
+from rewax.training.suites import runs as bench
+from rewax.training.suites.runs import Cell, read_result, run_suite
+from rewax.training.suites.suite import Suite
+from rewax.training.suites.tables import COLUMNS, markdown
+
+
+@pytest.fixture
+def suite(monkeypatch):
+    config = dataclasses.make_dataclass(
+        "ToyConfig",
+        [("num_envs", int, 4), ("horizon", int, 3), ("num_iterations", int, 3), ("noise", float, 0.1)],
+        frozen=True,
+        namespace={"steps_in": lambda self, env: self.horizon},
+    )
+    make = lambda env, config: toys.make_toy(env, num_envs=4, horizon=config.horizon, noise=config.noise)  # noqa: E731
+    monkeypatch.setitem(registry._FACTORIES, "PointMass", lambda scale: toys.point_mass())
+    for name, noise in (("calm", 0.1), ("wild", 0.5)):
+        preset = lambda env_name, scale, noise=noise: config(noise=noise)  # noqa: E731
+        monkeypatch.setitem(agents._ALGORITHMS, name, lambda preset=preset: Algorithm(make, config, preset))
+    return Suite(
+        name="toy", scale="small", tasks=("PointMass",), algorithms=("calm", "wild"), seeds=(0, 1), num_eval_episodes=8
+    )
+
+
+def run(suite, folder):
+    console = Console(file=io.StringIO(), width=200)
+    return run_suite(suite, folder, console), console.file.getvalue()
+
+
+def test_a_suite_leaves_a_table_a_csv_and_curves(suite, tmp_path):
+    signum, text = run(suite, tmp_path)
+    assert signum == 0 and "run 4 of 4: wild on PointMass, seed 1" in text
+    table = (tmp_path / "table.md").read_text().splitlines()
+    assert table[0] == "| task | no action | random actions | calm | wild |"
+    assert table[2].startswith("| PointMass | -") and "[" in table[2]
+    with (tmp_path / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS and len(rows) == 2 + 4
+    trained = [row for row in rows if row["algorithm"] == "calm"]
+    assert [int(row["env_steps"]) for row in trained] == [36, 36] and float(trained[0]["seconds"]) > 0
+    assert (tmp_path / "PointMass.png").stat().st_size > 5000
+
+
+def test_what_is_done_is_skipped_and_the_rest_continued(suite, tmp_path, monkeypatch):
+    real, calls = bench.train, []
+
+    def interrupted(agent, env, config, **kwargs):
+        calls.append((config.run_dir, config.resume))
+        result = real(agent, env, config, **kwargs)
+        return result._replace(signum=signal.SIGINT) if len(calls) == 2 else result
+
+    monkeypatch.setattr(bench, "train", interrupted)
+    signum, text = run(suite, tmp_path)
+    assert signum == signal.SIGINT and len(calls) == 2 and "the same command continues" in text
+    before = read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+    assert run(suite, tmp_path)[0] == 0
+    assert len(calls) == 5 and calls[2] == (calls[1][0], True)  # the interrupted one, from its checkpoint
+    assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path)) == before
+    assert run(suite, tmp_path)[0] == 0 and len(calls) == 5
+
+
+def test_results_and_curves_outlive_the_directories_of_runs(suite, tmp_path, monkeypatch):
+    assert run(suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=suite.seeds), tmp_path)[0] == 0
+    before = {name: (tmp_path / name).read_text() for name in ("results.csv", "curves.csv")}
+    curves = list(csv.DictReader(io.StringIO(before["curves.csv"])))
+    assert {(row["algorithm"], row["seed"]) for row in curves} == {("calm", "0"), ("calm", "1")}
+    shutil.rmtree(tmp_path / "runs")
+    monkeypatch.setattr(bench, "_mean_return", lambda *arguments: pytest.fail("baselines were computed again"))
+    signum, text = run(suite, tmp_path)
+    assert signum == 0 and "run 2 of 4: wild" in text and "calm on" not in text
+    for name, text in before.items():
+        assert set(text.splitlines()) < set((tmp_path / name).read_text().splitlines())
+    assert not (tmp_path / "runs" / "PointMass" / "calm").exists()
+    (tmp_path / "curves.csv").unlink()
+    (tmp_path / "PointMass.png").unlink()
+    shutil.rmtree(tmp_path / "runs")
+    assert run(suite, tmp_path)[0] == 0  # nothing to do, and no curve to draw
+    assert not (tmp_path / "PointMass.png").exists()
+
+
+def test_damaged_results_are_computed_again(suite, tmp_path):
+    part = suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=(0,))
+    (tmp_path / "results.csv").write_text("task,algorithm,seed,sampled\nPointMass,calm,0,3.0\nPointMass\n")
+    (tmp_path / "curves.csv").write_bytes(b"\xff\xfe\n1,2")
+    assert run(part, tmp_path)[0] == 0
+    assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+
+
+def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path, monkeypatch):
+    real = bench.train
+
+    def failing(agent, env, config, **kwargs):
+        result = real(agent, env, config, **kwargs)
+        return result._replace(failure="it fell over", evaluation={}) if "calm/0" in config.run_dir else result
+
+    monkeypatch.setattr(bench, "train", failing)
+    assert run(suite, tmp_path)[0] == 0
+    row = read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+    assert row["failure"] == "it fell over" and np.isnan(row["sampled"])
+    assert " (1 failed) |" in (tmp_path / "table.md").read_text()
+
+
+def test_an_error_in_one_run_does_not_end_the_suite(suite, tmp_path, monkeypatch):
+    real = bench.train
+
+    def failing(agent, env, config, **kwargs):
+        if "calm" in config.run_dir:
+            raise MemoryError("no room\nat all")
+        return real(agent, env, config, **kwargs)
+
+    monkeypatch.setattr(bench, "train", failing)
+    signum, text = run(suite, tmp_path)
+    assert signum == 0 and "failed: MemoryError: no room at all" in text
+    assert "| failed |" in (tmp_path / "table.md").read_text()
+
+
+def test_benchmarks_side_by_side_leave_out_what_the_other_is_at(suite, tmp_path):
+    with hold(Cell("PointMass", "calm", 1).folder(tmp_path)):
+        signum, text = run(suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=suite.seeds), tmp_path)
+    assert signum == 0 and text.count("another process is at it") == 1
+    assert not read_result(Cell("PointMass", "calm", 1).folder(tmp_path))
+    assert read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
+
+
+def test_results_of_other_options_are_not_mixed(suite, tmp_path):
+    part = suite.only(tasks=suite.tasks, algorithms=("calm",), seeds=(0,))
+    console = Console(file=io.StringIO(), width=200)
+    assert run_suite(suite, tmp_path, console, part=part) == 0
+    assert "(1 to do)" in (tmp_path / "table.md").read_text()  # of the whole suite
+    other = dataclasses.replace(suite, num_eval_episodes=9)
+    with pytest.raises(ValueError, match=r"holds results with other num_eval_episodes: choose another directory"):
+        run(other, tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match=r"file cannot hold results .*: choose another directory \(--out\)"):
+        run(suite, tmp_path / "file")
+
+
+def test_the_table_stands_beside_the_papers():
+    suite = Suite(name="p", scale="paper", tasks=("AntRun",), algorithms=("shac", "sapo"), seeds=(0, 1, 2))
+    rows = [
+        {"task": "AntRun", "algorithm": "sapo", "seed": s, "sampled": 4500.0 + s, "seconds": 60.0 * s} for s in range(3)
+    ]
+    lines = markdown(suite, rows).splitlines()
+    assert lines[2] == "| AntRun |  | 4501 [4500, 4502] |"
+    assert lines[3] == "| the paper's | 3621.0 ± 54.4 | 4535.9 ± 24.5 |"
+    assert lines[9:11] == ["| AntRun |  | 4501 |", ""]
+    assert lines[-1] == "| AntRun |  | 1.0 |"
+
+
+def test_every_run_is_divided_over_as_many_devices_as_asked(suite, tmp_path, monkeypatch):
+    real, asked = bench.train, []
+
+    def noting(agent, env, config, **kwargs):
+        asked.append(config.devices)
+        return real(agent, env, config, **kwargs)
+
+    monkeypatch.setattr(bench, "train", noting)
+    part = suite.only(tasks=suite.tasks[:1], algorithms=suite.algorithms[:1], seeds=suite.seeds[:1])
+    assert bench.run_suite(suite, tmp_path, Console(file=io.StringIO()), part=part, devices=1) == 0
+    assert asked == [1]

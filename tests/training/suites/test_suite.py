@@ -1,0 +1,65 @@
+"""Suites from TOML files, and what is wrong with them in a sentence."""
+
+import pytest
+
+from rewax.agents.registry import algorithm
+from rewax.training.suites.runs import cells
+from rewax.training.suites.suite import BUILT_IN, read_suite
+
+TASK = 'scale = "small"\ntasks = ["Hopper"]\nalgorithms = ["sapo", "ppo"]\nseeds = [0, 3]\n'
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_built_in_suites_can_be_read_and_configured(name):
+    suite = read_suite(name)
+    assert suite.name == name and len(list(cells(suite))) == len(suite.tasks) * len(suite.algorithms) * len(suite.seeds)
+    for cell in cells(suite):
+        assert isinstance(suite.config(cell.task, cell.algorithm), algorithm(cell.algorithm).config_type)
+
+
+def test_options_change_the_presets(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TASK + "[options.all]\nnum_envs = 4\n[options.sapo]\nactor_widths = [8, 8]\n")
+    suite = read_suite(path)
+    sapo, ppo = (suite.config("Hopper", name) for name in suite.algorithms)
+    assert sapo.num_envs == ppo.num_envs == 4 and sapo.actor_widths == (8, 8) != ppo.actor_widths
+    assert [tuple(cell) for cell in cells(suite)][:2] == [("Hopper", "sapo", 0), ("Hopper", "ppo", 0)]
+    part = suite.only(tasks=("Hopper",), algorithms=("ppo",), seeds=(3,))
+    assert [tuple(cell) for cell in cells(part)] == [("Hopper", "ppo", 3)]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (TASK + "speed = 3\n", "has the unknown entry 'speed': known are"),
+        (TASK.replace("seeds = [0, 3]\n", ""), "has no entry 'seeds': add it"),
+        (TASK.replace("Hopper", "Hoper"), "there is no environment named 'Hoper': did you mean 'Hopper'?"),
+        (TASK.replace("ppo", "pppo"), "there is no algorithm named 'pppo': did you mean 'ppo'?"),
+        (TASK.replace("[0, 3]", "[0, -3]"), "give whole numbers from 0 on"),
+        (TASK.replace("[0, 3]", "[0, 0]"), "seeds of the suite mine are [0, 0]: name each of them once"),
+        (TASK.replace("[0, 3]", "3"), "seeds of the suite mine is 3: give a list with at least one entry"),
+        (TASK + "steps = 5\n", "steps of the suite mine is no table"),
+        (TASK + 'num_eval_episodes = "64"\n', "is '64': give a whole number of at least 1"),
+        (TASK + "[options.all]\nnum_env = 4\n", "no algorithm of the suite mine has the option 'num_env'"),
+        (TASK.replace('["Hopper"]', "[]"), "give a list with at least one entry"),
+        (TASK + "[steps]\nAnt = 3\n", "steps of the suite mine name 'Ant', which is none of its tasks"),
+        (TASK + "[options.sac]\nnum_envs = 3\n", "name 'sac', which is none of its algorithms"),
+        ("scale = ", "is not TOML"),
+    ],
+)
+def test_a_suite_that_cannot_be_is_one_sentence(tmp_path, text, sentence):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError) as caught:
+        read_suite(path)
+    assert sentence in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_option_that_no_algorithm_has(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TASK + "[options.ppo]\nnum_env = 4\n")
+    with pytest.raises(ValueError, match="ppo has no option num_env: correct the suite mine"):
+        read_suite(path).config("Hopper", "ppo")
+    known = "smoke, small, paper, ablations, ablations_paper"
+    with pytest.raises(ValueError, match=f"there is no suite 'nowhere': use {known}, or the path"):
+        read_suite("nowhere")
