@@ -31,7 +31,7 @@ ALLOWED = {
     "top": {"base", "lowering", "envs", "agents", "training", "viz", "testing", "cli"} | PHYSICS,
 }
 """Floors, and what each may import besides itself. Solvers do not import each other; only coupling knows several."""
-_BASE = {"jax_versions", "types", "struct", "status", "statistics", "py.typed"}
+_BASE = {"jax_versions", "lazy", "types", "struct", "status", "statistics", "py.typed"}
 MAX_LINES, MAX_MEDIAN, MAX_INIT = 400, 150, 40
 
 
@@ -115,6 +115,23 @@ def test_an_upward_import_is_found(tmp_path, path, line):
     assert not violations(tmp_path)
     file.write_text(line + "\n")
     assert len(violations(tmp_path)) == 1
+
+
+def test_no_package_shadows_its_modules():
+    """``from rewax.physics.mpm import step`` gives the function, so no module has that name."""
+    for init in sorted((ROOT / "rewax").rglob("__init__.py")):
+        modules = {path.stem for path in init.parent.glob("*.py")}
+        names = {
+            alias.asname or alias.name
+            for node in ast.walk(ast.parse(init.read_text())) if isinstance(node, ast.ImportFrom)
+            for alias in node.names if node.module != module_name(init, ROOT)
+        }  # fmt: skip
+        assert not names & modules, f"{init} hides modules of its own"
+
+
+def test_what_tasks_are_made_of_knows_no_task():
+    for path in (ROOT / "rewax/envs/kit").glob("*.py"):
+        assert not [name for name in imports(path, ROOT) if name.startswith("rewax.envs.tasks")], path
 
 
 def test_files_are_short():

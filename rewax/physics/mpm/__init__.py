@@ -3,24 +3,7 @@
 from rewax.physics.mpm import invariants, laws
 from rewax.physics.mpm.active_nodes import count_nodes
 from rewax.physics.mpm.grid import Grid
-from rewax.physics.mpm.laws import (
-    TAIT_EXPONENT,
-    ActiveStress,
-    DruckerPrager,
-    Elasticity,
-    FixedCorotated,
-    Fluid,
-    Hencky,
-    Muscle,
-    NeoHookean,
-    Newtonian,
-    Plasticity,
-    QuadraticFluid,
-    Snow,
-    Tait,
-    Viscosity,
-    VonMises,
-)
+from rewax.physics.mpm.laws import *  # noqa: F403
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.memory import predict_peak_bytes
 from rewax.physics.mpm.scene import (
@@ -38,44 +21,9 @@ from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import static_poses
 
 __all__ = [
-    "STABLE_COURANT_NUMBER",
-    "TAIT_EXPONENT",
-    "ActiveStress",
-    "DruckerPrager",
-    "Elasticity",
-    "FixedCorotated",
-    "Fluid",
-    "Grid",
-    "Hencky",
-    "MPMScene",
-    "MPMState",
-    "Material",
-    "Muscle",
-    "NeoHookean",
-    "Newtonian",
-    "Plasticity",
-    "QuadraticFluid",
-    "Snow",
-    "Tait",
-    "Viscosity",
-    "VonMises",
-    "Wall",
-    "WallKind",
-    "Walls",
-    "check_placement",
-    "check_status",
-    "count_nodes",
-    "deform",
-    "initial_state",
-    "invariants",
-    "largest_stable_dt",
-    "laws",
-    "make_scene",
-    "nodes_of_step",
-    "particle_mass",
-    "predict_peak_bytes",
-    "sound_speed",
-    "static_poses",
-    "step",
-    "substep",
+    "STABLE_COURANT_NUMBER", "Grid", "MPMScene", "MPMState", "Material", "Wall", "WallKind", "Walls",
+    "check_placement", "check_status", "count_nodes", "deform", "initial_state", "invariants", "largest_stable_dt",
+    "laws", "make_scene", "nodes_of_step", "particle_mass", "predict_peak_bytes", "sound_speed", "static_poses",
+    "step", "substep",
 ]  # fmt: skip
+__all__ += laws.__all__

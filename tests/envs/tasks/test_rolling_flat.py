@@ -277,13 +277,9 @@ def test_episode_ends_at_the_time_limit(step, start):
 def reduced():
     """Two substeps per control step and 64 particles, all observed, on the small grid; the pin presses 2 mm a step."""
     env = small()
-    return env.replace(
-        rest_positions=env.rest_positions[:64],
-        num_substeps=2,
-        cloud=PointCloud(num_points=64),
-        joint_step=env.joint_step * jnp.array([0.1, 0.5, 0.1]),
-        joint_start=env.joint_start - jnp.array([0.0, 0.02, 0.0]),
-    )
+    step, start = env.joint_step * jnp.array([0.1, 0.5, 0.1]), env.joint_start - jnp.array([0.0, 0.02, 0.0])
+    env = env.replace(joint_step=step, joint_start=start)
+    return env.replace(rest_positions=env.rest_positions[:64], num_substeps=2, cloud=PointCloud(num_points=64))
 
 
 @pytest.fixture(scope="module")
