@@ -321,3 +321,14 @@ def test_the_page_of_a_suite_shows_its_results(suite, page):
         for name, color in zip(read_suite(suite).algorithms, CURVE_COLORS, strict=False):
             distance = np.abs(shades - to_rgb(color)).max(axis=1).min()
             assert name not in drawn or distance < 0.06, (picture.name, name)
+
+
+def test_everything_that_the_index_of_formulas_names_is_there():
+    rows = re.findall(
+        r"^\| [^|]+ \| `(rewax/[\w/.]+)` \| (.*?) \|$", (ROOT / "docs/where.md").read_text(), re.MULTILINE
+    )
+    assert len(rows) > 30
+    for path, names in rows:
+        source = (ROOT / path).read_text()
+        for name in re.findall(r"`(\w+)`", names):
+            assert re.search(rf"^(def|class) {name}\b", source, re.MULTILINE), (path, name)
