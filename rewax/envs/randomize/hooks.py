@@ -163,13 +163,16 @@ def _check_leaves(places: list[_Place], named: list[tuple[Any, Any]], draw: Draw
         if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
             kind = jnp.result_type(leaf).name
             raise ValueError(f"{name} is of type {kind}: only floats can be drawn; give the environment a float there")
-        if isinstance(draw, Scale) and _is_fixed(_part(leaf, place.index)):
+        if isinstance(draw, Scale) and _is_fixed(leaf, place.index):
             raise ValueError(f"{name} is {leaf}, which no factor changes: give its values, as in Uniform(0.1, 0.5)")
 
 
-def _is_fixed(part: Any) -> bool:
-    """Whether no factor changes it: zero or infinite. Of a traced leaf that is not known."""
-    return not isinstance(part, Tracer) and bool(np.all((part == 0.0) | np.isinf(part)))
+def _is_fixed(leaf: Any, index: tuple[int | None, ...]) -> bool:
+    """Whether no factor changes this part of a leaf: zero or infinite. Of a traced leaf that is not known."""
+    if isinstance(leaf, Tracer):
+        return False
+    part = np.asarray(leaf)[_slices(index)]
+    return bool(np.all((part == 0.0) | np.isinf(part)))
 
 
 def _shape_of_draw(places: list[_Place], named: list[tuple[Any, Any]], per: Per) -> tuple[int, ...]:
