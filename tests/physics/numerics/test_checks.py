@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rewax import struct
 from rewax.physics.numerics.checks import (
     FINITE,
     NOT_NEGATIVE,
@@ -17,6 +18,7 @@ from rewax.physics.numerics.checks import (
     check_enum,
     check_number,
     check_numbers,
+    numbers_of,
     static_number,
     whole_number,
 )
@@ -110,3 +112,27 @@ def test_members_are_listed():
     check_enum("kind", kind.SOFT, kind)
     with pytest.raises(ValueError, match=r"^kind is 'soft': give one of Kind\.SOFT, Kind\.HARD$"):
         check_enum("kind", "soft", kind)
+
+
+@struct.dataclass
+class Spring:
+    stiffness: object = struct.number(POSITIVE, "give it in N/m")
+    anchor: object = struct.number(FINITE, "give a position", shape=(3,), default=(0.0, 0.0, 0.0))
+    damping: object = struct.number(NOT_NEGATIVE, "give it in N s/m", default=None)
+    name: str = struct.static_field(default="spring")
+
+
+def test_numbers_of_an_object_are_those_that_its_fields_declare():
+    found = numbers_of(Spring(stiffness=2.0), "left.")
+    assert [(n.name, n.legal, n.shape) for n in found] == [
+        ("left.stiffness", POSITIVE, None), ("left.anchor", FINITE, (3,)),
+    ]  # fmt: skip
+    assert [n.name for n in numbers_of(Spring(stiffness=2.0, damping=0.0))] == ["stiffness", "anchor", "damping"]
+    check_numbers(found)
+    for broken, sentence in {
+        "stiffness is None, but must be positive: give it in N/m": {"stiffness": None},
+        "damping is -1.0, but must be 0 or more: give it in N s/m": {"stiffness": 1.0, "damping": -1},
+        r"anchor has shape \(2,\): give an array of shape \(3,\)": {"stiffness": 1.0, "anchor": (1, 2)},
+    }.items():
+        with pytest.raises(ValueError, match=f"^{broken}$"):
+            check_numbers(numbers_of(Spring(**sentence)))

@@ -17,6 +17,9 @@ OPERATIONS = {
     "reciprocal": (dd.reciprocal, lambda x: 1 / x, lambda x: -1 / x**2),
     "square": (lambda p: dd.multiply(p, p), np.square, lambda x: 2 * x),
     "sum": (lambda p: dd.add(dd.scale(3.0, p), dd.shift(dd.log(p), 2.0)), lambda x: 3 * x + np.log(x) + 2, lambda x: 3 + 1 / x),
+    "operators": (lambda p: 2.0 - 3.0 / (p * p + 1.0) - (-p) / (p - 30.0) + 0.5 * p / 4.0,
+                  lambda x: 2 - 3 / (x * x + 1) + x / (x - 30) + 0.125 * x,
+                  lambda x: 6 * x / (x * x + 1) ** 2 - 30 / (x - 30) ** 2 + 0.125),
     "chain": (
         lambda p: dd.multiply(dd.sqrt(p), dd.exp(dd.scale(-1.0, dd.log(p)))),
         lambda x: 1 / np.sqrt(x),
@@ -84,3 +87,13 @@ def test_exponential_minus_one_and_its_derivative(x64, dtype):
     np.testing.assert_allclose(np.asarray(value, np.float64), np.expm1(x.astype(np.float64)), rtol=8 * eps, atol=0)
     np.testing.assert_allclose(slope, np.exp(x.astype(np.float64)), rtol=4 * eps)
     assert value[0] == 0.0
+
+
+def test_sum_and_product_are_numbers_of_all_axes():
+    p = dd.eigenvalues((jnp.float32(2.0), jnp.float32(3.0), jnp.float32(5.0)))
+    assert float(p.sum) == 10.0 and float(p.product) == 30.0
+
+
+def test_numpy_leaves_operators_to_principal_values():
+    p = dd.eigenvalues((jnp.float32(2.0), jnp.float32(3.0), jnp.float32(5.0)))
+    assert isinstance(np.float32(2.0) * p, dd.Principal) and isinstance(np.ones(()) + p, dd.Principal)

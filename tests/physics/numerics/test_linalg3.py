@@ -108,16 +108,17 @@ def test_eigenvalues_next_to_each_other_stay_whatever_the_off_diagonals(x64, dty
 
 
 def cube_and_trace(e, parameters):
-    """b^3 and p b tr b: polynomials whose derivatives are known, one with cross terms and a parameter."""
-    return dd.multiply(e, dd.multiply(e, e)), dd.scale(parameters * sum(e.values), e)
+    """b^3, p b tr b and the number p det b: their derivatives are known; two have cross terms and a parameter."""
+    return dd.multiply(e, dd.multiply(e, e)), dd.scale(parameters * sum(e.values), e), parameters * e.product
 
 
 def known(b, p):
-    return b @ b @ b, p[:, None, None] * b * jnp.trace(b, axis1=-2, axis2=-1)[:, None, None]
+    return b @ b @ b, p[:, None, None] * b * jnp.trace(b, axis1=-2, axis2=-1)[:, None, None], p * jnp.linalg.det(b)
 
 
 def by_spectral(b, p):
-    return tuple(cp.join_matrix(m) for m in linalg3.spectral(cube_and_trace, cp.split_matrix(b), p))
+    cube, trace, number = linalg3.spectral(cube_and_trace, cp.split_matrix(b), p)
+    return cp.join_matrix(cube), cp.join_matrix(trace), number
 
 
 @pytest.mark.parametrize("gap", [0.0, 1e-12, 1e-8, 1e-6, 1e-5, 1e-4, 1e-2, 1.0])
