@@ -115,7 +115,7 @@ def _of_group(found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pa
             return _Contacts(*met, jax.tree.map(lambda a: a[numbers], parameters), contact.geom)
     else:
         if is_culled:
-            nearest = _nearest(found, m, d, geoms)
+            nearest = _nearest(found.max_geom_pairs, m, d, geoms)
             geoms, parameters = jax.tree.map(lambda a: a[nearest], (jnp.asarray(geoms), parameters))
         first, second = (Geom(d.geom_xpos[g], d.geom_xmat[g], m.geom_size[g]) for g in geoms.T)
         met = find(pair, first, second)
@@ -123,12 +123,12 @@ def _of_group(found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pa
     return _Contacts(*met, *_repeated(num, (parameters, geoms)))
 
 
-def _nearest(found: Collisions, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
-    """Numbers of the pairs whose bounding spheres are nearest, shape (max_geom_pairs,)."""
+def _nearest(num: int | None, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
+    """Numbers of the pairs whose bounding spheres are nearest, shape (num,)."""
     center, other_center = d.geom_xpos[geoms.T]
     radius, other_radius = m.geom_rbound[geoms.T]
     distance = jax.vmap(jnp.linalg.norm)(other_center - center) - (radius + other_radius)
-    return jax.lax.top_k(-distance, k=found.max_geom_pairs)[1]
+    return jax.lax.top_k(-distance, k=num or 0)[1]
 
 
 def _deepest(num: int, parts: list[_Contacts]) -> _Contacts:
