@@ -1,6 +1,5 @@
 """The check of a contact pair: distances, points, normals and derivatives of geoms that touch and that do not."""
 
-import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -49,7 +48,7 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
         gaps = np.repeat([-_DEPTH, _DEPTH, _FAR], num_states)
         keys = jax.random.split(jax.random.key(seed), len(gaps))
         drawn = _compiled(lambda key, gap: touching(key, pair.kinds, gap))(keys, jnp.asarray(gaps))
-        lies = itertools.product((False, True), repeat=2)
+        lies = [(one, other) for one in (False, True) for other in (False, True)]
         exact = [stacked(pair.kinds, lie, gap) for lie in lies for gap in (-_DEPTH, _DEPTH)]
         states = jax.tree.map(lambda many, *few: jnp.concatenate([many, jnp.stack(few)]), drawn, *exact)
         _check_derivatives(pair, states)

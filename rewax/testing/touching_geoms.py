@@ -157,7 +157,7 @@ def _crossing(key: Key, kinds: tuple[str, str], first: Geom, second: Geom) -> tu
         for k, kind in zip(keys[:2], kinds, strict=True)
     ]
     axes = [geom.rotation[:, number] for geom, number in zip((first, second), numbers, strict=True)]
-    normal = jnp.cross(*axes)
+    normal = jnp.cross(axes[0], axes[1])
     sine = jnp.linalg.norm(normal)
     normal = normal / jnp.maximum(sine, 1e-12)
     is_clear = sine > _CLEAR

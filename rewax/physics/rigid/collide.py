@@ -106,29 +106,29 @@ def collide(found: Collisions, m: mjx.Model, d: mjx.Data) -> mjx.Contact:
 
 def _of_group(found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pair: ContactPair | None) -> _Contacts:
     parameters, geoms = contact_parameters(found.mj, m, group), group.geoms
-    is_culled = found.max_geom_pairs is not None and len(geoms) > found.max_geom_pairs and not _ENDLESS & {*group.kinds}
+    num, most = len(geoms), found.max_geom_pairs
+    most = num if most is None or _ENDLESS & {*group.kinds} else most
     if pair is None:
         contact = listed_collisions(with_one_group(m, group), d)
         met = contact.dist, contact.pos, contact.frame
-        if is_culled:
+        if num > most:
             numbers = contact.includemargin  # see with_one_group
             return _Contacts(*met, jax.tree.map(lambda a: a[numbers], parameters), contact.geom)
     else:
-        if is_culled:
-            nearest = _nearest(found, m, d, geoms)
+        if num > most:
+            nearest = _nearest(most, m, d, geoms)
             geoms, parameters = jax.tree.map(lambda a: a[nearest], (jnp.asarray(geoms), parameters))
         first, second = (Geom(d.geom_xpos[g], d.geom_xmat[g], m.geom_size[g]) for g in geoms.T)
         met = find(pair, first, second)
-    num = len(met[0]) // len(geoms)
-    return _Contacts(*met, *_repeated(num, (parameters, geoms)))
+    return _Contacts(*met, *_repeated(len(met[0]) // len(geoms), (parameters, geoms)))
 
 
-def _nearest(found: Collisions, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
-    """Numbers of the pairs whose bounding spheres are nearest, shape (max_geom_pairs,)."""
+def _nearest(num: int, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
+    """Numbers of the pairs whose bounding spheres are nearest, shape (num,)."""
     center, other_center = d.geom_xpos[geoms.T]
     radius, other_radius = m.geom_rbound[geoms.T]
     distance = jax.vmap(jnp.linalg.norm)(other_center - center) - (radius + other_radius)
-    return jax.lax.top_k(-distance, k=found.max_geom_pairs)[1]
+    return jax.lax.top_k(-distance, k=num)[1]
 
 
 def _deepest(num: int, parts: list[_Contacts]) -> _Contacts:

@@ -135,7 +135,7 @@ def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
             raise ValueError(f"contact_pairs holds {pair!r}: give rigid.ContactPair(kinds, num_contacts, function)")
         if any(pair.kinds == other.kinds for other in pairs[:i]):
             raise ValueError(f"contact_pairs holds {str(pair)[4:]} twice: leave one out")
-        geom = Geom(*(jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype) for shape in ((3,), (3, 3), (3,))))
+        geom = jax.eval_shape(lambda: Geom(jnp.zeros(3), jnp.zeros((3, 3)), jnp.zeros(3)))
         _check_result(pair, jax.eval_shape(pair.function, geom, geom))
 
 

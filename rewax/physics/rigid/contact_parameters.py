@@ -1,6 +1,6 @@
 """Margins, friction and stiffness of contacts, from explicit pairs and from the two geoms of all others."""
 
-# pyright: reportAttributeAccessIssue=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 
 from typing import Any, NamedTuple
 

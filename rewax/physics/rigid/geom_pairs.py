@@ -1,5 +1,7 @@
 """Which geoms of a model may touch: explicit pairs, and those that their masks and bodies let touch."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import itertools
 from collections.abc import Iterator
 from typing import NamedTuple

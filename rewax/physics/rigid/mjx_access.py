@@ -4,7 +4,8 @@ MJX keeps what its JAX backend alone has in ``Data._impl`` and warns where it is
 below is read and written there; no other file names one, and no function of MJX that is not public is called.
 """
 
-# pyright: reportAttributeAccessIssue=false, reportReturnType=false
+# pyright: reportAttributeAccessIssue=false, reportReturnType=false, reportAssignmentType=false
+# pyright: reportArgumentType=false
 
 import contextlib
 import io

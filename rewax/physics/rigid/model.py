@@ -53,10 +53,10 @@ class _Model:
         self.contact_pairs = contact_pairs
         self.mj = compiled
         self.topology: TreeTopology = tree_topology(compiled.body_parentid, compiled.jnt_bodyid, compiled.jnt_type)
-        none, added = (np.zeros(0, int),) * 3, {pair.kinds for pair in contact_pairs}
+        none, added = np.zeros(0, int), {pair.kinds for pair in contact_pairs}
 
         def apart(kinds: tuple[str, str], wanted: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return mjcf.own_pairs(compiled, *kinds) if wanted and kinds not in added else none
+            return mjcf.own_pairs(compiled, *kinds) if wanted and kinds not in added else (none, none, none)
 
         self.sphere_boxes = apart(("sphere", "box"), law[0])
         self.capsules = apart(("capsule", "capsule"), law[0])
