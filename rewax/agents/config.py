@@ -50,6 +50,7 @@ POSITIVE = Legal("give a positive number", lambda v: isinstance(v, (int, float))
 Count = Annotated[int, COUNT]
 Share = Annotated[float, SHARE]
 Positive = Annotated[float, POSITIVE]
+Gain = Annotated[float | None, POSITIVE.or_none("give a positive number, or None for initial_gain")]
 Limit = Annotated[float | None, POSITIVE.or_none("give a positive number, or None for no limit")]
 
 
@@ -103,9 +104,11 @@ class PolicyOptions:
       optimizer: ``adamw``, or ``adam``: the same without weight decay.
       adam_b1, adam_b2, weight_decay: of all optimizers.
       max_grad_norm: global norm to which each optimizer's gradient is clipped.
-      actor_widths, point_widths, point_features, vector_features: network sizes.
+      actor_widths, point_widths, point_features, vector_features: network sizes; ``vector_features`` 0: vectors go to
+        the policy and the critics as they are.
       activation: ``silu``, ``elu``, ``relu`` or ``tanh``.
       initial_gain: of the orthogonal initialisers of all layers.
+      action_gain: of the policy's last layer; None: ``initial_gain``.
       state_dependent_std: the standard deviation is an output of the network; else a parameter of its own.
       log_std_range: clamp of the log standard deviation.
       initial_log_std: the log standard deviation at the start, or, if it depends on the state, added to its bias.
@@ -129,6 +132,7 @@ class PolicyOptions:
     vector_features: int = 128
     activation: Activation = "silu"
     initial_gain: Positive = 1.0
+    action_gain: Gain = None
     state_dependent_std: bool = True
     log_std_range: tuple[float, float] = (-5.0, 2.0)
     initial_log_std: float = 0.0
@@ -145,11 +149,13 @@ class CriticOptions:
       critic_learning_rate: at the first iteration.
       num_critics: independent value heads on one encoder.
       critic_widths: sizes of each head.
+      value_gain: of the orthogonal initialiser of each head's last layer; None: ``initial_gain``.
     """
 
     critic_learning_rate: Positive = 5e-4
     num_critics: Count = 2
     critic_widths: tuple[int, ...] = (256, 256)
+    value_gain: Gain = None
 
 
 class GradientFlow(TypedDict):

@@ -73,7 +73,8 @@ class Encoder(nn.Module):
     """Features of a named observation.
 
     Point clouds, arrays (num_points, channels), each go through a PointNet: layers per point, mean over the points,
-    one more layer. Vectors are concatenated in the order of their names and go through one layer.
+    one more layer. Vectors are concatenated in the order of their names and go through one layer, or as they are with
+    ``vector_features`` 0.
 
     Source: the 3D Diffusion Policy encoder as used by SAPO, with mean instead of max pooling.
     """
@@ -95,9 +96,10 @@ class Encoder(nn.Module):
                 )
         vectors = [obs[name].reshape(-1) for name in sorted(obs) if obs[name].ndim != 2]
         if vectors:
-            features.append(
-                Layer(self.vector_features, self.activation, self.gain, name="vectors")(jnp.concatenate(vectors))
-            )
+            joined = jnp.concatenate(vectors)
+            if self.vector_features:
+                joined = Layer(self.vector_features, self.activation, self.gain, name="vectors")(joined)
+            features.append(joined)
         return jnp.concatenate(features)
 
 
@@ -112,6 +114,7 @@ class GaussianActor(nn.Module):
     action_size: int
     activation: Activation
     gain: float
+    head_gain: float
     log_std_range: tuple[float, float]
     initial_log_std: float = 0.0
     state_dependent_std: bool = True
@@ -119,7 +122,7 @@ class GaussianActor(nn.Module):
     @nn.compact
     def __call__(self, obs: Observation) -> tuple[Array, Array]:
         x = MLP(self.widths, self.activation, self.gain)(self.encoder(obs))
-        init = orthogonal(self.gain)
+        init = orthogonal(self.head_gain)
         mean = nn.Dense(self.action_size, kernel_init=init, name="mean")(x)
         bias = nn.initializers.constant(self.initial_log_std)
         if self.state_dependent_std:
@@ -140,13 +143,14 @@ class Critics(nn.Module):
     num_critics: int
     activation: Activation
     gain: float
+    head_gain: float
 
     @nn.compact
     def __call__(self, obs: Observation, action: Array | None = None) -> Array:
         features = self.encoder(obs)
         if action is not None:
             features = jnp.concatenate([features, action])
-        init = orthogonal(self.gain)
+        init = orthogonal(self.head_gain)
         values = [
             nn.Dense(1, kernel_init=init, name=f"value_{i}")(
                 MLP(self.widths, self.activation, self.gain, name=f"mlp_{i}")(features)

@@ -58,6 +58,8 @@ class PPOConfig(ActorCriticConfig):
     adam_b1: float = 0.9
     adam_b2: float = 0.999
     initial_gain: float = 2.0**0.5
+    action_gain: float | None = 0.01
+    value_gain: float | None = 1.0
     num_critics: int = 1
     observation_clip: float | None = 5.0
     gae_lambda: Share = 0.95

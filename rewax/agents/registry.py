@@ -55,7 +55,9 @@ def _changed_preset(
     return dataclasses.replace(preset(env_name, scale), **dict(changes))
 
 
-_NO_ENTROPY = {"entropy_in_return": False, "entropy_in_targets": False, "learn_temperature": False}
+_NO_ENTROPY = {
+    "entropy_in_return": False, "entropy_in_targets": False, "entropy_in_loss": False, "learn_temperature": False,
+}  # fmt: skip
 
 _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     "sapo": _own("sapo", "SAPOConfig"),

@@ -40,6 +40,8 @@ class SAPOConfig(FirstOrderConfig):
       temperature_learning_rate: of Adam on the logarithm of the temperature, constant.
       target_entropy_scale: the target entropy is minus this times the number of action components.
       entropy_in_return, entropy_in_targets: the two places of the entropy bonus (the paper's ablations).
+      entropy_in_loss: without the bonus in the return, the actor's loss still has minus its mean over the rollout, not
+        discounted, as in the paper's code.
       normalize_entropy: the bonus is 0 at the target entropy and 1 at minus the target; else the entropy itself.
     """
 
@@ -49,6 +51,7 @@ class SAPOConfig(FirstOrderConfig):
     target_entropy_scale: Positive = 0.5
     entropy_in_return: bool = True
     entropy_in_targets: bool = True
+    entropy_in_loss: bool = True
     normalize_entropy: bool = True
 
     def __post_init__(self) -> None:
@@ -107,10 +110,13 @@ def actor_loss(
     """
     config, policy = networks.config, soft_policy(networks, actor_params, common.environments.statistics)
     end, transitions = rollout(env, env_state, policy, key, horizon=config.horizon, **config.gradient_flow)
-    reward = transitions.reward
+    soft = bonus(networks, common.log_temperature, transitions.aux["entropy"])
     if config.entropy_in_return:
-        reward = reward + bonus(networks, common.log_temperature, transitions.aux["entropy"])
-    return rollout_loss(networks, common, end, transitions, reward)
+        return rollout_loss(networks, common, end, transitions, transitions.reward + soft)
+    loss, rollouts = rollout_loss(networks, common, end, transitions, transitions.reward)
+    if config.entropy_in_loss:
+        loss = loss - jnp.sum(soft, where=transitions.valid) / jnp.sum(transitions.active)
+    return loss, rollouts
 
 
 def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningStatistics) -> Policy:
