@@ -189,8 +189,8 @@ def test_the_page_of_a_contact_pair_runs():
 
 def test_the_page_of_a_law_runs(capsys):
     names = run_page("docs/your_own_law.md")
-    assert capsys.readouterr().out.count("passed") == 2
-    listings = re.split(r"```python\n", (ROOT / "docs/your_own_law.md").read_text())[1:3]
+    assert capsys.readouterr().out.count("passed") == 3
+    listings = re.split(r"```python\n", (ROOT / "docs/your_own_law.md").read_text())[1:4]
     for listing in listings:
         assert len([line for line in listing.split("```")[0].splitlines() if line.strip()]) < 40
     assert names["tearing"].initial_memory == (0.0,)
