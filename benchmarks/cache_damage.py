@@ -227,10 +227,10 @@ def worker(what: str) -> None:
 
     jax.config.update("jax_platforms", "cpu")
     from rewax.lowering import build, compiler
-    from rewax.physics.mpm import transfer_cpp as transfer_native
+    from rewax.physics.mpm import transfer_cpp
 
     os.environ.pop("REWAX_NATIVE", None)
-    source = build.Source("total", TEXT) if what == "total" else transfer_native.SOURCE
+    source = build.Source("total", TEXT) if what == "total" else transfer_cpp.SOURCE
     run_compiler = compiler.build
     built = []
     compiler.build = lambda *args: built.append(1) or run_compiler(*args)
@@ -273,16 +273,15 @@ def transfers_agree() -> bool:
     import jax
     import numpy as np
 
-    from rewax.physics.mpm import transfer_cpp as transfer_native
-    from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
+    from rewax.physics.mpm import transfer_cpp, transfer_xla_cpu
     from rewax.physics.mpm.grid import Grid
 
     draw, grid = np.random.default_rng(0), Grid(shape=(9, 8, 7), spacing=0.1)
     where = tuple(np.float32(draw.uniform(0.06, 0.1 * (n - 1.6), 50)) for n in grid.shape)
     given = tuple(np.float32(draw.standard_normal((13, 50))))
-    layout = transfer_cpu.Layout(grid, None)
-    spread = [jax.jit(lambda m=m: m.spread(layout, where, given))() for m in (transfer_native, transfer_cpu)]
-    used = transfer_native.is_used()
+    layout = transfer_xla_cpu.Layout(grid, None)
+    spread = [jax.jit(lambda m=m: m.spread(layout, where, given))() for m in (transfer_cpp, transfer_xla_cpu)]
+    used = transfer_cpp.is_used()
     return used and all(np.allclose(a, b, rtol=1e-4, atol=1e-4) for a, b in zip(*spread, strict=True))
 
 

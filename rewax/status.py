@@ -41,6 +41,21 @@ FATAL = Status.NAN | Status.INVALID_PARAMETERS
 """Bits that end an episode."""
 
 
+_REMEDIES = {
+    Status.OUT_OF_DOMAIN: "a larger box, or walls that keep particles inside",
+    Status.INACTIVE_NODES: "a larger max_active_nodes",
+    Status.FAR_COLLIDERS: "a larger max_near_colliders",
+    Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
+}
+
+
+def remedy(status: int) -> str:
+    """What helps against the bits set in one status: ``remedy(8) == 'a larger max_active_nodes'``."""
+    known = [what for bit, what in _REMEDIES.items() if status & bit]
+    unknown = status & ~sum(_REMEDIES)
+    return ", ".join(known + ["shorter substeps or softer contacts"] * bool(unknown or not known))
+
+
 def flag(condition: Array, status: Status) -> Array:
     """``status`` where ``condition`` holds, ``OK`` elsewhere. Shape of ``condition``, int32. Gradient: none."""
     return jnp.where(condition, jnp.int32(status), jnp.int32(Status.OK))

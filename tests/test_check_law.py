@@ -9,7 +9,9 @@ from material_cases import LAWS, material
 
 from rewax import struct
 from rewax.physics.mpm import Hencky, Material, Newtonian, Plasticity, Tait, VonMises
-from rewax.physics.mpm.laws import Flow, LameParameters
+from rewax.physics.mpm.laws import Flow, LameParameters, Stretches
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics import divided_differences as dd
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.testing import check_law
 from rewax.types import Scalar
@@ -83,9 +85,72 @@ class Creeps(Plasticity):
         return Flow(s, (s.values * 3.0) / (s.values * 3.0000000000000004) - 1.0, memory)
 
 
+@struct.dataclass
+class Half(Plasticity):
+    """Half of the strain flows; the elongation is a difference of logarithms."""
+
+    limit: Scalar = struct.number(POSITIVE, "give a strain")
+
+    def flow(self, s, moduli, memory):
+        new = Stretches.of(dd.sqrt(dd.maximum(s.values, 1e-5)))
+        return Flow(new, new.log - s.log, memory)
+
+
+@struct.dataclass
+class Stiffens(Plasticity):
+    initial_memory = (0.0,)
+    rate: Scalar = struct.number(POSITIVE, "give a number")
+
+    def flow(self, s, moduli, memory):
+        return Flow(s, 0.0 * s.values, (jnp.maximum(memory[0], cp.norm(s.log.values)),))
+
+    def stiffness(self, memory):
+        return 1.0 + self.rate * memory[0]
+
+
+@struct.dataclass
+class Ages(Plasticity):
+    """Remembers how many substeps it has seen."""
+
+    initial_memory = (0.0,)
+    rate: Scalar = struct.number(POSITIVE, "give a number")
+
+    def flow(self, s, moduli, memory):
+        return Flow(s, 0.0 * s.values, (memory[0] + self.rate,))
+
+
+@struct.dataclass
+class Engine(Newtonian):
+    def stress(self, F, velocity_gradient):
+        return [[-1.0 * a for a in row] for row in super().stress(F, velocity_gradient)]
+
+
+@struct.dataclass
+class Spinning(Newtonian):
+    def stress(self, F, velocity_gradient):
+        return cp.matrix(lambda i, j: self.viscosity * velocity_gradient[i][j])
+
+
+@struct.dataclass
+class Logarithm(Hencky):
+    """Its energy ends at a stretch of two."""
+
+    def energy(self, s):
+        return super().energy(s) + 0.0 * jnp.log(2.0 - s.values.values[0])
+
+
+SOLID = {"density": 1e3, "elasticity": Hencky(**NUMBERS)}
+
+
 @pytest.mark.parametrize(
     ("material", "sentence"),
     [
+        (Material(**SOLID, plasticity=Half(limit=0.1)), "the deformation after flow is not that of the stretches aft"),
+        (Material(**SOLID, plasticity=Stiffens(rate=5.0)), "stiffness reaches "),
+        (Material(**SOLID, plasticity=Ages(rate=0.01)), "memory changes in a body at rest"),
+        (Material(**SOLID, viscosity=Engine(viscosity=1.0)), "viscous stress makes energy"),
+        (Material(**SOLID, viscosity=Spinning(viscosity=1.0)), "viscous stress is not symmetric"),
+        (Material(density=1e3, elasticity=Logarithm(**NUMBERS)), "the energy of stretches 2.0 is not finite"),
         (Material(density=1e3, elasticity=OneAxis(**NUMBERS)), "elastic stress "),
         (Material(density=1e3, elasticity=WrongEnergy(**NUMBERS)), "stress is not the derivative of energy by def"),
         (Material(density=1e3, elasticity=WrongModuli(**NUMBERS)), "stress of small strains is not Hooke's with modu"),
@@ -94,7 +159,7 @@ class Creeps(Plasticity):
         (Material(density=1e3, elasticity=Hencky(**NUMBERS), plasticity=Creeps(limit=0.1)), "what does not flow chan"),
         (Material(density=1e3, elasticity=Cut(**NUMBERS)), "the derivative by elasticity.youngs_modulus is 0"),
     ],
-    ids=lambda m: type(m.elasticity).__name__ if isinstance(m, Material) else "",
+    ids=lambda m: "".join(type(law).__name__ for law in m.laws.values()) if isinstance(m, Material) else "",
 )
 def test_what_is_wrong_is_named(material, sentence):
     with pytest.raises(AssertionError, match="^" + re.escape(sentence)) as error:

@@ -61,7 +61,7 @@ def test_a_wheel_with_libraries(tmp_path):
         program = (
             "from rewax.fixed_sources import fixed_sources\nfrom rewax.lowering import build\n"
             "print({build.load(source).reason.rpartition('/')[0] for source in fixed_sources()})\n"
-            "from rewax.physics.mpm import transfer_native\nprint(transfer_native.is_used())"
+            "from rewax.physics.mpm import transfer_cpp\nprint(transfer_cpp.is_used())"
         )
         environment = {**os.environ, "PYTHONPATH": str(home), "CXX": "/nonexistent", "REWAX_NATIVE": "1"}
         done = subprocess.run(

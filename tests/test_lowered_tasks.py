@@ -17,10 +17,10 @@ from rewax.lowering import interpreted, recorded
 from rewax.testing import where_it_runs
 
 RULES = ("value", "tangent", "cotangent")
-SOFT = {"mpm.step._moved", "mpm.step.stress_and_momentum"}
+SOFT = {"mpm.stepping._moved", "mpm.stepping.stress_and_momentum"}
 TOOL = SOFT | {"contact.colliders._velocity_after"}
-RIGID = {"rigid.step._accelerate"}
-TETS = {"contact.penalty._ground_force", "tets.step._columns.columns", "tets.step._moved"}
+RIGID = {"rigid.stepping._accelerate"}
+TETS = {"contact.penalty._ground_force", "tets.stepping._columns.columns", "tets.stepping._moved"}
 FUNCTIONS = {
     **dict.fromkeys(["FluidMove", "HandFlip", "HandLift", "RollingFlat", "SteerFloat"], TOOL),
     **dict.fromkeys(
@@ -31,7 +31,7 @@ FUNCTIONS = {
     "SoftJumperMPM": SOFT,
 }
 """The functions of each task's physics, within ``rewax.physics``."""
-LEFT = {("GripperLift", "rigid.step._accelerate", "value"): "it has the operation while"}
+LEFT = {("GripperLift", "rigid.stepping._accelerate", "value"): "it has the operation while"}
 """What is left to XLA."""
 QUICK = {"RollingFlat", "HandFlip", "SoftJumper", "GripperLift"}
 """Tasks whose paper scale is looked at in every run of the tests; that of the others differs from small in sizes alone."""

@@ -1,12 +1,11 @@
-"""What the transfers' passes can be given, and how each form of them is compared with ``transfer_cpu``."""
+"""What the transfers' passes can be given, and how each form of them is compared with ``transfer_xla_cpu``."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from squeezed_block import one_substep, squeezed
 
-from rewax.physics.mpm import Hencky, VonMises
-from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
+from rewax.physics.mpm import Hencky, VonMises, transfer_xla_cpu
 from rewax.physics.mpm.active_nodes import count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.walls import Wall, WallKind
@@ -21,11 +20,11 @@ def places(batch, listed):
     x = [draw.uniform(GRID.origin[a] + 0.15, GRID.origin[a] + 0.45, (*batch, NUM)) for a in range(3)]
     x[0][..., 0] = GRID.origin[0] + 0.25
     if not listed:
-        return transfer_cpu.Layout(GRID, None), tuple(jnp.asarray(a) for a in x)
+        return transfer_xla_cpu.Layout(GRID, None), tuple(jnp.asarray(a) for a in x)
     points = jnp.stack([jnp.asarray(a) for a in x], axis=-1).reshape(-1, NUM, 3)
     count = max(int(count_nodes(GRID, p)) for p in points)
     offset = jnp.stack([list_nodes(GRID, p, count).offset for p in points]).reshape(*batch, -1)
-    return transfer_cpu.Layout(GRID, count), (*(jnp.asarray(a) for a in x), offset)
+    return transfer_xla_cpu.Layout(GRID, count), (*(jnp.asarray(a) for a in x), offset)
 
 
 def inputs(name, where, batch, nodes, num=NUM, dtype=float):
@@ -54,11 +53,11 @@ def run(module, name, layout, given):
 
 
 def assert_as_transfer_cpu(module, names, batch, listed):
-    """All passes of these names agree with ``transfer_cpu``'s, and are other programs."""
+    """All passes of these names agree with ``transfer_xla_cpu``'s, and are other programs."""
     layout, where = places(batch, listed)
     for name in names:
         for given in inputs(name, where, batch, layout.num_nodes):
-            this, other = program(module, name, layout, given), program(transfer_cpu, name, layout, given)
+            this, other = program(module, name, layout, given), program(transfer_xla_cpu, name, layout, given)
             assert this.as_text() != other.as_text(), f"{name}: this is the same program"
             found, expected = this.compile()(*given), other.compile()(*given)
             assert len(found) == len(expected) > 0

@@ -86,6 +86,8 @@ def register_algorithm(name: str, algorithm: Algorithm) -> None:
     Raises:
       ValueError: the name is taken by another algorithm.
     """
+    if not isinstance(algorithm, Algorithm):
+        raise ValueError(f"algorithm is {algorithm!r}: give an Algorithm(make=..., config_type=..., preset=...)")
     if name in _ALGORITHMS and _ALGORITHMS[name]() != algorithm:
         raise ValueError(f"an algorithm named {name!r} is registered already: choose another name")
     _ALGORITHMS[name] = lambda: algorithm
@@ -105,7 +107,10 @@ def algorithm(name: str) -> Algorithm:
     if name not in _ALGORITHMS:
         close = difflib.get_close_matches(name, _ALGORITHMS, n=1, cutoff=0.5)
         hint = f"did you mean {close[0]!r}? " if close else ""
-        raise ValueError(f"there is no algorithm named {name!r}: {hint}known are {', '.join(list_algorithms())}")
+        raise ValueError(
+            f"there is no algorithm named {name!r}: {hint}known are {', '.join(list_algorithms())}; one of "
+            "your own needs the module that registers it, --import my_module"
+        )
     return _ALGORITHMS[name]()
 
 

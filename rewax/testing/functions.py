@@ -9,7 +9,7 @@ import numpy as np
 
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
-from rewax.status import FATAL, Status, describe
+from rewax.status import FATAL, Status, describe, remedy
 from rewax.testing.states import check_values, finite
 from rewax.testing.traced import named, random_action
 from rewax.types import Array, Key, PyTree
@@ -80,14 +80,19 @@ def check_gradient(env: Env, state: State, key: Key, num_steps: int) -> None:
         last, (rewards, status) = jax.lax.scan(body, state, actions)
         return jnp.sum(rewards), (status, last)
 
-    gradient, (status, _) = named("step", jax.jit(jax.grad(total, has_aux=True)), actions, leaves)
+    program = jax.jit(jax.grad(total, has_aux=True))
+    gradient, (status, _) = named("step", program, actions, leaves)
     failed = Status(int(np.bitwise_or.reduce(np.asarray(status))))
     assert failed == Status.OK, (
-        f"{num_steps} steps of random actions fail numerically ({failed!r}): shorter substeps or softer contacts help"
+        f"{num_steps} steps of random actions fail numerically ({failed!r}): give {remedy(failed)}"
     )
     assert finite(gradient), (
         "the gradient of the reward with respect to the actions holds a number that is not finite: a root, a norm or a "
         "division at 0 does it, in the branch of a jnp.where that is not taken too; jax.debug_nans(True) finds it"
+    )
+    assert finite(program(jnp.zeros_like(actions), leaves)[0]), (
+        "the gradient of the reward at action 0 holds a number that is not finite: a root or a norm at 0 does it; take "
+        "rewax.envs.kit.rewards.smooth_norm, or add a small number under the root"
     )
     if not bool(jnp.any(gradient != 0)):
         raise AssertionError(_no_gradient(total, actions, leaves, num_steps))
@@ -126,8 +131,7 @@ def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
         state = step(state, random_action(env, jax.random.fold_in(key, count)))
         bits = int(state.status)
         assert not bits & FATAL, (
-            f"step {count} of random actions fails numerically ({describe(bits)}): shorter substeps or softer contacts "
-            "help"
+            f"step {count} of random actions fails numerically ({describe(bits)}): give {remedy(bits)}"
         )
         both = bool(state.terminated & state.truncated)
         assert not both, f"step {count} is both terminated and truncated: terminated wins, truncated is then false"

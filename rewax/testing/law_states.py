@@ -1,5 +1,7 @@
 """Deformations of all kinds, and what a material makes of them, for the check of laws."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import numpy as np
 from rewax.physics.mpm import Material
 from rewax.physics.mpm.materials import respond
 from rewax.physics.numerics import components as cp
-from rewax.types import Array
+from rewax.types import Array, PyTree
 
 NUM = 64
 """Deformations at a time."""
@@ -38,4 +40,21 @@ def at_start(material: Material, F: Array) -> tuple[Array, ...]:
     return tuple(jnp.full(F.shape[0], a, F.dtype) for a in material.initial_memory)
 
 
-__all__ = ["NUM", "at_start", "deformations", "response", "rotations"]
+def near(a: PyTree, b: PyTree, size: Any, what: str, remedy: str, tolerance: float = 1e-9) -> None:
+    """Raises AssertionError unless both are equal up to ``tolerance`` times ``size``."""
+    for one, other in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        error = float(jnp.max(jnp.abs(one - other)) / size)
+        assert error < tolerance, f"{what} (relative difference {error:.1e}): {remedy}"
+
+
+def size_of(a: Array) -> Array:
+    """The largest number of an array, for relative differences."""
+    return jnp.maximum(jnp.max(jnp.abs(a)), 1e-30)
+
+
+def expand(a: Array) -> Array:
+    """Numbers of particles beside their matrices."""
+    return a[:, None, None]
+
+
+__all__ = ["NUM", "at_start", "deformations", "expand", "near", "response", "rotations", "size_of"]

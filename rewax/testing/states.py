@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.wrappers import is_number
-from rewax.status import describe
+from rewax.status import describe, remedy
 from rewax.types import Array
 from rewax.viz import shapes
 
@@ -117,5 +117,5 @@ def finite(value: Array) -> bool:
 
 def _check_status(state: State, source: str) -> None:
     bits = int(state.status)
-    remedy = "begin where the physics is sound" if source == "reset" else "shorter substeps or softer contacts help"
-    assert bits == 0, f"{source} sets the status {describe(bits)}: {remedy}; rewax.Status says what each bit means"
+    help_ = "begin where the physics is sound" if source == "reset" else f"give {remedy(bits)}"
+    assert bits == 0, f"{source} sets the status {describe(bits)}: {help_}; rewax.Status says what each bit means"

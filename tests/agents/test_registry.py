@@ -30,5 +30,7 @@ def test_an_algorithm_of_ones_own(monkeypatch):
     register_algorithm("mine", mine)
     register_algorithm("mine", mine)  # once more is no harm
     assert make_agent("mine", toys.point_mass()).name == ""
+    with pytest.raises(ValueError, match=r"algorithm is <function .*: give an Algorithm\(make=\.\.\., config_type="):
+        register_algorithm("other", make_sapo)
     with pytest.raises(ValueError, match="an algorithm named 'sapo' is registered already: choose another name"):
         register_algorithm("sapo", mine)

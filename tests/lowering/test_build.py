@@ -11,7 +11,7 @@ import jax
 import pytest
 
 from rewax.lowering import build
-from rewax.physics.mpm import transfer_cpp as transfer_native
+from rewax.physics.mpm import transfer_cpp
 
 EMPTY = 'extern "C" int one() { return 1; }\n'
 needs_compiler = pytest.mark.skipif(build.compiler() is None, reason="there is no C++ compiler")
@@ -64,7 +64,7 @@ def test_without_a_compiler(folder, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     monkeypatch.delenv("CXX", raising=False)
     assert build.load(written()) == (None, "there is no C++ compiler")
-    assert not transfer_native.is_used()
+    assert not transfer_cpp.is_used()
 
 
 def test_can_be_turned_off(folder, monkeypatch):

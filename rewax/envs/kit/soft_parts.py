@@ -1,5 +1,7 @@
 """Pieces of the scenes of soft tasks: dough, particles that fill a box, walls."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -33,7 +35,9 @@ def random_box(center: tuple[float, ...], size: tuple[float, ...], num_particles
     return jnp.asarray((points - 0.5) * np.asarray(size) + np.asarray(center), dtype=jnp.result_type(float))
 
 
-def lattice_box(center: tuple[float, ...], size: tuple[float, ...], counts: tuple[int, ...]) -> Array:
+def lattice_box(
+    center: Sequence[float] | np.ndarray, size: Sequence[float] | np.ndarray, counts: tuple[int, ...]
+) -> Array:
     """Points of a box, so many along each axis, in the middles of equal cells, shape (prod(counts), 3)."""
     points = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5 for n in counts], indexing="ij"), axis=-1)
     return jnp.asarray(points.reshape(-1, 3) * np.asarray(size) + np.asarray(center), jnp.result_type(float))

@@ -84,6 +84,10 @@ class SoftTask(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_list_every(self.list_every, self.num_substeps)
+        for name in ("joint_lower", "joint_upper", "joint_step"):
+            shape, wanted = jnp.shape(getattr(self, name)), jnp.shape(self.joint_start)
+            if shape != wanted:
+                raise ValueError(f"{name} has shape {shape}, but joint_start {wanted}: give one number for each joint")
 
     # --- What a task defines ---
 

@@ -318,7 +318,15 @@ def _rows(arrays: list[Array], shape: tuple[int, ...]) -> Array:
 
 
 def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:
-    """What Coulomb friction leaves of the tangential velocity: max(0, |u_t| + mu u_n) / |u_t|; 1 without contact."""
+    """What Coulomb friction leaves of the tangential velocity [-]: max(0, |u_t| + mu u_n) / |u_t|; 1 without contact.
+
+    Args:
+      tangential: u_t, components of shape (n,) [m/s].
+      approach: u_n, velocity along the normal, negative towards the body [m/s], shape (n,).
+      friction: Coulomb coefficient mu [-].
+
+    Gradient: exact, zero-safe. Source: Stomakhin et al. 2013, "A material point method for snow simulation", section 8.
+    """
     square = cp.dot(tangential, tangential)
     rubs = (approach < 0) & (square > 1e-30)
     length = jnp.sqrt(jnp.where(rubs, square, 1.0))

@@ -1,6 +1,6 @@
 """How much memory a gradient through a simulation takes, before it is compiled."""
 
-from rewax.physics.mpm import transfer_cpp as transfer_native
+from rewax.physics.mpm import transfer_cpp
 from rewax.physics.mpm.stepping import MPMScene
 
 _PARTICLE_FLOATS = 24
@@ -52,7 +52,7 @@ def predict_peak_bytes(
         raise ValueError(f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them")
     stored = num_substeps // store_every + (store_every if store_every > 1 else 0)
     nodes = scene.grid.num_nodes if scene.max_active_nodes is None else scene.max_active_nodes
-    native = transfer_native.is_used()
+    native = transfer_cpp.is_used()
     per_particle = _PARTICLE_FLOATS * stored + _CONTROL_STEP_FLOATS * horizon + _WORKSPACE_FLOATS[native]
     per_node = _NODE_FLOATS + _COLLIDER_FLOATS[native] * len(scene.colliders)
     return bytes_per_float * num_envs * (num_particles * per_particle + nodes * per_node)

@@ -9,7 +9,7 @@ s = p + A d what the particle sends there:
   x' = sum grad w (g . s) - B'^T sum w g
 
 Arrays come as separate components (see ``components``). The passes are written three times: in C++ for CPUs
-(``transfer_native``), and with JAX for CPUs without a compiler (``transfer_cpu``) and for GPUs (``transfer_gpu``);
+(``transfer_cpp``), and with JAX for CPUs without a compiler (``transfer_xla_cpu``) and for GPUs (``transfer_gpu``);
 which ones a program holds is decided when it is lowered for a platform.
 """
 
@@ -20,20 +20,18 @@ import jax
 import jax.numpy as jnp
 
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
-from rewax.physics.mpm import transfer_cpp as transfer_native
-from rewax.physics.mpm import transfer_gpu
-from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
+from rewax.physics.mpm import transfer_cpp, transfer_gpu, transfer_xla_cpu
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.transfer_xla_cpu import Layout, as_matrix, as_vector, flat, split
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.types import Array
 
-_SPREAD = ByPlatform(transfer_native.spread, transfer_gpu.spread)
-_GATHER_VALUES = ByPlatform(transfer_native.gather_values, transfer_gpu.gather_values)
-_SPREAD_TANGENT_TRANSPOSE = ByPlatform(transfer_native.spread_tangent_transpose, transfer_gpu.spread_tangent_transpose)
-_GATHER_TANGENT = ByPlatform(transfer_cpu.gather_tangent, transfer_gpu.gather_tangent)
-_GATHER_TANGENT_TRANSPOSE = ByPlatform(transfer_native.gather_tangent_transpose, transfer_gpu.gather_tangent_transpose)
+_SPREAD = ByPlatform(transfer_cpp.spread, transfer_gpu.spread)
+_GATHER_VALUES = ByPlatform(transfer_cpp.gather_values, transfer_gpu.gather_values)
+_SPREAD_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.spread_tangent_transpose, transfer_gpu.spread_tangent_transpose)
+_GATHER_TANGENT = ByPlatform(transfer_xla_cpu.gather_tangent, transfer_gpu.gather_tangent)
+_GATHER_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.gather_tangent_transpose, transfer_gpu.gather_tangent_transpose)
 
 
 class GridFields(NamedTuple):
@@ -104,7 +102,7 @@ def _particle_to_grid(layout: Layout, *args: Array) -> Arrays:
 def _particle_to_grid_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _particle_to_grid(layout, *args)
     linear = _without_list(layout, tangents)
-    return out, linear_call(transfer_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, linear, like=out)
+    return out, linear_call(transfer_xla_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, linear, like=out)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -1,8 +1,8 @@
-"""The passes of ``transfer`` in C++, for CPUs; those of ``transfer_cpu`` where there is no compiler.
+"""The passes of ``transfer`` in C++, for CPUs; those of ``transfer_xla_cpu`` where there is no compiler.
 
 One call computes a whole pass: a particle's weights and its 27 nodes stay in registers and in the first-level cache,
 where XLA stores the 27 values of every particle. ``transfer.cc`` has the loops; the numbers are those of
-``transfer_cpu`` up to rounding. Environments are shared out among the threads of the device.
+``transfer_xla_cpu`` up to rounding. Environments are shared out among the threads of the device.
 """
 
 import math
@@ -15,7 +15,7 @@ import numpy as np
 
 from rewax.lowering import build
 from rewax.lowering.linear_primitive import Arrays
-from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
+from rewax.physics.mpm import transfer_xla_cpu
 from rewax.physics.mpm.transfer_xla_cpu import Layout
 
 SOURCE = build.Source("transfer", build.THREADS.read_text() + Path(__file__).with_name("transfer.cc").read_text())
@@ -24,33 +24,33 @@ _TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 
 
 def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """As ``transfer_cpu.spread``."""
+    """As ``transfer_xla_cpu.spread``."""
     num_fields = len(linear) - 9
     if not _available(residuals, linear):
-        return transfer_cpu.spread(layout, residuals, linear)
+        return transfer_xla_cpu.spread(layout, residuals, linear)
     return _call("rewax_spread", layout, (*residuals, *linear), [layout.num_nodes] * num_fields, num_fields)
 
 
 def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
-    """As ``transfer_cpu.gather_values``."""
+    """As ``transfer_xla_cpu.gather_values``."""
     if not _available(residuals, nodes):
-        return transfer_cpu.gather_values(layout, residuals, nodes)
+        return transfer_xla_cpu.gather_values(layout, residuals, nodes)
     lengths = [residuals[0].shape[-1]] * (len(nodes) + 9)
     return _call("rewax_gather_values", layout, (*residuals, *nodes), lengths, len(nodes))
 
 
 def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """As ``transfer_cpu.spread_tangent_transpose``."""
+    """As ``transfer_xla_cpu.spread_tangent_transpose``."""
     if not _available(residuals, cotangents):
-        return transfer_cpu.spread_tangent_transpose(layout, residuals, cotangents)
+        return transfer_xla_cpu.spread_tangent_transpose(layout, residuals, cotangents)
     lengths = [residuals[0].shape[-1]] * 16
     return _call("rewax_spread_tangent_transpose", layout, (*residuals, *cotangents), lengths, 4)
 
 
 def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """As ``transfer_cpu.gather_tangent_transpose``."""
+    """As ``transfer_xla_cpu.gather_tangent_transpose``."""
     if not _available(residuals, cotangents):
-        return transfer_cpu.gather_tangent_transpose(layout, residuals, cotangents)
+        return transfer_xla_cpu.gather_tangent_transpose(layout, residuals, cotangents)
     lengths = [residuals[0].shape[-1]] * 3 + [layout.num_nodes] * 3
     return _call("rewax_gather_tangent_transpose", layout, (*residuals, *cotangents), lengths, 3)
 
@@ -68,7 +68,7 @@ def _available(*arrays: Arrays) -> bool:
 def _call(target: str, layout: Layout, operands: Arrays, lengths: Sequence[int], num_fields: int) -> Arrays:
     """One pass over arrays (..., particles) and (..., nodes); all results have the operands' leading axes."""
     grid, first = layout.grid, operands[0]
-    transfer_cpu.check_size(layout, math.prod(first.shape[:-1]))
+    transfer_xla_cpu.check_size(layout, math.prod(first.shape[:-1]))
     sizes = (*grid.shape, layout.num_nodes, layout.num_active is not None, num_fields)
     shapes = [jax.ShapeDtypeStruct((*first.shape[:-1], length), first.dtype) for length in lengths]
     run = jax.ffi.ffi_call(target, shapes)

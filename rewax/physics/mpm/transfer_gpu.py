@@ -2,7 +2,7 @@
 
 Stored are the places of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed from
 positions wherever they are used. The scatter sees nodes as rows of four numbers, and adds one by one vector atomic.
-The numbers are those of ``transfer_cpu``, up to rounding.
+The numbers are those of ``transfer_xla_cpu``, up to rounding.
 """
 
 import math
@@ -97,7 +97,7 @@ def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
 
 
 def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of ``transfer_cpu.spread_tangent``."""
+    """Transpose of ``transfer_xla_cpu.spread_tangent``."""
     st, rest = _stencils(layout, residuals)
     A, moved = as_matrix(rest[4:]), (".sww", ".wsw", ".wws")
     sums = _sums(st, cotangents, (*VALUE_MOMENTS, *moved), _message(rest[:4], A))
@@ -107,7 +107,7 @@ def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 
 
 def gather_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """As ``transfer_cpu.gather_tangent``."""
+    """As ``transfer_xla_cpu.gather_tangent``."""
     return tangent_by_slopes(gather_slopes, gather_values, layout, residuals, linear)
 
 
@@ -153,7 +153,7 @@ def _sums(
 ) -> dict[str, Arrays]:
     """Sums over the 27 nodes of the factors that a name's letters stand for times the node's numbers.
 
-    Axis by axis, as in ``transfer_cpu``, for fewer operations.
+    Axis by axis, as in ``transfer_xla_cpu``, for fewer operations.
 
     Args:
       st: where particles are.

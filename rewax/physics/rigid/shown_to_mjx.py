@@ -52,7 +52,7 @@ def with_one_group(m: mjx.Model, group: GeomPairs) -> mjx.Model:
     """
     num = len(group.geoms)
     sizes = {"friction": 5, "solref": mujoco.mjNREF, "solreffriction": mujoco.mjNREF, "solimp": mujoco.mjNIMP}
-    unused = {f"pair_{name}": np.zeros((num, size), np.float32) for name, size in sizes.items()}
+    unused = {f"pair_{name}": np.zeros((num, size), m.geom_size.dtype) for name, size in sizes.items()}
     return m.replace(
         npair=num, pair_geom1=group.geoms[:, 0], pair_geom2=group.geoms[:, 1], pair_dim=np.full(num, group.condim),
         pair_margin=np.arange(num), **unused,

@@ -42,7 +42,14 @@ class Rows(NamedTuple):
 
 
 def row_forces(rows: Rows, qacc: Array) -> Array:
-    """Force of each constraint at given accelerations, shape (num_rows,). Gradient: exact, zero where clipped."""
+    """Force of each constraint at given accelerations [N or N m], shape (num_rows,).
+
+    Limits and contacts push alone (>= 0), pyramids of friction are contacts of their own, and dry friction stays within
+    its largest force.
+
+    Gradient: exact, zero where clipped. Source: Todorov 2014, "Convex and analytically-invertible dynamics with
+      contacts and constraints in MuJoCo".
+    """
     return _forces(rows, _dot(rows.jacobian, qacc) - rows.target)
 
 

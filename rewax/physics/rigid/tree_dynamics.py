@@ -18,7 +18,8 @@ from rewax.types import Array
 def mass_matrix(topology: TreeTopology, parameters: TreeParameters, kin: Kinematics) -> Array:
     """Mass matrix, the joint-space inertia, symmetric and positive definite, shape (num_dofs, num_dofs).
 
-    Composite rigid body algorithm (CRBA), with sums over subtrees for its recursion.
+    Composite rigid body algorithm (CRBA), with sums over subtrees for its recursion. Gradient: exact.
+    Source: Featherstone 2008, "Rigid Body Dynamics Algorithms", section 6.2.
     """
     num_bodies, num_dofs = topology.moves.shape
     mass, arm = parameters.body_mass[:, None], kin.com - kin.tree_com

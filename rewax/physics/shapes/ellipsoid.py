@@ -12,7 +12,7 @@ from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.drawn import ORIGIN, STRAIGHT, Drawing
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 NUM_ITERATIONS = 16
 """Newton steps. Half of them reach rounding error, except close to the focal disc deep inside; there the last ones may
@@ -23,7 +23,7 @@ leave a normal wrong by up to 1e-3, the distance by the square of that."""
 class Ellipsoid(Shape):
     """An ellipsoid around the origin. ``semi_axes``: half its extents along x, y, z [m], shape (3,), > 0."""
 
-    semi_axes: Array = struct.number(POSITIVE, "give three lengths in metres", shape=(3,))
+    semi_axes: Vector = struct.number(POSITIVE, "give three lengths in metres", shape=(3,))
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact; see ``ellipsoid_distance``."""

@@ -8,14 +8,14 @@ from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.drawn import ORIGIN, STRAIGHT, Drawing
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 
 @struct.dataclass
 class Box(Shape):
     """A box around the origin. ``half_size``: half its edges along x, y, z [m], shape (3,)."""
 
-    half_size: Array = struct.number(POSITIVE, "give three lengths in metres", shape=(3,))
+    half_size: Vector = struct.number(POSITIVE, "give three lengths in metres", shape=(3,))
     fills_its_box = True
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:

@@ -11,7 +11,7 @@ from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.physics.shapes.grid_cells import check_nodes, locate, take
 from rewax.physics.shapes.sampled_surface import height_surface
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 
 @struct.dataclass
@@ -27,8 +27,8 @@ class HeightField(Shape):
       spacing: distance of neighbouring nodes [m].
     """
 
-    heights: Array = struct.number(FINITE, "give heights in metres")
-    origin: Array = struct.number(FINITE, "give x and z in metres", shape=(2,))
+    heights: Vector = struct.number(FINITE, "give heights in metres")
+    origin: Vector = struct.number(FINITE, "give x and z in metres", shape=(2,))
     spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
     is_exact = False
 

@@ -14,7 +14,7 @@ from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.physics.shapes.grid_cells import check_nodes, locate, take
 from rewax.physics.shapes.quadrature import fractions_below_zero
 from rewax.physics.shapes.sampled_surface import sampled_surface
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 
 @struct.dataclass
@@ -32,8 +32,8 @@ class SampledDistance(Shape):
       spacing: distance of neighbouring nodes [m].
     """
 
-    values: Array = struct.number(FINITE, "give distances in metres")
-    origin: Array = struct.number(FINITE, "give a position in metres", shape=(3,))
+    values: Vector = struct.number(FINITE, "give distances in metres")
+    origin: Vector = struct.number(FINITE, "give a position in metres", shape=(3,))
     spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
     is_exact = False
 

@@ -47,9 +47,15 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
     config = read_config(run_dir)
     name = config.get("agent")
-    if name not in list_algorithms() or not isinstance(config.get(name), Mapping):
+    if name is not None and name not in list_algorithms():
         raise ValueError(
-            f"{run_dir}/config.json names no registered algorithm and its options: build the agent as for training, "
+            f"{run_dir} was trained with {name!r}, which is not registered here: import the module that registers it "
+            "(--import my_module), or build the agent as for training and use checkpoint.restore(run_dir, "
+            "jax.eval_shape(agent.init, jax.random.key(0)))"
+        )
+    if name is None or not isinstance(config.get(name), Mapping):
+        raise ValueError(
+            f"{run_dir}/config.json names no algorithm and its options: build the agent as for training, "
             "and use checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
         )
     env = _recorded_env(config, run_dir) if env is None else env

@@ -233,7 +233,7 @@ def test_numerical_failure_is_what_the_check_names():
     stiff = rigid.load(
         RAIL.replace("<joint ", '<joint range="-0.1 0.1" '), dt=DT, penalty=Penalty(stiffness=1e3, limit_stiffness=1e12)
     )
-    with pytest.raises(AssertionError, match=r"^the first step sets the status NAN: shorter substeps or softer"):
+    with pytest.raises(AssertionError, match=r"^the first step sets the status NAN: give shorter substeps or softer"):
         check_env(Rail(model=stiff, num_substeps=NUM_SUBSTEPS, max_steps=MAX_STEPS), check_full_episode=False)
 
 

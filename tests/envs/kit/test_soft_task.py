@@ -137,6 +137,10 @@ def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
     [
         ({"num_substeps": 0}, "num_substeps is 0: give a whole number, at least 1"),
         ({"max_steps": 2.5}, r"max_steps is 2\.5: give a whole number, at least 1"),
+        (
+            {"joint_step": (0.1, 0.1)},
+            r"joint_step has shape \(2,\), but joint_start \(1,\): give one number for each joint",
+        ),
         ({"list_every": 3}, "list_every is 3, which does not divide num_substeps = 5: choose a divisor, or None"),
     ],
 )

@@ -8,8 +8,7 @@ from native_cases import NEEDS_COMPILER
 from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, places, run
 
 from rewax.lowering import build
-from rewax.physics.mpm import transfer_cpp as transfer_native
-from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
+from rewax.physics.mpm import transfer_cpp, transfer_xla_cpu
 from rewax.physics.mpm.grid import Grid
 
 PASSES = ("spread", "gather_values", "spread_tangent_transpose", "gather_tangent_transpose")
@@ -17,14 +16,14 @@ pytestmark = NEEDS_COMPILER
 
 
 def test_a_compiler_that_is_there_builds_them():
-    """Else all other tests would compare transfer_cpu with itself."""
-    assert transfer_native.is_used(), build.load(transfer_native.SOURCE).reason
+    """Else all other tests would compare transfer_xla_cpu with itself."""
+    assert transfer_cpp.is_used(), build.load(transfer_cpp.SOURCE).reason
 
 
 @pytest.mark.parametrize("listed", [False, True])
 @pytest.mark.parametrize("batch", [pytest.param((), marks=pytest.mark.slow), (2,)])
 def test_the_passes_agree(x64, batch, listed):
-    assert_as_transfer_cpu(transfer_native, PASSES, batch, listed)
+    assert_as_transfer_cpu(transfer_cpp, PASSES, batch, listed)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -33,10 +32,10 @@ def test_sums_of_many_particles(x64, dtype):
     num, grid = 2 * 4096 + 1029, Grid(shape=(12, 11, 13), spacing=0.1)
     draw = np.random.default_rng(2)
     where = tuple(jnp.asarray(draw.uniform(0.06, 0.1 * (n - 1.6), num), dtype) for n in grid.shape)
-    layout = transfer_cpu.Layout(grid, None)
+    layout = transfer_xla_cpu.Layout(grid, None)
     for name in PASSES:
         given = inputs(name, where, (), grid.num_nodes, num, dtype)[0]
-        found, again, expected = (run(m, name, layout, given) for m in (transfer_native, transfer_native, transfer_cpu))
+        found, again, expected = (run(m, name, layout, given) for m in (transfer_cpp, transfer_cpp, transfer_xla_cpu))
         for a, b, c in zip(found, again, expected, strict=True):
             assert a.dtype == dtype
             np.testing.assert_array_equal(a, b)
@@ -51,9 +50,9 @@ def test_environments_are_their_own(x64):
     where = (x, *where[1:])
     for name in PASSES:
         residuals, linear = inputs(name, where, (4,), layout.num_nodes, NUM)[0]
-        together = run(transfer_native, name, layout, (residuals, linear))
+        together = run(transfer_cpp, name, layout, (residuals, linear))
         for i in (0, 3):
-            alone = run(transfer_native, name, layout, jax.tree.map(lambda a, i=i: a[i], (residuals, linear)))
+            alone = run(transfer_cpp, name, layout, jax.tree.map(lambda a, i=i: a[i], (residuals, linear)))
             for a, b in zip(together, alone, strict=True):
                 assert np.isfinite(b).all()
                 np.testing.assert_array_equal(a[i], b)
@@ -64,7 +63,7 @@ def test_environments_are_their_own(x64):
 def without_a_compiler(monkeypatch):
     """Programs traced under it hold what they would hold on a CPU without a compiler."""
     jax.clear_caches()
-    monkeypatch.setattr(transfer_native, "is_used", lambda: False)
+    monkeypatch.setattr(transfer_cpp, "is_used", lambda: False)
     yield
     monkeypatch.undo()
     jax.clear_caches()

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.physics.mpm import transfer_xla_cpu as transfer_cpu
+from rewax.physics.mpm import transfer_xla_cpu
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.transfer_xla_cpu import Layout
 
@@ -29,7 +29,7 @@ def nodes_of(copy, particle):
 
 
 def test_rows_are_the_lowest_of_three_nodes_along_z():
-    st, _ = transfer_cpu.stencils(LAYOUT, tuple(jnp.asarray(a) for a in X))
+    st, _ = transfer_xla_cpu.stencils(LAYOUT, tuple(jnp.asarray(a) for a in X))
     rows = np.asarray(st.rows).reshape(9, *BATCH)
     for copy, particle in np.ndindex(*BATCH):
         expected = [place for place, _, _ in nodes_of(copy, particle)][::3]
@@ -40,7 +40,7 @@ def test_sums_by_visiting_every_node(x64):
     draw = np.random.default_rng(1)
     mass, p, A = draw.random(BATCH), draw.standard_normal((3, *BATCH)), draw.standard_normal((3, 3, *BATCH))
     linear = [jnp.asarray(a) for a in (mass, *p, *A.reshape(9, *BATCH))]
-    found = transfer_cpu.spread(LAYOUT, tuple(jnp.asarray(a) for a in X), tuple(linear))
+    found = transfer_xla_cpu.spread(LAYOUT, tuple(jnp.asarray(a) for a in X), tuple(linear))
     sums = np.zeros((4, 2 * GRID.num_nodes))
     g = draw.standard_normal((3, 2 * GRID.num_nodes))
     values, moments = np.zeros((3, *BATCH)), np.zeros((3, 3, *BATCH))
@@ -52,11 +52,11 @@ def test_sums_by_visiting_every_node(x64):
             moments[(slice(None), slice(None), *at)] += w * np.outer(g[:, place], d)
     np.testing.assert_allclose(np.stack(found).reshape(4, -1), sums, atol=1e-12)
     fields = tuple(jnp.asarray(a.reshape(2, -1)) for a in g)
-    gathered = np.stack(transfer_cpu.gather_values(LAYOUT, tuple(jnp.asarray(a) for a in X), fields))
+    gathered = np.stack(transfer_xla_cpu.gather_values(LAYOUT, tuple(jnp.asarray(a) for a in X), fields))
     np.testing.assert_allclose(gathered, np.concatenate([values, moments.reshape(9, *BATCH)]), atol=1e-12)
 
 
 def test_too_many_copies_are_refused():
     layout = Layout(Grid(shape=(800, 800, 800), spacing=0.1), None)
     with pytest.raises(ValueError, match=r"environments of 512000000 nodes are stepped at once.*step fewer at once"):
-        transfer_cpu.copy_of_particles(layout, (2, 4))
+        transfer_xla_cpu.copy_of_particles(layout, (2, 4))

@@ -52,14 +52,14 @@ def test_nothing_touches_in_the_model_of_mjx(shown):
     assert m.numeric_data.tolist() == [-1.0, 3.0] and copy.numeric_data.tolist() == [2.0, 3.0]
 
 
-def test_one_group_is_one_call(shown):
-    """MJX then finds this group, with each contact's pair in place of its margin."""
+def test_one_group_is_one_call(x64, shown):
+    """MJX then finds this group, with each contact's pair in place of its margin; all floats are of one type."""
     _, theirs, copy = shown
     m = without_contacts(copy, mjx.put_model(copy, impl="jax"))
     for group in theirs:
         one = with_one_group(m, group)
         ((key, pairs),) = collision_driver._geom_groups(one).items()
-        assert key.condim == group.condim
+        assert key.condim == group.condim and one.pair_friction.dtype == one.pair_solimp.dtype == np.float64
         np.testing.assert_array_equal([pair[:2] for pair in pairs], group.geoms)
         (contact,) = collision_driver._contact_groups(one, mjx.make_data(one, impl="jax")).values()
         np.testing.assert_array_equal(contact.includemargin, np.arange(len(group.geoms)))

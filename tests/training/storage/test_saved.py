@@ -61,7 +61,12 @@ def test_what_cannot_be_built_is_said(run, tmp_path):
         ):
             load_run(run_dir)
         write_config(run_dir, {"train": {}})
-        with pytest.raises(ValueError, match="names no registered algorithm and its options: build the agent"):
+        with pytest.raises(ValueError, match="names no algorithm and its options: build the agent"):
+            load_run(run_dir)
+        write_config(run_dir, {**json.loads(kept), "agent": "mine", "mine": {}})
+        with pytest.raises(
+            ValueError, match=r"was trained with 'mine', which is not registered here: .*--import my_module"
+        ):
             load_run(run_dir)
     finally:
         (run_dir / "config.json").write_text(kept)
