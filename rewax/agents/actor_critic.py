@@ -132,11 +132,9 @@ def make_actor(env: Env, config: P) -> Actor[P]:
 
 def make_actor_critic(env: Env, config: C) -> ActorCritic[C]:
     """Networks and optimizers for an environment, of which only the specs are used."""
-    gain = config.initial_gain
-    critics = Critics(
-        _encoder(config), config.critic_widths, config.num_critics, ACTIVATIONS[config.activation], gain,
-        gain if config.value_gain is None else config.value_gain,
-    )  # fmt: skip
+    sizes = (config.critic_widths, config.num_critics)
+    activation = ACTIVATIONS[config.activation]
+    critics = Critics(_encoder(config), *sizes, activation, config.initial_gain, config.value_gain)
     return ActorCritic(config, _network(env, config), env.action_spec.shape[0], env.observation_spec, critics)
 
 
@@ -176,8 +174,8 @@ def _network(env: Env, config: AnyPolicyConfig) -> GaussianActor:
         env.action_spec.shape[0],
         ACTIVATIONS[config.activation],
         config.initial_gain,
-        config.initial_gain if config.action_gain is None else config.action_gain,
         config.log_std_range,
         config.initial_log_std,
         config.state_dependent_std,
+        config.action_gain,
     )

@@ -106,6 +106,8 @@ class Encoder(nn.Module):
 class GaussianActor(nn.Module):
     """Observation -> mean and log standard deviation (clamped) of the action before its tanh.
 
+    ``head_gain`` is the last layer's gain; None: ``gain``.
+
     The standard deviation depends on the observation, or is a parameter of its own (``state_dependent_std=False``).
     """
 
@@ -114,15 +116,15 @@ class GaussianActor(nn.Module):
     action_size: int
     activation: Activation
     gain: float
-    head_gain: float
     log_std_range: tuple[float, float]
     initial_log_std: float = 0.0
     state_dependent_std: bool = True
+    head_gain: float | None = None
 
     @nn.compact
     def __call__(self, obs: Observation) -> tuple[Array, Array]:
         x = MLP(self.widths, self.activation, self.gain)(self.encoder(obs))
-        init = orthogonal(self.head_gain)
+        init = orthogonal(self.gain if self.head_gain is None else self.head_gain)
         mean = nn.Dense(self.action_size, kernel_init=init, name="mean")(x)
         bias = nn.initializers.constant(self.initial_log_std)
         if self.state_dependent_std:
@@ -135,7 +137,8 @@ class GaussianActor(nn.Module):
 class Critics(nn.Module):
     """Observation -> values of several independent heads on one encoder, shape (num_critics,).
 
-    With an action: the values of taking it, which the heads see beside the encoder's features.
+    With an action: the values of taking it, which the heads see beside the encoder's features. ``head_gain`` as for
+    ``GaussianActor``.
     """
 
     encoder: Encoder
@@ -143,14 +146,14 @@ class Critics(nn.Module):
     num_critics: int
     activation: Activation
     gain: float
-    head_gain: float
+    head_gain: float | None = None
 
     @nn.compact
     def __call__(self, obs: Observation, action: Array | None = None) -> Array:
         features = self.encoder(obs)
         if action is not None:
             features = jnp.concatenate([features, action])
-        init = orthogonal(self.head_gain)
+        init = orthogonal(self.gain if self.head_gain is None else self.head_gain)
         values = [
             nn.Dense(1, kernel_init=init, name=f"value_{i}")(
                 MLP(self.widths, self.activation, self.gain, name=f"mlp_{i}")(features)

@@ -117,7 +117,9 @@ _SIZES = (
 """What all algorithms take over from SAPO's presets, as far as they have it."""
 _NO_GRADIENT = {"quick_compile": False}
 """Algorithms that do not differentiate the simulation compile fast; their many updates would take a fifth longer."""
-_FAST_CRITICS = dict.fromkeys(("AntRun", "Ant", "Hopper"), {"critic_learning_rate": 2e-3, "target_decay": 0.2})
+_FAST_CRITICS: dict[str, dict[str, Value]] = {
+    name: {"critic_learning_rate": 2e-3, "target_decay": 0.2} for name in ("AntRun", "Ant", "Hopper")
+}
 """Tasks in which SHAC's critics learn faster than its defaults, as in the reference."""
 _LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
 """Tasks in which a fast change of a sequence of actions leads nowhere: whole episodes of them are chaotic."""

@@ -71,6 +71,7 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     # The ablations of the paper's Table 3.
     "sapo_hard_targets": _variant("sapo", {"entropy_in_targets": False}),
     "sapo_hard_return": _variant("sapo", {"entropy_in_return": False}),
+    "sapo_no_actor_entropy": _variant("sapo", {"entropy_in_return": False, "entropy_in_loss": False}),
     "shac2": _variant("sapo", _NO_ENTROPY),
     "apg_full": _own("apg", "APGConfig", "apg_full"),
 }

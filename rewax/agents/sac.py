@@ -2,7 +2,8 @@
 
 Source: Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications"; settings as in Xing, Luk and Oh 2025.
 Different from theirs: actor and critics have an encoder each, the next observation of a time limit is the episode's
-last, and failed steps are masked.
+last, failed steps are masked, and the critics' loss is the mean over critics where theirs is the sum: the gradient is
+half as large before it is clipped.
 """
 
 import dataclasses

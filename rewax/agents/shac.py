@@ -5,7 +5,11 @@ differentiated through the simulation into the actor; critics follow.
 
 Source: Xu et al. 2022, "Accelerated Policy Learning with Parallel Differentiable Simulation" (ICLR 2022), with the
 settings that Xing, Luk and Oh 2025 compare SAPO with (layer norm before the activation, one Adam step per iteration)
-and the corrections named in ``rewax.agents.sapo``.
+and the corrections named in ``rewax.agents.sapo``. Different from their code:
+
+- The actor's return ends with the value of the critics themselves; theirs with that of the target network, which
+  serves the critics' targets alone here.
+- Encoders of point clouds begin with ``initial_gain`` (the square root of 2) like all other layers; theirs with 1.
 """
 
 import dataclasses

@@ -88,8 +88,9 @@ def test_the_names_are_those_of_the_paper_and_its_ablations():
             config = known.preset("RollingFlat", scale)
             assert type(config) is known.config_type and hash(config)
     shac2, sapo = algorithm("shac2").preset("RollingFlat", "paper"), algorithm("sapo").preset("RollingFlat", "paper")
-    assert not shac2.entropy_in_return and not shac2.entropy_in_targets
-    assert dataclasses.replace(shac2, entropy_in_return=True, entropy_in_targets=True, learn_temperature=True) == sapo
+    assert not (shac2.entropy_in_return or shac2.entropy_in_targets or shac2.entropy_in_loss)
+    options = ("entropy_in_return", "entropy_in_targets", "entropy_in_loss", "learn_temperature")
+    assert dataclasses.replace(shac2, **dict.fromkeys(options, True)) == sapo
 
 
 def test_policies_answer_one_environment():

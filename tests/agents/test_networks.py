@@ -134,3 +134,24 @@ def test_initialisers_under_vmap_draw_what_each_key_draws_alone():
     for a, b in zip(many, alone, strict=True):
         np.testing.assert_array_equal(a[1], b)
         np.testing.assert_allclose(b.T @ b, np.eye(32), atol=1e-5)
+
+
+def test_without_vector_features_vectors_go_in_as_they_are():
+    obs = {"b": jnp.array([3.0]), "a": jnp.array([1.0, 2.0])}
+    encoder = Encoder((4,), 3, 0, jax.nn.silu, 1.0)
+    params = encoder.init(jax.random.key(0), obs)
+    assert not jax.tree.leaves(params)
+    np.testing.assert_array_equal(encoder.apply(params, obs), [1.0, 2.0, 3.0])
+
+
+def test_heads_have_a_gain_of_their_own():
+    """Orthogonal rows: the norm of each column of the last layer is its gain."""
+    obs = {"x": jnp.ones(3)}
+    encoder = Encoder((4,), 3, 8, jax.nn.silu, 1.0)
+    actor = GaussianActor(encoder, (8,), 2, jax.nn.silu, 1.0, (-5.0, 2.0), head_gain=0.01)
+    params = actor.init(jax.random.key(0), obs)["params"]
+    for name in ("mean", "log_std"):
+        np.testing.assert_allclose(np.linalg.norm(params[name]["kernel"], axis=0), 0.01, rtol=1e-5)
+    critics = Critics(encoder, (8,), 2, jax.nn.silu, 2.0, head_gain=0.5)
+    params = critics.init(jax.random.key(0), obs)["params"]
+    np.testing.assert_allclose(np.linalg.norm(params["value_0"]["kernel"]), 0.5, rtol=1e-5)

@@ -148,10 +148,11 @@ def objective(params, state, i, data, config):
         raw_action = parts.network.apply(params, seen(x))[0]
         action = jnp.tanh(raw_action)
         # log det of tanh, all of the entropy that varies without noise
-        entropy = jnp.sum(jnp.log(1 - action**2)) if config.entropy_in_return else 0.0
+        entropy = jnp.sum(jnp.log(1 - action**2))
         x = x + 0.5 * action
         bonus = jnp.exp(state.log_temperature) * entropy * 0.5 / 0.5
-        total = total + weight * (-(x[0] ** 2) + bonus)
+        of_return = weight if config.entropy_in_return else float(config.entropy_in_loss)  # not discounted
+        total = total + weight * -(x[0] ** 2) + of_return * bonus
         count, ended = count + 1, mode == ENDING
         done = ended | (count >= LENGTH)
         value = jnp.mean(parts.critics.apply(state.critic_params, seen(x)))  # of where it leads, before any reset
@@ -165,9 +166,9 @@ def objective(params, state, i, data, config):
     return -total / config.horizon
 
 
-@pytest.mark.parametrize("entropy_in_return", [True, False])
-def test_gradient_is_that_of_the_objective_written_out(start, entropy_in_return):
-    config = dataclasses.replace(CALM, entropy_in_return=entropy_in_return)
+@pytest.mark.parametrize(("in_return", "in_loss"), [(True, True), (False, True), (False, False)])
+def test_gradient_is_that_of_the_objective_written_out(start, in_return, in_loss):
+    config = dataclasses.replace(CALM, entropy_in_return=in_return, entropy_in_loss=in_loss)
     temperature = jnp.log(jnp.float32(0.7))
     # one within an episode, one truncated at t = 1, one at the last step, one terminated at t = 0
     state = prepared(start, [HEALTHY, HEALTHY, HEALTHY, ENDING], [0, 3, 1, 0]).replace(log_temperature=temperature)
@@ -183,7 +184,7 @@ def test_gradient_is_that_of_the_objective_written_out(start, entropy_in_return)
 
     value, slope = expected(state.actor_params)
     jax.tree.map(lambda g, e: np.testing.assert_allclose(g, e, rtol=2e-3, atol=2e-5), got, slope)
-    if not entropy_in_return:  # without the bonus' random part the value is known too
+    if not (in_return or in_loss):  # without the bonus' random part the value is known too
         np.testing.assert_allclose(loss, value, rtol=1e-5)
 
 
