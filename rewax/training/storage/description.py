@@ -1,9 +1,12 @@
 """``config.json``: what a run is, in the words of its configuration, and how that differs from another one."""
 
 import dataclasses
+import functools
 import importlib.metadata
 import json
+import os
 import platform
+import subprocess
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -53,6 +56,39 @@ def write_environment(run_dir: str | Path) -> None:
     head = f"# Python {platform.python_version()}, {platform.platform()}, {len(jax.devices())} x {', '.join(devices)}"
     cpp = f"# C++ on a CPU: {'on' if build.is_available() else 'off'}"
     (Path(run_dir) / "environment.txt").write_text("\n".join([head, cpp, *packages]) + "\n")
+
+
+def provenance() -> dict[str, str]:
+    """What a result was made with: the commit of rewax's checkout, the processor, C++ on or off, jax's version.
+
+    The commit ends in ``+`` where files were changed; it is empty for an installed package.
+    """
+    import jax
+
+    from rewax.lowering import build
+
+    kind = jax.devices()[0].device_kind
+    processor = f"{os.cpu_count()} x {_processor()}" if kind == "cpu" else kind
+    cpp = "on" if build.is_available() else "off"
+    return {"commit": _commit(), "processor": processor, "cpp": cpp, "jax": jax.__version__}
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def _commit() -> str:
+    folder = Path(__file__).resolve().parent
+    try:
+        ask = functools.partial(subprocess.run, cwd=folder, capture_output=True, text=True, check=True, timeout=10)
+        ask(["git", "ls-files", "--error-unmatch", Path(__file__).name])  # else it is the commit of something around it
+        commit = ask(["git", "rev-parse", "--short=12", "HEAD"]).stdout.strip()
+        return commit + "+" * bool(ask(["git", "status", "--porcelain", "--untracked-files=no", "."]).stdout.strip())
+    except (OSError, subprocess.SubprocessError):
+        return ""
 
 
 def append_lowering(run_dir: str | Path, decisions: Iterable[Decision]) -> None:
@@ -121,4 +157,7 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-__all__ = ["append_lowering", "changes", "describe_run", "plain", "read_config", "write_config", "write_environment"]
+__all__ = [
+    "append_lowering", "changes", "describe_run", "plain", "provenance", "read_config", "write_config",
+    "write_environment",
+]  # fmt: skip

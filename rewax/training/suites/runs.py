@@ -7,6 +7,7 @@ from another machine for example, is continued like any other.
 import dataclasses
 import json
 import math
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,11 +24,11 @@ from rewax.training.evaluation.episodes import constant_policy, make_evaluate, u
 from rewax.training.loop.progress import say
 from rewax.training.loop.train import train
 from rewax.training.storage import checkpoint
-from rewax.training.storage.description import plain
+from rewax.training.storage.description import plain, provenance
 from rewax.training.storage.metrics import read_csv
 from rewax.training.storage.run_directory import InUse, hold
 from rewax.training.suites.suite import Suite
-from rewax.training.suites.tables import COLUMNS, read_results, write_results
+from rewax.training.suites.tables import COLUMNS, LATER, read_results, write_results
 
 _EVALUATION_KEY = 1234
 BASELINES = ("no action", "random actions")
@@ -137,7 +138,8 @@ def read_result(folder: Path) -> dict[str, Any]:
         result = json.loads((folder / "result.json").read_text())
     except (OSError, ValueError):
         return {}
-    whole = isinstance(result, dict) and set(COLUMNS) <= set(result) and isinstance(result["sampled"], float)
+    needed = set(COLUMNS) - set(LATER)
+    whole = isinstance(result, dict) and needed <= set(result) and isinstance(result["sampled"], float)
     return result if whole else {}
 
 
@@ -178,10 +180,12 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
     row: dict[str, Any] = {
         **dict.fromkeys(COLUMNS, 0),
         **cell._asdict(),
+        **provenance(),
         "sampled": math.nan,
         "deterministic": math.nan,
         "success": math.nan,
     }
+    began = time.perf_counter()
     try:
         result = train(agent, env, options, describe=describe, console=console)
     except ValueError:  # of the directory or the configuration: not this run's failure
@@ -203,6 +207,8 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
     seconds = read_csv(folder / "timing.csv").get("seconds", np.zeros(0))
     # Not their sum: compilation, interruptions and other work on the machine stretch a few.
     row["seconds"] = round(len(seconds) * float(np.median(seconds)), 3) if len(seconds) else 0.0
+    # Of a run that was resumed: of its last part alone, hence at least the time of all iterations.
+    row["wall_seconds"] = round(max(time.perf_counter() - began, row["seconds"]), 1)
     unfinished = folder / "result.json.writing"
     unfinished.write_text(json.dumps(row, indent=1) + "\n")
     unfinished.replace(folder / "result.json")

@@ -24,10 +24,18 @@ COLUMNS: tuple[str, ...] = (
     "success",
     "failed",
     "seconds",
+    "wall_seconds",
     "failure",
+    "commit",
+    "processor",
+    "cpp",
+    "jax",
 )
+"""``seconds``: iterations times their median; ``wall_seconds``: compilation, evaluation and interruptions too."""
+LATER = ("wall_seconds", "commit", "processor", "cpp", "jax")
+"""Columns that older files do not have."""
 
-_MEASURED = ("sampled", "deterministic", "success", "seconds")
+_MEASURED = ("sampled", "deterministic", "success", "seconds", "wall_seconds")
 _CURVE_COLUMNS = ("task", "algorithm", "seed", "env_steps", "return")
 _POINTS = 60  # of a learning curve that is kept
 
@@ -125,7 +133,8 @@ def _typed(row: dict[str, Any]) -> dict[str, Any]:
     """A row of text as numbers, without what is empty; empty if it is damaged."""
     kinds = {"seed": int, "env_steps": int, "failed": int} | dict.fromkeys(_MEASURED, float)
     try:
-        typed = {name: kinds.get(name, str)(row[name]) for name in COLUMNS if row[name] != "" or name == "failure"}
+        text = dict.fromkeys(LATER, "") | row
+        typed = {name: kinds.get(name, str)(text[name]) for name in COLUMNS if text[name] != "" or name == "failure"}
     except (KeyError, TypeError, ValueError):
         return {}
     return typed if {"task", "algorithm", "seed", "sampled"} <= set(typed) else {}
@@ -186,7 +195,7 @@ def _read_curves(path: Path) -> dict[Run, Curve]:
 def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
     """One line per task, one column per algorithm: mean return with sampled actions, and its 95 % bootstrap interval
     over seeds. Brackets say where seeds have failed, which are left out, or are not done yet. Below it interquartile
-    means, and how long runs took, without compilation.
+    means, and how long runs took, with compilation and evaluation where that is known.
     """
     names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
     names += suite.algorithms
@@ -212,7 +221,7 @@ def _middle(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _minutes(rows: Sequence[dict[str, Any]]) -> str:
-    seconds = [row["seconds"] for row in rows if "seconds" in row]
+    seconds = [row.get("wall_seconds") or row["seconds"] for row in rows if "seconds" in row]
     return f"{float(np.median(seconds)) / 60.0:.1f}" if seconds else ""
 
 

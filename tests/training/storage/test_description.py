@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import types
 
 import jax
@@ -15,6 +16,7 @@ from rewax.training.storage.description import (
     append_lowering,
     changes,
     describe_run,
+    provenance,
     read_config,
     write_config,
     write_environment,
@@ -85,3 +87,12 @@ def test_the_environment_of_a_run_says_what_ran_in_cpp(tmp_path):
         "# a.law, the reverse derivative (VJP): XLA, for it has the operation sort",
         "# a.law, the value: C++",
     ]
+
+
+def test_provenance_says_with_what_a_result_was_made(monkeypatch):
+    found = provenance()
+    assert set(found) == {"commit", "processor", "cpp", "jax"} and found["jax"] == jax.__version__
+    assert found["cpp"] in ("on", "off") and " x " in found["processor"]
+    assert re.fullmatch(r"[0-9a-f]{12}\+?|", found["commit"])
+    monkeypatch.setenv("PATH", "")  # no git
+    assert provenance()["commit"] == ""

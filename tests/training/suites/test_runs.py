@@ -6,6 +6,7 @@ import io
 import shutil
 import signal
 
+import jax
 import numpy as np
 import pytest
 import toys
@@ -18,7 +19,7 @@ from rewax.training.storage.run_directory import hold
 from rewax.training.suites import runs as bench
 from rewax.training.suites.runs import Cell, read_result, run_suite
 from rewax.training.suites.suite import Suite
-from rewax.training.suites.tables import COLUMNS, markdown
+from rewax.training.suites.tables import COLUMNS, markdown, read_results
 
 
 @pytest.fixture
@@ -55,6 +56,13 @@ def test_a_suite_leaves_a_table_a_csv_and_curves(suite, tmp_path):
     assert tuple(rows[0]) == COLUMNS and len(rows) == 2 + 4
     trained = [row for row in rows if row["algorithm"] == "calm"]
     assert [int(row["env_steps"]) for row in trained] == [36, 36] and float(trained[0]["seconds"]) > 0
+    assert all(float(row["wall_seconds"]) >= float(row["seconds"]) and row["jax"] == jax.__version__ for row in trained)
+    older = (
+        "task,algorithm,seed,env_steps,sampled,deterministic,success,failed,seconds,failure\nA,sapo,0,9,1.5,2,,0,3,\n"
+    )
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "results.csv").write_text(older)
+    assert read_results(tmp_path / "old")["A", "sapo", 0]["seconds"] == 3.0
     assert (tmp_path / "PointMass.png").stat().st_size > 5000
 
 
