@@ -85,7 +85,7 @@ def check_walls(walls: Walls, grid: Grid) -> None:
                     "or more nodes"
                 )
             if wall.kind is not WallKind.SEPARATING and wall.friction is not None:
-                shown = "traced" if isinstance(wall.friction, Tracer) else wall.friction
+                shown = "traced" if isinstance(wall.friction, Tracer) else str(wall.friction)
                 raise ValueError(
                     f"walls.{side}[{axis}].friction is {shown}, but a wall of {wall.kind} has none: leave it "
                     "out, or give WallKind.SEPARATING"

@@ -139,8 +139,8 @@ def test_a_block_sinks_by_its_weight_over_the_stiffness_and_sticks_or_slides(x64
     creep = weight * np.sin(0.15) / (bottom * float(CONTACT.friction_damping))
     assert speeds[-1] == pytest.approx(creep, rel=1e-3)
     lowest = np.sort(np.asarray(state.x[:, 1]))[:bottom]
-    depth = FLOOR.height + CONTACT.radius - lowest.mean()
-    assert depth == pytest.approx(weight * np.cos(0.15) / (bottom * CONTACT.stiffness), rel=0.01)
+    depth = float(FLOOR.height + CONTACT.radius) - lowest.mean()
+    assert depth == pytest.approx(weight * np.cos(0.15) / (bottom * float(CONTACT.stiffness)), rel=0.01)
     _, _, speeds = on_slope(0.8, 2 * MANY, ground=FLOOR)
     gained = (speeds[1] - speeds[0]) / (MANY * scene.dt)
     assert gained == pytest.approx(9.81 * (np.sin(0.8) - 0.5 * np.cos(0.8)), rel=0.01)
