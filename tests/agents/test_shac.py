@@ -41,7 +41,7 @@ def test_without_entropy_and_with_its_settings_sapo_is_shac():
             entropy_in_return=False,
             entropy_in_targets=False,
             entropy_in_loss=False,
-        ),  # fmt: skip
+        ),
     )
     shac = make_agent("shac", ENV, dataclasses.replace(config, log_std_range=(-20.0, -20.0)))
     a, b = sapo.init(jax.random.key(0)), shac.init(jax.random.key(0))
