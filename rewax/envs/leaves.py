@@ -1,7 +1,7 @@
 """Environments as data: the arrays of an environment apart from what shapes the program.
 
-A compiled program takes an environment's arrays as arguments, so that other values compile nothing. Leaves that are
-plain Python numbers stay in the program: solvers leave work out where a coefficient is the number 0.
+A compiled program takes an environment's arrays as arguments, so that other values compile nothing. Objects of a
+``struct.dataclass`` hold no other leaves. Python numbers in other objects stay in the program.
 """
 
 import dataclasses
@@ -37,7 +37,7 @@ class EnvLeaves(struct.Replaceable):
     """An environment, or a batch of them, taken apart; a part of every agent's training state.
 
     Attributes:
-      arrays: the leaves that are arrays, by name (``".scene.material.youngs_modulus"``).
+      arrays: the leaves that are arrays, by name (``".scene.material.density"``).
       form: everything else (static).
       axis: of the arrays along which environments lie; None: one environment (static).
     """

@@ -26,7 +26,7 @@ def hook(draws: Mapping[_Names, Draw]) -> "LeafDraws":
     """A hook for ``Randomized`` and for the ``randomize=`` of every agent.
 
     Args:
-      draws: distributions by the names of leaves, which ``leaves`` lists: ``"scene.material.youngs_modulus"``,
+      draws: distributions by the names of leaves, which ``leaves`` lists: ``"scene.material.density"``,
         ``"model.parameters[body_mass]"``. A tuple of names shares each number that is drawn: stiffness and yield
         stress by one factor. ``*`` stands for any part of a name, again with one number for all:
         ``"scene.colliders[*].friction"``. Indices behind a name choose a part of the leaf: ``"scene.gravity[1]"``,
@@ -37,7 +37,7 @@ def hook(draws: Mapping[_Names, Draw]) -> "LeafDraws":
         of leaves is seen where the environment is known: by the agent when it is made, by the hook when it is called.
 
     Example:
-      >>> stiffness = ("scene.material.youngs_modulus", "scene.material.yield_stress")
+      >>> stiffness = ("scene.material.elasticity.youngs_modulus", "scene.material.plasticity.yield_stress")
       >>> agent = make_sapo(env, config, randomize=hook({stiffness: Scale(LogUniform(0.5, 1.0))}))  # doctest: +SKIP
     """
     if not isinstance(draws, Mapping) or not draws:

@@ -15,7 +15,6 @@ from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.scene_checks import (
-    GRAVITY,
     VOLUME,
     check_box,
     check_count,
@@ -26,6 +25,7 @@ from rewax.physics.mpm.scene_checks import (
 from rewax.physics.mpm.walls import Walls, check_walls
 from rewax.physics.numerics.checks import (
     FINITE,
+    GRAVITY,
     POSITIVE,
     any_illegal,
     check_enum,

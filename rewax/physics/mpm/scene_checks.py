@@ -12,14 +12,13 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import check_material, material_numbers
 from rewax.physics.mpm.materials import Material, parameters_of
 from rewax.physics.mpm.walls import Walls, wall_numbers
-from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, whole_number
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, whole_number
 from rewax.physics.numerics.pose import Pose
 from rewax.types import Array
 
 Counts = tuple[int, ...] | None
 """How many particles are of each of several materials; None with one material."""
 VOLUME = "give the body's rest volume over its number of particles, in m^3"
-GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
 
 
 def part_numbers(

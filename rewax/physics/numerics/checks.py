@@ -45,6 +45,8 @@ _SMALL = 1024
 POSITIVE = Legal(low=0.0)
 NOT_NEGATIVE = Legal(low=0.0, closed=True)
 FINITE = Legal()
+GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
+"""What messages advise about gravity."""
 
 
 class Number(NamedTuple):

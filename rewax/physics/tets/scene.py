@@ -12,6 +12,7 @@ from rewax.physics.contact.contact_checks import check_ground, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.checks import (
     FINITE,
+    GRAVITY,
     POSITIVE,
     Number,
     any_illegal,
@@ -24,7 +25,6 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.tets.edges import TetTopology
 from rewax.physics.tets.law import DampingLaw, wave_modulus
 from rewax.physics.tets.scene_checks import (
-    GRAVITY,
     check_length,
     check_moduli,
     contact_numbers,

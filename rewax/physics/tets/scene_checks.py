@@ -9,10 +9,8 @@ from jax.core import Tracer
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.contact_checks import collider_numbers, ground_numbers, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number
+from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, Number
 from rewax.physics.numerics.pose import Pose
-
-GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
 
 
 def material_numbers(mu: Any, lam: Any, damping: Any, activation: Any) -> list[Number]:

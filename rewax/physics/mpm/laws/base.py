@@ -103,14 +103,18 @@ class Fluid(Elasticity):
 
 
 class Flow(NamedTuple):
-    """What a plasticity makes of trial stretches."""
+    """What a plasticity makes of trial stretches.
+
+    Attributes:
+      stretches: after flow.
+      elongation: new over trial stretch minus one [-]; exactly zero where nothing flows, else rounding makes volume
+        creep.
+      memory: what a particle remembers, as in ``Plasticity.initial_memory``.
+    """
 
     stretches: Stretches
-    """After flow."""
     elongation: Principal
-    """New over trial stretch minus one [-]; exactly zero where nothing flows, else volume creeps by rounding."""
     memory: tuple[Array, ...] = ()
-    """What a particle remembers, as in ``Plasticity.initial_memory``."""
 
 
 class Plasticity(Law):
@@ -118,12 +122,14 @@ class Plasticity(Law):
 
     Extend it by ``flow``, and for what particles remember by ``initial_memory``, ``stiffness`` and
     ``largest_stiffness``. ``LogarithmicPlasticity`` is simpler to extend.
+
+    Attributes:
+      initial_memory: numbers that each particle carries, in ``MPMState.memory``, as they are at the start.
+      largest_stiffness: the most that ``stiffness`` can be, for the stable substep.
     """
 
     initial_memory: ClassVar[tuple[float, ...]] = ()
-    """Numbers that each particle carries, in ``MPMState.memory``, as they are at the start."""
     largest_stiffness: ClassVar[float] = 1.0
-    """The most that ``stiffness`` can be, for the stable substep."""
 
     def flow(self, s: Stretches, moduli: LameParameters, memory: tuple[Array, ...]) -> Flow:
         """Admissible stretches, and the memory after this substep.
@@ -142,10 +148,13 @@ class Plasticity(Law):
 
 
 class LogarithmicPlasticity(Plasticity):
-    """A return map in logarithmic strains. Extend it by ``return_map``."""
+    """A return map in logarithmic strains. Extend it by ``return_map``.
+
+    Attributes:
+      least_stretch: trial stretches below this count as this in the return map [-].
+    """
 
     least_stretch: ClassVar[float] = 0.01
-    """Trial stretches below this count as this in the return map [-]."""
 
     def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
         """What flow adds to logarithmic strains [-], and whether the particle flows, bool."""
