@@ -74,9 +74,7 @@ def make_ant_run(*, scale: str, onset: float = 0.0, stale_mass_matrix: bool = Fa
     # The reference's importer adds a hinge's armature to all moments of inertia of its link as well.
     armature = ant.model.parameters["dof_armature"][6:, None]
     inertia = ant.model.parameters["body_inertia"].at[_FIRST_LINK:].add(armature)
-    return ant.replace(
-        model=ant.model.with_parameters(body_inertia=inertia), stale_mass_matrix=bool(stale_mass_matrix)
-    )
+    return ant.replace(model=ant.model.with_parameters(body_inertia=inertia), stale_mass_matrix=bool(stale_mass_matrix))
 
 
 def make_ant(*, scale: str) -> AntRun:

@@ -1,10 +1,10 @@
 """Substeps that share one mass matrix, as Warp's Featherstone integrator takes them.
 
 Warp's integrator can compute the mass matrix at the first of several substeps and keep it for the others
-(``update_mass_matrix_every``). The velocity of its free joint is a twist about the world's origin: the angular velocity,
-and the velocity of the body's point at the origin. A mass matrix kept in these coordinates belongs to a body that stands
-still in the world. Once the body has moved by r, a force f on it also has the effect of a torque r x f that does not
-exist. The effect grows with the speed and with the number of substeps.
+(``update_mass_matrix_every``). The velocity of its free joint is a twist about the world's origin: the angular
+velocity, and the velocity of the body's point at the origin. A mass matrix kept in these coordinates belongs to a body
+that stands still in the world. Once the body has moved by r, a force f on it also has the effect of a torque r x f that
+does not exist. The effect grows with the speed and with the number of substeps.
 
 This is for comparisons with that simulator. ``stepping.step`` renews the mass matrix at every substep.
 """
