@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rewax.envs.wrappers import AutoReset, Vmap
     from rewax.status import Status
     from rewax.struct import replace_leaf
+    from rewax.training.storage.policies import list_policies, load_policy
 
 __version__ = "0.1.0"
 
@@ -21,10 +22,14 @@ _HOMES = {
     **dict.fromkeys(("AutoReset", "Vmap"), "rewax.envs.wrappers"),
     "Status": "rewax.status",
     "replace_leaf": "rewax.struct",
+    **dict.fromkeys(("list_policies", "load_policy"), "rewax.training.storage.policies"),
 }
 _MODULES = ("adapters", "agents", "debug", "envs", "physics", "struct", "testing", "training", "viz")
 
-__all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "make", "register", "replace_leaf"]
+__all__ = [
+    "ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "list_policies", "load_policy", "make",
+    "register", "replace_leaf",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -20,7 +20,8 @@ class Options:
     """Options.
 
     Attributes:
-      runs: directories of runs, one to eight.
+      runs: directories of runs, or names of tasks whose trained policy the package brings; one to eight.
+      scale: of the tasks given by name; by default what suits the device.
       out: page to write, an .html file.
       imports: module or .py file that registers environments or algorithms.
       seed: draws the start of the episode; the same one for runs of one environment.
@@ -33,6 +34,7 @@ class Options:
     """
 
     runs: tyro.conf.Positional[tuple[str, ...]]
+    scale: str | None = None
     out: str = "player.html"
     imports: Imports = ()
     seed: int = 0
@@ -57,13 +59,13 @@ def run(argv: Sequence[str]) -> int:
 
     from rewax.training.evaluation.recording import record
     from rewax.training.storage.cache import enable_compilation_cache
-    from rewax.training.storage.saved import load_run
+    from rewax.training.storage.policies import open_run
     from rewax.viz.player import MAX_RUNS, write_player
 
     quiet()
     options = parse(Options, argv, prog="rewax play", description="Show what runs have learnt in a browser.")
     if not 1 <= len(options.runs) <= MAX_RUNS:
-        raise ValueError(f"rewax play needs 1 to {MAX_RUNS} run directories: rewax play runs/RollingFlat-small-0")
+        raise ValueError(f"rewax play needs 1 to {MAX_RUNS} run directories or tasks: rewax play HandFlip")
     out = Path(options.out)
     if out.suffix not in (".html", ".htm") or not out.parent.is_dir():
         raise ValueError(f"out is {out}: give an .html file in a folder that exists")
@@ -75,7 +77,7 @@ def run(argv: Sequence[str]) -> int:
         return _live(options)
     recordings = []
     for directory, name in zip(options.runs, _names(options.runs), strict=True):
-        saved = load_run(directory, step=options.step)
+        saved = open_run(directory, step=options.step, scale=options.scale)
         recordings.append(
             record(
                 getattr(saved.env, "unwrapped", saved.env),

@@ -36,7 +36,7 @@ class Evaluator:
         self, env: Env, policy: Policy, config: ReportConfig, run_dir: Path, key: Key, *, resume_at: int
     ) -> None:
         self._env, self._policy, self._config, self._run_dir, self._key = env, policy, config, run_dir, key
-        self._evaluate = make_evaluate(env, _any_of(env, policy), config.num_eval_episodes)
+        self._evaluate = make_evaluate(env, any_of(env, policy), config.num_eval_episodes)
         self.csv = CsvWriter(run_dir / "eval.csv", resume_at=resume_at)
         self.last: dict[str, Any] = {}
 
@@ -51,7 +51,7 @@ class Evaluator:
         """
         row: dict[str, Any] = {"env_steps": env_steps}
         for name in ("sampled", "deterministic"):
-            result = jax.device_get(self._evaluate((train_state, _MODES.index(name)), self._key))
+            result = jax.device_get(self._evaluate((train_state, MODES.index(name)), self._key))
             row |= {f"{name}_{statistic}": result[statistic] for statistic in _STATISTICS}
             if "success" in result:
                 row[f"{name}_success"] = result["success"]
@@ -72,8 +72,8 @@ class Evaluator:
         except (OSError, ValueError, TypeError, AttributeError):  # missing or damaged
             pass
         returns = {}
-        for name in _MODES[2:]:
-            result = self._evaluate((train_state, _MODES.index(name)), self._key)
+        for name in MODES[2:]:
+            result = self._evaluate((train_state, MODES.index(name)), self._key)
             count = _failed_of(int(result["failed"]), self._config.num_eval_episodes)
             returns[name + count] = float(result["mean"])
         path.write_text(json.dumps(returns, indent=2) + "\n")
@@ -82,7 +82,7 @@ class Evaluator:
     def sentences(self, row: Mapping[str, Any]) -> list[str]:
         """What a user must know of an evaluation: its returns, how many episodes failed, and the status bits."""
         episodes = self._config.num_eval_episodes
-        failed = {mode: int(row[f"{mode}_failed"]) for mode in _MODES[:2]}
+        failed = {mode: int(row[f"{mode}_failed"]) for mode in MODES[:2]}
         returns = [
             f"{row[f'{mode}_mean']:.4g} +- {row[f'{mode}_std']:.2g} {mode}{_failed_of(count, episodes)}"
             for mode, count in failed.items()
@@ -93,7 +93,7 @@ class Evaluator:
                 f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns "
                 "are those of the steps before: shorter substeps or softer contacts and materials help"
             )
-        bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in _MODES[:2]) for bit in Status if bit}
+        bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in MODES[:2]) for bit in Status if bit}
         if any(bits.values()):
             counts = ", ".join(f"{name} in {count}" for name, count in bits.items() if count)
             said.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status says what each means)")
@@ -135,14 +135,15 @@ class Evaluator:
         self.csv.close()
 
 
-_MODES = ("sampled", "deterministic", "no action", "random actions")
+MODES = ("sampled", "deterministic", "no action", "random actions")
+"""Whose returns are reported: the policy's, two ways, and two baselines'."""
 
 
 def _failed_of(failed: int, episodes: int) -> str:
     return f" ({failed} of {episodes} episodes failed)" if failed else ""
 
 
-def _any_of(env: Env, policy: Policy) -> Policy:
+def any_of(env: Env, policy: Policy) -> Policy:
     """A policy of ``(train_state, mode)``: one program, compiled once, for the agent's policies and the baselines."""
     random, told = uniform_policy(env), told_the_step(policy)
 
