@@ -4,9 +4,9 @@
 
 Takes directories of finished runs, of ``rewax train`` and of ``rewax bench``. Of each task and scale the run with the
 highest deterministic return is written, loaded again as a user would, and evaluated with new starts. It is refused if
-the loaded policy does not act as the run's to the bit, if its return is not that of the run's own last evaluation, or if
-it does not earn more than no action and random actions. A policy that is there already stays unless the new one earns
-more or ``--replace`` is given.
+the loaded policy does not act as the run's to the bit, if its return is not that of the run's own last evaluation, or
+if it does not earn more than no action and random actions. A policy that is there already stays unless the new one
+earns more or ``--replace`` is given.
 """
 
 import csv

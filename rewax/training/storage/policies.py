@@ -202,7 +202,7 @@ def _no_policy(name: str, scales: list[str], folder: str | Path) -> str:
         )
     return (
         f"{name!r} is neither the directory of a run nor a task with a trained policy: "
-        f"{registry.did_you_mean(name, known)}give a run's directory, or one of {', '.join(known)}"
+        f"{registry.did_you_mean(name, registry.list_envs())}give a run's directory, or one of {', '.join(known)}"
     )
 
 
