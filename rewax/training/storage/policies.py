@@ -26,18 +26,20 @@ FOLDER = Path(__file__).resolve().parents[2] / "policies"
 _COUNTERS = (".iteration", ".env_steps")
 
 
-def list_policies(folder: str | Path = FOLDER) -> list[tuple[str, str]]:
+def list_policies(folder: str | Path | None = None) -> list[tuple[str, str]]:
     """Tasks and scales of which there is a trained policy, sorted: ``[("Ant", "small"), ...]``."""
-    return sorted((name, scale) for name, _, scale in (path.stem.rpartition("-") for path in _cards(folder)))
+    return sorted(
+        (name, scale) for name, _, scale in (path.stem.rpartition("-") for path in _home(folder).glob("*-*.json"))
+    )
 
 
-def read_card(name: str, *, scale: str | None = None, folder: str | Path = FOLDER) -> dict[str, Any]:
+def read_card(name: str, *, scale: str | None = None, folder: str | Path | None = None) -> dict[str, Any]:
     """What is known of a policy: the command that trained it, its returns, the machine, the task's specs.
 
     Args:
       name: of the task.
       scale: None: the one that suits the device, or the only one that there is.
-      folder: where policies lie.
+      folder: where policies lie; None: in the package.
 
     Raises:
       ValueError: there is none; the message lists what there is.
@@ -47,11 +49,11 @@ def read_card(name: str, *, scale: str | None = None, folder: str | Path = FOLDE
         raise ValueError(_no_policy(name, scales, folder))
     if scale is None:
         scale = scales[0] if len(scales) == 1 else registry.default_scale()
-    return json.loads((Path(folder) / f"{name}-{scale}.json").read_text())
+    return json.loads((_home(folder) / f"{name}-{scale}.json").read_text())
 
 
 def load_policy(
-    name: str, *, scale: str | None = None, env: Env | None = None, folder: str | Path = FOLDER
+    name: str, *, scale: str | None = None, env: Env | None = None, folder: str | Path | None = None
 ) -> SavedRun:
     """A trained policy of a task, as ``load_run`` gives that of a run.
 
@@ -63,7 +65,7 @@ def load_policy(
       name: of the task; ``list_policies()`` says of which there is one.
       scale: ``"small"`` or ``"paper"``; None: the one that suits the device, or the only one that there is.
       env: act in this environment instead of the task as it is made; it must have the task's observations and actions.
-      folder: where policies lie.
+      folder: where policies lie; None: in the package.
 
     Returns:
       Its ``train_state`` holds what the policy reads; all else in it is None. ``config`` is the policy's card.
@@ -72,7 +74,7 @@ def load_policy(
       ValueError: in one sentence: there is none, its file is damaged, or the task has changed since it was trained.
     """
     card = read_card(name, scale=scale, folder=folder)
-    weights = _read_weights(Path(folder) / f"{card['env']}-{card['scale']}.npz", card)
+    weights = _read_weights(_home(folder) / f"{card['env']}-{card['scale']}.npz", card)
     env = registry.make(card["env"], scale=card["scale"], **card["env_kwargs"]) if env is None else env
     _check_task(card, env)
     known = algorithm(card["agent"])
@@ -103,7 +105,7 @@ def open_run(where: str | Path, *, step: int | None = None, scale: str | None = 
     if not is_policy(where):
         if Path(where).is_dir():
             return load_run(where, step=step)
-        raise ValueError(_no_policy(str(where), [], FOLDER))
+        raise ValueError(_no_policy(str(where), [], None))
     if step is not None:
         raise ValueError(f"step is {step}, but the policy of {where} is of one iteration: leave the step out")
     return load_policy(str(where), scale=scale)
@@ -187,11 +189,11 @@ def _read_weights(path: Path, card: Mapping[str, Any]) -> dict[str, np.ndarray]:
         return {key: file[key] for key in file.files}
 
 
-def _cards(folder: str | Path) -> list[Path]:
-    return list(Path(folder).glob("*-*.json"))
+def _home(folder: str | Path | None) -> Path:
+    return FOLDER if folder is None else Path(folder)
 
 
-def _no_policy(name: str, scales: list[str], folder: str | Path) -> str:
+def _no_policy(name: str, scales: list[str], folder: str | Path | None) -> str:
     known = sorted({env for env, _ in list_policies(folder)})
     if scales:
         return f"there is no trained policy of {name} at another scale than {', '.join(scales)}: use that, or train one"
