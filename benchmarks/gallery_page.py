@@ -1,0 +1,91 @@
+"""The gallery, docs/gallery.md: each task's pictures, what its shipped policy earns, and how to see it.
+
+    python benchmarks/gallery_page.py
+
+Pictures and curves are those of the tasks' pages (``benchmarks/gallery.py``); numbers are read from the policies' cards.
+"""
+
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+import rewax
+from rewax.training.evaluation.report import MODES
+from rewax.training.storage.policies import list_policies, read_card
+
+HEAD = """# Gallery
+
+Each task at scale `small`, and the trained policy of it that comes with rewax. One command records an episode and writes
+a page that a browser opens without a network:
+
+```bash
+rewax play HandFlip        # writes player.html; several tasks side by side: rewax play HandFlip SteerFloat
+rewax eval HandFlip        # returns of 64 episodes, and a video
+```
+
+The numbers are mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all four columns. Each policy is
+the best seed of one algorithm's runs, so its return is above the mean over seeds ([all algorithms](small_suite.md)). The pictures and the curves are those of the
+[tasks' pages](tasks/index.md), where SAPO was trained with three seeds. In code: `rewax.load_policy("HandFlip")`
+([policies](adapters.md#trained-policies)).
+
+    python benchmarks/ship_policies.py RUNS   # the best run of each task, checked, into rewax/policies
+    python benchmarks/gallery_page.py
+"""
+
+
+def section(name: str, docs: Path) -> list[str]:
+    """Of one task."""
+    home = type(rewax.make(name, scale="small"))
+    said = (inspect.getmodule(home).__doc__ or "").split("\n\n")[0]  # type: ignore[union-attr]
+    sentence = re.sub(r"``(.*?)``", r"`\1`", said.replace("\n", " "))
+    lines = [f"## {name}", "", sentence, ""]
+    if (docs / "tasks" / f"{name}.jpg").is_file():
+        lines += [f"![{name}: an episode of a trained policy](tasks/{name}.jpg)", ""]
+    if (name, "small") in list_policies():
+        lines += earned(name, read_card(name, scale="small"))
+    else:
+        lines += [
+            f"No policy of it is shipped: `rewax train --env {name} --scale small`, then `rewax play runs/{name}-small-0`.",
+            "",
+        ]
+    if (docs / "tasks" / f"{name}_curve.png").is_file():
+        lines += [f"![{name}: learning curve](tasks/{name}_curve.png)", ""]
+    return lines
+
+
+def earned(name: str, card: dict[str, Any]) -> list[str]:
+    """Returns of the shipped policy, and its commands."""
+    modes = ("deterministic", "sampled", "no action", "random actions")
+    assert set(modes) == set(MODES)
+    cells = [
+        f"{_number(of['mean'])} [{_number(of['low'])}, {_number(of['high'])}]" for of in map(card["returns"].get, modes)
+    ]
+    trained = card["trained"]
+    return [
+        f"| {' | '.join(modes)} |",
+        "|---|---|---|---|",
+        f"| {' | '.join(cells)} |",
+        "",
+        f"    rewax play {name}",
+        f"    {card['command']}     # how it was trained: {card['env_steps']:,} steps, commit {trained['commit']}",
+        "",
+    ]
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.1f}"
+
+
+def main(docs: Path = Path("docs")) -> int:
+    lines = [HEAD]
+    for name in rewax.list_envs():
+        lines += section(name, docs)
+    (docs / "gallery.md").write_text("\n".join(lines).rstrip() + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(tyro.cli(main, description=__doc__))
