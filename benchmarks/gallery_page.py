@@ -13,7 +13,7 @@ from typing import Any
 import tyro
 
 import rewax
-from rewax.training.evaluation.report import MODES
+from rewax.training.evaluation.programs import MODES
 from rewax.training.storage.policies import list_policies, read_card
 
 HEAD = """# Gallery

@@ -26,7 +26,7 @@ import tyro
 import rewax
 from rewax.statistics import bootstrap_interval
 from rewax.training import enable_compilation_cache, load_run, make_evaluate
-from rewax.training.evaluation.report import MODES, any_of
+from rewax.training.evaluation.programs import MODES, any_of
 from rewax.training.storage.description import provenance, read_config
 from rewax.training.storage.policies import FOLDER, load_policy, read_card, save_policy
 from rewax.training.storage.saved import SavedRun

@@ -53,8 +53,10 @@ def record(
 
 def make_record(
     env: Env, policy: Policy, *, max_frames: int = 301, deterministic: bool = True
-) -> Callable[[PyTree, Key, str], Recording]:
+) -> Callable[..., Recording]:
     """``record`` for several training states: ``(train_state, key, name) -> recording``, compiled once.
+
+    The function's ``max_steps`` ends an episode early, after the frame that reaches so many steps.
 
     Raises:
       ValueError: too few frames, or nothing to show.
@@ -67,11 +69,11 @@ def make_record(
     reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
     see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
 
-    def made(train_state: PyTree, key: Key, name: str = "") -> Recording:
+    def made(train_state: PyTree, key: Key, name: str = "", max_steps: int | None = None) -> Recording:
         reset_key, act_key = jax.random.split(key)
         state = reset(reset_key)
         seen, steps, rewards, status = [see(state.physics)], [0], [], []
-        while not bool(state.done) and steps[-1] < env.episode_length:
+        while not bool(state.done) and steps[-1] < (env.episode_length if max_steps is None else max_steps):
             state, of_steps = advance(train_state, state, act_key)
             count = int(state.step_count) - steps[-1]
             reward, bits = jax.device_get(of_steps)

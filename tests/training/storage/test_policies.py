@@ -12,7 +12,7 @@ from rewax.agents.trajopt import TrajOptConfig, make_trajopt
 from rewax.cli.main import main
 from rewax.envs import registry
 from rewax.training.evaluation.episodes import make_evaluate
-from rewax.training.evaluation.report import MODES, any_of
+from rewax.training.evaluation.programs import MODES, any_of
 from rewax.training.storage import policies
 from rewax.training.storage.policies import list_policies, load_policy, open_run, read_card, save_policy
 from rewax.training.storage.saved import SavedRun
