@@ -2,7 +2,7 @@
 
     python benchmarks/gallery_page.py
 
-Pictures and curves are those of the tasks' pages (``benchmarks/gallery.py``); numbers are read from the policies' cards.
+Pictures and curves are those of the tasks' pages (``benchmarks/gallery.py``); numbers are those of the policies' cards.
 """
 
 import inspect
@@ -18,20 +18,20 @@ from rewax.training.storage.policies import list_policies, read_card
 
 HEAD = """# Gallery
 
-Each task at scale `small`, and the trained policy of it that comes with rewax. One command records an episode and writes
-a page that a browser opens without a network:
+Each task at scale `small`, and the trained policy of it that comes with rewax. One command records an episode and
+writes a page that a browser opens without a network:
 
 ```bash
 rewax play HandFlip        # writes player.html; several tasks side by side: rewax play HandFlip SteerFloat
 rewax eval HandFlip        # returns of 64 episodes, and a video
 ```
 
-The numbers are mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all four columns. Each policy is
-the best seed of one algorithm's runs, so its return is above the mean over seeds ([all algorithms](small_suite.md)). The pictures and the curves are those of the
-[tasks' pages](tasks/index.md), where SAPO was trained with three seeds. In code: `rewax.load_policy("HandFlip")`
-([policies](adapters.md#trained-policies)).
+The numbers are mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
+Each policy is the best of a few seeds, so its return is above the mean over seeds ([all algorithms](small_suite.md)).
+Pictures and curves are those of the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds.
+In code: `rewax.load_policy("HandFlip")` ([trained policies](adapters.md#trained-policies)).
 
-    python benchmarks/ship_policies.py RUNS   # the best run of each task, checked, into rewax/policies
+    python benchmarks/ship_policies.py RUNS     # the best run of each task, checked, into rewax/policies
     python benchmarks/gallery_page.py
 """
 
@@ -47,10 +47,8 @@ def section(name: str, docs: Path) -> list[str]:
     if (name, "small") in list_policies():
         lines += earned(name, read_card(name, scale="small"))
     else:
-        lines += [
-            f"No policy of it is shipped: `rewax train --env {name} --scale small`, then `rewax play runs/{name}-small-0`.",
-            "",
-        ]
+        train, play = f"rewax train --env {name} --scale small", f"rewax play runs/{name}-small-0"
+        lines += [f"No policy of it is shipped. `{train}` makes one, `{play}` shows it.", ""]
     if (docs / "tasks" / f"{name}_curve.png").is_file():
         lines += [f"![{name}: learning curve](tasks/{name}_curve.png)", ""]
     return lines

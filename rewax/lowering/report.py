@@ -57,7 +57,7 @@ def note(function: Callable[..., Any] | str, rule: str, reason: str | None) -> N
 
 @contextlib.contextmanager
 def recorded() -> Iterator[list[Decision]]:
-    """The decisions that this thread makes inside of the block, in order; one function can be decided on several times.
+    """The decisions of this thread inside of the block, in order; one function can be decided on several times.
 
     Example:
       >>> with recorded() as decisions:

@@ -27,8 +27,9 @@ def compile_train_step(
 ) -> Any:
     """Compile ``agent.train_step`` ahead of the first iteration, telling the user how long it takes.
 
-    On a CPU the agent's ``config.quick_compile`` chooses the generator of code, see ``RunConfig``. ``meanwhile`` is called
-    between tracing, which is Python's work, and compiling, which is XLA's: a thread that it starts has Python to itself.
+    On a CPU the agent's ``config.quick_compile`` chooses the generator of code, see ``RunConfig``. ``meanwhile`` is
+    called between tracing, which is Python's work, and compiling, which is XLA's: a thread that it starts has Python
+    to itself.
 
     Returns:
       The compiled function; it never traces again.
