@@ -57,6 +57,7 @@ def run(argv: Sequence[str]) -> int:
     """
     import jax
 
+    from rewax.fixed_sources import build_ahead
     from rewax.training.evaluation.recording import record
     from rewax.training.storage.cache import enable_compilation_cache
     from rewax.training.storage.policies import open_run
@@ -73,6 +74,7 @@ def run(argv: Sequence[str]) -> int:
         raise ValueError(f"frames is {options.frames}: use 2 or more")
     enable_compilation_cache()
     import_modules(options.imports)
+    build_ahead()
     if options.live:
         return _live(options)
     recordings = []

@@ -71,7 +71,7 @@ def make_record(
 
     def made(train_state: PyTree, key: Key, name: str = "", max_steps: int | None = None) -> Recording:
         reset_key, act_key = jax.random.split(key)
-        state = reset(reset_key)
+        state = _beside(train_state, reset(reset_key))
         seen, steps, rewards, status = [see(state.physics)], [0], [], []
         while not bool(state.done) and steps[-1] < (env.episode_length if max_steps is None else max_steps):
             state, of_steps = advance(train_state, state, act_key)
@@ -100,6 +100,13 @@ def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
         return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], [], "")
 
     return of
+
+
+def _beside(train_state: PyTree, state: State) -> State:
+    """The state on the training state's device: the program then takes the first state as all later ones."""
+    arrays = [leaf for leaf in jax.tree.leaves(train_state) if isinstance(leaf, jax.Array)]
+    devices = {device for array in arrays for device in array.devices()}
+    return jax.device_put(state, devices.pop()) if len(devices) == 1 else state
 
 
 def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> Callable[..., Any]:
