@@ -7,12 +7,14 @@ Pictures and curves are those of the tasks' pages (``benchmarks/gallery.py``); n
 
 import inspect
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import tyro
 
 import rewax
+from rewax.envs.registry import _FACTORIES
 from rewax.training.evaluation.programs import MODES
 from rewax.training.storage.policies import list_policies, read_card
 
@@ -26,8 +28,13 @@ rewax play HandFlip        # writes player.html; several tasks side by side: rew
 rewax eval HandFlip        # returns of 64 episodes, and a video
 ```
 
+`rewax play HandFlip` takes 12 s on two cores the first time, when all caches are empty and its C++ has to be built:
+
+    time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
+
 The numbers are mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
-Each policy is the best of a few seeds, so its return is above the mean over seeds ([all algorithms](small_suite.md)).
+Each policy is the best of one or two seeds; [the suite](small_suite.md) has all algorithms. Scale `paper` is named where
+there is a policy at it: `rewax play AntRun --scale paper`.
 Pictures and curves are those of the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds.
 In code: `rewax.load_policy("HandFlip")` ([trained policies](adapters.md#trained-policies)).
 
@@ -36,12 +43,19 @@ In code: `rewax.load_policy("HandFlip")` ([trained policies](adapters.md#trained
 """
 
 
+def sentence(name: str) -> str:
+    """The first of the task's module, or of its factory where the module is another task's."""
+    factory = _FACTORIES[name]
+    factory = factory["small"] if isinstance(factory, Mapping) else factory
+    said = (inspect.getmodule(factory).__doc__ or "").split("\n\n")[0]  # type: ignore[union-attr]
+    if not said.startswith(f"{name}:"):
+        said = (factory.__doc__ or "").split("\n\n")[0]
+    return re.sub(r"``(.*?)``", r"`\1`", said.replace("\n", " "))
+
+
 def section(name: str, docs: Path) -> list[str]:
     """Of one task."""
-    home = type(rewax.make(name, scale="small"))
-    said = (inspect.getmodule(home).__doc__ or "").split("\n\n")[0]  # type: ignore[union-attr]
-    sentence = re.sub(r"``(.*?)``", r"`\1`", said.replace("\n", " "))
-    lines = [f"## {name}", "", sentence, ""]
+    lines = [f"## {name}", "", sentence(name), ""]
     if (docs / "tasks" / f"{name}.jpg").is_file():
         lines += [f"![{name}: an episode of a trained policy](tasks/{name}.jpg)", ""]
     if (name, "small") in list_policies():

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from rewax.training.loop.train import train
     from rewax.training.storage.cache import enable_compilation_cache
     from rewax.training.storage.metrics import read_csv
-    from rewax.training.storage.policies import open_run
     from rewax.training.storage.saved import load_run
     from rewax.training.suites.suite import Suite, read_suite
 
@@ -25,7 +24,6 @@ _HOMES = {
     "compile_train_step": "rewax.training.loop.compilation",
     "enable_compilation_cache": "rewax.training.storage.cache",
     "load_run": "rewax.training.storage.saved",
-    "open_run": "rewax.training.storage.policies",
     "read_csv": "rewax.training.storage.metrics",
     **dict.fromkeys(
         ("constant_policy", "evaluate_actions", "make_evaluate", "uniform_policy"), "rewax.training.evaluation.episodes"
@@ -38,5 +36,5 @@ __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 __all__ = [
     "Suite", "TrainConfig", "compile_train_step", "constant_policy", "enable_compilation_cache", "evaluate_actions",
-    "load_run", "make_evaluate", "open_run", "read_csv", "read_suite", "record", "train", "uniform_policy",
+    "load_run", "make_evaluate", "read_csv", "read_suite", "record", "train", "uniform_policy",
 ]  # fmt: skip

@@ -84,9 +84,7 @@ def load_policy(
     shapes = {key: leaf.shape for key, leaf in named}
     for key, value in weights.items():
         if shapes.get(key) != value.shape:
-            raise ValueError(
-                f"the policy of {name} does not fit this version's {card['agent']} ({key}): {_remedy(card)}"
-            )
+            raise ValueError(f"the policy of {name} does not fit this {card['agent']} ({key}): {_remedy(card)}")
     leaves = [from_numpy(weights[key], leaf, None) if key in weights else None for key, leaf in named]
     return SavedRun(env, agent, jax.tree.unflatten(jax.tree.structure(like), leaves), card)
 
