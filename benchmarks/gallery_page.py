@@ -6,10 +6,10 @@ Pictures and curves are those of the tasks' pages (``benchmarks/gallery.py``); n
 """
 
 import inspect
+import pkgutil
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import tyro
 
@@ -47,6 +47,7 @@ def sentence(name: str) -> str:
     """The first of the task's module, or of its factory where the module is another task's."""
     factory = _FACTORIES[name]
     factory = factory["small"] if isinstance(factory, Mapping) else factory
+    factory = pkgutil.resolve_name(factory) if isinstance(factory, str) else factory
     said = (inspect.getmodule(factory).__doc__ or "").split("\n\n")[0]  # type: ignore[union-attr]
     if not said.startswith(f"{name}:"):
         said = (factory.__doc__ or "").split("\n\n")[0]
@@ -59,17 +60,20 @@ def section(name: str, docs: Path) -> list[str]:
     if (docs / "tasks" / f"{name}.jpg").is_file():
         lines += [f"![{name}: an episode of a trained policy](tasks/{name}.jpg)", ""]
     if (name, "small") in list_policies():
-        lines += earned(name, read_card(name, scale="small"))
+        lines += earned(name, "small")
     else:
         train, play = f"rewax train --env {name} --scale small", f"rewax play runs/{name}-small-0"
         lines += [f"No policy of it is shipped. `{train}` makes one, `{play}` shows it.", ""]
+    if (name, "paper") in list_policies():
+        lines += ["At scale `paper`:", "", *earned(name, "paper")]
     if (docs / "tasks" / f"{name}_curve.png").is_file():
         lines += [f"![{name}: learning curve](tasks/{name}_curve.png)", ""]
     return lines
 
 
-def earned(name: str, card: dict[str, Any]) -> list[str]:
+def earned(name: str, scale: str) -> list[str]:
     """Returns of the shipped policy, and its commands."""
+    card = read_card(name, scale=scale)
     modes = ("deterministic", "sampled", "no action", "random actions")
     assert set(modes) == set(MODES)
     cells = [
@@ -81,7 +85,7 @@ def earned(name: str, card: dict[str, Any]) -> list[str]:
         "|---|---|---|---|",
         f"| {' | '.join(cells)} |",
         "",
-        f"    rewax play {name}",
+        f"    rewax play {name}{' --scale paper' * (scale == 'paper')}",
         f"    {card['command']}     # how it was trained: {card['env_steps']:,} steps, commit {trained['commit']}",
         "",
     ]
