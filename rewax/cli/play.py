@@ -104,12 +104,15 @@ def _live(options: Options) -> int:
 
     from rewax.training.evaluation.recording import make_record
     from rewax.training.storage import checkpoint
+    from rewax.training.storage.policies import is_policy
     from rewax.training.storage.saved import load_run
     from rewax.viz.live import LiveViewer
 
     if len(options.runs) != 1 or options.step is not None:
         raise ValueError("a live view shows the newest checkpoint of one run: give one run directory, and no step")
     directory = options.runs[0]
+    if is_policy(directory):
+        raise ValueError(f"a live view shows a run that trains: rewax play {directory} shows its policy")
     saved, (name,) = load_run(directory), _names(options.runs)
     env = getattr(saved.env, "unwrapped", saved.env)
     record = make_record(env, saved.agent.policy, max_frames=options.frames, deterministic=not options.sampled)
