@@ -28,7 +28,7 @@ rewax play HandFlip        # writes player.html; several tasks side by side: rew
 rewax eval HandFlip        # returns of 64 episodes, and a video
 ```
 
-`rewax play HandFlip` takes 12 s on two cores the first time, when all caches are empty and its C++ has to be built:
+With empty caches `rewax play HandFlip` takes 12 s on two cores of an EPYC, building the C++ included (one run):
 
     time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
 
