@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-STEPS = {"float64": tuple(10.0 ** -(k / 2) for k in range(6, 15)), "float32": (0.03, 0.02, 0.015, 0.01, 0.007, 0.005)}
+STEPS = {"float64": tuple(10.0 ** -(k / 2) for k in range(6, 15)), "float32": (0.02, 0.01, 0.005)}
 """Of the central differences, in units of the parameter: the slope is taken where two neighbouring steps agree best."""
 WIDE_STEP = 0.02
 """Of the slope of the landscape."""

@@ -135,7 +135,7 @@ class Soft:
                 else:
                     gap = sigma[j] ** 2 - sigma[i] ** 2
                     gap = ti.max(gap, 1e-6) if gap >= 0 else ti.min(gap, -1e-6)
-                    inner[i, j] = 0.5 * ((A[i, j] - A[j, i]) * sigma[j] + sigma[i] * (B[i, j] - B[j, i])) / gap
+                    inner[i, j] = ((A[i, j] - A[j, i]) * sigma[j] + sigma[i] * (B[i, j] - B[j, i])) / gap
             self.trial.grad[t, p] += U @ inner @ V.transpose()
 
     @ti.ad.grad_replaced

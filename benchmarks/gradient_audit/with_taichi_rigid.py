@@ -11,8 +11,8 @@ INERTIA = 0.4 * s.FOOT_MASS * s.FOOT_RADIUS**2
 
 @ti.func
 def normal_force(depth, rate):
-    """Spring and damper, never pulling; rate: of the depth."""
-    return ti.max(0.0, s.CONTACT_STIFFNESS * depth + s.DEPTH_DAMPING * depth * rate)
+    """Spring, and damping while the depth grows; rate: of the depth."""
+    return ti.max(0.0, s.CONTACT_STIFFNESS * depth + s.DEPTH_DAMPING * depth * ti.max(rate, 0.0))
 
 
 @ti.func

@@ -17,8 +17,8 @@ ZERO = wp.constant(real(0))
 
 @wp.func
 def normal_force(depth: real, rate: real):
-    """Spring and damper, never pulling; rate: of the depth."""
-    return wp.max(ZERO, STIFFNESS * depth + DAMPING * depth * rate)
+    """Spring, and damping while the depth grows; rate: of the depth."""
+    return wp.max(ZERO, STIFFNESS * depth + DAMPING * depth * wp.max(rate, ZERO))
 
 
 @wp.func
