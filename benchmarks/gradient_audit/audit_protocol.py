@@ -118,7 +118,7 @@ def compare(gradients: np.ndarray, slopes: np.ndarray) -> dict[str, float | None
     norms = np.maximum(np.linalg.norm(slopes, axis=1), 1e-300)
     with np.errstate(invalid="ignore"):
         errors = np.linalg.norm(gradients - slopes, axis=1) / norms
-    errors = np.where(finite.all(axis=1), errors, np.inf)
+    errors = np.where(np.isfinite(errors), errors, np.inf)
     return {
         "zeros": float(np.mean((gradients == 0) & moving)),
         "nans": float(np.mean(~finite)),

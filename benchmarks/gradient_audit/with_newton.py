@@ -21,6 +21,8 @@ VARIANTS = {
 }
 DAMPING = 50.0
 """Normal force per approaching speed [N s/m]; Newton has no damping by depth."""
+JOINT_DT, JOINT_DAMPING = 2.5e-4, 1.0
+"""Of SemiImplicit, whose joints are springs and dampers: at 1 ms and its default of 100 N s/m the light leg blows up."""
 floats = wp.array(dtype=float)
 
 
@@ -91,12 +93,15 @@ class Rigid:
 
     def __init__(self, scene: str, featherstone: bool):
         self.is_leg, self.reduced = scene == "foot", featherstone
-        self.steps = s.substeps(scene, s.RIGID_DT)
+        self.dt = JOINT_DT if self.is_leg and not featherstone else s.RIGID_DT
+        self.steps = s.substeps(scene, self.dt)
         self.model = (leg_model() if self.is_leg else box_model()).finalize(device="cpu", requires_grad=True)
         if featherstone:
             self.solver = newton.solvers.SolverFeatherstone(self.model, angular_damping=0.0)
         else:
-            self.solver = newton.solvers.SolverSemiImplicit(self.model, angular_damping=0.0)
+            self.solver = newton.solvers.SolverSemiImplicit(
+                self.model, angular_damping=0.0, joint_attach_kd=JOINT_DAMPING
+            )
         self.states = [self.model.state() for _ in range(self.steps + 1)]
         self.control = self.model.control()
         self.pipeline = newton.CollisionPipeline(self.model, rigid_contact_max=8)
@@ -120,7 +125,7 @@ class Rigid:
         for t in range(self.steps):
             self.states[t].clear_forces()
             self.pipeline.collide(self.states[t], self.contacts[t])
-            self.solver.step(self.states[t], self.states[t + 1], self.control, self.contacts[t], s.RIGID_DT)
+            self.solver.step(self.states[t], self.states[t + 1], self.control, self.contacts[t], self.dt)
         wp.launch(leg_outcome if self.is_leg else box_outcome, 1, inputs=[self.states[-1].body_q, self.out])
 
     def value(self, p: np.ndarray) -> float:
