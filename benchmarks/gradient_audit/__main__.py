@@ -19,7 +19,7 @@ from pathlib import Path
 import tyro
 from audit_protocol import Row
 from audit_scenes import SCENES
-from audit_table import markdown, write
+from audit_table import markdown, read, write
 
 HERE = Path(__file__).resolve().parent
 SIMULATORS = {
@@ -52,7 +52,7 @@ class Args:
     timeout: float = 900.0
     """Of one simulator and scene [s]."""
     out: Path = Path("gradient_audit")
-    """Folder of the table."""
+    """Folder of the table; rows that lie there stay unless this run has them too."""
 
 
 def run(interpreter: str, name: str, variant: str, scene: str, args: Args) -> Row:
@@ -74,13 +74,14 @@ def run(interpreter: str, name: str, variant: str, scene: str, args: Args) -> Ro
 
 def main(args: Args) -> None:
     known = dict(entry.split("=", 1) for entry in args.python)
-    rows = []
+    rows = read(args.out)
     for scene in args.scenes:
         for name in args.simulators:
             for variant in SIMULATORS[name]:
                 if scene in ONLY.get(variant, SCENES):
-                    rows.append(run(known.get(name, sys.executable), name, variant, scene, args))
-                    print(rows[-1], file=sys.stderr, flush=True)
+                    new = run(known.get(name, sys.executable), name, variant, scene, args)
+                    print(new, file=sys.stderr, flush=True)
+                    rows = [row for row in rows if (row.simulator, row.scene) != (variant, scene)] + [new]
                     write(rows, args.out)
     print(markdown(rows))
 

@@ -16,7 +16,11 @@ ZERO_SLOPE = 1e-6
 
 
 class NotSupported(Exception):
-    """The simulator has no such feature; the message says which one and in which version."""
+    """The simulator has no such feature; the message says which one."""
+
+
+class NotTried(Exception):
+    """Nobody has written this scene for this simulator; it may well be able to."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +45,7 @@ class Row:
     """What is reported of a simulator at a scene; shares and errors are None where nothing was measured.
 
     Attributes:
-      status: "measured", "not supported", "not installed" or "failed".
+      status: "measured", "not supported", "not tried", "not installed" or "failed".
       zeros: share of the entries that are exactly 0 or missing though the slope is not.
       nans: share of the entries that are not finite.
       error: median over the starts of |gradient - slope| / |slope|; infinite where an entry is not finite.

@@ -56,6 +56,13 @@ def finite(value: object) -> object:
     return "not finite" if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def read(folder: Path) -> list[Row]:
+    """Rows that ``write`` left in a folder; none if there is no such file."""
+    path = folder / "gradient_audit.json"
+    plain = json.loads(path.read_text()) if path.exists() else []
+    return [Row(**{key: math.inf if value == "not finite" else value for key, value in row.items()}) for row in plain]
+
+
 def write(rows: list[Row], folder: Path) -> None:
     """Writes gradient_audit.md, .json and .csv."""
     folder.mkdir(parents=True, exist_ok=True)

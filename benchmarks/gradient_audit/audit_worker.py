@@ -11,7 +11,7 @@ import traceback
 from types import ModuleType
 
 import audit_scenes
-from audit_protocol import NotSupported, Row, audit, peak_memory_mb
+from audit_protocol import NotSupported, NotTried, Row, audit, peak_memory_mb
 
 
 def row_of(module: ModuleType, variant: str, scene: str, starts: int) -> Row:
@@ -22,6 +22,8 @@ def row_of(module: ModuleType, variant: str, scene: str, starts: int) -> Row:
         numbers = audit(problem, audit_scenes.SCENES[scene].starts(starts))
     except NotSupported as error:
         return dataclasses.replace(empty, status="not supported", note=str(error))
+    except NotTried as error:
+        return dataclasses.replace(empty, status="not tried", note=str(error))
     except Exception as error:
         traceback.print_exc()
         return dataclasses.replace(empty, note=f"{type(error).__name__}: {str(error).strip().splitlines()[0][:200]}")
