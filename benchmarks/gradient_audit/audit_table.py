@@ -30,7 +30,9 @@ def cells(row: Row) -> list[str]:
     if row.status != "measured":
         note = f": {row.note}" if row.note else ""
         return [name, f"{row.status}{note}".replace("|", "/"), *[""] * (len(COLUMNS) - 2)]
-    memory = "" if row.memory_mb is None or row.base_mb is None else f"{row.base_mb:.0f} + {row.memory_mb - row.base_mb:.0f}"
+    memory = (
+        "" if row.memory_mb is None or row.base_mb is None else f"{row.base_mb:.0f} + {row.memory_mb - row.base_mb:.0f}"
+    )
     seconds = "" if row.seconds is None else f"{row.seconds:.2g}"
     precision = "" if row.precision == "float64" else f" ({row.precision})"
     errors = [number(e) for e in (row.error, row.worst, row.difference_error, row.wide_error)]

@@ -1,6 +1,6 @@
 """One simulator, one scene, in a process of its own: prints a row as JSON.
 
-    python audit_worker.py MODULE VARIANT SCENE STARTS
+python audit_worker.py MODULE VARIANT SCENE STARTS
 """
 
 import dataclasses

@@ -105,9 +105,7 @@ def soft(scene: str, size: float) -> Callable[[jax.Array], jax.Array]:
 
 def load(mjcf: Callable[[float], str], penalty: bool) -> rigid.RigidModel:
     if penalty:
-        law = Penalty(
-            stiffness=s.CONTACT_STIFFNESS, depth_damping=s.DEPTH_DAMPING, friction_damping=s.FRICTION_DAMPING
-        )
+        law = Penalty(stiffness=s.CONTACT_STIFFNESS, depth_damping=s.DEPTH_DAMPING, friction_damping=s.FRICTION_DAMPING)
         return rigid.load(mjcf(s.RIGID_DT), dt=s.RIGID_DT, penalty=law)
     model = rigid.load(mjcf(MUJOCO_DT), dt=MUJOCO_DT)
     return model.with_parameters(
@@ -132,9 +130,7 @@ def foot(size: float, penalty: bool = True) -> Callable[[jax.Array], jax.Array]:
     num_substeps = max(1, round(size * s.substeps("foot", model.dt)))
 
     def outcome(p: jax.Array) -> jax.Array:
-        state = rigid.initial_state(
-            model, qpos=jnp.array([0.0, s.LEG_START[1]]), qvel=jnp.stack([p[0], 0.0 * p[0]])
-        )
+        state = rigid.initial_state(model, qpos=jnp.array([0.0, s.LEG_START[1]]), qvel=jnp.stack([p[0], 0.0 * p[0]]))
         end = rigid.step(model, state, p[1:], num_substeps=num_substeps)
         return s.LEG_START[0] + end.qpos[0] + 0.2 * end.qpos[1]
 

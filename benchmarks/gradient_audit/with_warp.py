@@ -71,7 +71,12 @@ def weight(d: real):
 
 @wp.kernel
 def to_grid(
-    x: vectors, v: vectors, C: matrices, stress: matrices, momentum: wp.array3d(dtype=vec3), mass: wp.array3d(dtype=real)
+    x: vectors,
+    v: vectors,
+    C: matrices,
+    stress: matrices,
+    momentum: wp.array3d(dtype=vec3),
+    mass: wp.array3d(dtype=real),
 ):
     p = wp.tid()
     X = x[p] * INV
