@@ -99,7 +99,7 @@ class Soft:
 
     @ti.kernel
     def begin_ball(self):
-        for i in range(1):
+        for i in range(1):  # noqa: B007
             self.ball_v[i] += ti.Vector([0.0, self.p[0], 0.0])
 
     @ti.kernel
@@ -210,7 +210,7 @@ class Soft:
 
     @ti.kernel
     def move_ball(self, t: ti.i32):
-        for i in range(1):
+        for i in range(1):  # noqa: B007
             new = self.ball_v[t] + self.impulse[t] / self.p[1] - ti.Vector([0.0, DT * s.GRAVITY, 0.0])
             self.ball_v[t + 1] = new
             self.ball_x[t + 1] = self.ball_x[t] + DT * new
@@ -244,7 +244,7 @@ class Soft:
 
     @ti.kernel
     def ball_outcome(self):
-        for i in range(1):
+        for i in range(1):  # noqa: B007
             self.out[None] += self.ball_x[self.steps][1]
 
     def run(self) -> None:

@@ -34,13 +34,13 @@ class Rigid:
 
     @ti.kernel
     def begin(self):
-        for i in range(1):
+        for i in range(1):  # noqa: B007
             self.v[i, 0] = self.p[0]
 
     @ti.kernel
     def box(self, t: ti.i32):
         """Coordinates: x and height above the rest pose of a box of 1 kg."""
-        for i in range(1):
+        for i in range(1):  # noqa: B007
             fn = 0.0
             if self.q[t, 1] < 0:
                 fn = normal_force(-self.q[t, 1], -self.v[t, 1])
@@ -54,7 +54,7 @@ class Rigid:
     @ti.kernel
     def leg(self, t: ti.i32):
         """Coordinates: height of the hip above its start, angle of the leg from the vertical."""
-        for i in range(1):
+        for i in range(1):  # noqa: B007
             sine, cosine = ti.sin(self.q[t, 1]), ti.cos(self.q[t, 1])
             rate, turn = self.v[t, 0], self.v[t, 1]
             depth = s.FOOT_RADIUS - (s.LEG_START[0] + self.q[t, 0] - LENGTH * cosine)
@@ -76,7 +76,7 @@ class Rigid:
 
     @ti.kernel
     def outcome(self):
-        for i in range(1):
+        for i in range(1):  # noqa: B007
             if ti.static(self.is_leg):
                 self.out[None] += s.LEG_START[0] + self.q[self.steps, 0] + 0.2 * self.q[self.steps, 1]
             else:
