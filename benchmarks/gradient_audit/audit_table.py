@@ -10,7 +10,8 @@ from audit_protocol import Row
 from audit_scenes import SCENES
 
 COLUMNS = (
-    "simulator", "zeros", "NaN", "error, median", "worst", "slope known to", "error by wide difference", "seconds", "MB",
+    "simulator", "zeros", "NaN", "error, median", "worst", "slope known to", "error by wide difference", "seconds",
+    "MB",
 )  # fmt: skip
 
 

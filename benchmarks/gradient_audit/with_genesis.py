@@ -1,7 +1,7 @@
 """Genesis World in the audit: ``requires_grad=True``, gradients through ``torch`` as its documentation shows.
 
-Its setters of velocities and ``control_dofs_force`` take tensors that require gradients; ``set_friction`` takes a number,
-so the derivative by friction is missing and its entry counts as zero.
+Its setters of velocities and ``control_dofs_force`` take tensors that require gradients. ``set_friction`` takes a
+number, so the derivative by friction is missing and its entry counts as zero.
 """
 
 import tempfile

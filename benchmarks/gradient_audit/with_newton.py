@@ -1,4 +1,4 @@
-"""Newton in the audit: the two solvers that its documentation marks as differentiable, states of all substeps, one tape.
+"""Newton in the audit: the two solvers that its documentation marks as differentiable, all states kept, one tape.
 
 Contacts are found anew in every substep and kept in buffers of their own, since a tape must not see them overwritten.
 Newton computes in float32.
@@ -22,7 +22,7 @@ VARIANTS = {
 DAMPING = 50.0
 """Normal force per approaching speed [N s/m]; Newton has no damping by depth."""
 JOINT_DT, JOINT_DAMPING = 2.5e-4, 1.0
-"""Of SemiImplicit, whose joints are springs and dampers: at 1 ms and its default of 100 N s/m the light leg blows up."""
+"""Of SemiImplicit, whose joints are springs and dampers: at 1 ms and its default of 100 N s/m the leg blows up."""
 floats = wp.array(dtype=float)
 
 

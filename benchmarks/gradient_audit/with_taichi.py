@@ -1,4 +1,4 @@
-"""Taichi in the audit: own kernels, fields with an axis of substeps, ``ti.ad.Tape``, as Taichi's documentation recommends.
+"""Taichi in the audit: own kernels, fields with an axis of substeps, ``ti.ad.Tape``, as its documentation recommends.
 
 The physics is ours, the derivative Taichi's. Elements of fields are not written after they were read, and sums are
 ``+=`` on fields (Taichi's global data access rules); particles and the nodes that they reach are one loop (its kernel
@@ -99,7 +99,7 @@ class Soft:
 
     @ti.kernel
     def begin_ball(self):
-        for i in range(1):  # noqa: B007
+        for i in range(1):
             self.ball_v[i] += ti.Vector([0.0, self.p[0], 0.0])
 
     @ti.kernel

@@ -34,7 +34,7 @@ class Rigid:
 
     @ti.kernel
     def begin(self):
-        for i in range(1):  # noqa: B007
+        for i in range(1):
             self.v[i, 0] = self.p[0]
 
     @ti.kernel
