@@ -21,7 +21,7 @@ VARIANTS = {
 }
 DAMPING = 50.0
 """Normal force per approaching speed [N s/m]; Newton has no damping by depth."""
-JOINT_DT, JOINT_DAMPING = 2.5e-4, 1.0
+JOINT_DT, JOINT_DAMPING = 5e-4, 1.0
 """Of SemiImplicit, whose joints are springs and dampers: at 1 ms and its default of 100 N s/m the leg blows up."""
 floats = wp.array(dtype=float)
 
