@@ -44,9 +44,9 @@ def precision_as_before():
     [
         ("rewax", "throw", 0.2),
         ("rewax", "press", 0.2),
-        pytest.param("rewax", "slide", 0.1, marks=pytest.mark.slow),
+        ("rewax", "slide", 0.1),
         ("rewax", "drop", 0.2),
-        ("rewax", "slide-rigid", 0.1),
+        pytest.param("rewax", "slide-rigid", 0.1, marks=pytest.mark.slow),
         ("rewax", "foot", 0.7),
         pytest.param("rewax (MuJoCo's law)", "foot", 0.7, marks=pytest.mark.slow),
     ],
