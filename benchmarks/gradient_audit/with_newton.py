@@ -149,6 +149,6 @@ def build(variant: str, scene: str) -> Problem:
     if scene in ("throw", "press", "slide"):
         raise NotSupported("SolverImplicitMPM is marked as not differentiable")
     if scene == "drop":
-        raise NotSupported("couplings with SolverImplicitMPM are not differentiable")
+        raise NotSupported("its MPM, SolverImplicitMPM, is marked as not differentiable")
     made = Rigid(scene, featherstone)
     return Problem(made.value, made.gradient, "float32", VARIANTS[variant])
