@@ -252,7 +252,9 @@ def main() -> None:
 
 def changed(config: Any, changes: Sequence[str]) -> Any:
     """A configuration with other values of some options, written ``name=value``."""
-    return dataclasses.replace(config, **{name: ast.literal_eval(value) for name, value in (c.split("=") for c in changes)})
+    return dataclasses.replace(
+        config, **{name: ast.literal_eval(value) for name, value in (c.split("=") for c in changes)}
+    )
 
 
 if __name__ == "__main__":

@@ -142,7 +142,9 @@ def return_scale(replay: Replay, discount: float) -> Array:
         return value, value
 
     reward = jnp.where(steps.valid, steps.reward, 0.0)
-    _, returns = jax.lax.scan(earlier, jnp.zeros(reward.shape[1:], reward.dtype), (reward, ends), reverse=True, unroll=8)
+    _, returns = jax.lax.scan(
+        earlier, jnp.zeros(reward.shape[1:], reward.dtype), (reward, ends), reverse=True, unroll=8
+    )
     there = steps.valid & (position < replay.count)[:, None]
     scale = jnp.sqrt(jnp.mean(returns**2, where=there))
     return jnp.where(scale > 0.0, scale, 1.0)  # a comparison with NaN is false
