@@ -1,5 +1,6 @@
 """A study: trials of one search, in a journal that several processes share and that any of them continues."""
 
+import importlib
 import importlib.util
 import json
 import time
@@ -163,16 +164,24 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
             if number < task.reports and trial.should_prune():
                 say(console, f"trial {trial.number}: mean return {mean:.6g} after {number}/{task.reports}, pruned")
                 study.tell(trial, state=TrialState.PRUNED)
-                return
-    except Failed as failure:
-        trial.set_user_attr("failure", str(failure))
-        say(console, f"trial {trial.number} failed: {failure}")
-        study.tell(trial, state=TrialState.PRUNED)
-        return
+                return None
+    except Failed as failed:
+        return _fail(study, trial, str(failed), console)
+    except ValueError:  # of the search: not this trial's failure
+        raise
+    except Exception as error:  # out of memory, for example: the other trials may do better
+        return _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
     if stop.requested:
-        return  # still running in the journal: whoever continues does it anew
+        return None  # still running in the journal: whoever continues does it anew
     study.tell(trial, mean)
     say(console, f"trial {trial.number}: mean return {mean:.6g}, best {study.best_value:.6g}")
+
+
+def _fail(study: Any, trial: Any, why: str, console: Console) -> None:
+    """A bad trial: the sampler ranks it behind those that were trained to the end."""
+    trial.set_user_attr("failure", why)
+    say(console, f"trial {trial.number} failed: {why}")
+    study.tell(trial, state=importlib.import_module("optuna.trial").TrialState.PRUNED)
 
 
 def _suggest(trial: Any, name: str, where: Any) -> Any:
