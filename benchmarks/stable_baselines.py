@@ -10,10 +10,11 @@ Prints the mean return of 64 episodes with sampled actions after so many control
 ``--options name=value`` changes the preset of both, ``--rewax name=value`` that of rewax alone.
 
 Both have the preset's number of environments, horizon, layers (linear, LayerNorm, activation), batches, updates,
-learning rates, and weight decay of a normalised gradient. Different in Stable-Baselines3: its initialisers; in PPO the
-normal distribution's actions are clipped, its standard deviation is a parameter, ``target_kl`` ends an iteration's epochs
-early where that of rewax steers the learning rate, and rewards are normalised where rewax normalises values; in SAC no
-gradient is clipped, rewards are as they are, and the temperature has the learning rate of the networks.
+learning rates and weight decay. Different in Stable-Baselines3: its initialisers. In its PPO the normal distribution's
+actions are clipped, its standard deviation is a parameter, ``target_kl`` ends an iteration's epochs early where that of
+rewax steers the learning rate, and rewards are normalised where rewax normalises values. In its SAC no gradient is
+clipped and the temperature has the learning rate of the networks; with ``normalize_rewards`` its ``VecNormalize`` divides
+rewards by the standard deviation of returns.
 """
 
 import argparse
@@ -188,7 +189,7 @@ def learner(name: str, config: Any, env: VecEnv, seed: int) -> Any:
 def theirs(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -> list[float]:
     """Returns of Stable-Baselines3 after each number of control steps."""
     env = VecNormalize(
-        Batched(task, config.num_envs, seed), norm_obs=config.normalize_observations, norm_reward=name == "ppo",
+        Batched(task, config.num_envs, seed), norm_obs=config.normalize_observations, norm_reward=name == "ppo" or config.normalize_rewards,
         clip_obs=config.observation_clip or np.inf, gamma=config.discount,
     )  # fmt: skip
     model, found = learner(name, config, env, seed), []

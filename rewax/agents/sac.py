@@ -44,9 +44,9 @@ class SACConfig(ActorCriticConfig):
       warmup_steps: control steps of each environment with uniformly random actions before the first update.
       num_steps: n of the n-step returns.
       target_rate: share of the new parameters that the target network takes at each update.
-      normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics learn
-        numbers of size 1 whatever the task's rewards, and the temperature is in the same unit. Otherwise the critics need
-        many updates to reach values of hundreds: Adam moves each weight by its learning rate at most.
+      normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
+        learn numbers of size 1 whatever the task's rewards, and the temperature has the same unit. Without it they need
+        many updates to reach values of hundreds, because Adam moves a weight by about its learning rate.
       initial_temperature, temperature_learning_rate, target_entropy_scale: as for SAPO.
     """
 

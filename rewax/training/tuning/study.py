@@ -166,11 +166,13 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
                 study.tell(trial, state=TrialState.PRUNED)
                 return None
     except Failed as failed:
-        return _fail(study, trial, str(failed), console)
+        _fail(study, trial, str(failed), console)
+        return
     except ValueError:  # of the search: not this trial's failure
         raise
     except Exception as error:  # out of memory, for example: the other trials may do better
-        return _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
+        _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
+        return
     if stop.requested:
         return None  # still running in the journal: whoever continues does it anew
     study.tell(trial, mean)

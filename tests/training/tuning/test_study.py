@@ -6,6 +6,8 @@ import io
 import multiprocessing
 import tomllib
 
+import jax
+import numpy as np
 import pytest
 import toys
 from rich.console import Console
@@ -14,7 +16,9 @@ pytest.importorskip("optuna", reason="pip install 'rewax[tune]'")
 
 from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
+from rewax.training.evaluation.episodes import make_evaluate
 from rewax.training.tuning import study as studies
+from rewax.training.tuning import trial as trials
 from rewax.training.tuning.report import as_command, as_toml, best_trial
 from rewax.training.tuning.space import Range
 from rewax.training.tuning.study import open_study, run_study
@@ -61,11 +65,18 @@ def quickly(mean=lambda values: -values["noise"]):
 def test_a_trial_trains_its_seeds_as_long_as_the_preset():
     quiet, long = Console(file=io.StringIO()), {"noise": 0.1, "horizon": 6}
     assert TASK.config(toys.point_mass(), long).num_iterations == 4  # 8 iterations of 3 steps
-    few, many = (
-        list(run_trial(task, toys.point_mass(), {"noise": 0.1}, quiet, lambda: False))
-        for task in (TASK, dataclasses.replace(TASK, steps=240))
-    )
-    assert [report.number for report in few] == [1, 2] and few[0].mean < few[1].mean < many[1].mean
+    assert dataclasses.replace(TASK, steps=240).config(toys.point_mass(), long).num_iterations == 10
+    reports = list(run_trial(TASK, toys.point_mass(), {"noise": 0.1}, quiet, lambda: False))
+    agent, means = toys.make_toy(toys.point_mass()), []
+    for seed in TASK.seeds:
+        state = agent.init(jax.random.key(seed))
+        for _ in range(8):
+            state, _ = agent.train_step(state)
+        key = jax.random.fold_in(jax.random.key(seed), trials._EVALUATION_STREAM)
+        means.append(make_evaluate(toys.point_mass(), agent.policy, 8)(state, key)["mean"])
+    assert [report.number for report in reports] == [1, 2]
+    np.testing.assert_allclose(reports[1].mean, np.mean(means), rtol=1e-5)
+    assert reports[0].mean < reports[1].mean
 
 
 def test_options_that_cannot_be_make_a_bad_trial():
