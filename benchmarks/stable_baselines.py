@@ -13,8 +13,8 @@ Both have the preset's number of environments, horizon, layers (linear, LayerNor
 learning rates and weight decay. Different in Stable-Baselines3: its initialisers. In its PPO the normal distribution's
 actions are clipped, its standard deviation is a parameter, ``target_kl`` ends an iteration's epochs early where that of
 rewax steers the learning rate, and rewards are normalised where rewax normalises values. In its SAC no gradient is
-clipped and the temperature has the learning rate of the networks; with ``normalize_rewards`` its ``VecNormalize`` divides
-rewards by the standard deviation of returns.
+clipped, and the temperature has the learning rate of the networks. With ``normalize_rewards`` its ``VecNormalize``
+divides rewards by the standard deviation of returns.
 """
 
 import argparse
@@ -188,10 +188,9 @@ def learner(name: str, config: Any, env: VecEnv, seed: int) -> Any:
 
 def theirs(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -> list[float]:
     """Returns of Stable-Baselines3 after each number of control steps."""
-    env = VecNormalize(
-        Batched(task, config.num_envs, seed), norm_obs=config.normalize_observations, norm_reward=name == "ppo" or config.normalize_rewards,
-        clip_obs=config.observation_clip or np.inf, gamma=config.discount,
-    )  # fmt: skip
+    scaled = {"norm_reward": name == "ppo" or config.normalize_rewards, "gamma": config.discount}
+    limited = {"norm_obs": config.normalize_observations, "clip_obs": config.observation_clip or np.inf}
+    env = VecNormalize(Batched(task, config.num_envs, seed), **scaled, **limited)
     model, found = learner(name, config, env, seed), []
     for total in steps:
         model.learn(total - model.num_timesteps, reset_num_timesteps=not found)

@@ -191,7 +191,8 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
         return _sized(SACConfig, base, batch_size=2048 if base.num_envs == 64 else 1024, **_NO_GRADIENT)
     rates = dict.fromkeys(("actor_learning_rate", "final_learning_rate", "critic_learning_rate"), 1e-3)
     sizes = {"batch_size": 256, "updates": 32, "target_rate": 0.02, "replay_size": 100_000}
-    return _sized(SACConfig, base, **sizes, **rates, **_NO_GRADIENT)
+    scaled = {"normalize_rewards": True, "initial_temperature": 0.01}
+    return _sized(SACConfig, base, **sizes, **rates, **scaled, **_NO_GRADIENT)
 
 
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:

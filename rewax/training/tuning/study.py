@@ -164,7 +164,7 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
             if number < task.reports and trial.should_prune():
                 say(console, f"trial {trial.number}: mean return {mean:.6g} after {number}/{task.reports}, pruned")
                 study.tell(trial, state=TrialState.PRUNED)
-                return None
+                return
     except Failed as failed:
         _fail(study, trial, str(failed), console)
         return
@@ -174,7 +174,7 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
         _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
         return
     if stop.requested:
-        return None  # still running in the journal: whoever continues does it anew
+        return  # still running in the journal: whoever continues does it anew
     study.tell(trial, mean)
     say(console, f"trial {trial.number}: mean return {mean:.6g}, best {study.best_value:.6g}")
 

@@ -56,5 +56,5 @@ def test_a_space_that_cannot_be_is_refused(tmp_path, text, sentence):
 def test_there_has_to_be_one():
     with pytest.raises(ValueError, match=r"no search space for shac2: write a table \[shac2\]"):
         read_space("shac2")
-    with pytest.raises(ValueError, match="there is no file 'nowhere.toml'"):
+    with pytest.raises(ValueError, match=r"there is no file 'nowhere\.toml'"):
         read_space("ppo", "nowhere.toml")
