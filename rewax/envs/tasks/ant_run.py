@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.envs.kit.rigid_task import RigidPhysics, load_asset
 from rewax.envs.kit.runner import Runner
+from rewax.physics import rigid
 from rewax.physics.rigid import Penalty
 from rewax.types import Array
 
@@ -22,7 +23,19 @@ class AntRun(Runner):
 
     Observation ``state``, 37 numbers, see ``Runner``. An action times 200 N m, with its sign flipped, is the torques of
     hip and ankle of each leg.
+
+    Attributes:
+      stale_mass_matrix: compute the mass matrix once per control step, as the reference does (static).
     """
+
+    stale_mass_matrix: bool = struct.static_field(default=False)
+
+    def advance(self, physics: RigidPhysics, action: Array) -> tuple[RigidPhysics, Array]:
+        if not self.stale_mass_matrix:
+            return super().advance(physics, action)
+        torques = self.control(action)
+        bodies = rigid.step_with_stale_mass(self.model, physics.rigid, torques, num_substeps=self.num_substeps)
+        return physics.replace(rigid=bodies, action=action), rigid.check_status(bodies, self.model)
 
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
         """Forward velocity + 0.1 upright + heading + height above the fallen one."""
@@ -44,12 +57,14 @@ def _ant(asset: str, penalty: Penalty, *, num_substeps: int, max_steps: int) -> 
     )
 
 
-def make_ant_run(*, scale: str, onset: float = 0.0) -> AntRun:
+def make_ant_run(*, scale: str, onset: float = 0.0, stale_mass_matrix: bool = False) -> AntRun:
     """Factory for the registry.
 
     Args:
       scale: ``"paper"``: the reference's 16 substeps and 1000 steps; ``"small"``: 8 substeps, 300 steps.
       onset: depth over which the contacts' damping sets in [m]; the reference has 0.
+      stale_mass_matrix: compute the mass matrix at the first substep of a control step alone, as the reference does:
+        an ant that runs is then turned by torques that no force makes (``rigid.step_with_stale_mass``).
     """
     # The ant's own law where its links touch each other; with the ground the means of the ant's and the ground's.
     among = Penalty(stiffness=4e3, damping=1e3, friction_damping=300.0, onset=onset)
@@ -59,7 +74,7 @@ def make_ant_run(*, scale: str, onset: float = 0.0) -> AntRun:
     # The reference's importer adds a hinge's armature to all moments of inertia of its link as well.
     armature = ant.model.parameters["dof_armature"][6:, None]
     inertia = ant.model.parameters["body_inertia"].at[_FIRST_LINK:].add(armature)
-    return ant.replace(model=ant.model.with_parameters(body_inertia=inertia))
+    return ant.replace(model=ant.model.with_parameters(body_inertia=inertia), stale_mass_matrix=bool(stale_mass_matrix))
 
 
 def make_ant(*, scale: str) -> AntRun:

@@ -12,10 +12,11 @@ from rewax.physics.rigid.queries import (
     shapes,
 )
 from rewax.physics.rigid.spring_contacts import Penalty
+from rewax.physics.rigid.stale_mass import step_with_stale_mass
 from rewax.physics.rigid.stepping import check_status, initial_state, step
 
 __all__ = [
     "PARAMETERS", "ContactPair", "Geom", "Penalty", "RigidModel", "RigidState", "body_poses", "body_velocities",
     "centers_of_mass", "check_shape", "check_status", "colliders", "contact_distances", "geom_poses", "initial_state",
-    "load", "poses", "shapes", "step",
+    "load", "poses", "shapes", "step", "step_with_stale_mass",
 ]  # fmt: skip

@@ -18,7 +18,6 @@ import numpy as np
 from rich.console import Console
 
 from rewax.agents.registry import algorithm
-from rewax.envs.registry import make
 from rewax.training.config import TrainConfig
 from rewax.training.evaluation.episodes import constant_policy, make_evaluate, uniform_policy
 from rewax.training.loop.progress import say
@@ -103,11 +102,11 @@ def run_suite(
 
 def _claim(suite: Suite, out_dir: Path) -> None:
     """Keep the suite's options in ``suite.json``; results of other options do not belong into one table."""
-    path, names = out_dir / "suite.json", ("scale", "steps", "options", "num_eval_episodes")
+    path, names = out_dir / "suite.json", ("scale", "steps", "options", "env_options", "num_eval_episodes")
     options = plain({name: getattr(suite, name) for name in names})
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
-        stored = json.loads(path.read_text()) if path.is_file() else options
+        stored = {"env_options": {}, **json.loads(path.read_text())} if path.is_file() else options
         path.write_text(json.dumps(options if stored == options else stored, indent=1) + "\n")
     except (OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{out_dir} cannot hold results ({error}): choose another directory (--out)") from None
@@ -145,7 +144,7 @@ def read_result(folder: Path) -> dict[str, Any]:
 
 def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int) -> int:
     """One run, from its newest checkpoint if it has one; the signal that stopped it."""
-    folder, known, env = cell.folder(out_dir), algorithm(cell.algorithm), make(cell.task, scale=suite.scale)
+    folder, known, env = cell.folder(out_dir), algorithm(cell.algorithm), suite.env(cell.task)
     config = suite.config(cell.task, cell.algorithm)
     if cell.task in suite.steps:
         per_iteration = config.num_envs * config.steps_in(env)
@@ -234,7 +233,7 @@ def _baselines(suite: Suite, task: str, out_dir: Path) -> None:
     """Mean returns of doing nothing and of random actions, from initial states of their own; computed once."""
     if _known_baselines(out_dir, task):
         return
-    env = make(task, scale=suite.scale)
+    env = suite.env(task)
     policies = (constant_policy(jnp.zeros(env.action_spec.shape)), uniform_policy(env))
     returns = {
         name: float(_mean_return(env, policy, suite.num_eval_episodes))

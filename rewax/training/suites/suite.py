@@ -9,8 +9,9 @@ from typing import Any
 
 from rewax.agents.registry import algorithm
 from rewax.envs import registry
+from rewax.envs.base import Env
 
-BUILT_IN = ("smoke", "small", "paper", "ablations", "ablations_paper")
+BUILT_IN = ("smoke", "small", "paper", "paper_stale_mass", "ablations", "ablations_paper")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,7 @@ class Suite:
       seeds: of each pair.
       steps: control steps in all, by task; by default what each algorithm's preset says.
       options: changes of the presets, by algorithm; ``all`` for those of every algorithm that has the option.
+      env_options: keyword arguments of ``rewax.make``, by task.
       num_eval_episodes: of the final evaluation.
     """
 
@@ -34,6 +36,7 @@ class Suite:
     seeds: tuple[int, ...]
     steps: Mapping[str, int] = dataclasses.field(default_factory=dict)
     options: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
+    env_options: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
     num_eval_episodes: int = 64
 
     def __post_init__(self) -> None:
@@ -46,7 +49,7 @@ class Suite:
                 raise ValueError(f"{name} of the suite {self.name} are {list(value)}: name each of them once")
         if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in self.seeds):
             raise ValueError(f"seeds of the suite {self.name} are {list(self.seeds)}: give whole numbers from 0 on")
-        for name in ("steps", "options"):
+        for name in ("steps", "options", "env_options"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} of the suite {self.name} is no table: write [{name}] above its entries")
         for name, value in {"num_eval_episodes": self.num_eval_episodes, **self.steps}.items():
@@ -56,9 +59,14 @@ class Suite:
             registry.check_name(task)
         for name in self.algorithms:
             algorithm(name)
-        for task in self.steps:
-            if task not in self.tasks:
-                raise ValueError(f"steps of the suite {self.name} name {task!r}, which is none of its tasks: remove it")
+        for table in ("steps", "env_options"):
+            if odd := [task for task in getattr(self, table) if task not in self.tasks]:
+                raise ValueError(
+                    f"{table} of the suite {self.name} name {odd[0]!r}, which is none of its tasks: remove it"
+                )
+        for task, options in self.env_options.items():
+            if not isinstance(options, Mapping):
+                raise ValueError(f"env_options.{task} of the suite {self.name} is no table: write [env_options.{task}]")
         for name, changes in self.options.items():
             if not isinstance(changes, Mapping):
                 raise ValueError(f"options.{name} of the suite {self.name} is no table: write [options.{name}]")
@@ -77,8 +85,14 @@ class Suite:
     def only(self, *, tasks: tuple[str, ...], algorithms: tuple[str, ...], seeds: tuple[int, ...]) -> "Suite":
         """A part of the grid."""
         steps = {task: steps for task, steps in self.steps.items() if task in tasks}
+        env_options = {task: options for task, options in self.env_options.items() if task in tasks}
         options = {name: options for name, options in self.options.items() if name in (*algorithms, "all")}
-        return dataclasses.replace(self, tasks=tasks, algorithms=algorithms, seeds=seeds, steps=steps, options=options)
+        changes = {"steps": steps, "env_options": env_options, "options": options}
+        return dataclasses.replace(self, tasks=tasks, algorithms=algorithms, seeds=seeds, **changes)
+
+    def env(self, task: str) -> Env:
+        """The environment of a task, options included."""
+        return registry.make(task, scale=self.scale, **self.env_options.get(task, {}))
 
     def config(self, task: str, name: str) -> Any:
         """The configuration of an algorithm on a task, options included."""

@@ -28,6 +28,14 @@ def test_options_change_the_presets(tmp_path):
     assert [tuple(cell) for cell in cells(part)] == [("Hopper", "ppo", 3)]
 
 
+def test_options_of_an_environment(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TASK.replace("Hopper", "AntRun") + "[env_options.AntRun]\nstale_mass_matrix = true\n")
+    suite = read_suite(path)
+    assert suite.env("AntRun").stale_mass_matrix and not read_suite("paper").env("AntRun").stale_mass_matrix
+    assert suite.only(tasks=("AntRun",), algorithms=("ppo",), seeds=(3,)).env("AntRun").stale_mass_matrix
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -43,6 +51,11 @@ def test_options_change_the_presets(tmp_path):
         (TASK + "[options.all]\nnum_env = 4\n", "no algorithm of the suite mine has the option 'num_env'"),
         (TASK.replace('["Hopper"]', "[]"), "give a list with at least one entry"),
         (TASK + "[steps]\nAnt = 3\n", "steps of the suite mine name 'Ant', which is none of its tasks"),
+        (
+            TASK + "[env_options.Ant]\nonset = 0.1\n",
+            "env_options of the suite mine name 'Ant', which is none of its tasks",
+        ),
+        (TASK + "[env_options]\nHopper = 3\n", "is no table: write [env_options.Hopper]"),
         (TASK + "[options.sac]\nnum_envs = 3\n", "name 'sac', which is none of its algorithms"),
         ("scale = ", "is not TOML"),
     ],
@@ -60,6 +73,6 @@ def test_an_option_that_no_algorithm_has(tmp_path):
     path.write_text(TASK + "[options.ppo]\nnum_env = 4\n")
     with pytest.raises(ValueError, match="ppo has no option num_env: correct the suite mine"):
         read_suite(path).config("Hopper", "ppo")
-    known = "smoke, small, paper, ablations, ablations_paper"
+    known = ", ".join(BUILT_IN)
     with pytest.raises(ValueError, match=f"there is no suite 'nowhere': use {known}, or the path"):
         read_suite("nowhere")
