@@ -72,7 +72,8 @@ def run_study(task: Task, space: Space, env: Env, out_dir: str | Path, num_trial
                 if trial is None:
                     break
                 _do(study, trial, task, space, env, console, stop)
-            write_trials(study, space, out_dir)
+            with _turn(out_dir):
+                write_trials(study, space, out_dir)
         return stop.signum
 
 
