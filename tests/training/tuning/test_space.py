@@ -21,6 +21,13 @@ def test_every_corner_of_a_built_in_space_is_legal(name):
             assert getattr(dataclasses.replace(preset, **{option: value}), option) == value
 
 
+@pytest.mark.parametrize("name", sorted(SPACES))
+@pytest.mark.parametrize("task", ["Hopper", "RollingFlat"])
+def test_a_preset_lies_in_its_built_in_space(name, task):
+    space = read_space(name)
+    assert set(preset_values(space, algorithm(name).preset(task, "small"))) == set(space)
+
+
 def test_the_eight_algorithms_have_one():
     assert set(SPACES) == {"sapo", "shac", "apg", "ahac", "rpo", "ppo", "sac", "trajopt"}
 
