@@ -124,7 +124,7 @@ _FAST_CRITICS: dict[str, dict[str, Value]] = {
 _LARGE_RETURNS: dict[str, dict[str, Value]] = {
     "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
 }
-"""Tasks whose discounted returns of thousands SAC's critics reach too late at the few updates of ``small``."""
+"""Tasks with discounted returns of thousands, with which SAC starts slowly under its clipped gradient."""
 _LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
 """Tasks in which a fast change of a sequence of actions leads nowhere: whole episodes of them are chaotic."""
 
