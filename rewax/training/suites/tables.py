@@ -209,7 +209,7 @@ def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
         ("Minutes of a run, median over seeds:", _minutes),
     ):
         lines += ["", title, "", *lines[:2]]
-        for task in suite.tasks:
+        for task in [task for task in suite.tasks if any(row["task"] == task for row in rows)]:
             cells = (digest([r for r in rows if (r["task"], r["algorithm"]) == (task, name)]) for name in names)
             lines.append(f"| {task} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
