@@ -75,9 +75,13 @@ def test_what_is_not_python_is_not_ignored_by_git_and_so_goes_into_the_wheel():
     """Hatchling packs every file of the package that git would keep."""
     ignored = [line.rstrip("/").lstrip("*") for line in (ROOT / ".gitignore").read_text().splitlines() if line]
     assets = [
-        path for path in (ROOT / "rewax").rglob("*") if path.suffix in (".html", ".css", ".js", ".xml", ".toml", ".cc")
+        path
+        for path in (ROOT / "rewax").rglob("*")
+        if path.suffix in (".html", ".css", ".js", ".xml", ".toml", ".cc", ".npz", ".json")
     ]
-    assert {"player.html", "player.css", "player.js", "ant.xml", "transfer.cc"} <= {path.name for path in assets}
+    assert {"player.html", "player.css", "player.js", "ant.xml", "transfer.cc", "RollingFlat-small.npz"} <= {
+        path.name for path in assets
+    }
     assert not [path for path in assets if path.suffix in ignored or set(path.relative_to(ROOT).parts) & set(ignored)]
 
 
