@@ -16,6 +16,7 @@ from rewax.training.evaluation.programs import MODES, any_of
 from rewax.training.storage import policies
 from rewax.training.storage.policies import list_policies, load_policy, open_run, read_card, save_policy
 from rewax.training.storage.saved import SavedRun
+from rewax.training.suites.suite import read_suite
 
 CONFIG = SAPOConfig(num_envs=2, horizon=2, actor_widths=(4,), critic_widths=(4,), vector_features=4)
 SHIPPED = list_policies()
@@ -39,8 +40,8 @@ def shipped(toy, tmp_path, monkeypatch):
     return toy
 
 
-def test_there_are_policies_of_the_first_tasks():
-    assert {("RollingFlat", "small"), ("CartpoleSwingUp", "small")} <= set(SHIPPED)
+def test_each_task_of_the_small_suite_has_a_policy():
+    assert set(read_suite("small").tasks) <= {name for name, scale in SHIPPED if scale == "small"}
 
 
 @pytest.mark.parametrize(("name", "scale"), SHIPPED)
