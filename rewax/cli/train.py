@@ -67,6 +67,7 @@ def run(argv: Sequence[str]) -> int:
         TrainConfig(
             **report,
             num_iterations=num_iterations,
+            num_steps=args.steps or 0,
             run_dir=_run_dir(args, first, scale, seed),
             seed=seed,
             resume=args.resume,

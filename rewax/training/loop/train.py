@@ -86,7 +86,7 @@ def train(
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
         train_state, open_run = prepared(agent, env, config, describe, console, where, leader)
         train_step, decisions = None, []
-        if int(train_state.iteration) < config.num_iterations:
+        if not config.over(int(train_state.iteration), int(train_state.env_steps)):
             with recorded() as decisions:
                 train_step = compile_train_step(agent, train_state, console, where)
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
@@ -120,7 +120,7 @@ def _follow(agent: Agent, config: TrainConfig) -> TrainResult:
             return TrainResult(None, {}, failure="the first process did not begin")
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
         train_state, train_step = where.place(train_state), None
-        if int(train_state.iteration) < config.num_iterations:
+        if not config.over(int(train_state.iteration), int(train_state.env_steps)):
             train_step = compile_train_step(agent, train_state, Console(quiet=True), where)
         return TrainResult(follow(train_step, train_state), {})
 
