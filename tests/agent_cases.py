@@ -11,6 +11,7 @@ from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.base import Agent
 from rewax.agents.demonstrated import DemonstratedConfig
+from rewax.agents.ivw import IVWConfig
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.registry import make_agent
 from rewax.agents.rpo import RPOConfig
@@ -44,6 +45,7 @@ class Case(NamedTuple):
 
 CASES = {
     "sapo": Case("sapo", SAPOConfig(**FIRST_ORDER, initial_temperature=0.03)),
+    "sapo_ivw": Case("sapo_ivw", IVWConfig(**FIRST_ORDER, initial_temperature=0.03)),
     "shac": Case("shac", SHACConfig(**FIRST_ORDER)),
     "apg": Case("apg", APGConfig(**_POLICY, differentiate="full")),
     "apg_full": Case("apg", APGConfig(**{**_POLICY, "horizon": 0, "stagger_episodes": False})),

@@ -11,6 +11,7 @@ from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.config import RunConfig, Value
 from rewax.agents.demonstrated import DemonstratedConfig
+from rewax.agents.ivw import IVWConfig
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.rpo import RPOConfig
 from rewax.agents.sac import SACConfig
@@ -211,6 +212,12 @@ def demonstrated_preset(env_name: str, scale: str) -> DemonstratedConfig:
     options = {field.name: getattr(base, field.name) for field in dataclasses.fields(base)}
     options |= {"initial_log_std": min(base.initial_log_std, -1.0)}
     return DemonstratedConfig(**options, sequence_learning_rate=2.0 * _sequence_rate(env_name, scale))
+
+
+def ivw_preset(env_name: str, scale: str) -> IVWConfig:
+    """Hyper-parameters of SAPO with weighted steps: those of ``sapo_preset``."""
+    base = sapo_preset(env_name, scale)
+    return IVWConfig(**{field.name: getattr(base, field.name) for field in dataclasses.fields(base)})
 
 
 def _sequence_rate(env_name: str, scale: str) -> float:
