@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import toys
 
+from rewax.agents.agpo import AGPOConfig
 from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.base import Agent
@@ -45,6 +46,7 @@ class Case(NamedTuple):
 
 CASES = {
     "sapo": Case("sapo", SAPOConfig(**FIRST_ORDER, initial_temperature=0.03)),
+    "sapo_agpo": Case("sapo_agpo", AGPOConfig(**FIRST_ORDER, initial_temperature=0.03, max_ratio=2.0)),
     "sapo_ivw": Case("sapo_ivw", IVWConfig(**FIRST_ORDER, initial_temperature=0.03)),
     "shac": Case("shac", SHACConfig(**FIRST_ORDER)),
     "apg": Case("apg", APGConfig(**_POLICY, differentiate="full")),

@@ -13,8 +13,7 @@ Gradients?" (arXiv 2604.18161), of which only the abstract was at hand. The esti
 - The variance is that of the gradient with respect to the step's action, over environments, summed over components. The
   variance of the policy's parameters would take a gradient of theirs for each step.
 - Weights come from earlier iterations, so they do not depend on the gradients that they weight and add no bias.
-- The estimate leans on late steps, hence on the critics' gradient. An error of the critics is a bias that a variance does
-  not show.
+- The estimate leans on late steps, hence on the critics' gradient, whose errors are a bias that no variance shows.
 - A discount that starts anew within a rollout, where an episode ends, does not change the weights.
 """
 
@@ -78,10 +77,10 @@ class IVWState(SoftState):
 def make_ivw(env: Env, config: IVWConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SAPO with weighted steps; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
     config = IVWConfig() if config is None else config
-    return actor_agent("sapo_ivw", env, config, init=init, train_step=train_step, randomize=randomize)
+    return actor_agent("sapo_ivw", env, config, init=start, train_step=train_step, randomize=randomize)
 
 
-def init(config: IVWConfig, leaves: EnvLeaves, key: Key) -> IVWState:
+def start(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> IVWState:
     """The state of a run that has not begun."""
     networks = make_actor_critic(leaves.first(), config)
     log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
@@ -100,9 +99,7 @@ def train_step(config: IVWConfig, state: IVWState) -> tuple[IVWState, Metrics]:
     state, actor_metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
     weights = step_weights(config, state.variance)
     own = {"least_step_weight": weights.min(), "largest_step_weight": weights.max()}
-    measured = step_variance(nudges)
-    kept = jnp.where((state.iteration == 0) | ~jnp.isfinite(state.variance), 0.0, config.variance_decay)
-    variance = jnp.where(jnp.isfinite(measured), kept * state.variance + (1.0 - kept) * measured, state.variance)
+    variance = running_variance(state, nudges, config.variance_decay)
     state, metrics = sapo.after_actor(networks, state.replace(variance=variance), rollouts, key)
     return state, {**metrics, **own, **actor_metrics}
 
@@ -128,6 +125,13 @@ def actor_loss(
     end, t = rollout(env, env_state, policy, key, horizon=config.horizon, inputs=inputs, **config.gradient_flow)
     soft = sapo.bonus(networks, common.log_temperature, t.aux["entropy"]) if config.entropy_in_return else 0.0
     return rollout_loss(networks, common, end, t, t.reward + soft)
+
+
+def running_variance(state: IVWState, gradients: Array, decay: float) -> Array:
+    """The running mean with the variances of an iteration, which is the first to count; see ``step_variance``."""
+    measured = step_variance(gradients)
+    kept = jnp.where(state.iteration == 0, 0.0, decay)
+    return jnp.where(jnp.isfinite(measured), kept * state.variance + (1.0 - kept) * measured, state.variance)
 
 
 def step_variance(gradients: Array) -> Array:

@@ -7,6 +7,7 @@ their own from ``rewax.agents.<algorithm>``.
 import dataclasses
 from typing import TypeVar
 
+from rewax.agents.agpo import AGPOConfig
 from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.config import RunConfig, Value
@@ -216,8 +217,12 @@ def demonstrated_preset(env_name: str, scale: str) -> DemonstratedConfig:
 
 def ivw_preset(env_name: str, scale: str) -> IVWConfig:
     """Hyper-parameters of SAPO with weighted steps: those of ``sapo_preset``."""
-    base = sapo_preset(env_name, scale)
-    return IVWConfig(**{field.name: getattr(base, field.name) for field in dataclasses.fields(base)})
+    return IVWConfig(**dataclasses.asdict(sapo_preset(env_name, scale)))
+
+
+def agpo_preset(env_name: str, scale: str) -> AGPOConfig:
+    """Hyper-parameters of SAPO with mixed gradients: those of ``sapo_preset``."""
+    return AGPOConfig(**dataclasses.asdict(sapo_preset(env_name, scale)))
 
 
 def _sequence_rate(env_name: str, scale: str) -> float:

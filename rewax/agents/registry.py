@@ -68,6 +68,7 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     "trajopt": _own("trajopt", "TrajOptConfig"),
     "ahac": _own("ahac", "AHACConfig"),
     "rpo": _own("rpo", "RPOConfig"),
+    "sapo_agpo": _own("agpo", "AGPOConfig"),
     "sapo_ivw": _own("ivw", "IVWConfig"),
     "sapo_from_demonstrations": _own("demonstrated", "DemonstratedConfig"),
     # The ablations of the paper's Table 3.
