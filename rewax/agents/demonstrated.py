@@ -15,10 +15,11 @@ Search"; SAPO: Xing, Luk and Oh 2025. Different:
 
 import dataclasses
 import functools
+from collections.abc import Callable
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
-import optax
 
 from rewax import struct
 from rewax.agents import sapo, trajopt
@@ -91,6 +92,9 @@ class DemonstratedState(SoftState):
     cloning_opt: PyTree
 
 
+Phase: TypeAlias = Callable[[DemonstratedState], tuple[DemonstratedState, Metrics]]
+
+
 def make_demonstrated(
     env: Env, config: DemonstratedConfig | None = None, *, randomize: Randomize | None = None
 ) -> Agent:
@@ -121,14 +125,14 @@ def init(config: DemonstratedConfig, leaves: EnvLeaves, key: Key) -> Demonstrate
 def train_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
     """One iteration of the phase that the run is in. A metric that the phase lacks is NaN, a counter 0."""
     env = state.environments.env.first()
-    phases = (
+    phases: tuple[Phase, Phase] = (
         functools.partial(demonstration_step, config),
         functools.partial(sapo.train_step, config.second_phase(env)),
     )
     known = [jax.eval_shape(phase, state)[1] for phase in phases]
     everything = {name: shape for metrics in known for name, shape in metrics.items()}
 
-    def completed(phase, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
+    def completed(phase: Phase, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
         new, metrics = phase(state)
         return new, {name: metrics[name] if name in metrics else _absent(s) for name, s in everything.items()}
 
