@@ -4,7 +4,7 @@ At every step of a rollout the gradient with respect to the next state is ``shar
 rest of the rollout, plus ``1 - share`` times that of the critics' value of that state. If the critics are right, the
 expectation is that of SAPO for every share. The last step of a rollout has one step of simulation and the critics
 behind it alone; where environments begin a rollout anywhere in their episodes, its variance is that of the critics'
-gradient at any step. Share t is ``max_ratio`` times that variance over the variance of the gradient at step t, at most 1.
+gradient at any step. The share is ``max_ratio`` times that variance over the variance at the step, at most 1.
 
 Source: after Gao et al. 2024, "Adaptive-Gradient Policy Optimization" (ICML 2024), which goes over from the
 simulation's gradient to that of a critic where a batch of gradients varies much. Different:

@@ -70,5 +70,5 @@ def test_without_the_simulation_each_action_sees_its_reward_and_the_value_after_
 
 
 def test_the_shares_cut_the_state_alone():
-    with pytest.raises(ValueError, match="truncate_every is 2, state_gradient_decay 1.0: give None and 1"):
+    with pytest.raises(ValueError, match="truncate_every is 2"):
         dataclasses.replace(CONFIG, truncate_every=2)
