@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rewax.envs.wrappers import AutoReset, Vmap
     from rewax.status import Status
     from rewax.struct import replace_leaf
+    from rewax.training.storage.policies import list_policies, load_policy
 
 __version__ = "0.1.0"
 
@@ -19,12 +20,12 @@ _HOMES = {
     **dict.fromkeys(("list_envs", "make", "register"), "rewax.envs"),
     **dict.fromkeys(("ArraySpec", "Env", "State"), "rewax.envs.base"),
     **dict.fromkeys(("AutoReset", "Vmap"), "rewax.envs.wrappers"),
-    "Status": "rewax.status",
-    "replace_leaf": "rewax.struct",
-}
+    "Status": "rewax.status", "replace_leaf": "rewax.struct",
+    **dict.fromkeys(("list_policies", "load_policy"), "rewax.training.storage.policies"),
+}  # fmt: skip
 _MODULES = ("adapters", "agents", "debug", "envs", "physics", "struct", "testing", "training", "viz")
-
-__all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "make", "register", "replace_leaf"]
+__all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "list_policies", "load_policy",
+           "make", "register", "replace_leaf"]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -32,8 +33,7 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(f"rewax.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'rewax' has no attribute {name!r}")
-    globals()[name] = getattr(importlib.import_module(_HOMES[name]), name)
-    return globals()[name]
+    return globals().setdefault(name, getattr(importlib.import_module(_HOMES[name]), name))
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""How sure a mean is: bootstrap intervals and interquartile means of returns; learning curves."""
+"""How sure a mean is: intervals and interquartile means of returns; learning curves."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -26,6 +26,27 @@ def bootstrap_interval(
     tail = 50.0 * (1.0 - confidence)
     low, high = np.percentile(values[draws].mean(axis=1), [tail, 100.0 - tail])
     return float(low), float(high)
+
+
+def student_interval(values: Sequence[float] | np.ndarray, *, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of the mean of few samples, by Student's t distribution.
+
+    Resampling three values yields an interval that is far too short: they never show how far others may lie.
+
+    Args:
+      values: independent samples of about normal distribution, such as returns of seeds; at least two.
+      confidence: of the interval [-].
+
+    Returns:
+      Lower and upper end.
+    Source: Student 1908, The probable error of a mean.
+    """
+    from scipy.special import stdtrit
+
+    values = np.asarray(values, np.float64)
+    count = len(values)
+    half = stdtrit(count - 1, 0.5 + 0.5 * confidence) * values.std(ddof=1) / np.sqrt(count)
+    return float(values.mean() - half), float(values.mean() + half)
 
 
 def interquartile_mean(values: Sequence[float] | np.ndarray) -> float:

@@ -303,7 +303,13 @@ def test_notebooks_run(name, shorter, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("suite", "page"),
-    [("small", "small_suite"), ("ablations", "ablations"), ("ablations_paper", "ablations")],
+    [
+        ("small", "small_suite"),
+        ("ablations", "ablations"),
+        ("ablations_paper", "ablations"),
+        ("paper", "results"),
+        ("paper_stale_mass", "results"),
+    ],
 )
 def test_the_page_of_a_suite_shows_its_results(suite, page):
     """Fill it with ``benchmarks/suite_page.py`` after ``rewax bench``."""

@@ -1,10 +1,12 @@
 """What a wheel brings is every program in C++."""
 
 import re
+import threading
+import time
 from pathlib import Path
 
-from rewax.fixed_sources import fixed_sources
-from rewax.lowering import shipped
+from rewax.fixed_sources import build_ahead, fixed_sources
+from rewax.lowering import build, shipped
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -19,3 +21,39 @@ def test_their_libraries_have_different_names():
     names = [shipped.name(*source) for source in fixed_sources()]
     assert len(set(names)) == len(names) == 4
     assert names == [shipped.name(*source) for source in fixed_sources()]
+
+
+def test_what_is_built_ahead_is_not_built_again(monkeypatch):
+    asked = []
+    monkeypatch.setattr(build, "_load", lambda source: asked.append(source) or build.Loaded(None, "for a test"))
+    build.load.cache_clear()
+    try:
+        build_ahead().join()
+        assert [build.load(source).reason for source in asked] == ["for a test"] * 3
+        assert len(asked) == 3 and set(asked) < set(fixed_sources())
+    finally:
+        build.load.cache_clear()
+
+
+def test_threads_that_ask_for_one_program_wait_for_each_other(monkeypatch):
+    inside, most = [], []
+
+    def slow(source):
+        inside.append(source)
+        most.append(len(inside))
+        time.sleep(0.05)
+        inside.pop()
+        return build.Loaded(None, "for a test")
+
+    monkeypatch.setattr(build, "_load", slow)
+    build.load.cache_clear()
+    source = build.Source("empty", "// for a test of threads")
+    try:
+        threads = [threading.Thread(target=build.load, args=(source,)) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert most and max(most) == 1
+    finally:
+        build.load.cache_clear()

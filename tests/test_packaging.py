@@ -50,7 +50,7 @@ def extras(*names: str) -> set[str]:
 
 def test_every_dependency_is_imported_and_every_import_declared():
     used, core = third_party(ROOT / "rewax"), declared(PROJECT["dependencies"])
-    optional = extras("meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch")
+    optional = extras("meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch", "tune")
     assert core <= used, f"declared but not imported by rewax: {sorted(core - used)}"
     assert used - core == optional, f"imported by rewax but not declared: {sorted(used - core - optional)}"
 
@@ -75,9 +75,13 @@ def test_what_is_not_python_is_not_ignored_by_git_and_so_goes_into_the_wheel():
     """Hatchling packs every file of the package that git would keep."""
     ignored = [line.rstrip("/").lstrip("*") for line in (ROOT / ".gitignore").read_text().splitlines() if line]
     assets = [
-        path for path in (ROOT / "rewax").rglob("*") if path.suffix in (".html", ".css", ".js", ".xml", ".toml", ".cc")
+        path
+        for path in (ROOT / "rewax").rglob("*")
+        if path.suffix in (".html", ".css", ".js", ".xml", ".toml", ".cc", ".npz", ".json")
     ]
-    assert {"player.html", "player.css", "player.js", "ant.xml", "transfer.cc"} <= {path.name for path in assets}
+    assert {"player.html", "player.css", "player.js", "ant.xml", "transfer.cc", "RollingFlat-small.npz"} <= {
+        path.name for path in assets
+    }
     assert not [path for path in assets if path.suffix in ignored or set(path.relative_to(ROOT).parts) & set(ignored)]
 
 

@@ -1,10 +1,10 @@
-"""Bootstrap intervals, interquartile means, learning curves."""
+"""Intervals of means, interquartile means, learning curves."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from rewax.statistics import bootstrap_interval, interquartile_mean, learning_curve
+from rewax.statistics import bootstrap_interval, interquartile_mean, learning_curve, student_interval
 
 
 def test_the_interval_of_many_samples_is_that_of_the_normal_distribution():
@@ -16,6 +16,19 @@ def test_the_interval_of_many_samples_is_that_of_the_normal_distribution():
     assert bootstrap_interval([4.0]) == (4.0, 4.0)
     wide, narrow = (np.diff(bootstrap_interval(values, confidence=c))[0] for c in (0.99, 0.5))
     assert wide > 2.0 * narrow
+
+
+def test_the_interval_of_three_samples_holds_the_mean_in_95_of_100_cases():
+    """Where the bootstrap's holds it in 68."""
+    draws = np.random.default_rng(0).normal(3.0, 2.0, (2000, 3))
+    share = {
+        of: np.mean([low <= 3.0 <= high for low, high in map(of, draws)])
+        for of in (student_interval, lambda values: bootstrap_interval(values, num_resamples=200))
+    }
+    student, resampled = share.values()
+    assert student == pytest.approx(0.95, abs=0.015) and resampled < 0.8
+    expected = stats.t.interval(0.9, 2, loc=draws[0].mean(), scale=stats.sem(draws[0]))
+    np.testing.assert_allclose(student_interval(draws[0], confidence=0.9), expected)
 
 
 @pytest.mark.parametrize("count", [4, 8, 20])

@@ -124,6 +124,10 @@ _FAST_CRITICS: dict[str, dict[str, Value]] = {
     name: {"critic_learning_rate": 2e-3, "target_decay": 0.2} for name in ("AntRun", "Ant", "Hopper")
 }
 """Tasks in which SHAC's critics learn faster than its defaults, as in the reference."""
+_LARGE_RETURNS: dict[str, dict[str, Value]] = {
+    "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
+}
+"""Tasks with discounted returns of thousands, with which SAC starts slowly under its clipped gradient."""
 _LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
 """Tasks in which a fast change of a sequence of actions leads nowhere: whole episodes of them are chaotic."""
 
@@ -194,7 +198,7 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
         return _sized(SACConfig, base, batch_size=2048 if base.num_envs == 64 else 1024, **_NO_GRADIENT)
     rates = dict.fromkeys(("actor_learning_rate", "final_learning_rate", "critic_learning_rate"), 1e-3)
     sizes = {"batch_size": 256, "updates": 32, "target_rate": 0.02, "replay_size": 100_000}
-    return _sized(SACConfig, base, **sizes, **rates, **_NO_GRADIENT)
+    return _sized(SACConfig, base, **sizes, **rates, **_LARGE_RETURNS.get(env_name, {}), **_NO_GRADIENT)
 
 
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:

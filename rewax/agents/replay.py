@@ -126,6 +126,30 @@ def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discou
     )
 
 
+def return_scale(replay: Replay, discount: float) -> Array:
+    """Root mean square of the discounted returns from every step that is there to the end of its episode, shape ().
+
+    Where the buffer ends before the episode does, a return ends there too. Steps that failed count for nothing. Without
+    any reward the scale is 1.
+    """
+    steps, position = replay.steps, jnp.arange(replay.capacity)
+    newest = (replay.count - 1) % replay.capacity
+    ends = steps.done | ~steps.valid | (position == newest)[:, None]
+
+    def earlier(following: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
+        reward, end = step
+        value = reward + jnp.where(end, 0.0, discount * following)
+        return value, value
+
+    reward = jnp.where(steps.valid, steps.reward, 0.0)
+    _, returns = jax.lax.scan(
+        earlier, jnp.zeros(reward.shape[1:], reward.dtype), (reward, ends), reverse=True, unroll=8
+    )
+    there = steps.valid & (position < replay.count)[:, None]
+    scale = jnp.sqrt(jnp.mean(returns**2, where=there))
+    return jnp.where(scale > 0.0, scale, 1.0)  # a comparison with NaN is false
+
+
 def bytes_of(step: PyTree, capacity: int) -> int:
     """Memory of a buffer of so many steps of all environments [bytes]."""
     return capacity * sum(a.size * a.dtype.itemsize for a in jax.tree.leaves(step))

@@ -44,6 +44,9 @@ class SACConfig(ActorCriticConfig):
       warmup_steps: control steps of each environment with uniformly random actions before the first update.
       num_steps: n of the n-step returns.
       target_rate: share of the new parameters that the target network takes at each update.
+      normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
+        learn numbers of size 1 whatever the task's rewards, and the temperature has the same unit. Without it and with
+        returns of thousands a clipped gradient makes the start slow (docs/algorithms.md).
       initial_temperature, temperature_learning_rate, target_entropy_scale: as for SAPO.
     """
 
@@ -59,6 +62,7 @@ class SACConfig(ActorCriticConfig):
     warmup_steps: int = 32
     num_steps: Count = 3
     target_rate: Share = 0.005
+    normalize_rewards: bool = False
     initial_temperature: Positive = 1.0
     temperature_learning_rate: Positive = 5e-3
     target_entropy_scale: Positive = 0.5
@@ -145,7 +149,8 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     state, episode_metrics = state.after(config, end, t, key)
 
     start = state.common().replace(replay=None)  # what the updates change, and small
-    one_update = functools.partial(update, networks, replay)
+    scale = replays.return_scale(replay, config.discount) if config.normalize_rewards else None
+    one_update = functools.partial(update, networks, replay, scale)
     learnt, rows = jax.lax.scan(one_update, start, jax.random.split(update_key, config.updates))
     learnt = select(warming_up, start, learnt)
     metrics = {**jax.tree.map(jnp.mean, rows), "temperature": jnp.exp(learnt.log_temperature)}
@@ -167,13 +172,18 @@ def act(
     return rollout(env, env_state, policy, key, horizon=networks.config.horizon, differentiate="none")
 
 
-def update(networks: Networks, replay: Replay, state: SACState, key: Key) -> tuple[SACState, Metrics]:
-    """One update of critics, actor, temperature and target network on a batch from the replay buffer."""
+def update(
+    networks: Networks, replay: Replay, scale: Array | None, state: SACState, key: Key
+) -> tuple[SACState, Metrics]:
+    """One update of critics, actor, temperature and target network on a batch from the replay buffer.
+
+    ``scale`` divides its rewards, unless it is None.
+    """
     config, statistics = networks.config, state.environments.statistics
     batch_key, next_key, actor_key = jax.random.split(key, 3)
     batch = replays.sample(replay, batch_key, config.batch_size, num_steps=config.num_steps, discount=config.discount)
     obs, next_obs = (networks.normalize(statistics, obs) for obs in (batch.obs, batch.next_obs))
-    batch = batch._replace(obs=obs, next_obs=next_obs)
+    batch = batch._replace(obs=obs, next_obs=next_obs, reward=batch.reward if scale is None else batch.reward / scale)
 
     state, critic_metrics = critic_update(networks, state, batch, next_key)
     state, actor_metrics = actor_update(networks, state, batch, actor_key)

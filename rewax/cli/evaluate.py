@@ -15,17 +15,21 @@ class Options:
     """Options.
 
     Attributes:
-      run_dir: directory of the run.
+      run: directory of the run, or name of a task whose trained policy the package brings.
+      run_dir: the same, as an option.
+      scale: of a task given by name; by default what suits the device.
       imports: module or .py file that registers environments or algorithms.
       episodes: how many, from random starts.
       seed: draws the starts; the same seed gives the same ones to every policy.
       step: iteration of the checkpoint, the newest by default.
-      video: record an episode with deterministic actions as episode.mp4 in the run's directory.
+      video: record an episode with deterministic actions: episode.mp4 in the run's directory, or <task>.mp4 here.
       color_by: what colours particles in it: material, height, or what the environment offers (speed, strain).
       surface: show particles in it by the surfaces of their materials; needs rewax[surfaces].
     """
 
-    run_dir: str
+    run: tyro.conf.Positional[str | None] = None
+    run_dir: str | None = None
+    scale: str | None = None
     imports: Imports = ()
     episodes: int = 64
     seed: int = 0
@@ -48,18 +52,21 @@ def run(argv: Sequence[str]) -> int:
     from rewax.training.evaluation.pictures import attempt, draw_video
     from rewax.training.evaluation.recording import can_record, record
     from rewax.training.storage.cache import enable_compilation_cache
-    from rewax.training.storage.saved import load_run
+    from rewax.training.storage.policies import is_policy, open_run
     from rewax.viz.surface import need_marching_cubes
 
     quiet()
     options = parse(Options, argv, prog="rewax eval", description="Evaluate what a run has learnt.")
+    where = options.run or options.run_dir
+    if where is None or (options.run and options.run_dir):
+        raise ValueError("rewax eval needs one run directory or task: rewax eval HandFlip")
     if options.episodes < 1:
         raise ValueError(f"episodes is {options.episodes}: use 1 or more")
     if options.surface:
         need_marching_cubes()
     enable_compilation_cache()
     import_modules(options.imports)
-    saved = load_run(options.run_dir, step=options.step)
+    saved = open_run(where, step=options.step, scale=options.scale)
     evaluate = make_evaluate(saved.env, saved.agent.policy, options.episodes)
     env_name = saved.config.get("env", "an environment of one's own")
     print(f"{saved.config['agent']} on {env_name}, iteration {int(saved.train_state.iteration)}")
@@ -77,7 +84,7 @@ def run(argv: Sequence[str]) -> int:
             recording = record(env, saved.agent.policy, saved.train_state, jax.random.key(options.seed))
             return draw_video(recording, path, color_by=options.color_by, surface=options.surface)
 
-        print(attempt(Path(options.run_dir) / "episode.mp4", draw))
+        print(attempt(Path(f"{where}.mp4") if is_policy(where) else Path(where) / "episode.mp4", draw))
     return 0
 
 

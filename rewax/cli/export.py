@@ -15,14 +15,16 @@ class Options:
     """Options.
 
     Attributes:
-      run_dir: directory of the run.
-      out: folder to write to; by default ``policy`` in the run's directory.
+      run_dir: directory of the run, or name of a task whose trained policy the package brings.
+      out: folder to write to; by default ``policy`` in the run's directory, or ``<task>-policy`` here.
+      scale: of a task given by name; by default what suits the device.
       imports: module or .py file that registers environments or algorithms.
       step: iteration of the checkpoint, the newest by default.
     """
 
     run_dir: tyro.conf.Positional[str]
     out: str | None = None
+    scale: str | None = None
     imports: Imports = ()
     step: int | None = None
 
@@ -34,13 +36,14 @@ def run(argv: Sequence[str]) -> int:
       ValueError: there is no such run or checkpoint, or nothing to export; one sentence.
     """
     from rewax.training.storage.export import export_policy
-    from rewax.training.storage.saved import load_run
+    from rewax.training.storage.policies import is_policy, open_run
 
     quiet()
     options = parse(Options, argv, prog="rewax export", description="Write a trained policy as StableHLO and NumPy.")
     import_modules(options.imports)
-    saved = load_run(options.run_dir, step=options.step)
-    for path in export_policy(saved, Path(options.run_dir) / "policy" if options.out is None else options.out):
+    saved = open_run(options.run_dir, step=options.step, scale=options.scale)
+    beside = Path(f"{options.run_dir}-policy") if is_policy(options.run_dir) else Path(options.run_dir) / "policy"
+    for path in export_policy(saved, beside if options.out is None else options.out):
         print(f"wrote {path}")
     return 0
 

@@ -20,7 +20,8 @@ class Options:
     """Options.
 
     Attributes:
-      runs: directories of runs, one to eight.
+      runs: directories of runs, or names of tasks whose trained policy the package brings; one to eight.
+      scale: of the tasks given by name; by default what suits the device.
       out: page to write, an .html file.
       imports: module or .py file that registers environments or algorithms.
       seed: draws the start of the episode; the same one for runs of one environment.
@@ -33,6 +34,7 @@ class Options:
     """
 
     runs: tyro.conf.Positional[tuple[str, ...]]
+    scale: str | None = None
     out: str = "player.html"
     imports: Imports = ()
     seed: int = 0
@@ -55,15 +57,16 @@ def run(argv: Sequence[str]) -> int:
     """
     import jax
 
+    from rewax.fixed_sources import build_ahead
     from rewax.training.evaluation.recording import record
     from rewax.training.storage.cache import enable_compilation_cache
-    from rewax.training.storage.saved import load_run
+    from rewax.training.storage.policies import open_run
     from rewax.viz.player import MAX_RUNS, write_player
 
     quiet()
     options = parse(Options, argv, prog="rewax play", description="Show what runs have learnt in a browser.")
     if not 1 <= len(options.runs) <= MAX_RUNS:
-        raise ValueError(f"rewax play needs 1 to {MAX_RUNS} run directories: rewax play runs/RollingFlat-small-0")
+        raise ValueError(f"rewax play needs 1 to {MAX_RUNS} run directories or tasks: rewax play HandFlip")
     out = Path(options.out)
     if out.suffix not in (".html", ".htm") or not out.parent.is_dir():
         raise ValueError(f"out is {out}: give an .html file in a folder that exists")
@@ -71,11 +74,12 @@ def run(argv: Sequence[str]) -> int:
         raise ValueError(f"frames is {options.frames}: use 2 or more")
     enable_compilation_cache()
     import_modules(options.imports)
+    build_ahead()
     if options.live:
         return _live(options)
     recordings = []
     for directory, name in zip(options.runs, _names(options.runs), strict=True):
-        saved = load_run(directory, step=options.step)
+        saved = open_run(directory, step=options.step, scale=options.scale)
         recordings.append(
             record(
                 getattr(saved.env, "unwrapped", saved.env),
@@ -100,12 +104,15 @@ def _live(options: Options) -> int:
 
     from rewax.training.evaluation.recording import make_record
     from rewax.training.storage import checkpoint
+    from rewax.training.storage.policies import is_policy
     from rewax.training.storage.saved import load_run
     from rewax.viz.live import LiveViewer
 
     if len(options.runs) != 1 or options.step is not None:
         raise ValueError("a live view shows the newest checkpoint of one run: give one run directory, and no step")
     directory = options.runs[0]
+    if is_policy(directory):
+        raise ValueError(f"a live view shows a run that trains: rewax play {directory} shows its policy")
     saved, (name,) = load_run(directory), _names(options.runs)
     env = getattr(saved.env, "unwrapped", saved.env)
     record = make_record(env, saved.agent.policy, max_frames=options.frames, deterministic=not options.sampled)

@@ -32,6 +32,7 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: an input that cannot be; one sentence.
     """
+    from rewax.fixed_sources import build_ahead
     from rewax.training.config import ReportConfig, TrainConfig
     from rewax.training.loop.hosts import connect, leads, num_processes
     from rewax.training.loop.progress import say
@@ -82,6 +83,7 @@ def run(argv: Sequence[str]) -> int:
             f"{first.algo} on {first.env}, seed {config.seed}, {num_iterations} iterations, in {config.run_dir}",
         )
     describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
+    build_ahead(transfers=hasattr(env, "particles"))
     agent = chosen.make(env, agent_config)
     if args.num_seeds == 1:
         results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]

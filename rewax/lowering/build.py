@@ -12,6 +12,7 @@ import hashlib
 import os
 import platform
 import shlex
+import threading
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +28,8 @@ THREADS = Path(__file__).with_name("threads.h")
 
 _refused: set["Source"] = set()
 """Programs whose shipped library this JAX does not take."""
+
+_locks: dict["Source", threading.Lock] = {}
 
 
 class Source(NamedTuple):
@@ -86,8 +89,14 @@ def load(source: Source) -> Loaded:
 
     Libraries are kept in ``$XDG_CACHE_HOME/rewax/native`` (``~/.cache/rewax/native``), one for each version of the
     source, the compiler, jaxlib and the processor. The compiler is ``$CXX``, else the first of c++, g++ and clang++.
-    With ``REWAX_NATIVE=build`` in the environment, libraries that came with rewax are not used.
+    With ``REWAX_NATIVE=build`` in the environment, libraries that came with rewax are not used. Threads that ask for
+    the same program build it once.
     """
+    with _locks.setdefault(source, threading.Lock()):
+        return _load(source)
+
+
+def _load(source: Source) -> Loaded:
     if _is_unwanted():
         return Loaded(None, "REWAX_NATIVE=0 is set")
     path = shipped.find(*source) if _may_be_shipped() and source not in _refused else None

@@ -7,6 +7,7 @@ memory decides nothing anew.
 import contextlib
 import functools
 import inspect
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -33,15 +34,17 @@ class Decision(NamedTuple):
         return f"{self.function}, {RULES[self.rule]}: {where}"
 
 
-_listeners: list[list[Decision]] = []
+_listeners: list[tuple[int, list[Decision]]] = []
+"""Threads that listen, and what they have heard."""
 _named: set[Decision] = set()
 
 
 def note(function: Callable[..., Any] | str, rule: str, reason: str | None) -> None:
     """Tell everybody who listens where a rule runs, and warn once if that is XLA."""
     decision = Decision(function if isinstance(function, str) else name_of(function), rule, reason)
-    for listener in _listeners:
-        listener.append(decision)
+    for thread, heard in _listeners:
+        if thread == threading.get_ident():
+            heard.append(decision)
     if reason is not None and decision not in _named:
         _named.add(decision)
         warnings.warn(
@@ -54,17 +57,18 @@ def note(function: Callable[..., Any] | str, rule: str, reason: str | None) -> N
 
 @contextlib.contextmanager
 def recorded() -> Iterator[list[Decision]]:
-    """The decisions that are made inside of the block, in order; one function can be decided on several times.
+    """The decisions of this thread inside of the block, in order; one function can be decided on several times.
 
     Example:
       >>> with recorded() as decisions:
       ...     jax.jit(env.step).lower(state, action)
       >>> assert not [d for d in decisions if d.reason]
     """
-    listener: list[Decision] = []
+    heard: list[Decision] = []
+    listener = (threading.get_ident(), heard)
     _listeners.append(listener)
     try:
-        yield listener
+        yield heard
     finally:
         _listeners[:] = [other for other in _listeners if other is not listener]
 

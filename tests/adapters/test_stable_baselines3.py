@@ -1,12 +1,16 @@
 """A learner of another library trains on a task of rewax."""
 
+import jax
 import numpy as np
 import pytest
+import toys
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'rewax[stable-baselines3]'")
 
 import rewax  # noqa: E402
+from benchmarks import stable_baselines as comparison  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv  # noqa: E402
+from rewax.agents.registry import algorithm  # noqa: E402
 
 
 def test_its_ppo_runs_on_rolling_flat():
@@ -18,3 +22,41 @@ def test_its_ppo_runs_on_rolling_flat():
     assert any((a != b.detach().numpy()).any() for a, b in zip(before, learner.policy.parameters(), strict=True))
     action, _ = learner.predict(env.reset(seed=0)[0])
     assert np.isfinite(env.step(action)[1])
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_the_benchmark_gives_it_the_layers_of_rewax(name):
+    config = comparison.changed(
+        algorithm(name).preset("Mine", "small"),
+        [
+            "num_envs=4",
+            "horizon=4",
+            "actor_widths=(8, 6)",
+            "critic_widths=(5,)",
+            "vector_features=3",
+            "quick_compile=False",
+        ],
+    )
+    changes = ["minibatches=1", "epochs=1"] if name == "ppo" else ["batch_size=16", "updates=2", "warmup_steps=4"]
+    config, task = comparison.changed(config, changes), toys.point_mass()
+    env = comparison.Batched(task, config.num_envs, 0)
+    policy = comparison.learner(name, config, env, 0).policy
+    theirs = sum(p.numel() for n, p in policy.named_parameters() if "target" not in n)
+    state = algorithm(name).make(task, config).init(jax.random.key(0))
+    ours = sum(a.size for a in jax.tree.leaves((state.actor_params, state.critic_params)))
+    # PPO's policy there has a standard deviation apart from the network: one number for a head of 6 + 1.
+    assert theirs == ours - (6 if name == "ppo" else 0)
+    assert np.isfinite(comparison.theirs(name, task, config, [32, 64], 0)).all()
+
+
+def test_returns_there_are_those_of_whole_episodes():
+    env = comparison.Batched(toys.point_mass(), 3, 0)
+    start, total = env.reset(), np.zeros(3)
+    for _ in range(5):
+        env.step_async(np.zeros((3, 1), np.float32))
+        obs, rewards, done, infos = env.step_wait()
+        total += rewards
+    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
+    np.testing.assert_allclose([info["episode"]["r"] for info in infos], -5 * start[:, 0] ** 2, rtol=1e-5)
+    np.testing.assert_allclose([info["terminal_observation"] for info in infos], start)
+    assert (obs != start).all()  # the next episode's

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rewax.agents.replay import Step, add, bytes_of, make_replay, sample
+from rewax.agents.replay import Step, add, bytes_of, make_replay, return_scale, sample
 
 NUM_ENVS, CAPACITY, DISCOUNT = 2, 8, 0.5
 
@@ -77,3 +77,30 @@ def test_n_step_samples_equal_a_loop(seed, n, length):
         np.testing.assert_allclose(
             (drawn.reward[i], drawn.discount[i], drawn.next_obs["x"][i, 0]), (reward, weight, 10 * last + env + 0.5)
         )
+
+
+@given(seed=st.integers(0, 1000), length=st.sampled_from([4, 8, 12]))
+def test_the_scale_of_returns_equals_a_loop(seed, length):
+    rng = np.random.default_rng(seed)
+    done, valid = (rng.random((length, NUM_ENVS)) < share for share in (0.3, 0.8))
+    replay, returns = empty(), []
+    for first in range(0, length, 4):
+        part = slice(first, first + 4)
+        replay = add(replay, steps(first, 4, done=done[part], valid=valid[part]))
+    # The ring of 8 holds the steps 8 to 11, then 4 to 7: a return ends where its storage does.
+    runs = [range(4)] if length == 4 else [range(8)] if length == 8 else [range(8, 12), range(4, 8)]
+    for times in runs:
+        for env in range(NUM_ENVS):
+            total = 0.0
+            for t in reversed(times):
+                if not valid[t, env]:
+                    total = 0.0
+                    continue
+                total = 10.0 * t + env + (0.0 if done[t, env] else DISCOUNT * total)
+                returns.append(total)
+    wanted = np.sqrt(np.mean(np.square(returns))) if np.any(returns) else 1.0
+    np.testing.assert_allclose(return_scale(replay, DISCOUNT), wanted, rtol=1e-5)
+
+
+def test_without_rewards_the_scale_is_1():
+    assert return_scale(empty(), DISCOUNT) == 1.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from agent_cases import CASES, ENV, agent, trained
 
+from rewax.agents import replay as replays
 from rewax.agents import sac
 from rewax.agents.actor_critic import make_actor_critic
 from rewax.agents.replay import Sample
@@ -77,6 +78,22 @@ def test_the_entropy_goes_to_its_target():
     entropy = np.array([row["entropy"] for row in rows])
     target = -CONFIG.target_entropy_scale
     assert abs(entropy[-50:].mean() - target) < 0.1, entropy[-50:].mean()
+
+
+def test_with_normalised_rewards_their_unit_does_not_matter(start):
+    config = dataclasses.replace(CONFIG, normalize_rewards=True)
+    networks, key = make_actor_critic(ENV, config), jax.random.key(5)
+    state, _ = sac.make_sac(ENV, config).train_step(agent("sac").init(jax.random.key(0)))
+    small = state.replay
+    large = small.replace(steps=small.steps._replace(reward=1024.0 * small.steps.reward))
+    (one, _), (other, _) = (
+        sac.update(networks, replay, replays.return_scale(replay, config.discount), state, key)
+        for replay in (small, large)
+    )
+    jax.tree.map(np.testing.assert_array_equal, one.critic_params, other.critic_params)
+    jax.tree.map(np.testing.assert_array_equal, one.actor_params, other.actor_params)
+    raw, _ = sac.update(networks, large, None, state, key)
+    assert any(jax.tree.leaves(jax.tree.map(lambda a, b: bool((a != b).any()), raw.critic_params, one.critic_params)))
 
 
 def test_the_buffer_is_changed_in_place():

@@ -41,11 +41,11 @@ def test_without_a_command_the_help_names_all(capsys):
 @pytest.mark.parametrize(
     ("argv", "sentence"),
     [
-        (["trian"], "there is no command 'trian': use one of train, eval, bench, play, plot, export, landscape, envs, check, doctor, completion, or --help"),
-        (["eval"], "rewax eval needs the option --run-dir; rewax eval --help lists the options"),
+        (["trian"], "there is no command 'trian': use one of train, eval, bench, tune, play, plot, export, landscape, envs, check, doctor, completion, or --help"),
+        (["eval"], "rewax eval needs one run directory or task: rewax eval HandFlip"),
         (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: use 1 or more"),
         (["eval", "--run-dir=a", "--episode=9"], "there is no option --episode: did you mean '--episodes'? rewax eval --help lists them"),
-        (["eval", "--run-dir=nowhere"], "nowhere holds no complete checkpoint: check the path"),
+        (["eval", "--run-dir=."], ". holds no complete checkpoint: check the path"),
         (["envs", "--import=no.such.module"], "there is no module 'no.such.module' to import: check the name, or give the path of a .py file"),
     ],
 )  # fmt: skip

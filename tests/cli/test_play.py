@@ -11,6 +11,7 @@ import toys
 from rewax.cli.main import main
 from rewax.envs import registry
 from rewax.training.evaluation import pictures
+from rewax.training.storage.policies import list_policies
 
 TINY = toys.TINY
 
@@ -72,12 +73,20 @@ def test_runs_are_played_side_by_side(run, tmp_path, capsys):
     assert lines[0].startswith(f"{run}: 4 steps, return -") and lines[-1].endswith("MB: open it in a browser")
 
 
+def _neither(name, guess=""):
+    known = ", ".join(sorted({task for task, _ in list_policies()}))
+    said = f"{name!r} is neither the directory of a run nor a task with a trained policy: {guess}"
+    return f"{said}give a run's directory, or one of {known}"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "rewax play needs 1 to 8 run directories: rewax play runs/RollingFlat-small-0"),
-        (["a"] * 9, "rewax play needs 1 to 8 run directories: rewax play runs/RollingFlat-small-0"),
-        (["nowhere"], "nowhere holds no complete checkpoint: check the path"),
+        ([], "rewax play needs 1 to 8 run directories or tasks: rewax play HandFlip"),
+        (["a"] * 9, "rewax play needs 1 to 8 run directories or tasks: rewax play HandFlip"),
+        (["nowhere"], _neither("nowhere")),
+        (["HandFlop"], _neither("HandFlop", "did you mean 'HandFlip'? ")),
+        (["RollingFlat", "--live"], "a live view shows a run that trains: rewax play RollingFlat shows its policy"),
         (["a", "--out=a.mp4"], "out is a.mp4: give an .html file in a folder that exists"),
         (["a", "--out=no/such/a.html"], "out is no/such/a.html: give an .html file in a folder that exists"),
         (["a", "--frames=1"], "frames is 1: use 2 or more"),

@@ -11,6 +11,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.appearance import soft_appearance, soft_values
+from rewax.envs.kit.checks import checked_observation, checked_start
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.rigid_task import control_in_range
 from rewax.envs.kit.soft_task import Scene, Soft, check_list_every, soft_at_rest, soft_status
@@ -103,7 +104,8 @@ class CoupledTask(Task):
     def begin(self, key: Key) -> tuple[CoupledPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
-        bodies, soft, task = self.start(positions, start_key)
+        parts = ("the robot", "the soft body", "what the task keeps")
+        bodies, soft, task = checked_start(self, self.start(positions, start_key), parts)
         action, touch = jnp.zeros(self.num_actions, soft.x.dtype), no_wrench(self.model.num_bodies, soft.x)
         return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task), key
 
@@ -122,7 +124,7 @@ class CoupledTask(Task):
         return physics.replace(rigid=bodies, soft=soft, touch=touch, action=action), status
 
     def seen(self, physics: CoupledPhysics, key: Key) -> tuple[Observation, Key]:
-        return self.cloud.shown(self.observe(physics), (physics.soft.x, physics.soft.v), key)
+        return self.cloud.shown(checked_observation(self, self.observe(physics)), (physics.soft.x, physics.soft.v), key)
 
     def observed(self, physics: CoupledPhysics) -> Array:
         """The fixed points of the cloud, shape (num_points, 3)."""

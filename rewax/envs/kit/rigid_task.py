@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.checks import checked_start
 from rewax.envs.kit.task import Task, against
 from rewax.physics import rigid
 from rewax.physics.rigid import RigidModel, RigidState
@@ -73,7 +74,7 @@ class RigidTask(Task):
 
     def begin(self, key: Key) -> tuple[RigidPhysics, Key]:
         key, start_key = jax.random.split(key)
-        bodies, task = self.start(start_key)
+        bodies, task = checked_start(self, self.start(start_key), ("the bodies", "what the task keeps"))
         action = jnp.zeros(self.action_spec.shape, bodies.qpos.dtype)
         return RigidPhysics(rigid=bodies, action=action, task=task), key
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.appearance import soft_appearance, soft_values
+from rewax.envs.kit.checks import checked_observation, checked_poses, checked_start
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
 from rewax.envs.kit.task import Task, against
@@ -140,7 +141,8 @@ class SoftTask(Task):
 
     def begin(self, key: Key) -> tuple[SoftPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
-        soft, task = self.start(self.noise.apply(self.rest_positions, shift_key, stretch_key), start_key)
+        positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
+        soft, task = checked_start(self, self.start(positions, start_key), ("the soft bodies", "what the task keeps"))
         physics = SoftPhysics(
             soft=soft,
             joint_q=self.joint_start,
@@ -161,12 +163,13 @@ class SoftTask(Task):
         motion = action[: self.num_joints] * self.joint_step
         motion = jnp.clip(motion, self.joint_lower - before, self.joint_upper - before)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
-        soft, status = self._move(self.actuated(action), physics.soft, self.poses(q + fraction[:, None] * motion))
+        poses = checked_poses(self, self.poses(q + fraction[:, None] * motion), len(fraction))
+        soft, status = self._move(self.actuated(action), physics.soft, poses)
         moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=motion / self.joint_step, action=action)
         return moved, status
 
     def seen(self, physics: SoftPhysics, key: Key) -> tuple[Observation, Key]:
-        return self.cloud.shown(self.observe(physics), self.points(physics), key)
+        return self.cloud.shown(checked_observation(self, self.observe(physics)), self.points(physics), key)
 
     def at_rest(self, positions: Array) -> Soft:
         """The state of undeformed particles, or of vertices, that do not move [m]."""

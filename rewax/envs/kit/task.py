@@ -8,7 +8,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State, first_state, next_state
-from rewax.envs.kit.checks import check_action, check_key
+from rewax.envs.kit.checks import check_action, check_key, checked_observation, checked_reward
 from rewax.types import Array, Key, Observation, PyTree
 
 
@@ -69,7 +69,7 @@ class Task(struct.Replaceable):
 
     def seen(self, physics: Any, key: Key) -> tuple[Observation, Key]:
         """What a policy sees, and a key that was not used."""
-        return self.observe(physics), key
+        return checked_observation(self, self.observe(physics)), key
 
     # --- The environment ---
 
@@ -95,7 +95,7 @@ class Task(struct.Replaceable):
         check_key(key)
         physics, key = self.begin(key)
         obs, key = self.seen(physics, key)
-        return first_state(physics=physics, obs=obs, metrics=self.reward(physics)[1], key=key)
+        return first_state(physics=physics, obs=obs, metrics=checked_reward(self, self.reward(physics))[1], key=key)
 
     def step(self, state: State, action: Array) -> State:
         """One control step. Gradient: exact, through contacts; zero by components of the action beyond [-1, 1].
@@ -106,7 +106,7 @@ class Task(struct.Replaceable):
         check_action(action, self.action_spec)
         action = jnp.clip(action, -1.0, 1.0).astype(state.physics.action.dtype)
         physics, status = self.advance(state.physics, action)
-        reward, metrics = self.reward(physics)
+        reward, metrics = checked_reward(self, self.reward(physics))
         key = state.key
         if physics.task is not None:
             key, task_key = jax.random.split(key)

@@ -246,6 +246,8 @@ def load(
     Example:
       >>> model = rigid.load("humanoid.xml", integrator="implicitfast", cone="pyramidal")  # doctest: +SKIP
     """
+    if isinstance(contact_pairs, ContactPair):
+        raise ValueError(f"contact_pairs is {contact_pairs}: give a sequence, contact_pairs=(pair,) for one")
     contact_pairs = tuple(contact_pairs)
     check_contact_pairs(contact_pairs)
     compiled = with_overrides(mjcf.compile_model(source), overrides)

@@ -53,8 +53,10 @@ def record(
 
 def make_record(
     env: Env, policy: Policy, *, max_frames: int = 301, deterministic: bool = True
-) -> Callable[[PyTree, Key, str], Recording]:
+) -> Callable[..., Recording]:
     """``record`` for several training states: ``(train_state, key, name) -> recording``, compiled once.
+
+    The function's ``max_steps`` ends an episode early, after the frame that reaches so many steps.
 
     Raises:
       ValueError: too few frames, or nothing to show.
@@ -67,11 +69,11 @@ def make_record(
     reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
     see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
 
-    def made(train_state: PyTree, key: Key, name: str = "") -> Recording:
+    def made(train_state: PyTree, key: Key, name: str = "", max_steps: int | None = None) -> Recording:
         reset_key, act_key = jax.random.split(key)
-        state = reset(reset_key)
+        state = _beside(train_state, reset(reset_key))
         seen, steps, rewards, status = [see(state.physics)], [0], [], []
-        while not bool(state.done) and steps[-1] < env.episode_length:
+        while not bool(state.done) and steps[-1] < (env.episode_length if max_steps is None else max_steps):
             state, of_steps = advance(train_state, state, act_key)
             count = int(state.step_count) - steps[-1]
             reward, bits = jax.device_get(of_steps)
@@ -98,6 +100,13 @@ def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
         return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], [], "")
 
     return of
+
+
+def _beside(train_state: PyTree, state: State) -> State:
+    """The state on the training state's device: the program then takes the first state as all later ones."""
+    arrays = [leaf for leaf in jax.tree.leaves(train_state) if isinstance(leaf, jax.Array)]
+    devices = {device for array in arrays for device in array.devices()}
+    return jax.device_put(state, devices.pop()) if len(devices) == 1 else state
 
 
 def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> Callable[..., Any]:

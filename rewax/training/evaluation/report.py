@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from rewax.envs.base import Env
 from rewax.status import Status
 from rewax.training.config import ReportConfig
-from rewax.training.evaluation.episodes import Policy, make_evaluate, told_the_step, uniform_policy
 from rewax.training.evaluation.pictures import attempt, draw_page, draw_strip, draw_video, reason
-from rewax.training.evaluation.recording import can_record, record
+from rewax.training.evaluation.programs import MODES, Programs
+from rewax.training.evaluation.recording import can_record
 from rewax.training.storage.metrics import CsvWriter, read_csv
 from rewax.types import Key
 
@@ -25,7 +24,7 @@ class Evaluator:
 
     Args:
       env: unbatched environment.
-      policy: as of ``Agent.policy``.
+      programs: of the environment and the agent's policy.
       config: of the run.
       run_dir: directory of the run.
       key: draws initial states.
@@ -33,10 +32,9 @@ class Evaluator:
     """
 
     def __init__(
-        self, env: Env, policy: Policy, config: ReportConfig, run_dir: Path, key: Key, *, resume_at: int
+        self, env: Env, programs: Programs, config: ReportConfig, run_dir: Path, key: Key, *, resume_at: int
     ) -> None:
-        self._env, self._policy, self._config, self._run_dir, self._key = env, policy, config, run_dir, key
-        self._evaluate = make_evaluate(env, _any_of(env, policy), config.num_eval_episodes)
+        self._env, self._programs, self._config, self._run_dir, self._key = env, programs, config, run_dir, key
         self.csv = CsvWriter(run_dir / "eval.csv", resume_at=resume_at)
         self.last: dict[str, Any] = {}
 
@@ -51,7 +49,7 @@ class Evaluator:
         """
         row: dict[str, Any] = {"env_steps": env_steps}
         for name in ("sampled", "deterministic"):
-            result = jax.device_get(self._evaluate((train_state, _MODES.index(name)), self._key))
+            result = jax.device_get(self._programs.evaluate(train_state, name, self._key))
             row |= {f"{name}_{statistic}": result[statistic] for statistic in _STATISTICS}
             if "success" in result:
                 row[f"{name}_success"] = result["success"]
@@ -72,8 +70,8 @@ class Evaluator:
         except (OSError, ValueError, TypeError, AttributeError):  # missing or damaged
             pass
         returns = {}
-        for name in _MODES[2:]:
-            result = self._evaluate((train_state, _MODES.index(name)), self._key)
+        for name in MODES[2:]:
+            result = self._programs.evaluate(train_state, name, self._key)
             count = _failed_of(int(result["failed"]), self._config.num_eval_episodes)
             returns[name + count] = float(result["mean"])
         path.write_text(json.dumps(returns, indent=2) + "\n")
@@ -82,7 +80,7 @@ class Evaluator:
     def sentences(self, row: Mapping[str, Any]) -> list[str]:
         """What a user must know of an evaluation: its returns, how many episodes failed, and the status bits."""
         episodes = self._config.num_eval_episodes
-        failed = {mode: int(row[f"{mode}_failed"]) for mode in _MODES[:2]}
+        failed = {mode: int(row[f"{mode}_failed"]) for mode in MODES[:2]}
         returns = [
             f"{row[f'{mode}_mean']:.4g} +- {row[f'{mode}_std']:.2g} {mode}{_failed_of(count, episodes)}"
             for mode, count in failed.items()
@@ -93,7 +91,7 @@ class Evaluator:
                 f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns "
                 "are those of the steps before: shorter substeps or softer contacts and materials help"
             )
-        bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in _MODES[:2]) for bit in Status if bit}
+        bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in MODES[:2]) for bit in Status if bit}
         if any(bits.values()):
             counts = ", ".join(f"{name} in {count}" for name, count in bits.items() if count)
             said.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status says what each means)")
@@ -111,7 +109,7 @@ class Evaluator:
         if not can_record(env):
             return said
         try:
-            recording = record(env, self._policy, train_state, self._key, name=self._run_dir.resolve().name)
+            recording = self._programs.record(train_state, self._key, self._run_dir.resolve().name)
         except Exception as error:  # an environment's own code is called
             return [*said, f"warning: episode.png was not drawn ({reason(error)}); nothing else is affected"]
         frames = self._config.num_frames
@@ -135,26 +133,5 @@ class Evaluator:
         self.csv.close()
 
 
-_MODES = ("sampled", "deterministic", "no action", "random actions")
-
-
 def _failed_of(failed: int, episodes: int) -> str:
     return f" ({failed} of {episodes} episodes failed)" if failed else ""
-
-
-def _any_of(env: Env, policy: Policy) -> Policy:
-    """A policy of ``(train_state, mode)``: one program, compiled once, for the agent's policies and the baselines."""
-    random, told = uniform_policy(env), told_the_step(policy)
-
-    def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> jax.Array:
-        train_state, mode = state_and_mode
-        shape, dtype = env.action_spec.shape, jnp.result_type(float)
-        branches = (
-            lambda: told(train_state, obs, key, step, False).astype(dtype),
-            lambda: told(train_state, obs, key, step, True).astype(dtype),
-            lambda: jnp.zeros(shape, dtype),
-            lambda: random(None, obs, key).astype(dtype),
-        )
-        return jax.lax.switch(mode, branches)
-
-    return choose

@@ -4,7 +4,7 @@ import contextlib
 import functools
 import gc
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -18,10 +18,18 @@ _QUICK = {"xla_cpu_use_fusion_emitters": False}
 """XLA's older generator of code for loops. XLA of jax 0.12 has it no more."""
 
 
-def compile_train_step(agent: Agent, train_state: Any, console: Console, where: Placement = ONE_DEVICE) -> Any:
+def compile_train_step(
+    agent: Agent,
+    train_state: Any,
+    console: Console,
+    where: Placement = ONE_DEVICE,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> Any:
     """Compile ``agent.train_step`` ahead of the first iteration, telling the user how long it takes.
 
-    On a CPU the agent's ``config.quick_compile`` chooses the generator of code, see ``RunConfig``.
+    On a CPU the agent's ``config.quick_compile`` chooses the generator of code, see ``RunConfig``. ``meanwhile`` is
+    called between tracing, which is Python's work, and compiling, which is XLA's: a thread that it starts has Python
+    to itself.
 
     Returns:
       The compiled function; it never traces again.
@@ -32,6 +40,7 @@ def compile_train_step(agent: Agent, train_state: Any, console: Console, where: 
     began = time.perf_counter()
     with no_garbage_collection():
         lowered = where.lowered(agent.train_step, train_state, donate=agent.consumes)
+        meanwhile()
         compiled = lowered.compile(compiler_options(agent))
     divided = f", environments on {where.num_devices} devices" if where.divides(train_state) else ""
     say(console, f"compiled in {time.perf_counter() - began:.1f} s{divided}")

@@ -11,6 +11,7 @@ from rich.console import Console
 from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.training.config import TrainConfig
+from rewax.training.evaluation.programs import Programs
 from rewax.training.evaluation.report import Evaluator
 from rewax.training.loop.devices import on_one_device
 from rewax.training.loop.failure import FailureWatch, FiniteCheck
@@ -48,6 +49,7 @@ class Run:
 
     Args:
       agent, env, config, console: as for ``train``.
+      programs: of evaluations and pictures.
       run_dir: directory of the run, which exists.
       key: draws the initial states of evaluations.
       train_state: to begin with.
@@ -58,6 +60,7 @@ class Run:
         self,
         agent: Agent,
         env: Env,
+        programs: Programs,
         config: TrainConfig,
         run_dir: Path,
         key: Key,
@@ -71,7 +74,7 @@ class Run:
         self.metrics = CsvWriter(run_dir / "metrics.csv", resume_at=resume_at)
         self.timing = CsvWriter(run_dir / "timing.csv", resume_at=resume_at)
         self.boards = _boards(config, run_dir, resume_at)
-        self.evaluator = Evaluator(env, agent.policy, config, run_dir, key, resume_at=resume_at)
+        self.evaluator = Evaluator(env, programs, config, run_dir, key, resume_at=resume_at)
         self.watch, self.finite = FailureWatch(env, config), FiniteCheck(train_state)
         self._healthy: int | None = checkpoint.latest_step(run_dir)
         self._consumes, self._env_steps = agent.consumes, int(train_state.env_steps)

@@ -13,8 +13,9 @@ from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.lowering.report import recorded
 from rewax.training.config import ReportConfig, TrainConfig
+from rewax.training.evaluation.programs import Programs
 from rewax.training.loop.compilation import compile_train_step
-from rewax.training.loop.devices import ONE_DEVICE, Placement, placement
+from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, placement
 from rewax.training.loop.hosts import Leader, follow, leads, received
 from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
@@ -30,6 +31,7 @@ from rewax.training.storage.description import (
 from rewax.training.storage.metrics import need_wandb
 from rewax.training.storage.run_directory import hold
 from rewax.training.storage.schedule import continued
+from rewax.types import Key
 
 _EVALUATION_STREAM = 0x5EED  # folded into the seed, so that evaluation draws other numbers than training
 _NOTHING_KEPT = "stopped while compiling: nothing was trained, and nothing is kept"
@@ -84,11 +86,17 @@ def train(
     ):
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
-        train_state, open_run = prepared(agent, env, config, describe, console, where, leader)
+        programs = Programs(env, agent.policy, config)
+        train_state, open_run = prepared(agent, env, config, describe, console, where, leader, programs)
         train_step, decisions = None, []
         if not config.over(int(train_state.iteration), int(train_state.env_steps)):
             with recorded() as decisions:
-                train_step = compile_train_step(agent, train_state, console, where)
+                begin = functools.partial(
+                    programs.compile_in_background, on_one_device(train_state), _evaluation_key(config)
+                )
+                train_step = compile_train_step(agent, train_state, console, where, begin)
+        if agent.consumes:
+            programs.wait()  # the first iteration takes the state away
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
         run = open_run()
         append_lowering(config.run_dir, decisions)
@@ -133,6 +141,7 @@ def prepared(
     console: Console,
     where: Placement = ONE_DEVICE,
     leader: Leader | None = None,
+    programs: Programs | None = None,
 ) -> tuple[Any, Callable[[], Run]]:
     """The training state to begin with, and a function that opens the run's files; before it nothing is written.
 
@@ -150,12 +159,16 @@ def prepared(
         schedule = continued(stored, int(train_state.iteration), config)
         write_config(run_dir, {**description, "schedule": schedule})
         write_environment(run_dir)
-        key = jax.random.fold_in(seed_key, _EVALUATION_STREAM)
-        run = Run(agent, env, config, run_dir, key, train_state, console, leader)
+        key, known = _evaluation_key(config), programs or Programs(env, agent.policy, config)
+        run = Run(agent, env, known, config, run_dir, key, train_state, console, leader)
         run.report_lost_rows(schedule)
         return run
 
     return train_state, open_run
+
+
+def _evaluation_key(config: TrainConfig) -> Key:
+    return jax.random.fold_in(jax.random.key(config.seed), _EVALUATION_STREAM)
 
 
 __all__ = ["ReportConfig", "TrainConfig", "TrainResult", "prepared", "train"]

@@ -1,6 +1,7 @@
 """Trained policies from their run directories."""
 
 import dataclasses
+import inspect
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from rewax.envs import registry
 from rewax.envs.base import Env
 from rewax.training.storage import checkpoint
 from rewax.training.storage.description import read_config
+from rewax.types import Array, Key, Observation
 
 
 class SavedRun(NamedTuple):
@@ -30,6 +32,24 @@ class SavedRun(NamedTuple):
     agent: Agent
     train_state: Any
     config: dict[str, Any]
+
+    @property
+    def looks(self) -> bool:
+        """The policy depends on observations; that of a sequence of actions on the number of the step alone."""
+        return "step" not in inspect.signature(self.agent.policy).parameters
+
+    def act(self, obs: Observation, key: Key | None = None) -> Array:
+        """The action for one environment: drawn with ``key``, or the deterministic one without; ``vmap`` for more.
+
+        Raises:
+          ValueError: the run learnt a sequence of actions.
+        """
+        if not self.looks:
+            raise ValueError(
+                "this run learnt a sequence of actions: call agent.policy(train_state, obs, key, step=...) instead"
+            )
+        drawn = jax.random.key(0) if key is None else key
+        return self.agent.policy(self.train_state, obs, drawn, deterministic=key is None)
 
 
 def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = None) -> SavedRun:

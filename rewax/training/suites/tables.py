@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from rewax.statistics import Curve, bootstrap_interval, interquartile_mean, learning_curve
+from rewax.statistics import Curve, interquartile_mean, learning_curve, student_interval
 from rewax.training.storage.metrics import read_csv
 from rewax.training.suites.suite import Suite
 
@@ -193,9 +193,9 @@ def _read_curves(path: Path) -> dict[Run, Curve]:
 
 
 def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
-    """One line per task, one column per algorithm: mean return with sampled actions, and its 95 % bootstrap interval
-    over seeds. Brackets say where seeds have failed, which are left out, or are not done yet. Below it interquartile
-    means, and how long runs took, with compilation and evaluation where that is known.
+    """One line per task, one column per algorithm: mean return with sampled actions, and from three seeds on its 95 %
+    interval by Student's t. Brackets say where seeds have failed, which are left out, or are not done yet. Below it
+    interquartile means, and how long runs took, with compilation and evaluation where that is known.
     """
     names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
     names += suite.algorithms
@@ -209,7 +209,7 @@ def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
         ("Minutes of a run, median over seeds:", _minutes),
     ):
         lines += ["", title, "", *lines[:2]]
-        for task in suite.tasks:
+        for task in [task for task in suite.tasks if any(row["task"] == task for row in rows)]:
             cells = (digest([r for r in rows if (r["task"], r["algorithm"]) == (task, name)]) for name in names)
             lines.append(f"| {task} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -230,11 +230,10 @@ def _cell(suite: Suite, rows: Sequence[dict[str, Any]], task: str, name: str) ->
     returns = _finite(done)
     if not returns:
         return "failed" if done else ""
-    if len(returns) == 1:
-        text = _number(returns[0])
-    else:
-        low, high = bootstrap_interval(returns)
-        text = f"{_number(sum(returns) / len(returns))} [{_number(low)}, {_number(high)}]"
+    text = _number(sum(returns) / len(returns))
+    if len(returns) > 2:
+        low, high = student_interval(returns)
+        text += f" [{_number(low)}, {_number(high)}]"
     left = len(suite.seeds) - len(done) if name in suite.algorithms else 0
     notes = [f"{count} {what}" for count, what in ((len(done) - len(returns), "failed"), (left, "to do")) if count]
     return text + (f" ({', '.join(notes)})" if notes else "")

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from rewax.envs.base import ArraySpec
-from rewax.envs.kit.checks import check_action, check_key
+from rewax.envs.kit.checks import (
+    check_action,
+    check_key,
+    checked_observation,
+    checked_poses,
+    checked_reward,
+    checked_start,
+)
+from rewax.physics.numerics import Pose
 
 
 @pytest.mark.parametrize("action", [np.zeros(3), jnp.zeros(3), [0.0, 1.0, 2.0]])
@@ -52,3 +60,54 @@ def test_several_keys_are_refused(key):
         ValueError, match=r"^the key holds keys of shape \(4,\): give one key, and jax\.vmap over reset"
     ):
         check_key(key)
+
+
+class Task:
+    """Only its name counts."""
+
+
+@pytest.mark.parametrize(
+    ("check", "sentence"),
+    [
+        (
+            lambda task: checked_observation(task, jnp.zeros(3)),
+            'Task.observe returned an array of float32 of shape (3,): return a dict of arrays, {"state": ...} for example',
+        ),
+        (lambda task: checked_observation(task, {}), "Task.observe returned a dict: return a dict of arrays"),
+        (
+            lambda task: checked_reward(task, jnp.zeros(())),
+            "Task.reward returned an array of float32 of shape (): return the reward and a dict of scalars to log",
+        ),
+        (lambda task: checked_reward(task, (1.0, {}, 2)), "Task.reward returned a tuple of 3: return the reward and"),
+        (
+            lambda task: checked_reward(task, (jnp.zeros(2), {})),
+            "Task.reward returned the reward of shape (2,): return scalars, of shape ()",
+        ),
+        (
+            lambda task: checked_reward(task, (0.0, {"speed": jnp.zeros(3)})),
+            "Task.reward returned 'speed' of shape (3,): return scalars, of shape ()",
+        ),
+        (
+            lambda task: checked_start(task, jnp.zeros(3), ("the bodies", "what the task keeps")),
+            "Task.start returned an array of float32 of shape (3,): return the bodies and what the task keeps, which may "
+            "be None",
+        ),
+        (
+            lambda task: checked_poses(task, Pose(jnp.zeros((9, 3)), jnp.zeros((9, 3, 3))), 9),
+            "Task.poses returned positions of shape (9, 3) and rotations of shape (9, 3, 3) for 9 moments: return shapes "
+            "(9, num_bodies, 3) and (9, num_bodies, 3, 3), also for one body",
+        ),
+    ],
+)
+def test_what_a_task_returns_wrongly_is_one_sentence(check, sentence):
+    with pytest.raises(ValueError) as error:
+        check(Task())
+    assert str(error.value).startswith(sentence) and "\n" not in str(error.value)
+
+
+def test_what_a_task_returns_rightly_passes():
+    task, pose = Task(), Pose(jnp.zeros((9, 1, 3)), jnp.zeros((9, 1, 3, 3)))
+    assert checked_poses(task, pose, 9) is pose
+    assert checked_reward(task, (0.5, {"speed": jnp.zeros(())}))[0] == 0.5
+    assert checked_start(task, (1, None), ("the bodies", "what the task keeps")) == (1, None)
+    assert list(checked_observation(task, {"x": jnp.zeros(2)})) == ["x"]

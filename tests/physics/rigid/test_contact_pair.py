@@ -90,3 +90,9 @@ def test_models_with_the_same_pairs_share_programs():
     )  # fmt: skip
     assert first.static == again.static and hash(first.static) == hash(again.static)
     assert plain.static != first.static and jax.tree.structure(plain) != jax.tree.structure(first)
+
+
+def test_a_pair_that_is_no_sequence_is_refused():
+    pair = ContactPair(("sphere", "sphere"), 1, spheres)
+    with pytest.raises(ValueError, match=re.escape("give a sequence, contact_pairs=(pair,) for one")):
+        rigid.load(BALLS, contact_pairs=pair)

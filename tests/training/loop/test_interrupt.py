@@ -48,6 +48,10 @@ def test_ctrl_c_while_compiling_leaves_at_once(tmp_path, compiled, sentence, kep
     )
     while process.stdout.readline() != "waiting\n":
         assert process.poll() is None
+    while kept and not (tmp_path / "a" / "checkpoints" / "0").is_dir():  # the policy is compiled beside the train step
+        time.sleep(0.5)
+        assert process.poll() is None
+    time.sleep(1.0)
     began = time.monotonic()
     process.send_signal(signal.SIGINT)
     text, _ = process.communicate(timeout=60)

@@ -1,0 +1,261 @@
+"""PPO and SAC of rewax beside those of Stable-Baselines3, on one task with the networks and options of one preset.
+
+    pip install 'rewax[stable-baselines3]'
+    python -m benchmarks.stable_baselines --algo sac --env CartpoleSwingUp --steps 102400 307200 --seeds 0 1 2 3 4
+    python -m benchmarks.stable_baselines --algo ppo --env Hopper --steps 409600 --seeds 0 1 2 3 4
+
+(`-m`, because torch would take `benchmarks/profile.py` for the module `profile` of Python.)
+
+Prints the mean return of 64 episodes with sampled actions after so many control steps of all environments together.
+``--options name=value`` changes the preset of both, ``--rewax name=value`` that of rewax alone.
+
+Both have the preset's number of environments, horizon, layers (linear, LayerNorm, activation), batches, updates,
+learning rates and weight decay. Different in Stable-Baselines3: its initialisers. In its PPO the normal distribution's
+actions are clipped, its standard deviation is a parameter, ``target_kl`` ends an iteration's epochs early where that of
+rewax steers the learning rate, and rewards are normalised where rewax normalises values. In its SAC no gradient is
+clipped, and the temperature has the learning rate of the networks. With ``normalize_rewards`` its ``VecNormalize``
+divides rewards by the standard deviation of returns.
+"""
+
+import argparse
+import ast
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import jax
+import numpy as np
+import torch
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.sac.policies import SACPolicy
+from torch import nn
+
+import rewax
+from rewax.adapters.gymnasium_env import GymnasiumVectorEnv
+from rewax.agents.registry import algorithm
+from rewax.training.evaluation.episodes import make_evaluate
+from rewax.training.storage.cache import enable_compilation_cache
+
+NUM_EPISODES = 64
+ACTIVATIONS = {"silu": nn.SiLU, "elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
+
+
+class Batched(VecEnv):
+    """Environments of rewax in one compiled program, as Stable-Baselines3 sees them; observations are one vector."""
+
+    def __init__(self, env: Any, num_envs: int, seed: int) -> None:
+        self.envs, self._first_seed = GymnasiumVectorEnv(env, num_envs), seed
+        size = sum(int(np.prod(spec.shape)) for spec in env.observation_spec.values())
+        obs_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        super().__init__(num_envs, obs_space, self.envs.single_action_space)
+
+    def reset(self) -> np.ndarray:
+        self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, int)
+        return self._flat(self.envs.reset(seed=self._first_seed)[0])
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        obs, rewards, terminated, truncated, more = self.envs.step(self._actions)
+        done, infos = terminated | truncated, [{} for _ in range(self.num_envs)]
+        self._returns += rewards
+        self._lengths += 1
+        for i in np.flatnonzero(done):
+            last = {name: value[None] for name, value in more["final_obs"][i].items()}
+            infos[i] = {
+                "terminal_observation": self._flat(last)[0],
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "episode": {"r": self._returns[i], "l": self._lengths[i]},
+            }
+        self._returns[done], self._lengths[done] = 0.0, 0
+        return self._flat(obs), rewards.astype(np.float32), done, infos
+
+    def _flat(self, obs: dict[str, np.ndarray]) -> np.ndarray:
+        return np.concatenate([obs[name].reshape(self.num_envs_of(obs), -1) for name in sorted(obs)], axis=1)
+
+    @staticmethod
+    def num_envs_of(obs: dict[str, np.ndarray]) -> int:
+        return len(next(iter(obs.values())))
+
+    def close(self) -> None: ...
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self.envs, attr_name, None)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        setattr(self.envs, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        return [getattr(self.envs, method_name)(*args, **kwargs)] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+def layers(size: int, widths: Sequence[int], activation: str, *, end: int | None = None) -> nn.Sequential:
+    """Linear, LayerNorm and activation for each width; with ``end`` one more linear layer."""
+    parts: list[nn.Module] = []
+    for width in widths:
+        parts += [nn.Linear(size, width), nn.LayerNorm(width, eps=1e-6), ACTIVATIONS[activation]()]
+        size = width
+    return nn.Sequential(*parts, *([] if end is None else [nn.Linear(size, end)]))
+
+
+class Encoder(BaseFeaturesExtractor):
+    """The first layer of rewax's networks, of its own for actor and critic."""
+
+    def __init__(self, observation_space: gymnasium.spaces.Box, width: int, activation: str) -> None:
+        size = observation_space.shape[0]
+        super().__init__(observation_space, width or size)
+        self.layers = layers(size, [width] if width else [], activation)
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        return self.layers(obs)
+
+
+class Heads(nn.Module):
+    """What follows the encoders of PPO's actor and critic."""
+
+    def __init__(self, size: int, config: Any) -> None:
+        super().__init__()
+        self.latent_dim_pi, self.latent_dim_vf = config.actor_widths[-1], config.critic_widths[-1]
+        self.forward_actor = layers(size, config.actor_widths, config.activation)
+        self.forward_critic = layers(size, config.critic_widths, config.activation)
+
+
+def ppo_policy(config: Any) -> type[ActorCriticPolicy]:
+    """PPO's policy with the preset's layers."""
+
+    class Policy(ActorCriticPolicy):
+        def _build_mlp_extractor(self) -> None:
+            self.mlp_extractor = Heads(self.features_dim, config)
+
+    return Policy
+
+
+def sac_policy(config: Any) -> type[SACPolicy]:
+    """SAC's policy with the preset's layers."""
+
+    class Policy(SACPolicy):
+        def make_actor(self, features_extractor: Any = None) -> Any:
+            actor = super().make_actor(features_extractor)
+            actor.latent_pi = layers(actor.features_dim, config.actor_widths, config.activation)
+            return actor
+
+        def make_critic(self, features_extractor: Any = None) -> Any:
+            critic = super().make_critic(features_extractor)
+            size = critic.features_extractor.features_dim + int(np.prod(self.action_space.shape))
+            for i in range(critic.n_critics):
+                setattr(critic, f"qf{i}", layers(size, config.critic_widths, config.activation, end=1))
+            critic.q_networks = [getattr(critic, f"qf{i}") for i in range(critic.n_critics)]
+            return critic
+
+    return Policy
+
+
+def learner(name: str, config: Any, env: VecEnv, seed: int) -> Any:
+    """Stable-Baselines3's algorithm with a configuration of rewax."""
+    features = {"width": config.vector_features, "activation": config.activation}
+    shared = {"gamma": config.discount, "learning_rate": config.actor_learning_rate, "seed": seed, "device": "cpu"}
+    policy_kwargs = {
+        "features_extractor_class": Encoder,
+        "features_extractor_kwargs": features,
+        "optimizer_class": torch.optim.AdamW,
+        "optimizer_kwargs": {"weight_decay": config.weight_decay, "betas": (config.adam_b1, config.adam_b2)},
+        "share_features_extractor": False,
+    }
+    if name == "ppo":
+        return PPO(
+            ppo_policy(config), env, n_steps=config.horizon, batch_size=config.samples // config.minibatches,
+            n_epochs=config.epochs, gae_lambda=config.gae_lambda, clip_range=config.clip_range,
+            ent_coef=config.entropy_coefficient, vf_coef=config.value_coefficient / 2,  # theirs has no factor 1/2
+            max_grad_norm=config.max_grad_norm, target_kl=config.target_kl, policy_kwargs=policy_kwargs, **shared,
+        )  # fmt: skip
+    sizes = {"pi": list(config.actor_widths), "qf": list(config.critic_widths)}
+    return SAC(
+        sac_policy(config), env, batch_size=config.batch_size, tau=config.target_rate, n_steps=config.num_steps,
+        buffer_size=config.replay_size, learning_starts=config.warmup_steps * config.num_envs,
+        train_freq=config.horizon, gradient_steps=config.updates, ent_coef=f"auto_{config.initial_temperature}",
+        target_entropy=-config.target_entropy_scale * np.prod(env.action_space.shape),
+        policy_kwargs={**policy_kwargs, "net_arch": sizes, "n_critics": config.num_critics}, **shared,
+    )  # fmt: skip
+
+
+def theirs(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -> list[float]:
+    """Returns of Stable-Baselines3 after each number of control steps."""
+    scaled = {"norm_reward": name == "ppo" or config.normalize_rewards, "gamma": config.discount}
+    limited = {"norm_obs": config.normalize_observations, "clip_obs": config.observation_clip or np.inf}
+    env = VecNormalize(Batched(task, config.num_envs, seed), **scaled, **limited)
+    model, found = learner(name, config, env, seed), []
+    for total in steps:
+        model.learn(total - model.num_timesteps, reset_num_timesteps=not found)
+        found.append(evaluated(model, env, task, seed))
+    return found
+
+
+def evaluated(model: Any, trained_in: VecNormalize, task: Any, seed: int) -> float:
+    """Mean return of first episodes, with sampled actions."""
+    env = Batched(task, NUM_EPISODES, 1000 + seed)
+    obs, returns = env.reset(), np.full(NUM_EPISODES, np.nan)
+    while np.isnan(returns).any():
+        obs, _, done, infos = env.step(model.predict(trained_in.normalize_obs(obs), deterministic=False)[0])
+        for i in np.flatnonzero(done & np.isnan(returns)):
+            returns[i] = infos[i]["episode"]["r"]
+    return float(returns.mean())
+
+
+def ours(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -> list[float]:
+    """Returns of rewax after each number of control steps."""
+    agent = algorithm(name).make(task, config)
+    evaluate = make_evaluate(task, agent.policy, NUM_EPISODES)
+    state, found = agent.init(jax.random.key(seed)), []
+    for total in steps:
+        while int(state.iteration) * config.samples < total:
+            state, _ = agent.train_step(state)
+        found.append(float(evaluate(state, jax.random.key(1000 + seed))["mean"]))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--algo", choices=("ppo", "sac"), default="sac")
+    parser.add_argument("--env", default="CartpoleSwingUp")
+    parser.add_argument("--steps", type=int, nargs="+", default=[102_400, 307_200])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    parser.add_argument("--options", nargs="*", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--rewax", nargs="*", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--only", choices=("rewax", "stable-baselines3"))
+    args = parser.parse_args()
+    enable_compilation_cache()
+    torch.set_num_threads(1)
+    task = rewax.make(args.env, scale="small")
+    config = changed(algorithm(args.algo).preset(args.env, "small"), args.options)
+    runs = {
+        "rewax": lambda seed: ours(args.algo, task, changed(config, args.rewax), args.steps, seed),
+        "stable-baselines3": lambda seed: theirs(args.algo, task, config, args.steps, seed),
+    }
+    for name, run in runs.items():
+        if args.only not in (None, name):
+            continue
+        rows = []
+        for seed in args.seeds:
+            rows.append(run(seed))
+            print(f"{name:18s} seed {seed} {'':7s}", *(f"{value:10.1f}" for value in rows[-1]), flush=True)
+        mean, std = np.mean(rows, axis=0), np.std(rows, axis=0)
+        print(f"{name:18s} mean after {args.steps}:", *(f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, std, strict=True)))
+
+
+def changed(config: Any, changes: Sequence[str]) -> Any:
+    """A configuration with other values of some options, written ``name=value``."""
+    return dataclasses.replace(
+        config, **{name: ast.literal_eval(value) for name, value in (c.split("=") for c in changes)}
+    )
+
+
+if __name__ == "__main__":
+    main()

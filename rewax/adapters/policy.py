@@ -1,0 +1,55 @@
+"""A trained policy for the environments of other libraries: NumPy arrays in, NumPy arrays out.
+
+    act = numpy_policy(rewax.load_policy("HandFlip"))
+    obs, reward, terminated, truncated, info = env.step(act(obs))
+
+It needs no library but rewax's own; no gradient passes through. For tensors with gradients put ``SavedRun.act`` into
+``torch_function``.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from rewax.training.storage.saved import SavedRun
+
+
+def numpy_policy(
+    run: SavedRun, *, deterministic: bool = True, seed: int = 0
+) -> Callable[[Mapping[str, Any]], np.ndarray]:
+    """The policy of a run, compiled for one observation or for a batch, whichever it is called with.
+
+    Args:
+      run: from ``load_policy`` or ``load_run``.
+      deterministic: the most likely action; else one that is drawn.
+      seed: of the draws.
+
+    Returns:
+      ``act(obs)``: ``obs`` is a dict of arrays by name, as ``GymnasiumEnv``, ``GymnasiumVectorEnv`` and
+      ``DmEnvironment`` give it; the action has its leading axis. ValueError: an array is missing or has another shape.
+    """
+    shapes = {name: tuple(spec.shape) for name, spec in run.env.observation_spec.items()}
+    generator = np.random.default_rng(seed)
+
+    def one(obs: Any, key: Any) -> Any:
+        return run.act(obs, None if deterministic else key)
+
+    single, batched = jax.jit(one), jax.jit(jax.vmap(one))
+
+    def act(obs: Mapping[str, Any]) -> np.ndarray:
+        arrays = {name: np.asarray(obs[name], np.float32) for name in shapes if name in obs}
+        found = {name: array.shape for name, array in arrays.items()}
+        key = jax.random.key(int(generator.integers(2**31)))
+        if found == shapes:
+            return np.asarray(single(arrays, key))
+        leading = {shape[:1] for shape in found.values()}
+        if len(leading) != 1 or {name: shape[1:] for name, shape in found.items()} != shapes:
+            raise ValueError(f"the observation has the arrays {found}: this policy needs {shapes}, or a batch of them")
+        return np.asarray(batched(arrays, jax.random.split(key, leading.pop()[0])))
+
+    return act
+
+
+__all__ = ["numpy_policy"]

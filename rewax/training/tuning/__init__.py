@@ -1,0 +1,1 @@
+"""Search for hyper-parameters: spaces, trials, and studies that several processes share."""

@@ -1,0 +1,69 @@
+"""What a study has found: a table of its trials, and the best one as options for ``rewax train`` and for a suite."""
+
+import csv
+import json
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rewax.agents.config import Value
+from rewax.training.tuning.space import Space
+from rewax.training.tuning.trial import Task
+
+
+class Best(NamedTuple):
+    """The best trial: its number, its mean return, and the values of the options that were searched."""
+
+    number: int
+    mean: float
+    values: dict[str, Value]
+
+
+def best_trial(study: Any, space: Space) -> Best | None:
+    """Of those that were trained to the end; None if there is none."""
+    done = [trial for trial in study.get_trials(deepcopy=False) if trial.state.name == "COMPLETE"]
+    if not done:
+        return None
+    best = max(done, key=lambda trial: trial.value)
+    return Best(best.number, best.value, _values(best, space))
+
+
+def write_trials(study: Any, space: Space, out_dir: Path) -> None:
+    """``trials.csv``: a row for each trial, with its mean return, or the last one before it was pruned."""
+    unfinished = out_dir / "trials.csv.writing"
+    with unfinished.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["trial", "state", "mean", "reports", *space, "failure"])
+        for trial in study.get_trials(deepcopy=False):
+            last = max(trial.intermediate_values, default=0)
+            mean = trial.intermediate_values.get(last, "") if trial.value is None else trial.value
+            values, failure = _values(trial, space), trial.user_attrs.get("failure", "")
+            state = "failed" if failure else trial.state.name.lower()
+            writer.writerow([trial.number, state, mean, last, *(values.get(name, "") for name in space), failure])
+    unfinished.replace(out_dir / "trials.csv")
+
+
+def as_command(task: Task, values: Mapping[str, Value]) -> str:
+    """``rewax train`` with these values."""
+    argv = ["rewax", "train", "--env", task.env, "--scale", task.scale, "--algo", task.algo]
+    for name, value in values.items():
+        flag = f"--{task.algo.replace('_', '-')}.{name.replace('_', '-')}"
+        if isinstance(value, bool):
+            argv.append(flag if value else flag.replace(".", ".no-"))
+        else:
+            argv += [flag, *(str(one) for one in (value if isinstance(value, tuple) else (value,)))]
+    return shlex.join(argv + ([] if task.steps is None else ["--steps", str(task.steps)]))
+
+
+def as_toml(task: Task, values: Mapping[str, Value]) -> str:
+    """The table of a suite with these values."""
+    lines = [f"{name} = {json.dumps(list(v) if isinstance(v, tuple) else v)}" for name, v in values.items()]
+    return "\n".join([f"[options.{task.algo}]", *lines]) + "\n"
+
+
+def _values(trial: Any, space: Space) -> dict[str, Value]:
+    return {name: where.value(trial.params[name]) for name, where in space.items() if name in trial.params}
+
+
+__all__ = ["Best", "as_command", "as_toml", "best_trial", "write_trials"]

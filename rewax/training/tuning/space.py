@@ -1,0 +1,96 @@
+"""Spaces of hyper-parameters, from TOML: which options of an algorithm are searched, and where."""
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+from rewax.agents.config import RunConfig, Value
+from rewax.agents.registry import algorithm
+
+Space: TypeAlias = Mapping[str, "Range"]
+"""By name of the option."""
+_FORM = "write {low = ..., high = ...}, with log = true if you like, or {choices = [...]}"
+
+
+class Range(NamedTuple):
+    """Values that an option can take: ``choices``, or the numbers from ``low`` to ``high``, integers if both are."""
+
+    low: int | float = 0
+    high: int | float = 0
+    log: bool = False
+    choices: tuple[Value, ...] = ()
+
+    @property
+    def integers(self) -> bool:
+        return isinstance(self.low, int) and isinstance(self.high, int)
+
+    def holds(self, value: object) -> bool:
+        """Whether the value is one of these."""
+        if self.choices:
+            return value in self.choices
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return number and self.low <= value <= self.high and (not self.integers or isinstance(value, int))
+
+    def stored(self, value: Value) -> Any:
+        """How a study stores a value: a choice by its place."""
+        return self.choices.index(value) if self.choices else value
+
+    def value(self, stored: Any) -> Value:
+        """The value that a study stores so."""
+        return self.choices[stored] if self.choices else stored
+
+
+def read_space(name: str, path: str | Path | None = None) -> dict[str, Range]:
+    """The space of an algorithm.
+
+    Args:
+      name: of the algorithm; its table in the file.
+      path: of a TOML file; None: the one that rewax has.
+
+    Raises:
+      ValueError: there is no such file or table, or it cannot be; one sentence.
+    """
+    file = resources.files("rewax.training.tuning") / "spaces.toml" if path is None else Path(path)
+    if not file.is_file():
+        raise ValueError(f"there is no file {str(path)!r} with a search space: check the path")
+    try:
+        content = tomllib.loads(file.read_text())
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path} is not TOML ({error}): correct it") from None
+    table = content.get(name)
+    if not isinstance(table, Mapping) or not table:
+        where = "rewax has no search space" if path is None else f"{path} has no table [{name}]"
+        raise ValueError(
+            f"{where} for {name}: write a table [{name}] with its options in a TOML file, and give --space"
+        )
+    known = {field.name for field in dataclasses.fields(algorithm(name).config_type)}
+    return {option: _range(name, option, entry, known) for option, entry in table.items()}
+
+
+def _range(name: str, option: str, entry: Any, known: set[str]) -> Range:
+    if option not in known:
+        raise ValueError(f"{name} has no option {option!r}: correct the search space")
+    if not isinstance(entry, Mapping) or set(entry) not in ({"choices"}, {"low", "high"}, {"low", "high", "log"}):
+        raise ValueError(f"the search space of {option} is {entry!r}: {_FORM}")
+    if "choices" in entry:
+        choices = entry["choices"]
+        if not isinstance(choices, list) or not choices:
+            raise ValueError(f"choices of {option} are {choices!r}: give a list with at least one entry")
+        return Range(choices=tuple(tuple(one) if isinstance(one, list) else one for one in choices))
+    low, high, log = entry["low"], entry["high"], entry.get("log", False)
+    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (low, high))
+    if not numbers or not isinstance(log, bool) or not low < high or (log and low <= 0):
+        raise ValueError(f"the search space of {option} is {dict(entry)!r}: give low < high, above 0 with log = true")
+    return Range(low, high, log)
+
+
+def preset_values(space: Space, config: RunConfig) -> dict[str, Value]:
+    """Those values of a configuration that lie in the space, as a study stores them."""
+    values = {name: getattr(config, name) for name in space}
+    return {name: where.stored(values[name]) for name, where in space.items() if where.holds(values[name])}
+
+
+__all__ = ["Range", "Space", "preset_values", "read_space"]

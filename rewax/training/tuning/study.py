@@ -1,0 +1,201 @@
+"""A study: trials of one search, in a journal that several processes share and that any of them continues."""
+
+import importlib
+import importlib.util
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from rewax.agents.registry import algorithm
+from rewax.envs.base import Env
+from rewax.training.loop.interrupt import Stop, graceful_stop
+from rewax.training.loop.progress import say
+from rewax.training.storage.description import plain
+from rewax.training.storage.run_directory import InUse, hold
+from rewax.training.tuning.report import write_trials
+from rewax.training.tuning.space import Space, preset_values
+from rewax.training.tuning.trial import Failed, Task, run_trial
+
+if TYPE_CHECKING:
+    import optuna
+
+_STARTUP_TRIALS = 5
+"""Trials before the first one is pruned, and before the sampler follows what it has seen."""
+
+
+def need_optuna() -> None:
+    """Check that the package is there.
+
+    Raises:
+      ValueError: it is not.
+    """
+    if importlib.util.find_spec("optuna") is None:
+        raise ValueError("rewax tune needs optuna: pip install 'rewax[tune]'")
+
+
+def run_study(task: Task, space: Space, env: Env, out_dir: str | Path, num_trials: int, console: Console) -> int:
+    """Do trials until the study has so many, those of other processes among them.
+
+    The first trial is the preset. A trial that was interrupted is done anew. One that fails counts as a bad one.
+
+    Args:
+      task: what a trial does.
+      space: what is searched.
+      env: of the task.
+      out_dir: holds ``journal.log``, ``study.json`` and ``trials.csv``.
+      num_trials: of the whole study.
+      console: where to print.
+
+    Returns:
+      The signal that stopped it, 0 if there is nothing left to begin.
+
+    Raises:
+      ValueError: optuna is missing, or ``out_dir`` cannot be used or holds another search.
+    """
+    out_dir = Path(out_dir)
+    with graceful_stop(lambda _: say(console, "stopping: the same command continues")) as stop:
+        with _turn(out_dir):
+            _claim(task, space, out_dir)
+            study = open_study(out_dir)
+            if not study.trials:
+                preset = algorithm(task.algo).preset(task.env, task.scale)
+                study.enqueue_trial(preset_values(space, preset), skip_if_exists=True)
+        while not stop.requested:
+            with ExitStack() as held:
+                with _turn(out_dir):
+                    trial = _next_trial(study, out_dir, num_trials, held)
+                if trial is None:
+                    break
+                _do(study, trial, task, space, env, console, stop)
+            with _turn(out_dir):
+                write_trials(study, space, out_dir)
+        return stop.signum
+
+
+def open_study(out_dir: Path) -> "optuna.Study":
+    """The study of a directory, made if there is none."""
+    need_optuna()
+    import optuna
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return optuna.create_study(
+        study_name="rewax",
+        storage=JournalStorage(JournalFileBackend(str(out_dir / "journal.log"))),
+        direction="maximize",
+        load_if_exists=True,
+        sampler=optuna.samplers.TPESampler(n_startup_trials=_STARTUP_TRIALS, constant_liar=True),
+        pruner=optuna.pruners.MedianPruner(n_startup_trials=_STARTUP_TRIALS),
+    )
+
+
+@contextmanager
+def _turn(out_dir: Path) -> Iterator[None]:
+    """One process at a time, the others wait."""
+    with ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(hold(out_dir))
+                break
+            except InUse:
+                time.sleep(0.05)
+        yield
+
+
+def _claim(task: Task, space: Space, out_dir: Path) -> None:
+    """Keep in ``study.json`` what the trials do; others do not belong into one study."""
+    path = out_dir / "study.json"
+    ours = json.loads(
+        json.dumps(plain({"task": task, "space": {name: dict(r._asdict()) for name, r in space.items()}}))
+    )
+    stored = json.loads(path.read_text()) if path.is_file() else ours
+    if stored != ours:
+        ours, stored = ({**content["task"], "space": content["space"]} for content in (ours, stored))
+        odd = next(name for name in ours if stored.get(name) != ours[name])
+        raise ValueError(f"{out_dir} holds a search with other {odd}: choose another directory (--out)")
+    path.write_text(json.dumps(ours, indent=1) + "\n")
+
+
+def _next_trial(study: Any, out_dir: Path, num_trials: int, held: ExitStack) -> Any:
+    """A trial to do, its directory held; None if enough are done or under way."""
+    from optuna.trial import TrialState
+
+    begun = 0
+    for old in study.get_trials(deepcopy=False):
+        if old.state == TrialState.RUNNING and not _is_held(out_dir, old.number):  # its process has ended
+            study.tell(old.number, state=TrialState.FAIL)
+            study.enqueue_trial(old.params)
+        elif old.state in (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING):
+            begun += 1
+    if begun >= num_trials:
+        return None
+    trial = study.ask()
+    held.enter_context(hold(_folder(out_dir, trial.number)))
+    return trial
+
+
+def _folder(out_dir: Path, number: int) -> Path:
+    return out_dir / "trials" / str(number)
+
+
+def _is_held(out_dir: Path, number: int) -> bool:
+    try:
+        with hold(_folder(out_dir, number)):
+            return False
+    except InUse:
+        return True
+
+
+def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Console, stop: Stop) -> None:
+    """Train one trial and write down what came of it."""
+    from optuna.trial import TrialState
+
+    values = {name: _suggest(trial, name, where) for name, where in space.items()}
+    say(console, f"trial {trial.number}: " + ", ".join(f"{name} {_short(value)}" for name, value in values.items()))
+    mean = None
+    try:
+        for number, mean in run_trial(task, env, values, console, lambda: stop.requested):
+            trial.report(mean, number)
+            if number < task.reports and trial.should_prune():
+                say(console, f"trial {trial.number}: mean return {mean:.6g} after {number}/{task.reports}, pruned")
+                study.tell(trial, state=TrialState.PRUNED)
+                return
+    except Failed as failed:
+        _fail(study, trial, str(failed), console)
+        return
+    except ValueError:  # of the search: not this trial's failure
+        raise
+    except Exception as error:  # out of memory, for example: the other trials may do better
+        _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
+        return
+    if stop.requested:
+        return  # still running in the journal: whoever continues does it anew
+    study.tell(trial, mean)
+    say(console, f"trial {trial.number}: mean return {mean:.6g}, best {study.best_value:.6g}")
+
+
+def _fail(study: Any, trial: Any, why: str, console: Console) -> None:
+    """A bad trial: the sampler ranks it behind those that were trained to the end."""
+    trial.set_user_attr("failure", why)
+    say(console, f"trial {trial.number} failed: {why}")
+    study.tell(trial, state=importlib.import_module("optuna.trial").TrialState.PRUNED)
+
+
+def _suggest(trial: Any, name: str, where: Any) -> Any:
+    if where.choices:
+        return where.value(trial.suggest_categorical(name, list(range(len(where.choices)))))
+    suggest = trial.suggest_int if where.integers else trial.suggest_float
+    return suggest(name, where.low, where.high, log=where.log)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+__all__ = ["need_optuna", "open_study", "run_study"]

@@ -1,0 +1,139 @@
+"""One trial: an algorithm with given options trains on several seeds, which are evaluated on the way."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from rich.console import Console
+
+from rewax.agents.config import Value
+from rewax.agents.registry import algorithm
+from rewax.envs.base import Env
+from rewax.training.config import ReportConfig
+from rewax.training.evaluation.episodes import make_evaluate
+from rewax.training.loop.compilation import compile_train_step
+from rewax.training.loop.failure import FailureWatch, FiniteCheck
+
+_EVALUATION_STREAM = 0x7EED  # folded into the seed, so that evaluation draws other numbers than training
+
+
+class Failed(Exception):
+    """The trial is a bad one: options that cannot be, or numbers that are not finite. The message says why."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Task:
+    """What every trial of a study does.
+
+    Attributes:
+      env: name of the environment.
+      scale: ``small`` or ``paper``.
+      algo: name of the algorithm.
+      seeds: each is trained; the objective is their mean.
+      steps: control steps of each seed; None: what the preset says.
+      episodes: of each evaluation of each seed.
+      reports: evaluations on the way, the last one at the end.
+    """
+
+    env: str
+    scale: str
+    algo: str
+    seeds: tuple[int, ...] = (1000, 1001)
+    steps: int | None = None
+    episodes: int = 64
+    reports: int = 4
+
+    def __post_init__(self) -> None:
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
+            raise ValueError(f"seeds are {list(self.seeds)}: give whole numbers from 0 on, each of them once")
+        for name in ("steps", "episodes", "reports"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} is {value}: use 1 or more")
+
+    def config(self, env: Env, values: Mapping[str, Value]) -> Any:
+        """The preset with other values of some options, as long as every trial.
+
+        Raises:
+          ValueError: the options cannot be.
+        """
+        preset = algorithm(self.algo).preset(self.env, self.scale)
+        config = dataclasses.replace(preset, **values)
+        steps = self.steps or preset.num_iterations * preset.num_envs * preset.steps_in(env)
+        per_iteration = config.num_envs * config.steps_in(env)
+        return dataclasses.replace(config, num_iterations=math.ceil(steps / per_iteration))
+
+
+class Report(NamedTuple):
+    """Mean return of all seeds' episodes, with sampled actions, after a share of the training."""
+
+    number: int
+    mean: float
+
+
+def run_trial(
+    task: Task, env: Env, values: Mapping[str, Value], console: Console, stopped: Callable[[], bool]
+) -> Iterator[Report]:
+    """Train, and report ``task.reports`` times.
+
+    Args:
+      task: what to train.
+      env: its environment, unbatched.
+      values: of the options that are searched.
+      console: where to print.
+      stopped: whether to end early, without another report.
+
+    Raises:
+      Failed: see there.
+    """
+    try:
+        config = task.config(env, values)
+        agent = algorithm(task.algo).make(env, config)
+    except ValueError as error:
+        raise Failed(str(error)) from None
+    seeds = [_Seed(env, agent, seed) for seed in task.seeds]
+    train_step = compile_train_step(agent, seeds[0].state, console)
+    evaluate, done = make_evaluate(env, agent.policy, task.episodes), 0
+    for number in range(1, task.reports + 1):
+        until = round(config.num_iterations * number / task.reports)
+        for _ in range(until - done):
+            for seed in seeds:
+                if stopped():
+                    return
+                seed.advance(train_step)
+        done = until
+        means = [float(evaluate(seed.state, seed.key)["mean"]) for seed in seeds]
+        if not np.all(np.isfinite(means)):
+            raise Failed(f"the mean returns are {means}")
+        yield Report(number, float(np.mean(means)))
+
+
+class _Seed:
+    """The run of one seed."""
+
+    def __init__(self, env: Env, agent: Any, seed: int) -> None:
+        self.state = jax.jit(agent.init)(jax.random.key(seed))
+        self.key = jax.random.fold_in(jax.random.key(seed), _EVALUATION_STREAM)
+        self._watch, self._finite = FailureWatch(env, ReportConfig()), FiniteCheck(self.state)
+        self._env_steps = 0
+
+    def advance(self, train_step: Any) -> None:
+        """One iteration.
+
+        Raises:
+          Failed: too many episodes failed, or what was learnt is not finite.
+        """
+        self.state, metrics = train_step(self.state)
+        metrics, before, self._env_steps = jax.device_get(metrics), self._env_steps, int(self.state.env_steps)
+        iteration = int(self.state.iteration)
+        self._watch.add(iteration, self._env_steps - before, metrics)
+        if bad := self._finite.first_bad(self.state):
+            raise Failed(f"iteration {iteration} made {bad} infinite or NaN")
+        if reason := self._watch.reason():
+            raise Failed(reason)
+
+
+__all__ = ["Failed", "Report", "Task", "run_trial"]

@@ -1,0 +1,21 @@
+"""``rewax tune`` says what it lacks."""
+
+import importlib.util
+
+from rewax.cli.main import main
+
+
+def test_without_optuna_it_says_what_to_install(monkeypatch, capsys):
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "optuna" else real(name, *rest)
+    )
+    assert main(["tune", "--env", "Hopper", "--algo", "ppo"]) == 2
+    assert capsys.readouterr().err == "error: rewax tune needs optuna: pip install 'rewax[tune]'\n"
+
+
+def test_what_cannot_be_is_one_sentence(capsys):
+    assert main(["tune", "--trials", "0"]) == 2
+    assert capsys.readouterr().err == "error: trials is 0: use 1 or more\n"
+    assert main(["tune", "--seeds", "3", "3"]) == 2
+    assert capsys.readouterr().err == "error: seeds are [3, 3]: give whole numbers from 0 on, each of them once\n"
