@@ -77,7 +77,7 @@ def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SoftState:
     return start_actor_critic(SoftState, networks, leaves, key, log_temperature=log_alpha, temperature_opt=opt)
 
 
-def train_step(config: SAPOConfig, state: SoftState) -> tuple[SoftState, Metrics]:
+def train_step(config: SAPOConfig, state: S) -> tuple[S, Metrics]:
     """One iteration: actor, temperature, critics."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
