@@ -123,7 +123,10 @@ def init(config: DemonstratedConfig, leaves: EnvLeaves, key: Key) -> Demonstrate
 
 
 def train_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
-    """One iteration of the phase that the run is in. A metric that the phase lacks is NaN, a counter 0."""
+    """One iteration of the phase that the run is in. A metric that the phase lacks is NaN, a counter 0.
+
+    Under ``vmap``, as with ``--num-seeds``, both phases are computed in each iteration.
+    """
     env = state.environments.env.first()
     phases: tuple[Phase, Phase] = (
         functools.partial(demonstration_step, config),
