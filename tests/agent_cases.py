@@ -7,9 +7,12 @@ import jax
 import numpy as np
 import toys
 
+from rewax.agents.agpo import AGPOConfig
 from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.base import Agent
+from rewax.agents.demonstrated import DemonstratedConfig
+from rewax.agents.ivw import IVWConfig
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.registry import make_agent
 from rewax.agents.rpo import RPOConfig
@@ -43,11 +46,17 @@ class Case(NamedTuple):
 
 CASES = {
     "sapo": Case("sapo", SAPOConfig(**FIRST_ORDER, initial_temperature=0.03)),
+    "sapo_agpo": Case("sapo_agpo", AGPOConfig(**FIRST_ORDER, initial_temperature=0.03, max_ratio=2.0)),
+    "sapo_ivw": Case("sapo_ivw", IVWConfig(**FIRST_ORDER, initial_temperature=0.03)),
     "shac": Case("shac", SHACConfig(**FIRST_ORDER)),
     "apg": Case("apg", APGConfig(**_POLICY, differentiate="full")),
     "apg_full": Case("apg", APGConfig(**{**_POLICY, "horizon": 0, "stagger_episodes": False})),
     "rpo": Case("rpo", RPOConfig(**FIRST_ORDER)),
     "ahac": Case("ahac", AHACConfig(**{**FIRST_ORDER, **_ADAPTIVE}, min_horizon=2, initial_horizon=4)),
+    "sapo_from_demonstrations": Case(
+        "sapo_from_demonstrations",
+        DemonstratedConfig(**FIRST_ORDER, initial_temperature=0.03, initial_log_std=-1.0, sequence_learning_rate=0.05),
+    ),
     "ppo": Case("ppo", PPOConfig(**{**_CRITICS, "num_envs": 16, "horizon": 32}, minibatches=4), 40),
     "sac": Case("sac", SACConfig(**{**_CRITICS, "actor_learning_rate": 3e-3}, **_REPLAY), 300),
     "trajopt": Case("trajopt", TrajOptConfig(num_envs=4, learning_rate=0.05)),

@@ -7,9 +7,12 @@ their own from ``rewax.agents.<algorithm>``.
 import dataclasses
 from typing import TypeVar
 
+from rewax.agents.agpo import AGPOConfig
 from rewax.agents.ahac import AHACConfig
 from rewax.agents.apg import APGConfig
 from rewax.agents.config import RunConfig, Value
+from rewax.agents.demonstrated import DemonstratedConfig
+from rewax.agents.ivw import IVWConfig
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.rpo import RPOConfig
 from rewax.agents.sac import SACConfig
@@ -201,12 +204,37 @@ def sac_preset(env_name: str, scale: str) -> SACConfig:
 def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
     """Hyper-parameters of TrajOpt; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
-    fast = env_name == "HandReorient" or (scale == "small" and env_name not in _LOCOMOTION)
     return TrajOptConfig(
         num_envs=base.num_envs,
         num_iterations=_whole_episodes(env_name, scale, base),
-        learning_rate=0.1 if fast else 1e-2,
+        learning_rate=_sequence_rate(env_name, scale),
     )
+
+
+def demonstrated_preset(env_name: str, scale: str) -> DemonstratedConfig:
+    """Hyper-parameters of SAPO from demonstrations, whose sequence has half of TrajOpt's iterations to move as far."""
+    base = sapo_preset(env_name, scale)
+    options = {field.name: getattr(base, field.name) for field in dataclasses.fields(base)}
+    options |= {"initial_log_std": min(base.initial_log_std, -1.0)}
+    return DemonstratedConfig(**options, sequence_learning_rate=2.0 * _sequence_rate(env_name, scale))
+
+
+def ivw_preset(env_name: str, scale: str) -> IVWConfig:
+    """Hyper-parameters of SAPO with weighted steps: those of ``sapo_preset``."""
+    return IVWConfig(**dataclasses.asdict(sapo_preset(env_name, scale)))
+
+
+def agpo_preset(env_name: str, scale: str) -> AGPOConfig:
+    """Hyper-parameters of SAPO with mixed gradients: those of ``sapo_preset``."""
+    return AGPOConfig(**dataclasses.asdict(sapo_preset(env_name, scale)))
+
+
+def _sequence_rate(env_name: str, scale: str) -> float:
+    """Learning rate of a sequence of actions."""
+    fast = env_name == "HandReorient" or (scale == "small" and env_name not in _LOCOMOTION)
+    if env_name == "CartpoleSwingUp":  # chaotic within half a second at full force: gradients of 1e4 and more
+        return 1e-3
+    return 0.1 if fast else 1e-2
 
 
 def _whole_episodes(env_name: str, scale: str, base: SAPOConfig) -> int:

@@ -68,6 +68,9 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     "trajopt": _own("trajopt", "TrajOptConfig"),
     "ahac": _own("ahac", "AHACConfig"),
     "rpo": _own("rpo", "RPOConfig"),
+    "sapo_agpo": _own("agpo", "AGPOConfig"),
+    "sapo_ivw": _own("ivw", "IVWConfig"),
+    "sapo_from_demonstrations": _own("demonstrated", "DemonstratedConfig"),
     # The ablations of the paper's Table 3.
     "sapo_hard_targets": _variant("sapo", {"entropy_in_targets": False}),
     "sapo_hard_return": _variant("sapo", {"entropy_in_return": False}),

@@ -64,7 +64,7 @@ def rollout(
     horizon: int,
     differentiate: Differentiation = "checkpointed",
     truncate_every: int | None = None,
-    state_gradient_decay: float = 1.0,
+    state_gradient_decay: float | Array = 1.0,
     inputs: PyTree = None,
     num_active: Array | None = None,
     probes: Array | None = None,
@@ -80,7 +80,7 @@ def rollout(
       differentiate: ``"full"`` stores every intermediate value of every step, ``"checkpointed"`` stores states and
         recomputes each step in the backward pass, ``"none"`` cuts all gradients.
       truncate_every: cut the gradient of the state, its observation included, after so many steps; None: never.
-      state_gradient_decay: factor on that gradient at every step; 1: exact.
+      state_gradient_decay: factor on that gradient at every step, or at each, shape (horizon,); 1: exact.
       inputs: what the policy is given beside observation and key, leading axis (horizon,).
       num_active: steps after which the environment stands still, at most ``horizon``; None: it never does.
       probes: zeros, shape (horizon,). The gradient with respect to ``probes[t]`` is the norm of the cotangent of
@@ -91,7 +91,7 @@ def rollout(
       rewards, cut at the end of each episode; where a decay or a truncation is given, biased.
     """
     factors = None
-    if truncate_every is not None or state_gradient_decay != 1.0:
+    if truncate_every is not None or isinstance(state_gradient_decay, jax.Array) or state_gradient_decay != 1.0:
         step_number = jnp.arange(horizon)
         cut = False if truncate_every is None else (step_number % truncate_every == 0) & (step_number > 0)
         factors = jnp.where(cut, 0.0, jnp.full(horizon, state_gradient_decay))

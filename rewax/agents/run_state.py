@@ -192,16 +192,22 @@ def start_environments(config: RunConfig, env: EnvLeaves, keys: RunKeys) -> Envi
     """
     num_envs, first = config.num_envs, env.first()
     state = _reset(env, jax.random.split(keys.environments, num_envs))
-    episode_return = jnp.zeros(num_envs)
-    if isinstance(config, PolicyOptions) and config.stagger_episodes:
-        start = jax.random.randint(keys.stagger, (num_envs,), 0, first.episode_length, jnp.int32)
-        state = state.replace(step_count=start)
-        # The return of a shortened first episode would not compare with the others'.
-        episode_return = jnp.where(start > 0, jnp.nan, episode_return)
     statistics = init_statistics(first.observation_spec)
     if _normalizes(config):
         statistics = update_statistics(statistics, state.obs, jnp.ones(num_envs, bool))
-    return Environments(env=env, state=state, statistics=statistics, episode_return=episode_return)
+    new = Environments(env=env, state=state, statistics=statistics, episode_return=jnp.zeros(num_envs))
+    return staggered(new, keys.stagger) if isinstance(config, PolicyOptions) and config.stagger_episodes else new
+
+
+def staggered(environments: Environments, key: Key) -> Environments:
+    """The same environments at random points of their time limit."""
+    length = environments.env.first().episode_length
+    start = jax.random.randint(key, (environments.num_envs,), 0, length, jnp.int32)
+    return environments.replace(
+        state=environments.state.replace(step_count=start),
+        # The return of a shortened first episode would not compare with the others'.
+        episode_return=jnp.where(start > 0, jnp.nan, environments.episode_return),
+    )
 
 
 def _normalizes(config: RunConfig) -> bool:

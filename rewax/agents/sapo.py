@@ -11,7 +11,7 @@ is not finite is left out and counted, and a step that failed numerically is mas
 
 import dataclasses
 import functools
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +61,7 @@ class SAPOConfig(FirstOrderConfig):
 
 
 Networks: TypeAlias = ActorCritic[SAPOConfig]
+S = TypeVar("S", bound=SoftState)
 
 
 def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
@@ -76,14 +77,26 @@ def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SoftState:
     return start_actor_critic(SoftState, networks, leaves, key, log_temperature=log_alpha, temperature_opt=opt)
 
 
-def train_step(config: SAPOConfig, state: SoftState) -> tuple[SoftState, Metrics]:
+def train_step(config: SAPOConfig, state: S) -> tuple[S, Metrics]:
     """One iteration: actor, temperature, critics."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
     loss = functools.partial(actor_loss, networks=networks)
 
     state, actor_metrics, rollouts = actor_update(networks, state, loss, rollout_key, max_norm=config.max_env_grad_norm)
+    state, metrics = after_actor(networks, state, rollouts, key)
+    return state, {**metrics, **actor_metrics}
 
+
+def after_actor(networks: Networks, state: S, rollouts: Rollout, key: Key) -> tuple[S, Metrics]:
+    """The rest of an iteration: temperature, critics, environments.
+
+    Args:
+      networks, state: actor and critics, the actor updated already.
+      rollouts: with the policy's ``entropy``, leading axis of environments.
+      key: of the next iteration.
+    """
+    config = networks.config
     entropy = rollouts.transitions.aux["entropy"]
     mean_entropy = jnp.mean(entropy, where=rollouts.transitions.valid)
     own = {"entropy": mean_entropy, "temperature": jnp.exp(state.log_temperature)}
@@ -98,7 +111,7 @@ def train_step(config: SAPOConfig, state: SoftState) -> tuple[SoftState, Metrics
     state, critic_metrics = critic_update(networks, state, rollouts, reward)
 
     state, episode_metrics = state.after(config, rollouts.end, rollouts.transitions, key)
-    return state, {**episode_metrics, **own, **actor_metrics, **critic_metrics}
+    return state, {**episode_metrics, **own, **critic_metrics}
 
 
 def actor_loss(

@@ -119,7 +119,7 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
 
 
 def sequence_loss(
-    actions: Array, common: TrajOptState, env: AutoReset, env_state: State, key: Key, *, config: TrajOptConfig
+    actions: Array, common: RunState, env: AutoReset, env_state: State, key: Key, *, config: TrajOptConfig
 ) -> tuple[Array, tuple[State, Transition]]:
     """Minus the undiscounted return of one environment that plays the sequence. Gradient: through the simulation."""
     del common

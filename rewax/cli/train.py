@@ -61,13 +61,14 @@ def run(argv: Sequence[str]) -> int:
     if args.num_seeds > 1 and args.distributed:
         raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
-    agent_config, num_iterations = _length(getattr(args, first.algo), env, args.steps)
+    agent_config, num_iterations, num_steps = _length(getattr(args, first.algo), env, args.steps)
     say(console, _scale_sentence(scale, first.scale))
     report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
     configs = [
         TrainConfig(
             **report,
             num_iterations=num_iterations,
+            num_steps=num_steps,
             run_dir=_run_dir(args, first, scale, seed),
             seed=seed,
             resume=args.resume,
@@ -190,15 +191,16 @@ def _description(name: str, env_name: str, scale: str) -> str:
     return f"Train {name} on {env_name}. Defaults shown are those of --env {env_name} --scale {scale}."
 
 
-def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int]:
-    """The agent's configuration and number of iterations for so many environment steps."""
+def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int, int]:
+    """The agent's configuration, number of iterations and of control steps for so many environment steps."""
+    in_one = agent_config.steps_in(env) if hasattr(agent_config, "steps_in") else agent_config.horizon
+    per_iteration = agent_config.num_envs * in_one
     if steps is None:
-        return agent_config, agent_config.num_iterations
+        return agent_config, agent_config.num_iterations, agent_config.num_iterations * per_iteration
     if steps < 1:
         raise ValueError(f"steps is {steps}: use 1 or more")
-    in_one = agent_config.steps_in(env) if hasattr(agent_config, "steps_in") else agent_config.horizon
-    num_iterations = math.ceil(steps / (agent_config.num_envs * in_one))
-    return dataclasses.replace(agent_config, num_iterations=num_iterations), num_iterations
+    num_iterations = math.ceil(steps / per_iteration)
+    return dataclasses.replace(agent_config, num_iterations=num_iterations), num_iterations, steps
 
 
 def _scale_sentence(scale: str, wanted: str | None) -> str:

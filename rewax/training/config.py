@@ -52,6 +52,8 @@ class TrainConfig(ReportConfig):
 
     Attributes:
       num_iterations: iterations in all, those before a resume among them.
+      num_steps: control steps of all environments, after which the run ends instead, with the iteration that reaches
+        them; 0: it ends after ``num_iterations``. For algorithms whose iterations differ in steps.
       run_dir: directory of the run.
       seed: everything random follows from it.
       resume: continue the run in ``run_dir`` from its newest checkpoint.
@@ -66,10 +68,16 @@ class TrainConfig(ReportConfig):
     resume: bool = False
     init_from: str = ""
     devices: int = 0
+    num_steps: int = 0
+
+    def over(self, iteration: int, env_steps: int) -> bool:
+        """Whether a run that has done so many iterations and control steps is at its end."""
+        return env_steps >= self.num_steps if self.num_steps else iteration >= self.num_iterations
 
 
 _LEAST = {
     "num_iterations": 1,
+    "num_steps": 0,
     "seed": 0,
     "devices": 0,
     "log_every": 1,

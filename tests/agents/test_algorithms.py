@@ -56,7 +56,7 @@ def test_it_reports_what_the_loop_needs(name):
     assert all(set(row) == set(rows[0]) for row in rows)
     assert int(state.iteration) == CASES[name].num_iterations
     config = CASES[name].config
-    if name != "ahac":  # whose horizon varies
+    if name not in ("ahac", "sapo_from_demonstrations"):  # whose iterations vary
         per_iteration = config.num_envs * config.steps_in(ENV)
         assert int(state.env_steps) == per_iteration * CASES[name].num_iterations
 

@@ -56,14 +56,22 @@ def test_another_default_keeps_the_restriction():
 
 
 def test_an_option_has_one_default_whatever_the_order_of_the_bases():
-    """Groups of options have no base class and no option in common; an algorithm has one combination of them."""
+    """Groups of options have no base class and no option in common; an algorithm has one combination of them, or the
+    options of another algorithm and new ones."""
+    of_algorithms = {algorithm(name).config_type for name in list_algorithms()}
     for name in list_algorithms():
         config_type = algorithm(name).config_type
         parts = config_type.__mro__[1:-1]
         groups = [part for part in parts if part.__bases__ == (object,)]
         options = [field.name for part in groups for field in dataclasses.fields(part)]
         assert len(options) == len(set(options)), name
-        combinations = [part for part in parts if part not in groups]
+        extended = [part for part in parts if part in of_algorithms]
+        if extended:
+            known = {field.name for field in dataclasses.fields(extended[0])}
+            assert config_type.__bases__ == (extended[0],) and not known & set(inspect.get_annotations(config_type)), (
+                name
+            )
+        combinations = [part for part in parts if part not in groups and part not in of_algorithms]
         assert len(combinations) <= 1 and not any(map(inspect.get_annotations, combinations)), name
 
 

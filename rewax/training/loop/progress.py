@@ -17,12 +17,12 @@ class ProgressReport:
 
     Args:
       console: where to.
-      num_iterations: in all.
+      num_iterations: in all, kept as ``total``, which may change.
       start: iterations done before this process.
     """
 
     def __init__(self, console: Console, num_iterations: int, start: int) -> None:
-        self._console, self._num_iterations, self._start = console, num_iterations, start
+        self._console, self.total, self._start = console, num_iterations, start
         self._shown: dict[str, float] = {"return": math.nan, "entropy": math.nan}
         self._failed = 0
         self._status: Counter[str] = Counter()
@@ -46,16 +46,16 @@ class ProgressReport:
             if name.startswith("status/") and name != "status/NAN":  # failed episodes say that
                 self._status[name.removeprefix("status/")] += int(count)
         elapsed = time.perf_counter() - self._began
-        left = elapsed / (iteration - self._start) * (self._num_iterations - iteration)
+        left = elapsed / (iteration - self._start) * (self.total - iteration)
         parts = [f"{name} {value:.3g}" for name, value in self._shown.items() if math.isfinite(value)]
         parts += [f"{self._failed} episodes failed"] * (self._failed > 0)
         parts += [f"{bit} in {count} steps" for bit, count in self._status.items() if count]
         text = "  ".join([*parts, f"{steps_per_second:,.0f} steps/s", f"{duration(left)} left"])
         if self._bar is not None:
-            self._bar.update(self._task, completed=iteration, description=text)
-        elif iteration == self._num_iterations or elapsed - self._last_line >= _SECONDS_BETWEEN_LINES:
+            self._bar.update(self._task, total=self.total, completed=iteration, description=text)
+        elif iteration == self.total or elapsed - self._last_line >= _SECONDS_BETWEEN_LINES:
             self._last_line = elapsed
-            say(self._console, f"iteration {iteration}/{self._num_iterations}  {env_steps:,} steps  {text}")
+            say(self._console, f"iteration {iteration}/{self.total}  {env_steps:,} steps  {text}")
 
     def close(self) -> None:
         """Leave the terminal as it was found."""

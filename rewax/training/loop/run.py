@@ -121,9 +121,13 @@ class Run:
             self.end()
 
     @property
+    def _last_iteration(self) -> int:
+        return _last_iteration(self.config, self.iteration, self.env_steps)
+
+    @property
     def over(self) -> bool:
-        """There is nothing more to train: the last iteration is done, or the run has failed."""
-        return bool(self.failure) or self.iteration >= self.config.num_iterations
+        """There is nothing more to train: the run is at its end, or has failed."""
+        return bool(self.failure) or self.config.over(self.iteration, self.env_steps)
 
     def begin(self, stop: Stop) -> None:
         """Before the first iteration of this process: the evaluation that is due, and the progress report."""
@@ -134,7 +138,7 @@ class Run:
         elif self._consumes and self._healthy is None:
             self.save()  # what a failing iteration goes back to
         stop.at_once = ""
-        self._progress = ProgressReport(self.console, self.config.num_iterations, self.iteration)
+        self._progress = ProgressReport(self.console, self._last_iteration, self.iteration)
 
     def end(self) -> None:
         """After the last iteration of this process: everything trained is kept."""
@@ -154,6 +158,7 @@ class Run:
             for board in self.boards:
                 board.write(iteration, {**metrics, **times})
         if self._progress is not None:
+            self._progress.total = _last_iteration(self.config, iteration, env_steps)
             self._progress.update(iteration, env_steps, metrics, speed)
         self.say(self.watch.add(iteration, env_steps - before, metrics))
         if bad := self.finite.first_bad(new):
@@ -162,7 +167,7 @@ class Run:
                 self.train_state = checkpoint.restore(self.run_dir, new)
             return
         self.train_state, self._env_steps = new, env_steps
-        if iteration < self.config.num_iterations and (reason := self.watch.reason()):
+        if not self.config.over(iteration, env_steps) and (reason := self.watch.reason()):
             self.failure = reason
             return
         if self.config.checkpoint_every and iteration % self.config.checkpoint_every == 0:
@@ -210,13 +215,14 @@ class Run:
         if self.failure:
             self.say(self._how_it_failed())
         elif stopped:
-            done = f"stopped after iteration {self.iteration} of {self.config.num_iterations}"
-            rest = "continues from" if self.iteration < self.config.num_iterations else "does the final evaluation of"
+            done = f"stopped after iteration {self.iteration} of {self._last_iteration}"
+            ended = self.config.over(self.iteration, self.env_steps)
+            rest = "does the final evaluation of" if ended else "continues from"
             self.say(f"{done}: the same command with --resume {rest} {self.run_dir}")
         return TrainResult(self.train_state, row, stop.signum, self.failure)
 
     def _how_it_failed(self) -> str:
-        done = f"failed after iteration {self.iteration} of {self.config.num_iterations}: {self.failure}"
+        done = f"failed after iteration {self.iteration} of {self._last_iteration}: {self.failure}"
         if self._healthy is None or self._healthy == self.iteration:
             return f"{done}; the last checkpoint is that of iteration {self.iteration}"
         return f"{done}; the last checkpoint from before the failures is that of iteration {self._healthy}"
@@ -225,6 +231,13 @@ class Run:
         """Close every file."""
         for writer in (self.metrics, self.timing, *self.boards, self.evaluator):
             writer.close()
+
+
+def _last_iteration(config: TrainConfig, iteration: int, env_steps: int) -> int:
+    """The iteration that ends the run; of a run whose end is a number of steps, going on at its mean rate."""
+    if not config.num_steps or not env_steps:
+        return config.num_iterations
+    return max(iteration, -(-iteration * config.num_steps // env_steps))
 
 
 def _boards(config: TrainConfig, run_dir: Path, resume_at: int) -> list[TensorBoardWriter | WandbWriter]:

@@ -57,7 +57,10 @@ def train_seeds(
         states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state for state, _ in ready])
         together = agent._replace(train_step=jax.jit(jax.vmap(agent.train_step), donate_argnums=0))
         train_step: Any = None
-        if done[0] < configs[0].num_iterations:
+        if any(
+            not config.over(int(state.iteration), int(state.env_steps))
+            for config, (state, _) in zip(configs, ready, strict=True)
+        ):
             train_step = compile_train_step(together, states, console)
         runs = [open_run() for _, open_run in ready]
         for run in runs:

@@ -89,7 +89,7 @@ def train(
         programs = Programs(env, agent.policy, config)
         train_state, open_run = prepared(agent, env, config, describe, console, where, leader, programs)
         train_step, decisions = None, []
-        if int(train_state.iteration) < config.num_iterations:
+        if not config.over(int(train_state.iteration), int(train_state.env_steps)):
             with recorded() as decisions:
                 begin = functools.partial(
                     programs.compile_in_background, on_one_device(train_state), _evaluation_key(config)
@@ -128,7 +128,7 @@ def _follow(agent: Agent, config: TrainConfig) -> TrainResult:
             return TrainResult(None, {}, failure="the first process did not begin")
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
         train_state, train_step = where.place(train_state), None
-        if int(train_state.iteration) < config.num_iterations:
+        if not config.over(int(train_state.iteration), int(train_state.env_steps)):
             train_step = compile_train_step(agent, train_state, Console(quiet=True), where)
         return TrainResult(follow(train_step, train_state), {})
 

@@ -146,12 +146,14 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
     """One run, from its newest checkpoint if it has one; the signal that stopped it."""
     folder, known, env = cell.folder(out_dir), algorithm(cell.algorithm), suite.env(cell.task)
     config = suite.config(cell.task, cell.algorithm)
+    in_one = config.steps_in(env) if hasattr(config, "steps_in") else config.horizon
+    per_iteration = config.num_envs * in_one
     if cell.task in suite.steps:
-        per_iteration = config.num_envs * config.steps_in(env)
         config = dataclasses.replace(config, num_iterations=math.ceil(suite.steps[cell.task] / per_iteration))
     agent = known.make(env, config)
     options = TrainConfig(
         num_iterations=config.num_iterations,
+        num_steps=config.num_iterations * per_iteration,
         run_dir=str(folder),
         seed=cell.seed,
         devices=devices,

@@ -233,3 +233,28 @@ def test_drawing_never_ends_a_run(tmp_path):
     assert text.count("warning: episode.png was not drawn (ValueError: the drawing of a sphere has no 'center'") == 1
     assert "wrote" in text and not list(tmp_path.glob("episode.*"))
     assert int(result.train_state.iteration) == 1 and "deterministic_mean" in result.evaluation
+
+
+@jax.jit
+def shorter_and_shorter(state):
+    """The toy's iteration, which counts 12, 11, 10, ... control steps."""
+    new, metrics = AGENT.train_step(state)
+    return new.replace(env_steps=state.env_steps + 12 - state.iteration), metrics
+
+
+def test_a_run_with_a_budget_of_steps_goes_on_until_it_is_spent(tmp_path):
+    agent = AGENT._replace(train_step=shorter_and_shorter)
+    result, text = run(tmp_path / "budget", agent, num_iterations=4, num_steps=48)
+    assert int(result.train_state.iteration) == 5 and int(result.train_state.env_steps) == 12 + 11 + 10 + 9 + 8
+    assert "iteration 5/5" in text
+    by_iterations, _ = run(tmp_path / "iterations", agent, num_iterations=5)
+    assert bits(result.train_state) == bits(by_iterations.train_state)
+    assert int(run(tmp_path / "budget", agent, num_steps=48, resume=True)[0].train_state.iteration) == 5
+    longer, _ = run(tmp_path / "budget", agent, num_steps=51, resume=True)
+    assert int(longer.train_state.iteration) == 6
+
+
+def test_a_budget_of_steps_changes_nothing_where_iterations_are_alike(whole, tmp_path):
+    _, expected = whole
+    result, _ = run(tmp_path, num_steps=8 * 12)
+    assert bits(result.train_state) == bits(expected.train_state)

@@ -183,3 +183,27 @@ def test_every_run_is_divided_over_as_many_devices_as_asked(suite, tmp_path, mon
     part = suite.only(tasks=suite.tasks[:1], algorithms=suite.algorithms[:1], seeds=suite.seeds[:1])
     assert bench.run_suite(suite, tmp_path, Console(file=io.StringIO()), part=part, devices=1) == 0
     assert asked == [1]
+
+
+def test_an_algorithm_with_shorter_iterations_gets_as_many_steps_as_the_others(suite, tmp_path, monkeypatch):
+    known = agents._ALGORITHMS["calm"]()
+
+    def make(env, config):
+        toy = known.make(env, config)
+
+        @jax.jit
+        def half(state):
+            new, metrics = toy.train_step(state)
+            return new.replace(env_steps=state.env_steps + 6), metrics
+
+        return toy._replace(train_step=half)
+
+    monkeypatch.setitem(agents._ALGORITHMS, "calm", lambda: known._replace(make=make))
+    assert run(suite.only(tasks=suite.tasks, algorithms=suite.algorithms, seeds=(0,)), tmp_path)[0] == 0
+    rows = [read_result(Cell("PointMass", name, 0).folder(tmp_path)) for name in ("calm", "wild")]
+    assert [row["env_steps"] for row in rows] == [36, 36]
+    lines = [
+        len((Cell("PointMass", n, 0).folder(tmp_path) / "metrics.csv").read_text().splitlines())
+        for n in ("calm", "wild")
+    ]
+    assert lines == [1 + 6, 1 + 3]

@@ -1,0 +1,215 @@
+"""SAPO from demonstrations: a policy that first imitates an optimised open-loop sequence of actions.
+
+A run has two phases, told apart by the number of the iteration. In the first, an iteration is one of
+``rewax.agents.trajopt``: every environment plays the sequence from a new initial state to its end, and Adam moves the
+sequence. The actor is then regressed onto the actions that it saw played, the critics onto the rewards. In the second
+phase, an iteration is one of ``rewax.agents.sapo``.
+
+Source: imitation of optimised trajectories before reinforcement learning, after Levine and Koltun 2013, "Guided Policy
+Search"; SAPO: Xing, Luk and Oh 2025. Different:
+
+- One sequence for all initial states by Adam, instead of one for each by dynamic programming.
+- The policy is regressed by squared errors: of its mode, and of its log standard deviation, which stays where it began.
+- The sequence is not drawn towards the policy.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import TypeAlias
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.agents import sapo, trajopt
+from rewax.agents.actor_critic import actor_agent, make_actor_critic
+from rewax.agents.base import Agent, Metrics
+from rewax.agents.config import Count, Positive, Share
+from rewax.agents.first_order import Rollout, critic_update, start_actor_critic
+from rewax.agents.gradients import mean_gradient, per_env_gradients
+from rewax.agents.optimizers import apply, finite_or_zero
+from rewax.agents.rollout import Transition, masked
+from rewax.agents.run_state import staggered
+from rewax.agents.sapo import Networks, SAPOConfig
+from rewax.agents.temperature import SoftState, start_temperature
+from rewax.agents.trajopt import TrajOptConfig
+from rewax.envs.base import Env
+from rewax.envs.leaves import EnvLeaves
+from rewax.envs.randomized import Randomize
+from rewax.types import Array, Key, PyTree
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DemonstratedConfig(SAPOConfig):
+    """Hyper-parameters beyond SAPO's.
+
+    Attributes:
+      num_iterations: of ``horizon`` steps, as many as both phases have steps; the first phase's iterations are longer.
+      demonstration_share: of all control steps, for the first phase.
+      sequence_learning_rate: of the sequence's Adam.
+      cloning_learning_rate, cloning_passes: of the actor's regression, passes over the data of each iteration.
+    """
+
+    demonstration_share: Share = 0.5
+    sequence_learning_rate: Positive = 1e-2
+    cloning_learning_rate: Positive = 2e-3
+    cloning_passes: Count = 16
+
+    def demonstrations(self, env: Env) -> int:
+        """Iterations of the first phase."""
+        return int(self.demonstration_share * self.num_iterations * self.horizon) // env.episode_length
+
+    def second_phase(self, env: Env) -> SAPOConfig:
+        """Options of SAPO, whose learning rates fall over the steps that the first phase leaves."""
+        left = self.num_iterations - self.demonstrations(env) * env.episode_length // self.horizon
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(SAPOConfig)}
+        return SAPOConfig(**{**fields, "num_iterations": max(1, left)})
+
+    @property
+    def sequence(self) -> TrajOptConfig:
+        """Options of the sequence."""
+        return TrajOptConfig(
+            num_envs=self.num_envs,
+            learning_rate=self.sequence_learning_rate,
+            max_env_grad_norm=self.max_env_grad_norm,
+            state_gradient_decay=self.state_gradient_decay,
+            truncate_every=self.truncate_every,
+        )
+
+
+@struct.dataclass
+class DemonstratedState(SoftState):
+    """Everything a run is; a checkpoint holds just this.
+
+    Attributes:
+      actions, actions_opt: the sequence, shape (episode_length, action_size), and its optimizer.
+      cloning_opt: of the actor's regression.
+    """
+
+    actions: Array
+    actions_opt: PyTree
+    cloning_opt: PyTree
+
+
+Phase: TypeAlias = Callable[[DemonstratedState], tuple[DemonstratedState, Metrics]]
+
+
+def make_demonstrated(
+    env: Env, config: DemonstratedConfig | None = None, *, randomize: Randomize | None = None
+) -> Agent:
+    """SAPO from demonstrations; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
+    config = DemonstratedConfig() if config is None else config
+    length = EnvLeaves.of(env).first().episode_length
+    if config.num_envs * length % config.critic_minibatches:
+        raise ValueError(
+            f"critic_minibatches is {config.critic_minibatches}, which does not divide num_envs * episode length = "
+            f"{config.num_envs * length}: choose a divisor"
+        )
+    return actor_agent("sapo_from_demonstrations", env, config, init=init, train_step=train_step, randomize=randomize)
+
+
+def init(config: DemonstratedConfig, leaves: EnvLeaves, key: Key) -> DemonstratedState:
+    """The state of a run that has not begun: all actions of the sequence zero."""
+    env = leaves.first()
+    networks = make_actor_critic(env, config.second_phase(env))
+    log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
+    actions = jnp.zeros((env.episode_length, *env.action_spec.shape))
+    state = start_actor_critic(
+        DemonstratedState, networks, leaves, key, log_temperature=log_alpha, temperature_opt=opt, actions=actions,
+        actions_opt=config.sequence.optimizer.init(actions), cloning_opt=(),
+    )  # fmt: skip
+    return state.replace(cloning_opt=networks.optimizer(config.cloning_learning_rate).init(state.actor_params))
+
+
+def train_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
+    """One iteration of the phase that the run is in. A metric that the phase lacks is NaN, a counter 0.
+
+    Under ``vmap``, as with ``--num-seeds``, both phases are computed in each iteration.
+    """
+    env = state.environments.env.first()
+    phases: tuple[Phase, Phase] = (
+        functools.partial(demonstration_step, config),
+        functools.partial(sapo.train_step, config.second_phase(env)),
+    )
+    known = [jax.eval_shape(phase, state)[1] for phase in phases]
+    everything = {name: shape for metrics in known for name, shape in metrics.items()}
+
+    def completed(phase: Phase, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
+        new, metrics = phase(state)
+        return new, {name: metrics[name] if name in metrics else _absent(s) for name, s in everything.items()}
+
+    first, second = (functools.partial(completed, phase) for phase in phases)
+    return jax.lax.cond(state.iteration < config.demonstrations(env), first, second, state)
+
+
+def demonstration_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
+    """One iteration of the first phase: sequence, actor, critics."""
+    env = state.environments.env.first()
+    networks = make_actor_critic(env, config.second_phase(env))
+    key, loss_key, reset_key, stagger_key = jax.random.split(state.key, 4)
+    state = state.replace(environments=state.environments.restarted(reset_key))
+
+    loss = functools.partial(trajopt.sequence_loss, config=config.sequence)
+    losses, (end, t), grads = per_env_gradients(loss, state.actions, state.common(), state.environments, loss_key)
+    grad, metrics = mean_gradient(losses, grads, max_norm=config.max_env_grad_norm)
+    actions, opt = apply(config.sequence.optimizer, grad, state.actions_opt, state.actions)
+    actions = jnp.clip(actions, env.action_spec.low, env.action_spec.high)
+
+    state, cloning_metrics = clone(config, networks, state.replace(actions=actions, actions_opt=opt), t)
+    next_obs = networks.normalize(state.environments.statistics, t.next_obs)
+    next_values = jax.vmap(functools.partial(networks.values, state.critic_params))(next_obs)
+    state, critic_metrics = critic_update(networks, state, Rollout(end, t, next_values), t.reward)
+    state, episode_metrics = state.after(config, end, t, key)
+    if config.stagger_episodes:  # for the second phase; the first begins anew
+        state = state.replace(environments=staggered(state.environments, stagger_key))
+    return state, {**episode_metrics, **metrics, **cloning_metrics, **critic_metrics}
+
+
+def clone(
+    config: DemonstratedConfig, networks: Networks, state: DemonstratedState, transitions: Transition
+) -> tuple[DemonstratedState, Metrics]:
+    """Regress the actor onto the actions of a rollout.
+
+    Args:
+      config, networks, state: what is fitted.
+      transitions: leading axes (num_envs, T). Steps after the first end of an episode do not count: the sequence goes
+        on there as if nothing had ended.
+
+    Returns:
+      The state; the metric ``cloning_loss``, see ``cloning_loss``.
+    """
+    done = transitions.done
+    counts = transitions.valid & (jnp.cumsum(done, axis=1) - done == 0)
+    obs = networks.normalize(state.environments.statistics, transitions.obs)
+    obs, actions = masked((dict(obs), transitions.action), counts)
+    flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), (obs, actions, counts))
+    optimizer = networks.optimizer(config.cloning_learning_rate)
+
+    def update(carry: tuple[PyTree, PyTree], _: None) -> tuple[tuple[PyTree, PyTree], Array]:
+        params, opt = carry
+        loss, grad = jax.value_and_grad(cloning_loss)(params, *flat, networks=networks)
+        return apply(optimizer, finite_or_zero(grad), opt, params), loss
+
+    start = (state.actor_params, state.cloning_opt)
+    (params, opt), losses = jax.lax.scan(update, start, None, length=config.cloning_passes)
+    return state.replace(actor_params=params, cloning_opt=opt), {"cloning_loss": losses[-1]}
+
+
+def cloning_loss(params: PyTree, obs: PyTree, actions: Array, counts: Array, *, networks: Networks) -> Array:
+    """Mean squared errors of the actor's mode and of its log standard deviation. Gradient: exact.
+
+    Args:
+      params: of the actor.
+      obs: that ``Actor.normalize`` returned, leading axis (n,).
+      actions: that were played there, shape (n, action_size).
+      counts: which samples do, shape (n,), bool.
+      networks: the actor.
+    """
+    policy = jax.vmap(functools.partial(networks.distribution, params))(obs)
+    errors = (policy.mode() - actions) ** 2 + (policy.log_std - networks.config.initial_log_std) ** 2
+    return jnp.sum(jnp.where(counts[:, None], errors, 0.0)) / (jnp.maximum(counts.sum(), 1) * actions.shape[1])
+
+
+def _absent(shape: jax.ShapeDtypeStruct) -> Array:
+    return jnp.full(shape.shape, jnp.nan if jnp.issubdtype(shape.dtype, jnp.floating) else 0, shape.dtype)

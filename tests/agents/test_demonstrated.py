@@ -1,0 +1,66 @@
+"""SAPO from demonstrations: two phases with one budget of steps, and a policy that does what the sequence does."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from agent_cases import CASES, ENV, agent
+
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.demonstrated import DemonstratedConfig, cloning_loss, make_demonstrated
+from rewax.agents.presets import demonstrated_preset, sapo_preset
+from rewax.envs import make
+
+NAME = "sapo_from_demonstrations"
+
+
+def test_both_phases_have_as_many_steps_as_sapo():
+    """Sequences of 5 steps beside iterations of 4; and the episodes of HandFlip, 60 steps, beside 16."""
+    config = DemonstratedConfig(num_envs=4, horizon=4, num_iterations=10, demonstration_share=0.5)
+    assert config.demonstrations(ENV) == 4 and config.second_phase(ENV).num_iterations == 5
+    hand, env = demonstrated_preset("HandFlip", "small"), make("HandFlip", scale="small")
+    steps = hand.demonstrations(env) * env.episode_length + hand.second_phase(env).num_iterations * hand.horizon
+    assert steps == sapo_preset("HandFlip", "small").num_iterations * hand.horizon
+    changed = dataclasses.asdict(hand.second_phase(env)) | {"num_iterations": 120, "initial_log_std": 0.0}
+    assert changed == dataclasses.asdict(sapo_preset("HandFlip", "small"))
+
+
+def test_the_policy_does_what_the_sequence_does_when_the_second_phase_begins():
+    """The best sequence moves by -1, -1, 0, 0, 0: a policy sees where it is, hence knows which step it is."""
+    state, one = agent(NAME).init(jax.random.key(0)), CASES[NAME].config.demonstrations(ENV)
+    for _ in range(one):
+        state, metrics = agent(NAME).train_step(state)
+        assert np.isnan(metrics["entropy"]) and np.isfinite(metrics["cloning_loss"])
+    x, key = jnp.ones(1), jax.random.key(0)
+    for action in state.actions[:2]:
+        chosen = agent(NAME).policy(state, {"x": x}, key, deterministic=True)
+        np.testing.assert_allclose(chosen, action, atol=0.25)
+        x = x + 0.5 * action
+    assert int(state.env_steps) == one * 5 * 4
+    before = state.actions
+    state, metrics = agent(NAME).train_step(state)
+    assert int(state.env_steps) == one * 5 * 4 + 4 * 4 and np.isfinite(metrics["entropy"])
+    np.testing.assert_array_equal(state.actions, before)
+
+
+def test_cloning_loss_is_the_mean_square_of_what_it_says():
+    config = CASES[NAME].config
+    networks = make_actor_critic(ENV, config.second_phase(ENV))
+    params = networks.network.init(jax.random.key(0), {"x": jnp.zeros(1)})
+    obs, actions = {"x": jnp.array([[0.3], [-0.8], [9.0]])}, jnp.array([[0.5], [-0.2], [jnp.nan]])
+    counts = jnp.array([True, True, False])
+    policies = [networks.distribution(params, {"x": x}) for x in obs["x"][:2]]
+    expected = [
+        (float(jnp.tanh(p.mean[0])) - a) ** 2 + (float(p.log_std[0]) + 1.0) ** 2
+        for p, a in zip(policies, (0.5, -0.2), strict=True)
+    ]
+    loss = cloning_loss(params, obs, actions, counts, networks=networks)
+    np.testing.assert_allclose(loss, np.mean(expected), rtol=1e-5)
+
+
+def test_minibatches_that_do_not_fit_an_episode_are_refused():
+    config = DemonstratedConfig(num_envs=4, horizon=4, critic_minibatches=8)
+    with pytest.raises(ValueError, match="does not divide num_envs \\* episode length = 20"):
+        make_demonstrated(ENV, config)

@@ -1,0 +1,84 @@
+"""Inverse-variance weights: of least variance, and exactly what scales each step's share of the gradient."""
+
+import dataclasses
+
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from agent_cases import CASES, ENV
+
+from rewax.agents import ivw, sapo
+from rewax.agents.actor_critic import make_actor_critic
+from rewax.agents.registry import make_agent
+from rewax.envs.wrappers import AutoReset
+
+CONFIG = CASES["sapo_ivw"].config
+
+
+def test_weights_are_those_of_least_variance():
+    """Of sums with a given expectation, when step t has the mean discount^t and a variance of its own."""
+    config = dataclasses.replace(CONFIG, discount=0.8, variance_floor=1e-6)
+    variance, mean = np.array([9.0, 4.0, 1.0, 0.25]), 0.8 ** np.arange(4)
+    weights = np.asarray(ivw.step_weights(config, jnp.array(variance, jnp.float32)))
+    np.testing.assert_allclose(weights @ mean, mean.sum(), rtol=1e-6)
+    least = mean.sum() ** 2 / np.sum(mean**2 / variance)  # Cauchy-Schwarz
+    np.testing.assert_allclose(weights**2 @ variance, least, rtol=1e-5)
+    assert variance.sum() > 2.5 * least  # equal weights
+
+
+def test_equal_weights_at_first_and_where_nothing_varies():
+    np.testing.assert_allclose(ivw.step_weights(CONFIG, ivw.discounts(CONFIG)), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(ivw.step_weights(CONFIG, jnp.zeros(CONFIG.horizon)), 1.0, rtol=1e-6)
+
+
+def test_a_step_whose_gradient_is_zero_does_not_take_all_the_weight():
+    config = dataclasses.replace(CONFIG, discount=1.0, variance_floor=0.5)
+    weights = ivw.step_weights(config, jnp.array([0.0, 1.0, 1.0, 2.0]))  # floor 0.5
+    np.testing.assert_allclose(weights, 4.0 * np.array([2.0, 1.0, 1.0, 0.5]) / 4.5, rtol=1e-6)
+
+
+def test_the_variance_leaves_out_what_is_not_finite():
+    gradients = jnp.array([[[1.0, 0.0], [0.0, 0.0]], [[3.0, 4.0], [0.0, 1.0]], [[jnp.nan, 1.0], [9.0, 9.0]]])
+    np.testing.assert_allclose(ivw.step_variance(gradients), [2.0 + 8.0, 0.5], rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def gradient():
+    """Of one environment's loss: with respect to the actor and to the actions, for the variances of the state."""
+    networks = make_actor_critic(ENV, CONFIG)
+    state = make_agent("sapo_ivw", ENV, CONFIG).init(jax.random.key(0))
+    one = jax.tree.map(lambda a: a[0], state.environments.state)
+    params = (state.actor_params, jnp.zeros((CONFIG.horizon, 1)))
+
+    @jax.jit
+    def of(variance):
+        loss = lambda p: ivw.actor_loss(  # noqa: E731
+            p, state.replace(variance=variance).common(), AutoReset(env=ENV), one, jax.random.key(1), networks=networks
+        )[0]
+        return jax.grad(loss)(params)
+
+    plain = jax.grad(
+        lambda p: sapo.actor_loss(p, state.common(), AutoReset(env=ENV), one, jax.random.key(1), networks=networks)[0]
+    )(state.actor_params)
+    return of, plain
+
+
+def test_with_equal_weights_it_is_sapo(gradient):
+    of, plain = gradient
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-6), of(ivw.discounts(CONFIG))[0], plain
+    )
+
+
+def test_each_step_has_its_weight_and_actions_keep_their_gradient(gradient):
+    """The gradient is linear in the weights: four of them give the four steps' shares, which foretell a fifth."""
+    of, _ = gradient
+    variances = [jnp.array(v) for v in ([1.0, 2, 3, 4], [4.0, 1, 1, 2], [2.0, 5, 1, 1], [1.0, 1, 3, 1], [3.0, 2, 2, 1])]
+    weights = np.array([ivw.step_weights(CONFIG, v) for v in variances], np.float64)
+    flat = [jax.flatten_util.ravel_pytree(of(v)[0])[0] for v in variances]
+    shares = np.linalg.solve(weights[:4], np.array(flat[:4], np.float64))
+    np.testing.assert_allclose(weights[4] @ shares, flat[4], rtol=1e-3, atol=1e-5)
+    for v in variances[1:]:
+        np.testing.assert_allclose(of(v)[1], of(variances[0])[1], rtol=1e-5, atol=1e-7)
