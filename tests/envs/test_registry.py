@@ -48,7 +48,7 @@ def known(monkeypatch):
     ("name", "kwargs", "sentence"),
     [
         ("RollingFlat", {"youngs_modulu": 5.0}, "RollingFlat has no option 'youngs_modulu': did you mean 'youngs_modulus'? use youngs_modulus, yield_stress, dt"),
-        ("AntRun", {"onsett": 0.1}, "AntRun has no option 'onsett': did you mean 'onset'? use onset"),
+        ("AntRun", {"onsett": 0.1}, "AntRun has no option 'onsett': did you mean 'onset'? use onset, stale_mass_matrix"),
         ("Ant", {"onset": 0.1}, "Ant has no option 'onset': it has none"),
     ],
 )  # fmt: skip

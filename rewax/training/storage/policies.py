@@ -16,7 +16,6 @@ import numpy as np
 from rewax.agents.registry import algorithm
 from rewax.envs import registry
 from rewax.envs.base import Env
-from rewax.training.storage.checkpoint import latest_step
 from rewax.training.storage.description import plain
 from rewax.training.storage.leaves import from_numpy, named_leaves, to_numpy
 from rewax.training.storage.saved import SavedRun, agent_config, load_run
@@ -111,7 +110,11 @@ def open_run(where: str | Path, *, step: int | None = None, scale: str | None = 
 
 def is_policy(where: str | Path) -> bool:
     """Whether ``open_run`` takes this for the name of a task; a directory with a checkpoint is a run."""
-    return str(where) in dict(list_policies()) and latest_step(where) is None
+    if str(where) not in dict(list_policies()):
+        return False
+    from rewax.training.storage.checkpoint import latest_step  # orbax is slow to import
+
+    return latest_step(where) is None
 
 
 def save_policy(run: SavedRun, folder: str | Path, card: Mapping[str, Any]) -> Path:

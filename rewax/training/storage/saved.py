@@ -12,7 +12,6 @@ from rewax.agents.base import Agent
 from rewax.agents.registry import algorithm, list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
-from rewax.training.storage import checkpoint
 from rewax.training.storage.description import read_config
 from rewax.types import Array, Key, Observation
 
@@ -63,6 +62,8 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
     Raises:
       ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` does not say what to build.
     """
+    from rewax.training.storage import checkpoint  # orbax is slow to import
+
     if checkpoint.latest_step(run_dir) is None:
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
     config = read_config(run_dir)

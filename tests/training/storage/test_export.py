@@ -118,4 +118,4 @@ def test_an_algorithm_without_a_policy_is_refused():
 
 def test_the_command_needs_a_run(tmp_path, capsys):
     assert main(["export", str(tmp_path / "nothing")]) == 2
-    assert "holds no complete checkpoint: check the path" in capsys.readouterr().err
+    assert "nothing' is neither the directory of a run" in capsys.readouterr().err
