@@ -26,13 +26,11 @@ import jax.numpy as jnp
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Positive, Share
-from rewax.agents.first_order import Rollout, actor_step, combined, rollout_loss
-from rewax.agents.gradients import per_env_gradients
-from rewax.agents.ivw import IVWState, discounts, running_variance, start
+from rewax.agents.config import Positive
+from rewax.agents.first_order import Rollout, combined, rollout_loss
+from rewax.agents.ivw import IVWState, StepVarianceConfig, discounts, measured_actor_update, start
 from rewax.agents.returns import segment_ends
 from rewax.agents.rollout import rollout
-from rewax.agents.sapo import SAPOConfig
 from rewax.envs.base import Env, State
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
@@ -40,21 +38,17 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AGPOConfig(SAPOConfig):
+class AGPOConfig(StepVarianceConfig):
     """Hyper-parameters beyond SAPO's.
 
     Attributes:
       max_ratio: of the variances of the simulation's and the critics' gradients, above which the share falls.
-      variance_decay: share that the running mean of the variances keeps each iteration.
     """
 
     max_ratio: Positive = 10.0
-    variance_decay: Share = 0.9
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.entropy_in_return and self.entropy_in_loss:
-            raise ValueError("entropy_in_loss is True without entropy_in_return: give False, steps have no such term")
         if self.truncate_every is not None or self.state_gradient_decay != 1.0:
             raise ValueError(
                 f"truncate_every is {self.truncate_every}, state_gradient_decay {self.state_gradient_decay}: give None "
@@ -75,14 +69,11 @@ def train_step(config: AGPOConfig, state: IVWState) -> tuple[IVWState, Metrics]:
     """One iteration: actor, variances, temperature, critics."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
+    own = {"simulation_share": simulation_shares(config, state.variance).mean()}
     loss = functools.partial(actor_loss, networks=networks)
 
-    params = (state.actor_params, jnp.zeros((config.horizon, networks.action_size)))
-    losses, rollouts, (grads, nudges) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
-    state, actor_metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
-    own = {"simulation_share": simulation_shares(config, state.variance).mean()}
-    variance = running_variance(state, nudges, config.variance_decay)
-    state, metrics = sapo.after_actor(networks, state.replace(variance=variance), rollouts, key)
+    state, actor_metrics, rollouts = measured_actor_update(networks, state, loss, rollout_key)
+    state, metrics = sapo.after_actor(networks, state, rollouts, key)
     return state, {**metrics, **own, **actor_metrics}
 
 

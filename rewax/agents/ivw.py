@@ -19,7 +19,7 @@ Gradients?" (arXiv 2604.18161), of which only the abstract was at hand. The esti
 
 import dataclasses
 import functools
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_criti
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import Positive, Share
 from rewax.agents.first_order import Rollout, actor_step, rollout_loss, start_actor_critic
-from rewax.agents.gradients import per_env_gradients
+from rewax.agents.gradients import Loss, per_env_gradients
 from rewax.agents.rollout import rollout, scale_gradient
 from rewax.agents.sapo import SAPOConfig
 from rewax.agents.temperature import SoftState, start_temperature
@@ -43,16 +43,14 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class IVWConfig(SAPOConfig):
-    """Hyper-parameters beyond SAPO's.
+class StepVarianceConfig(SAPOConfig):
+    """Hyper-parameters, beyond SAPO's, of algorithms that measure the variance of the gradient of each step.
 
     Attributes:
       variance_decay: share that the running mean of the variances keeps each iteration.
-      variance_floor: a variance below this share of their mean counts as that share: it bounds the weights.
     """
 
     variance_decay: Share = 0.9
-    variance_floor: Positive = 0.1
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,6 +58,18 @@ class IVWConfig(SAPOConfig):
             raise ValueError("entropy_in_loss is True without entropy_in_return: give False, steps have no such term")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class IVWConfig(StepVarianceConfig):
+    """Hyper-parameters beyond SAPO's.
+
+    Attributes:
+      variance_floor: a variance below this share of their mean counts as that share: it bounds the weights.
+    """
+
+    variance_floor: Positive = 0.1
+
+
+C = TypeVar("C", bound=StepVarianceConfig)
 Networks: TypeAlias = ActorCritic[IVWConfig]
 
 
@@ -92,16 +102,31 @@ def train_step(config: IVWConfig, state: IVWState) -> tuple[IVWState, Metrics]:
     """One iteration: actor, variances, temperature, critics."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
-    loss = functools.partial(actor_loss, networks=networks)
-
-    params = (state.actor_params, jnp.zeros((config.horizon, networks.action_size)))
-    losses, rollouts, (grads, nudges) = per_env_gradients(loss, params, state.common(), state.environments, rollout_key)
-    state, actor_metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
     weights = step_weights(config, state.variance)
     own = {"least_step_weight": weights.min(), "largest_step_weight": weights.max()}
-    variance = running_variance(state, nudges, config.variance_decay)
-    state, metrics = sapo.after_actor(networks, state.replace(variance=variance), rollouts, key)
+    loss = functools.partial(actor_loss, networks=networks)
+
+    state, actor_metrics, rollouts = measured_actor_update(networks, state, loss, rollout_key)
+    state, metrics = sapo.after_actor(networks, state, rollouts, key)
     return state, {**metrics, **own, **actor_metrics}
+
+
+def measured_actor_update(
+    networks: ActorCritic[C], state: IVWState, loss: Loss[IVWState, Rollout], key: Key
+) -> tuple[IVWState, Metrics, Rollout]:
+    """``first_order.actor_update`` that also measures the variance of the gradient of each step.
+
+    Args:
+      networks, state, key: as there.
+      loss: of one environment; its parameters are the actor's, and zeros that it adds to the actions, shape
+        (horizon, action_size), whose gradient is that of the steps.
+    """
+    config = networks.config
+    params = (state.actor_params, jnp.zeros((config.horizon, networks.action_size)))
+    losses, rollouts, (grads, nudges) = per_env_gradients(loss, params, state.common(), state.environments, key)
+    state, metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
+    variance = running_variance(state, nudges, config.variance_decay)
+    return state.replace(variance=variance), metrics, rollouts
 
 
 def actor_loss(
