@@ -26,11 +26,12 @@ import jax.numpy as jnp
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Positive
+from rewax.agents.config import Positive, Share
 from rewax.agents.first_order import Rollout, combined, rollout_loss
-from rewax.agents.ivw import IVWState, StepVarianceConfig, discounts, measured_actor_update, start
+from rewax.agents.ivw import IVWState, check_entropy_of_steps, discounts, measured_actor_update, start
 from rewax.agents.returns import segment_ends
 from rewax.agents.rollout import rollout
+from rewax.agents.sapo import SAPOConfig
 from rewax.envs.base import Env, State
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
@@ -38,17 +39,20 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AGPOConfig(StepVarianceConfig):
+class AGPOConfig(SAPOConfig):
     """Hyper-parameters beyond SAPO's.
 
     Attributes:
       max_ratio: of the variances of the simulation's and the critics' gradients, above which the share falls.
+      variance_decay: share that the running mean of the variances keeps each iteration.
     """
 
     max_ratio: Positive = 10.0
+    variance_decay: Share = 0.9
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_entropy_of_steps(self)
         if self.truncate_every is not None or self.state_gradient_decay != 1.0:
             raise ValueError(
                 f"truncate_every is {self.truncate_every}, state_gradient_decay {self.state_gradient_decay}: give None "
@@ -72,7 +76,8 @@ def train_step(config: AGPOConfig, state: IVWState) -> tuple[IVWState, Metrics]:
     own = {"simulation_share": simulation_shares(config, state.variance).mean()}
     loss = functools.partial(actor_loss, networks=networks)
 
-    state, actor_metrics, rollouts = measured_actor_update(networks, state, loss, rollout_key)
+    decay = config.variance_decay
+    state, actor_metrics, rollouts = measured_actor_update(networks, state, loss, rollout_key, decay=decay)
     state, metrics = sapo.after_actor(networks, state, rollouts, key)
     return state, {**metrics, **own, **actor_metrics}
 

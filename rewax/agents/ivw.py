@@ -43,33 +43,29 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class StepVarianceConfig(SAPOConfig):
-    """Hyper-parameters, beyond SAPO's, of algorithms that measure the variance of the gradient of each step.
-
-    Attributes:
-      variance_decay: share that the running mean of the variances keeps each iteration.
-    """
-
-    variance_decay: Share = 0.9
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.entropy_in_return and self.entropy_in_loss:
-            raise ValueError("entropy_in_loss is True without entropy_in_return: give False, steps have no such term")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class IVWConfig(StepVarianceConfig):
+class IVWConfig(SAPOConfig):
     """Hyper-parameters beyond SAPO's.
 
     Attributes:
+      variance_decay: share that the running mean of the variances keeps each iteration.
       variance_floor: a variance below this share of their mean counts as that share: it bounds the weights.
     """
 
+    variance_decay: Share = 0.9
     variance_floor: Positive = 0.1
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_entropy_of_steps(self)
 
-C = TypeVar("C", bound=StepVarianceConfig)
+
+def check_entropy_of_steps(config: SAPOConfig) -> None:
+    """Raises ValueError where the loss has a term of the entropy that is none of a step's return."""
+    if not config.entropy_in_return and config.entropy_in_loss:
+        raise ValueError("entropy_in_loss is True without entropy_in_return: give False, steps have no such term")
+
+
+C = TypeVar("C", bound=SAPOConfig)
 Networks: TypeAlias = ActorCritic[IVWConfig]
 
 
@@ -106,13 +102,14 @@ def train_step(config: IVWConfig, state: IVWState) -> tuple[IVWState, Metrics]:
     own = {"least_step_weight": weights.min(), "largest_step_weight": weights.max()}
     loss = functools.partial(actor_loss, networks=networks)
 
-    state, actor_metrics, rollouts = measured_actor_update(networks, state, loss, rollout_key)
+    decay = config.variance_decay
+    state, actor_metrics, rollouts = measured_actor_update(networks, state, loss, rollout_key, decay=decay)
     state, metrics = sapo.after_actor(networks, state, rollouts, key)
     return state, {**metrics, **own, **actor_metrics}
 
 
 def measured_actor_update(
-    networks: ActorCritic[C], state: IVWState, loss: Loss[IVWState, Rollout], key: Key
+    networks: ActorCritic[C], state: IVWState, loss: Loss[IVWState, Rollout], key: Key, *, decay: float
 ) -> tuple[IVWState, Metrics, Rollout]:
     """``first_order.actor_update`` that also measures the variance of the gradient of each step.
 
@@ -120,12 +117,13 @@ def measured_actor_update(
       networks, state, key: as there.
       loss: of one environment; its parameters are the actor's, and zeros that it adds to the actions, shape
         (horizon, action_size), whose gradient is that of the steps.
+      decay: share that the running mean of the variances keeps.
     """
     config = networks.config
     params = (state.actor_params, jnp.zeros((config.horizon, networks.action_size)))
     losses, rollouts, (grads, nudges) = per_env_gradients(loss, params, state.common(), state.environments, key)
     state, metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
-    variance = running_variance(state, nudges, config.variance_decay)
+    variance = running_variance(state, nudges, decay)
     return state.replace(variance=variance), metrics, rollouts
 
 
