@@ -9,8 +9,9 @@ import pytest
 from agent_cases import CASES, ENV, agent
 
 from rewax.agents.actor_critic import make_actor_critic
-from rewax.agents.demonstrated import DemonstratedConfig, cloning_loss, make_demonstrated
+from rewax.agents.demonstrated import DemonstratedConfig, clone, cloning_loss, make_demonstrated
 from rewax.agents.presets import demonstrated_preset, sapo_preset
+from rewax.agents.rollout import Transition
 from rewax.envs import make
 
 NAME = "sapo_from_demonstrations"
@@ -58,6 +59,27 @@ def test_cloning_loss_is_the_mean_square_of_what_it_says():
     ]
     loss = cloning_loss(params, obs, actions, counts, networks=networks)
     np.testing.assert_allclose(loss, np.mean(expected), rtol=1e-5)
+
+
+def test_actions_after_the_end_of_an_episode_are_not_imitated():
+    """They were optimised for an episode that had gone on; those that reset plays belong to another start."""
+    config, state = CASES[NAME].config, agent(NAME).init(jax.random.key(0))
+    networks = make_actor_critic(ENV, config.second_phase(ENV))
+    zeros, over = jnp.zeros((2, 4)), jnp.zeros((2, 4), bool).at[:, 1].set(True)
+
+    def fitted(actions):
+        transitions = Transition(
+            obs={"x": jnp.linspace(-1.0, 1.0, 8).reshape(2, 4, 1)}, action=actions[..., None], reward=zeros,
+            next_obs={"x": zeros[..., None]}, terminated=over, truncated=jnp.zeros_like(over),
+            status=zeros.astype(jnp.int32), failed_leaf=zeros.astype(jnp.int32), metrics={}, aux={},
+            active=jnp.ones_like(over),
+        )  # fmt: skip
+        return jax.tree.leaves(clone(config, networks, state, transitions)[0].actor_params)
+
+    plain, later, earlier = (fitted(zeros.at[:, step].set(value)) for step, value in ((1, 0.0), (2, 0.9), (1, 0.9)))
+    for a, b in zip(plain, later, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert any(np.abs(a - b).max() > 1e-4 for a, b in zip(plain, earlier, strict=True))
 
 
 def test_minibatches_that_do_not_fit_an_episode_are_refused():

@@ -78,6 +78,7 @@ def test_each_step_has_its_weight_and_actions_keep_their_gradient(gradient):
     variances = [jnp.array(v) for v in ([1.0, 2, 3, 4], [4.0, 1, 1, 2], [2.0, 5, 1, 1], [1.0, 1, 3, 1], [3.0, 2, 2, 1])]
     weights = np.array([ivw.step_weights(CONFIG, v) for v in variances], np.float64)
     flat = [jax.flatten_util.ravel_pytree(of(v)[0])[0] for v in variances]
+    assert np.abs(flat[0] - flat[1]).max() > 0.1 * np.abs(flat[0]).max()
     shares = np.linalg.solve(weights[:4], np.array(flat[:4], np.float64))
     np.testing.assert_allclose(weights[4] @ shares, flat[4], rtol=1e-3, atol=1e-5)
     for v in variances[1:]:
