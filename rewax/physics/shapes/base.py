@@ -10,6 +10,7 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes import quadrature
 from rewax.physics.shapes.distance_surface import distance_surface
 from rewax.physics.shapes.drawn import Drawing, mesh
+from rewax.physics.shapes.rays import traced_entry
 from rewax.types import Array, Scalar
 
 
@@ -116,6 +117,20 @@ class Shape(struct.Replaceable):
         Gradient: as for ``volume``.
         """
         return quadrature.inertia(type(self).__name__, density, *quadrature.fractions_inside(self))
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Where rays first enter the solid, by default by sphere tracing its distance (``rays.traced_entry``).
+
+        Args:
+          origin: where the rays begin, outside, in the shape's frame [m], components of shape (...).
+          direction: where they go, of any length, components of shape (...).
+
+        Returns:
+          Distance in units of the direction's length, infinite where a ray misses, shape (...).
+
+        Gradient: none is promised; sensors cut it.
+        """
+        return traced_entry(self, origin, direction)
 
     def draw(self) -> list[Drawing]:
         """Drawings in the shape's frame, with the keys that ``rewax.viz.shapes`` lists.

@@ -12,6 +12,7 @@ from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.drawn import ORIGIN, STRAIGHT, Drawing
+from rewax.physics.shapes.rays import ball_entry
 from rewax.types import Array, Scalar, Vector
 
 NUM_ITERATIONS = 16
@@ -46,6 +47,11 @@ class Ellipsoid(Shape):
         """Exact."""
         mass, squares = density * self.volume(), jnp.asarray(self.semi_axes) ** 2
         return mass, jnp.diag(jnp.sum(squares) - squares) * (mass / 5.0)
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact: a ball of radius 1 once lengths are divided by the semi-axes."""
+        scaled = [cp.vector(lambda i, v=v: v[i] / self.semi_axes[..., i]) for v in (origin, direction)]
+        return ball_entry(*scaled, 1.0)
 
     def draw(self) -> list[Drawing]:
         """An ellipsoid."""

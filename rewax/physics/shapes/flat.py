@@ -8,6 +8,7 @@ from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.drawn import ORIGIN, STRAIGHT, Drawing
+from rewax.physics.shapes.rays import common_entry, plane_entry, slab_interval
 from rewax.types import Array, Scalar, Vector
 
 
@@ -53,6 +54,10 @@ class Box(Shape):
         mass = density * a * b * c
         return mass, jnp.diag(jnp.stack([b * b + c * c, a * a + c * c, a * a + b * b])) * (mass / 12.0)
 
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact."""
+        return common_entry(*(slab_interval(origin[i], direction[i], self.half_size[..., i]) for i in cp.AXES))
+
     def draw(self) -> list[Drawing]:
         """A box."""
         return [{"kind": "box", "center": ORIGIN, "half_size": self.half_size, "rotation": STRAIGHT}]
@@ -68,6 +73,10 @@ class Plane(Shape):
         """Exact."""
         zero = jnp.zeros_like(p[1])
         return p[1], (zero, jnp.ones_like(p[1]), zero)
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact."""
+        return plane_entry(origin, direction)
 
 
 __all__ = ["Box", "Plane"]

@@ -10,6 +10,7 @@ from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape, around_origin
 from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
+from rewax.physics.shapes.rays import common_entry, cone_entry, slab_interval, tube_interval
 from rewax.types import Array, Scalar
 
 
@@ -56,6 +57,12 @@ class Cylinder(_Revolved):
         distance = jnp.where(inside, jnp.maximum(side, cap), outside)
         return distance, (radial * p[0] * inverse, axial * jnp.where(p[1] < 0, -1.0, 1.0), radial * p[2] * inverse)
 
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact."""
+        return common_entry(
+            tube_interval(origin, direction, self.radius), slab_interval(origin[1], direction[1], self.half_length)
+        )
+
     def volume(self) -> Scalar:
         """Exact."""
         return 2.0 * math.pi * self.radius**2 * self.half_length
@@ -98,6 +105,10 @@ class Cone(_Revolved):
         radial = jnp.where(to_slant, slant_r, jnp.where(to_base, 0.0, corner_r * scale))
         axial = jnp.where(to_slant, slant_y, jnp.where(to_base, -1.0, corner_y * scale))
         return distance, (radial * p[0] * inverse, axial, radial * p[2] * inverse)
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact."""
+        return cone_entry(origin, direction, self.radius, self.half_length)
 
     def volume(self) -> Scalar:
         """Exact."""

@@ -10,6 +10,7 @@ from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape, around_origin
 from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
+from rewax.physics.shapes.rays import ball_entry, capsule_entry
 from rewax.physics.shapes.revolved import cylinder_inertia
 from rewax.types import Array, Scalar
 
@@ -41,6 +42,10 @@ class Sphere(Shape):
         """Exact."""
         mass = density * (4.0 / 3.0) * math.pi * self.radius**3
         return mass, jnp.eye(3) * (0.4 * mass * self.radius**2)
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact."""
+        return ball_entry(origin, direction, self.radius)
 
     def draw(self) -> list[Drawing]:
         """A sphere."""
@@ -81,6 +86,10 @@ class Capsule(Shape):
         across = across + ball * (0.4 * r * r + h * h + 0.75 * h * r)
         along = along + 0.4 * ball * r * r
         return tube + ball, jnp.diag(jnp.stack([across, along, across]))
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact."""
+        return capsule_entry(origin, direction, self.radius, self.half_length)
 
     def draw(self) -> list[Drawing]:
         """A capsule."""

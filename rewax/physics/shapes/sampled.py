@@ -13,6 +13,7 @@ from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.physics.shapes.grid_cells import check_nodes, locate, take
 from rewax.physics.shapes.quadrature import fractions_below_zero
+from rewax.physics.shapes.rays import common_entry, slab_interval, traced_entry
 from rewax.physics.shapes.sampled_surface import sampled_surface
 from rewax.types import Array, Scalar, Vector
 
@@ -100,6 +101,14 @@ class SampledDistance(Shape):
         It is off by the order of spacing^2.
         """
         return jnp.sum(fractions_below_zero(jnp.asarray(self.values))) / 6.0 * self.spacing**3
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """By sphere tracing from where the ray enters the grid's box; beyond it the distance may be too large."""
+        values = jnp.asarray(self.values)
+        half = [0.5 * self.spacing * (values.shape[i] - 1) for i in cp.AXES]
+        from_center = cp.vector(lambda i: origin[i] - (self.origin[..., i] + half[i]))
+        slabs = [slab_interval(from_center[i], direction[i], half[i]) for i in cp.AXES]
+        return traced_entry(self, origin, direction, common_entry(*slabs))
 
     def draw(self) -> list[Drawing]:
         """A mesh, made once for equal values."""

@@ -1,0 +1,66 @@
+"""The rays of a camera's pixels, and what they meet."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.pose import Pose
+from rewax.sensors.world import NOTHING
+from rewax.types import Array
+
+
+class Rays(NamedTuple):
+    """One ray per pixel, row by row: ``origin + depth * direction``."""
+
+    pose: Pose
+    """Of the camera in the world, shapes (3,), (3, 3)."""
+    origin: Vec3
+    """In the world [m], components of shape ()."""
+    direction: Vec3
+    """In the world; it advances by 1 along the viewing direction, components of shape (num_pixels,)."""
+    slope: tuple[Array, Array]
+    """x and y in the camera's frame at depth 1, shape (num_pixels,) each."""
+    height: int
+    width: int
+    focal_length: float
+    near: float
+    gradient: bool = False
+    """Whether depth has a derivative by what is seen."""
+
+    def local(self, points: Array) -> tuple[Array, Array, Array]:
+        """x, y and depth of points in the camera's frame [m], for points of shape (..., 3) in the world."""
+        offset, axes = points - self.pose.position, self.pose.rotation
+        x, y, back = (sum(offset[..., k] * axes[k, i] for k in range(3)) for i in range(3))
+        return x, y, -back  # type: ignore[return-value]
+
+
+class Hits(NamedTuple):
+    """What rays meet first, arrays over pixels."""
+
+    depth: Array
+    """[m], shape (num_pixels,), infinite where a ray meets nothing."""
+    label: Array | None = None
+    """Index into ``World.names``, int32."""
+    normal: Vec3 | None = None
+    """Of the surface, in the world."""
+
+
+def nearest(layers: Sequence[Hits], rays: Rays, *, everything: bool) -> Hits:
+    """The nearest of several hits; of equally near ones the first."""
+    x = rays.slope[0]
+    best = Hits(jnp.full_like(x, jnp.inf))
+    if everything:
+        zero = jnp.zeros_like(x)
+        best = Hits(best.depth, jnp.full(x.shape, NOTHING, jnp.int32), (zero, zero, zero))
+    for hits in layers:
+        nearer = hits.depth < best.depth
+        label = normal = None
+        if everything:
+            assert hits.label is not None and best.label is not None
+            label = jnp.where(nearer, hits.label, best.label)
+            normal = cp.vector(lambda i, a=hits.normal, b=best.normal: jnp.where(nearer, a[i], b[i]))  # noqa: B023
+        best = Hits(jnp.minimum(hits.depth, best.depth), label, normal)
+    return best
