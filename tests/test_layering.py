@@ -21,14 +21,15 @@ ALLOWED = {
     "physics.coupling": {"base", "lowering"} | SHARED | SOLVERS,
     "fixed_sources": {"base", "lowering"} | PHYSICS,
     "viz": {"base"},
-    "envs": {"base"} | PHYSICS,
-    "agents": {"base", "lowering", "envs"} | PHYSICS,
-    "training": {"base", "lowering", "envs", "agents", "viz"} | PHYSICS,
-    "testing": {"base", "lowering", "envs", "viz"} | PHYSICS,
-    "adapters": {"base", "envs", "training", "viz"},
+    "sensors": {"base"} | PHYSICS,
+    "envs": {"base", "sensors"} | PHYSICS,
+    "agents": {"base", "lowering", "sensors", "envs"} | PHYSICS,
+    "training": {"base", "lowering", "sensors", "envs", "agents", "viz"} | PHYSICS,
+    "testing": {"base", "lowering", "sensors", "envs", "viz"} | PHYSICS,
+    "adapters": {"base", "sensors", "envs", "training", "viz"},
     "debug": {"base"} | PHYSICS,
-    "cli": {"base", "lowering", "envs", "agents", "training", "viz", "testing", "fixed_sources"} | PHYSICS,
-    "top": {"base", "lowering", "envs", "agents", "training", "viz", "testing", "cli"} | PHYSICS,
+    "cli": {"base", "lowering", "sensors", "envs", "agents", "training", "viz", "testing", "fixed_sources"} | PHYSICS,
+    "top": {"base", "lowering", "sensors", "envs", "agents", "training", "viz", "testing", "cli"} | PHYSICS,
 }
 """Floors, and what each may import besides itself. Solvers do not import each other; only coupling knows several."""
 _BASE = {"jax_versions", "lazy", "types", "struct", "status", "statistics", "py.typed"}

@@ -1,6 +1,11 @@
 """What a robot has instead of the state: cameras, clouds of points, touch. Pure functions of what there is to see."""
 
 from rewax.sensors.camera import Camera, View
+from rewax.sensors.depth_cloud import DepthCloud
+from rewax.sensors.noise import DepthNoise
 from rewax.sensors.world import NOTHING, Balls, Solid, Triangles, World, half_space, solids
 
-__all__ = ["NOTHING", "Balls", "Camera", "Solid", "Triangles", "View", "World", "half_space", "solids"]
+__all__ = [
+    "NOTHING", "Balls", "Camera", "DepthCloud", "DepthNoise", "Solid", "Triangles", "View", "World", "half_space",
+    "solids",
+]  # fmt: skip

@@ -13,11 +13,12 @@ from rewax.physics.numerics.checks import FINITE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, placed_at, turned
 from rewax.sensors.hits import Hits, Rays, nearest
+from rewax.sensors.noise import DepthNoise
 from rewax.sensors.solids import see_solids
 from rewax.sensors.surfaces import see_triangles
 from rewax.sensors.world import NOTHING, World, frozen
 from rewax.sensors.z_buffer import see_balls
-from rewax.types import Array, Vector
+from rewax.types import Array, Key, Vector
 
 
 class View(NamedTuple):
@@ -46,6 +47,7 @@ class Camera(struct.Replaceable):
         larger one is faster.
       far: depth of pixels that see nothing; what is farther is not seen [m] (static).
       body: that carries the camera, an index; None: it stands still (static).
+      noise: what ``see`` does to depth; None: nothing.
       gradient: whether the gradient flows from the picture into the world and the camera, see ``view`` (static).
     """
 
@@ -57,6 +59,7 @@ class Camera(struct.Replaceable):
     near: float = struct.static_field(default=0.05)
     far: float = struct.static_field(default=10.0)
     body: int | None = struct.static_field(default=None)
+    noise: DepthNoise | None = None
     gradient: bool = struct.static_field(default=False)
 
     def __post_init__(self) -> None:
@@ -114,6 +117,18 @@ class Camera(struct.Replaceable):
         Gradient: none, unless ``gradient``.
         """
         return self._see(world, everything=False).depth.reshape(self.height, self.width)
+
+    def with_noise(self, depth: Array, key: Key) -> Array:
+        """A picture as the camera's ``noise`` leaves it [m], shape (height, width)."""
+        return depth if self.noise is None else self.noise.apply(depth, self.far, key)
+
+    def see(self, world: World, key: Key) -> Array:
+        """Depth as an observation, with noise: 0 at ``near``, 1 at ``far`` and beyond, shape (height, width, 1).
+
+        Gradient: none, unless ``gradient``.
+        """
+        depth = self.with_noise(self.depth(world), key)
+        return ((depth - self.near) / (self.far - self.near))[..., None]
 
     def view(self, world: World) -> View:
         """Depth, labels and normals.

@@ -17,9 +17,12 @@ from rewax.envs.kit.rigid_task import control_in_range
 from rewax.envs.kit.soft_task import Scene, Soft, check_list_every, soft_at_rest, soft_status
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
 from rewax.envs.kit.task import Task, against
+from rewax.envs.kit.worlds import soft_world
 from rewax.physics import rigid
 from rewax.physics.coupling import Wrench, articulated, no_wrench
 from rewax.physics.rigid import RigidModel, RigidState
+from rewax.sensors.robots import with_robot
+from rewax.sensors.world import World
 from rewax.types import Array, Key, Observation, PyTree, Vector
 
 
@@ -146,6 +149,10 @@ class CoupledTask(Task):
     def render_shapes(self, physics: CoupledPhysics) -> list[dict[str, Any]]:
         """Drawings of the robot, see ``rewax.viz.shapes``."""
         return rigid.shapes(self.model, physics.rigid)
+
+    def world(self, physics: CoupledPhysics, up: np.ndarray) -> World:
+        """What sensors can see: the robot by the names of its bodies, the soft body, the floor; see ``SoftTask``."""
+        return with_robot(soft_world(self.scene, physics.soft, up), self.model, physics.rigid)
 
     @property
     def up(self) -> np.ndarray:

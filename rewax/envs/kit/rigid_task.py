@@ -16,6 +16,8 @@ from rewax.envs.kit.checks import checked_start
 from rewax.envs.kit.task import Task, against
 from rewax.physics import rigid
 from rewax.physics.rigid import RigidModel, RigidState
+from rewax.sensors.robots import with_robot
+from rewax.sensors.world import World
 from rewax.types import Array, Key, PyTree, Vector
 
 ASSETS = Path(__file__).parent.parent / "assets"
@@ -81,6 +83,11 @@ class RigidTask(Task):
     def advance(self, physics: RigidPhysics, action: Array) -> tuple[RigidPhysics, Array]:
         bodies = rigid.step(self.model, physics.rigid, self.control(action), num_substeps=self.num_substeps)
         return physics.replace(rigid=bodies, action=action), rigid.check_status(bodies, self.model)
+
+    def world(self, physics: RigidPhysics, up: np.ndarray) -> World:
+        """What sensors can see: the geoms by the names of their bodies."""
+        del up
+        return with_robot(World(), self.model, physics.rigid)
 
     @property
     def up(self) -> np.ndarray:

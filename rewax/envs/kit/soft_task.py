@@ -16,11 +16,13 @@ from rewax.envs.kit.checks import checked_observation, checked_poses, checked_st
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
 from rewax.envs.kit.task import Task, against
+from rewax.envs.kit.worlds import soft_world, with_tools
 from rewax.physics import mpm, tets
 from rewax.physics.contact import drawings
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import TetScene, TetState
+from rewax.sensors.world import World
 from rewax.types import Array, Key, Observation, PyTree, Vector
 
 Scene: TypeAlias = MPMScene | TetScene
@@ -195,6 +197,17 @@ class SoftTask(Task):
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         """Drawings of the tools, see ``rewax.viz.shapes``."""
         return drawings(self.scene.colliders, jax.tree.map(lambda a: a[0], self.poses(physics.joint_q[None])))
+
+    def world(self, physics: SoftPhysics, up: np.ndarray) -> World:
+        """What sensors can see: soft bodies, tools (``tool``) and the floor; bodies are those of the tools.
+
+        Args:
+          physics: of a state.
+          up: unit vector against gravity, shape (3,): a part of the program, as ``self.up`` is not where the
+            environment is an argument of it.
+        """
+        bodies = jax.tree.map(lambda a: a[0], self.poses(physics.joint_q[None]))
+        return with_tools(soft_world(self.scene, physics.soft, up), self.scene.colliders, bodies)
 
     @property
     def up(self) -> np.ndarray:

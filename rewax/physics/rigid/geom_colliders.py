@@ -56,7 +56,7 @@ def colliders(
         touches = bool(mj.geom_contype[geom] or mj.geom_conaffinity[geom]) if chosen is None else chosen(body, name)
         if not touches:
             continue
-        shape, along = _shape(model, geom, mesh_spacing)
+        shape, along = geom_shape(model, geom, mesh_spacing)
         rotation = quaternion_to_matrix(model.parameters["geom_quat"][geom])
         own = model.parameters["geom_friction"][geom, 0] if friction is None else jnp.asarray(friction)
         found.append(
@@ -82,8 +82,17 @@ def poses(model: RigidModel, qpos: Array) -> Pose:
     return Pose(*(a.reshape(*qpos.shape[:-1], *a.shape[1:]) for a in (found.position, found.rotation)))
 
 
-def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Shape, np.ndarray]:
-    """A geom's shape, and the turn from the shape's frame to the geom's."""
+def geom_shape(model: RigidModel, geom: int, mesh_spacing: float | None = None) -> tuple[Shape, np.ndarray]:
+    """A geom's shape, and the rotation from the shape's frame to the geom's, shape (3, 3).
+
+    Args:
+      model: the bodies; the geom's size becomes a leaf of the shape.
+      geom: its index.
+      mesh_spacing: of the grid to which a mesh is baked [m].
+
+    Raises:
+      ValueError: as for ``colliders``.
+    """
     mj, size = model.static.mj, model.parameters["geom_size"][geom]
     kinds, straight = mujoco.mjtGeom, np.eye(3)
     match kinds(mj.geom_type[geom]):
@@ -123,4 +132,4 @@ def _name(mj: mujoco.MjModel, geom: int) -> str:
     return f"geom {name!r}" if name else f"geom number {geom}"
 
 
-__all__ = ["colliders", "poses"]
+__all__ = ["colliders", "geom_shape", "poses"]

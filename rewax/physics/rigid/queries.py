@@ -56,14 +56,9 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
     which MuJoCo's viewer hides, of a body that has others. Vertices and triangles of meshes are the same numpy arrays
     every time.
     """
-    mj, pose = model.static.mj, geom_poses(model, state)
-    hidden = mj.geom_group > 2
-    shown = set(mj.geom_bodyid[~hidden])
-    found = []
-    for geom in range(mj.ngeom):
-        if hidden[geom] and mj.geom_bodyid[geom] in shown:
-            continue
-        kind = mujoco.mjtGeom(mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+    pose, found = geom_poses(model, state), []
+    for geom in shown_geoms(model):
+        kind = geom_kind(model, geom)
         size, rotation = model.parameters["geom_size"][geom], pose.rotation[geom]
         shape = {"kind": kind, "center": pose.position[geom]}
         if kind == "plane":
@@ -77,9 +72,27 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
         elif kind == "ellipsoid":
             found.append({**shape, "rotation": rotation, "semi_axes": size})
         elif kind == "mesh":
-            vertices, triangles = _mesh(model.static, int(mj.geom_dataid[geom]))
+            vertices, triangles = geom_mesh(model, geom)
             found.append({**shape, "rotation": rotation, "vertices": vertices, "triangles": triangles})
     return found
+
+
+def shown_geoms(model: RigidModel) -> list[int]:
+    """Indices of the geoms that pictures show: all but those of the groups 3 to 5 of a body that has others."""
+    mj = model.static.mj
+    hidden = mj.geom_group > 2
+    shown = set(mj.geom_bodyid[~hidden])
+    return [geom for geom in range(mj.ngeom) if not (hidden[geom] and mj.geom_bodyid[geom] in shown)]
+
+
+def geom_kind(model: RigidModel, geom: int) -> str:
+    """``"sphere"``, ``"box"``, ``"mesh"`` ...: MuJoCo's name of the geom's type."""
+    return mujoco.mjtGeom(model.static.mj.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+
+
+def geom_mesh(model: RigidModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] and triangles of a geom that is a mesh, in the geom's frame."""
+    return _mesh(model.static, int(model.static.mj.geom_dataid[geom]))
 
 
 @functools.lru_cache(maxsize=256)

@@ -1,0 +1,65 @@
+"""What sensors can see of the tasks of this kit."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics import tets
+from rewax.physics.mpm import MPMScene, MPMState
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes import Plane
+from rewax.physics.tets import TetScene, TetState
+from rewax.sensors.world import Balls, Solid, Triangles, World, half_space, solids
+
+BALL_RADIUS = 0.4
+"""Of a particle, in cells of the grid. Of eight particles in a cell, neighbours on the diagonal then overlap."""
+
+
+def soft_world(scene: MPMScene | TetScene, soft: MPMState | TetState, up: np.ndarray) -> World:
+    """Particles or the surface of tetrahedra, and the floor: the wall or ground below.
+
+    Args:
+      scene: the soft bodies and what bounds them.
+      soft: where they are.
+      up: unit vector against gravity, shape (3,).
+    """
+    if isinstance(scene, TetScene):
+        faces = jnp.asarray(_faces(scene.topology), jnp.int32)
+        floor = () if scene.ground is None else (_ground(scene.ground.normal, scene.ground.height),)
+        return World(solids=floor, triangles=(Triangles(vertices=soft.x, faces=faces, name="soft"),))
+    parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
+    counts = scene.particle_counts or (soft.x.shape[0],)
+    looks = [part.look for part in parts]
+    names = tuple(
+        look if looks.count(look) == 1 else f"{look}_{looks[:i].count(look) + 1}" for i, look in enumerate(looks)
+    )
+    balls = Balls(center=soft.x, radius=BALL_RADIUS * scene.grid.spacing, names=names, counts=tuple(counts))
+    axis = int(np.argmax(np.abs(up)))
+    wall = (scene.walls.lower if up[axis] > 0 else scene.walls.upper)[axis]
+    floor = ()
+    if wall is not None and abs(up[axis]) > 0.99:
+        normal = np.sign(up[axis]) * np.eye(3)[axis]
+        floor = (half_space(normal, float(np.sign(up[axis]) * wall.position), "floor"),)
+    return World(solids=floor, balls=(balls,))
+
+
+def with_tools(world: World, colliders: Any, bodies: Pose) -> World:
+    """The world with colliders of bodies at these poses, shapes (num_bodies, 3) and (num_bodies, 3, 3)."""
+    return world.replace(solids=(*world.solids, *solids(colliders, bodies)), bodies=bodies)
+
+
+def _ground(normal: jax.Array, height: jax.Array) -> Solid:
+    """Its normal is data, so the rotation is that which takes y to it."""
+    side = jnp.where(jnp.abs(normal[0]) < 0.9, jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
+    side = jnp.cross(normal, side)
+    side = side / jnp.linalg.norm(side)
+    rotation = jnp.stack([side, normal, jnp.cross(side, normal)], axis=1)
+    return Solid(shape=Plane(), pose=Pose(normal * height, rotation), name="floor")
+
+
+@functools.lru_cache(maxsize=64)
+def _faces(topology: Any) -> np.ndarray:
+    return np.asarray(tets.boundary_faces(tets.TetMesh(np.zeros((0, 3)), topology.tets)))

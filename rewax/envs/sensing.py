@@ -1,0 +1,86 @@
+"""Environments with sensors: pictures, clouds and touch as further named observations."""
+
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+
+from rewax import struct
+from rewax.envs.base import ArraySpec, State
+from rewax.envs.wrappers import _Wrapper
+from rewax.sensors.world import World
+from rewax.types import Array, Key, Observation
+
+_STREAM = 0x5E45
+"""Folded into a state's key, so that sensors draw from a stream of their own and physics is the same without them."""
+
+
+class Sensor(Protocol):
+    """What can be added to an environment: a pytree with one method."""
+
+    def see(self, world: World, key: Key) -> Array:
+        """The observation of one state.
+
+        Args:
+          world: what there is.
+          key: for noise.
+        """
+        ...
+
+
+@struct.dataclass
+class Sensing(_Wrapper):
+    """An environment whose observations include what sensors see; nothing else of it changes.
+
+    Numbers of the sensors (a camera's position, the size of its noise) are leaves of the environment, so they can be
+    randomised and differ from environment to environment.
+
+    Attributes:
+      env: an environment with the method ``world(physics, up)``, as all tasks of rewax have.
+      sensors: by the name of the observation.
+      up: unit vector against gravity; by default that of ``env`` (static).
+
+    Example:
+      >>> env = Sensing(env=make("RollingFlat"), sensors={"depth": Camera.look_at((0, 0.1, 0), eye=(0, 0.6, 0.6))})
+
+    Gradient: as of ``env``; through an observation if its sensor has one, which cameras have only on request.
+    """
+
+    sensors: dict[str, Any] = struct.field(default_factory=dict)
+    up: tuple[float, float, float] | None = struct.static_field(default=None)
+
+    def __post_init__(self) -> None:
+        if self.up is None:
+            up = tuple(
+                float(a) for a in np.asarray(self.env.unwrapped.up if hasattr(self.env, "unwrapped") else self.env.up)
+            )
+            object.__setattr__(self, "up", up)
+
+    def reset(self, key: Key) -> State:
+        return self._sensed(self.env.reset(key))
+
+    def step(self, state: State, action: Array) -> State:
+        own = {name: value for name, value in state.obs.items() if name not in self.sensors}
+        return self._sensed(self.env.step(state.replace(obs=own), action))
+
+    def world(self, physics: Any) -> World:
+        """What the sensors see. Gradient: exact."""
+        return self.env.world(physics, np.asarray(self.up))
+
+    @property
+    def observation_spec(self) -> dict[str, ArraySpec]:
+        state = jax.eval_shape(self.reset, jax.random.key(0))
+        added = {name: ArraySpec(tuple(state.obs[name].shape)) for name in self.sensors}
+        return {**self.env.observation_spec, **added}
+
+    def _sensed(self, state: State) -> State:
+        return state.replace(obs={**state.obs, **self._see(state)})
+
+    def _see(self, state: State) -> Observation:
+        world = self.world(state.physics)
+        key = jax.random.fold_in(jax.random.fold_in(state.key, _STREAM), state.step_count)
+        keys = jax.random.split(key, max(len(self.sensors), 1))
+        return {name: self.sensors[name].see(world, keys[i]) for i, name in enumerate(sorted(self.sensors))}
+
+
+__all__ = ["Sensing", "Sensor"]

@@ -1,0 +1,70 @@
+"""A cloud of points as a robot has it: only what its camera sees."""
+
+import jax
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.sensors.camera import Camera
+from rewax.sensors.world import World
+from rewax.types import Array, Key
+
+
+@struct.dataclass
+class DepthCloud(struct.Replaceable):
+    """A fixed number of points of a camera's picture, in the world.
+
+    Attributes:
+      camera: whose pixels become points, noise included.
+      num_points: in the cloud (static).
+      of: names of the bodies whose points are taken, as a robot that segments its picture would; None: all (static).
+
+    ``see`` draws ``num_points`` pixels without replacement from those that see one of the bodies. If there are fewer,
+    points repeat; if there are none, all points are the camera's position.
+    """
+
+    camera: Camera
+    num_points: int = struct.static_field(default=256)
+    of: tuple[str, ...] | None = struct.static_field(default=None)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.num_points, bool) or not isinstance(self.num_points, int) or self.num_points < 1:
+            raise ValueError(f"num_points of the cloud is {self.num_points!r}: give a whole number, at least 1")
+
+    def see(self, world: World, key: Key) -> Array:
+        """Points [m], shape (num_points, 3).
+
+        Args:
+          world: what there is to see.
+          key: for the draw of pixels and the camera's noise.
+
+        Raises:
+          ValueError: ``of`` holds a name that nothing in the world has, or more points than pixels are asked for.
+
+        Gradient: none, unless the camera has one; then exact for the pixels that were drawn.
+        """
+        pixels = self.camera.height * self.camera.width
+        if self.num_points > pixels:
+            raise ValueError(f"num_points is {self.num_points}, but the camera has {pixels} pixels: give at most that")
+        noise_key, draw_key = jax.random.split(key)
+        if self.of is None:
+            depth, label = self.camera.depth(world), None
+        else:
+            depth, label, _ = self.camera.view(world)
+        depth = self.camera.with_noise(depth, noise_key)
+        chosen = depth < self.camera.far
+        if label is not None:
+            chosen &= jnp.isin(label, jnp.asarray([self._label(world, name) for name in self.of or ()]))
+        points = self.camera.points(depth, world).reshape(-1, 3)
+        rank = jnp.where(chosen.reshape(-1), jax.random.uniform(draw_key, (pixels,)), -1.0)
+        _, order = jax.lax.top_k(rank, self.num_points)
+        count = jnp.minimum(chosen.sum(), self.num_points)
+        index = order[jnp.arange(self.num_points) % jnp.maximum(count, 1)]
+        return jnp.where(count > 0, points[index], self.camera.pose_in(world).position)
+
+    def _label(self, world: World, name: str) -> int:
+        if name not in world.names:
+            raise ValueError(f"of has {name!r}, which nothing is named: use {', '.join(world.names)}")
+        return world.names.index(name)
+
+
+__all__ = ["DepthCloud"]
