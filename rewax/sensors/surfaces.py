@@ -9,7 +9,7 @@ from rewax.sensors.hits import Hits, Rays
 from rewax.sensors.world import NOTHING, Triangles
 from rewax.types import Array
 
-_AT_A_TIME = 32
+_AT_A_TIME = 8
 
 
 def see_triangles(surface: Triangles, label: int, rays: Rays, *, everything: bool) -> Hits:
@@ -27,30 +27,34 @@ def see_triangles(surface: Triangles, label: int, rays: Rays, *, everything: boo
 
     Gradient: of depth by vertices, exact on the triangle that is met.
     """
-    x, y, z = rays.local(surface.vertices)
-    corners = jnp.stack([x, y, z], axis=-1)[surface.faces]  # (num_faces, 3, 3)
-    num_faces = len(surface.faces)
+    corners = jnp.stack(rays.local(surface.vertices), axis=-1)[surface.faces]  # (num_faces, 3, 3)
+    num_faces, wanted = len(surface.faces), everything or rays.gradient
     chunks = -(-num_faces // _AT_A_TIME)
     padded = jnp.concatenate([corners, jnp.zeros((chunks * _AT_A_TIME - num_faces, 3, 3), corners.dtype)])
 
-    def nearest(best: tuple[Array, Array], chunk: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
+    def nearest(
+        best: tuple[Array, Array | None], chunk: tuple[Array, Array]
+    ) -> tuple[tuple[Array, Array | None], None]:
+        # One after the other: a kernel that keeps the picture in cache, where an axis of triangles would fill memory.
         triangles, first = chunk
-        depth = _depth(triangles, rays)
-        which = depth.argmin(axis=0)
-        found = jnp.take_along_axis(depth, which[None], axis=0)[0]
-        nearer = found < best[0]
-        return (jnp.where(nearer, found, best[0]), jnp.where(nearer, first + which, best[1])), None
+        depth, winner = best
+        for k in range(_AT_A_TIME):
+            found = _depth(triangles[k], rays)
+            if winner is not None:
+                winner = jnp.where(found < depth, first + k, winner)
+            depth = jnp.minimum(found, depth)
+        return (depth, winner), None
 
     pixels = rays.slope[0]
-    start = (jnp.full_like(pixels, jnp.inf), jnp.zeros(pixels.shape, jnp.int32))
+    start = (jnp.full_like(pixels, jnp.inf), jnp.zeros(pixels.shape, jnp.int32) if wanted else None)
     firsts = jnp.arange(chunks, dtype=jnp.int32) * _AT_A_TIME
     split = jax.lax.stop_gradient(padded).reshape(chunks, _AT_A_TIME, 3, 3)
     (buffer, winner), _ = jax.lax.scan(nearest, start, (split, firsts))
-    if not (everything or rays.gradient):
+    if winner is None:
         return Hits(buffer)
     seen = jnp.isfinite(buffer)
     own = padded[winner]  # (num_pixels, 3, 3)
-    depth = jnp.where(seen, _own_depth(own, rays), jnp.inf)
+    depth = jnp.where(seen, _depth(own, rays), jnp.inf)
     in_world = surface.vertices[surface.faces[jnp.minimum(winner, num_faces - 1)]]
     return Hits(depth, jnp.where(seen, label, NOTHING), _normals(in_world, rays, seen))
 
@@ -73,15 +77,8 @@ def _meet(sides: Vec3, determinant: Array, near: float) -> Array:
 
 
 def _depth(triangles: Array, rays: Rays) -> Array:
-    """Depth of every pixel on each triangle, (n, 3, 3) in the camera's frame: shape (n, num_pixels)."""
-    a, b, c = (cp.vector(lambda i, k=k: triangles[:, k, i, None]) for k in range(3))
-    sides, determinant = _edges(a, b, c, rays.slope)
-    return _meet(sides, determinant, rays.near)
-
-
-def _own_depth(triangles: Array, rays: Rays) -> Array:
-    """Depth of each pixel on a triangle of its own, (num_pixels, 3, 3)."""
-    a, b, c = (cp.split_vector(triangles[:, k]) for k in range(3))
+    """Depth of every pixel on a triangle in the camera's frame, (3, 3), or on one of its own, (num_pixels, 3, 3)."""
+    a, b, c = (cp.split_vector(triangles[..., k, :]) for k in range(3))
     sides, determinant = _edges(a, b, c, rays.slope)
     return _meet(sides, determinant, rays.near)
 
