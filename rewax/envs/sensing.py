@@ -29,7 +29,7 @@ class Sensor(Protocol):
 
 
 @struct.dataclass
-class Sensing(_Wrapper):
+class Sensing(struct.Replaceable, _Wrapper):
     """An environment whose observations include what sensors see; nothing else of it changes.
 
     Numbers of the sensors (a camera's position, the size of its noise) are leaves of the environment, so they can be
@@ -50,11 +50,23 @@ class Sensing(_Wrapper):
     up: tuple[float, float, float] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
-        if self.up is None:
-            up = tuple(
-                float(a) for a in np.asarray(self.env.unwrapped.up if hasattr(self.env, "unwrapped") else self.env.up)
+        if self.up is not None:  # checked before
+            return
+        bare = getattr(self.env, "unwrapped", self.env)
+        if not callable(getattr(bare, "world", None)):
+            raise ValueError(
+                f"{type(bare).__name__} has no world(physics, up), which says what sensors can see: define it, see "
+                "rewax.envs.kit.worlds"
             )
-            object.__setattr__(self, "up", up)
+        known = self.env.observation_spec
+        for name, sensor in self.sensors.items():
+            if name in known:
+                raise ValueError(f"sensors has {name!r}, which the environment observes already: choose another name")
+            if not callable(getattr(sensor, "see", None)):
+                raise ValueError(
+                    f"sensors[{name!r}] is {sensor!r}: give a Camera, or another object with see(world, key)"
+                )
+        object.__setattr__(self, "up", tuple(float(a) for a in np.asarray(bare.up)))
 
     def reset(self, key: Key) -> State:
         return self._sensed(self.env.reset(key))
@@ -65,7 +77,7 @@ class Sensing(_Wrapper):
 
     def world(self, physics: Any) -> World:
         """What the sensors see. Gradient: exact."""
-        return self.env.world(physics, np.asarray(self.up))
+        return getattr(self.env, "unwrapped", self.env).world(physics, np.asarray(self.up))
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE
+from rewax.physics.numerics.checks import FINITE, check_numbers, numbers_of
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, placed_at, turned
 from rewax.sensors.hits import Hits, Rays, nearest
@@ -63,12 +63,17 @@ class Camera(struct.Replaceable):
     gradient: bool = struct.static_field(default=False)
 
     def __post_init__(self) -> None:
+        check_numbers(numbers_of(self, "Camera."))
         for name in ("height", "width"):
             size = getattr(self, name)
             if isinstance(size, bool) or not isinstance(size, int) or size < 1:
                 raise ValueError(f"{name} of the camera is {size!r}: give a whole number of pixels, at least 1")
         if not 0.0 < self.field_of_view < 180.0:
             raise ValueError(f"field_of_view is {self.field_of_view}: give degrees between 0 and 180")
+        if self.body is not None and (isinstance(self.body, bool) or not isinstance(self.body, int) or self.body < 0):
+            raise ValueError(f"body is {self.body!r}: give the index of a body, from 0 on, or None")
+        if not (self.noise is None or isinstance(self.noise, DepthNoise)):
+            raise ValueError(f"noise is of the type {type(self.noise).__name__}: give a DepthNoise, or None for none")
         if not (0.0 < self.near < self.far < math.inf):
             raise ValueError(
                 f"near is {self.near} and far {self.far}: give two distances in metres, 0 < near < far < infinity"

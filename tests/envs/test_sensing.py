@@ -1,0 +1,91 @@
+"""Sensors on environments: physics stays as it is, observations are added, pictures show what happens."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rewax
+from rewax.envs.sensing import Sensing
+from rewax.envs.wrappers import AutoReset
+from rewax.sensors import Camera, DepthNoise
+
+CAMERA = Camera.look_at((0.0, 0.0, 0.0), eye=(0.0, 0.5, 2.0), near=0.5, far=4.0, height=24, width=32)
+
+
+@pytest.fixture(scope="module")
+def bare():
+    return rewax.make("CartpoleSwingUp", scale="small")
+
+
+@pytest.fixture(scope="module")
+def sensing(bare):
+    return Sensing(env=bare, sensors={"depth": CAMERA, "noisy": CAMERA.replace(noise=DepthNoise(constant=0.05))})
+
+
+@pytest.fixture(scope="module")
+def steps(bare, sensing):
+    """States with and without sensors after a reset and two control steps."""
+    actions = jnp.full((2, *bare.action_spec.shape), 0.7)
+
+    def run(env, key):
+        first = env.reset(key)
+        _, rest = jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, first, actions)
+        return first, rest
+
+    return jax.jit(run)(bare, jax.random.key(3)), jax.jit(run)(sensing, jax.random.key(3))
+
+
+def test_sensors_change_nothing_but_the_observations(steps):
+    for without, seeing in zip(*steps, strict=True):
+        np.testing.assert_array_equal(jax.random.key_data(without.key), jax.random.key_data(seeing.key))
+        for name in ("physics", "reward", "step_count", "status"):
+            jax.tree.map(np.testing.assert_array_equal, getattr(without, name), getattr(seeing, name))
+        for name, value in without.obs.items():
+            np.testing.assert_array_equal(value, seeing.obs[name])
+        assert set(seeing.obs) == {*without.obs, "depth", "noisy"}
+
+
+def test_the_picture_moves_with_the_cart_and_noise_is_drawn_anew(steps):
+    first, rest = steps[1]
+    assert first.obs["depth"].shape == (24, 32, 1) and (first.obs["depth"] < 1).sum() > 20
+    assert np.abs(rest.obs["depth"][1] - first.obs["depth"]).max() > 0.1
+    errors = [
+        np.asarray(o["noisy"] - o["depth"])[np.asarray(o["depth"]) < 1]
+        for o in (first.obs, jax.tree.map(lambda a: a[0], rest.obs))
+    ]
+    assert all(0.002 < e.std() < 0.02 for e in errors) and not np.allclose(errors[0][:20], errors[1][:20])
+
+
+def test_the_specification_has_what_sensors_see(bare, sensing):
+    spec = sensing.observation_spec
+    assert spec["depth"].shape == (24, 32, 1) and {**spec, **bare.observation_spec} == spec
+    assert sensing.action_spec == bare.action_spec and sensing.episode_length == bare.episode_length
+
+
+def test_a_cameras_place_is_a_parameter_of_the_environment(sensing):
+    moved = sensing.replace(sensors={**sensing.sensors, "depth": CAMERA.replace(position=CAMERA.position + 0.3)})
+    see = jax.jit(lambda env: env.reset(jax.random.key(0)).obs["depth"])
+    assert np.abs(see(moved) - see(sensing)).max() > 0.1
+
+
+def test_after_an_episode_the_final_picture_is_kept(bare):
+    env = AutoReset(env=Sensing(env=bare.replace(max_steps=2), sensors={"depth": CAMERA}))
+
+    def run(key):
+        state = env.reset(key)
+        return jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, state, jnp.ones((3, *bare.action_spec.shape)))[1]
+
+    state = jax.jit(run)(jax.random.key(0))
+    assert state.done.tolist() == [False, True, False]
+    same = [bool((state.final_obs["depth"][i] == state.obs["depth"][i]).all()) for i in range(3)]
+    assert same == [True, False, True]
+
+
+def test_bad_sensors_are_refused(bare):
+    with pytest.raises(ValueError, match="sensors has 'state', which the environment observes already"):
+        Sensing(env=bare, sensors={"state": CAMERA})
+    with pytest.raises(ValueError, match=r"sensors\['x'\] is 3.*see\(world, key\)"):
+        Sensing(env=bare, sensors={"x": 3})
+    with pytest.raises(ValueError, match="has no world"):
+        Sensing(env=object(), sensors={"depth": CAMERA})
