@@ -10,7 +10,7 @@ from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import AutoReset
 from rewax.sensors import Camera, DepthNoise
 
-CAMERA = Camera.look_at((0.0, 0.0, 0.0), eye=(0.0, 0.5, 2.0), near=0.5, far=4.0, height=24, width=32)
+CAMERA = Camera.look_at((-1.0, 0.0, -0.2), eye=(-1.0, -2.0, 0.3), up=(0, 0, 1), near=0.5, far=4.0, height=24, width=32)
 
 
 @pytest.fixture(scope="module")
