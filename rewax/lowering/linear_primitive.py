@@ -31,8 +31,8 @@ class ByPlatform(NamedTuple):
 
     cpu: Rule
     other: Rule
-    numbers: Rule | None = None
-    """For programs that ``from_jaxpr`` lowers to operations on single numbers; None: the other."""
+    scalar: Rule | None = None
+    """The rule that ``from_jaxpr`` lowers to scalar operations; None: ``other``."""
 
     def __call__(self, static: Any, residuals: Arrays, linear: Arrays) -> Arrays:
         return self.cpu(static, residuals, linear)
@@ -127,8 +127,8 @@ def run_elsewhere(*args: Array, function: Rule, **params: Any) -> list[Array]:
 
 
 def run_scalar_form(*args: Array, function: Rule, **params: Any) -> list[Array]:
-    numbers = function.numbers if isinstance(function, ByPlatform) else None
-    return run_elsewhere(*args, function=function if numbers is None else numbers, **params)
+    scalar = function.scalar if isinstance(function, ByPlatform) else None
+    return run_elsewhere(*args, function=function if scalar is None else scalar, **params)
 
 
 def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[ShapedArray]:

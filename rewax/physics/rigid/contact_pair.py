@@ -1,4 +1,4 @@
-"""How two kinds of geoms touch, as an object: what users add to a model, and what rewax has built in."""
+"""Contact functions of two kinds of geoms, which users can add to the built-in ones."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -11,20 +11,20 @@ from rewax.physics.rigid.small_products import cross
 from rewax.types import Array
 
 KINDS = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
-"""Kinds of geoms that position, rotation and size say all about, in MuJoCo's order."""
+"""Kinds of geoms that position, rotation and size fully describe, in MuJoCo's order."""
 NO_CONTACT = 1.0
-"""Distance [m] in a slot that holds no contact, as in MuJoCo's JAX implementation."""
+"""Distance [m] in an unused slot, as in MJX (MuJoCo's JAX implementation)."""
 
 
 class Geom(NamedTuple):
     """One geom of a model.
 
     Attributes:
-      position: of its center [m], shape (3,).
-      rotation: from its frame to the world's, shape (3, 3). Planes have their normal, capsules and cylinders their
-        axis, along the frame's z: ``rotation[:, 2]``.
-      size: MuJoCo's ``geom_size`` [m], shape (3,): of a sphere the radius, of a capsule or cylinder the radius and half
-        the length, of a box half the edges, of an ellipsoid the semi-axes; numbers that a kind has not are 0.
+      position: its center [m], shape (3,).
+      rotation: from its frame to the world's, shape (3, 3). A plane's normal, and the axis of a capsule or cylinder,
+        is the frame's z axis: ``rotation[:, 2]``.
+      size: MuJoCo's ``geom_size`` [m], shape (3,): radius of a sphere; radius and half length of a capsule or cylinder;
+        half sizes of a box; semi-axes of an ellipsoid. Unused entries are 0.
     """
 
     position: Array
@@ -37,18 +37,18 @@ class ContactPair:
     """How geoms of two kinds touch; give it to ``load`` as one of ``contact_pairs``.
 
     Attributes:
-      kinds: of the two geoms, by their names in MJCF, in MuJoCo's order: plane, sphere, capsule, ellipsoid, cylinder,
-        box.
-      num_contacts: number n of slots for contacts of one pair of geoms.
+      kinds: the two geoms' kinds by their names in MJCF, in MuJoCo's order: plane, sphere, capsule, ellipsoid,
+        cylinder, box.
+      num_contacts: number n of contact slots for one pair of geoms.
       function: ``function(first, second)`` of two ``Geom``s returns three arrays. Signed distances between the surfaces
-        [m], shape (n,), negative where they overlap, 1 in a slot without contact. Points halfway between the surfaces
-        [m], shape (n, 3). Unit normals from the first geom to the second, shape (n, 3), or (3,) for one that all
-        contacts have in common; or frames, shape (n, 3, 3), whose rows are the normal and two directions of friction.
-        With one contact the axis of length n may be left out of distance and point. It is a pure JAX function of one
+        [m], shape (n,), negative where they overlap, 1 in an unused slot. Points halfway between the surfaces
+        [m], shape (n, 3). Unit normals from the first geom to the second, shape (n, 3), or (3,) if all contacts share
+        one; or frames, shape (n, 3, 3), whose rows are the normal and two directions of friction. For
+        ``num_contacts=1`` distance and point may omit the axis of length n. It is a pure JAX function of one
         pair of geoms; rewax maps it over all pairs of the model. Models that share the function share programs.
 
     Raises:
-      ValueError: a kind is unknown, or they are in another order, or the number of contacts is no whole number above 0.
+      ValueError: a kind is unknown, the kinds are in another order, or ``num_contacts`` is no positive integer.
 
     Gradient: that of the function, with respect to positions, rotations and sizes.
 
@@ -76,7 +76,7 @@ class ContactPair:
             raise ValueError(f"kinds is {self.kinds!r}: give {kinds[::-1]!r}, MuJoCo's order, and a function of these")
         object.__setattr__(self, "kinds", kinds)
         if not isinstance(self.num_contacts, int) or isinstance(self.num_contacts, bool) or self.num_contacts < 1:
-            raise ValueError(f"num_contacts of {self} is {self.num_contacts!r}: give a whole number, at least 1")
+            raise ValueError(f"num_contacts of {self} is {self.num_contacts!r}: give an integer, at least 1")
         if not callable(self.function):
             raise ValueError(f"function of {self} is {self.function!r}: give a function of two geoms")
 
@@ -85,19 +85,19 @@ class ContactPair:
 
 
 def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
-    """Contacts of n pairs of geoms, those of a pair one after another.
+    """Contacts of n pairs of geoms; contacts of one pair are consecutive.
 
     Args:
-      pair: how they touch, with k contacts each.
+      pair: the contact function, with k contacts per pair.
       first, second: the geoms, each array with a leading axis of length n.
 
     Returns:
       Distances [m], shape (n k,); points [m], shape (n k, 3); frames, shape (n k, 3, 3).
 
     Raises:
-      ValueError: the pair's function returns something else than ``ContactPair`` says.
+      ValueError: the pair's function returns something else than ``ContactPair`` requires.
 
-    Gradient: that of the pair's function; of the directions of friction as ``contact_frame`` says.
+    Gradient: that of the pair's function; for the directions of friction, that of ``contact_frame``.
     """
     num, dtype = pair.num_contacts, first.position.dtype
 
@@ -117,9 +117,9 @@ def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Ar
 
 
 def contact_frame(normal: Array) -> Array:
-    """A right-handed frame of a normal, as MuJoCo makes it: rows normal and two tangents. (..., 3) -> (..., 3, 3).
+    """MuJoCo's right-handed contact frame, with rows normal and two tangents. (..., 3) -> (..., 3, 3).
 
-    Gradient: exact, but where the tangent changes from about y to about z.
+    Gradient: exact, except at the switch of the tangent from about y to about z.
     """
     level = (normal[..., 1] > -0.5) & (normal[..., 1] < 0.5)
     start = jnp.where(level[..., None], jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
@@ -129,7 +129,7 @@ def contact_frame(normal: Array) -> Array:
 
 
 def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
-    """Raises a ValueError unless all are contact pairs, of different kinds, whose functions return what they should."""
+    """Raises a ValueError unless all are contact pairs of different kinds whose functions return the right shapes."""
     for i, pair in enumerate(pairs):
         if not isinstance(pair, ContactPair):
             raise ValueError(f"contact_pairs holds {pair!r}: give rigid.ContactPair(kinds, num_contacts, function)")

@@ -1,4 +1,4 @@
-"""Bodies of a model as tools that push particles and vertices: geoms as colliders, joint angles as poses."""
+"""Geoms of a rigid model as colliders that push particles and vertices; poses of its bodies."""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
@@ -19,7 +19,7 @@ from rewax.physics.shapes.mesh_sdf import bake_mesh
 from rewax.types import Array, Scalar
 
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Our capsules and cylinders lie along y, MuJoCo's along z."""
+"""Rotation of the axis: capsules and cylinders lie along y in rewax and along z in MuJoCo."""
 
 
 def colliders(
@@ -30,16 +30,16 @@ def colliders(
     mesh_spacing: float | None = None,
     chosen: Callable[[str, str], bool] | None = None,
 ) -> tuple[Collider, ...]:
-    """A collider for each geom that can touch anything, in the order of the model; ``Collider.body`` is its body.
+    """One collider per geom that can touch anything, in the order of the model; ``Collider.body`` is its body.
 
     Args:
-      model: the bodies; the numbers of its geoms become leaves of the colliders.
-      friction: Coulomb coefficient of all; None: that of each geom.
-      softness: of all [1/m], see ``Collider``.
-      mesh_spacing: of the grids to which meshes are baked [m]; needed where there are meshes. A mesh is taken as it
-        is, not its convex hull.
-      chosen: ``chosen(name of the body, name of the geom)`` says which geoms; None: those whose contype or conaffinity
-        is not 0.
+      model: the bodies. The parameters of its geoms become parameters of the colliders.
+      friction: Coulomb coefficient of all colliders [-]; None: that of each geom.
+      softness: softness of all colliders [1/m], see ``Collider``.
+      mesh_spacing: spacing of the grids to which meshes are baked [m]; required if there are meshes. The collider is
+        the mesh itself, not its convex hull.
+      chosen: ``chosen(name of the body, name of the geom)`` returns whether to include a geom; None: include geoms with
+        a contype or conaffinity other than 0.
 
     Raises:
       ValueError: a geom is a plane (use a wall or a ground), a height field or another kind without a distance; meshes
@@ -83,7 +83,7 @@ def poses(model: RigidModel, qpos: Array) -> Pose:
 
 
 def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Shape, np.ndarray]:
-    """A geom's shape, and the turn from the shape's frame to the geom's."""
+    """A geom's shape, and the rotation from the shape's frame to the geom's."""
     mj, size = model.static.mj, model.parameters["geom_size"][geom]
     kinds, straight = mujoco.mjtGeom, np.eye(3)
     match kinds(mj.geom_type[geom]):
@@ -109,7 +109,7 @@ def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Sh
 
 
 class _Mesh:
-    """A mesh of a model, with the names that ``bake_mesh`` reads."""
+    """A mesh of a model with the attributes that ``bake_mesh`` reads."""
 
     def __init__(self, mj: mujoco.MjModel, mesh: int) -> None:
         first, count = mj.mesh_vertadr[mesh], mj.mesh_vertnum[mesh]

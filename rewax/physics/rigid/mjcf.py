@@ -1,4 +1,4 @@
-"""MJCF models: read them, and say clearly what is not supported."""
+"""Compiles MJCF models and refuses those with unsupported features."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 
 LIMITS = ("max_contact_points", "max_geom_pairs")
-"""Custom numbers with which a model asks MJX to leave contacts out."""
+"""Custom numerics of a model that limit the number of MJX's contacts."""
 
 
 def compile_model(source: Any) -> mujoco.MjModel:
-    """MuJoCo's model of an MJCF file's path, of MJCF text or of a ``mujoco.MjSpec``; a ``mujoco.MjModel`` as it is.
+    """MuJoCo's model of an MJCF file, MJCF text or a ``mujoco.MjSpec``. A ``mujoco.MjModel`` is returned unchanged.
 
     Raises:
-      ValueError: it is none of these, or cannot be read.
+      ValueError: the source is none of these, or MuJoCo cannot read it.
     """
     try:
         if isinstance(source, mujoco.MjModel):
@@ -37,26 +37,27 @@ def compile_model(source: Any) -> mujoco.MjModel:
 
 
 def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
-    """Whether the model disables what MuJoCo's flag ``mjDSBL_<name>`` stands for."""
+    """Whether the model sets MuJoCo's disable flag ``mjDSBL_<name>``."""
     return bool(mj.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
 
 
 def numeric(mj: mujoco.MjModel, name: str) -> list[int]:
-    """Where MJX reads a custom number of this name, shape (1,) or (0,): at the number's place among their names."""
+    """Index at which MJX reads a custom numeric of this name: its id, not its address. Empty if there is none."""
     found = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return [found] if found >= 0 else []
 
 
 def limit(mj: mujoco.MjModel, name: str) -> int | None:
-    """One of ``LIMITS``; None: the model has none."""
+    """The value of one of ``LIMITS``; None: the model sets no limit."""
     found = [int(value) for value in mj.numeric_data[numeric(mj, name)]]
     return found[0] if found and found[0] >= 0 else None
 
 
 def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the explicit pairs of two kinds of geoms, unless contacts are disabled or limited; their geoms.
+    """Ids of explicit pairs of two kinds of geoms, and the ids of their two geoms, shape (n,) each.
 
-    Not of pairs that could also touch without being listed: MJX leaves those out because they are.
+    Empty if contacts are disabled or limited. Pairs whose masks also permit a contact are left out: without the
+    explicit pair, MJX would collide them.
 
     Args:
       mj: the model.
@@ -75,7 +76,7 @@ def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, 
 
 
 def lone_dofs(mj: mujoco.MjModel) -> np.ndarray:
-    """Degrees of freedom of the free joints of trees that have no other joint, shape (n, 6)."""
+    """Degrees of freedom of free joints whose tree has no other joint, shape (n, 6)."""
     start = mj.jnt_dofadr[mj.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
     root = mj.body_rootid[mj.dof_bodyid]
     alone = np.array([np.sum(root == root[dof]) == 6 for dof in start], bool)
@@ -83,10 +84,10 @@ def lone_dofs(mj: mujoco.MjModel) -> np.ndarray:
 
 
 def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
-    """Of a body, geom or joint with this name.
+    """Id of a body, geom or joint with this name.
 
     Raises:
-      ValueError: there is none; the message says which there are.
+      ValueError: there is none. The message lists the known names.
     """
     found = mujoco.mj_name2id(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
     if found < 0:
@@ -97,11 +98,11 @@ def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
 
 
 def check_model(mj: mujoco.MjModel, *, penalty: bool) -> None:
-    """Raise a ValueError that names what would be computed wrongly, or ignored in silence.
+    """Raises a ValueError if the model has a feature that rewax would compute wrongly or ignore.
 
     Args:
       mj: the model.
-      penalty: whether contacts and limits are springs and dampers instead of MuJoCo's constraints.
+      penalty: whether contacts and limits follow a penalty law instead of MuJoCo's constraints.
     """
     _check_options(mj, penalty)
     _check_actuators(mj)
@@ -187,7 +188,7 @@ _UNSUPPORTED = (
     ("geom_surfacevel", "a surfacevel"),
     ("geom_fluid", "a fluidshape"),
 )
-"""Fields of MuJoCo's model that must be zero, because MJX ignores them; older versions have fewer."""
+"""Fields of MuJoCo's model that must be zero because MJX ignores them. Older versions lack some of them."""
 
 
 def _check_fields(mj: mujoco.MjModel) -> None:

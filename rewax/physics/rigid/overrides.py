@@ -1,4 +1,4 @@
-"""Options that ``load`` sets in place of a model's own, and what of a model has no effect on the motion."""
+"""Options that replace a model's own, and the parts of a model that do not affect the motion."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -18,27 +18,28 @@ class Overrides(TypedDict, total=False):
 
     integrator: Literal["Euler", "implicitfast"]
     cone: Literal["pyramidal", "elliptic"]
-    """Of friction; elliptic with a ``Penalty`` only, for which it means nothing."""
+    """Friction cone. Elliptic cones need a ``Penalty``, which ignores the option."""
     gravity: Sequence[float]
-    """[m/s^2], three numbers."""
+    """Gravitational acceleration [m/s^2], three numbers."""
     wind: Sequence[float]
     """Velocity of the medium [m/s], three numbers."""
     density: float
-    """Of the medium [kg/m^3]."""
+    """Density of the medium [kg/m^3]."""
     viscosity: float
-    """Of the medium [Pa s]."""
+    """Viscosity of the medium [Pa s]."""
     impratio: float
-    """Of frictional to normal impedance."""
+    """Ratio of frictional to normal impedance."""
     iterations: int
-    """Most steps of the solver."""
+    """Largest number of Newton steps of the solver."""
     noslip_iterations: int
+    """Steps of MuJoCo's noslip solver; rewax supports 0 only."""
     max_contact_points: int | None
-    """So many of the contacts count, the deepest; None: all. MJX's, which models may carry among their custom numbers:
-    MuJoCo has no such limit."""
+    """Number of contacts kept, the deepest; None: all. A limit of MJX, which reads it from the model's custom numerics;
+    MuJoCo has none."""
     max_geom_pairs: int | None
-    """So many of the pairs of each two kinds of shapes are looked at, those whose bounding spheres are nearest."""
+    """Number of pairs of each group that are collided, those with the nearest bounding spheres; None: all."""
     flags: Mapping[str, bool]
-    """Of MJCF's element flag: whether each is enabled."""
+    """Whether each flag of MJCF's element ``flag`` is enabled."""
 
 
 _CHOICES = {
@@ -55,14 +56,14 @@ _NUMBERS = {
     "noslip_iterations": (NOT_NEGATIVE, (), "give a whole number"),
 }
 _IDLE_FLAGS = ("ENERGY", "FWDINV", "INVDISCRETE")
-"""Flags of what MuJoCo computes besides the motion."""
+"""Flags of quantities that MuJoCo computes besides the motion."""
 
 
 def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
-    """A copy of a model with other options; the model itself where there are none.
+    """A copy of a model with other options; the model itself if there are none.
 
     Raises:
-      ValueError: there is no such option, or it cannot have this value.
+      ValueError: there is no such option, or its value is illegal.
     """
     if not overrides:
         return mj
@@ -92,18 +93,18 @@ def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
 
 
 def without_idle_parts(mj: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy for MJX without what has no effect on the motion: energy, sensors, integrator and solver (ours)."""
+    """A copy for MJX without energy and sensors, and without the integrator and solver, which are rewax's own."""
     mj = copy.copy(mj)
     for flag in _IDLE_FLAGS:
         mj.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, f"mjENBL_{flag}"))
-    mj.sensor_type[:] = mujoco.mjtSensor.mjSENS_CLOCK  # a kind that MJX knows; none is evaluated
+    mj.sensor_type[:] = mujoco.mjtSensor.mjSENS_CLOCK  # a type that MJX accepts; no sensor is evaluated
     mj.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     mj.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     return mj
 
 
 def moving_geoms(mj: mujoco.MjModel) -> np.ndarray:
-    """Numbers of the geoms whose poses count for the motion: those that may touch and those that tendons wrap."""
+    """Ids of the geoms whose poses affect the motion: those that may touch and those that tendons wrap."""
     counts = (mj.geom_contype | mj.geom_conaffinity) != 0
     counts[mj.pair_geom1] = counts[mj.pair_geom2] = True
     wraps = np.isin(mj.wrap_type, [mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER])

@@ -1,4 +1,4 @@
-"""What the numbers of a rigid model may be."""
+"""Legal values of a rigid model's parameters."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,7 +14,7 @@ _NOT_NEGATIVE = {
 
 
 def parameter_numbers(parameters: Mapping[str, Any]) -> list[Number]:
-    """Fields of MuJoCo's model, by their names, and what they may be."""
+    """Parameters by the names of MuJoCo's fields, with their legal values."""
     return [
         Number(name, value, NOT_NEGATIVE if name in _NOT_NEGATIVE else FINITE, "give it in MuJoCo's unit")
         for name, value in parameters.items()
@@ -22,7 +22,7 @@ def parameter_numbers(parameters: Mapping[str, Any]) -> list[Number]:
 
 
 def has_invalid_parameters(parameters: Mapping[str, Any], gravity: Array, penalty: Penalty | None) -> Array:
-    """Whether a model holds a number that cannot be, shape (), bool; for traced or replaced ones. Gradient: none."""
+    """Whether a model holds an illegal value, shape (), bool; for traced or replaced values. Gradient: none."""
     numbers = [*parameter_numbers(parameters), Number("gravity", gravity, FINITE, "give an acceleration in m/s^2")]
     return any_illegal(numbers + ([] if penalty is None else penalty_numbers(penalty)))
 

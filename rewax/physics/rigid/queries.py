@@ -1,4 +1,4 @@
-"""What can be asked of a state: poses, velocities, shapes for pictures, distances."""
+"""Quantities of a state: poses, velocities, shapes to draw, distances."""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
@@ -35,7 +35,7 @@ def geom_poses(model: RigidModel, state: RigidState) -> Pose:
 
 
 def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]:
-    """Velocity of each body's origin [m/s] and its angular velocity [rad/s], world axes, shape (num_bodies, 3) each.
+    """Velocity of each body's origin [m/s] and angular velocity [rad/s], world axes, shape (num_bodies, 3) each.
 
     Gradient: exact.
     """
@@ -45,16 +45,15 @@ def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]
 
 
 def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
-    """Of each body together with all that hangs on it [m], shape (num_bodies, 3); row 0: of everything."""
+    """Center of mass of each body's subtree [m], shape (num_bodies, 3); row 0: of all bodies. Gradient: exact."""
     return kinematics(model, state.qpos).subtree_com
 
 
 def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
-    """Drawings of the geoms for pictures; ``rewax.viz.shapes`` has a table of their keys.
+    """Shapes of the geoms to draw; ``rewax.viz.shapes`` has a table of their keys.
 
-    Height fields and geoms given by a signed distance (``type="sdf"``) are left out, and geoms of the groups 3 to 5,
-    which MuJoCo's viewer hides, of a body that has others. Vertices and triangles of meshes are the same numpy arrays
-    every time.
+    Height fields and geoms of ``type="sdf"`` are left out. Geoms of groups 3 to 5, which MuJoCo's viewer hides, are
+    left out if their body has other geoms. Every call returns the same NumPy arrays for meshes.
     """
     mj, pose = model.static.mj, geom_poses(model, state)
     hidden = mj.geom_group > 2
@@ -84,7 +83,7 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
 
 @functools.lru_cache(maxsize=256)
 def _mesh(static: Any, mesh: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] and triangles of a mesh of the model, in the frame that MuJoCo gives its geoms."""
+    """Vertices [m] and triangles of a mesh of the model, in the frame of its geoms."""
     mj = static.mj
     vertices, triangles = (
         slice(first[mesh], first[mesh] + count[mesh])
@@ -94,15 +93,17 @@ def _mesh(static: Any, mesh: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def contact_distances(model: RigidModel, state: RigidState, *, body: str | None = None) -> Array:
-    """Signed distance of every pair that may touch [m], negative inside, shape (num_contacts,); 1 for unused slots.
+    """Signed distances of all pairs that may touch [m], negative inside, shape (num_contacts,); 1 in unused slots.
 
     Args:
       model: the bodies.
-      state: where they are.
-      body: name of a body: 1 for all pairs without it.
+      state: their state.
+      body: name of a body; pairs without it get distance 1. None: all pairs.
 
     Raises:
-      ValueError: there is no such body; the message says which there are.
+      ValueError: there is no such body. The message lists the known names.
+
+    Gradient: that of ``collide``.
     """
     m, d = mjx_data(model, kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))
     found = contacts(model, m, d)
