@@ -6,7 +6,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rewax.physics.rigid.argument_checks import check_integer, shown
 from rewax.physics.rigid.small_products import cross
 from rewax.types import Array
 
@@ -69,16 +71,15 @@ class ContactPair:
     def __post_init__(self) -> None:
         kinds = tuple(self.kinds) if isinstance(self.kinds, (tuple, list)) else self.kinds
         if not isinstance(kinds, tuple) or len(kinds) != 2 or not all(kind in KINDS for kind in kinds):
-            raise ValueError(f"kinds is {self.kinds!r}: give two of {', '.join(map(repr, KINDS))}")
+            raise ValueError(f"kinds is {shown(self.kinds)}: give two of {', '.join(map(repr, KINDS))}")
         if kinds == ("plane", "plane"):
             raise ValueError("kinds is ('plane', 'plane'), which never touch: give another kind beside plane")
         if KINDS.index(kinds[0]) > KINDS.index(kinds[1]):
             raise ValueError(f"kinds is {self.kinds!r}: give {kinds[::-1]!r}, MuJoCo's order, and a function of these")
         object.__setattr__(self, "kinds", kinds)
-        if not isinstance(self.num_contacts, int) or isinstance(self.num_contacts, bool) or self.num_contacts < 1:
-            raise ValueError(f"num_contacts of {self} is {self.num_contacts!r}: give an integer, at least 1")
+        check_integer(f"num_contacts of {self}", self.num_contacts, 1)
         if not callable(self.function):
-            raise ValueError(f"function of {self} is {self.function!r}: give a function of two geoms")
+            raise ValueError(f"function of {self} is {shown(self.function)}: give a function of two geoms")
 
     def __str__(self) -> str:
         return f"the contact pair {self.kinds[0]}-{self.kinds[1]}"
@@ -135,16 +136,29 @@ def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
             raise ValueError(f"contact_pairs holds {pair!r}: give rigid.ContactPair(kinds, num_contacts, function)")
         if any(pair.kinds == other.kinds for other in pairs[:i]):
             raise ValueError(f"contact_pairs holds {str(pair)[4:]} twice: leave one out")
-        geom = jax.eval_shape(lambda: Geom(jnp.zeros(3), jnp.zeros((3, 3)), jnp.zeros(3)))
-        _check_result(pair, jax.eval_shape(pair.function, geom, geom))
+        _check_result(pair, _traced(pair))
+
+
+def _traced(pair: ContactPair) -> Any:
+    """The result of a pair's function for geoms of which only shapes are known."""
+    geom = jax.eval_shape(lambda: Geom(jnp.zeros(3), jnp.zeros((3, 3)), jnp.zeros(3)))
+    results: list[Any] = []
+    try:
+        jax.eval_shape(lambda first, second: results.append(pair.function(first, second)), geom, geom)
+    except Exception as error:  # of any type: it comes from a user's function
+        reason = " ".join(str(error).partition("\n")[0].split())
+        raise ValueError(
+            f"the function of {pair} cannot be traced ({type(error).__name__}: {reason}): give a pure JAX function of two "
+            "geoms"
+        ) from error
+    return results[0]
 
 
 def _check_result(pair: ContactPair, result: Any) -> None:
     """Raises a ValueError unless a pair's function returned three arrays of real numbers of the right shapes."""
     if not isinstance(result, (tuple, list)) or len(result) != 3:
-        raise ValueError(
-            f"the function of {pair} returned a {type(result).__name__}: return distance, point and normal"
-        )
+        what = "one array" if isinstance(result, jax.Array) else shown(result)
+        raise ValueError(f"the function of {pair} returned {what}: return distance, point and normal")
     num = pair.num_contacts
     legal = {
         "distance": [(num,)] + [()] * (num == 1),
@@ -152,6 +166,8 @@ def _check_result(pair: ContactPair, result: Any) -> None:
         "normal": [(num, 3), (3,), (num, 3, 3)],
     }
     for array, (name, shapes) in zip(result, legal.items(), strict=True):
+        if not isinstance(array, (jax.Array, np.ndarray, np.generic, float, int)):
+            raise ValueError(f"the function of {pair} returned {shown(array)} as {name}: return an array")
         if jnp.shape(array) not in shapes:
             wanted = ", or ".join(map(str, shapes))
             raise ValueError(

@@ -3,14 +3,17 @@
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.contact.colliders import Collider
+from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, Number, check_numbers, static_number
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix
+from rewax.physics.rigid.argument_checks import check_instance, check_no_boolean, real_array, shown
 from rewax.physics.rigid.forces import kinematics
 from rewax.physics.rigid.mjx_access import mujoco
 from rewax.physics.rigid.model import RigidModel
@@ -50,6 +53,8 @@ def colliders(
       >>> tools = rigid.colliders(model, friction=0.5)  # doctest: +SKIP
       >>> poses = rigid.poses(model, qpos)  # qpos: (num_substeps + 1, num_positions)  # doctest: +SKIP
     """
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
+    _check_options(friction, softness, mesh_spacing, chosen)
     mj, found = model.static.mj, []
     for geom in range(mj.ngeom):
         body, name = mj.body(int(mj.geom_bodyid[geom])).name, mj.geom(geom).name
@@ -77,9 +82,30 @@ def poses(model: RigidModel, qpos: Array) -> Pose:
 
     Gradient: exact.
     """
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
+    qpos = jnp.asarray(real_array("qpos", qpos, "give joint positions, such as state.qpos"))
+    if qpos.shape[-1:] != (model.num_positions,):
+        raise ValueError(f"qpos has shape {qpos.shape}: give shape (..., {model.num_positions}), as in the model")
     one = qpos.reshape(-1, qpos.shape[-1])
     found = jax.vmap(lambda q: kinematics(model, q))(one)
     return Pose(*(a.reshape(*qpos.shape[:-1], *a.shape[1:]) for a in (found.position, found.rotation)))
+
+
+def _check_options(friction: Any, softness: Any, mesh_spacing: Any, chosen: Any) -> None:
+    rules = (
+        ("friction", friction, NOT_NEGATIVE, "give a Coulomb coefficient"),
+        ("softness", softness, POSITIVE, "give a decay per metre"),
+    )
+    for name, value, legal, remedy in rules:
+        if value is not None:
+            check_no_boolean(name, value, remedy)
+            check_numbers([Number(name, value, legal, remedy, ())])
+    if mesh_spacing is not None:
+        remedy = "give the spacing of a grid in metres"
+        check_no_boolean("mesh_spacing", mesh_spacing, remedy)
+        static_number("mesh_spacing", mesh_spacing, POSITIVE, remedy)
+    if chosen is not None and not callable(chosen):
+        raise ValueError(f"chosen is {shown(chosen)}: give a function of the names of body and geom")
 
 
 def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Shape, np.ndarray]:

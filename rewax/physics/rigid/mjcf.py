@@ -2,14 +2,22 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+import re
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from rewax.physics.rigid.argument_checks import check_instance
+
 LIMITS = ("max_contact_points", "max_geom_pairs")
 """Custom numerics of a model that limit the number of MJX's contacts."""
+_REMEDY = "give a path, MJCF text, an MjSpec or an MjModel"
+_LONGEST_NAME = 200
+_ATTRIBUTE = re.compile(r"""([\w:]+)\s*=\s*["']([^"']*)["']""")
+_TEXTS = frozenset(["name", "class", "childclass", "file", "model"])
+"""Attributes of MJCF that may hold the word nan."""
 
 
 def compile_model(source: Any) -> mujoco.MjModel:
@@ -18,22 +26,48 @@ def compile_model(source: Any) -> mujoco.MjModel:
     Raises:
       ValueError: the source is none of these, or MuJoCo cannot read it.
     """
+    if isinstance(source, mujoco.MjModel):
+        return source
+    if not isinstance(source, (mujoco.MjSpec, str, Path)):
+        raise ValueError(f"a {type(source).__name__} is not a model: {_REMEDY}")
+    source = source.lstrip("\ufeff \t\r\n") if isinstance(source, str) else source
+    is_text = isinstance(source, str) and source.startswith("<")
+    if not is_text and not isinstance(source, mujoco.MjSpec):
+        if not _is_file(Path(source)):
+            raise ValueError(f"there is no MJCF file {str(source)[:_LONGEST_NAME]!r}: {_REMEDY}")
+        _refuse_nan(Path(source).read_text(encoding="utf-8", errors="replace"))
+    elif is_text:
+        _refuse_nan(source)
     try:
-        if isinstance(source, mujoco.MjModel):
-            return source
         if isinstance(source, mujoco.MjSpec):
             return source.compile()
-        if isinstance(source, str) and source.lstrip().startswith("<"):
-            return mujoco.MjModel.from_xml_string(source)
-        if isinstance(source, (str, Path)):
-            if not Path(source).is_file():
-                raise ValueError(
-                    f"there is no MJCF file {str(source)!r}: give a path, MJCF text, an MjSpec or an MjModel"
-                )
-            return mujoco.MjModel.from_xml_path(str(source))
-    except ValueError as error:
-        raise ValueError(f"the model cannot be read: {error}") from error
-    raise ValueError(f"a {type(source).__name__} is not a model: give a path, MJCF text, an MjSpec or an MjModel")
+        return mujoco.MjModel.from_xml_string(source) if is_text else mujoco.MjModel.from_xml_path(str(source))
+    except (ValueError, mujoco.FatalError) as error:
+        raise ValueError(f"the model cannot be read: {_sentence(error)}: correct the MJCF") from error
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
+
+
+def _refuse_nan(text: str) -> None:
+    """Raises ValueError for attributes with NaN: MuJoCo takes some of them for absent and keeps others."""
+    text = re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
+    for found in _ATTRIBUTE.finditer(text):
+        if found[1] not in _TEXTS and {"nan", "-nan", "+nan"} & {*found[2].lower().split()}:
+            line = text.count("\n", 0, found.start()) + 1
+            raise ValueError(f"{found[1]} is {found[2]!r} in line {line} of the MJCF: give finite numbers")
+
+
+def _sentence(error: Exception) -> str:
+    """MuJoCo's message in one line, without empty names."""
+    lines = [" ".join(line.split()) for line in str(error).splitlines() if line.strip()]
+    first = re.sub(r"^(XML )?Error: (Error: )?", "", lines[0] if lines else "MuJoCo gives no reason").rstrip(":")
+    rest = ", ".join(lines[1:]).replace("Element name '', ", "element ").replace("Element", "element")
+    return f"{first} ({rest})" if rest else first
 
 
 def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
@@ -89,6 +123,7 @@ def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
     Raises:
       ValueError: there is none. The message lists the known names.
     """
+    check_instance(f"the name of a {kind}", name, str, "give a string")
     found = mujoco.mj_name2id(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
     if found < 0:
         count = {"body": mj.nbody, "geom": mj.ngeom, "joint": mj.njnt}[kind]
@@ -156,7 +191,7 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
         enum = getattr(mujoco, f"mjt{prefix.removeprefix('mj').capitalize()}")
         wrong = ~np.isin(getattr(mj, field), [int(getattr(enum, f"{prefix}_{kind}")) for kind in kinds])
         if np.any(wrong):
-            actuator, what = _named(mj, "actuator", wrong), field.removeprefix("actuator_")
+            actuator, what = named(mj, "actuator", wrong), field.removeprefix("actuator_")
             raise ValueError(
                 f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
             )
@@ -165,7 +200,7 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
     turning &= mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)
     if np.any(turning):
         raise ValueError(
-            f"{_named(mj, 'actuator', turning)} turns a site against its refsite, which is not supported: set the last "
+            f"{named(mj, 'actuator', turning)} turns a site against its refsite, which is not supported: set the last "
             "three numbers of its gear to zero, or remove the refsite"
         )
 
@@ -199,7 +234,7 @@ def _check_fields(mj: mujoco.MjModel) -> None:
             kind = field.split("_")[0]
             if kind == "dof":
                 wrong = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong])
-            name = _named(mj, {"dof": "joint", "jnt": "joint"}.get(kind, kind), wrong)
+            name = named(mj, {"dof": "joint", "jnt": "joint"}.get(kind, kind), wrong)
             raise ValueError(f"{name} has {what}, which is not supported: remove it")
 
 
@@ -209,14 +244,14 @@ def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
     uneven = mj.pair_friction[:, 0] != mj.pair_friction[:, 1]
     if np.any(uneven):
         raise ValueError(
-            f"{_named(mj, 'pair', uneven)} has two coefficients of sliding friction, of which a Penalty knows one: "
+            f"{named(mj, 'pair', uneven)} has two coefficients of sliding friction, of which a Penalty knows one: "
             "make them equal"
         )
     touches = (mj.geom_contype | mj.geom_conaffinity) != 0
     for kind, wrong in (("pair", mj.pair_dim > 3), ("geom", (mj.geom_condim > 3) & touches)):
         if np.any(wrong):
             raise ValueError(
-                f"{_named(mj, kind, wrong)} has a condim above 3, but a Penalty knows no torsional or rolling "
+                f"{named(mj, kind, wrong)} has a condim above 3, but a Penalty knows no torsional or rolling "
                 f"friction: give that {kind} condim 3"
             )
     if is_disabled(mj, "LIMIT") or is_disabled(mj, "CONSTRAINT"):
@@ -227,7 +262,7 @@ def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
     ball = (mj.jnt_limited != 0) & (mj.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
     if np.any(ball):
         raise ValueError(
-            f"{_named(mj, 'joint', ball)} is a ball with a limit, which a Penalty cannot hold: remove the limit"
+            f"{named(mj, 'joint', ball)} is a ball with a limit, which a Penalty cannot hold: remove the limit"
         )
     if mj.neq or np.any(mj.dof_frictionloss) or np.any(mj.tendon_limited) or np.any(mj.tendon_frictionloss):
         raise ValueError(
@@ -236,12 +271,14 @@ def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
         )
 
 
-def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
+def named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
+    """The first element of a kind for which ``wrong`` is true, by its name or id."""
     number = int(np.flatnonzero(wrong)[0])
     name = mujoco.mj_id2name(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number)
     return f"{kind} {name!r}" if name else f"{kind} number {number}"
 
 
 __all__ = [
-    "LIMITS", "check_model", "compile_model", "is_disabled", "limit", "lone_dofs", "number", "numeric", "own_pairs",
+    "LIMITS", "check_model", "compile_model", "is_disabled", "limit", "lone_dofs", "named", "number", "numeric",
+    "own_pairs",
 ]  # fmt: skip

@@ -16,14 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.physics.numerics.checks import POSITIVE, check_numbers, static_number
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_numbers, static_number
 from rewax.physics.rigid import mjcf
+from rewax.physics.rigid.argument_checks import check_instance, check_no_boolean, real_array
 from rewax.physics.rigid.collide import collisions
 from rewax.physics.rigid.contact_pair import ContactPair, check_contact_pairs
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
 from rewax.physics.rigid.mjx_access import mjx, mujoco, num_bounded_rows
-from rewax.physics.rigid.overrides import Overrides, moving_geoms, with_overrides, without_idle_parts
-from rewax.physics.rigid.parameter_checks import parameter_numbers
+from rewax.physics.rigid.overrides import Overrides, check_options, moving_geoms, with_overrides, without_idle_parts
+from rewax.physics.rigid.parameter_checks import check_compiled, check_unit_lengths, parameter_numbers
 from rewax.physics.rigid.shown_to_mjx import with_groups_that_touch, without_contacts
 from rewax.physics.rigid.spring_contacts import Penalty, check_penalty
 from rewax.types import Array
@@ -98,8 +99,8 @@ class RigidModel(struct.Replaceable):
       parameters: MuJoCo's fields named in ``PARAMETERS``. Differentiate with respect to them, vmap over them, change
         them without compiling again. Values that MuJoCo derives from them (inverse weights) do not follow. Ranges of
         unlimited joints and actuators have no effect. In a model loaded without dry friction, a traced one has no
-        effect; in a model loaded without damping, a traced one is explicit in time. Mass and inertia are separate parameters: change both.
-        Quaternions and axes must keep length 1.
+        effect; in a model loaded without damping, a traced one is explicit in time. Mass and inertia are separate
+        parameters: change both. Quaternions and axes must keep length 1.
       gravity: gravitational acceleration [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
       static: the static part of the model.
@@ -148,6 +149,7 @@ class RigidModel(struct.Replaceable):
         for name, value in changes.items():
             if name not in self.parameters:
                 raise ValueError(f"a rigid model has no parameter {name!r}: known are {', '.join(self.parameters)}")
+            real_array(name, value, "give an array of numbers in MuJoCo's unit")
             if jnp.shape(value) != self.parameters[name].shape:
                 raise ValueError(
                     f"{name} has shape {jnp.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
@@ -156,6 +158,7 @@ class RigidModel(struct.Replaceable):
             if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
                 raise ValueError(f"the model was loaded without {name}, so it takes none: give its MJCF a little of it")
         check_numbers(parameter_numbers(changes))
+        check_unit_lengths(changes)
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **given})
 
@@ -177,11 +180,16 @@ class RigidModel(struct.Replaceable):
         if not len(bodies):
             raise ValueError('the model has no mocap bodies: give one of the world\'s bodies mocap="true" in its MJCF')
         numbers = self.static.mj.body_mocapid[bodies]
-        changes = {"body_pos": jnp.asarray(position, self.home.dtype)}
+        rows = "give one row per mocap body"
+        changes = {"body_pos": jnp.asarray(real_array("position", position, rows), self.home.dtype)}
         check_shape("position", changes["body_pos"], (len(bodies), 3), " (one row per mocap body)")
+        check_numbers([Number("position", changes["body_pos"], FINITE, "give a position in metres")])
         if quaternion is not None:
-            q = jnp.asarray(quaternion, self.home.dtype)
+            q = jnp.asarray(real_array("quaternion", quaternion, rows), self.home.dtype)
             check_shape("quaternion", q, (len(bodies), 4), " (one row per mocap body)")
+            check_numbers(
+                [Number("the quaternion's squared length", jnp.sum(q * q, axis=-1), POSITIVE, "give (w, x, y, z)")]
+            )
             changes["body_quat"] = q / jnp.sqrt(jnp.sum(q * q, axis=-1, keepdims=True))
         moved = {name: self.parameters[name].at[bodies].set(value[numbers]) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **moved})
@@ -240,7 +248,6 @@ def load(
         own are not supported; ``overrides.Overrides`` lists them.
 
     Raises:
-      FileNotFoundError: there is no file at the path.
       ValueError: the model cannot be read or has an unsupported feature; the message names it and an override that
         helps. An override is unknown or has an illegal value. A contact pair is not as ``ContactPair`` requires, or two
         have the same kinds.
@@ -250,12 +257,17 @@ def load(
     """
     if isinstance(contact_pairs, ContactPair):
         raise ValueError(f"contact_pairs is {contact_pairs}: give a sequence, contact_pairs=(pair,) for one")
+    check_instance("contact_pairs", contact_pairs, (tuple, list), "give a sequence, contact_pairs=(pair,) for one")
     contact_pairs = tuple(contact_pairs)
     check_contact_pairs(contact_pairs)
     compiled = with_overrides(mjcf.compile_model(source), overrides)
     if dt is not None:
+        remedy = "give the duration of a substep in seconds"
+        check_no_boolean("dt", dt, remedy)
         compiled = copy.copy(compiled)
-        compiled.opt.timestep = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+        compiled.opt.timestep = static_number("dt", dt, POSITIVE, remedy)
+    check_options(compiled)
+    check_compiled(compiled)
     mjcf.check_model(compiled, penalty=penalty is not None)
     parameters = {name: np.array(getattr(compiled, name)) for name in PARAMETERS}
     if compiled.nkey and compiled.nmocap:
@@ -263,6 +275,7 @@ def load(
         for name, keyed in (("body_pos", compiled.key_mpos[0]), ("body_quat", compiled.key_mquat[0])):
             parameters[name][mocap] = keyed.reshape(compiled.nmocap, -1)[compiled.body_mocapid[mocap]]
     check_numbers(parameter_numbers(parameters))
+    check_unit_lengths(parameters)
     if penalty is not None:
         check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
     try:
@@ -280,6 +293,14 @@ def load(
         penalty=jax.tree.map(real, penalty),
         static=static,
     )
+
+
+def check_state(model: RigidModel, state: RigidState) -> None:
+    """Raises ValueError unless these are a model and a state of this model."""
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
+    check_instance("state", state, RigidState, "give a state that rigid.initial_state returned")
+    for name, size in (("qpos", model.num_positions), ("qvel", model.num_dofs)):
+        check_shape(f"the state's {name}", getattr(state, name), (size,), " of this model (map batches with jax.vmap)")
 
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:

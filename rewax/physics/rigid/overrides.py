@@ -9,7 +9,8 @@ from typing import Any, Literal, TypedDict
 import mujoco
 import numpy as np
 
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number, check_numbers
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Legal, Number, check_numbers
+from rewax.physics.rigid.argument_checks import check_instance, check_integer, check_no_boolean, shown
 from rewax.physics.rigid.mjcf import LIMITS
 
 
@@ -47,13 +48,13 @@ _CHOICES = {
     "cone": {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC},
 }
 _NUMBERS = {
-    "gravity": (FINITE, (3,), "give an acceleration in m/s^2"),
-    "wind": (FINITE, (3,), "give a velocity in m/s"),
-    "density": (NOT_NEGATIVE, (), "give it in kg/m^3"),
-    "viscosity": (NOT_NEGATIVE, (), "give it in Pa s"),
-    "impratio": (POSITIVE, (), "give a ratio"),
-    "iterations": (POSITIVE, (), "give a whole number"),
-    "noslip_iterations": (NOT_NEGATIVE, (), "give a whole number"),
+    "gravity": (FINITE, "give an acceleration in m/s^2", (3,)),
+    "wind": (FINITE, "give a velocity in m/s", (3,)),
+    "density": (NOT_NEGATIVE, "give it in kg/m^3", ()),
+    "viscosity": (NOT_NEGATIVE, "give it in Pa s", ()),
+    "impratio": (POSITIVE, "give a ratio", ()),
+    "iterations": (Legal(low=0.0, high=2.0**31), "give an integer", ()),
+    "noslip_iterations": (Legal(low=0.0, high=2.0**31, closed=True), "give an integer", ()),
 }
 _IDLE_FLAGS = ("ENERGY", "FWDINV", "INVDISCRETE")
 """Flags of quantities that MuJoCo computes besides the motion."""
@@ -80,16 +81,25 @@ def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
             _set_limit(mj, name, value)
         elif name in _CHOICES:
             choices = _CHOICES[name]
-            if value not in choices:
-                raise ValueError(f"{name} is {value!r}: use one of {', '.join(map(repr, choices))}")
+            if not isinstance(value, str) or value not in choices:
+                raise ValueError(f"{name} is {shown(value)}: use one of {', '.join(map(repr, choices))}")
             setattr(mj.opt, name, choices[value])
         else:
-            legal, shape, remedy = _NUMBERS[name]
-            check_numbers([Number(name, value, legal, remedy, shape)])
+            rule = _NUMBERS[name]
+            remedy = rule[1]
+            check_no_boolean(name, value, remedy)
+            check_numbers([Number(name, value, *rule)])
             if isinstance(getattr(mj.opt, name), int) and not isinstance(value, (int, np.integer)):
-                raise ValueError(f"{name} is {value}: {remedy}")
+                raise ValueError(f"{name} is {shown(value)}: {remedy}")
             setattr(mj.opt, name, value)
     return mj
+
+
+def check_options(mj: mujoco.MjModel) -> None:
+    """Raises ValueError for options with illegal values, which MuJoCo's compiler accepts."""
+    rules = {**_NUMBERS, "timestep": (POSITIVE, "give load a dt in seconds", ())}
+    rules["iterations"] = rules["noslip_iterations"]
+    check_numbers([Number(f"the model's {name}", getattr(mj.opt, name), *rule) for name, rule in rules.items()])
 
 
 def without_idle_parts(mj: mujoco.MjModel) -> mujoco.MjModel:
@@ -114,8 +124,8 @@ def moving_geoms(mj: mujoco.MjModel) -> np.ndarray:
 
 def _set_limit(mj: mujoco.MjModel, name: str, value: Any) -> None:
     number = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_NUMERIC, name)
-    if value is not None and (not isinstance(value, (int, np.integer)) or value < 1):
-        raise ValueError(f"{name} is {value}: give a whole number, at least 1, or None for no limit")
+    if value is not None:
+        check_integer(name, value, 1, ", or None for no limit")
     if value is not None and number < 0:
         raise ValueError(
             f"the model has no {name} to change: write <custom><numeric name='{name}' data='{value}'/></custom>"
@@ -134,12 +144,14 @@ def _set_flags(mj: mujoco.MjModel, flags: Any) -> None:
         for name, value in enum.__members__.items()
         if name.startswith(kind)
     }
+    check_instance("flags", flags, Mapping, 'give a dictionary of booleans, such as {"gravity": False}')
     for name, enabled in flags.items():
         if name not in bits:
             raise ValueError(f"MuJoCo has no flag {name!r}: known are {', '.join(sorted(bits))}")
+        check_instance(f"the flag {name!r}", enabled, (bool, np.bool_), "give True to enable it, or False")
         field, bit, is_set = bits[name]
         others = getattr(mj.opt, field) & ~bit
         setattr(mj.opt, field, others | bit if bool(enabled) == is_set else others)
 
 
-__all__ = ["Overrides", "moving_geoms", "with_overrides", "without_idle_parts"]
+__all__ = ["Overrides", "check_options", "moving_geoms", "with_overrides", "without_idle_parts"]

@@ -18,18 +18,20 @@ from rewax.physics.rigid.forces import (
 from rewax.physics.rigid.kinematics import body_velocities as spatial_velocities
 from rewax.physics.rigid.kinematics import point_velocities
 from rewax.physics.rigid.mjx_access import mujoco
-from rewax.physics.rigid.model import RigidModel, RigidState
+from rewax.physics.rigid.model import RigidModel, RigidState, check_state
 from rewax.types import Array
 
 
 def body_poses(model: RigidModel, state: RigidState) -> Pose:
     """Origin and orientation of every body's frame, shapes (num_bodies, 3) and (num_bodies, 3, 3). Gradient: exact."""
+    check_state(model, state)
     kin = kinematics(model, state.qpos)
     return Pose(kin.position, kin.rotation)
 
 
 def geom_poses(model: RigidModel, state: RigidState) -> Pose:
     """Center and orientation of every geom, shapes (num_geoms, 3) and (num_geoms, 3, 3). Gradient: exact."""
+    check_state(model, state)
     kin = kinematics(model, state.qpos)
     return attached(kin, model.static.mj.geom_bodyid, model.parameters["geom_pos"], model.parameters["geom_quat"])
 
@@ -39,6 +41,7 @@ def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]
 
     Gradient: exact.
     """
+    check_state(model, state)
     kin = kinematics(model, state.qpos)
     twist = spatial_velocities(model.static.topology, kin, state.qvel)
     return point_velocities(kin, twist, jnp.arange(model.num_bodies), kin.position), twist[:, :3]
@@ -46,6 +49,7 @@ def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]
 
 def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
     """Center of mass of each body's subtree [m], shape (num_bodies, 3); row 0: of all bodies. Gradient: exact."""
+    check_state(model, state)
     return kinematics(model, state.qpos).subtree_com
 
 
@@ -55,6 +59,7 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
     Height fields and geoms of ``type="sdf"`` are left out. Geoms of groups 3 to 5, which MuJoCo's viewer hides, are
     left out if their body has other geoms. Every call returns the same NumPy arrays for meshes.
     """
+    check_state(model, state)
     mj, pose = model.static.mj, geom_poses(model, state)
     hidden = mj.geom_group > 2
     shown = set(mj.geom_bodyid[~hidden])
@@ -105,6 +110,7 @@ def contact_distances(model: RigidModel, state: RigidState, *, body: str | None 
 
     Gradient: that of ``collide``.
     """
+    check_state(model, state)
     m, d = mjx_data(model, kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))
     found = contacts(model, m, d)
     if body is None:

@@ -10,6 +10,7 @@ from rewax import struct
 from rewax.physics.contact.penalty import PenaltyContact, penalty_force
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers, numbers_of
 from rewax.physics.numerics.components import join_vector, split_vector
+from rewax.physics.rigid.argument_checks import check_instance
 from rewax.physics.rigid.kinematics import Kinematics, moving_points
 from rewax.types import Array, Scalar
 
@@ -73,11 +74,13 @@ def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
       mass: mass of the heaviest tree of bodies [kg].
       dt: duration of a substep [s].
     """
-    if not isinstance(penalty, Penalty):
-        raise ValueError(f"penalty is {penalty!r}: give a Penalty(stiffness=...)")
-    check_numbers(penalty_numbers(penalty))
+    check_instance("penalty", penalty, Penalty, "give a Penalty(stiffness=...)")
     if penalty.among is not None:
+        check_instance("the penalty's among", penalty.among, Penalty, "give a Penalty(stiffness=...), or None")
         check_penalty(penalty.among, mass, dt)
+    check_numbers([number._replace(shape=()) for number in penalty_numbers(penalty)])
+    for name in ("at_surfaces", "boxes_touch_once"):
+        check_instance(f"the penalty's {name}", getattr(penalty, name), bool, "give True or False")
     for name, unit, bound in (("stiffness", "N/m", 4.0 * mass / dt**2), ("damping", "N s/m", 2.0 * mass / dt)):
         value = getattr(penalty, name)
         if not isinstance(value, jax.core.Tracer) and np.max(value) > bound:
@@ -121,8 +124,8 @@ def contact_wrenches(
     if penalty.at_surfaces and half_gap is not None:
         shift = half_gap[:, None] * normal
         on_first, on_second = point - shift, point + shift
-    body, where = jnp.concatenate([second, first]), jnp.concatenate([on_second, on_first])
-    speed, wrenches = moving_points(kin, velocities, body, where)
+    body, acts_at = jnp.concatenate([second, first]), jnp.concatenate([on_second, on_first])
+    speed, wrenches = moving_points(kin, velocities, body, acts_at)
     sliding = speed[: len(distance)] - speed[len(distance) :]
     law = penalty.contact()
     if penalty.among is not None and of_one_tree is not None:

@@ -19,7 +19,7 @@ from rewax.physics.rigid import solver as constraint_solver
 from rewax.physics.rigid.forces import applied_forces, kinematics, mjx_data, tree_parameters
 from rewax.physics.rigid.kinematic_tree import JointType
 from rewax.physics.rigid.kinematics import integrate
-from rewax.physics.rigid.model import RigidModel, RigidState
+from rewax.physics.rigid.model import RigidModel, RigidState, check_state
 from rewax.physics.rigid.small_products import cross, dot, rotate
 from rewax.physics.rigid.stepping import checked_inputs
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix
@@ -48,6 +48,7 @@ def step_with_stale_mass(
     Raises:
       ValueError: the model is not such a tree, or an argument is illegal.
     """
+    check_state(model, state)
     check_can_keep_mass(model)
     ctrl, _ = checked_inputs(model, ctrl, None, num_substeps, state.qpos.dtype)
     origin, mass = state.qpos[:3], _mass_of_twists(model, state.qpos)

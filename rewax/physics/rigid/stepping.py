@@ -19,6 +19,7 @@ import numpy as np
 
 from rewax.lowering.machine import interpreted
 from rewax.physics.rigid import solver as constraint_solver
+from rewax.physics.rigid.argument_checks import check_instance, check_integer, real_array
 from rewax.physics.rigid.forces import (
     applied_forces,
     constraint_rows,
@@ -29,7 +30,7 @@ from rewax.physics.rigid.forces import (
 )
 from rewax.physics.rigid.kinematics import Kinematics, integrate
 from rewax.physics.rigid.mjx_access import mjx, mujoco
-from rewax.physics.rigid.model import RigidModel, RigidState, check_shape
+from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, check_state
 from rewax.physics.rigid.parameter_checks import has_invalid_parameters
 from rewax.physics.rigid.small_products import dot
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spin_slopes
@@ -48,14 +49,23 @@ def initial_state(
     Raises:
       ValueError: a shape differs from the model's, or a value is no finite number.
     """
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
     dtype = model.parameters["qpos0"].dtype
+    positions = "give joint positions, such as model.home"
     # array, not asarray: MuJoCo may overwrite its own arrays.
-    qpos = model.home if qpos is None else jnp.array(qpos, dtype)
-    qvel = jnp.zeros(model.num_dofs, dtype) if qvel is None else jnp.array(qvel, dtype)
+    qpos = model.home if qpos is None else jnp.array(real_array("qpos", qpos, positions), dtype)
+    qvel = (
+        jnp.zeros(model.num_dofs, dtype)
+        if qvel is None
+        else jnp.array(real_array("qvel", qvel, "give joint velocities"), dtype)
+    )
     for name, value, size in (("qpos", qpos, model.num_positions), ("qvel", qvel, model.num_dofs)):
         check_shape(name, value, (size,))
         if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(jnp.isfinite(value))):
             raise ValueError(f"{name} holds a number that is not finite ({value}): give a finite start")
+    for start, _ in model.static.topology.quaternions:
+        if not isinstance(qpos, jax.core.Tracer) and not np.any(np.asarray(qpos[start : start + 4])):
+            raise ValueError(f"qpos[{start}:{start + 4}] is a quaternion of zeros: give (1, 0, 0, 0) for no rotation")
     act = jnp.zeros(model.static.mj.na, qpos.dtype)
     return RigidState(qpos=qpos, qvel=qvel, act=act, qacc=jnp.zeros(model.num_dofs, qpos.dtype))
 
@@ -85,6 +95,7 @@ def step(
     Raises:
       ValueError: a shape differs from the model's, or an argument is no number.
     """
+    check_state(model, state)
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, state.qpos.dtype)
 
     def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
@@ -101,12 +112,16 @@ def checked_inputs(
     Raises:
       ValueError: a shape differs from the model's, or an argument is no number.
     """
-    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else jnp.asarray(ctrl, dtype)
-    wrenches = jnp.zeros((model.num_bodies, 6), dtype) if wrenches is None else jnp.asarray(wrenches, dtype)
+    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else real_array("ctrl", ctrl, "give an array")
+    wrenches = (
+        jnp.zeros((model.num_bodies, 6), dtype)
+        if wrenches is None
+        else real_array("wrenches", wrenches, "give an array")
+    )
+    ctrl, wrenches = jnp.asarray(ctrl, dtype), jnp.asarray(wrenches, dtype)
     check_shape("ctrl", ctrl, (model.num_actuators,), " (one number per actuator of the model)")
     check_shape("wrenches", wrenches, (model.num_bodies, 6), " (force and torque per body, the world included)")
-    if not isinstance(num_substeps, (int, np.integer)) or num_substeps < 1:
-        raise ValueError(f"num_substeps is {num_substeps}: give an integer, at least 1")
+    check_integer("num_substeps", num_substeps, 1)
     return ctrl, wrenches
 
 
@@ -121,6 +136,7 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
+    check_instance("state", state, RigidState, "give a state that rigid.initial_state returned")
     largest = jnp.max(jnp.abs(jnp.concatenate([state.qpos, state.qvel])), initial=0.0)
     status = flag(~(largest < 1e6), Status.NAN)
     if model is None:
