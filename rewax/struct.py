@@ -22,6 +22,8 @@ from jax.tree_util import GetAttrKey, register_pytree_with_keys
 from rewax.types import Scalar
 
 T = TypeVar("T")
+_MOST_BITS = 1023
+"""An integer of more bits has no floating-point value."""
 
 
 def field(*, pytree_node: bool = True, metadata: Mapping[str, Any] | None = None, **kwargs: Any) -> Any:
@@ -96,6 +98,8 @@ def _convert_first(cls: Any) -> None:
         for each in dataclasses.fields(self):
             if each.metadata.get("pytree_node", True):
                 value = getattr(self, each.name)
+                if (rule := each.metadata.get("number")) is not None:
+                    _refuse_other_kinds(f"{type(self).__name__}.{each.name}", value, rule[1])
                 is_real = "number" in each.metadata or each.type in (Scalar, Scalar | None)
                 if (array := _as_leaf(value, is_real)) is not value:
                     object.__setattr__(self, each.name, array)
@@ -107,6 +111,14 @@ def _convert_first(cls: Any) -> None:
     cls.__post_init__ = __post_init__
 
 
+def _refuse_other_kinds(name: str, value: Any, remedy: str) -> None:
+    """Raises ValueError for a boolean, or an integer that no float holds, in place of a number."""
+    if isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} is {value}, a boolean: {remedy}")
+    if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+        raise ValueError(f"{name} is an integer of {value.bit_length()} bits: {remedy}")
+
+
 def _as_leaf(value: Any, is_real: bool) -> Any:
     """Numbers as a JAX array, anything else as it is. Tuples, and the integers of a real field, become floats."""
     if isinstance(value, (tuple, list)):
@@ -116,6 +128,8 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
             return jnp.asarray(np.asarray(value, float))
         except ValueError:  # rows of several lengths: checks name the field
             return value
+    if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+        return value
     if isinstance(value, numbers.Real) and not isinstance(value, np.generic):
         return jnp.asarray(float(value) if is_real else value)
     if isinstance(value, (np.ndarray, np.generic)):

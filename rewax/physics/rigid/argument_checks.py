@@ -31,10 +31,12 @@ def check_integer(name: str, value: Any, least: int, remedy: str = "") -> None:
         raise ValueError(f"{name} is {shown(value)}: give an integer, at least {least}{remedy}")
 
 
-def check_no_boolean(name: str, value: Any, remedy: str) -> None:
-    """Raises ValueError if a boolean stands for a number."""
+def check_plain(name: str, value: Any, remedy: str) -> None:
+    """Raises ValueError for a boolean, or an integer beyond 64 bits, in place of a number."""
     if isinstance(value, (bool, np.bool_)) or getattr(value, "dtype", None) == np.dtype(bool):
         raise ValueError(f"{name} is {shown(value)}, a boolean: {remedy}")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError(f"{name} is {shown(value)}, which is too large: {remedy}")
 
 
 def real_array(name: str, value: Any, remedy: str) -> Array | np.ndarray:
@@ -53,4 +55,4 @@ def real_array(name: str, value: Any, remedy: str) -> Array | np.ndarray:
     return array
 
 
-__all__ = ["check_instance", "check_integer", "check_no_boolean", "real_array", "shown"]
+__all__ = ["check_instance", "check_integer", "check_plain", "real_array", "shown"]

@@ -148,8 +148,7 @@ def _traced(pair: ContactPair) -> Any:
     except Exception as error:  # of any type: it comes from a user's function
         reason = " ".join(str(error).partition("\n")[0].split())
         raise ValueError(
-            f"the function of {pair} cannot be traced ({type(error).__name__}: {reason}): give a pure JAX function of two "
-            "geoms"
+            f"the function of {pair} cannot be traced ({type(error).__name__}: {reason}): give a pure JAX function"
         ) from error
     return results[0]
 

@@ -13,7 +13,7 @@ from rewax.physics.contact.colliders import Collider
 from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, Number, check_numbers, static_number
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix
-from rewax.physics.rigid.argument_checks import check_instance, check_no_boolean, real_array, shown
+from rewax.physics.rigid.argument_checks import check_instance, check_plain, real_array, shown
 from rewax.physics.rigid.forces import kinematics
 from rewax.physics.rigid.mjx_access import mujoco
 from rewax.physics.rigid.model import RigidModel
@@ -98,11 +98,11 @@ def _check_options(friction: Any, softness: Any, mesh_spacing: Any, chosen: Any)
     )
     for name, value, legal, remedy in rules:
         if value is not None:
-            check_no_boolean(name, value, remedy)
+            check_plain(name, value, remedy)
             check_numbers([Number(name, value, legal, remedy, ())])
     if mesh_spacing is not None:
         remedy = "give the spacing of a grid in metres"
-        check_no_boolean("mesh_spacing", mesh_spacing, remedy)
+        check_plain("mesh_spacing", mesh_spacing, remedy)
         static_number("mesh_spacing", mesh_spacing, POSITIVE, remedy)
     if chosen is not None and not callable(chosen):
         raise ValueError(f"chosen is {shown(chosen)}: give a function of the names of body and geom")

@@ -18,7 +18,7 @@ import numpy as np
 from rewax import struct
 from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_numbers, static_number
 from rewax.physics.rigid import mjcf
-from rewax.physics.rigid.argument_checks import check_instance, check_no_boolean, real_array
+from rewax.physics.rigid.argument_checks import check_instance, check_plain, real_array
 from rewax.physics.rigid.collide import collisions
 from rewax.physics.rigid.contact_pair import ContactPair, check_contact_pairs
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
@@ -263,7 +263,7 @@ def load(
     compiled = with_overrides(mjcf.compile_model(source), overrides)
     if dt is not None:
         remedy = "give the duration of a substep in seconds"
-        check_no_boolean("dt", dt, remedy)
+        check_plain("dt", dt, remedy)
         compiled = copy.copy(compiled)
         compiled.opt.timestep = static_number("dt", dt, POSITIVE, remedy)
     check_options(compiled)

@@ -9,8 +9,8 @@ from typing import Any, Literal, TypedDict
 import mujoco
 import numpy as np
 
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Legal, Number, check_numbers
-from rewax.physics.rigid.argument_checks import check_instance, check_integer, check_no_boolean, shown
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number, check_numbers
+from rewax.physics.rigid.argument_checks import check_instance, check_integer, check_plain, shown
 from rewax.physics.rigid.mjcf import LIMITS
 
 
@@ -53,9 +53,9 @@ _NUMBERS = {
     "density": (NOT_NEGATIVE, "give it in kg/m^3", ()),
     "viscosity": (NOT_NEGATIVE, "give it in Pa s", ()),
     "impratio": (POSITIVE, "give a ratio", ()),
-    "iterations": (Legal(low=0.0, high=2.0**31), "give an integer", ()),
-    "noslip_iterations": (Legal(low=0.0, high=2.0**31, closed=True), "give an integer", ()),
 }
+_INTEGERS = {"iterations": 1, "noslip_iterations": 0}
+"""Integer options and their least values."""
 _IDLE_FLAGS = ("ENERGY", "FWDINV", "INVDISCRETE")
 """Flags of quantities that MuJoCo computes besides the motion."""
 
@@ -68,7 +68,7 @@ def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
     """
     if not overrides:
         return mj
-    known = {*_CHOICES, *_NUMBERS, *LIMITS, "flags"}
+    known = {*_CHOICES, *_NUMBERS, *_INTEGERS, *LIMITS, "flags"}
     mj = copy.copy(mj)
     for name, value in overrides.items():
         if name not in known:
@@ -84,21 +84,21 @@ def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
             if not isinstance(value, str) or value not in choices:
                 raise ValueError(f"{name} is {shown(value)}: use one of {', '.join(map(repr, choices))}")
             setattr(mj.opt, name, choices[value])
+        elif name in _INTEGERS:
+            check_integer(name, value, _INTEGERS[name])
+            setattr(mj.opt, name, value)
         else:
-            rule = _NUMBERS[name]
-            remedy = rule[1]
-            check_no_boolean(name, value, remedy)
-            check_numbers([Number(name, value, *rule)])
-            if isinstance(getattr(mj.opt, name), int) and not isinstance(value, (int, np.integer)):
-                raise ValueError(f"{name} is {shown(value)}: {remedy}")
+            check_plain(name, value, _NUMBERS[name][1])
+            check_numbers([Number(name, value, *_NUMBERS[name])])
             setattr(mj.opt, name, value)
     return mj
 
 
 def check_options(mj: mujoco.MjModel) -> None:
     """Raises ValueError for options with illegal values, which MuJoCo's compiler accepts."""
+    for name in _INTEGERS:
+        check_integer(f"the model's {name}", getattr(mj.opt, name), 0)
     rules = {**_NUMBERS, "timestep": (POSITIVE, "give load a dt in seconds", ())}
-    rules["iterations"] = rules["noslip_iterations"]
     check_numbers([Number(f"the model's {name}", getattr(mj.opt, name), *rule) for name, rule in rules.items()])
 
 

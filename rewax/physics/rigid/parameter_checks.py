@@ -53,13 +53,8 @@ def check_compiled(mj: mujoco.MjModel) -> None:
     """Raises ValueError for values of a compiled model that MuJoCo accepts although they mean nothing."""
     names = ("key_qpos", "key_mpos", "key_mquat")
     check_numbers([Number(name, getattr(mj, name), FINITE, "correct the model's keyframe") for name in names])
-    for kind, fields in (
-        ("joint", "jnt"),
-        ("tendon", "tendon"),
-        ("actuator", "actuator_ctrl"),
-        ("actuator", "actuator_force"),
-    ):
-        field = f"{fields}_range" if kind != "actuator" else f"{fields}range"
+    for field in ("jnt_range", "tendon_range", "actuator_ctrlrange", "actuator_forcerange"):
+        kind = field.partition("_")[0].replace("jnt", "joint")
         limits = getattr(mj, field)
         if np.any(wrong := limits[:, 0] > limits[:, 1]):
             low, high = limits[np.flatnonzero(wrong)[0]]
