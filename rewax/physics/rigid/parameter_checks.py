@@ -54,16 +54,15 @@ def check_compiled(mj: mujoco.MjModel) -> None:
     names = ("key_qpos", "key_mpos", "key_mquat")
     check_numbers([Number(name, getattr(mj, name), FINITE, "correct the model's keyframe") for name in names])
     for field in ("jnt_range", "tendon_range", "actuator_ctrlrange", "actuator_forcerange"):
-        kind = field.partition("_")[0].replace("jnt", "joint")
+        kind, _, name = field.partition("_")
         limits = getattr(mj, field)
         if np.any(wrong := limits[:, 0] > limits[:, 1]):
             low, high = limits[np.flatnonzero(wrong)[0]]
-            raise ValueError(
-                f"{named(mj, kind, wrong)} has the {field} {low:g} to {high:g}: give the lower limit first"
-            )
+            where = named(mj, kind.replace("jnt", "joint"), wrong)
+            raise ValueError(f"{where} has the {name} {low:g} to {high:g}: give the lower limit first")
     for name in LIMITS:
         for value in mj.numeric_data[numeric(mj, name)]:
-            if value != int(value) or value < -1:
+            if not np.isfinite(value) or value != int(value) or value < -1:
                 raise ValueError(f"the model's {name} is {value:g}: give an integer, at least 0, or -1 for no limit")
     if np.any(wrong := _massless_dofs(mj)):
         joint = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong])

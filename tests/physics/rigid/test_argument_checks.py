@@ -49,7 +49,7 @@ MODELS = {
     "no time": (mjcf(option='timestep="0"'), "the model's timestep is 0.0, but must be positive: give load a dt in seconds"),
     "iterations": (mjcf(option='iterations="-3"'), "the model's iterations is -3: give an integer, at least 0"),
     "impratio": (mjcf(option='impratio="-1"'), "the model's impratio is -1.0, but must be positive: give a ratio"),
-    "range": (mjcf(ARM.replace('name="x"', 'name="x" range="1 -1"')), "joint 'x' has the jnt_range 1 to -1: give the lower limit first"),
+    "range": (mjcf(ARM.replace('name="x"', 'name="x" range="1 -1"')), "joint 'x' has the range 1 to -1: give the lower limit first"),
     "limit": (mjcf(more='<custom><numeric name="max_geom_pairs" data="2.5"/></custom>'), "the model's max_geom_pairs is 2.5: give an integer, at least 0, or -1 for no limit"),
     "size": (mjcf(ARM.replace('".1"', '"-.1"')), "the model cannot be read: size 0 must be positive in geom (element name 'bob', id 0, line 1): correct the MJCF"),
     "inertia": (mjcf('<body><joint/></body>'), "the model cannot be read: mass and inertia of moving bodies must be larger than mjMINVAL (element id 1, line 1): correct the MJCF"),
