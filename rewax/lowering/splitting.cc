@@ -1,6 +1,6 @@
-// Cuts each row of a matrix into pieces, one buffer for each, through XLA's foreign function interface.
+// Splits each row of a matrix into pieces, one buffer per piece, through XLA's foreign function interface.
 //
-// splitting.py builds this file after threads.h.
+// splitting.py puts this text after threads.h.
 
 #include <cstring>
 #include <utility>
@@ -8,7 +8,7 @@
 
 namespace {
 
-ffi::Error Divide(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
+ffi::Error Split(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
   const size_t num_rows = static_cast<size_t>(whole.element_count() / std::max<int64_t>(whole.dimensions().back(), 1));
   const char* from = static_cast<const char*>(whole.untyped_data());
   std::vector<std::pair<char*, size_t>> to(pieces.size());
@@ -27,4 +27,4 @@ ffi::Error Divide(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
 
 }  // namespace
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_split_vector, Divide, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_split_vector, Split, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());
