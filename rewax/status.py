@@ -23,18 +23,18 @@ class Status(enum.IntFlag):
     CFL = 4
     """A particle crosses more than one cell per substep: the result is unreliable. Not fatal."""
     INACTIVE_NODES = 8
-    """A step needs more nodes than the scene's ``max_active_nodes``, or a particle moves by more than a cell in a step of
-    such a scene: the result is unreliable. Give a larger number, or shorter steps. Not fatal."""
+    """A step needs more nodes than the scene's ``max_active_nodes``, or a particle moves by more than a cell in such a
+    step: the result is unreliable. Give a larger number, or shorter steps. Not fatal."""
     INVERTED = 16
-    """A particle is flattened or inverted (det F <= 0): the time step is too long for its motion, or something crushes it.
-    Not fatal."""
+    """A particle is flattened or inverted (det F <= 0): the time step is too long for its motion, or it is crushed. Not
+    fatal."""
     FAR_COLLIDERS = 32
-    """More colliders are near than the scene's ``max_near_colliders``: some may have been left out. Give a larger number.
-    Not fatal."""
+    """More colliders are near than the scene's ``max_near_colliders``: some may have been left out. Give a larger
+    number. Not fatal."""
     INVALID_PARAMETERS = 64
-    """The scene or model holds an illegal value: not finite, friction below 0, a size, softness, density or volume that is
-    not positive, a substep too long for the stiffness, a pose that is not finite. Building a scene refuses such values;
-    this bit reports values that were traced or replaced. Fatal: the episode ends."""
+    """The scene or model holds an illegal value: not finite, friction below 0, a size, softness, density or volume that
+    is not positive, a substep too long for the stiffness, a pose that is not finite. Building a scene refuses such
+    values; this bit reports values that were traced or replaced. Fatal: the episode ends."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
