@@ -120,7 +120,7 @@ def _refuse_other_kinds(name: str, value: Any, remedy: str) -> None:
 
 
 def _as_leaf(value: Any, is_real: bool) -> Any:
-    """Converts numbers to JAX arrays (tuples, and integers of real fields, to floats); returns other values unchanged."""
+    """Converts numbers to JAX arrays; tuples, and integers of real fields, become floats. Returns others unchanged."""
     if isinstance(value, (tuple, list)):
         if not value or not _all_numbers(value):
             return value

@@ -273,8 +273,8 @@ def _lane(operation: Operation, dtype: np.dtype) -> Any:
     if operation.kind == "f":
         return dtype.type(float(operation.constant))
     bits = 8 * dtype.itemsize
-    whole = -int(operation.constant == "True") if operation.kind == "b" else int(operation.constant)
-    return np.array(whole % 2**bits, f"uint{bits}").view(dtype)
+    integer = -int(operation.constant == "True") if operation.kind == "b" else int(operation.constant)
+    return np.array(integer % 2**bits, f"uint{bits}").view(dtype)
 
 
 # --- Elements in blocks -----------------------------------------------------------------------------------------------

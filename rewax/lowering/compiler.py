@@ -30,12 +30,12 @@ def command() -> tuple[str, ...] | None:
     """The compiler and its options: ``$CXX``, split as a shell does, else c++, g++ or clang++; None without one."""
     chosen = os.environ.get("CXX", "").strip()
     if chosen:
-        whole = shutil.which(chosen)  # a path may hold spaces
+        path = shutil.which(chosen)  # a path may hold spaces
         try:
-            words = [chosen] if whole else shlex.split(chosen)
+            words = [chosen] if path else shlex.split(chosen)
         except ValueError:  # an unclosed quotation mark
             return None
-        program = whole or (shutil.which(words[0]) if words else None)
+        program = path or (shutil.which(words[0]) if words else None)
         return (program, *words[1:]) if program else None
     if sys.platform == "win32":
         return None
@@ -70,7 +70,7 @@ def build(words: Sequence[str], text: str, options: Sequence[str], folder: Path)
     run([*words, *options, str(program), "-o", str(library)], _BUILD_S)
     contents = library.read_bytes() if library.is_file() else b""
     if not contents or _is_cut(contents):
-        raise CompilerError(f"{shlex.join(words)} failed (it wrote no whole library)")
+        raise CompilerError(f"{shlex.join(words)} failed (it wrote no complete library)")
     return contents
 
 

@@ -135,8 +135,8 @@ X Exp(X a) {
     p = p * r + 5.0000001201e-1f;
     p = p * (r * r) + r + 1.0f;
     // 2^n in two factors: n = 128 and n < -126 exceed the range of a float's exponent.
-    const I whole = __builtin_convertvector(n == n ? n : X{}, I), half = whole >> 1;
-    const I first = (half + 127) << 23, second = (whole - half + 127) << 23;
+    const I integer = __builtin_convertvector(n == n ? n : X{}, I), half = integer >> 1;
+    const I first = (half + 127) << 23, second = (integer - half + 127) << 23;
     return p * (X)first * (X)second;
   }
 }

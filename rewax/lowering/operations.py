@@ -205,9 +205,9 @@ class Operations:
         """XLA's simplification of an operation with a zero, a one or a boolean: an operand, a selection, or None."""
         (a, b), (number, other) = operands, constants
         if name == "mul":
-            for factor, truth in ((a, b), (b, a)):
-                if self.listed[truth].name == "b_to_f":
-                    return self.selected(self.listed[truth].operands[0], self.constant(0.0, "f"), factor)
+            for factor, boolean in ((a, b), (b, a)):
+                if self.listed[boolean].name == "b_to_f":
+                    return self.selected(self.listed[boolean].operands[0], self.constant(0.0, "f"), factor)
         if name in ("mul", "div"):
             return a if other == 1 else b if number == 1 and name == "mul" else None
         return a if other == 0 else b if number == 0 and name == "add" else None

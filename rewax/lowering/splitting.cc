@@ -8,9 +8,9 @@
 
 namespace {
 
-ffi::Error Split(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
-  const size_t num_rows = static_cast<size_t>(whole.element_count() / std::max<int64_t>(whole.dimensions().back(), 1));
-  const char* from = static_cast<const char*>(whole.untyped_data());
+ffi::Error Split(ffi::AnyBuffer vectors, ffi::RemainingRets pieces) {
+  const size_t num_rows = static_cast<size_t>(vectors.element_count() / std::max<int64_t>(vectors.dimensions().back(), 1));
+  const char* from = static_cast<const char*>(vectors.untyped_data());
   std::vector<std::pair<char*, size_t>> to(pieces.size());
   for (size_t k = 0; k < to.size(); ++k) {
     auto piece = *pieces.get<ffi::AnyBuffer>(k);

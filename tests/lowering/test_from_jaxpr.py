@@ -142,7 +142,7 @@ def test_a_program_of_endless_arithmetic_is_refused():
 
 
 def over_axes(a, b):
-    """Sums, products of batches, running sums, and the places of extremes."""
+    """Sums, products of batches, running sums, and the indices of extremes."""
     cube = a[:, None, None] * b[None, :, None] - jnp.stack([a, b])[None].mT
     return (
         jnp.einsum("ijk,ijl->ilk", cube, cube),
