@@ -172,7 +172,7 @@ class RigidModel(struct.Replaceable):
           quaternion: orientations (w, x, y, z) of any length above 0, shape (num_mocap, 4); None: unchanged.
 
         Raises:
-          ValueError: a shape does not fit, or the model has no mocap bodies.
+          ValueError: a shape differs, a value is not finite, or the model has no mocap bodies.
 
         Gradient: exact with respect to both arguments.
         """

@@ -38,7 +38,7 @@ def check_unit_lengths(parameters: Mapping[str, Any]) -> None:
     """Raises ValueError for a quaternion or a joint axis whose length is not 1; traced ones are not checked."""
     for name in ("body_quat", "body_iquat", "geom_quat", "jnt_axis"):
         value = parameters.get(name)
-        if value is None or isinstance(value, jax.core.Tracer):
+        if value is None or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
             continue
         length = np.linalg.norm(np.asarray(value, float), axis=-1)
         wrong = ~(np.abs(length - 1.0) < 0.01)

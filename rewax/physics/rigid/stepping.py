@@ -64,7 +64,7 @@ def initial_state(
         if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(jnp.isfinite(value))):
             raise ValueError(f"{name} holds a number that is not finite ({value}): give a finite start")
     for start, _ in model.static.topology.quaternions:
-        if not isinstance(qpos, jax.core.Tracer) and not np.any(np.asarray(qpos[start : start + 4])):
+        if not isinstance(qpos, jax.core.Tracer) and not np.any(np.asarray(qpos)[start : start + 4]):
             raise ValueError(f"qpos[{start}:{start + 4}] is a quaternion of zeros: give (1, 0, 0, 0) for no rotation")
     act = jnp.zeros(model.static.mj.na, qpos.dtype)
     return RigidState(qpos=qpos, qvel=qvel, act=act, qacc=jnp.zeros(model.num_dofs, qpos.dtype))
