@@ -60,6 +60,6 @@ BUILT_IN_PAIRS = (
     ContactPair(("box", "box"), MOST, _box_box),
 )  # fmt: skip
 UNDER_A_PENALTY = tuple(pair for pair in BUILT_IN_PAIRS if pair.kinds == ("plane", "box"))
-"""Under a penalty law. ``forces.contacts`` adds rewax's own functions for explicit pairs; MJX collides the rest."""
+"""Built-in pairs under a penalty law. ``forces.contacts`` collides explicit pairs of other kinds, and MJX the rest."""
 
 __all__ = ["BUILT_IN_PAIRS", "UNDER_A_PENALTY"]

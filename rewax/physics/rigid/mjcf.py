@@ -55,6 +55,8 @@ def _is_file(path: Path) -> bool:
 
 def _refuse_nan(text: str) -> None:
     """Raises ValueError for attributes with NaN: MuJoCo takes some of them for absent and keeps others."""
+    if "nan" not in text.lower():
+        return
     text = re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
     for found in _ATTRIBUTE.finditer(text):
         if found[1] not in _TEXTS and {"nan", "-nan", "+nan"} & {*found[2].lower().split()}:
