@@ -157,7 +157,7 @@ def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
         )
     if mj.opt.integrator == fast and (mj.opt.density or mj.opt.viscosity):
         raise ValueError(
-            "the model's integrator is IMPLICITFAST in a medium that drags, which is not supported: load(..., "
+            "the model's integrator is IMPLICITFAST in a medium with drag, which is not supported: load(..., "
             'integrator="Euler"), or density=0.0, viscosity=0.0'
         )
     if not penalty and mj.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
@@ -246,30 +246,31 @@ def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
     uneven = mj.pair_friction[:, 0] != mj.pair_friction[:, 1]
     if np.any(uneven):
         raise ValueError(
-            f"{named(mj, 'pair', uneven)} has two coefficients of sliding friction, of which a Penalty knows one: "
+            f"{named(mj, 'pair', uneven)} has two coefficients of sliding friction, but a Penalty has one: "
             "make them equal"
         )
     touches = (mj.geom_contype | mj.geom_conaffinity) != 0
     for kind, wrong in (("pair", mj.pair_dim > 3), ("geom", (mj.geom_condim > 3) & touches)):
         if np.any(wrong):
             raise ValueError(
-                f"{named(mj, kind, wrong)} has a condim above 3, but a Penalty knows no torsional or rolling "
+                f"{named(mj, kind, wrong)} has a condim above 3, but a Penalty has no torsional or rolling "
                 f"friction: give that {kind} condim 3"
             )
     if is_disabled(mj, "LIMIT") or is_disabled(mj, "CONSTRAINT"):
         raise ValueError(
-            "the model disables limits or all constraints, which a Penalty does not: remove the flag, and ranges and "
-            "contacts that are not wanted"
+            "the model disables limits or all constraints, which a Penalty does not: remove the flag "
+            "and unwanted ranges and contacts"
         )
     ball = (mj.jnt_limited != 0) & (mj.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
     if np.any(ball):
         raise ValueError(
-            f"{named(mj, 'joint', ball)} is a ball with a limit, which a Penalty cannot hold: remove the limit"
+            f"{named(mj, 'joint', ball)} is a ball joint with a limit, which a Penalty does not support: remove the "
+            "limit"
         )
     if mj.neq or np.any(mj.dof_frictionloss) or np.any(mj.tendon_limited) or np.any(mj.tendon_frictionloss):
         raise ValueError(
-            "the model has equality constraints, dry friction or tendon limits, which a Penalty cannot hold: remove "
-            "them, or load it without a Penalty"
+            "the model has equality constraints, dry friction or tendon limits, which a Penalty does not support: "
+            "remove them, or load it without a Penalty"
         )
 
 

@@ -156,7 +156,9 @@ class RigidModel(struct.Replaceable):
                 )
             absent = name in ("dof_damping", "dof_frictionloss") and not np.any(getattr(self.static.mj, name))
             if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
-                raise ValueError(f"the model was loaded without {name}, so it takes none: give its MJCF a little of it")
+                raise ValueError(
+                    f"the model was loaded without {name}, so it cannot change: give it a positive value in the MJCF"
+                )
         check_numbers(parameter_numbers(changes))
         check_unit_lengths(changes)
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
@@ -283,7 +285,8 @@ def load(
     except (NotImplementedError, AssertionError) as error:
         remedy = ", or give contact_pairs one of these kinds" if "collisions not implemented" in str(error) else ""
         raise ValueError(
-            f"MJX does not support this model ({error}): remove that, or let such geoms not touch{remedy}"
+            f"MJX does not support this model ({error}): remove that, or set contype and conaffinity of "
+            f"such geoms to 0{remedy}"
         ) from error
     gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
     real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)

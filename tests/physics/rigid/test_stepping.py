@@ -169,7 +169,7 @@ def test_wrong_arguments_are_named():
         ),
         (
             lambda: model.with_parameters(dof_frictionloss=np.ones(6)),
-            "the model was loaded without dof_frictionloss, so it takes none: give its MJCF a little of it",
+            "the model was loaded without dof_frictionloss, so it cannot change: give it a positive value in the MJCF",
         ),
     ):
         with pytest.raises(ValueError, match="^" + re.escape(sentence)):
