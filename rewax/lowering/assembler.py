@@ -75,7 +75,7 @@ def assemble(listing: OperationList, types: Sequence[Any]) -> Bytecode:
     if any(operations[i].kind != "f" for output in outputs for i in output):
         raise UnsupportedError("it returns integers or booleans")
     arguments = {operations[i].constant[0] for i in _needed(operations, outputs) if operations[i].name == "input"}
-    found, registers = _of_lanes(listing, outputs, types, tuple(sorted(arguments)))
+    found, registers = _lane_bytecode(listing, outputs, types, tuple(sorted(arguments)))
     full = [output for output in outputs if output]
     stores = [("store", (registers[i], k, offset)) for k, output in enumerate(full) for offset, i in enumerate(output)]
     return found._replace(code=np.concatenate([found.code, _in_runs(stores)]))
@@ -236,7 +236,7 @@ def _in_runs(rows: Sequence[tuple[Expression, tuple[int, ...]]]) -> np.ndarray:
 # --- Batch elements in lanes ------------------------------------------------------------------------------------------
 
 
-def _of_lanes(
+def _lane_bytecode(
     listing: OperationList, outputs: Sequence[Sequence[int]], types: Sequence[Any], arguments: tuple[int, ...]
 ) -> tuple[Bytecode, dict[int, int]]:
     """Bytecode that keeps its results in registers, and the registers of all values."""
@@ -303,7 +303,7 @@ class _Blocks:
         shared = sorted(
             {o for s in steps for o in s.operands if operations[o].shared} | {i for i in kept if operations[i].shared}
         )
-        program, registers = _of_lanes(self.listing, [shared], self.types, tuple(range(len(self.types))))
+        program, registers = _lane_bytecode(self.listing, [shared], self.types, tuple(range(len(self.types))))
         self.locations |= {i: ("shared", k) for k, i in enumerate(shared)}
         self.locations |= {i: ("input", k) for k, i in enumerate(self.inputs) if operations[i].kind == "f"}
         num_registers = self.locate_steps(steps)

@@ -27,7 +27,7 @@ class Operand(NamedTuple):
         return self.array.shape[sum(self.present) :]
 
     @property
-    def of_one_element(self) -> tuple[tuple[int, ...], Any, bool]:
+    def element_aval(self) -> tuple[tuple[int, ...], Any, bool]:
         shape = self.own_shape
         return (*shape[:-1], 1) if self.varies else shape, self.array.dtype, bool(jax.typeof(self.array).weak_type)
 

@@ -27,7 +27,7 @@ _IDENTITIES = frozenset(["optimization_barrier", "copy", "copy_p", "stop_gradien
 _KEEPS_CONSTANTS = frozenset([
     "select_n", "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "stack", "concatenate", *_IDENTITIES
 ])  # fmt: skip
-_OF_LOOPS = frozenset({
+_LOOP_PARAMETERS = frozenset({
     "jaxpr", "length", "reverse", "unroll", "linear", "num_consts", "num_carry", "ft_in", "ft_out", "_split_transpose",
 })  # fmt: skip
 
@@ -141,7 +141,7 @@ class _Builder(Operations):
     def scan(self, eqn: Any, args: list[Values]) -> list[Values]:
         """Unrolls a short loop."""
         params = eqn.params
-        known("scan", params, _OF_LOOPS)
+        known("scan", params, _LOOP_PARAMETERS)
         length, jaxpr = params["length"], params["jaxpr"]
         if not 0 < length <= _LONGEST_LOOP:
             raise UnsupportedError(f"it has a loop of {length} turns")

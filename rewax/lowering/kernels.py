@@ -134,7 +134,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     of_linear = {"value": [], "tangent": perturbed, "cotangent": [True] * len(linear)}[which]
     varies = (*program.varies, *of_linear)
     operands = operands_of(program, arrays, linear, varies)
-    avals = tuple(o.of_one_element for o in operands)
+    avals = tuple(o.element_aval for o in operands)
     target = _target(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):

@@ -71,7 +71,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     if build.is_off():
         return _with_jax(which, program, arrays, linear)
     operands = operands_of(program, arrays, linear, [False] * (len(arrays) + len(linear)))
-    avals = tuple(o.of_one_element for o in operands)
+    avals = tuple(o.element_aval for o in operands)
     target = _target(which, program._replace(batches=()), avals, len(arrays), jnp.result_type(float))
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):

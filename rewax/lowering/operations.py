@@ -30,7 +30,7 @@ ON_BOOLEANS = frozenset(["and", "or", "xor", "not", "eq", "ne", "select"])
 _WRAPS = frozenset(["add", "sub", "mul", "neg", "div"])
 """Operations on integers that can overflow."""
 _COMPARISONS = frozenset(["lt", "le", "gt", "ge", "eq", "ne"])
-_OF_CONSTANTS: dict[str, Callable[..., Any]] = {
+_FOLDED: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "max": np.maximum,
     "min": np.minimum, "abs": np.abs, "sign": np.sign, "sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil,
     "round_even": np.rint, "rem": np.fmod, "lt": np.less, "le": np.less_equal, "gt": np.greater,
@@ -38,14 +38,14 @@ _OF_CONSTANTS: dict[str, Callable[..., Any]] = {
     "select": lambda which, yes, no: yes if which else no,
 }  # fmt: skip
 """Operations that are folded if all operands are constants."""
-_OF_INTEGERS: dict[str, Callable[[Any, Any], int]] = {
+_INTEGER_FUNCTIONS: dict[str, Callable[[Any, Any], int]] = {
     "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "and": lambda a, b: a & b,
     "or": lambda a, b: a | b, "xor": lambda a, b: a ^ b,
     # As in XLA: towards zero; division by zero gives -1 and the dividend.
     "div": lambda a, b: -1 if b == 0 else abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1),
     "rem": lambda a, b: a if b == 0 else abs(a) % abs(b) * (-1 if a < 0 else 1),
 }  # fmt: skip
-_OF_BOOLEANS: dict[str, Callable[..., Any]] = {
+_BOOLEAN_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not,
 }  # fmt: skip
 KINDS = {
@@ -146,7 +146,7 @@ class Operations:
         kind = kind or (of if name not in _COMPARISONS else "b")
         constants = [self.constants.get(o) for o in operands]
         if all(c is not None for c in constants):
-            value = self.of_constants(name, of, constants, kind)
+            value = self.folded_value(name, of, constants, kind)
             if value is not None:
                 return self.constant(value, kind)
         if of == "u" and name == "not":  # an unsigned integer has 32 bits even in lanes of 64 bits
@@ -168,21 +168,21 @@ class Operations:
         if kind == "f" and name in ("and", "or", "xor", "not"):
             raise UnsupportedError(f"it has the operation {name} of {KINDS[kind]}")
 
-    def of_constants(self, name: str, of: str, constants: list[Any], kind: str) -> Any:
+    def folded_value(self, name: str, of: str, constants: list[Any], kind: str) -> Any:
         """The value of an operation on constants; None if it is not folded."""
         if "_to_" in name:
-            return self.of_conversion(constants[0], of, kind)
+            return self.converted_value(constants[0], of, kind)
         if name == "wrap":
             return wrapped(constants[0], "i")
         if of in _BITS and name in ("neg", "not"):
             return wrapped(-constants[0] if name == "neg" else ~constants[0], of)
-        if of in _BITS and name in _OF_INTEGERS:
-            return wrapped(_OF_INTEGERS[name](*constants), of)
-        table = _OF_BOOLEANS if of == "b" and name in _OF_BOOLEANS else _OF_CONSTANTS
+        if of in _BITS and name in _INTEGER_FUNCTIONS:
+            return wrapped(_INTEGER_FUNCTIONS[name](*constants), of)
+        table = _BOOLEAN_FUNCTIONS if of == "b" and name in _BOOLEAN_FUNCTIONS else _FOLDED
         with np.errstate(all="ignore"):
             return table[name](*constants) if name in table else None
 
-    def of_conversion(self, value: Any, of: str, kind: str) -> Any:
+    def converted_value(self, value: Any, of: str, kind: str) -> Any:
         if kind in _BITS and of == "f":
             least, most = (0, 2**32 - 1) if kind == "u" else (-(2 ** (_BITS[kind] - 1)), 2 ** (_BITS[kind] - 1) - 1)
             return 0 if np.isnan(value) else least if value <= least else int(min(value, most))

@@ -85,7 +85,7 @@ class Program(NamedTuple):
             function = jax.vmap(function, in_axes=(tuple(0 if b else None for b in which), 0))
         return function
 
-    def of_perturbed(self, arrays: Arrays) -> tuple[Callable[..., Arrays], Arrays]:
+    def perturbed_function(self, arrays: Arrays) -> tuple[Callable[..., Arrays], Arrays]:
         """The function to differentiate, of the perturbed arrays alone, and their values."""
         count = len(self.perturbed)
         arrays, result = arrays[:count], arrays[count:]
@@ -150,7 +150,7 @@ def _value(program: Program, arrays: Arrays, nothing: Arrays) -> Arrays:
 
 def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
     def tangent(arrays: Arrays, tangents: Arrays) -> Arrays:
-        function, values = program.of_perturbed(arrays)
+        function, values = program.perturbed_function(arrays)
         return jax.jvp(function, values, tangents)[1]
 
     return program.under_vmap(tangent)(arrays, tangents)
@@ -158,7 +158,7 @@ def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
 
 def _cotangent(program: Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
     def cotangent(arrays: Arrays, cotangents: Arrays) -> Arrays:
-        function, values = program.of_perturbed(arrays)
+        function, values = program.perturbed_function(arrays)
         return jax.vjp(function, *values)[1](cotangents)
 
     return program.under_vmap(cotangent)(arrays, cotangents)

@@ -44,7 +44,7 @@ class Collisions(NamedTuple):
     max_contact_points: int | None
 
     @property
-    def of_mjx(self) -> list[GeomPairs]:
+    def mjx_groups(self) -> list[GeomPairs]:
         return [group for group, pair in zip(self.groups, self.functions, strict=True) if pair is None]
 
 
@@ -93,7 +93,7 @@ def collide(found: Collisions, m: mjx.Model, d: mjx.Data) -> mjx.Contact:
     """
     by_dim: dict[int, list[_Contacts]] = {}
     for group, pair in zip(found.groups, found.functions, strict=True):
-        by_dim.setdefault(group.condim, []).append(_of_group(found, m, d, group, pair))
+        by_dim.setdefault(group.condim, []).append(_group_contacts(found, m, d, group, pair))
     if found.max_contact_points is not None:
         by_dim = {dim: [_deepest(found.max_contact_points, parts)] for dim, parts in by_dim.items()}
     dims = [np.full(len(part.distance), dim) for dim in sorted(by_dim) for part in by_dim[dim]]
@@ -104,7 +104,9 @@ def collide(found: Collisions, m: mjx.Model, d: mjx.Data) -> mjx.Contact:
     return contact_of(every.distance, every.point, every.frame, every.parameters, geoms, dim)
 
 
-def _of_group(found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pair: ContactPair | None) -> _Contacts:
+def _group_contacts(
+    found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pair: ContactPair | None
+) -> _Contacts:
     parameters, geoms = contact_parameters(found.mj, m, group), group.geoms
     num, most = len(geoms), found.max_geom_pairs
     most = num if most is None or _ENDLESS & {*group.kinds} else most

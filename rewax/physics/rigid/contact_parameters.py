@@ -42,19 +42,19 @@ def contact_parameters(mj: mujoco.MjModel, m: mjx.Model, pairs: GeomPairs) -> Co
     is_listed = pairs.listed >= 0
     parts = []
     if np.any(is_listed):
-        parts.append(_of_listed(mj, m, pairs.listed[is_listed]))
+        parts.append(_listed_parameters(mj, m, pairs.listed[is_listed]))
     if not np.all(is_listed):
-        parts.append(_of_geoms(mj, m, *pairs.geoms[~is_listed].T))
+        parts.append(_mixed_parameters(mj, m, *pairs.geoms[~is_listed].T))
     return jax.tree.map(lambda *a: jnp.concatenate(a), *parts) if len(parts) > 1 else parts[0]
 
 
-def _of_listed(mj: mujoco.MjModel, m: mjx.Model, pair: np.ndarray) -> ContactParameters:
+def _listed_parameters(mj: mujoco.MjModel, m: mjx.Model, pair: np.ndarray) -> ContactParameters:
     friction = jnp.clip(m.pair_friction[pair], min=mujoco.mjMINVAL)
     solreffriction = jnp.asarray(mj.pair_solreffriction[pair], friction.dtype)
     return ContactParameters(m.pair_margin[pair], friction, m.pair_solref[pair], solreffriction, m.pair_solimp[pair])
 
 
-def _of_geoms(mj: mujoco.MjModel, m: mjx.Model, first: np.ndarray, second: np.ndarray) -> ContactParameters:
+def _mixed_parameters(mj: mujoco.MjModel, m: mjx.Model, first: np.ndarray, second: np.ndarray) -> ContactParameters:
     margin = m.geom_margin[first] + m.geom_margin[second]
     priority = mj.geom_priority[first] - mj.geom_priority[second]
     one, other = np.where(priority < 0, second, first), np.where(priority > 0, first, second)

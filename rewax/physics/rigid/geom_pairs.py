@@ -87,7 +87,7 @@ def _pairs(mj: mujoco.MjModel, listed: np.ndarray) -> list[tuple[int, int, int]]
         geoms = ordered(int(mj.pair_geom1[pair]), int(mj.pair_geom2[pair]))
         found.add(geoms)
         pairs.append((*geoms, int(pair)))
-    for first, second in _of_bodies_that_meet(mj):
+    for first, second in _unfiltered_pairs(mj):
         geoms = ordered(first, second)
         if geoms not in found and _match(mj, *geoms):
             found.add(geoms)
@@ -95,7 +95,7 @@ def _pairs(mj: mujoco.MjModel, listed: np.ndarray) -> list[tuple[int, int, int]]
     return pairs
 
 
-def _of_bodies_that_meet(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+def _unfiltered_pairs(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
     """Pairs of geoms with masks whose bodies are not excluded, nor welded together, nor parent and child."""
     has_mask = (mj.geom_contype | mj.geom_conaffinity) != 0
     geoms = {body: np.flatnonzero(has_mask & (mj.geom_bodyid == body)).tolist() for body in range(mj.nbody)}

@@ -70,7 +70,7 @@ class _Model:
         self.collisions = collisions(compiled, others, penalty=law[0], added=contact_pairs)
         shown = without_idle_parts(compiled)
         if any(group.kinds in added for group in self.collisions.groups):
-            shown = with_groups_that_touch(shown, self.collisions.of_mjx)
+            shown = with_groups_that_touch(shown, self.collisions.mjx_groups)
         with jax.ensure_compile_time_eval():
             self.mjx = without_contacts(shown, mjx.put_model(shown, jax.local_devices()[0], impl="jax"))
             self.data = mjx.make_data(self.mjx, jax.local_devices()[0], impl="jax")
