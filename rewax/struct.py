@@ -22,8 +22,6 @@ from jax.tree_util import GetAttrKey, register_pytree_with_keys
 from rewax.types import Scalar
 
 T = TypeVar("T")
-_MOST_BITS = 1023
-"""An integer of more bits has no floating-point value."""
 
 
 def field(*, pytree_node: bool = True, metadata: Mapping[str, Any] | None = None, **kwargs: Any) -> Any:
@@ -98,8 +96,6 @@ def _convert_first(cls: Any) -> None:
         for each in dataclasses.fields(self):
             if each.metadata.get("pytree_node", True):
                 value = getattr(self, each.name)
-                if (rule := each.metadata.get("number")) is not None:
-                    _refuse_other_kinds(f"{type(self).__name__}.{each.name}", value, rule[1])
                 is_real = "number" in each.metadata or each.type in (Scalar, Scalar | None)
                 if (array := _as_leaf(value, is_real)) is not value:
                     object.__setattr__(self, each.name, array)
@@ -111,14 +107,6 @@ def _convert_first(cls: Any) -> None:
     cls.__post_init__ = __post_init__
 
 
-def _refuse_other_kinds(name: str, value: Any, remedy: str) -> None:
-    """Raises ValueError for a boolean, or an integer that no float holds, in place of a number."""
-    if isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{name} is {value}, a boolean: {remedy}")
-    if isinstance(value, int) and value.bit_length() > _MOST_BITS:
-        raise ValueError(f"{name} is an integer of {value.bit_length()} bits: {remedy}")
-
-
 def _as_leaf(value: Any, is_real: bool) -> Any:
     """Converts numbers to JAX arrays; tuples, and integers of real fields, become floats. Returns others unchanged."""
     if isinstance(value, (tuple, list)):
@@ -126,14 +114,17 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
             return value
         try:
             return jnp.asarray(np.asarray(value, float))
-        except ValueError:  # ragged: later checks name the field
+        except ValueError:  # rows of several lengths: checks name the field
             return value
-    if isinstance(value, int) and value.bit_length() > _MOST_BITS:
-        return value
+    if is_real and isinstance(value, (bool, np.bool_)):
+        return value  # no real number: checks name the field
     if isinstance(value, numbers.Real) and not isinstance(value, np.generic):
-        return jnp.asarray(float(value) if is_real else value)
+        try:
+            return jnp.asarray(float(value) if is_real else value)
+        except OverflowError:
+            return value
     if isinstance(value, (np.ndarray, np.generic)):
-        if is_real and value.dtype.kind in "biu":
+        if is_real and value.dtype.kind in "iu":
             value = value.astype(float)
         return jnp.asarray(value) if value.dtype.kind == "f" else value
     if is_real and isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.integer):

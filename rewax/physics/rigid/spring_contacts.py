@@ -10,7 +10,7 @@ from rewax import struct
 from rewax.physics.contact.penalty import PenaltyContact, penalty_force
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers, numbers_of
 from rewax.physics.numerics.components import join_vector, split_vector
-from rewax.physics.rigid.argument_checks import check_instance
+from rewax.physics.rigid.argument_checks import check_instance, check_plain
 from rewax.physics.rigid.kinematics import Kinematics, moving_points
 from rewax.types import Array, Scalar
 
@@ -78,7 +78,11 @@ def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
     if penalty.among is not None:
         check_instance("the penalty's among", penalty.among, Penalty, "give a Penalty(stiffness=...), or None")
         check_penalty(penalty.among, mass, dt)
-    check_numbers([number._replace(shape=()) for number in penalty_numbers(penalty)])
+    for number in penalty_numbers(penalty):
+        check_plain(number.name, number.value, number.remedy)
+        check_numbers([number])
+        if jnp.ndim(number.value):
+            raise ValueError(f"{number.name} has shape {jnp.shape(number.value)}: give one number")
     for name in ("at_surfaces", "boxes_touch_once"):
         check_instance(f"the penalty's {name}", getattr(penalty, name), bool, "give True or False")
     for name, unit, bound in (("stiffness", "N/m", 4.0 * mass / dt**2), ("damping", "N s/m", 2.0 * mass / dt)):
