@@ -70,22 +70,21 @@ def test_bad_models(case):
 
 
 OPTIONS = {
-    "dt": ({"dt": True}, "dt is True, a boolean: give the duration of a substep in seconds"),
-    "large dt": ({"dt": 10**30}, "dt is 1000000000000000000000000000000, which is too large: give the duration of a substep in seconds"),
-    "density": ({"density": True}, "density is True, a boolean: give it in kg/m^3"),
-    "iterations": ({"iterations": True}, "iterations is True: give an integer, at least 1"),
-    "integrator": ({"integrator": ["Euler"]}, "integrator is ['Euler']: use one of 'Euler', 'implicitfast'"),
-    "contacts": ({"max_contact_points": True}, "max_contact_points is True: give an integer, at least 1, or None for no limit"),
-    "flags": ({"flags": "gravity"}, "flags is 'gravity': give a dictionary of booleans, such as {\"gravity\": False}"),
-    "flag": ({"flags": {"gravity": "off"}}, "the flag 'gravity' is 'off': give True to enable it, or False"),
-    "pairs": ({"contact_pairs": None}, "contact_pairs is None: give a sequence, contact_pairs=(pair,) for one"),
-    "penalty": ({"penalty": Penalty}, f"penalty is {Penalty!r}: give a Penalty(stiffness=...)"),
-    "among": ({"penalty": Penalty(stiffness=10.0, among="soft")}, "the penalty's among is 'soft': give a Penalty(stiffness=...), or None"),
-    "surfaces": ({"penalty": Penalty(stiffness=10.0, at_surfaces="no")}, "the penalty's at_surfaces is 'no': give True or False"),
-    "boxes": ({"penalty": Penalty(stiffness=10.0, boxes_touch_once=3)}, "the penalty's boxes_touch_once is 3: give True or False"),
-    "boolean": ({"penalty": Penalty(stiffness=True)}, "the penalty's stiffness is True, a boolean: see Penalty for its unit"),
-    "digits": ({"penalty": Penalty(stiffness=10**400)}, f"the penalty's stiffness is {str(10**400)[:57]}..., which is too large: see Penalty for its unit"),
-    "many": ({"penalty": Penalty(stiffness=[10.0, 20.0])}, "the penalty's stiffness has shape (2,): give one number"),
+    "dt": (lambda: {"dt": True}, "dt is True, a boolean: give the duration of a substep in seconds"),
+    "large dt": (lambda: {"dt": 10**30}, "dt is 1000000000000000000000000000000, which is too large: give the duration of a substep in seconds"),
+    "density": (lambda: {"density": True}, "density is True, a boolean: give it in kg/m^3"),
+    "iterations": (lambda: {"iterations": True}, "iterations is True: give an integer, at least 1"),
+    "integrator": (lambda: {"integrator": ["Euler"]}, "integrator is ['Euler']: use one of 'Euler', 'implicitfast'"),
+    "contacts": (lambda: {"max_contact_points": True}, "max_contact_points is True: give an integer, at least 1, or None for no limit"),
+    "flags": (lambda: {"flags": "gravity"}, "flags is 'gravity': give a dictionary of booleans, such as {\"gravity\": False}"),
+    "flag": (lambda: {"flags": {"gravity": "off"}}, "the flag 'gravity' is 'off': give True to enable it, or False"),
+    "pairs": (lambda: {"contact_pairs": None}, "contact_pairs is None: give a sequence, contact_pairs=(pair,) for one"),
+    "among": (lambda: {"penalty": Penalty(stiffness=10.0, among="soft")}, "the penalty's among is 'soft': give a Penalty(stiffness=...), or None"),
+    "surfaces": (lambda: {"penalty": Penalty(stiffness=10.0, at_surfaces="no")}, "the penalty's at_surfaces is 'no': give True or False"),
+    "boxes": (lambda: {"penalty": Penalty(stiffness=10.0, boxes_touch_once=3)}, "the penalty's boxes_touch_once is 3: give True or False"),
+    "boolean": (lambda: {"penalty": Penalty(stiffness=True)}, "the penalty's stiffness is True, a boolean: see Penalty for its unit"),
+    "digits": (lambda: {"penalty": Penalty(stiffness=10**400)}, f"the penalty's stiffness is {str(10**400)[:57]}..., which is too large: see Penalty for its unit"),
+    "many": (lambda: {"penalty": Penalty(stiffness=[10.0, 20.0])}, "the penalty's stiffness has shape (2,): give one number"),
 }  # fmt: skip
 
 
@@ -93,7 +92,7 @@ OPTIONS = {
 def test_bad_options(case):
     options, sentence = OPTIONS[case]
     with pytest.raises(ValueError, match="^" + re.escape(sentence) + "$"):
-        rigid.load(mjcf(), **options)
+        rigid.load(mjcf(), **options())
 
 
 FUNCTIONS = {
