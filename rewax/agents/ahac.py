@@ -82,7 +82,7 @@ Networks: TypeAlias = ActorCritic[AHACConfig]
 
 @struct.dataclass
 class AHACState(ActorCriticState):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
       horizon: horizon of the next iteration, rounded to whole steps when it is used, shape ().
@@ -98,7 +98,7 @@ def make_ahac(env: Env, config: AHACConfig | None = None, *, randomize: Randomiz
 
 
 def init(config: AHACConfig, leaves: EnvLeaves, key: Key) -> AHACState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     networks = make_actor_critic(leaves.first(), config)
     return start_actor_critic(AHACState, networks, leaves, key, horizon=jnp.full((), float(config.initial_horizon)))
 

@@ -48,7 +48,7 @@ def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize 
 
 
 def init(config: APGConfig, leaves: EnvLeaves, key: Key) -> PolicyState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     actor, keys = make_actor(leaves.first(), config), run_keys(key)
     environments = start_environments(config, leaves, keys)
     params = actor.network.init(keys.actor, environments.first_observation())
