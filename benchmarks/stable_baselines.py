@@ -12,7 +12,8 @@ environments. ``--options name=value`` changes the preset of both libraries, ``-
 
 Both have the preset's number of environments, horizon, layers (linear, LayerNorm, activation), batches, updates,
 learning rates and weight decay. With ``normalize_rewards`` rewax's SAC divides rewards by the root mean square of the
-returns in the replay buffer, and ``VecNormalize`` of Stable-Baselines3 by the standard deviation of its running returns.
+returns in the replay buffer. Stable-Baselines3's ``VecNormalize`` divides them by the standard deviation of its running
+returns.
 Other differences of Stable-Baselines3:
 
 - Its initialisers.

@@ -57,7 +57,7 @@ class Actor(Generic[P]):
         return TanhNormal(mean=mean, log_std=log_std)
 
     def sampling(self, params: PyTree, statistics: RunningStatistics) -> Policy:
-        """A policy for ``rollout`` that samples its actions. Gradient: reparameterised, with respect to params and obs."""
+        """A policy for ``rollout`` that samples its actions. Gradient: with respect to params and obs."""
 
         def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
             return self.action_distribution(params, statistics, obs).sample(key), {}

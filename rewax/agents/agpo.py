@@ -1,4 +1,4 @@
-"""SAPO that mixes two gradients: that of the simulation, and that of the critics where the simulation's varies too much.
+"""SAPO that mixes the simulation's gradient with that of the critics, where the simulation's varies too much.
 
 At every step of a rollout, the gradient with respect to the next state is a weighted sum. ``share`` weighs the
 gradient through the rest of the simulated rollout, ``1 - share`` the gradient of the critics' value of the next state.

@@ -1,4 +1,4 @@
-"""Gradients through rollouts, one per environment: a non-finite gradient of one environment does not reach the others."""
+"""Gradients through rollouts, one per environment, so that a non-finite one does not reach the others."""
 
 from collections.abc import Callable
 from typing import TypeAlias, TypeVar
@@ -20,7 +20,7 @@ R = TypeVar("R", bound=RunState)
 D = TypeVar("D")
 
 Loss: TypeAlias = Callable[[PyTree, R, AutoReset, State, Key], tuple[Array, D]]
-"""``(params, common, env, env_state, key) -> (loss, data)`` for one environment. ``common`` is ``RunState.common()``."""
+"""``(params, common, env, env_state, key) -> (loss, data)`` for one environment; common: ``RunState.common()``."""
 
 
 def per_env_gradients(

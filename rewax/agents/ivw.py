@@ -1,4 +1,4 @@
-"""SAPO with inverse-variance weights: the actor's gradient weights the steps of a rollout by the inverse of their variance.
+"""SAPO with inverse-variance weights: the actor weights the steps of a rollout by the inverse variance of gradients.
 
 The gradient with respect to the action of step t flows through H - t steps of the simulation, so early steps have far
 noisier gradients than late ones. If environments begin rollouts at random times of their episodes, every step gives an

@@ -110,8 +110,8 @@ def _quartiles(flat: dict[str, Array], keep: Array) -> dict[str, Array]:
 def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) -> Array:
     """Quantiles of each column: the smallest sample such that at least the given share of the samples is not larger.
 
-    Finds two bits of the answer at a time, by counting. Counts are sums, so devices keep their own samples. A sort would
-    need all samples on one device, and is slower.
+    Finds two bits of the answer at a time, by counting. Counts are sums, so devices keep their own samples. A sort
+    would need all samples on one device, and is slower.
 
     Args:
       columns: shape (n, d).

@@ -34,8 +34,8 @@ def td_lambda(
       r_t: rewards, shape (T,).
       v_tp1: value of the state that step t leads to, before any reset; 0 if it is terminal, shape (T,).
       done_t: whether the step ended an episode, terminated or truncated, shape (T,).
-      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step does not enter the targets of earlier
-        steps (``segment_ends``). Its own target is meaningless.
+      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step does not enter the targets of
+        earlier steps (``segment_ends``). Its own target is meaningless.
       discount: gamma [-].
       lambda_: 0 bootstraps after one step, 1 at the end of the segment.
 
@@ -66,8 +66,8 @@ def short_horizon_return(
       r_t: rewards, shape (T,).
       v_tp1: value of the state that step t leads to, before any reset; 0 if it is terminal, shape (T,).
       done_t: whether the step ended an episode, shape (T,).
-      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step is masked. The segment before it ends
-        with the value of the state that the failed step started from.
+      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step is masked. The segment before it
+        ends with the value of the state that the failed step started from.
       discount: gamma [-].
 
     Returns:

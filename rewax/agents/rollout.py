@@ -159,7 +159,7 @@ def probed(tree: PyTree, probe: Array) -> PyTree:
 
 
 def _with_backward(tree: PyTree, scalar: Array, backward: Callable[..., tuple[list[Array], Array]]) -> PyTree:
-    """The same values; ``backward(scalar, grads)`` gives the gradients with respect to floating leaves and ``scalar``."""
+    """The same values; ``backward(scalar, grads)`` gives the gradients with respect to floating leaves and scalar."""
 
     @jax.custom_vjp
     def same(floats: list[Array], scalar: Array) -> list[Array]:

@@ -1,9 +1,9 @@
 """RPO, reparameterisation proximal policy optimisation: several epochs on one differentiated rollout.
 
 One iteration: the return over a short horizon is differentiated once, through the simulation, with respect to every
-action. Several epochs reuse these derivatives. Each epoch reparameterises every action under the new policy, as mean plus
-standard deviation times the noise that reproduces the action, and weights it by the probability ratio. Samples with a
-ratio outside its range are masked. The gradient of the first epoch is SHAC's.
+action. Several epochs reuse these derivatives. Each epoch reparameterises every action under the new policy: mean plus
+standard deviation times the noise that reproduces the action. It weights the action by the probability ratio. Samples
+with a ratio outside its range are masked. The gradient of the first epoch is SHAC's.
 
 Source: Zhong et al. 2025, "Reparameterization Proximal Policy Optimization" (arXiv 2508.06214). Differences:
 
@@ -107,9 +107,9 @@ def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticS
 def shifted_loss(
     shift: Array, common: ActorCriticState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[Array, Rollout]:
-    """Minus the return per step of one environment. ``shift``, (T, action_size), is added to the actions before the tanh.
+    """Minus the return per step of one environment.
 
-    Gradient: with respect to ``shift``, through the simulation and the policy's later actions.
+    ``shift``, shape (T, action_size), is added to the actions before the tanh. Gradient: with respect to it, through the simulation and the policy's later actions.
     """
     config, statistics = networks.config, common.environments.statistics
 

@@ -41,15 +41,16 @@ class SACConfig(ActorCriticConfig):
     A checkpoint holds the replay buffer: with large observations take a smaller one, or checkpoints less often.
 
     Attributes:
-      replay_size: capacity of the replay buffer, in steps of all environments together; rounded down to whole iterations.
+      replay_size: capacity of the replay buffer, in steps of all environments together, rounded down to whole
+        iterations.
       batch_size: samples per update.
       updates: updates per iteration.
       warmup_steps: control steps per environment with uniformly random actions before the first update.
       num_steps: n of the n-step returns.
       target_rate: weight of the new parameters in each update of the target network.
       normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
-        learn values of size 1 for any task, and the temperature has the same unit. Without it, critics need many updates
-        to reach values of hundreds, and the policy does not learn until then (docs/algorithms.md).
+        learn values of size 1 for any task, and the temperature has the same unit. Without it, critics need many
+        updates to reach values of hundreds, and the policy does not learn until then (docs/algorithms.md).
       initial_temperature, temperature_learning_rate, target_entropy_scale: see ``SAPOConfig``.
     """
 
@@ -220,7 +221,7 @@ def actor_update(networks: Networks, state: SACState, batch: Sample, key: Key) -
 def critic_loss(
     params: PyTree, *, networks: Networks, state: SACState, batch: Sample, key: Key
 ) -> tuple[Array, Metrics]:
-    """Mean squared error of all action values. The soft n-step target takes the minimum over the target network's critics.
+    """Mean squared error of all action values. The soft n-step target takes the minimum over the target critics.
 
     Source: Haarnoja et al. 2018, eq. 5, without its factor 1/2.
     """

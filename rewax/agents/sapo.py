@@ -1,7 +1,8 @@
 """SAPO, soft analytic policy optimization: maximum-entropy first-order reinforcement learning.
 
-One iteration: every environment acts for a short horizon. The soft return of that segment plus the soft value at its end
-is differentiated through the simulation with respect to the actor's parameters. Then temperature and critics are updated.
+One iteration: every environment acts for a short horizon. The soft return of that segment plus the soft value at its
+end is differentiated through the simulation with respect to the actor's parameters. Then temperature and critics are
+updated.
 
 Source: Xing, Luk and Oh 2025, "Stabilizing Reinforcement Learning in Differentiable Multiphysics Simulation"
 (ICLR 2025), with these corrections of its code:
@@ -44,8 +45,8 @@ class SAPOConfig(FirstOrderConfig):
       temperature_learning_rate: constant learning rate of Adam for the logarithm of the temperature.
       target_entropy_scale: the target entropy is minus this times the number of action components.
       entropy_in_return, entropy_in_targets: add the entropy bonus to the actor's return, to the critics' targets.
-      entropy_in_loss: if the return has no bonus, subtract its undiscounted mean over the rollout from the actor's loss,
-        as in the paper's code.
+      entropy_in_loss: if the return has no bonus, subtract its undiscounted mean over the rollout from the actor's
+        loss, as in the paper's code.
       normalize_entropy: scale the bonus to 0 at the target entropy and 1 at minus the target; else it is the entropy.
     """
 
@@ -149,7 +150,7 @@ def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningSta
 
 
 def target_entropy(networks: Networks) -> float:
-    """Target entropy: ``-target_entropy_scale`` times the number of action components; the scale is 1/2 in the paper."""
+    """Target entropy: ``-target_entropy_scale`` times the number of action components, -1/2 times it in the paper."""
     return -networks.config.target_entropy_scale * networks.action_size
 
 

@@ -36,7 +36,7 @@ def start_temperature(actor: Actor[AnyPolicyConfig], alpha: float, learning_rate
 
 
 def normalized_entropy(entropy: Array, target: float) -> Array:
-    """(entropy + |target|) / (2 |target|): for a negative target, 0 at the target and 1 at minus the target. Gradient: exact.
+    """(entropy + |target|) / (2 |target|). For a negative target: 0 at the target, 1 at minus it. Gradient: exact.
 
     Source: Xing, Luk and Oh 2025 (SAPO), entropy normalisation: offset, then scale.
     """
@@ -45,9 +45,9 @@ def normalized_entropy(entropy: Array, target: float) -> Array:
 
 
 def temperature_loss(log_temperature: Array, entropy: Array, target: float) -> Array:
-    """exp(log_temperature) |target| (entropy - target). Descent raises the temperature while the entropy is below the target.
+    """exp(log_temperature) |target| (entropy - target).
 
-    The factor |target| compensates the scale of ``normalized_entropy``.
+    Descent raises the temperature while the entropy is below the target. The factor |target| compensates the scale of ``normalized_entropy``.
 
     Args:
       log_temperature: shape ().

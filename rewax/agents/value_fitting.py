@@ -21,8 +21,8 @@ ValueLoss = Callable[[Array, Array], Array]
 """``(values, targets) -> losses``, one loss per value; shapes (n, num_critics), (n, 1) and (n, num_critics)."""
 
 _CACHED_POINTS = 4096
-"""Number of observed points with activations that fit the cache of a CPU. With 64,000, a critic's gradient takes twice as
-long per point."""
+"""Number of observed points with activations that fit the cache of a CPU. With 64,000, a critic's gradient takes twice
+as long per point."""
 
 
 def square_error(values: Array, targets: Array) -> Array:

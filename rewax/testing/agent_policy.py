@@ -49,6 +49,6 @@ def _check_action(env: Env, action: Array, how: str) -> None:
     assert bool(jnp.all(jnp.isfinite(action))), f"{how} returns an action that is not finite: {np.asarray(action)}"
     inside = bool(jnp.all((action >= spec.low) & (action <= spec.high)))
     assert inside, (
-        f"{how} returns an action beyond the bounds of its spec [{spec.low}, {spec.high}]: {np.asarray(action)}; squash "
-        "it with tanh, or clip it"
+        f"{how} returns an action beyond the bounds of its spec [{spec.low}, {spec.high}]: {np.asarray(action)}; "
+        "squash it with tanh, or clip it"
     )
