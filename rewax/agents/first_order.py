@@ -95,8 +95,8 @@ def actor_update(
       max_norm: norm to which each environment's gradient is clipped before the mean; None: no clipping.
 
     Returns:
-      The new state; the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``; and the data of the loss,
-      leading axis of environments.
+      The new state; the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``; and the data of the
+      loss, leading axis of environments.
     """
     losses, data, grads = per_env_gradients(loss, state.actor_params, state.common(), state.environments, key)
     return (*actor_step(actor, state, losses, grads, max_norm=max_norm), data)

@@ -33,7 +33,7 @@ def clipped_adamw(
 
 
 def linear_fall(start: float, end: float, num_iterations: int, *, updates_per_iteration: int = 1) -> optax.Schedule:
-    """A learning rate that falls linearly over ``num_iterations``, then stays at ``end``; constant in each iteration."""
+    """A learning rate that falls linearly over ``num_iterations``, then stays; constant within each iteration."""
     schedule = optax.linear_schedule(start, end, num_iterations)
     return lambda count: schedule(jnp.asarray(count) // updates_per_iteration)
 

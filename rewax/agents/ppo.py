@@ -1,8 +1,8 @@
 """PPO, proximal policy optimisation: the zeroth-order baseline; no gradient of the simulation is used.
 
 One iteration: every environment acts for ``horizon`` steps, then several epochs maximise the clipped surrogate
-objective on these samples. A train step uses ``actor_critic`` (networks and their optimizer), ``run_state`` (environments and
-counters), ``rollout`` and ``returns``.
+objective on these samples. A train step uses ``actor_critic`` (networks and their optimizer), ``run_state``
+(environments and counters), ``rollout`` and ``returns``.
 
 Source: Schulman et al. 2017, "Proximal Policy Optimization Algorithms"; generalised advantage estimation (GAE) from
 Schulman et al. 2016; settings as in Xing, Luk and Oh 2025. Differences from their code:

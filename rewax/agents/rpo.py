@@ -109,7 +109,8 @@ def shifted_loss(
 ) -> tuple[Array, Rollout]:
     """Minus the return per step of one environment.
 
-    ``shift``, shape (T, action_size), is added to the actions before the tanh. Gradient: with respect to it, through the simulation and the policy's later actions.
+    ``shift``, shape (T, action_size), is added to the actions before the tanh. Gradient: with respect to ``shift``,
+    through the simulation and the policy's later actions.
     """
     config, statistics = networks.config, common.environments.statistics
 

@@ -47,7 +47,8 @@ def normalized_entropy(entropy: Array, target: float) -> Array:
 def temperature_loss(log_temperature: Array, entropy: Array, target: float) -> Array:
     """exp(log_temperature) |target| (entropy - target).
 
-    Descent raises the temperature while the entropy is below the target. The factor |target| compensates the scale of ``normalized_entropy``.
+    Descent raises the temperature while the entropy is below the target. The factor |target| compensates the scale of
+    ``normalized_entropy``.
 
     Args:
       log_temperature: shape ().
