@@ -106,6 +106,7 @@ def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
     names = run_page("docs/algorithms.md")
     listing = code("docs/algorithms.md").split("import functools")[1]
     assert len(listing.strip().splitlines()) < 120
+    assert es_learns(names)
     known = names["algorithm"]("short_horizon")
     config = known.config_type(
         num_envs=4, horizon=4, num_iterations=120, actor_learning_rate=1e-2, critic_learning_rate=5e-3,
@@ -119,6 +120,20 @@ def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
         rewards.append(float(metrics["reward"]))
     assert np.mean(rewards[:2]) < -0.35 and np.mean(rewards[-20:]) > -0.2
     assert agent.name == "short_horizon" and int(state.env_steps) == 120 * 16
+
+
+def es_learns(names):
+    """Evolution strategies on a point mass: reward per step at first and at the end of 150 iterations."""
+    known = names["algorithm"]("es")
+    config = known.config_type(
+        num_envs=32, horizon=5, actor_learning_rate=2e-2, actor_widths=(8,), vector_features=8, initial_log_std=-2.0
+    )
+    agent = known.make(toys.point_mass(), config)
+    state, rewards = agent.init(jax.random.key(0)), []
+    for _ in range(150):
+        state, metrics = agent.train_step(state)
+        rewards.append(float(metrics["reward"]))
+    return np.mean(rewards[:2]) < -0.35 and np.mean(rewards[-20:]) > -0.25
 
 
 @NEEDS_COMPILER

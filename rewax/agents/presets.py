@@ -212,7 +212,7 @@ def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
 
 
 def demonstrated_preset(env_name: str, scale: str) -> DemonstratedConfig:
-    """Hyper-parameters of SAPO from demonstrations. The sequence has half of TrajOpt's iterations and twice its rate."""
+    """Hyper-parameters of SAPO from demonstrations. The sequence has half of TrajOpt's iterations, twice its rate."""
     base = sapo_preset(env_name, scale)
     options = {field.name: getattr(base, field.name) for field in dataclasses.fields(base)}
     options |= {"initial_log_std": min(base.initial_log_std, -1.0)}

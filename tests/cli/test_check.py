@@ -35,8 +35,19 @@ def test_one_that_does_not(registered, capsys):
     assert "problem: " in (said := capsys.readouterr().err) and "gradient" in said
 
 
+def test_an_algorithm(registered, capsys):
+    """One whose metrics are NaN while its first phase lasts."""
+    arguments = ["check", "--env", "Point", "--algo", "sapo_from_demonstrations"]
+    assert main(arguments) == 1
+    assert "problem: metric 'entropy' is nan: look for" in capsys.readouterr().err
+    assert main([*arguments, "--may-be-nan", "return", "entropy", "temperature"]) == 0
+    assert "sapo_from_demonstrations on Point at scale small keeps the protocol" in capsys.readouterr().out
+
+
 def test_wrong_usage(capsys):
     assert main(["check", "--env", "RolingFlat"]) == 2
     assert "RollingFlat" in capsys.readouterr().err
+    assert main(["check", "--env", "RollingFlat", "--algo", "sapoo"]) == 2
+    assert "did you mean 'sapo'" in capsys.readouterr().err
     assert main(["check"]) == 2
     assert "rewax check needs the option --env" in capsys.readouterr().err
