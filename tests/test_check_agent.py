@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import toys
 
-from rewax.testing import check_agent
+from rewax.testing import agent_states, check_agent
 
 ENV = toys.point_mass()
 TOY = toys.make_toy(ENV)
@@ -209,4 +209,4 @@ def test_a_gradient_that_is_not_finite_must_not_reach_the_parameters():
         return new.replace(actor_params=jax.tree.map(lambda a: a + spoilt, new.actor_params)), metrics
 
     with pytest.raises(AssertionError, match=r"^one environment failed, and \.actor_params.* is not finite after"):
-        check_agent(agent._replace(train_step=jax.jit(poisoned)), ENV, notify=None)
+        agent_states.check_failure(agent._replace(train_step=jax.jit(poisoned)), jax.random.key(0))

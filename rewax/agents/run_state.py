@@ -125,7 +125,7 @@ class RunState(struct.Replaceable):
 
 @struct.dataclass
 class PolicyState(RunState):
-    """That of an algorithm with a policy network.
+    """The state of an algorithm with a policy network.
 
     Attributes:
       actor_params, actor_opt: parameters of the policy, and the state of their optimizer.

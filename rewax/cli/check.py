@@ -51,7 +51,7 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(
-        Options, argv, prog="rewax check", description="Check an environment or an algorithm against the protocol."
+        Options, argv, prog="rewax check", description="Check an environment or an algorithm."
     )
     enable_compilation_cache()
     import_modules(options.imports)

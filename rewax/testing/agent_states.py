@@ -127,7 +127,7 @@ def check_seeds(agent: Agent, key: Key, tolerance: float) -> None:
 
 
 def check_failure(agent: Agent, key: Key) -> None:
-    """What was finite stays finite when the physics of one environment becomes NaN."""
+    """If the physics of one environment becomes NaN, the finite parts of the state stay finite."""
     state = agent.init(key)
     environments = getattr(state, "environments", None)
     if not isinstance(environments, Environments) or environments.num_envs < 2:

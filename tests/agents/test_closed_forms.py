@@ -22,8 +22,10 @@ Q, R = np.diag([1.0, 0.2]), np.array([[0.2]])
 
 @struct.dataclass
 class LinearQuadratic:
-    """x <- A x + B u from |x| <= 0.5; reward -(x' Q x + u' R u) of the state before the step. The bounds of u are never
-    reached by the optimum."""
+    """x <- A x + B u from |x| <= 0.5; the reward is -(x' Q x + u' R u) with the state before the step.
+
+    The optimal u stays within its bounds.
+    """
 
     @property
     def observation_spec(self):
@@ -99,7 +101,7 @@ def test_within_one_percent_of_the_riccati_optimum(name):
 
 
 def test_the_first_order_gradient_points_where_a_zeroth_order_estimate_does():
-    """Of the expected return of a noisy linear policy: 1e5 episodes with antithetic perturbations of its two gains."""
+    """The return is that of a noisy linear policy. The estimate has 1e5 episodes with antithetic perturbations of its gains."""
     gains, spread, pairs = jnp.array([-0.3, -0.6]), 0.05, 50_000
     env = AutoReset(env=ENV)
 

@@ -12,14 +12,14 @@ from rewax.agents.actor_critic import make_actor_critic
 from rewax.agents.sac import SACConfig
 
 SIZE = 70.0
-"""Standard deviation, more or less, of the targets about their mean; those of CartpoleSwingUp have about that."""
+"""About the standard deviation of the targets around their mean, and of SAC's targets on CartpoleSwingUp."""
 MEAN = -1000.0
 NUM_UPDATES, BATCH, LEARNING_RATE = 300, 64, 1e-3
 CLIP, NO_CLIP = 0.5, 1e9
 
 
 def targets(x, action, mean, size):
-    """They depend on observation and action, and have a mean."""
+    """A mean plus a function of observation and action."""
     return mean + size * (jnp.sin(2.0 * x[:, 0]) + action[:, 0] * x[:, 0])
 
 
@@ -66,7 +66,7 @@ def _program(max_grad_norm):
 
 @pytest.mark.parametrize("max_grad_norm", [CLIP, NO_CLIP])
 def test_while_a_critic_learns_a_large_mean_its_values_are_constant(max_grad_norm):
-    """With and without the clip: the values tell neither states nor actions apart, so the actor has no gradient."""
+    """With and without the clip, the values depend neither on states nor on actions, so the actor has no gradient."""
     large = fitted(MEAN, SIZE, max_grad_norm)
     assert 0.01 < large["mean"] / MEAN < 0.1
     assert large["std"] < 1e-3 * SIZE and abs(large["correlation"]) < 0.5
@@ -78,7 +78,7 @@ def test_without_the_mean_the_same_targets_are_learnt_under_the_clip():
 
 
 def test_normalised_targets_are_learnt_together_with_their_mean():
-    """Divided by their root mean square, as with ``normalize_rewards``."""
+    """The targets are divided by their root mean square, as with ``normalize_rewards``."""
     scale = (MEAN**2 + SIZE**2) ** 0.5
     normalised = fitted(MEAN / scale, SIZE / scale, CLIP)
     np.testing.assert_allclose(normalised["mean"], MEAN / scale, rtol=0.02)
@@ -86,6 +86,6 @@ def test_normalised_targets_are_learnt_together_with_their_mean():
 
 
 def test_the_mean_moves_at_the_rate_of_adam_whatever_its_size():
-    """Adam moves a parameter by at most about its learning rate in an update, so thousands take thousands of updates."""
+    """Adam moves a parameter by about its learning rate per update, so large means take many updates."""
     near, far = fitted(MEAN, SIZE, CLIP)["mean"], fitted(4.0 * MEAN, SIZE, CLIP)["mean"]
     np.testing.assert_allclose(near, far, rtol=0.03)
