@@ -16,6 +16,7 @@ from native_cases import NEEDS_COMPILER
 
 import rewax
 from rewax.physics.mpm import transfer_cpp
+from rewax.testing import check_agent
 from rewax.training.suites.suite import read_suite
 from rewax.viz.curves import CURVE_COLORS
 
@@ -123,12 +124,13 @@ def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
 
 
 def es_learns(names):
-    """Evolution strategies on a point mass: reward per step at first and at the end of 150 iterations."""
+    """Evolution strategies pass the check, and improve the reward per step on a point mass."""
     known = names["algorithm"]("es")
     config = known.config_type(
         num_envs=32, horizon=5, actor_learning_rate=2e-2, actor_widths=(8,), vector_features=8, initial_log_std=-2.0
     )
     agent = known.make(toys.point_mass(), config)
+    check_agent(agent, toys.point_mass(), notify=None)
     state, rewards = agent.init(jax.random.key(0)), []
     for _ in range(150):
         state, metrics = agent.train_step(state)

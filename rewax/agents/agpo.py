@@ -4,9 +4,9 @@ At every step of a rollout, the gradient with respect to the next state is a wei
 gradient through the rest of the simulated rollout, ``1 - share`` the gradient of the critics' value of the next state.
 If the critics are exact, the expectation does not depend on the share.
 
-The gradient of the last step of a rollout flows through one step of simulation and the critics. Its variance is taken as
-that of the critics' gradient at every step, which assumes that environments begin rollouts at random times of their
-episodes. The share of step t is min(1, ``max_ratio`` * variance of the last step / variance of step t).
+The gradient of the last step of a rollout flows through one step of simulation and the critics. Its variance serves as
+the variance of the critics' gradient at every step. This assumes that environments begin rollouts at random times of
+their episodes. The share of step t is min(1, ``max_ratio`` * variance of the last step / variance of step t).
 
 Source: after Gao et al. 2024, "Adaptive-Gradient Policy Optimization" (ICML 2024). Their method replaces the
 simulation's gradient by that of a critic where a batch of gradients varies much. Differences:

@@ -50,9 +50,7 @@ def run(argv: Sequence[str]) -> int:
     from rewax.training.storage.cache import enable_compilation_cache
 
     quiet()
-    options = parse(
-        Options, argv, prog="rewax check", description="Check an environment or an algorithm."
-    )
+    options = parse(Options, argv, prog="rewax check", description="Check an environment or an algorithm.")
     enable_compilation_cache()
     import_modules(options.imports)
     env = registry.make(options.env, scale=options.scale)

@@ -59,7 +59,9 @@ def test_the_first_epoch_follows_the_gradient_of_shac(start, rolled):
     expected, _ = mean_of_finite(losses, grads)
     (_, metrics), found = slope(start.actor_params, start, rolled)
     assert metrics["kept"] == 1.0 and abs(metrics["kl"]) < 1e-6
-    chex.assert_trees_all_close(found, expected, rtol=2e-3, atol=2e-5)  # noise is a difference over a standard deviation
+    chex.assert_trees_all_close(
+        found, expected, rtol=2e-3, atol=2e-5
+    )  # noise is a difference over a standard deviation
 
 
 def test_samples_with_a_ratio_outside_its_range_are_masked(start, rolled):
