@@ -129,7 +129,7 @@ BROKEN = {
     r"^metrics of the first and the second iteration differ in \['late'\]: give the same names always$": SOUND._replace(
         train_step=names_by_count
     ),
-    r"^iteration is 0 after 1 calls of train_step: add 1 in each$": step_with(
+    r"^iteration is 0 after train_step number 1: add 1 in each$": step_with(
         lambda new, metrics, old: (new.replace(iteration=old.iteration), metrics)
     ),
     r"^env_steps is 5, then 5 after two calls of train_step: add the control steps": step_with(

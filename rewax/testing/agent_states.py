@@ -90,7 +90,7 @@ def check_train_step(agent: Agent, state: TrainState, key: Key, may_be_nan: Coll
     assert not others, f"metrics of the first and the second iteration differ in {others}: give the same names always"
     for count, now in ((1, kept), (2, second)):
         assert int(now.state.iteration) == count, (
-            f"iteration is {int(now.state.iteration)} after {count} calls of train_step: add 1 in each"
+            f"iteration is {int(now.state.iteration)} after train_step number {count}: add 1 in each"
         )
         _check_metrics(now.metrics, may_be_nan)
     assert 0 < int(kept.state.env_steps) < int(second.state.env_steps), (
