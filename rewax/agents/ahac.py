@@ -72,7 +72,7 @@ class AHACConfig(FirstOrderConfig):
             )
 
     def steps_in(self, env: Env) -> int:
-        """Control steps of one environment in the first iteration. Later iterations have as many as the horizon."""
+        """Control steps of one environment in the first iteration. Later iterations follow ``AHACState.horizon``."""
         del env
         return self.initial_horizon
 

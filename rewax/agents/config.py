@@ -185,7 +185,7 @@ class GradientOptions:
 
     @property
     def gradient_flow(self) -> GradientFlow:
-        """For ``rewax.agents.rollout.rollout``."""
+        """Keyword arguments for ``rewax.agents.rollout.rollout``."""
         return {
             "differentiate": self.differentiate,
             "truncate_every": self.truncate_every,

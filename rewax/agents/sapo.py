@@ -150,7 +150,7 @@ def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningSta
 
 
 def target_entropy(networks: Networks) -> float:
-    """Target entropy: ``-target_entropy_scale`` times the number of action components, -1/2 times it in the paper."""
+    """Target entropy: minus ``target_entropy_scale`` (1/2 in the paper) times the number of action components."""
     return -networks.config.target_entropy_scale * networks.action_size
 
 
