@@ -25,7 +25,7 @@ ALLOWED = {
     "envs": {"base", "sensors"} | PHYSICS,
     "agents": {"base", "lowering", "sensors", "envs"} | PHYSICS,
     "training": {"base", "lowering", "sensors", "envs", "agents", "viz"} | PHYSICS,
-    "testing": {"base", "lowering", "sensors", "envs", "viz"} | PHYSICS,
+    "testing": {"base", "lowering", "sensors", "envs", "agents", "viz"} | PHYSICS,
     "adapters": {"base", "sensors", "envs", "training", "viz"},
     "debug": {"base"} | PHYSICS,
     "cli": {"base", "lowering", "sensors", "envs", "agents", "training", "viz", "testing", "fixed_sources"} | PHYSICS,
