@@ -18,6 +18,7 @@ from rewax.agents.run_state import PolicyState, partition
 from rewax.envs.base import ArraySpec, Env
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomized import Randomize
+from rewax.envs.registry import did_you_mean
 from rewax.types import Array, Key, Observation, PyTree
 
 P = TypeVar("P", bound=AnyPolicyConfig, covariant=True)
@@ -132,9 +133,12 @@ def make_actor(env: Env, config: P) -> Actor[P]:
 
 def make_actor_critic(env: Env, config: C) -> ActorCritic[C]:
     """Networks and optimizers for an environment. Only the environment's specs are used."""
+    _check_names("critic_observe", config.critic_observe, env)
     sizes = (config.critic_widths, config.num_critics)
     activation = ACTIVATIONS[config.activation]
-    critics = Critics(_encoder(config), *sizes, activation, config.initial_gain, config.value_gain)
+    critics = Critics(
+        _encoder(config, config.critic_observe), *sizes, activation, config.initial_gain, config.value_gain
+    )
     return ActorCritic(config, _network(env, config), env.action_spec.shape[0], env.observation_spec, critics)
 
 
@@ -162,14 +166,34 @@ def actor_agent(
     return bind(name, config, leaves, init=init, train_step=train_step, policy=policy, donate=donate)
 
 
-def _encoder(config: AnyPolicyConfig) -> Encoder:
-    sizes = (config.point_widths, config.point_features, config.vector_features)
-    return Encoder(*sizes, ACTIVATIONS[config.activation], config.initial_gain)
+def _encoder(config: AnyPolicyConfig, observe: tuple[str, ...]) -> Encoder:
+    return Encoder(
+        point_widths=config.point_widths,
+        point_features=config.point_features,
+        vector_features=config.vector_features,
+        activation=ACTIVATIONS[config.activation],
+        gain=config.initial_gain,
+        picture_widths=config.picture_widths,
+        picture_features=config.picture_features,
+        observe=observe,
+    )
+
+
+def _check_names(option: str, names: tuple[str, ...], env: Env) -> None:
+    """Raises ValueError for a name that no observation has."""
+    known = env.observation_spec
+    for name in names:
+        if name not in known:
+            raise ValueError(
+                f"{option} has {name!r}, which the environment does not observe: {did_you_mean(name, known)}use "
+                f"{', '.join(known)}, or nothing for all"
+            )
 
 
 def _network(env: Env, config: AnyPolicyConfig) -> GaussianActor:
+    _check_names("observe", config.observe, env)
     return GaussianActor(
-        _encoder(config),
+        _encoder(config, config.observe),
         config.actor_widths,
         env.action_spec.shape[0],
         ACTIVATIONS[config.activation],

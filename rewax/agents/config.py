@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias, TypedDic
 from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
 
-Value: TypeAlias = bool | int | float | str | tuple[int | float, ...] | None
+Value: TypeAlias = bool | int | float | str | tuple[int | float | str, ...] | None
 """Type of an option's value."""
 Optimizer = Literal["adamw", "adam"]
 Combination = Literal["mean", "min"]
@@ -99,6 +99,7 @@ class PolicyOptions:
     """Options of every algorithm with a policy network. The defaults are SAPO's for the deformable tasks.
 
     Attributes:
+      observe: names of the observations that the policy sees; empty: all.
       discount: gamma [-].
       actor_learning_rate, final_learning_rate: learning rate of the first iteration, and from iteration
         ``num_iterations`` on; linear in between.
@@ -107,6 +108,7 @@ class PolicyOptions:
       max_grad_norm: global norm to which each optimizer's gradient is clipped.
       actor_widths, point_widths, point_features, vector_features: network sizes. With ``vector_features`` 0, vectors go
         to the policy and the critics without an encoder.
+      picture_widths, picture_features: channels of each layer of the encoder of pictures, and its outputs.
       activation: ``silu``, ``elu``, ``relu`` or ``tanh``.
       initial_gain: gain of the orthogonal initialisers of all layers.
       action_gain: gain of the policy's last layer; None: ``initial_gain``.
@@ -119,6 +121,7 @@ class PolicyOptions:
       stagger_episodes: start environments at random times of their episodes, so that they do not reset together.
     """
 
+    observe: tuple[str, ...] = ()
     discount: Share = 0.99
     actor_learning_rate: Positive = 2e-3
     final_learning_rate: float = 1e-5
@@ -131,6 +134,8 @@ class PolicyOptions:
     point_widths: tuple[int, ...] = (64, 128, 256)
     point_features: int = 64
     vector_features: int = 128
+    picture_widths: tuple[int, ...] = (16, 32, 32)
+    picture_features: int = 64
     activation: Activation = "silu"
     initial_gain: Positive = 1.0
     action_gain: Gain = None
@@ -147,12 +152,14 @@ class CriticOptions:
     """Options of every algorithm with critics.
 
     Attributes:
+      critic_observe: names of the observations that the critics see, which a robot need not have; empty: all.
       critic_learning_rate: learning rate of the first iteration.
       num_critics: number of independent value heads on one encoder.
       critic_widths: layer sizes of each head.
       value_gain: gain of the orthogonal initialiser of each head's last layer; None: ``initial_gain``.
     """
 
+    critic_observe: tuple[str, ...] = ()
     critic_learning_rate: Positive = 5e-4
     num_critics: Count = 2
     critic_widths: tuple[int, ...] = (256, 256)

@@ -15,7 +15,7 @@ interquartile ranges beyond the quartiles of their batch."""
 
 @struct.dataclass
 class RunningStatistics:
-    """Mean and variance of all samples so far, per component of the vector observations.
+    """Mean and variance of all samples so far, per component of vectors, per pixel and per channel of pictures.
 
     Attributes:
       count: number of samples plus 1, for a prior of mean 0 and variance 1, shape ().
@@ -27,18 +27,23 @@ class RunningStatistics:
     variance: dict[str, Array]
 
 
-def is_vector(spec: ArraySpec) -> bool:
-    """Whether an observation is a vector. Vectors are normalised, point clouds (two axes) are not."""
-    return len(spec.shape) < 2
+def is_normalized(spec: ArraySpec) -> bool:
+    """Whether an observation is normalised: vectors and pictures (three axes) are, point clouds (two axes) are not."""
+    return len(spec.shape) != 2
+
+
+def _variance_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """A picture has one variance per channel: a pixel that hardly ever changes is not magnified."""
+    return shape[2:] if len(shape) == 3 else shape
 
 
 def init_statistics(spec: dict[str, ArraySpec]) -> RunningStatistics:
     """Statistics before the first sample: mean 0, variance 1."""
-    shapes = {name: s.shape for name, s in spec.items() if is_vector(s)}
+    shapes = {name: s.shape for name, s in spec.items() if is_normalized(s)}
     return RunningStatistics(
         count=jnp.ones(()),
         mean={name: jnp.zeros(shape) for name, shape in shapes.items()},
-        variance={name: jnp.ones(shape) for name, shape in shapes.items()},
+        variance={name: jnp.ones(_variance_shape(shape)) for name, shape in shapes.items()},
     )
 
 
@@ -46,7 +51,8 @@ def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Ar
     """Add a batch of observations. Gradient: none.
 
     Samples are winsorised (``WINSOR_WIDTH``): outliers are clipped to the usual range, so that a value such as 1e20
-    among ordinary ones changes the statistics little. A sample with a non-finite component is left out.
+    among ordinary ones changes the statistics little. A sample with a non-finite component is left out. Pictures are
+    bounded, so they are not winsorised.
 
     Args:
       statistics: the statistics so far.
@@ -63,21 +69,26 @@ def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Ar
         keep = keep & jnp.all(jnp.isfinite(batch).reshape(len(keep), -1), axis=1)
     added = jnp.sum(keep).astype(statistics.count.dtype)
     total = statistics.count + added
-    mean, variance, quartiles = {}, {}, _quartiles(flat, keep)
+    mean, variance = {}, {}
+    quartiles = _quartiles({name: batch for name, batch in flat.items() if batch.ndim < 4}, keep)
     for name, batch in flat.items():
         old, old_variance = statistics.mean[name], statistics.variance[name]
-        batch = _winsorised(batch, quartiles[name], keep, old, old_variance)
+        if name in quartiles:
+            batch = _winsorised(batch, quartiles[name], keep, old, old_variance)
+        else:
+            batch = jnp.where(keep[:, None, None, None], batch, 0.0)
         batch_mean, batch_variance = _moments(batch, keep, added)
         delta = batch_mean - old
         mean[name] = old + delta * (added / total)
-        variance[name] = (
+        new = (
             old_variance * statistics.count + batch_variance * added + delta**2 * (statistics.count * added / total)
         ) / total
+        variance[name] = new.mean(axis=(0, 1)) if new.ndim == 3 else new
     return RunningStatistics(count=total, mean=mean, variance=variance)
 
 
 def normalize(statistics: RunningStatistics, obs: Observation, *, clip: float | None = None) -> Observation:
-    """(obs - mean) / sqrt(variance + 1e-5) for vectors; other observations are returned unchanged.
+    """(obs - mean) / sqrt(variance + 1e-5) for vectors and pictures; point clouds are returned unchanged.
 
     Args:
       statistics: running statistics. Gradient: none.
@@ -97,6 +108,8 @@ def normalize(statistics: RunningStatistics, obs: Observation, *, clip: float | 
 
 def _quartiles(flat: dict[str, Array], keep: Array) -> dict[str, Array]:
     """First and third quartile of each component, shape (2, ...) for each name, in one call for all names."""
+    if not flat:
+        return {}
     columns = jnp.concatenate([batch.reshape(len(keep), -1) for batch in flat.values()], axis=1)
     found, start = {}, 0
     both = _order_statistics(columns, keep, (0.25, 0.75))

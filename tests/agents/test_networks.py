@@ -1,11 +1,12 @@
 """Networks: invariances and inputs of the encoder, the initial policy, independent critics."""
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.agents.networks import Critics, Encoder, GaussianActor, Layer
+from rewax.agents.networks import Critics, Encoder, GaussianActor, Layer, patches
 
 SILU = jax.nn.silu
 
@@ -155,3 +156,33 @@ def test_heads_have_a_gain_of_their_own():
     critics = Critics(encoder, (8,), 2, jax.nn.silu, 2.0, head_gain=0.5)
     params = critics.init(jax.random.key(0), obs)["params"]
     np.testing.assert_allclose(np.linalg.norm(params["value_0"]["kernel"]), 0.5, rtol=1e-5)
+
+
+def test_an_encoder_of_pictures_is_the_convolution_of_flax():
+    """Patches times a matrix are what ``flax.linen.Conv`` computes with the same kernel."""
+    picture = jax.random.normal(jax.random.key(0), (13, 18, 2))
+    for size, stride in ((4, 4), (3, 2)):
+        out = patches(picture, size, stride)
+        before = (size - stride + 1) // 2
+        after = [max((-(-n // stride) - 1) * stride + size - before - n, 0) for n in (13, 18)]
+        conv = nn.Conv(5, (size, size), stride, padding=[(before, after[0]), (before, after[1])], use_bias=False)
+        kernel = conv.init(jax.random.key(1), picture)["params"]["kernel"]
+        expected = conv.apply({"params": {"kernel": kernel}}, picture)
+        assert out.shape[:2] == expected.shape[:2]
+        np.testing.assert_allclose(out @ kernel.reshape(-1, 5), expected, atol=1e-5)
+
+
+def test_an_encoder_sees_only_what_it_is_told_to():
+    obs = {"depth": jnp.ones((16, 16, 1)), "joint_q": jnp.ones(3), "particle_q": jnp.ones((5, 3))}
+    encoder = Encoder(
+        (4,), 3, 0, jax.nn.silu, 1.0, picture_widths=(4, 6), picture_features=7, observe=("depth", "joint_q")
+    )
+    params = encoder.init(jax.random.key(0), obs)
+    assert encoder.apply(params, obs).shape == (7 + 3,)
+    assert set(params["params"]) == {"picture_depth"}
+
+    def features(obs):
+        return encoder.apply(params, obs).sum()
+
+    grad = jax.grad(features)(obs)
+    assert not grad["particle_q"].any() and grad["joint_q"].all()

@@ -91,19 +91,6 @@ def poses(model: RigidModel, qpos: Array) -> Pose:
     return Pose(*(a.reshape(*qpos.shape[:-1], *a.shape[1:]) for a in (found.position, found.rotation)))
 
 
-<<<<<<< HEAD
-def geom_shape(model: RigidModel, geom: int, mesh_spacing: float | None = None) -> tuple[Shape, np.ndarray]:
-    """A geom's shape, and the rotation from the shape's frame to the geom's, shape (3, 3).
-
-    Args:
-      model: the bodies; the geom's size becomes a leaf of the shape.
-      geom: its index.
-      mesh_spacing: of the grid to which a mesh is baked [m].
-
-    Raises:
-      ValueError: as for ``colliders``.
-    """
-=======
 def _check_options(friction: Any, softness: Any, mesh_spacing: Any, chosen: Any) -> None:
     rules = (
         ("friction", friction, NOT_NEGATIVE, "give a Coulomb coefficient"),
@@ -121,9 +108,17 @@ def _check_options(friction: Any, softness: Any, mesh_spacing: Any, chosen: Any)
         raise ValueError(f"chosen is {shown(chosen)}: give a function of the names of body and geom")
 
 
-def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Shape, np.ndarray]:
-    """A geom's shape, and the rotation from the shape's frame to the geom's."""
->>>>>>> main
+def geom_shape(model: RigidModel, geom: int, mesh_spacing: float | None = None) -> tuple[Shape, np.ndarray]:
+    """A geom's shape, and the rotation from the shape's frame to the geom's, shape (3, 3).
+
+    Args:
+      model: the bodies; the geom's size becomes a leaf of the shape.
+      geom: its index.
+      mesh_spacing: of the grid to which a mesh is baked [m].
+
+    Raises:
+      ValueError: as for ``colliders``.
+    """
     mj, size = model.static.mj, model.parameters["geom_size"][geom]
     kinds, straight = mujoco.mjtGeom, np.eye(3)
     match kinds(mj.geom_type[geom]):
