@@ -1,4 +1,4 @@
-"""What the numbers of colliders, of the ground and of the penalty law may be."""
+"""Checks of colliders, of the ground and of the penalty law."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from rewax.physics.shapes.sizes import size_numbers
 
 
 def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None) -> list[Number]:
-    """The numbers of colliders, and of their bodies' poses if these are given."""
+    """The numbers of colliders, and of their bodies' poses if given, with their legal values."""
     numbers = []
     for i, collider in enumerate(colliders):
         name = f"colliders[{i}]"
@@ -29,14 +29,14 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
 
 
 def penalty_numbers(contact: PenaltyContact, name: str = "contact") -> list[Number]:
-    """The numbers of a penalty law."""
+    """The numbers of a penalty law, with their legal values."""
     if not isinstance(contact, PenaltyContact):
         raise ValueError(f"{name} is {contact!r}: give a PenaltyContact(stiffness=...)")
     return numbers_of(contact, f"{name}.")
 
 
 def ground_numbers(ground: Ground) -> list[Number]:
-    """The numbers of the ground."""
+    """The numbers of the ground, with their legal values."""
     return numbers_of(ground, "ground.")
 
 

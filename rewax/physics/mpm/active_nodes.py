@@ -23,9 +23,9 @@ class ActiveNodes(NamedTuple):
     """A list of nodes, ordered by column along z; in each column it holds all from the lowest to the highest needed."""
 
     offset: Array
-    """Add it to the index along z to have a node's place in the list, for each column, shape (num_columns,), int32."""
+    """Add it to the index along z to have a node's slot in the list, for each column, shape (num_columns,), int32."""
     index: tuple[Array, Array, Array]
-    """Index of each node along x, y, z, arrays (num_active,), int32; meaningless where a place is not used."""
+    """Index of each node along x, y, z, arrays (num_active,), int32; meaningless where a slot is not used."""
     position: Vec3
     """Position of each node [m], components of shape (num_active,)."""
 
@@ -111,10 +111,10 @@ def _list_by_search(grid: Grid, num_active: int, lowest: Array, count: Array) ->
     """Offsets of the columns, and the column and the index along z of each node of the list."""
     end = jnp.cumsum(count, dtype=jnp.int32)
     offset = end - count - lowest
-    place = jnp.arange(num_active, dtype=jnp.int32)
-    column = jnp.searchsorted(end, place, side="right").astype(jnp.int32)
+    slot = jnp.arange(num_active, dtype=jnp.int32)
+    column = jnp.searchsorted(end, slot, side="right").astype(jnp.int32)
     column = jnp.minimum(column, grid.num_columns - 1)
-    return offset, column, jnp.clip(place - offset[column], 0, grid.shape[2] - 1)
+    return offset, column, jnp.clip(slot - offset[column], 0, grid.shape[2] - 1)
 
 
 # --- On a GPU: few kernels --------------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ def _columns_on_gpu(static: tuple[Grid, float], residuals: Arrays, linear: Array
 
 
 def _list_on_gpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) -> Arrays:
-    """As ``_list_by_search``, but every node of the grid writes itself to its place: a search is a loop of kernels."""
+    """As ``_list_by_search``, but every node of the grid writes itself to its slot: a search is a loop of kernels."""
     del linear
     (grid, num_active), (lowest, count) = static, residuals
     batch, (nx, ny, nz) = lowest.shape[:-1], grid.shape
@@ -155,8 +155,8 @@ def _list_on_gpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) ->
     end = _cumulative(count.reshape(-1, nx, ny)).reshape(count.shape)
     offset = end - count - lowest
     # A search leaves this at places that are not used.
-    place = jnp.arange(num_active, dtype=jnp.int32)
-    nodes = (nx * ny - 1) * nz + jnp.clip(place - offset[:, -1:], 0, nz - 1)
+    slot = jnp.arange(num_active, dtype=jnp.int32)
+    nodes = (nx * ny - 1) * nz + jnp.clip(slot - offset[:, -1:], 0, nz - 1)
     shape = (len(count), nx * ny, nz)
     environment, column, z = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(3))
     to = offset[..., None] + z

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rewax.physics.numerics.checks import FINITE, POSITIVE, static_number, whole_number
+from rewax.physics.numerics.checks import FINITE, POSITIVE, static_number, static_integer
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Grid:
         remedy = "give three numbers of nodes, each at least 4"
         shape = _three("Grid.shape", self.shape, remedy)
         try:
-            counts = tuple(whole_number("Grid.shape", n, 4, remedy) for n in shape)
+            counts = tuple(static_integer("Grid.shape", n, 4, remedy) for n in shape)
         except ValueError:
             raise ValueError(f"Grid.shape is {shape}: {remedy}") from None
         origin = _three("Grid.origin", self.origin, "give the three coordinates of node (0, 0, 0) in metres")

@@ -32,7 +32,7 @@ from rewax.physics.numerics.checks import (
     check_number,
     check_numbers,
     static_number,
-    whole_number,
+    static_integer,
 )
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes import signed_distance
@@ -174,12 +174,12 @@ def make_scene(
     dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
     if max_active_nodes is not None:
         touched = "give at least the 27 that one particle touches, or None for all"
-        max_active_nodes = whole_number("max_active_nodes", max_active_nodes, 27, touched)
+        max_active_nodes = static_integer("max_active_nodes", max_active_nodes, 27, touched)
     if reach not in REACHES:
         raise ValueError(f"reach is {reach}: give 1 or 0.5, the cells that a particle may move within a step")
     if max_near_colliders is not None:
         remedy = "give at least 1, or None for all"
-        max_near_colliders = whole_number("max_near_colliders", max_near_colliders, 1, remedy)
+        max_near_colliders = static_integer("max_near_colliders", max_near_colliders, 1, remedy)
     for one in materials:
         limit = largest_stable_dt(one, grid)
         if not isinstance(limit, Tracer) and dt > float(np.min(limit)):

@@ -12,7 +12,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import check_material, material_numbers
 from rewax.physics.mpm.materials import Material, parameters_of
 from rewax.physics.mpm.walls import Walls, wall_numbers
-from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, whole_number
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, static_integer
 from rewax.physics.numerics.pose import Pose
 from rewax.types import Array
 
@@ -53,7 +53,7 @@ def check_materials(material: Any, particle_counts: Any) -> tuple[Material, ...]
             "many particles are of each, in their order; or one material and no particle_counts"
         )
     for i, count in enumerate(counts if several else ()):
-        whole_number(f"particle_counts[{i}]", count, 1, f"give how many particles are of material[{i}], at least 1")
+        static_integer(f"particle_counts[{i}]", count, 1, f"give how many particles are of material[{i}], at least 1")
     return materials
 
 

@@ -27,9 +27,9 @@ from rewax.physics.mpm.transfer_xla_cpu import Layout, as_matrix, as_vector, fla
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.types import Array
 
-_SPREAD = ByPlatform(transfer_cpp.spread, transfer_gpu.spread)
+_SCATTER = ByPlatform(transfer_cpp.scatter, transfer_gpu.scatter)
 _GATHER_VALUES = ByPlatform(transfer_cpp.gather_values, transfer_gpu.gather_values)
-_SPREAD_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.spread_tangent_transpose, transfer_gpu.spread_tangent_transpose)
+_SCATTER_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.scatter_tangent_transpose, transfer_gpu.scatter_tangent_transpose)
 _GATHER_TANGENT = ByPlatform(transfer_xla_cpu.gather_tangent, transfer_gpu.gather_tangent)
 _GATHER_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.gather_tangent_transpose, transfer_gpu.gather_tangent_transpose)
 
@@ -66,8 +66,8 @@ def particle_to_grid(
     Gradient: exact with respect to all arrays, forward and reverse.
     Source: Hu et al. 2018, MLS-MPM, eq. 29; Jiang et al. 2015, APIC.
     """
-    layout, places = _layout(grid, x, active)
-    m, px, py, pz = _particle_to_grid(layout, *places, mass, *momentum, *flat(affine))
+    layout, locations = _layout(grid, x, active)
+    m, px, py, pz = _particle_to_grid(layout, *locations, mass, *momentum, *flat(affine))
     return GridFields(m, (px, py, pz))
 
 
@@ -87,28 +87,28 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes
     Gradient: exact with respect to positions and velocities, forward and reverse.
     Source: Jiang et al. 2015, APIC; Hu et al. 2018, MLS-MPM, eq. 17.
     """
-    layout, places = _layout(grid, x, active)
-    out = _grid_to_particle(layout, *places, *velocity)
+    layout, locations = _layout(grid, x, active)
+    out = _grid_to_particle(layout, *locations, *velocity)
     return as_vector(out[:3]), as_matrix(out[3:])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _particle_to_grid(layout: Layout, *args: Array) -> Arrays:
     like = [jax.ShapeDtypeStruct((layout.num_nodes,), jnp.result_type(*args))] * 4
-    return linear_call(_SPREAD, _GATHER_VALUES, layout, *split(layout, args), like=like)
+    return linear_call(_SCATTER, _GATHER_VALUES, layout, *split(layout, args), like=like)
 
 
 @_particle_to_grid.defjvp
 def _particle_to_grid_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _particle_to_grid(layout, *args)
     linear = _without_list(layout, tangents)
-    return out, linear_call(transfer_xla_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, linear, like=out)
+    return out, linear_call(transfer_xla_cpu.scatter_tangent, _SCATTER_TANGENT_TRANSPOSE, layout, args, linear, like=out)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _grid_to_particle(layout: Layout, *args: Array) -> Arrays:
     like = [jax.ShapeDtypeStruct(args[0].shape, jnp.result_type(*args))] * 12
-    return linear_call(_GATHER_VALUES, _SPREAD, layout, *split(layout, args), like=like)
+    return linear_call(_GATHER_VALUES, _SCATTER, layout, *split(layout, args), like=like)
 
 
 @_grid_to_particle.defjvp

@@ -19,16 +19,16 @@ from rewax.physics.mpm import transfer_xla_cpu
 from rewax.physics.mpm.transfer_xla_cpu import Layout
 
 SOURCE = build.Source("transfer", build.THREADS.read_text() + Path(__file__).with_name("transfer.cc").read_text())
-_TARGETS = ("rewax_spread", "rewax_gather_values", "rewax_spread_tangent_transpose", "rewax_gather_tangent_transpose")
+_TARGETS = ("rewax_scatter", "rewax_gather_values", "rewax_scatter_tangent_transpose", "rewax_gather_tangent_transpose")
 _TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 
 
-def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """As ``transfer_xla_cpu.spread``."""
+def scatter(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """As ``transfer_xla_cpu.scatter``."""
     num_fields = len(linear) - 9
     if not _available(residuals, linear):
-        return transfer_xla_cpu.spread(layout, residuals, linear)
-    return _call("rewax_spread", layout, (*residuals, *linear), [layout.num_nodes] * num_fields, num_fields)
+        return transfer_xla_cpu.scatter(layout, residuals, linear)
+    return _call("rewax_scatter", layout, (*residuals, *linear), [layout.num_nodes] * num_fields, num_fields)
 
 
 def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
@@ -39,12 +39,12 @@ def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
     return _call("rewax_gather_values", layout, (*residuals, *nodes), lengths, len(nodes))
 
 
-def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """As ``transfer_xla_cpu.spread_tangent_transpose``."""
+def scatter_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """As ``transfer_xla_cpu.scatter_tangent_transpose``."""
     if not _available(residuals, cotangents):
-        return transfer_xla_cpu.spread_tangent_transpose(layout, residuals, cotangents)
+        return transfer_xla_cpu.scatter_tangent_transpose(layout, residuals, cotangents)
     lengths = [residuals[0].shape[-1]] * 16
-    return _call("rewax_spread_tangent_transpose", layout, (*residuals, *cotangents), lengths, 4)
+    return _call("rewax_scatter_tangent_transpose", layout, (*residuals, *cotangents), lengths, 4)
 
 
 def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:

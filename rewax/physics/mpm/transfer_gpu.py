@@ -1,6 +1,6 @@
 """The passes of ``transfer`` as a GPU wants them: few kernels, and nothing stored between them that can be recomputed.
 
-Stored are the places of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed from
+Stored are the locations of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed from
 positions wherever they are used. The scatter sees nodes as rows of four numbers, and adds one by one vector atomic.
 The numbers are those of ``transfer_xla_cpu``, up to rounding.
 """
@@ -21,7 +21,7 @@ from rewax.physics.mpm.transfer_xla_cpu import (
     Layout,
     as_matrix,
     as_vector,
-    copy_of_particles,
+    env_of_particles,
     cotangent_by_slopes,
     flat,
     lowest_rows,
@@ -42,7 +42,7 @@ _TAKE = jax.lax.GatherDimensionNumbers(offset_dims=(), collapsed_slice_dims=(0,)
 
 
 class _Stencils(NamedTuple):
-    """Where all particles of all copies of the grid meet the nodes; N particles in all."""
+    """Where all particles of all num_envs of the grid meet the nodes; N particles in all."""
 
     rows: Array
     """Place of the lowest of three nodes along z in each of 9 columns, shape (9, N), int32."""
@@ -52,7 +52,7 @@ class _Stencils(NamedTuple):
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
     num_nodes: int
-    """Of all copies."""
+    """Of all num_envs."""
 
 
 class _Axis(NamedTuple):
@@ -66,8 +66,8 @@ class _Axis(NamedTuple):
     """Offset of the node [m]."""
 
 
-def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
+def scatter(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """w (mass, p + A d) summed onto nodes. residuals: locations; linear: mass (or none), p, A."""
     st, _ = _stencils(layout, residuals)
     st, message = _apart(st, jnp.stack(_message(linear[:-9], as_matrix(linear[-9:])), axis=-1))
     shape = (3, 3, len(message), 3, _WIDTH)  # columns along x and y, particles, nodes along z, numbers
@@ -82,7 +82,7 @@ def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
 
 
 def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
-    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``spread``; interpolation of velocities."""
+    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``scatter``; interpolation of velocities."""
     st, _ = _stencils(layout, residuals)
     return _values(_sums(st, nodes, VALUE_MOMENTS))
 
@@ -96,8 +96,8 @@ def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     return tuple(column for name in names for column in sums[name])
 
 
-def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of ``transfer_xla_cpu.spread_tangent``."""
+def scatter_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """Transpose of ``transfer_xla_cpu.scatter_tangent``."""
     st, rest = _stencils(layout, residuals)
     A, moved = as_matrix(rest[4:]), (".sww", ".wsw", ".wws")
     sums = _sums(st, cotangents, (*VALUE_MOMENTS, *moved), _message(rest[:4], A))
@@ -112,23 +112,23 @@ def gather_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
 
 
 def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    return cotangent_by_slopes(gather_slopes, spread, layout, residuals, cotangents)
+    return cotangent_by_slopes(gather_slopes, scatter, layout, residuals, cotangents)
 
 
 # --- Sums over the stencil -------------------------------------------------------------------------------------------
 
 
 def _stencils(layout: Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
-    grid, (places, rest) = layout.grid, split(layout, residuals)
-    batch, dtype = places[0].shape, places[0].dtype
+    grid, (locations, rest) = layout.grid, split(layout, residuals)
+    batch, dtype = locations[0].shape, locations[0].dtype
     lowest = [
-        lowest_node(places[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
+        lowest_node(locations[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
         for a in cp.AXES
     ]
-    rows = lowest_rows(layout, places, lowest, copy_of_particles(layout, batch))
+    rows = lowest_rows(layout, locations, lowest, env_of_particles(layout, batch))
     # Once: of a particle midway between two nodes the rounding decides, and all must see the same lowest node.
     stored = compute_once(jnp.concatenate([rows, jnp.stack(lowest)]))
-    cells = jnp.stack([(places[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES])
+    cells = jnp.stack([(locations[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES])
     fractions = compute_once(cells - stored[len(rows) :].astype(dtype))
     num_nodes = math.prod(batch[:-1]) * layout.num_nodes
     return _Stencils(stored[: len(rows)], fractions, grid.spacing, batch, num_nodes), rest

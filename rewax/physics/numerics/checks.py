@@ -1,7 +1,7 @@
 """Checks of numbers that a user gives.
 
-A ``Number`` says once what a field may hold. ``check_numbers`` raises where a value is known and illegal, when a scene
-is built. ``any_illegal`` answers inside compiled programs, where values are traced, and costs a few comparisons.
+A ``Number`` states the legal values of a field. ``check_numbers`` raises an error for illegal concrete values, when a
+scene is built. ``any_illegal`` tests traced values inside compiled programs and costs a few comparisons.
 """
 
 import dataclasses
@@ -41,12 +41,12 @@ class Legal(NamedTuple):
 
 
 _SMALL = 1024
-"""Arrays of at most so many numbers are compared together."""
+"""Arrays up to this size are concatenated before they are compared."""
 POSITIVE = Legal(low=0.0)
 NOT_NEGATIVE = Legal(low=0.0, closed=True)
 FINITE = Legal()
 GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
-"""What messages advise about gravity."""
+"""The remedy in messages about gravity."""
 
 
 class Number(NamedTuple):
@@ -61,13 +61,13 @@ class Number(NamedTuple):
 
 
 def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
-    """The fields of an object that ``struct.number`` made, and what they may be.
+    """The fields of an object that ``struct.number`` declares, with their legal values.
 
-    Fields that are None by default stay out where they are.
+    A field that is None is left out if None is its default.
 
     Args:
       tree: an object of a ``struct.dataclass``.
-      prefix: what messages write before the names of its fields.
+      prefix: text before the field names in messages.
     """
     found = []
     for field in dataclasses.fields(tree):
@@ -80,9 +80,9 @@ def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
 
 
 def check_numbers(numbers: Iterable[Number]) -> None:
-    """Raises ValueError for the first number that is known and illegal. The message names field, value and remedy.
+    """Raises ValueError for the first illegal number. The message names field, value and remedy.
 
-    The values of traced numbers are not known: they pass. Their shapes are.
+    Of traced numbers only the shape is checked.
     """
     for number in numbers:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(number.value)):
@@ -97,9 +97,9 @@ def check_numbers(numbers: Iterable[Number]) -> None:
 
 
 def any_illegal(numbers: Iterable[Number]) -> Array:
-    """Whether one of the numbers is illegal, shape (), bool. Numbers that are None do not count. Gradient: none.
+    """Whether any of the numbers is illegal, shape (), bool. Numbers that are None are skipped. Gradient: none.
 
-    Known values are compared while tracing and are no part of the program.
+    Concrete values are compared while tracing and add nothing to the program.
     """
     illegal: list[Any] = [jnp.bool_(False)]
     small: dict[tuple[Legal, Any], list[Array]] = {}
@@ -113,7 +113,7 @@ def any_illegal(numbers: Iterable[Number]) -> Array:
             small.setdefault((legal, value.dtype), []).append(value.reshape(-1))
         else:
             illegal.append(~jnp.all(legal.holds(value)))
-    # One reduction for all small arrays of a kind: each costs as much as a thousand comparisons.
+    # One reduction per kind: a reduction costs as much as a thousand comparisons.
     illegal += [~jnp.all(legal.holds(jnp.concatenate(parts))) for (legal, _), parts in small.items()]
     return functools.reduce(jnp.logical_or, illegal)
 
@@ -133,7 +133,7 @@ def static_number(name: str, value: Any, legal: Legal, remedy: str) -> float:
     return float(value)
 
 
-def whole_number(name: str, value: Any, least: int, remedy: str) -> int:
+def static_integer(name: str, value: Any, least: int, remedy: str) -> int:
     """A count, checked, as a Python int."""
     try:
         whole = int(value)

@@ -1,4 +1,4 @@
-"""Loops over the substeps of a control step, and what their backward pass stores."""
+"""Loops over the substeps of a control step, with a choice of what the backward pass stores."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -13,10 +13,10 @@ def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_e
 
     Args:
       body: one substep, ``recomputed`` unless ``store_every`` is None.
-      carry: what one substep passes to the next.
-      intervals: pytree of arrays with a first axis of num_substeps: what is known of each beforehand.
-      store_every: what the backward pass keeps: the carry every so many substeps, a number that divides theirs; None:
-        everything.
+      carry: state that a substep hands to the next.
+      intervals: pytree of arrays with a first axis of num_substeps: inputs of each substep.
+      store_every: the backward pass stores the carry every ``store_every`` substeps, a divisor of num_substeps; None:
+        it stores everything.
 
     Gradient: exact.
     """
@@ -36,5 +36,5 @@ def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_e
 
 
 def both_ends(boundaries: T) -> tuple[T, T]:
-    """What holds at the beginning and at the end of each substep, given (num_substeps + 1, ...) boundaries between."""
+    """Values at the beginning and at the end of each substep, from values (num_substeps + 1, ...) at the boundaries."""
     return jax.tree.map(lambda b: b[:-1], boundaries), jax.tree.map(lambda b: b[1:], boundaries)

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
-from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, places, run
+from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, locations, run
 
 from rewax.lowering import build
 from rewax.physics.mpm import transfer_cpp, transfer_xla_cpu
 from rewax.physics.mpm.grid import Grid
 
-PASSES = ("spread", "gather_values", "spread_tangent_transpose", "gather_tangent_transpose")
+PASSES = ("scatter", "gather_values", "scatter_tangent_transpose", "gather_tangent_transpose")
 pytestmark = NEEDS_COMPILER
 
 
@@ -45,7 +45,7 @@ def test_sums_of_many_particles(x64, dtype):
 
 def test_environments_are_their_own(x64):
     """One alone has the bits that it has beside others, of which one is not finite and one is outside of the box."""
-    layout, where = places((4,), True)
+    layout, where = locations((4,), True)
     x = where[0].at[1].set(jnp.nan).at[2].set(1e30)
     where = (x, *where[1:])
     for name in PASSES:

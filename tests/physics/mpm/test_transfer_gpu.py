@@ -8,7 +8,7 @@ from rewax.lowering.linear_primitive import ByPlatform
 from rewax.physics.mpm import transfer_gpu
 
 PASSES = (
-    "spread", "gather_values", "gather_slopes", "spread_tangent_transpose", "gather_tangent", "gather_tangent_transpose",
+    "scatter", "gather_values", "gather_slopes", "scatter_tangent_transpose", "gather_tangent", "gather_tangent_transpose",
 )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from rewax.physics.numerics.checks import (
     check_numbers,
     numbers_of,
     static_number,
-    whole_number,
+    static_integer,
 )
 
 SHARE = Legal(0.0, 1.0)
@@ -101,10 +101,10 @@ def test_static_numbers_and_counts():
         jax.jit(lambda dt: static_number("dt", dt, POSITIVE, ""))(0.5)
     with pytest.raises(ValueError, match=r"^dt has shape \(1,\): give one number$"):
         static_number("dt", [0.5], POSITIVE, "")
-    assert whole_number("n", np.int32(3), 3, "") == 3 and whole_number("n", 3.0, 1, "") == 3
+    assert static_integer("n", np.int32(3), 3, "") == 3 and static_integer("n", 3.0, 1, "") == 3
     for bad in (2, 3.5, "three", None, np.nan, np.inf):
         with pytest.raises(ValueError, match=r"^n is .*: give 3 or more$"):
-            whole_number("n", bad, 3, "give 3 or more")
+            static_integer("n", bad, 3, "give 3 or more")
 
 
 def test_members_are_listed():
