@@ -178,8 +178,8 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
 
     Gradient: exact.
     """
-    # Shapes with edges compare coordinates (faces of a box, cells of a grid). Computed once, so that distance and normal
-    # come from one face or cell: fused copies may round differently.
+    # Shapes with edges compare coordinates (faces of a box, cells of a grid). Computed once, so that distance and
+    # normal come from one face or cell: fused copies may round differently.
     edges = collider.shape.has_edges
     local, body = at_nodes(placed, position)
     (lx, ly, lz), (bx, by, bz) = compute_once(local) if edges else materialize(local), materialize(body)

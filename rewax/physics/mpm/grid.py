@@ -11,7 +11,7 @@ from rewax.physics.numerics.checks import FINITE, POSITIVE, static_number, stati
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A box of nodes; static (hashable), so shapes are known when a program is traced.
+    """A box of nodes; static (hashable), so that a trace knows its shape.
 
     Node (i, j, k) lies at ``origin + spacing * (i, j, k)``. Particles can be anywhere between ``lower`` and ``upper``.
 
@@ -33,9 +33,9 @@ class Grid:
         except ValueError:
             raise ValueError(f"Grid.shape is {shape}: {remedy}") from None
         origin = _three("Grid.origin", self.origin, "give the three coordinates of node (0, 0, 0) in metres")
-        place = tuple(static_number("Grid.origin", a, FINITE, "give coordinates in metres") for a in origin)
+        coordinates = tuple(static_number("Grid.origin", a, FINITE, "give coordinates in metres") for a in origin)
         spacing = static_number("Grid.spacing", self.spacing, POSITIVE, "give a distance in metres")
-        for name, value in (("shape", counts), ("origin", place), ("spacing", spacing)):
+        for name, value in (("shape", counts), ("origin", coordinates), ("spacing", spacing)):
             object.__setattr__(self, name, value)
 
     @property
@@ -49,7 +49,7 @@ class Grid:
 
     @property
     def strides(self) -> tuple[int, int, int]:
-        """How far the flat index of a node moves per step along x, y, z."""
+        """Change of a node's flat index per step along x, y, z."""
         return (self.shape[1] * self.shape[2], self.shape[2], 1)
 
     @property

@@ -1,8 +1,8 @@
 """The passes of ``transfer`` as a GPU wants them: few kernels, and nothing stored between them that can be recomputed.
 
-Stored are the locations of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed from
-positions wherever they are used. The scatter sees nodes as rows of four numbers, and adds one by one vector atomic.
-The numbers are those of ``transfer_xla_cpu``, up to rounding.
+Stored are the locations of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed
+from positions wherever they are used. The scatter sees nodes as rows of four numbers, and adds one by one vector
+atomic. The numbers are those of ``transfer_xla_cpu``, up to rounding.
 """
 
 import math

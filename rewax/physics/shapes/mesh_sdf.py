@@ -1,4 +1,4 @@
-"""Triangle meshes as signed distances on a grid, so that they collide with particles."""
+"""Signed distances of triangle meshes on a grid, for contact with particles."""
 
 import math
 import os
@@ -11,31 +11,31 @@ from rewax.physics.shapes.mesh_distance import distance_on_grid, winding_on_grid
 from rewax.physics.shapes.sampled import SampledDistance
 
 MAX_VALUES = 2**27
-"""Largest number of grid values that ``bake_mesh`` agrees to make: half a gigabyte in float32."""
+"""Largest number of grid values that ``bake_mesh`` accepts: half a gigabyte in float32."""
 
 
 def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> SampledDistance:
     """The signed distance of a closed triangle mesh at the nodes of a regular grid around it.
 
-    Distances at the nodes are exact. Which of them are inside is told by counting, with their orientation, the faces
-    that lines along each axis cross (the winding number), by majority of the three: parts of the mesh may overlap
-    (there distances are those to the nearest face, also an internal one), and shells that point inwards are cavities.
+    Distances at the nodes are exact. A node is inside if its winding number, counted along lines parallel to x, y and
+    z, is positive for at least two of the three. So parts of the mesh may overlap (distances are then those to the
+    nearest face, also an internal one), and shells that point inwards are cavities.
 
     Args:
       mesh: path of a file that trimesh reads (STL, OBJ, PLY, ...), a ``trimesh.Trimesh``, or anything else with
         ``vertices`` [m], shape (num_vertices, 3), and ``faces``, indices of shape (num_faces, 3), counterclockwise
         seen from outside.
-      spacing: distance of the grid's nodes [m]; edges and features below it are rounded off.
-      margin: how far the grid reaches beyond the mesh on all sides [m], by default two cells. Where particles can be
-        farther than this, distances are only estimated.
+      spacing: distance of the grid's nodes [m]; it rounds off smaller edges and features.
+      margin: extent of the grid beyond the mesh on all sides [m], by default two cells. Farther away distances are only
+        estimated.
 
     Returns:
-      The baked distance in the mesh's own frame, as float (jax's default type). 64^3 nodes of a mesh of 5000 faces
-      take seconds, memory grows with the number of nodes.
+      The baked distance in the mesh's own frame, in JAX's default float type. 64^3 nodes of a mesh of 5000 faces take
+      seconds; memory grows with the number of nodes.
 
     Raises:
-      ValueError: a path without file, a mesh that is empty, open, inconsistently oriented, inside out or has faces
-        without area, a spacing or margin that is not positive, too many nodes. The message names the remedy.
+      ValueError: a path without file; a mesh that is empty, open, inconsistently oriented, inside out or has faces
+        without area; a spacing or margin that is not positive; too many nodes. The message names the remedy.
       ImportError: a path is given and trimesh is not installed.
 
     Gradient: none with respect to the mesh; ``sampled_distance`` is differentiable with respect to the values.
@@ -70,7 +70,7 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
 
 
 def check_mesh(mesh: Any) -> np.ndarray:
-    """The triangles of a mesh [m], float64 of shape (num_faces, 3, 3), if it bounds a volume.
+    """The triangles of a mesh that bounds a volume [m], float64 of shape (num_faces, 3, 3).
 
     Args:
       mesh: as for ``bake_mesh``.
@@ -87,7 +87,7 @@ def check_mesh(mesh: Any) -> np.ndarray:
         raise ValueError("mesh has no faces: give a closed surface of triangles")
     if not np.isfinite(vertices).all():
         raise ValueError("mesh has vertices that are not finite numbers: repair it")
-    # Files such as STL repeat each vertex for every face.
+    # Formats such as STL repeat each vertex for every face.
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]
     triangles = vertices[faces]
@@ -102,9 +102,9 @@ def check_mesh(mesh: Any) -> np.ndarray:
 
 
 def signed_volume(triangles: np.ndarray) -> float:
-    """Volume that triangles enclose [m^3], shape (num_faces, 3, 3): positive if they are counterclockwise from outside.
+    """Enclosed volume [m^3] of triangles, shape (num_faces, 3, 3): positive if counterclockwise seen from outside.
 
-    Overlapping parts count as often as they overlap.
+    Overlapping parts count several times.
     """
     a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0

@@ -14,7 +14,7 @@ from rewax.types import Array, Scalar
 
 
 class _Revolved(Shape):
-    """What cylinders and cones have in common."""
+    """Base of cylinders and cones."""
 
     radius: Scalar
     half_length: Scalar
@@ -85,7 +85,7 @@ class Cone(_Revolved):
         from_edge_r, from_edge_y = r - radius, p[1] + half_length
         slant, base = from_edge_r * slant_r + from_edge_y * slant_y, -from_edge_y
         inside = jnp.maximum(slant, base) <= 0
-        # How far along the slant, from the edge of the base (0) to the apex (1).
+        # Coordinate along the slant, from the edge of the base (0) to the apex (1).
         along = (from_edge_y * slant_r - from_edge_r * slant_y) * shrink
         to_slant = jnp.where(inside, slant >= base, (slant > 0) & (along > 0) & (along < 1))
         to_base = jnp.where(inside, slant < base, (slant <= 0) & (from_edge_r < 0))

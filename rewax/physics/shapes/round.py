@@ -1,4 +1,4 @@
-"""Balls and capsules: all points within a radius of a point or of a segment."""
+"""Balls and capsules: the points within a radius of a point or of a segment."""
 
 import math
 

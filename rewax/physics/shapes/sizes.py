@@ -1,4 +1,4 @@
-"""What the sizes of shapes may be."""
+"""Legal values of the sizes of shapes."""
 
 import dataclasses
 from typing import Any
@@ -8,11 +8,11 @@ from rewax.physics.shapes.base import Shape, require_shape
 
 
 def size_numbers(shape: Any, name: str) -> list[Number]:
-    """The sizes of a shape and of the shapes that it is made of, and what they may be.
+    """The sizes of a shape and of its component shapes, with their legal values.
 
     Args:
       shape: the shape.
-      name: what messages call it.
+      name: its name in messages.
 
     Raises:
       ValueError: it is no ``Shape``.

@@ -9,12 +9,12 @@ from rewax.types import Scalar
 
 
 def volume(shape: Shape) -> Scalar:
-    """Volume of a shape [m^3], ``shape.volume()``; particles that fill it stand for volume / num_particles each.
+    """Volume of a shape [m^3], ``shape.volume()``; particles that fill it have volume / num_particles each.
 
     Raises:
       ValueError: the shape has no bounds, or is no ``Shape``.
 
-    Gradient: exact for what the shape's method computes.
+    Gradient: exact for the value that the shape's method computes.
     """
     return require_shape(shape).volume()
 
@@ -22,7 +22,7 @@ def volume(shape: Shape) -> Scalar:
 def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest coordinates of a shape in its own frame [m], float64 of shape (3,) each.
 
-    Inside of compiled programs use ``shape.bounding_box()``, which returns JAX arrays.
+    Inside compiled programs use ``shape.bounding_box()``, which returns JAX arrays.
 
     Raises:
       ValueError: the shape has no bounds, or is no ``Shape``; its sizes are traced; a ``SampledDistance`` is nowhere
@@ -32,7 +32,7 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     """
     require_shape(shape)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(shape)):
-        raise ValueError("the sizes of shape are traced: ask for its bounding_box before jit, or use its own method")
+        raise ValueError("the sizes of shape are traced: call bounding_box before jit, or use shape.bounding_box()")
     with jax.ensure_compile_time_eval():
         lower, upper = shape.bounding_box()
         return np.asarray(lower, np.float64), np.asarray(upper, np.float64)
