@@ -1,4 +1,4 @@
-"""Which solvers of soft bodies can be coupled, and what the steps of ``free`` and ``articulated`` need of them."""
+"""The solvers of soft bodies that can be coupled, through the interface that ``free`` and ``articulated`` use."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
@@ -19,16 +19,16 @@ Soft = TypeVar("Soft", MPMState, TetState)
 
 
 class Solver(NamedTuple):
-    """How a soft body is advanced. ``soft`` is its state by components, as the inner loop wants it."""
+    """Functions that advance a soft body. ``soft`` is its state by components, for the inner loop."""
 
     constants: Callable[[Any, Any], Any]
-    """``(scene, state) -> constants``: what is the same in all substeps of a step."""
+    """``(scene, state) -> constants``: values that all substeps of a step share."""
     split: Callable[[Any], Any]
     """``state -> soft``."""
     join: Callable[[Any], Any]
     """``soft -> state``."""
     begin: Callable[[Any, Any, Any], SoftContact]
-    """``(scene, constants, soft)``: a substep up to where bodies come in."""
+    """``(scene, constants, soft) -> contact``: the part of a substep before contact with bodies."""
 
 
 PARTICLES = Solver(lambda scene, state: nodes_of_step(scene, state.x), split_particles, join_particles, nodes.begin)

@@ -1,8 +1,8 @@
-"""The passes of ``transfer`` in C++, for CPUs; those of ``transfer_xla_cpu`` where there is no compiler.
+"""The kernels of ``transfer`` in C++, for CPUs; those of ``transfer_xla_cpu`` without a compiler.
 
-One call computes a whole pass: a particle's weights and its 27 nodes stay in registers and in the first-level cache,
-where XLA stores the 27 values of every particle. ``transfer.cc`` has the loops; the numbers are those of
-``transfer_xla_cpu`` up to rounding. Environments are shared out among the threads of the device.
+One call computes a whole transfer: a particle's weights and its 27 nodes stay in registers and in the first-level
+cache, where XLA stores the 27 values of every particle. ``transfer.cc`` has the loops; results equal those of
+``transfer_xla_cpu`` up to rounding. The threads of the device share the environments.
 """
 
 import math
@@ -56,7 +56,7 @@ def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 
 
 def is_used() -> bool:
-    """Whether programs for CPUs hold these passes: whether they could be built."""
+    """Whether programs for CPUs use these kernels, which requires that they could be built."""
     return not build.is_off() and build.register(SOURCE, _TARGETS)
 
 
@@ -66,7 +66,7 @@ def _available(*arrays: Arrays) -> bool:
 
 
 def _call(target: str, layout: Layout, operands: Arrays, lengths: Sequence[int], num_fields: int) -> Arrays:
-    """One pass over arrays (..., particles) and (..., nodes); all results have the operands' leading axes."""
+    """One kernel over arrays (..., particles) and (..., nodes); all results have the operands' leading axes."""
     grid, first = layout.grid, operands[0]
     transfer_xla_cpu.check_size(layout, math.prod(first.shape[:-1]))
     sizes = (*grid.shape, layout.num_nodes, layout.num_active is not None, num_fields)

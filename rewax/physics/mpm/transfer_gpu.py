@@ -1,8 +1,8 @@
-"""The passes of ``transfer`` as a GPU wants them: few kernels, and nothing stored between them that can be recomputed.
+"""The transfers for GPUs: few kernels, and nothing stored between them that can be recomputed.
 
-Stored are the locations of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed
-from positions wherever they are used. The scatter sees nodes as rows of four numbers, and adds one by one vector
-atomic. The numbers are those of ``transfer_xla_cpu``, up to rounding.
+The kernels store the indices of a particle's nodes, a message of 16 numbers per particle, and sums. They recompute
+weights from positions. The scatter treats nodes as rows of four numbers and adds a row by one vector atomic. Results
+equal those of ``transfer_xla_cpu`` up to rounding.
 """
 
 import math
@@ -34,7 +34,7 @@ from rewax.types import Array
 
 _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _WIDTH = 4
-"""Numbers per node, the vector that an atomic adds at once: mass and momentum, or momentum and nothing."""
+"""Numbers per node, added by one vector atomic: mass and momentum, or momentum and a zero."""
 _ADD_ROWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
@@ -42,21 +42,21 @@ _TAKE = jax.lax.GatherDimensionNumbers(offset_dims=(), collapsed_slice_dims=(0,)
 
 
 class _Stencils(NamedTuple):
-    """Where all particles of all num_envs of the grid meet the nodes; N particles in all."""
+    """Node indices and fractions of all particles of all environments, N in total."""
 
     rows: Array
-    """Place of the lowest of three nodes along z in each of 9 columns, shape (9, N), int32."""
+    """Index of the lowest of three nodes along z in each of 9 columns, shape (9, N), int32."""
     fractions: Array
     """Distance from the lowest node along each axis in cells, in [0.5, 1.5), shape (3, N)."""
     spacing: float
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
     num_nodes: int
-    """Of all num_envs."""
+    """Number of nodes of all environments."""
 
 
 class _Axis(NamedTuple):
-    """Factors of a node along one axis, arrays that broadcast."""
+    """Factors of a node along one axis, broadcastable arrays."""
 
     w: Array
     """Weight [-]."""
@@ -67,7 +67,7 @@ class _Axis(NamedTuple):
 
 
 def scatter(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """w (mass, p + A d) summed onto nodes. residuals: locations; linear: mass (or none), p, A."""
+    """Sum w (mass, p + A d) onto nodes. residuals: locations; linear: mass (or none), p, A."""
     st, _ = _stencils(layout, residuals)
     st, message = _apart(st, jnp.stack(_message(linear[:-9], as_matrix(linear[-9:])), axis=-1))
     shape = (3, 3, len(message), 3, _WIDTH)  # columns along x and y, particles, nodes along z, numbers
@@ -88,7 +88,7 @@ def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
 
 
 def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """All ``SLOPE_MOMENTS`` of the node fields behind x in residuals: 3 x 4 x 3 arrays."""
+    """All ``SLOPE_MOMENTS`` of the node fields that follow x in residuals: 3 x 4 x 3 arrays."""
     del linear
     st, fields = _stencils(layout, residuals)
     names = sum(SLOPE_MOMENTS, ())
@@ -126,7 +126,7 @@ def _stencils(layout: Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
         for a in cp.AXES
     ]
     rows = lowest_rows(layout, locations, lowest, env_of_particles(layout, batch))
-    # Once: of a particle midway between two nodes the rounding decides, and all must see the same lowest node.
+    # Compute floor once; fused copies may round differently.
     stored = compute_once(jnp.concatenate([rows, jnp.stack(lowest)]))
     cells = jnp.stack([(locations[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES])
     fractions = compute_once(cells - stored[len(rows) :].astype(dtype))
@@ -135,7 +135,7 @@ def _stencils(layout: Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
 
 
 def _message(value: Sequence[Array], matrix: Mat3) -> list[Array]:
-    """Three or four fields and their slopes along x, y, z, four of four components: 16 arrays (N,)."""
+    """Three or four fields and their slopes along x, y, z, padded to four components each: 16 arrays (N,)."""
     zero = jnp.zeros_like(value[0])
     before = [zero] * (len(value) - 3)  # a mass has no slope
     fields = [value, *([*before, *(row[a] for row in matrix)] for a in cp.AXES)]
@@ -143,7 +143,7 @@ def _message(value: Sequence[Array], matrix: Mat3) -> list[Array]:
 
 
 def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
-    """Both behind one barrier, which keeps XLA from storing what passes could share: the weights of 27 nodes."""
+    """Put both behind one barrier, so that XLA does not store the weights of 27 nodes for several kernels."""
     fractions, stored = compute_once((st.fractions, stored))
     return st._replace(fractions=fractions), stored
 
@@ -151,18 +151,18 @@ def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
 def _sums(
     st: _Stencils, fields: Arrays, names: tuple[str, ...], message: list[Array] | None = None
 ) -> dict[str, Arrays]:
-    """Sums over the 27 nodes of the factors that a name's letters stand for times the node's numbers.
+    """Sums over the 27 nodes of node values times factors; the letters of a name select the factors.
 
-    Axis by axis, as in ``transfer_xla_cpu``, for fewer operations.
+    Summing axis by axis, as in ``transfer_xla_cpu``, takes fewer operations.
 
     Args:
-      st: where particles are.
-      fields: of the nodes.
-      names: see ``SLOPE_MOMENTS``; with a dot before it one multiplies with what the message sends to the node as well.
-      message: from ``_message``.
+      st: the particles' stencils.
+      fields: fields of the nodes.
+      names: see ``SLOPE_MOMENTS``. A leading dot multiplies by the momentum that the message sends to the node.
+      message: result of ``_message``.
 
     Returns:
-      Of each name the sums of all fields, arrays of the particles' shape.
+      For each name the sums of all fields, arrays of the particles' shape.
     """
     stored = [] if message is None else [jnp.stack(message)]
     st, (nodes, stored) = _apart(st, (jnp.concatenate([f.reshape(-1) for f in fields]), stored))
@@ -176,20 +176,20 @@ def _sums(
             y, in_column = _node(st, 1, j), {}
             sent_y = sent_x + sent[2] * y.d if sent else None
             for k in range(3):
-                z, place = _node(st, 2, k), (st.rows[3 * i + j] + k) + first
-                g = {"": jax.lax.gather(nodes, place[..., None], _TAKE, (1,), mode=_IN_BOUNDS)}
+                z, index = _node(st, 2, k), (st.rows[3 * i + j] + k) + first
+                g = {"": jax.lax.gather(nodes, index[..., None], _TAKE, (1,), mode=_IN_BOUNDS)}
                 if sent:
                     g["."] = g[""] * (sent_y + sent[3] * z.d)
                 _add(in_column, names, 2, z, g)
             _add(in_plane, names, 1, y, in_column)
         _add(total, names, 0, x, in_plane)
-    # Once: what follows takes them apart, and would gather anew for every part.
+    # Computed once: XLA would gather again for every component that is sliced out.
     total = compute_once(total)
     return {name: tuple(total[name][c].reshape(st.batch) for c in range(len(fields))) for name in names}
 
 
 def _add(sums: dict[str, Array], names: tuple[str, ...], axis: int, node: _Axis, inner: dict[str, Array]) -> None:
-    """Add, to the sums over this axis and those after it, the part of one node of this axis."""
+    """Add the contribution of one node of this axis to the sums over this axis and the following ones."""
     wanted = dict.fromkeys(name[:-3] + name[-3 + axis :] for name in names)
     for name in wanted:
         mark, letters = name[: axis - 3], name[axis - 3 :]
@@ -209,7 +209,7 @@ def _node(st: _Stencils, axis: int, node: int) -> _Axis:
 
 
 def _any_node(st: _Stencils, axis: int, node: Array) -> _Axis:
-    """The same for an array of numbers 0, 1, 2, without slopes."""
+    """``_node`` for an array of node numbers 0, 1, 2, without slopes."""
     f = st.fractions[axis][:, None, None]
     outer = jnp.where(node == 0, 1.5 - f, f - 0.5)
     w = jnp.where(node == 1, 0.75 - (f - 1.0) ** 2, 0.5 * outer * outer)

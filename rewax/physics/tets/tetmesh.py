@@ -1,6 +1,6 @@
-"""Tetrahedral meshes: boxes and assemblies of cells, files, and what is wrong with a mesh.
+"""Tetrahedral meshes: boxes and assemblies of cells, files, and checks of a mesh.
 
-Everything here is numpy and happens before a simulation starts. A tet (a, b, c, d) is the right way round if
+Everything here is numpy and runs before a simulation starts. A tet (a, b, c, d) has positive orientation if
 (b - a) . ((c - a) x (d - a)) > 0.
 """
 
@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 MIN_SHAPE = 1e-5
-"""A tet whose six-fold volume is below this times its longest edge cubed counts as flat; a cube's corner has 0.35."""
+"""Least six-fold volume of a tet over its longest edge cubed; flatter tets are rejected. A cube's corner: 0.35."""
 TABLE_CELL = 0.354428
 """Edge of a cell of the table of the task SoftJumper [m]."""
 _TABLE_CORNER = (-1.160, 0.007, -1.221)
 _FACES = np.asarray([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""Vertices of the face opposite to each vertex, counterclockwise seen from outside."""
+"""Vertices of the face opposite each vertex, counterclockwise seen from outside."""
 _EDGES = np.asarray(list(itertools.combinations(range(4), 2)))
 
 
@@ -56,7 +56,7 @@ def box(
     center: Sequence[float] = (0.0, 0.0, 0.0),
     tets_per_cell: int = 6,
 ) -> TetMesh:
-    """A box, cut into equal cells and these into tets.
+    """A box of equal cells, each cut into tets.
 
     Args:
       size: edges along x, y, z [m], > 0.
@@ -87,8 +87,8 @@ def voxels(
     """A body of equal cubes.
 
     Args:
-      occupied: which cubes belong to it, bool of shape (nx, ny, nz).
-      spacing: their edge [m], > 0.
+      occupied: mask of the cubes of the body, bool of shape (nx, ny, nz).
+      spacing: edge of a cube [m], > 0.
       corner: lower corner of the cube with index (0, 0, 0) [m].
       tets_per_cell: 5 or 6, see ``cells``.
     """
@@ -102,19 +102,19 @@ def voxels(
 def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: int = 6) -> TetMesh:
     """The occupied cells of a rectilinear grid; tets of neighbouring cells share whole faces.
 
-    Six tets per cell run along its diagonal from the lowest to the highest corner (Kuhn), the same in all cells. Five
-    are one in the middle and one at every other corner, mirrored from cell to cell: fewer, but of unequal size.
+    Six tets per cell share its diagonal from the lowest to the highest corner (Kuhn), equally in all cells. Five tets
+    are one in the middle and four at alternate corners, mirrored from cell to cell: fewer, but of unequal size.
 
     Args:
-      occupied: which cells belong to the body, bool of shape (nx, ny, nz).
+      occupied: mask of the cells of the body, bool of shape (nx, ny, nz).
       lines: coordinates of the grid along x, y, z [m], increasing, lengths nx + 1, ny + 1, nz + 1.
       tets_per_cell: 5 or 6.
 
     Returns:
-      The mesh; tets of one cell are neighbours in its order.
+      The mesh; tets of one cell are consecutive.
 
     Raises:
-      ValueError: no cell at all, lines that do not fit or increase, another number of tets.
+      ValueError: no cell, lines of wrong length or not increasing, another number of tets.
     """
     occupied = np.asarray(occupied, bool)
     if occupied.ndim != 3 or not occupied.any():
@@ -127,7 +127,7 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
             f"lines have {[len(line) for line in lines]} coordinates for {occupied.shape} cells: give one more of each"
         )
     if not all(np.all(np.diff(line) > 0) for line in lines):
-        raise ValueError("lines do not increase: sort the coordinates along each axis, each of them once")
+        raise ValueError("lines do not increase: sort the coordinates along each axis and remove duplicates")
     if tets_per_cell not in (5, 6):
         raise ValueError(f"tets_per_cell is {tets_per_cell}: give 5 or 6")
     index = np.argwhere(occupied)
@@ -143,11 +143,10 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
 def soft_jumper_table() -> TetMesh:
     """The table of the task SoftJumper: 204 vertices, 444 tets, 4.8975 m^3.
 
-    A slab of 7 x 2 x 7 cubes of edge ``TABLE_CELL`` on four legs of one cube each way and three high; y is up. The slab
-    is one layer of bricks two cubes high (six tets each), whose upright edges on the rim are then halved: no vertex
-    lies inside the slab.
+    A slab of 7 x 2 x 7 cubes of edge ``TABLE_CELL`` on four legs of 1 x 3 x 1 cubes; y is up. The slab is one layer of
+    bricks two cubes high with six tets each. The upright edges on its rim are then halved, so no vertex lies inside it.
 
-    Source: the reference's extents, counts and volume; its own decomposition is not published.
+    Source: the reference's extents, counts and volume. Its decomposition is not published.
     """
     h = TABLE_CELL
     occupied = np.zeros((7, 4, 7), bool)
@@ -165,14 +164,14 @@ def soft_jumper_table() -> TetMesh:
 
 
 def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
-    """Halve edges: each gets a vertex in its middle, and each tet around it becomes two, neighbours in order.
+    """Halve edges: each gets a vertex in its middle, and each tet around it becomes two consecutive tets.
 
     Args:
       mesh: the mesh.
       edges: vertex indices, shape (num_edges, 2); no two edges of the same tet.
 
     Raises:
-      ValueError: an edge that is none of the mesh, or two of one tet.
+      ValueError: an edge that the mesh does not have, or two edges of one tet.
     """
     first = len(mesh.vertices)
     middle = {frozenset(map(int, edge)): first + i for i, edge in enumerate(np.asarray(edges))}
@@ -180,7 +179,7 @@ def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
     for tet in mesh.tets:
         hits = [e for e in _EDGES if frozenset(map(int, tet[e])) in middle]
         if len(hits) > 1:
-            raise ValueError(f"two edges of the tet {tet.tolist()} are to be split: split one, then the other")
+            raise ValueError(f"edges has two edges of the tet {tet.tolist()}: call split_edges once for each")
         if not hits:
             tets.append(tet)
             continue
@@ -191,7 +190,7 @@ def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
             half[end] = middle[pair]
             tets.append(half)
     if unused:
-        raise ValueError(f"{sorted(unused.pop())} is no edge of the mesh: give pairs of vertices of one tet")
+        raise ValueError(f"edges has {sorted(unused.pop())}, which is no edge of the mesh: give pairs of vertices of one tet")
     vertices = np.concatenate([mesh.vertices, mesh.vertices[np.asarray(edges)].mean(axis=1)])
     return TetMesh(vertices, np.asarray(tets, np.int32))
 
@@ -215,14 +214,14 @@ def boundary_faces(mesh: TetMesh) -> np.ndarray:
 
 
 def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool = False) -> TetMesh:
-    """Tets of a mesh file (.msh, .vtk, .vtu, .mesh and whatever else meshio reads), checked.
+    """Tets of a mesh file (.msh, .vtk, .vtu, .mesh or another format of meshio), checked.
 
-    Points that no tet uses (files keep those of the geometry's description) and surface elements are left out.
+    Surface elements and points that no tet uses (files keep points of the geometry) are left out.
 
     Args:
       path: the file.
       scale: metres per unit of length of the file.
-      fix_orientation: swap vertices of inverted tets, for files that count them the other way round.
+      fix_orientation: swap two vertices of each inverted tet, for files with the opposite orientation.
 
     Raises:
       ImportError: meshio is missing.
@@ -234,9 +233,9 @@ def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool 
         raise ImportError("mesh files are read by meshio, which is missing: pip install 'rewax[meshes]'") from None
     path = Path(path)
     if not path.is_file():
-        raise ValueError(f"path is {str(path)!r}, where no file is: give the path of a mesh file")
+        raise ValueError(f"path is {str(path)!r}, but there is no such file: give the path of a mesh file")
     try:
-        # meshio prints what each of its readers thinks, and ends the program if none can read the file.
+        # meshio prints the errors of all its readers, and exits the program if none can read the file.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             content = meshio.read(path)
     except (Exception, SystemExit) as error:
@@ -262,23 +261,24 @@ def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool 
 
 
 def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
-    """Raise a ValueError of one sentence that says what is wrong with a mesh, where, and what to do.
+    """Raise a ValueError with one sentence: the fault of a mesh, its location and the remedy.
 
-    Checks shapes and indices, non-finite positions, flat (degenerate) and inverted tets, vertices that no tet uses,
-    faces of more than two tets, and bodies in several parts (tets hold together through common faces).
+    Faults are wrong shapes and indices, non-finite positions, flat (degenerate) and inverted tets, vertices that no tet
+    uses, faces of more than two tets, and bodies in several parts (tets connect through common faces).
 
     Args:
       mesh: the mesh.
-      min_shape: six-fold volume over longest edge cubed below which a tet counts as flat.
+      min_shape: least six-fold volume over longest edge cubed; a flatter tet is degenerate.
     """
     vertices, tets = np.asarray(mesh.vertices), np.asarray(mesh.tets)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ValueError(f"vertices has shape {vertices.shape}: give positions of shape (num_vertices, 3)")
     if tets.ndim != 2 or tets.shape[1] != 4 or len(tets) == 0 or not np.issubdtype(tets.dtype, np.integer):
-        raise ValueError(f"tets is {tets.dtype} of shape {tets.shape}: give whole numbers of shape (num_tets, 4)")
+        raise ValueError(f"tets is {tets.dtype} of shape {tets.shape}: give integers of shape (num_tets, 4)")
     if tets.min() < 0 or tets.max() >= len(vertices):
         raise ValueError(
-            f"tets has vertices from {tets.min()} to {tets.max()}, but there are {len(vertices)}: count from 0"
+            f"tets has vertices from {tets.min()} to {tets.max()}, but there are {len(vertices)}: give indices from 0 to "
+            f"{len(vertices) - 1}"
         )
     if not np.isfinite(vertices).all():
         bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
@@ -320,7 +320,7 @@ def _check_connections(tets: np.ndarray) -> None:
     if counts.max() > 2:
         crowded = faces[int(np.flatnonzero(face.reshape(-1) == counts.argmax())[0])]
         raise ValueError(
-            f"tets has {counts.max()} around the face {crowded.tolist()}, where two at most can meet: remove overlaps "
+            f"tets has {counts.max()} around the face {crowded.tolist()}, where at most two can meet: remove overlaps "
             "and duplicates"
         )
     part = np.arange(len(tets))
@@ -328,7 +328,7 @@ def _check_connections(tets: np.ndarray) -> None:
         lowest = np.full(len(counts), len(tets))
         np.minimum.at(lowest, face, part[:, None])
         new = lowest[face].min(axis=1)
-        new = new[new]  # two steps at once
+        new = new[new]  # pointer jumping: two steps at once
         if np.array_equal(new, part):
             break
         part = new

@@ -88,7 +88,7 @@ def test_particles_must_begin_inside_the_box_and_outside_the_colliders():
     scene, state = cube()
     for broken in (state.x.at[7, 1].set(2.0), state.x.at[7, 1].set(jnp.nan)):
         with pytest.raises(
-            ValueError, match=r"1 particles lie outside the box from \(-0.275, .* number 7, at .*: move them"
+            ValueError, match=r"1 particles lie outside the grid's box from \(-0.275, .* particle 7 at .*: move them"
         ):
             mpm.initial_state(broken, scene)
     collider = Collider(shape=Sphere(radius=0.04), offset=jnp.zeros(3), rotation=jnp.eye(3), friction=0.5)

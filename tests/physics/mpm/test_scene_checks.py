@@ -47,6 +47,6 @@ def test_particles_must_lie_in_the_box():
     grid = Grid(shape=(8, 9, 10), spacing=0.1)
     check_box(grid, np.array([grid.lower, grid.upper]))
     with pytest.raises(
-        ValueError, match=r"^1 particles lie outside the box from \(0\.05, .* number 1, at \(0\.3, 0\.76"
+        ValueError, match=r"^1 particles lie outside the grid's box from \(0\.05, .* particle 1 at \(0\.3, 0\.76"
     ):
         check_box(grid, np.array([[0.3, 0.3, 0.3], [0.3, 0.76, 0.3]]))

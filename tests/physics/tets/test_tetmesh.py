@@ -75,7 +75,7 @@ def test_split_edges():
     np.testing.assert_array_equal(split.vertices[-1], 0.0)
     with pytest.raises(ValueError, match=r"\[0, 99\] is no edge of the mesh"):
         tetmesh.split_edges(mesh, np.array([[0, 99]]))
-    with pytest.raises(ValueError, match=r"two edges of the tet .* are to be split: split one, then the other"):
+    with pytest.raises(ValueError, match=r"edges has two edges of the tet .*: call split_edges once for each"):
         tetmesh.split_edges(mesh, mesh.tets[0][[[0, 1], [1, 2]]])
 
 
@@ -117,7 +117,7 @@ def test_files_that_hold_no_tets(tmp_path):
     garbage.write_text("not a mesh")
     with pytest.raises(ValueError, match=r"garbage.vtk', which meshio cannot read .*: save the mesh as .msh"):
         tetmesh.load_tetmesh(garbage)
-    with pytest.raises(ValueError, match=r"missing.msh', where no file is: give the path"):
+    with pytest.raises(ValueError, match=r"missing.msh', but there is no such file: give the path"):
         tetmesh.load_tetmesh(tmp_path / "missing.msh")
 
 
@@ -152,10 +152,10 @@ HINGE = tetmesh.voxels(np.array([[[1], [0]], [[0], [1]]], bool), 1.0)
     ("mesh", "message"),
     [
         (changed(vertices=UNIT.vertices[:, :2]), r"vertices has shape \(8, 2\): give positions"),
-        (changed(tets=UNIT.tets[:, :3]), r"tets is int32 of shape \(5, 3\): give whole numbers"),
-        (changed(tets=UNIT.tets.astype(float)), r"tets is float64 of shape \(5, 4\): give whole numbers"),
+        (changed(tets=UNIT.tets[:, :3]), r"tets is int32 of shape \(5, 3\): give integers"),
+        (changed(tets=UNIT.tets.astype(float)), r"tets is float64 of shape \(5, 4\): give integers"),
         (changed(tets=UNIT.tets[:0]), r"tets is int32 of shape \(0, 4\)"),
-        (changed(tets=UNIT.tets + 1), "tets has vertices from 1 to 8, but there are 8: count from 0"),
+        (changed(tets=UNIT.tets + 1), "tets has vertices from 1 to 8, but there are 8: give indices from 0 to 7"),
         (changed(vertices=with_rows(UNIT.vertices, 3, np.nan)), r"vertices\[3\] is \[nan nan nan\]: give finite positions"),
         (changed(tets=with_rows(UNIT.tets, 2, UNIT.tets[2][[1, 0, 2, 3]])), r"tets has 1 of 5 inverted \(tet 2 .*: swap two"),
         (changed(tets=with_rows(UNIT.tets, 1, UNIT.tets[1][[0, 1, 2, 2]])), r"tets has 1 degenerate ones \(tet 1 .* remesh, or"),
