@@ -1,4 +1,4 @@
-"""What the transfers' passes can be given, and how each form of them is compared with ``transfer_xla_cpu``."""
+"""Inputs of the transfers' kernels, and the comparison of each form of them with ``transfer_xla_cpu``."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ NUM = 20
 
 
 def locations(batch, listed):
-    """Layout and locations of particles, some of them midway between nodes."""
+    """Layout and locations, some of them midway between nodes."""
     draw = np.random.default_rng(0)
     x = [draw.uniform(GRID.origin[a] + 0.15, GRID.origin[a] + 0.45, (*batch, NUM)) for a in range(3)]
     x[0][..., 0] = GRID.origin[0] + 0.25
@@ -53,7 +53,7 @@ def run(module, name, layout, given):
 
 
 def assert_as_transfer_cpu(module, names, batch, listed):
-    """All passes of these names agree with ``transfer_xla_cpu``'s, and are other programs."""
+    """All kernels of these names agree with ``transfer_xla_cpu``'s, and are other programs."""
     layout, where = locations(batch, listed)
     for name in names:
         for given in inputs(name, where, batch, layout.num_nodes):

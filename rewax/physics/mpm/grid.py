@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rewax.physics.numerics.checks import FINITE, POSITIVE, static_number, static_integer
+from rewax.physics.numerics.checks import FINITE, POSITIVE, static_integer, static_number
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -31,8 +31,8 @@ from rewax.physics.numerics.checks import (
     check_enum,
     check_number,
     check_numbers,
-    static_number,
     static_integer,
+    static_number,
 )
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes import signed_distance

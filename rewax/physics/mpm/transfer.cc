@@ -1,9 +1,9 @@
-// The passes of transfer.py for CPUs: one particle at a time, all of its 27 nodes while they are in registers.
+// The kernels of transfer.py for CPUs: one particle at a time, with its 27 nodes in registers.
 //
-// transfer_native.py says what each pass computes, builds this file after threads.h and calls it through XLA's foreign
-// function interface. A node is a vector of four numbers: a vector field along x, y, z, and the mass (or nothing). Weights are computed for
-// a block of particles at once. Every environment's nodes are summed in an order that neither other environments nor
-// the number of threads change, so results are reproducible bit for bit.
+// transfer_cpp.py documents each kernel, builds this file after threads.h and calls it through XLA's foreign function
+// interface (FFI). A node is a vector of four numbers: a vector field along x, y, z, and the mass (or zero). Weights are
+// computed for a block of particles at once. The order of summation on nodes is independent of batch size and thread
+// count, so results are reproducible bit for bit.
 
 #include <algorithm>
 #include <cstdint>
@@ -36,8 +36,8 @@ struct Layout {
   double origin[3];
   double spacing;
   int64_t nodes;      // of one environment
-  bool listed;        // the nodes are a list: offsets of columns say where each column lies
-  int64_t num_envs;     // environments
+  bool listed;        // node arrays hold active nodes only, located by offsets of columns
+  int64_t num_envs;
   int64_t particles;  // of one environment
   int64_t columns() const { return shape[0] * shape[1]; }
 };
@@ -63,7 +63,7 @@ struct Stencils {
   int32_t rows[9][kBlock];  // the lowest of three nodes along z in each of nine columns
 };
 
-// Not inlined: rounding decides which nodes a particle between two cells meets, and all passes must decide alike.
+// Not inlined: inlined copies may round differently, and all kernels must find the same lowest node.
 template <typename T>
 __attribute__((noinline)) void Weigh(const Layout& layout, const Locations<T>& locations, int64_t env, int64_t first,
                                      int count, Stencils<T>& st) {
@@ -78,7 +78,7 @@ __attribute__((noinline)) void Weigh(const Layout& layout, const Locations<T>& l
     for (int l = 0; l < kBlock; ++l) {
       const T cells = (x[l] - origin) * inverse;
       T low = cells - T(0.5);
-      low = low > T(0) ? low : T(0);  // of NaN, too
+      low = low > T(0) ? low : T(0);  // NaN becomes 0
       low = low < highest ? low : highest;
       const int32_t base = static_cast<int32_t>(low);
       lowest[a][l] = base;
@@ -100,7 +100,7 @@ __attribute__((noinline)) void Weigh(const Layout& layout, const Locations<T>& l
   for (int c = 0; c < 9; ++c) {
     for (int l = 0; l < kBlock; ++l) {
       const int32_t column = (lowest[0][l] + c / 3) * ny + lowest[1][l] + c % 3;
-      // A particle that left the listed nodes reads and writes others; the step's status says so.
+      // A particle that left the active nodes uses other nodes; check_status sets INACTIVE_NODES.
       const int32_t row = (offset ? offset[column] : column * nz) + lowest[2][l];
       st.rows[c][l] = std::min(std::max(row, 0), last);
     }
@@ -134,7 +134,7 @@ void Separate(const V4<T>* nodes, int64_t count, int64_t first, int num_fields, 
   }
 }
 
-// Room that a thread keeps from call to call.
+// Memory that a thread reuses from call to call.
 template <typename T>
 V4<T>* Room(std::vector<char>& bytes, int64_t count) {
   constexpr size_t alignment = 64;
@@ -216,8 +216,8 @@ inline Moments<T> GatherOne(const Stencils<T>& st, int l, const V4<T>* nodes) {
   return m;
 }
 
-// How sum over nodes of w g . (value + slope . offset) changes with the particle's position, less the change of the
-// offsets, slope^T (sum w g), which `value` is: sum w g.
+// Derivative of sum over nodes of w g . (value + slope . offset) by the particle's position. The offsets contribute
+// -slope^T (sum w g); the argument `value` is sum w g.
 template <typename T>
 inline void WorkOne(const Stencils<T>& st, int l, const Affine<T>& field, const V4<T>* nodes, const V4<T>& value,
                     T work[3]) {
@@ -249,7 +249,7 @@ inline void WorkOne(const Stencils<T>& st, int l, const Affine<T>& field, const 
   }
 }
 
-// --- Passes over all particles -------------------------------------------------------------------------------------
+// --- Loops over all particles --------------------------------------------------------------------------------------
 
 template <typename T, typename One>
 void ForBlocks(const Layout& layout, const Locations<T>& locations, int64_t env, int64_t first, int64_t end, const One& one) {
@@ -321,7 +321,7 @@ void GatherAll(ffi::ThreadPool& pool, const Layout& layout, const Locations<T>& 
 
 // --- XLA's interface -----------------------------------------------------------------------------------------------
 
-// Operands and results one after the other.
+// Reads operands and results in order.
 template <typename T>
 struct Reader {
   ffi::RemainingArgs& args;
@@ -374,7 +374,7 @@ void Scatter(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int num_
   ScatterAll(pool, layout, locations, field, num_fields, out);
 }
 
-// Where the moments of a particle go: values of all fields, then the first moments of the vector field, row by row.
+// Output arrays of moments: values of all fields, then the first moments of the vector field, row by row.
 template <typename T>
 struct MomentColumns {
   T *mass, *value[3], *first[3][3];

@@ -162,7 +162,9 @@ def make_scene(
         check_length(number, num_vertices)
     check_moduli(mu, lam)
     if contact is None and (ground is not None or colliders):
-        raise ValueError("contact is None, but the scene has a ground or colliders: give a PenaltyContact(stiffness=...)")
+        raise ValueError(
+            "contact is None, but the scene has a ground or colliders: give a PenaltyContact(stiffness=...)"
+        )
     held = held_indices(held, num_vertices)
     if held.size and (held.min() < 0 or held.max() >= num_vertices):
         raise ValueError(

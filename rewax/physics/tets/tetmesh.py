@@ -190,7 +190,9 @@ def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
             half[end] = middle[pair]
             tets.append(half)
     if unused:
-        raise ValueError(f"edges has {sorted(unused.pop())}, which is no edge of the mesh: give pairs of vertices of one tet")
+        raise ValueError(
+            f"edges has {sorted(unused.pop())}, which is no edge of the mesh: give pairs of vertices of one tet"
+        )
     vertices = np.concatenate([mesh.vertices, mesh.vertices[np.asarray(edges)].mean(axis=1)])
     return TetMesh(vertices, np.asarray(tets, np.int32))
 
@@ -277,8 +279,8 @@ def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
         raise ValueError(f"tets is {tets.dtype} of shape {tets.shape}: give integers of shape (num_tets, 4)")
     if tets.min() < 0 or tets.max() >= len(vertices):
         raise ValueError(
-            f"tets has vertices from {tets.min()} to {tets.max()}, but there are {len(vertices)}: give indices from 0 to "
-            f"{len(vertices) - 1}"
+            f"tets has vertices from {tets.min()} to {tets.max()}, but there are {len(vertices)}: give indices from 0 "
+            f"to {len(vertices) - 1}"
         )
     if not np.isfinite(vertices).all():
         bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])

@@ -120,8 +120,8 @@ def test_active_nodes_are_those_in_reach_and_between_them_along_z(corner, reach)
     np.testing.assert_allclose(
         np.stack(nodes.position, -1)[used], GRID.origin + GRID.spacing * np.asarray(wanted), rtol=1e-5
     )
-    places = [int(nodes.offset[i * GRID.shape[1] + j]) + k for i, j, k in wanted]
-    np.testing.assert_array_equal(places, np.arange(len(wanted)))
+    slots = [int(nodes.offset[i * GRID.shape[1] + j]) + k for i, j, k in wanted]
+    np.testing.assert_array_equal(slots, np.arange(len(wanted)))
 
 
 @pytest.mark.parametrize("num_active", [60, 750])

@@ -180,7 +180,7 @@ def test_without_a_softness_colliders_reach_one_cell(x64):
 
 @pytest.mark.slow
 def test_derivatives_through_colliders_without_a_softness(x64):
-    """Reverse, forward and central difference, by the ball's path and the particles' places."""
+    """Reverse, forward and central difference, by the ball's path and the particles' positions."""
     end, args = pressed_by(None)
     rng = np.random.default_rng(0)
     weights = jnp.asarray(rng.standard_normal(args[1].shape))

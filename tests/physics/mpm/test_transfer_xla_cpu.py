@@ -1,4 +1,4 @@
-"""The passes for CPUs: locations of nodes, sums by visiting every node, and sizes that do not fit."""
+"""The kernels for CPUs: indices of nodes, sums by visiting every node, and sizes that do not fit."""
 
 import itertools
 
@@ -17,7 +17,7 @@ X = np.random.default_rng(0).uniform(0.1, 0.3, (3, *BATCH))
 
 
 def nodes_of(copy, particle):
-    """Flat index among both num_envs, weight and offset of the 27 nodes around a particle."""
+    """Flat index among both environments, weight and offset of the 27 nodes around a particle."""
     x = X[:, copy, particle]
     base = np.floor(x / GRID.spacing - 0.5).astype(int)
     for step in itertools.product(range(3), repeat=3):

@@ -19,8 +19,8 @@ from rewax.physics.numerics.checks import (
     check_number,
     check_numbers,
     numbers_of,
-    static_number,
     static_integer,
+    static_number,
 )
 
 SHARE = Legal(0.0, 1.0)

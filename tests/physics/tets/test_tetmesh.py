@@ -1,4 +1,4 @@
-"""Meshes: counts, volumes, conformity; files; what is said of a bad mesh."""
+"""Meshes: counts, volumes, conformity; files; messages about a bad mesh."""
 
 import sys
 
