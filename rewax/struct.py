@@ -116,10 +116,15 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
             return jnp.asarray(np.asarray(value, float))
         except ValueError:  # rows of several lengths: checks name the field
             return value
+    if is_real and isinstance(value, (bool, np.bool_)):
+        return value  # no real number: checks name the field
     if isinstance(value, numbers.Real) and not isinstance(value, np.generic):
-        return jnp.asarray(float(value) if is_real else value)
+        try:
+            return jnp.asarray(float(value) if is_real else value)
+        except OverflowError:
+            return value
     if isinstance(value, (np.ndarray, np.generic)):
-        if is_real and value.dtype.kind in "biu":
+        if is_real and value.dtype.kind in "iu":
             value = value.astype(float)
         return jnp.asarray(value) if value.dtype.kind == "f" else value
     if is_real and isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.integer):

@@ -17,7 +17,7 @@ from rewax.lowering.kernels import pointwise
 from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.motion import Placed, at_nodes, chord_motion, placed
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, static_integer
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.shapes.base import Shape
@@ -50,11 +50,14 @@ class Collider(struct.Replaceable):
         FINITE, "give a position in metres", shape=(3,), default_factory=lambda: jnp.zeros(3)
     )
     rotation: Vector = struct.number(FINITE, "give a rotation matrix", shape=(3, 3), default_factory=lambda: jnp.eye(3))
-    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none")
+    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none", shape=())
     softness: Scalar | None = struct.number(
-        POSITIVE, "give a decay per metre, or None for a reach of one cell", default=None
+        POSITIVE, "give a decay per metre, or None for a reach of one cell", shape=(), default=None
     )
     body: int = struct.static_field(default=0)
+
+    def __post_init__(self) -> None:
+        static_integer("Collider.body", self.body, 0, "give the index of a body, counted from 0")
 
 
 class Overlap(enum.Enum):

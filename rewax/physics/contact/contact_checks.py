@@ -8,8 +8,15 @@ from jax.core import Tracer
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.checks import FINITE, Number, check_numbers, numbers_of
+from rewax.physics.numerics.fields import instance, items
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.sizes import size_numbers
+
+_COLLIDER = instance(Collider, "give a Collider(shape=..., friction=...)")
+_LAW = instance(PenaltyContact, "give a PenaltyContact(stiffness=...)")
+_GROUND = instance(Ground, "give a Ground(normal=...)")
+COLLIDERS = items(_COLLIDER, "give a tuple of colliders, () for none")
+"""Rule for the colliders of a scene."""
 
 
 def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None) -> list[Number]:
@@ -17,8 +24,7 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
     numbers = []
     for i, collider in enumerate(colliders):
         name = f"colliders[{i}]"
-        if not isinstance(collider, Collider):
-            raise ValueError(f"{name} is {collider!r}: give a Collider(shape=..., friction=...)")
+        _COLLIDER(name, collider)
         numbers += [*size_numbers(collider.shape, f"{name}.shape"), *numbers_of(collider, f"{name}.")]
     if poses is not None and colliders:
         numbers += [
@@ -30,8 +36,7 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
 
 def penalty_numbers(contact: PenaltyContact, name: str = "contact") -> list[Number]:
     """The numbers of a penalty law, with their legal values."""
-    if not isinstance(contact, PenaltyContact):
-        raise ValueError(f"{name} is {contact!r}: give a PenaltyContact(stiffness=...)")
+    _LAW(name, contact)
     return numbers_of(contact, f"{name}.")
 
 
@@ -42,8 +47,7 @@ def ground_numbers(ground: Ground) -> list[Number]:
 
 def check_ground(ground: Any) -> None:
     """Raises ValueError for a ground without a unit normal, or with a number that is not finite."""
-    if not isinstance(ground, Ground):
-        raise ValueError(f"ground is {ground!r}: give a Ground(normal=...)")
+    _GROUND("ground", ground)
     check_numbers(ground_numbers(ground))
     if not isinstance(ground.normal, Tracer):
         length = float(np.linalg.norm(np.asarray(ground.normal)))
@@ -51,4 +55,4 @@ def check_ground(ground: Any) -> None:
             raise ValueError(f"ground.normal has length {length:g}: give a unit vector, (0, 1, 0) for y up")
 
 
-__all__ = ["check_ground", "collider_numbers", "ground_numbers", "penalty_numbers"]
+__all__ = ["COLLIDERS", "check_ground", "collider_numbers", "ground_numbers", "penalty_numbers"]

@@ -48,8 +48,8 @@ class Ground(struct.Replaceable):
       height: distance of its surface from the origin along the normal [m].
     """
 
-    normal: Vector = struct.number(FINITE, "give a unit vector, (0, 1, 0) for y up")
-    height: Scalar = struct.number(FINITE, "give a distance in metres", default=0.0)
+    normal: Vector = struct.number(FINITE, "give a unit vector, (0, 1, 0) for y up", shape=(3,))
+    height: Scalar = struct.number(FINITE, "give a distance in metres", shape=(), default=0.0)
 
 
 def ground_force(ground: Ground, contact: PenaltyContact, x: Vec3, v: Vec3) -> Vec3:

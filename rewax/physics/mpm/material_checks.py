@@ -2,6 +2,9 @@
 
 from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics.checks import Number, check_numbers, numbers_of
+from rewax.physics.numerics.fields import instance
+
+MATERIAL = instance(Material, "give a Material(density=..., elasticity=...)")
 
 
 def material_numbers(material: Material, prefix: str = "") -> list[Number]:
@@ -17,9 +20,8 @@ def material_numbers(material: Material, prefix: str = "") -> list[Number]:
 
 def check_material(material: Material, prefix: str = "") -> None:
     """Raises ValueError for illegal parameters. The message names field, value and remedy."""
-    if not isinstance(material, Material):
-        raise ValueError(f"{prefix or 'material'} is {material!r}: give a Material(density=..., elasticity=...)")
+    MATERIAL(prefix.removesuffix(".") or "material", material)
     check_numbers(material_numbers(material, prefix))
 
 
-__all__ = ["check_material", "material_numbers"]
+__all__ = ["MATERIAL", "check_material", "material_numbers"]

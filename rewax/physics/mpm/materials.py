@@ -28,6 +28,7 @@ from rewax.physics.mpm.laws.fluids import MIN_FLUID_VOLUME
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Mat3
+from rewax.physics.numerics.fields import check_fields, instance, optional
 from rewax.physics.numerics.linalg3 import spectral
 from rewax.types import Array, Scalar
 
@@ -64,12 +65,7 @@ class Material(struct.Replaceable):
     muscle: ActiveStress | None = None
 
     def __post_init__(self) -> None:
-        for name, (kind, example) in _KINDS.items():
-            law = getattr(self, name)
-            if not (isinstance(law, kind) or (law is None and name != "elasticity")):
-                raise ValueError(
-                    f"{name} is {law!r}: give a law, {name}={example}{'' if name == 'elasticity' else ', or None'}"
-                )
+        check_fields(_LAWS, vars(self))
         if isinstance(self.elasticity, Fluid) and self.plasticity is not None:
             raise ValueError(
                 f"plasticity is {type(self.plasticity).__name__} with {type(self.elasticity).__name__}, a fluid, which "
@@ -79,7 +75,7 @@ class Material(struct.Replaceable):
     @property
     def laws(self) -> dict[str, Law]:
         """The laws by field name, without absent ones."""
-        return {name: law for name in _KINDS if (law := getattr(self, name)) is not None}
+        return {name: law for name in _LAWS if (law := getattr(self, name)) is not None}
 
     @property
     def initial_memory(self) -> tuple[float, ...]:
@@ -93,11 +89,11 @@ class Material(struct.Replaceable):
         return "water" if "water" in looks else (looks[-1] if looks else "elastic")
 
 
-_KINDS = {
-    "elasticity": (Elasticity, "Hencky(youngs_modulus=..., poissons_ratio=...)"),
-    "plasticity": (Plasticity, "VonMises(yield_stress=...)"),
-    "viscosity": (Viscosity, "Newtonian(viscosity=...)"),
-    "muscle": (ActiveStress, "Muscle(fibre=..., activation=...)"),
+_LAWS = {
+    "elasticity": instance(Elasticity, "give a law, elasticity=Hencky(youngs_modulus=..., poissons_ratio=...)"),
+    "plasticity": optional(instance(Plasticity, "give a law, plasticity=VonMises(yield_stress=...), or None")),
+    "viscosity": optional(instance(Viscosity, "give a law, viscosity=Newtonian(viscosity=...), or None")),
+    "muscle": optional(instance(ActiveStress, "give a law, muscle=Muscle(fibre=..., activation=...), or None")),
 }
 
 

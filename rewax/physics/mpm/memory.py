@@ -1,7 +1,9 @@
 """Prediction of the memory that a gradient through a simulation takes, without compiling it."""
 
 from rewax.physics.mpm import transfer_cpp
-from rewax.physics.mpm.stepping import MPMScene
+from rewax.physics.mpm.scene import SCENE, MPMScene
+from rewax.physics.numerics.fields import checked, integer, one_of
+from rewax.physics.numerics.substeps import check_store_every
 
 _PARTICLE_FLOATS = 24
 """Floats stored per particle: position, velocity, affine field and deformation gradient."""
@@ -15,6 +17,12 @@ _COLLIDER_FLOATS = {True: 34, False: 42}
 """Floats per active node and collider while contact is differentiated."""
 
 
+_COUNT = integer(1, "give an integer of at least 1")
+
+
+@checked(
+    scene=SCENE, num_particles=_COUNT, num_substeps=_COUNT, num_envs=_COUNT, horizon=_COUNT, bytes_per_float=one_of(4, 8)
+)
 def predict_peak_bytes(
     scene: MPMScene,
     *,
@@ -48,8 +56,7 @@ def predict_peak_bytes(
       >>> predict_peak_bytes(env.scene, num_particles=2592, num_substeps=40, num_envs=32, horizon=32) / 1e9
       0.748
     """
-    if store_every < 1 or num_substeps % store_every:
-        raise ValueError(f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them")
+    check_store_every(store_every, num_substeps)
     stored = num_substeps // store_every + (store_every if store_every > 1 else 0)
     nodes = scene.grid.num_nodes if scene.max_active_nodes is None else scene.max_active_nodes
     native = transfer_cpp.is_used()

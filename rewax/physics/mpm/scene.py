@@ -23,21 +23,26 @@ from rewax.physics.mpm.scene_checks import (
     part_numbers,
 )
 from rewax.physics.mpm.walls import Walls, check_walls
-from rewax.physics.numerics.checks import (
-    FINITE,
-    GRAVITY,
-    POSITIVE,
-    any_illegal,
-    check_enum,
-    check_number,
-    check_numbers,
-    static_integer,
-    static_number,
-)
+from rewax.physics.contact.contact_checks import COLLIDERS
+from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, any_illegal, check_numbers
+from rewax.physics.numerics.fields import check_fields, checked, instance, integer, member, one_of, optional, poses, real, static
+from rewax.physics.mpm.material_checks import MATERIAL
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes import signed_distance
 from rewax.types import Array, Scalar, Vector
 
+OVERLAP = member(Overlap)
+_GRID = instance(Grid, "give a Grid(shape=..., spacing=...)")
+_SCENE = {
+    "grid": _GRID,
+    "dt": static(POSITIVE, "give the duration of a substep in seconds"),
+    "colliders": COLLIDERS,
+    "walls": instance(Walls, "give Walls(lower=..., upper=...)"),
+    "max_active_nodes": optional(integer(27, "give at least the 27 that one particle touches, or None for all")),
+    "reach": one_of(*REACHES),
+    "max_near_colliders": optional(integer(1, "give at least 1, or None for all")),
+    "overlap": OVERLAP,
+}
 STABLE_COURANT_NUMBER = 0.5
 """Largest ratio of dt to the time sound takes through a cell that tests show stable; see ``largest_stable_dt``."""
 STABLE_DIFFUSION_NUMBER = 0.2
@@ -97,7 +102,7 @@ class MPMScene(struct.Replaceable):
     max_near_colliders: int | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
-        check_enum("overlap", self.overlap, Overlap)
+        OVERLAP("overlap", self.overlap)
 
     @property
     def sized_colliders(self) -> tuple[Collider, ...]:
@@ -105,6 +110,10 @@ class MPMScene(struct.Replaceable):
         return with_softness(self.colliders, self.grid.spacing)
 
 
+@checked(
+    x=real(FINITE, "give positions in metres", shape=("num_particles", 3)),
+    scene=optional(instance(MPMScene, "give a scene of mpm.make_scene, or None")),
+)
 def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
     """Undeformed particles at rest.
 
@@ -118,11 +127,8 @@ def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
         are checked; ``check_status`` reports the rest.
     """
     x = jnp.asarray(x)
-    if x.ndim != 2 or x.shape[-1] != 3:
-        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_particles, 3)")
-    if scene is None:
-        check_number("x", x, FINITE, "give positions in metres")
-    else:
+    x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
+    if scene is not None:
         check_box(scene.grid, x)
         _check_count(scene, x.shape[0])
     zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)
@@ -167,19 +173,12 @@ def make_scene(
         ``largest_stable_dt``. The message names field, value and remedy. Inside ``jit`` only static fields and shapes
         are checked; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for the rest.
     """
+    check_fields(_SCENE, locals())
     materials = check_materials(material, particle_counts)
     check_numbers(part_numbers(materials, particle_volume, gravity, colliders, walls))
     check_lengths(materials, particle_counts, particle_volume)
     check_walls(walls, grid)
-    dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
-    if max_active_nodes is not None:
-        touched = "give at least the 27 that one particle touches, or None for all"
-        max_active_nodes = static_integer("max_active_nodes", max_active_nodes, 27, touched)
-    if reach not in REACHES:
-        raise ValueError(f"reach is {reach}: give 1 or 0.5, the cells that a particle may move within a step")
-    if max_near_colliders is not None:
-        remedy = "give at least 1, or None for all"
-        max_near_colliders = static_integer("max_near_colliders", max_near_colliders, 1, remedy)
+    dt = float(dt)
     for one in materials:
         limit = largest_stable_dt(one, grid)
         if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
@@ -195,15 +194,16 @@ def make_scene(
         particle_volume=particle_volume,
         particle_counts=None if particle_counts is None else tuple(int(n) for n in particle_counts),
         gravity=gravity,
-        colliders=colliders,
+        colliders=tuple(colliders),
         walls=walls,
-        max_active_nodes=max_active_nodes,
+        max_active_nodes=None if max_active_nodes is None else int(max_active_nodes),
         reach=float(reach),
         overlap=overlap,
-        max_near_colliders=max_near_colliders,
+        max_near_colliders=None if max_near_colliders is None else int(max_near_colliders),
     )
 
 
+@checked(material=MATERIAL, grid=_GRID, max_speed=real(NOT_NEGATIVE, "give a speed in m/s", shape=None))
 def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -> Scalar:
     """Largest substep [s] at which the explicit integration stays stable.
 
@@ -233,6 +233,10 @@ def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -
         STABLE_DIFFUSION_NUMBER * material.density * grid.spacing**2
     )
     return 1.0 / jnp.maximum(1.0 / limit, diffusivity)
+
+
+SCENE = instance(MPMScene, "give a scene of mpm.make_scene")
+STATE = instance(MPMState, "give a state of mpm.initial_state or mpm.step")
 
 
 def materials_of(scene: MPMScene) -> tuple[Material, ...]:
@@ -283,6 +287,9 @@ def least_particle_mass(scene: MPMScene, dtype: Any) -> Array:
     return jax.lax.stop_gradient(volume * functools.reduce(jnp.minimum, least))
 
 
+@checked(
+    scene=SCENE, state=STATE, bodies=optional(poses("num_bodies")), tolerance=optional(real(FINITE, "give a depth in m"))
+)
 def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None, *, tolerance: float | None = None):
     """Checks that particles start inside the box and outside the colliders.
 

@@ -114,7 +114,7 @@ def _check_length(name: str, value: Any, length: int | None, vectors: bool = Fal
     shape = jnp.shape(value)
     per_particle = len(shape) == (2 if vectors else 1)
     wanted = "()" if not vectors else "(3,)"
-    if (not per_particle and shape != ((3,) if vectors else ())) or (vectors and shape[-1] != 3):
+    if (not per_particle and shape != ((3,) if vectors else ())) or (vectors and shape[-1] != 3) or 0 in shape:
         raise ValueError(f"{name} has shape {shape}: give shape {wanted}, or one entry for each particle")
     if per_particle and length not in (None, shape[0]):
         raise ValueError(

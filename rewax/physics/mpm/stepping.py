@@ -23,7 +23,9 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Response, joined_parameters, respond, split_parameters
 from rewax.physics.mpm.packing import Particles, join, pack, rows_of, split, unpack
 from rewax.physics.mpm.scene import (
+    SCENE,
     STABLE_COURANT_NUMBER,
+    STATE,
     MPMScene,
     MPMState,
     check_placement,
@@ -40,6 +42,7 @@ from rewax.physics.mpm.transfer_xla_cpu import as_matrix
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.fields import checked, instance, optional, poses
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.status import Status, all_finite, flag
@@ -49,6 +52,10 @@ MIN_NODE_MASS = 2e-11
 """Nodes with less than this fraction of a particle's mass [-] have velocity zero."""
 
 
+_POSES = poses("num_substeps + 1", "num_bodies")
+
+
+@checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def substep(
     scene: MPMScene, state: MPMState, before: Pose, after: Pose, *, nodes: ActiveNodes | None = None
 ) -> MPMState:
@@ -68,6 +75,7 @@ def substep(
     return join(_recomputed_substep(scene, nodes, split(state), place(scene.colliders, before, after, scene.dt)))
 
 
+@checked(scene=SCENE, state=STATE, poses=_POSES)
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
     """Advance particles by the substeps between ``poses``.
 
@@ -93,6 +101,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
     return join(scan_substeps(body, split(state), placed, store_every))
 
 
+@checked(scene=SCENE, state=STATE, start=optional(STATE), poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(
     scene: MPMScene, state: MPMState, *, start: MPMState | None = None, poses: Pose | None = None
 ) -> Array:
@@ -148,6 +157,7 @@ def check_status(
     return status
 
 
+@checked(scene=SCENE, state=STATE)
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
     """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
     deformed = respond_particles(scene, state)

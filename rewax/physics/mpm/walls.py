@@ -13,8 +13,9 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import friction_factor
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, numbers_of, static_number
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, numbers_of
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import check_fields, instance, items, member, optional, static
 from rewax.types import Array, Scalar
 
 
@@ -43,12 +44,19 @@ class Wall:
 
     position: float = struct.static_field()
     kind: WallKind = struct.static_field(default=WallKind.SEPARATING)
-    friction: Scalar | None = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, None for none", default=None)
+    friction: Scalar | None = struct.number(
+        NOT_NEGATIVE, "give a Coulomb coefficient, None for none", shape=(), default=None
+    )
 
     def __post_init__(self) -> None:
-        check_enum("Wall.kind", self.kind, WallKind)
-        position = static_number("Wall.position", self.position, FINITE, "give the wall's coordinate in metres")
-        object.__setattr__(self, "position", position)
+        check_fields(_WALL, vars(self), "Wall.")
+        object.__setattr__(self, "position", float(self.position))
+
+
+_WALL = {
+    "position": static(FINITE, "give the wall's coordinate in metres"),
+    "kind": member(WallKind),
+}
 
 
 @struct.dataclass
@@ -57,6 +65,16 @@ class Walls:
 
     lower: tuple[Wall | None, Wall | None, Wall | None]
     upper: tuple[Wall | None, Wall | None, Wall | None]
+
+    def __post_init__(self) -> None:
+        check_fields(dict.fromkeys(("lower", "upper"), _SIDE), vars(self), "Walls.")
+
+
+_SIDE = items(
+    optional(instance(Wall, "give a Wall(position=...), or None for an open side")),
+    "give three walls along x, y and z, None for an open side",
+    length=3,
+)
 
 
 def wall_numbers(walls: Walls) -> list[Number]:

@@ -56,8 +56,8 @@ class Number(NamedTuple):
     value: Any
     legal: Legal
     remedy: str
-    shape: tuple[int, ...] | None = None
-    """The shape that the value must have; None: any."""
+    shape: tuple[int | str, ...] | None = None
+    """The shape that the value must have, with a name for each axis of any length; None: any shape."""
 
 
 def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
@@ -92,8 +92,9 @@ def check_numbers(numbers: Iterable[Number]) -> None:
             holds = number.legal.holds(array)
             if not np.all(holds):
                 raise ValueError(_sentence(number, array, ~holds))
-        if number.shape is not None and array.shape != number.shape:
-            raise ValueError(f"{number.name} has shape {array.shape}: give an array of shape {number.shape}")
+        if number.shape is not None and not fits(array.shape, number.shape):
+            form = f"an array of shape ({_listed(number.shape)})" if number.shape else "one number"
+            raise ValueError(f"{number.name} has shape {array.shape}: give {form}")
 
 
 def any_illegal(numbers: Iterable[Number]) -> Array:
@@ -124,7 +125,7 @@ def check_number(name: str, value: Any, legal: Legal, remedy: str) -> None:
 
 
 def static_number(name: str, value: Any, legal: Legal, remedy: str) -> float:
-    """A number that is part of a program's structure, checked, as a Python float."""
+    """A number that is part of the program, checked, as a Python float."""
     if isinstance(value, Tracer):
         raise ValueError(f"{name} is traced, but is part of the compiled program: give a number known before jit")
     check_number(name, value, legal, remedy)
@@ -134,34 +135,55 @@ def static_number(name: str, value: Any, legal: Legal, remedy: str) -> float:
 
 
 def static_integer(name: str, value: Any, least: int, remedy: str) -> int:
-    """A count, checked, as a Python int."""
+    """An integer, checked, as a Python int. Booleans are no integers."""
     try:
-        whole = int(value)
-        legal = whole == value and whole >= least
+        number = int(value)
+        legal = number == value and number >= least and not isinstance(value, (bool, np.bool_))
     except (TypeError, ValueError, OverflowError):
         legal = False
     if not legal:
-        raise ValueError(f"{name} is {value!r}: {remedy}")
-    return whole
+        raise ValueError(f"{name} is {shown(value)}: {remedy}")
+    return number
 
 
 def check_enum(name: str, value: Any, kind: type[enum.Enum]) -> None:
     """Raises ValueError unless the value is a member of the enum. The message lists the members."""
     if not isinstance(value, kind):
         members = ", ".join(str(member) for member in kind)
-        raise ValueError(f"{name} is {value!r}: give one of {members}")
+        raise ValueError(f"{name} is {shown(value)}: give one of {members}")
+
+
+def shown(value: Any) -> str:
+    """A value in a message, on one line of at most 100 characters."""
+    if isinstance(value, (np.ndarray, jax.Array)) and value.ndim and value.size > 4:
+        return f"an array of {value.dtype} of shape {value.shape}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 100 else f"{text[:97]}..."
 
 
 def _as_array(number: Number) -> np.ndarray:
     if number.value is None:
         raise ValueError(f"{number.name} is None, but must be {number.legal}: {number.remedy}")
-    try:
-        array = np.asarray(number.value)
-    except (TypeError, ValueError):
-        array = np.asarray(None)
-    if not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool) or np.iscomplexobj(array):
-        raise ValueError(f"{number.name} is {number.value!r}, which is no real number: {number.remedy}")
+    array = np.asarray(None)
+    if not (isinstance(number.value, (tuple, list)) and len(number.value) == 0):
+        try:
+            array = np.asarray(number.value)
+        except (TypeError, ValueError):
+            pass
+    if not jnp.issubdtype(array.dtype, jnp.number) or np.iscomplexobj(array):
+        raise ValueError(f"{number.name} is {shown(number.value)}, which is no real number: {number.remedy}")
     return array
+
+
+def fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    """Whether an array has the wanted shape; a named axis has any length."""
+    return len(shape) == len(wanted) and all(
+        isinstance(w, str) or n == w for n, w in zip(shape, wanted, strict=True)
+    )
+
+
+def _listed(shape: tuple[int | str, ...]) -> str:
+    return ", ".join(map(str, shape)) + "," * (len(shape) == 1)
 
 
 def _sentence(number: Number, array: np.ndarray, bad: np.ndarray) -> str:

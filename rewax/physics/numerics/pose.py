@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from rewax.physics.numerics.checks import static_integer
 from rewax.types import Array
 
 
@@ -38,5 +39,7 @@ def body_pose(poses: Pose, body: int) -> Pose:
 
 def static_poses(num_substeps: int, num_bodies: int = 0, dtype: Any = None) -> Pose:
     """Poses of bodies that stay at the origin for all boundaries of substeps."""
+    num_substeps = static_integer("num_substeps", num_substeps, 0, "give the number of substeps")
+    num_bodies = static_integer("num_bodies", num_bodies, 0, "give the number of bodies")
     shape = (num_substeps + 1, num_bodies)
     return Pose(jnp.zeros((*shape, 3), dtype), jnp.broadcast_to(jnp.eye(3, dtype=dtype), (*shape, 3, 3)))

@@ -5,6 +5,8 @@ from typing import Any, TypeVar
 
 import jax
 
+from rewax.physics.numerics.checks import static_integer
+
 T = TypeVar("T")
 
 
@@ -21,10 +23,8 @@ def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_e
     Gradient: exact.
     """
     num_substeps = jax.tree.leaves(intervals)[0].shape[0]
-    if store_every is not None and (store_every < 1 or num_substeps % store_every):
-        raise ValueError(
-            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
-        )
+    if store_every is not None:
+        check_store_every(store_every, num_substeps)
 
     def chunk(carry: T, intervals: Any) -> tuple[T, None]:
         return jax.lax.scan(lambda c, interval: (body(c, interval), None), carry, intervals)
@@ -33,6 +33,13 @@ def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_e
         return chunk(carry, intervals)[0]
     chunks = jax.tree.map(lambda b: b.reshape(num_substeps // store_every, store_every, *b.shape[1:]), intervals)
     return jax.lax.scan(jax.checkpoint(chunk), carry, chunks)[0]
+
+
+def check_store_every(store_every: Any, num_substeps: int) -> None:
+    """Raises ValueError unless ``store_every`` is an integer that divides the number of substeps."""
+    remedy = f"give an integer that divides the {num_substeps} substeps, or None"
+    if num_substeps % static_integer("store_every", store_every, 1, remedy):
+        raise ValueError(f"store_every is {store_every}: {remedy}")
 
 
 def both_ends(boundaries: T) -> tuple[T, T]:

@@ -3,9 +3,11 @@
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import shown
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes import quadrature
 from rewax.physics.shapes.distance_surface import distance_surface
@@ -143,7 +145,9 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
       ball, the axis of a capsule) the normal is not defined: there it is zero, or the mean of the normals around (on
       the axis of a cone), or that of one nearest point (in an ellipsoid). Edges take the normal of one side.
     """
-    d, n = require_shape(shape).distance(cp.split_vector(points))
+    if np.shape(points)[-1:] != (3,):
+        raise ValueError(f"points is {shown(points)}: give points of shape (..., 3) in metres")
+    d, n = require_shape(shape).distance(cp.split_vector(jnp.asarray(points)))
     return d, cp.join_vector(n)
 
 
@@ -158,7 +162,9 @@ def require_shape(shape: Any, name: str = "shape") -> Shape:
       ValueError: its class does not derive from ``Shape`` or is no ``struct.dataclass``.
     """
     if not isinstance(shape, Shape):
-        raise ValueError(f"{name} is {shape!r}: give a shape of rewax.physics.shapes, or of a class derived from Shape")
+        raise ValueError(
+            f"{name} is {shown(shape)}: give a shape of rewax.physics.shapes, or of a class derived from Shape"
+        )
     kind = type(shape)
     if "__dataclass_fields__" not in vars(kind):
         raise ValueError(f"{name} is a {kind.__name__}, which is no pytree: decorate it with rewax.struct.dataclass")

@@ -27,9 +27,9 @@ class HeightField(Shape):
       spacing: distance of neighbouring nodes [m].
     """
 
-    heights: Vector = struct.number(FINITE, "give heights in metres")
+    heights: Vector = struct.number(FINITE, "give heights in metres", shape=("nx", "nz"))
     origin: Vector = struct.number(FINITE, "give x and z in metres", shape=(2,))
-    spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
+    spacing: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
     is_exact = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:

@@ -7,13 +7,23 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.numerics.checks import FINITE, POSITIVE, shown
+from rewax.physics.numerics.fields import check_fields, check_range, checked, indices, optional, real, static
 from rewax.physics.shapes.mesh_distance import distance_on_grid, winding_on_grid
 from rewax.physics.shapes.sampled import SampledDistance
 
 MAX_VALUES = 2**27
 """Largest number of grid values that ``bake_mesh`` accepts: half a gigabyte in float32."""
+_MESH = {
+    "vertices": real(FINITE, "repair the mesh", shape=("num_vertices", 3)),
+    "faces": indices("give integers of shape (num_faces, 3)", ("num_faces", 3)),
+}
 
 
+@checked(
+    spacing=static(POSITIVE, "give the distance of grid nodes in metres"),
+    margin=optional(static(POSITIVE, "give the extent of the grid beyond the mesh in metres")),
+)
 def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> SampledDistance:
     """The signed distance of a closed triangle mesh at the nodes of a regular grid around it.
 
@@ -44,13 +54,7 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
       >>> shape = bake_mesh("bunny.stl", spacing=0.01)  # doctest: +SKIP
       >>> collider = Collider(shape=shape, friction=0.5)  # doctest: +SKIP
     """
-    if not (math.isfinite(spacing) and spacing > 0):
-        raise ValueError(f"spacing is {spacing}, but must be positive: give the distance of grid nodes in metres")
     margin = 2.0 * spacing if margin is None else margin
-    if not (math.isfinite(margin) and margin > 0):
-        raise ValueError(
-            f"margin is {margin}, but must be positive: give how far the grid reaches beyond the mesh in metres"
-        )
     triangles = check_mesh(mesh)
     lower, upper = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     counts = np.ceil((upper - lower + 2.0 * margin) / spacing - 1e-9).astype(int) + 1
@@ -81,12 +85,12 @@ def check_mesh(mesh: Any) -> np.ndarray:
     if isinstance(mesh, (str, os.PathLike)):
         mesh = _load(os.fspath(mesh))
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise ValueError(f"mesh is {mesh!r}: give a path or something with vertices and faces, such as trimesh.Trimesh")
+        raise ValueError(f"mesh is {shown(mesh)}: give a path or something with vertices and faces, such as trimesh.Trimesh")
+    check_fields(_MESH, {"vertices": mesh.vertices, "faces": mesh.faces}, "mesh.")
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if len(faces) == 0:
         raise ValueError("mesh has no faces: give a closed surface of triangles")
-    if not np.isfinite(vertices).all():
-        raise ValueError("mesh has vertices that are not finite numbers: repair it")
+    check_range("mesh.faces", faces, len(vertices))
     # Formats such as STL repeat each vertex for every face.
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]

@@ -37,8 +37,8 @@ class _Revolved(Shape):
 class Cylinder(_Revolved):
     """A solid cylinder around y. ``radius`` and ``half_length`` [m]."""
 
-    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
-    half_length: Scalar = struct.number(POSITIVE, "give a length in metres")
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
+    half_length: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact. On the axis the normal's radial part is zero."""
@@ -70,8 +70,8 @@ class Cylinder(_Revolved):
 class Cone(_Revolved):
     """A solid cone around y: base of ``radius`` at y = -half_length, apex at y = +half_length [m]."""
 
-    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
-    half_length: Scalar = struct.number(POSITIVE, "give a length in metres")
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
+    half_length: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact: in the half-plane (r, y) the cone is the triangle of the axis, the base and the slant."""

@@ -32,9 +32,9 @@ class SampledDistance(Shape):
       spacing: distance of neighbouring nodes [m].
     """
 
-    values: Vector = struct.number(FINITE, "give distances in metres")
+    values: Vector = struct.number(FINITE, "give distances in metres", shape=("nx", "ny", "nz"))
     origin: Vector = struct.number(FINITE, "give a position in metres", shape=(3,))
-    spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
+    spacing: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
     is_exact = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:

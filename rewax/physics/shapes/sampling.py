@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from rewax.physics.numerics.checks import FINITE, POSITIVE
+from rewax.physics.numerics.fields import checked, integer, key, real, static
 from rewax.physics.shapes.base import Shape, signed_distance
 from rewax.physics.shapes.poisson_disk import maximal_poisson_disk
 from rewax.physics.shapes.volumes import bounding_box, volume
@@ -20,6 +22,12 @@ CHUNK = 8192
 """Points per evaluation of a distance. The constant size means one compilation per kind of shape."""
 
 
+@checked(
+    key=key,
+    center=real(FINITE, "give a position in metres", shape=(3,)),
+    size=real(FINITE, "give three edges in metres", shape=(3,)),
+    num=integer(1, "give the number of points, at least 1"),
+)
 def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence[float], num: int) -> Array:
     """Uniformly random points in a box.
 
@@ -43,6 +51,11 @@ def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence
     return center[None].astype(dtype) + size[None].astype(dtype) * unit
 
 
+@checked(
+    center=real(FINITE, "give a position in metres", shape=(3,)),
+    size=real(POSITIVE, "give the three edges of the box in metres", shape=(3,)),
+    spacing=static(POSITIVE, "give the distance of neighbours in metres"),
+)
 def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> np.ndarray:
     """Points of a regular lattice that fills a box, symmetric about its centre.
 
@@ -65,9 +78,6 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
       >>> fill_box((0.5, 0.1, 0.5), (0.2, 0.2, 0.2), 0.1).shape
       (8, 3)
     """
-    _check_length("spacing", spacing, "distance of neighbours")
-    if not np.all(np.asarray(size) > 0):
-        raise ValueError(f"size is {tuple(size)}, but must be positive: give the three edges of the box in metres")
     counts = [max(1, round(edge / spacing)) for edge in size]
     axes = [
         middle + edge * ((np.arange(n) + 0.5) / n - 0.5) for middle, edge, n in zip(center, size, counts, strict=True)
@@ -75,6 +85,7 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+@checked(spacing=static(POSITIVE, "give the distance of neighbours in metres"))
 def fill(shape: Shape, spacing: float) -> np.ndarray:
     """Points of a cubic lattice that lie in a shape, symmetric about the middle of its bounding box.
 
@@ -92,7 +103,6 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
       >>> x = fill(Sphere(radius=0.1), 0.02)
       >>> scene = make_scene(particle_volume=volume(Sphere(radius=0.1)) / len(x), ...)  # doctest: +SKIP
     """
-    _check_length("spacing", spacing, "distance of neighbours")
     lower, upper = bounding_box(shape)
     if shape.fills_its_box:
         return fill_box(tuple(0.5 * (lower + upper)), tuple(upper - lower), spacing)
@@ -105,6 +115,7 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
     return points
 
 
+@checked(key=key, num=integer(1, "give the number of points, at least 1"))
 def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
     """Uniformly random points in a shape.
 
@@ -121,8 +132,6 @@ def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
 
     Gradient: none; see ``sample_box`` for boxes.
     """
-    if num < 1:
-        raise ValueError(f"num is {num}, but must be positive: give the number of points")
     rng, distance = _generator(key), _distance(shape)
     lower, upper = bounding_box(shape)
     found, num_found, num_drawn = [], 0, 0
@@ -138,6 +147,7 @@ def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
     return np.concatenate(found)[:num]
 
 
+@checked(key=key, radius=static(POSITIVE, "give the smallest distance of two points in metres"))
 def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
     """Random points in a shape, at least a radius apart and without gaps: blue noise.
 
@@ -159,7 +169,6 @@ def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
     Source: Ebeida et al. 2012, "A simple algorithm for maximal Poisson-disk sampling in high dimensions". Deviations:
       two levels of cells, and darts outside the shape are pulled onto its surface.
     """
-    _check_length("radius", radius, "smallest distance of two points")
     return maximal_poisson_disk(_generator(key), _distance(shape), *bounding_box(shape), radius)
 
 
@@ -192,11 +201,6 @@ def _generator(key: Key) -> np.random.Generator:
     if isinstance(key, Tracer):
         raise ValueError("key is traced: draw these points before jit, or use sample_box, which works under jit")
     return np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
-
-
-def _check_length(name: str, value: float, meaning: str) -> None:
-    if not value > 0:
-        raise ValueError(f"{name} is {value}, but must be positive: give the {meaning} in metres")
 
 
 __all__ = ["fill", "fill_box", "sample", "sample_box", "sample_poisson_disk", "volume"]
