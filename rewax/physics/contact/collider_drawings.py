@@ -6,9 +6,12 @@ from typing import Any
 import jax.numpy as jnp
 
 from rewax.physics.contact.colliders import Collider, shape_pose
+from rewax.physics.contact.contact_checks import COLLIDERS
+from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose, body_pose
 
 
+@checked(colliders=COLLIDERS, bodies=poses("num_bodies"))
 def drawings(colliders: Sequence[Collider], bodies: Pose) -> list[dict[str, Any]]:
     """Drawings of colliders; ``rewax.viz.shapes`` has a table of their keys.
 

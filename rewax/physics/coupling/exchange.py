@@ -17,6 +17,7 @@ from rewax.lowering.fusion import materialize
 from rewax.physics.contact.motion import Motion
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import checked, instance, integer
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
@@ -29,6 +30,10 @@ class Wrench(NamedTuple):
     torque: Array
 
 
+WRENCH = instance(Wrench, "give a Wrench(force, torque), or None")
+
+
+@checked(num_bodies=integer(0, "give the number of bodies"))
 def no_wrench(num_bodies: int, like: Array | None = None) -> Wrench:
     """No force and no torque.
 

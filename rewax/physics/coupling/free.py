@@ -14,10 +14,12 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion, chord_motion
 from rewax.physics.coupling import free_body
-from rewax.physics.coupling.exchange import SoftContact, System, Wrench, no_wrench
-from rewax.physics.coupling.free_body import FreeBodies, Inertia, inertia_numbers, solve3
-from rewax.physics.coupling.soft import Scene, Soft, solver_of
+from rewax.physics.coupling.exchange import WRENCH, SoftContact, System, Wrench, no_wrench
+from rewax.physics.coupling.free_body import INERTIA, FreeBodies, Inertia, inertia_numbers, solve3
+from rewax.physics.coupling.soft import SCENE, STATE, Scene, Soft, solver_of
 from rewax.physics.numerics.checks import check_numbers
+from rewax.physics.numerics.fields import checked, instance, optional
+from rewax.physics.numerics.fields import poses as poses_of
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.types import Array
@@ -30,6 +32,14 @@ class _Carry(NamedTuple):
     """Accumulated impulse and angular impulse."""
 
 
+@checked(
+    scene=SCENE,
+    inertia=INERTIA,
+    state=STATE,
+    bodies=instance(FreeBodies, "give FreeBodies, of bodies_at_rest for example"),
+    poses=poses_of("num_substeps + 1", "num_prescribed"),
+    wrench=optional(WRENCH),
+)
 def step(
     scene: Scene,
     inertia: Inertia,
@@ -137,9 +147,10 @@ def _solve(system: System) -> tuple[Array, Array]:
 
 
 def _check(scene: Scene, inertia: Inertia, num_free: int, num_bodies: int) -> None:
+    check_numbers(inertia_numbers(inertia))
     if inertia.mass.shape != (num_free,):
         raise ValueError(
-            f"inertia is of {inertia.mass.shape} bodies, but there are {num_free} free ones: make both agree"
+            f"inertia has {len(inertia.mass)} bodies, but there are {num_free} free bodies: give the mass properties of "
+            "each free body"
         )
-    check_numbers(inertia_numbers(inertia))
     check_bodies(scene.colliders, num_bodies)

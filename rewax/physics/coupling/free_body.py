@@ -8,10 +8,11 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics.contact.motion import Motion
-from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_number, check_numbers
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_numbers
+from rewax.physics.numerics.fields import checked, instance, items, real
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix, skew, turn_quaternion
-from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.base import Shape, require_shape
 from rewax.physics.shapes.sizes import size_numbers
 from rewax.types import Array, Scalar
 
@@ -47,6 +48,7 @@ class FreeBodies(struct.Replaceable):
     angular_velocity: Array
 
 
+@checked(position=real(FINITE, "give centres of mass in metres", shape=("num_bodies", 3)))
 def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBodies:
     """Bodies with zero velocity.
 
@@ -59,13 +61,12 @@ def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBod
     """
     position = jnp.asarray(position)
     position = position.astype(jnp.result_type(float, position))
-    if position.ndim != 2 or position.shape[-1] != 3:
-        raise ValueError(f"position has shape {position.shape}: give (num_bodies, 3), also for one body, [[x, y, z]]")
-    check_number("position", position, FINITE, "give centres of mass in metres")
     zeros = jnp.zeros_like(position)
     if orientation is None:
         orientation = jnp.concatenate([jnp.ones_like(zeros[:, :1]), zeros], axis=-1)
-    check_number("orientation", orientation, FINITE, "give unit quaternions (w, x, y, z)")
+    check_numbers(
+        [Number("orientation", orientation, FINITE, "give unit quaternions (w, x, y, z)", (len(position), 4))]
+    )
     return FreeBodies(
         position=position, orientation=jnp.asarray(orientation, position.dtype), velocity=zeros, angular_velocity=zeros
     )
@@ -84,23 +85,29 @@ def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
 
     Gradient: exact.
     """
-    density_number = Number("density", density, POSITIVE, "give the body's density in kg/m^3")
+    density_number = Number("density", density, POSITIVE, "give the body's density in kg/m^3", ())
     check_numbers([density_number, *size_numbers(shape, "shape")])
     return shape.inertia(density)
 
 
 def inertia_numbers(inertia: Inertia) -> list[Number]:
     """The mass properties of bodies, with their legal values: masses and moments about each axis are positive."""
+    mass = Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg", ("num_bodies",))
+    remedy = "give moments of inertia in kg m^2"
+    moment = Number("inertia.moment", inertia.moment, FINITE, remedy, ("num_bodies", 3, 3))
+    check_numbers([mass, moment])
     moments = jnp.diagonal(inertia.moment, axis1=-2, axis2=-1)
-    return [
-        Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg"),
-        Number("inertia.moment", inertia.moment, FINITE, "give moments of inertia in kg m^2"),
-        Number("the diagonal of inertia.moment", moments, POSITIVE, "give moments of inertia in kg m^2"),
-    ]
+    return [mass, moment, Number("the diagonal of inertia.moment", moments, POSITIVE, remedy)]
 
 
+INERTIA = instance(Inertia, "give an Inertia(mass=..., moment=...), of inertia_of for example")
+
+
+@checked(shapes=items(lambda name, shape: require_shape(shape, name), "give a tuple of shapes"))
 def inertia_of(shapes: tuple[Shape, ...], density: Scalar) -> Inertia:
     """Mass properties of several homogeneous bodies, one per shape; see ``solid``."""
+    if len(shapes) == 0:
+        raise ValueError("shapes is empty: give at least one shape")
     masses, moments = zip(*(solid(shape, density) for shape in shapes), strict=True)
     return Inertia(mass=jnp.stack([jnp.asarray(m) for m in masses]), moment=jnp.stack(moments))
 

@@ -9,6 +9,7 @@ from rewax.physics.mpm.packing import join as join_particles
 from rewax.physics.mpm.packing import split as split_particles
 from rewax.physics.mpm.scene import MPMScene, MPMState
 from rewax.physics.mpm.stepping import nodes_of_step
+from rewax.physics.numerics.fields import instance
 from rewax.physics.tets.scene import TetScene, TetState
 from rewax.physics.tets.stepping import join as join_vertices
 from rewax.physics.tets.stepping import rest
@@ -16,6 +17,8 @@ from rewax.physics.tets.stepping import split as split_vertices
 
 Scene = MPMScene | TetScene
 Soft = TypeVar("Soft", MPMState, TetState)
+SCENE = instance((MPMScene, TetScene), "give a scene of mpm.make_scene or tets.make_scene")
+STATE = instance((MPMState, TetState), "give a state of mpm.initial_state or tets.initial_state")
 
 
 class Solver(NamedTuple):
@@ -41,11 +44,8 @@ def solver_of(scene: Scene) -> Solver:
     Raises:
       ValueError: it is no scene.
     """
-    if isinstance(scene, MPMScene):
-        return PARTICLES
-    if isinstance(scene, TetScene):
-        return TETRAHEDRA
-    raise ValueError(f"scene is {type(scene).__name__}: give one of mpm.make_scene or tets.make_scene")
+    SCENE("scene", scene)
+    return PARTICLES if isinstance(scene, MPMScene) else TETRAHEDRA
 
 
-__all__ = ["PARTICLES", "TETRAHEDRA", "Scene", "Soft", "Solver", "solver_of"]
+__all__ = ["PARTICLES", "SCENE", "STATE", "TETRAHEDRA", "Scene", "Soft", "Solver", "solver_of"]

@@ -68,4 +68,3 @@ class Grid:
     def axis_nodes(self, axis: int) -> np.ndarray:
         """Coordinate of every node along one axis [m], shape (shape[axis],), float64."""
         return self.origin[axis] + self.spacing * np.arange(self.shape[axis])
-

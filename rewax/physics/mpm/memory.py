@@ -21,7 +21,9 @@ _COUNT = integer(1, "give an integer of at least 1")
 
 
 @checked(
-    scene=SCENE, num_particles=_COUNT, num_substeps=_COUNT, num_envs=_COUNT, horizon=_COUNT, bytes_per_float=one_of(4, 8)
+    **dict.fromkeys(("num_particles", "num_substeps", "num_envs", "horizon"), _COUNT),
+    scene=SCENE,
+    bytes_per_float=one_of(4, 8),
 )
 def predict_peak_bytes(
     scene: MPMScene,

@@ -11,8 +11,10 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose, with_softness
+from rewax.physics.contact.contact_checks import COLLIDERS
 from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.material_checks import MATERIAL
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.scene_checks import (
     VOLUME,
@@ -23,10 +25,19 @@ from rewax.physics.mpm.scene_checks import (
     part_numbers,
 )
 from rewax.physics.mpm.walls import Walls, check_walls
-from rewax.physics.contact.contact_checks import COLLIDERS
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, any_illegal, check_numbers
-from rewax.physics.numerics.fields import check_fields, checked, instance, integer, member, one_of, optional, poses, real, static
-from rewax.physics.mpm.material_checks import MATERIAL
+from rewax.physics.numerics.fields import (
+    check_fields,
+    checked,
+    instance,
+    integer,
+    member,
+    one_of,
+    optional,
+    poses,
+    real,
+    static,
+)
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes import signed_distance
 from rewax.types import Array, Scalar, Vector
@@ -110,10 +121,11 @@ class MPMScene(struct.Replaceable):
         return with_softness(self.colliders, self.grid.spacing)
 
 
-@checked(
-    x=real(FINITE, "give positions in metres", shape=("num_particles", 3)),
-    scene=optional(instance(MPMScene, "give a scene of mpm.make_scene, or None")),
-)
+SCENE = instance(MPMScene, "give a scene of mpm.make_scene")
+STATE = instance(MPMState, "give a state of mpm.initial_state or mpm.step")
+
+
+@checked(x=real(FINITE, "give positions in metres", shape=("num_particles", 3)), scene=optional(SCENE))
 def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
     """Undeformed particles at rest.
 
@@ -235,10 +247,6 @@ def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -
     return 1.0 / jnp.maximum(1.0 / limit, diffusivity)
 
 
-SCENE = instance(MPMScene, "give a scene of mpm.make_scene")
-STATE = instance(MPMState, "give a state of mpm.initial_state or mpm.step")
-
-
 def materials_of(scene: MPMScene) -> tuple[Material, ...]:
     return scene.material if isinstance(scene.material, tuple) else (scene.material,)
 
@@ -288,7 +296,10 @@ def least_particle_mass(scene: MPMScene, dtype: Any) -> Array:
 
 
 @checked(
-    scene=SCENE, state=STATE, bodies=optional(poses("num_bodies")), tolerance=optional(real(FINITE, "give a depth in m"))
+    scene=SCENE,
+    state=STATE,
+    bodies=optional(poses("num_bodies")),
+    tolerance=optional(static(FINITE, "give a depth in metres")),
 )
 def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None, *, tolerance: float | None = None):
     """Checks that particles start inside the box and outside the colliders.

@@ -88,7 +88,7 @@ def check_numbers(numbers: Iterable[Number]) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(number.value)):
             array = jnp.asarray(number.value)
         else:
-            array = _as_array(number)
+            array = _real_array(number)
             holds = number.legal.holds(array)
             if not np.all(holds):
                 raise ValueError(_sentence(number, array, ~holds))
@@ -161,25 +161,27 @@ def shown(value: Any) -> str:
     return text if len(text) <= 100 else f"{text[:97]}..."
 
 
-def _as_array(number: Number) -> np.ndarray:
+def _real_array(number: Number) -> np.ndarray:
     if number.value is None:
         raise ValueError(f"{number.name} is None, but must be {number.legal}: {number.remedy}")
-    array = np.asarray(None)
-    if not (isinstance(number.value, (tuple, list)) and len(number.value) == 0):
-        try:
-            array = np.asarray(number.value)
-        except (TypeError, ValueError):
-            pass
+    is_empty = isinstance(number.value, (tuple, list)) and len(number.value) == 0
+    array = as_array(None if is_empty else number.value)
     if not jnp.issubdtype(array.dtype, jnp.number) or np.iscomplexobj(array):
         raise ValueError(f"{number.name} is {shown(number.value)}, which is no real number: {number.remedy}")
     return array
 
 
+def as_array(value: Any) -> np.ndarray:
+    """The value as a NumPy array; an array of None if it is none."""
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):
+        return np.asarray(None)
+
+
 def fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
     """Whether an array has the wanted shape; a named axis has any length."""
-    return len(shape) == len(wanted) and all(
-        isinstance(w, str) or n == w for n, w in zip(shape, wanted, strict=True)
-    )
+    return len(shape) == len(wanted) and all(isinstance(w, str) or n == w for n, w in zip(shape, wanted, strict=True))
 
 
 def _listed(shape: tuple[int | str, ...]) -> str:

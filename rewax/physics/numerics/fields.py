@@ -1,6 +1,6 @@
 """Tables of rules for arguments and fields: each rule names the argument, its value and the remedy if it fails.
 
-A rule is a function ``(name, value) -> None`` that raises ValueError. ``checked`` applies a table of rules to a function,
+A rule is a function ``(name, value)`` that raises ValueError. ``checked`` applies a table of rules to a function,
 ``check_fields`` to any mapping. Rules check concrete values; of traced arrays they check the shape.
 
 Example:
@@ -23,6 +23,7 @@ import numpy as np
 from rewax.physics.numerics.checks import (
     Legal,
     Number,
+    as_array,
     check_enum,
     check_numbers,
     fits,
@@ -100,7 +101,7 @@ def items(rule: Rule, remedy: str, *, length: int | None = None) -> Rule:
     """A tuple, list or array; ``rule`` checks each item. ``length`` None: any."""
 
     def check(name: str, value: Any) -> None:
-        is_sequence = isinstance(value, (tuple, list)) or (isinstance(value, (np.ndarray, jax.Array)) and value.ndim == 1)
+        is_sequence = isinstance(value, (tuple, list)) or np.ndim(as_array(value)) == 1
         if not is_sequence or (length is not None and len(value) != length):
             raise ValueError(f"{name} is {shown(value)}: {remedy}")
         for i, item in enumerate(value):
@@ -113,7 +114,7 @@ def indices(remedy: str, shape: tuple[int | str, ...]) -> Rule:
     """An array of integers of the given shape (see ``checks.Number``)."""
 
     def rule(name: str, value: Any) -> None:
-        array = _as_array(value)
+        array = as_array(value)
         if not np.issubdtype(array.dtype, np.integer) or not fits(array.shape, shape):
             raise ValueError(f"{name} is {shown(value)}: {remedy}")
 
@@ -133,7 +134,7 @@ def mask(remedy: str, shape: tuple[int | str, ...]) -> Rule:
     """An array of booleans, or of the integers 0 and 1, of the given shape (see ``checks.Number``)."""
 
     def rule(name: str, value: Any) -> None:
-        array = _as_array(value)
+        array = as_array(value)
         if array.dtype.kind not in "bui" or not fits(array.shape, shape):
             raise ValueError(f"{name} is {shown(value)}: {remedy}")
 
@@ -144,7 +145,7 @@ def one_of(*legal: Any) -> Rule:
     """One of a few values."""
 
     def rule(name: str, value: Any) -> None:
-        if isinstance(value, (bool, np.bool_)) or np.ndim(_as_array(value)) or value not in legal:
+        if isinstance(value, (bool, np.bool_)) or np.ndim(as_array(value)) or value not in legal:
             raise ValueError(f"{name} is {shown(value)}: give {' or '.join(map(str, legal))}")
 
     return rule
@@ -175,14 +176,7 @@ def key(name: str, value: Any) -> None:
         raise ValueError(f"{name} is {shown(value)}: give a PRNG key, jax.random.key(0)")
 
 
-def _as_array(value: Any) -> np.ndarray:
-    try:
-        return np.asarray(value)
-    except (TypeError, ValueError):
-        return np.asarray(None)
-
-
 __all__ = [
-    "Rule", "check_fields", "check_range", "checked", "indices", "instance", "integer", "items", "key", "mask", "member", "one_of",
-    "optional", "poses", "real", "static",
+    "Rule", "check_fields", "check_range", "checked", "indices", "instance", "integer", "items", "key", "mask",
+    "member", "one_of", "optional", "poses", "real", "static",
 ]  # fmt: skip

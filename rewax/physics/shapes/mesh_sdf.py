@@ -85,7 +85,9 @@ def check_mesh(mesh: Any) -> np.ndarray:
     if isinstance(mesh, (str, os.PathLike)):
         mesh = _load(os.fspath(mesh))
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise ValueError(f"mesh is {shown(mesh)}: give a path or something with vertices and faces, such as trimesh.Trimesh")
+        raise ValueError(
+            f"mesh is {shown(mesh)}: give a path or something with vertices and faces, such as trimesh.Trimesh"
+        )
     check_fields(_MESH, {"vertices": mesh.vertices, "faces": mesh.faces}, "mesh.")
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if len(faces) == 0:

@@ -7,8 +7,10 @@ import jax.numpy as jnp
 
 from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import POSITIVE, Legal
 from rewax.physics.numerics.components import Mat3
 from rewax.physics.numerics.elastic_constants import lame_parameters
+from rewax.physics.numerics.fields import checked, real
 from rewax.types import Array, Scalar
 
 
@@ -37,6 +39,10 @@ class SmallStrainModuli(NamedTuple):
     """Poisson's ratio [-]."""
 
 
+@checked(
+    youngs_modulus=real(POSITIVE, "give Young's modulus in Pa", shape=None),
+    poissons_ratio=real(Legal(-1.0, 0.5), "take 0.45 for rubber (0.5 is incompressible)", shape=None),
+)
 def stable_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> StableParameters:
     """Parameters with which the law has a given Young's modulus and Poisson's ratio at small strains.
 
@@ -52,6 +58,10 @@ def stable_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> StableP
     return StableParameters(4.0 / 3.0 * m, l + 5.0 / 6.0 * m)
 
 
+@checked(
+    mu=real(POSITIVE, "give the law's shear parameter in Pa", shape=None),
+    lam=real(POSITIVE, "give the law's volume parameter in Pa", shape=None),
+)
 def small_strain_moduli(mu: Scalar, lam: Scalar) -> SmallStrainModuli:
     """Young's modulus and Poisson's ratio of the law at small strains; inverse of ``stable_parameters``.
 

@@ -8,19 +8,10 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.contact_checks import check_ground, penalty_numbers
+from rewax.physics.contact.contact_checks import COLLIDERS, check_ground, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import (
-    FINITE,
-    GRAVITY,
-    POSITIVE,
-    Number,
-    any_illegal,
-    check_enum,
-    check_number,
-    check_numbers,
-    static_number,
-)
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, any_illegal, check_numbers
+from rewax.physics.numerics.fields import check_fields, check_range, checked, instance, member, real, static
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.tets.edges import TetTopology
 from rewax.physics.tets.law import DampingLaw, wave_modulus
@@ -35,6 +26,12 @@ from rewax.physics.tets.scene_checks import (
 from rewax.physics.tets.tetmesh import TetMesh, check_tetmesh
 from rewax.types import Array, Scalar, Vector
 
+DAMPING_LAW = member(DampingLaw)
+_SCENE = {
+    "dt": static(POSITIVE, "give the duration of a substep in seconds"),
+    "colliders": COLLIDERS,
+    "damping_law": DAMPING_LAW,
+}
 STABLE_FRACTION = 0.8
 """Fraction of the bound that ``largest_stable_dt`` derives."""
 
@@ -94,7 +91,7 @@ class TetScene(struct.Replaceable):
     damping_law: DampingLaw = struct.static_field(default=DampingLaw.VELOCITY_GRADIENT)
 
     def __post_init__(self) -> None:
-        check_enum("damping_law", self.damping_law, DampingLaw)
+        DAMPING_LAW("damping_law", self.damping_law)
 
     @property
     def tets(self) -> np.ndarray:
@@ -102,6 +99,11 @@ class TetScene(struct.Replaceable):
         return self.topology.tets
 
 
+SCENE = instance(TetScene, "give a scene of tets.make_scene")
+STATE = instance(TetState, "give a state of tets.initial_state or tets.step")
+
+
+@checked(x=real(FINITE, "give positions in metres", shape=("num_vertices", 3)))
 def initial_state(x: Any) -> TetState:
     """Vertices at rest.
 
@@ -112,9 +114,7 @@ def initial_state(x: Any) -> TetState:
       ValueError: another shape, or a position that is not finite. Of traced positions only the shape is checked.
     """
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
-    if x.ndim != 2 or x.shape[-1] != 3:
-        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_vertices, 3)")
-    check_number("x", x, FINITE, "give positions in m")
+    x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
     return TetState(x=x, v=jnp.zeros_like(x))
 
 
@@ -148,9 +148,10 @@ def make_scene(
         shape, ground or colliders without a contact law, a dt above ``largest_stable_dt``. The message names field,
         value and remedy. ``check_status`` sets ``Status.INVALID_PARAMETERS`` for illegal traced values.
     """
+    check_fields(_SCENE, locals())
     check_tetmesh(mesh)
     num_tets, num_vertices = len(mesh.tets), len(mesh.vertices)
-    dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+    dt = float(dt)
     if ground is not None:
         check_ground(ground)
     density_number = Number("density", density, POSITIVE, "give the rest density in kg/m^3")
@@ -166,11 +167,7 @@ def make_scene(
             "contact is None, but the scene has a ground or colliders: give a PenaltyContact(stiffness=...)"
         )
     held = held_indices(held, num_vertices)
-    if held.size and (held.min() < 0 or held.max() >= num_vertices):
-        raise ValueError(
-            f"held has vertices from {held.min()} to {held.max()}, but there are {num_vertices}: give indices from 0 "
-            f"to {num_vertices - 1}"
-        )
+    check_range("held", held, num_vertices)
     corners = np.asarray(mesh.vertices, np.float64)[mesh.tets]
     rest_edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     share = jnp.asarray(mesh.volumes / 4.0, float) * density
@@ -188,7 +185,7 @@ def make_scene(
         mobility=jnp.ones(num_vertices).at[held].set(0.0) if held.size else None,
         contact=contact,
         ground=ground,
-        colliders=colliders,
+        colliders=tuple(colliders),
         damping_law=damping_law,
     )
     limit = largest_stable_dt(scene)

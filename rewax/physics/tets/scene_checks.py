@@ -44,12 +44,15 @@ def check_length(number: Number, length: int) -> None:
 
 
 def held_indices(held: Any, num_vertices: int) -> np.ndarray:
-    held = np.asarray(held)
+    try:
+        held = np.asarray(held)
+    except ValueError:  # rows of several lengths
+        held = np.asarray(None)
     if held.size == 0:
         return np.zeros(0, int)
     if held.dtype == bool and held.shape == (num_vertices,):
         return np.flatnonzero(held)
-    if held.dtype == bool or not np.issubdtype(held.dtype, np.integer):
+    if held.ndim > 1 or not np.issubdtype(held.dtype, np.integer):
         raise ValueError(
             f"held is an array of {held.dtype} of shape {held.shape}: give indices of vertices, or a mask of shape "
             f"({num_vertices},)"

@@ -18,11 +18,12 @@ from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.fields import checked, instance, optional, poses
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.tets.edges import edges, gather_forces
 from rewax.physics.tets.law import DampingLaw, first_piola_stress
-from rewax.physics.tets.scene import TetScene, TetState, has_invalid_parameters
+from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState, has_invalid_parameters
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
@@ -42,6 +43,7 @@ class Rest(NamedTuple):
     inverse_mass: Array
 
 
+@checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetState:
     """One substep of duration ``scene.dt``: v' = v + dt (f(x, v) / m + g), x' = x + dt v'.
 
@@ -58,6 +60,7 @@ def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetS
     return join(_recomputed_substep(scene, rest(scene), split(state), (before, after)))
 
 
+@checked(scene=SCENE, state=STATE, poses=poses("num_substeps + 1", "num_bodies"))
 def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | None = 1) -> TetState:
     """Advance vertices by the substeps between ``poses``.
 
@@ -81,6 +84,7 @@ def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | No
     return join(scan_substeps(body, split(state), both_ends(poses), store_every))
 
 
+@checked(scene=SCENE, state=STATE)
 def internal_force(scene: TetScene, state: TetState) -> Array:
     """Elastic, active and damping forces on the vertices [N], shape (num_vertices, 3); they sum to zero.
 
@@ -89,6 +93,7 @@ def internal_force(scene: TetScene, state: TetState) -> Array:
     return cp.join_vector(vertex_forces(scene, rest(scene), *split(state)))
 
 
+@checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def contact_force(scene: TetScene, state: TetState, before: Pose, after: Pose) -> Array:
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``."""
     return cp.join_vector(contact_forces(scene, *split(state), (before, after)))
@@ -99,6 +104,7 @@ def deformation_gradient(scene: TetScene, x: Array) -> Array:
     return cp.join_matrix(deformation(scene, rest(scene), cp.split_vector(x)))
 
 
+@checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: TetScene, state: TetState, *, poses: Pose | None = None) -> Array:
     """Status bits of a state (non-finite numbers, flat or inverted tets) and of a scene (illegal numbers).
 
@@ -191,7 +197,7 @@ def contact_forces(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose
     forces = [] if scene.ground is None else [ground_force(scene.ground, scene.contact, x, v)]
     if interval is not None:
         for collider in scene.colliders:
-            start, end = (body_pose(poses, collider.body) for poses in interval)
+            start, end = (body_pose(pose, collider.body) for pose in interval)
             forces.append(collider_force(collider, scene.contact, x, v, start, end, scene.dt))
     return functools.reduce(cp.add, forces) if forces else nothing
 

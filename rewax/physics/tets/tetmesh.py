@@ -8,10 +8,26 @@ import contextlib
 import dataclasses
 import io
 import itertools
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
+from rewax.physics.numerics.fields import (
+    check_fields,
+    check_range,
+    checked,
+    indices,
+    instance,
+    integer,
+    items,
+    mask,
+    one_of,
+    real,
+    static,
+)
 
 MIN_SHAPE = 1e-5
 """Least six-fold volume of a tet over its longest edge cubed; flatter tets are rejected. A cube's corner: 0.35."""
@@ -46,9 +62,19 @@ class TetMesh:
         return float(self.volumes.sum())
 
 
+_MESH = instance(TetMesh, "give a TetMesh, of tetmesh.box or load_tetmesh for example")
+_POINT = real(FINITE, "give a position in metres", shape=(3,))
+_COUNTS = "give the numbers of cells along x, y and z, each at least 1"
+
 # --- Boxes and cells --------------------------------------------------------------------------------------------------
 
 
+@checked(
+    size=real(POSITIVE, "give three edges in metres", shape=(3,)),
+    counts=items(integer(1, _COUNTS), _COUNTS, length=3),
+    center=_POINT,
+    tets_per_cell=one_of(5, 6),
+)
 def box(
     size: Sequence[float],
     counts: Sequence[int],
@@ -69,14 +95,17 @@ def box(
       >>> len(mesh.vertices), len(mesh.tets), mesh.volume
       (45, 96, 2.0)
     """
-    if len(size) != 3 or not np.all(np.asarray(size) > 0):
-        raise ValueError(f"size is {tuple(size)}: give three positive edges in metres")
-    if len(counts) != 3 or not np.all(np.asarray(counts) >= 1):
-        raise ValueError(f"counts is {tuple(counts)}: give how many cells, at least 1, along x, y and z")
+    counts = [int(n) for n in counts]
     lines = [c + s * (np.arange(n + 1) / n - 0.5) for c, s, n in zip(center, size, counts, strict=True)]
     return cells(np.ones(tuple(counts), bool), lines, tets_per_cell=tets_per_cell)
 
 
+@checked(
+    occupied=mask("give a mask of shape (nx, ny, nz)", ("nx", "ny", "nz")),
+    spacing=static(POSITIVE, "give the edge of a cube in metres"),
+    corner=_POINT,
+    tets_per_cell=one_of(5, 6),
+)
 def voxels(
     occupied: np.ndarray,
     spacing: float,
@@ -92,13 +121,19 @@ def voxels(
       corner: lower corner of the cube with index (0, 0, 0) [m].
       tets_per_cell: 5 or 6, see ``cells``.
     """
-    if not spacing > 0:
-        raise ValueError(f"spacing is {spacing}, but must be positive: give the edge of a cube in metres")
     occupied = np.asarray(occupied, bool)
     lines = [c + spacing * np.arange(n + 1) for c, n in zip(corner, occupied.shape, strict=True)]
     return cells(occupied, lines, tets_per_cell=tets_per_cell)
 
 
+_LINE = real(FINITE, "give increasing coordinates in metres", shape=("num_lines",))
+
+
+@checked(
+    occupied=mask("give a mask of shape (nx, ny, nz)", ("nx", "ny", "nz")),
+    lines=items(_LINE, "give three arrays of coordinates in metres", length=3),
+    tets_per_cell=one_of(5, 6),
+)
 def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: int = 6) -> TetMesh:
     """The occupied cells of a rectilinear grid; tets of neighbouring cells share whole faces.
 
@@ -117,10 +152,8 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
       ValueError: no cell, lines of wrong length or not increasing, another number of tets.
     """
     occupied = np.asarray(occupied, bool)
-    if occupied.ndim != 3 or not occupied.any():
-        raise ValueError(
-            f"occupied has shape {occupied.shape} and {occupied.sum()} cells: give (nx, ny, nz), not empty"
-        )
+    if not occupied.any():
+        raise ValueError(f"occupied has shape {occupied.shape} and no cell: give a mask with at least one cell")
     lines = [np.asarray(line, np.float64) for line in lines]
     if [len(line) for line in lines] != [n + 1 for n in occupied.shape]:
         raise ValueError(
@@ -128,8 +161,6 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
         )
     if not all(np.all(np.diff(line) > 0) for line in lines):
         raise ValueError("lines do not increase: sort the coordinates along each axis and remove duplicates")
-    if tets_per_cell not in (5, 6):
-        raise ValueError(f"tets_per_cell is {tets_per_cell}: give 5 or 6")
     index = np.argwhere(occupied)
     corners = _kuhn_corners(index) if tets_per_cell == 6 else _alternating_corners(index)
     shape = tuple(len(line) for line in lines)
@@ -163,6 +194,7 @@ def soft_jumper_table() -> TetMesh:
     return split_edges(mesh, np.asarray([(v, vertex_at[tuple(offset[v] + [0, 2, 0])]) for v in low]))
 
 
+@checked(mesh=_MESH, edges=indices("give pairs of vertices, integers of shape (num_edges, 2)", ("num_edges", 2)))
 def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
     """Halve edges: each gets a vertex in its middle, and each tet around it becomes two consecutive tets.
 
@@ -197,6 +229,7 @@ def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
     return TetMesh(vertices, np.asarray(tets, np.int32))
 
 
+@checked(mesh=_MESH)
 def orient(mesh: TetMesh) -> TetMesh:
     """The same mesh with two vertices of every inverted tet swapped."""
     tets = np.array(mesh.tets)
@@ -205,6 +238,7 @@ def orient(mesh: TetMesh) -> TetMesh:
     return TetMesh(mesh.vertices, tets)
 
 
+@checked(mesh=_MESH)
 def boundary_faces(mesh: TetMesh) -> np.ndarray:
     """Triangles of the surface, counterclockwise seen from outside, int32 of shape (num_faces, 3)."""
     faces = mesh.tets[:, _FACES].reshape(-1, 3)
@@ -215,6 +249,10 @@ def boundary_faces(mesh: TetMesh) -> np.ndarray:
 # --- Files ------------------------------------------------------------------------------------------------------------
 
 
+@checked(
+    path=instance((str, os.PathLike), "give the path of a mesh file"),
+    scale=static(POSITIVE, "give metres per unit of length"),
+)
 def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool = False) -> TetMesh:
     """Tets of a mesh file (.msh, .vtk, .vtu, .mesh or another format of meshio), checked.
 
@@ -262,6 +300,13 @@ def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool 
 # --- Checks -----------------------------------------------------------------------------------------------------------
 
 
+_FIELDS = {
+    "vertices": real(FINITE, "give positions in metres", shape=("num_vertices", 3)),
+    "tets": indices("give integers of shape (num_tets, 4)", ("num_tets", 4)),
+}
+
+
+@checked(mesh=_MESH, min_shape=static(NOT_NEGATIVE, "give a ratio, 1e-5 for example"))
 def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
     """Raise a ValueError with one sentence: the fault of a mesh, its location and the remedy.
 
@@ -272,19 +317,11 @@ def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
       mesh: the mesh.
       min_shape: least six-fold volume over longest edge cubed; a flatter tet is degenerate.
     """
+    check_fields(_FIELDS, vars(mesh))
     vertices, tets = np.asarray(mesh.vertices), np.asarray(mesh.tets)
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise ValueError(f"vertices has shape {vertices.shape}: give positions of shape (num_vertices, 3)")
-    if tets.ndim != 2 or tets.shape[1] != 4 or len(tets) == 0 or not np.issubdtype(tets.dtype, np.integer):
-        raise ValueError(f"tets is {tets.dtype} of shape {tets.shape}: give integers of shape (num_tets, 4)")
-    if tets.min() < 0 or tets.max() >= len(vertices):
-        raise ValueError(
-            f"tets has vertices from {tets.min()} to {tets.max()}, but there are {len(vertices)}: give indices from 0 "
-            f"to {len(vertices) - 1}"
-        )
-    if not np.isfinite(vertices).all():
-        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise ValueError(f"vertices[{bad}] is {vertices[bad]}: give finite positions")
+    if len(tets) == 0:
+        raise ValueError("tets is empty: give at least one tet")
+    check_range("tets", tets, len(vertices))
     _check_shapes(vertices, tets, min_shape)
     unused = np.setdiff1d(np.arange(len(vertices)), tets)
     if len(unused):
