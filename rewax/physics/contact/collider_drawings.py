@@ -5,8 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import Collider, shape_pose
-from rewax.physics.contact.contact_checks import COLLIDERS
+from rewax.physics.contact.colliders import COLLIDERS, Collider, shape_pose
 from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose, body_pose
 

@@ -19,6 +19,7 @@ from rewax.physics.contact.motion import Placed, at_nodes, chord_motion, placed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, static_integer
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import checked, instance, integer, items, static
 from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.shapes.base import Shape
 from rewax.types import Array, Scalar, Vector
@@ -58,6 +59,11 @@ class Collider(struct.Replaceable):
 
     def __post_init__(self) -> None:
         static_integer("Collider.body", self.body, 0, "give the index of a body, counted from 0")
+
+
+COLLIDER = instance(Collider, "give a Collider(shape=..., friction=...)")
+COLLIDERS = items(COLLIDER, "give a tuple of colliders, () for none")
+"""Rules for colliders."""
 
 
 class Overlap(enum.Enum):
@@ -124,6 +130,7 @@ def runs(colliders: Sequence[Collider]) -> list[slice]:
     return [slice(*ends) for ends in itertools.pairwise([0, *ends])]
 
 
+@checked(colliders=COLLIDERS, spacing=static(POSITIVE, "give the grid's spacing in metres"))
 def with_softness(colliders: Sequence[Collider], spacing: float) -> tuple[Collider, ...]:
     """The colliders, with a reach of one cell where the softness is None.
 
@@ -269,6 +276,7 @@ def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
     return cp.vector(after_contact)
 
 
+@checked(colliders=COLLIDERS, num_bodies=integer(0, "give the number of bodies"))
 def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
     """Raises ValueError if a collider's body has no pose (JAX would clamp the index silently)."""
     for i, collider in enumerate(colliders):

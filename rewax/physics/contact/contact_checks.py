@@ -5,18 +5,15 @@ from typing import Any
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.contact.colliders import Collider
+from rewax.physics.contact.colliders import COLLIDER, Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, Number, check_numbers, numbers_of
-from rewax.physics.numerics.fields import instance, items
+from rewax.physics.numerics.checks import FINITE, Number, check_numbers, numbers_of, shown
+from rewax.physics.numerics.fields import instance
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.sizes import size_numbers
 
-_COLLIDER = instance(Collider, "give a Collider(shape=..., friction=...)")
 _LAW = instance(PenaltyContact, "give a PenaltyContact(stiffness=...)")
 _GROUND = instance(Ground, "give a Ground(normal=...)")
-COLLIDERS = items(_COLLIDER, "give a tuple of colliders, () for none")
-"""Rule for the colliders of a scene."""
 
 
 def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None) -> list[Number]:
@@ -24,7 +21,7 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
     numbers = []
     for i, collider in enumerate(colliders):
         name = f"colliders[{i}]"
-        _COLLIDER(name, collider)
+        COLLIDER(name, collider)
         numbers += [*size_numbers(collider.shape, f"{name}.shape"), *numbers_of(collider, f"{name}.")]
     if poses is not None and colliders:
         numbers += [
@@ -45,6 +42,19 @@ def ground_numbers(ground: Ground) -> list[Number]:
     return numbers_of(ground, "ground.")
 
 
+def check_rotations(colliders: tuple[Collider, ...]) -> None:
+    """Raises ValueError for a collider whose matrix ``rotation`` is no rotation. Traced matrices are not checked."""
+    for i, collider in enumerate(colliders):
+        if isinstance(collider.rotation, Tracer):
+            continue
+        matrix = np.asarray(collider.rotation, np.float64)
+        if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) and np.linalg.det(matrix) > 0):
+            raise ValueError(
+                f"colliders[{i}].rotation is {shown(matrix.tolist())}: give a rotation matrix, with orthonormal rows and "
+                "determinant 1"
+            )
+
+
 def check_ground(ground: Any) -> None:
     """Raises ValueError for a ground without a unit normal, or with a number that is not finite."""
     _GROUND("ground", ground)
@@ -55,4 +65,4 @@ def check_ground(ground: Any) -> None:
             raise ValueError(f"ground.normal has length {length:g}: give a unit vector, (0, 1, 0) for y up")
 
 
-__all__ = ["COLLIDERS", "check_ground", "collider_numbers", "ground_numbers", "penalty_numbers"]
+__all__ = ["check_ground", "check_rotations", "collider_numbers", "ground_numbers", "penalty_numbers"]

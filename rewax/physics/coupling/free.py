@@ -150,7 +150,7 @@ def _check(scene: Scene, inertia: Inertia, num_free: int, num_bodies: int) -> No
     check_numbers(inertia_numbers(inertia))
     if inertia.mass.shape != (num_free,):
         raise ValueError(
-            f"inertia has {len(inertia.mass)} bodies, but there are {num_free} free bodies: give the mass properties of "
-            "each free body"
+            f"inertia has {len(inertia.mass)} bodies, but there are {num_free} free bodies: give the mass properties "
+            "of each free body"
         )
     check_bodies(scene.colliders, num_bodies)

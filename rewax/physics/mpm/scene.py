@@ -10,8 +10,8 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
-from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose, with_softness
-from rewax.physics.contact.contact_checks import COLLIDERS
+from rewax.physics.contact.colliders import COLLIDERS, Collider, Overlap, check_bodies, shape_pose, with_softness
+from rewax.physics.contact.contact_checks import check_rotations
 from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import MATERIAL
@@ -188,6 +188,7 @@ def make_scene(
     check_fields(_SCENE, locals())
     materials = check_materials(material, particle_counts)
     check_numbers(part_numbers(materials, particle_volume, gravity, colliders, walls))
+    check_rotations(colliders)
     check_lengths(materials, particle_counts, particle_volume)
     check_walls(walls, grid)
     dt = float(dt)
@@ -215,7 +216,7 @@ def make_scene(
     )
 
 
-@checked(material=MATERIAL, grid=_GRID, max_speed=real(NOT_NEGATIVE, "give a speed in m/s", shape=None))
+@checked(material=MATERIAL, grid=_GRID, max_speed=real(NOT_NEGATIVE, "give a speed in m/s"))
 def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -> Scalar:
     """Largest substep [s] at which the explicit integration stays stable.
 

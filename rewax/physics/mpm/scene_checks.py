@@ -12,7 +12,7 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import check_material, material_numbers
 from rewax.physics.mpm.materials import Material, parameters_of
 from rewax.physics.mpm.walls import Walls, wall_numbers
-from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, static_integer
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, shown, static_integer
 from rewax.physics.numerics.pose import Pose
 from rewax.types import Array
 
@@ -49,7 +49,7 @@ def check_materials(material: Any, particle_counts: Any) -> tuple[Material, ...]
     counts = particle_counts if isinstance(particle_counts, (tuple, list)) else (0,)
     if (particle_counts is None) == several or len(counts) != len(materials):
         raise ValueError(
-            f"particle_counts is {particle_counts} with {len(materials)} materials: give a tuple of materials and the "
+            f"particle_counts is {shown(particle_counts)} with {len(materials)} materials: give a tuple of materials and the "
             "number of particles of each, in their order; or one material and no particle_counts"
         )
     for i, count in enumerate(counts if several else ()):

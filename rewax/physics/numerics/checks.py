@@ -138,7 +138,7 @@ def static_integer(name: str, value: Any, least: int, remedy: str) -> int:
     """An integer, checked, as a Python int. Booleans are no integers."""
     try:
         number = int(value)
-        legal = number == value and number >= least and not isinstance(value, (bool, np.bool_))
+        legal = number == value and least <= number < 2**31 and not isinstance(value, (bool, np.bool_))
     except (TypeError, ValueError, OverflowError):
         legal = False
     if not legal:

@@ -73,8 +73,14 @@ def static(legal: Legal, remedy: str) -> Rule:
 
 
 def integer(least: int, remedy: str) -> Rule:
-    """An integer of at least ``least``, not traced."""
-    return lambda name, value: static_integer(name, value, least, remedy)
+    """An integer of at least ``least``, not traced and no float."""
+
+    def rule(name: str, value: Any) -> None:
+        if not (isinstance(value, int) or np.issubdtype(as_array(value).dtype, np.integer)):
+            raise ValueError(f"{name} is {shown(value)}: {remedy}")
+        static_integer(name, value, least, remedy)
+
+    return rule
 
 
 def member(kind: type[enum.Enum]) -> Rule:

@@ -2,12 +2,12 @@
 
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import shown
+from rewax.physics.numerics.checks import as_array, shown
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes import quadrature
 from rewax.physics.shapes.distance_surface import distance_surface
@@ -145,7 +145,8 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
       ball, the axis of a capsule) the normal is not defined: there it is zero, or the mean of the normals around (on
       the axis of a cone), or that of one nearest point (in an ellipsoid). Edges take the normal of one side.
     """
-    if np.shape(points)[-1:] != (3,):
+    given = points if isinstance(points, jax.Array) else as_array(points)
+    if given.shape[-1:] != (3,) or not jnp.issubdtype(given.dtype, jnp.number):
         raise ValueError(f"points is {shown(points)}: give points of shape (..., 3) in metres")
     d, n = require_shape(shape).distance(cp.split_vector(jnp.asarray(points)))
     return d, cp.join_vector(n)

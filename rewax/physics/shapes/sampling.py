@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.numerics.checks import FINITE, POSITIVE
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.fields import checked, integer, key, real, static
 from rewax.physics.shapes.base import Shape, signed_distance
 from rewax.physics.shapes.poisson_disk import maximal_poisson_disk
+from rewax.physics.shapes.sizes import check_sizes
 from rewax.physics.shapes.volumes import bounding_box, volume
 from rewax.types import Array, Key
 
@@ -25,7 +26,7 @@ CHUNK = 8192
 @checked(
     key=key,
     center=real(FINITE, "give a position in metres", shape=(3,)),
-    size=real(FINITE, "give three edges in metres", shape=(3,)),
+    size=real(NOT_NEGATIVE, "give three edges in metres", shape=(3,)),
     num=integer(1, "give the number of points, at least 1"),
 )
 def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence[float], num: int) -> Array:
@@ -85,7 +86,7 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-@checked(spacing=static(POSITIVE, "give the distance of neighbours in metres"))
+@checked(shape=check_sizes, spacing=static(POSITIVE, "give the distance of neighbours in metres"))
 def fill(shape: Shape, spacing: float) -> np.ndarray:
     """Points of a cubic lattice that lie in a shape, symmetric about the middle of its bounding box.
 
@@ -115,7 +116,7 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
     return points
 
 
-@checked(key=key, num=integer(1, "give the number of points, at least 1"))
+@checked(key=key, shape=check_sizes, num=integer(1, "give the number of points, at least 1"))
 def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
     """Uniformly random points in a shape.
 
@@ -147,7 +148,7 @@ def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
     return np.concatenate(found)[:num]
 
 
-@checked(key=key, radius=static(POSITIVE, "give the smallest distance of two points in metres"))
+@checked(key=key, shape=check_sizes, radius=static(POSITIVE, "give the smallest distance of two points in metres"))
 def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
     """Random points in a shape, at least a radius apart and without gaps: blue noise.
 

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from rewax.physics.numerics.checks import Number, numbers_of
+from rewax.physics.numerics.checks import Number, check_numbers, numbers_of
 from rewax.physics.shapes.base import Shape, require_shape
 
 
@@ -29,4 +29,9 @@ def size_numbers(shape: Any, name: str) -> list[Number]:
     return numbers
 
 
-__all__ = ["size_numbers"]
+def check_sizes(name: str, shape: Any) -> None:
+    """Raises ValueError for an object that is no ``Shape``, and for illegal sizes: a rule of ``fields``."""
+    check_numbers(size_numbers(shape, name))
+
+
+__all__ = ["check_sizes", "size_numbers"]

@@ -4,7 +4,8 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.shapes.base import Shape, require_shape
+from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.sizes import check_sizes
 from rewax.types import Scalar
 
 
@@ -16,7 +17,8 @@ def volume(shape: Shape) -> Scalar:
 
     Gradient: exact for the value that the shape's method computes.
     """
-    return require_shape(shape).volume()
+    check_sizes("shape", shape)
+    return shape.volume()
 
 
 def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
@@ -30,7 +32,7 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
 
     Gradient: none.
     """
-    require_shape(shape)
+    check_sizes("shape", shape)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(shape)):
         raise ValueError("the sizes of shape are traced: call bounding_box before jit, or use shape.bounding_box()")
     with jax.ensure_compile_time_eval():

@@ -40,8 +40,8 @@ class SmallStrainModuli(NamedTuple):
 
 
 @checked(
-    youngs_modulus=real(POSITIVE, "give Young's modulus in Pa", shape=None),
-    poissons_ratio=real(Legal(-1.0, 0.5), "take 0.45 for rubber (0.5 is incompressible)", shape=None),
+    youngs_modulus=real(POSITIVE, "give Young's modulus in Pa"),
+    poissons_ratio=real(Legal(-1.0, 0.5), "take 0.45 for rubber (0.5 is incompressible)"),
 )
 def stable_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> StableParameters:
     """Parameters with which the law has a given Young's modulus and Poisson's ratio at small strains.
@@ -59,8 +59,8 @@ def stable_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> StableP
 
 
 @checked(
-    mu=real(POSITIVE, "give the law's shear parameter in Pa", shape=None),
-    lam=real(POSITIVE, "give the law's volume parameter in Pa", shape=None),
+    mu=real(POSITIVE, "give the law's shear parameter in Pa"),
+    lam=real(POSITIVE, "give the law's volume parameter in Pa"),
 )
 def small_strain_moduli(mu: Scalar, lam: Scalar) -> SmallStrainModuli:
     """Young's modulus and Poisson's ratio of the law at small strains; inverse of ``stable_parameters``.

@@ -7,8 +7,8 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
-from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.contact_checks import COLLIDERS, check_ground, penalty_numbers
+from rewax.physics.contact.colliders import COLLIDERS, Collider
+from rewax.physics.contact.contact_checks import check_ground, check_rotations, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, any_illegal, check_numbers
 from rewax.physics.numerics.fields import check_fields, check_range, checked, instance, member, real, static
@@ -157,6 +157,7 @@ def make_scene(
     density_number = Number("density", density, POSITIVE, "give the rest density in kg/m^3")
     numbers = material_numbers(mu, lam, damping, activation)
     check_numbers([density_number, *numbers, *contact_numbers(contact, ground, colliders), gravity_number(gravity)])
+    check_rotations(colliders)
     for number in (density_number, *numbers):
         check_length(number, num_tets)
     for number in () if contact is None else penalty_numbers(contact):
