@@ -1,5 +1,6 @@
 """Colours of particles and shapes: by material, or by a number."""
 
+import colorsys
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -27,8 +28,17 @@ SCALE = np.array(
 
 
 def material_colors(names: Sequence[str]) -> np.ndarray:
-    """Colour of each material, shape (num_materials, 3)."""
-    return np.array([MATERIALS.get(name, OTHER) for name in names] or [OTHER], np.float32)
+    """Colour of each material, shape (num_materials, 3); ``water_2`` and ``water_3`` are shades of ``water``."""
+    return np.array([_material_color(name) for name in names] or [OTHER], np.float32)
+
+
+def _material_color(name: str) -> tuple[float, float, float]:
+    base, _, number = name.rpartition("_")
+    if not (base and number.isdecimal()):
+        return MATERIALS.get(name, OTHER)
+    hue, lightness, saturation = colorsys.rgb_to_hls(*MATERIALS.get(base, OTHER))
+    step = int(number) - 1
+    return colorsys.hls_to_rgb((hue + 0.11 * step) % 1.0, lightness * 0.8**step, saturation)
 
 
 def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -1,5 +1,6 @@
 """How soft bodies look in pictures: what they are made of, how fast and how strained each particle is, the floor."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -32,7 +33,7 @@ def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any
             looks["floor"] = float(np.asarray(scene.ground.height))
         return looks
     parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
-    looks = {"material_names": tuple(part.look for part in parts)}
+    looks = {"material_names": unique_names([part.look for part in parts])}
     if scene.particle_counts is not None:
         looks["materials"] = np.repeat(np.arange(len(parts)), scene.particle_counts)
     axis = int(np.argmax(np.abs(up)))
@@ -40,6 +41,11 @@ def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any
     if wall is not None and abs(up[axis]) > 0.99:
         looks["floor"] = float(np.sign(up[axis]) * wall.position)
     return looks
+
+
+def unique_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names with ``_2``, ``_3``, ... after those that repeat: ``("elastic", "elastic_2", "water")``."""
+    return tuple(name if (n := names[:i].count(name)) == 0 else f"{name}_{n + 1}" for i, name in enumerate(names))
 
 
 def soft_values(soft: MPMState | TetState) -> dict[str, Array]:

@@ -50,8 +50,8 @@ def check_rotations(colliders: tuple[Collider, ...]) -> None:
         matrix = np.asarray(collider.rotation, np.float64)
         if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) and np.linalg.det(matrix) > 0):
             raise ValueError(
-                f"colliders[{i}].rotation is {shown(matrix.tolist())}: give a rotation matrix, with orthonormal rows and "
-                "determinant 1"
+                f"colliders[{i}].rotation is {shown(matrix.tolist())}: give a rotation matrix, with orthonormal rows "
+                "and determinant 1"
             )
 
 

@@ -179,5 +179,5 @@ def test_a_list_holds_all_nodes_of_particles_that_moved_as_far_as_they_may(reach
 def test_impossible_numbers_are_refused():
     with pytest.raises(ValueError, match="max_active_nodes is 26: give at least the 27 that one particle touches"):
         make(max_active_nodes=26)
-    with pytest.raises(ValueError, match=r"^reach is 0\.7: give 1 or 0\.5, the cells that a particle may move"):
+    with pytest.raises(ValueError, match=r"^reach is 0\.7: give 0\.5 or 1\.0$"):
         make(reach=0.7)

@@ -69,7 +69,7 @@ def test_repeats_are_bit_identical():
 
 def test_store_every_must_divide():
     scene, state = cube()
-    with pytest.raises(ValueError, match="store_every is 3 with 4 substeps"):
+    with pytest.raises(ValueError, match="store_every is 3: give an integer that divides the 4 substeps"):
         mpm.step(scene, state, mpm.static_poses(4), store_every=3)
 
 
