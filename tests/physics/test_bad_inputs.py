@@ -55,7 +55,7 @@ NAN = float("nan")
 TABLE = [
     # The grid, walls and the scene
     (lambda: Grid(shape=(8, 8, 8), spacing=True), "Grid.spacing is True, which is no real number: give a distance"),
-    (lambda: Grid(shape=[[8], [8, 8], 8], spacing=0.1), "Grid.shape is [[8], [8, 8], 8]: give three numbers of nodes"),
+    (lambda: Grid(shape=[[8], [8, 8], 8], spacing=0.1), "Grid.shape[0] is [8]: give three numbers of nodes"),
     (
         lambda: Grid(shape=(8, 8, 8), spacing=0.1, origin=np.eye(3)),
         "Grid.origin is an array of float64 of shape (3, 3)",
@@ -89,7 +89,7 @@ TABLE = [
     (lambda: scene(particle_volume=np.ones(0)), "particle_volume has shape (0,): give shape (), or one entry for each"),
     (
         lambda: scene(gravity=np.array([False, True, False])),
-        "gravity is array([False,  True, False]), which is no real",
+        "gravity is array([False, True, False]), which is no real",
     ),
     (
         lambda: scene(material=(SOLID, SOLID), particle_counts=(True, 2)),
@@ -224,8 +224,8 @@ TABLE = [
     (lambda: tetmesh.box((1, 1, 1), (1, 1, 1), center=(0, 0)), "center has shape (2,): give an array of shape (3,)"),
     (lambda: tetmesh.voxels(True, 0.1), "occupied is True: give a mask of shape (nx, ny, nz)"),
     (
-        lambda: tetmesh.voxels(np.ones((1, 1, 1)), "fine"),
-        "occupied is array([[[1.]]]): give a mask of shape (nx, ny, nz)",
+        lambda: tetmesh.voxels(np.full((1, 1, 1), 0.5), 0.1),
+        "occupied is array([[[0.5]]]): give a mask of shape (nx, ny, nz)",
     ),
     (lambda: tetmesh.cells(np.ones((1, 1, 1), bool), 1.0), "lines is 1.0: give three arrays of coordinates in metres"),
     (

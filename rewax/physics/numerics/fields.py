@@ -137,11 +137,11 @@ def check_range(name: str, indices: np.ndarray, count: int) -> None:
 
 
 def mask(remedy: str, shape: tuple[int | str, ...]) -> Rule:
-    """An array of booleans, or of the integers 0 and 1, of the given shape (see ``checks.Number``)."""
+    """An array of booleans, or of zeros and ones, of the given shape (see ``checks.Number``)."""
 
     def rule(name: str, value: Any) -> None:
         array = as_array(value)
-        if array.dtype.kind not in "bui" or not fits(array.shape, shape):
+        if array.dtype.kind not in "buif" or not fits(array.shape, shape) or not np.isin(array, (0, 1)).all():
             raise ValueError(f"{name} is {shown(value)}: {remedy}")
 
     return rule

@@ -54,7 +54,11 @@ def test_materials_of_one_kind_have_names_of_their_own():
     assert unique_names(["elastic", "water", "elastic", "elastic"]) == ("elastic", "water", "elastic_2", "elastic_3")
     soft, hard = (Material(density=1e3, elasticity=Hencky(youngs_modulus=e, poissons_ratio=0.3)) for e in (1e3, 1e4))
     scene = make_scene(
-        grid=Grid(shape=(8, 8, 8), spacing=0.1), dt=1e-4, material=(soft, hard), particle_counts=(2, 3), particle_volume=1e-4
+        grid=Grid(shape=(8, 8, 8), spacing=0.1),
+        dt=1e-4,
+        material=(soft, hard),
+        particle_counts=(2, 3),
+        particle_volume=1e-4,
     )
     appearance = soft_appearance(scene, np.array([0.0, 1.0, 0.0]))
     assert appearance["material_names"] == ("elastic", "elastic_2")

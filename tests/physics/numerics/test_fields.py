@@ -45,7 +45,7 @@ RULES = {
     "optional": (optional(LENGTH), (None, 1.0), (0.0, "a")),
     "items": (items(LENGTH, "give two", length=2), ((1.0, 2.0), [1, 2], np.ones(2)), ((1.0,), None, "ab", 1.0, (1.0, 0.0))),
     "indices": (indices("give pairs", ("n", 2)), ([[0, 1]], np.zeros((3, 2), int)), ([0, 1], [[0.0, 1.0]], None, [[0], []])),
-    "mask": (mask("give a mask", ("n",)), ([True, False], np.ones(3, int)), (True, [0.5], "a", None, [[True]])),
+    "mask": (mask("give a mask", ("n",)), ([True, False], np.ones(3)), (True, [0.5], "a", None, [[True]])),
     "one_of": (one_of(5, 6), (5, 6.0), (7, True, None, "5", [5], np.ones(2))),
     "poses": (poses("num_bodies"), (Pose(jnp.zeros((2, 3)), jnp.zeros((2, 3, 3))),), (static_poses(1), None, jnp.zeros(3))),
     "key": (key, (jax.random.key(0), jax.random.PRNGKey(0)), (0, None, "a", jnp.zeros(2))),
@@ -70,9 +70,9 @@ def test_items_are_named_by_their_index():
 def test_traced_values_are_checked_for_their_shape_only():
     rule = real(POSITIVE, "give points", ("n", 3))
     jax.jit(lambda x: rule("x", x))(-jnp.ones((2, 3)))
-    with pytest.raises(ValueError, match=r"^x has shape \(3,\): give an array of shape \(n, 3\)$"):
+    with pytest.raises(ValueError, match=r"^x has shape \(3,\): give an array of shape \(n, 3\)"):
         jax.jit(lambda x: rule("x", x))(jnp.ones(3))
-    with pytest.raises(ValueError, match="^x has shape .2,.: give one number$"):
+    with pytest.raises(ValueError, match=r"^x has shape \(2,\): give one number"):
         jax.jit(lambda x: LENGTH("x", x))(jnp.ones(2))
 
 

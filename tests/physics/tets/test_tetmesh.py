@@ -73,7 +73,7 @@ def test_split_edges():
     check_tetmesh(split)
     assert len(split.tets) == 12 and split.volumes == pytest.approx(1 / 12)
     np.testing.assert_array_equal(split.vertices[-1], 0.0)
-    with pytest.raises(ValueError, match=r"\[0, 99\] is no edge of the mesh"):
+    with pytest.raises(ValueError, match=r"edges has \[0, 99\], which is no edge of the mesh"):
         tetmesh.split_edges(mesh, np.array([[0, 99]]))
     with pytest.raises(ValueError, match=r"edges has two edges of the tet .*: call split_edges once for each"):
         tetmesh.split_edges(mesh, mesh.tets[0][[[0, 1], [1, 2]]])
@@ -151,12 +151,12 @@ HINGE = tetmesh.voxels(np.array([[[1], [0]], [[0], [1]]], bool), 1.0)
 @pytest.mark.parametrize(
     ("mesh", "message"),
     [
-        (changed(vertices=UNIT.vertices[:, :2]), r"vertices has shape \(8, 2\): give positions"),
-        (changed(tets=UNIT.tets[:, :3]), r"tets is int32 of shape \(5, 3\): give integers"),
-        (changed(tets=UNIT.tets.astype(float)), r"tets is float64 of shape \(5, 4\): give integers"),
-        (changed(tets=UNIT.tets[:0]), r"tets is int32 of shape \(0, 4\)"),
-        (changed(tets=UNIT.tets + 1), "tets has vertices from 1 to 8, but there are 8: give indices from 0 to 7"),
-        (changed(vertices=with_rows(UNIT.vertices, 3, np.nan)), r"vertices\[3\] is \[nan nan nan\]: give finite positions"),
+        (changed(vertices=UNIT.vertices[:, :2]), r"vertices has shape \(8, 2\): give an array of shape \(num_vertices, 3\)"),
+        (changed(tets=UNIT.tets[:, :3]), r"tets is an array of int32 of shape \(5, 3\): give integers"),
+        (changed(tets=UNIT.tets.astype(float)), r"tets is an array of float64 of shape \(5, 4\): give integers"),
+        (changed(tets=UNIT.tets[:0]), "tets is empty: give at least one tet"),
+        (changed(tets=UNIT.tets + 1), "tets has indices from 1 to 8, but there are 8 vertices: give indices from 0 to 7"),
+        (changed(vertices=with_rows(UNIT.vertices, 3, np.nan)), r"vertices\[3, 0\] is nan, but must be finite: give positions"),
         (changed(tets=with_rows(UNIT.tets, 2, UNIT.tets[2][[1, 0, 2, 3]])), r"tets has 1 of 5 inverted \(tet 2 .*: swap two"),
         (changed(tets=with_rows(UNIT.tets, 1, UNIT.tets[1][[0, 1, 2, 2]])), r"tets has 1 degenerate ones \(tet 1 .* remesh, or"),
         (changed(vertices=UNIT.vertices * [1, 1, 1e-6]), "tets has 5 degenerate ones"),
@@ -174,11 +174,11 @@ def test_faults_are_named(mesh, message):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: tetmesh.box((1.0, 0.0, 1.0), (1, 1, 1)), r"size is \(1.0, 0.0, 1.0\): give three positive edges"),
-        (lambda: tetmesh.box((1.0, 1.0, 1.0), (1, 0, 1)), r"counts is \(1, 0, 1\): give how many cells"),
+        (lambda: tetmesh.box((1.0, 0.0, 1.0), (1, 1, 1)), r"size\[1\] is 0\.0, but must be positive: give three edges"),
+        (lambda: tetmesh.box((1.0, 1.0, 1.0), (1, 0, 1)), r"counts\[1\] is 0: give the numbers of cells"),
         (lambda: tetmesh.box((1.0, 1.0, 1.0), (1, 1, 1), tets_per_cell=7), "tets_per_cell is 7: give 5 or 6"),
         (lambda: tetmesh.voxels(np.ones((1, 1, 1)), 0.0), "spacing is 0.0, but must be positive"),
-        (lambda: tetmesh.voxels(np.zeros((1, 2, 1)), 1.0), r"occupied has shape \(1, 2, 1\) and 0 cells: give"),
+        (lambda: tetmesh.voxels(np.zeros((1, 2, 1)), 1.0), r"occupied has shape \(1, 2, 1\) and no cell: give"),
         (lambda: tetmesh.cells(np.ones((1, 1, 1)), [[0, 1]] * 2 + [[0, 1, 2]]), r"lines have \[2, 2, 3\] coordinates for"),
         (lambda: tetmesh.cells(np.ones((1, 1, 1)), [[0, 1]] * 2 + [[1, 0]]), "lines do not increase: sort"),
     ],
