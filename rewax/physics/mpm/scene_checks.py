@@ -49,8 +49,8 @@ def check_materials(material: Any, particle_counts: Any) -> tuple[Material, ...]
     counts = particle_counts if isinstance(particle_counts, (tuple, list)) else (0,)
     if (particle_counts is None) == several or len(counts) != len(materials):
         raise ValueError(
-            f"particle_counts is {shown(particle_counts)} with {len(materials)} materials: give a tuple of materials and "
-            "the number of particles of each, in their order; or one material and no particle_counts"
+            f"particle_counts is {shown(particle_counts)} with {len(materials)} materials: give a tuple of materials "
+            "and the number of particles of each, in their order; or one material and no particle_counts"
         )
     for i, count in enumerate(counts if several else ()):
         static_integer(f"particle_counts[{i}]", count, 1, f"give the number of particles of material[{i}], at least 1")
