@@ -35,7 +35,7 @@ def static_field(**kwargs: Any) -> Any:
 
 
 def number(
-    legal: Any, remedy: str, *, shape: tuple[int, ...] | None = None, vector: bool = False, **kwargs: Any
+    legal: Any, remedy: str, *, shape: tuple[int | str, ...] | None = None, vector: bool = False, **kwargs: Any
 ) -> Any:
     """A field that holds a number, or an array of them, with what it may be.
 
@@ -45,7 +45,7 @@ def number(
     Args:
       legal: a ``rewax.physics.numerics.checks.Legal``, ``POSITIVE`` for example.
       remedy: what messages advise, "give a length in metres".
-      shape: the shape that the value must have; None: any.
+      shape: the shape that the value must have, with a name for each axis of any length; None: any shape.
       vector: the value is one vector, or one for each particle, of shape (3,) or (num_particles, 3).
       kwargs: ``default`` for example; a field whose default is None may be None.
     """
