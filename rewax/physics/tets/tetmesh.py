@@ -28,15 +28,13 @@ from rewax.physics.numerics.fields import (
     real,
     static,
 )
+from rewax.physics.tets.tetmesh_checks import EDGES, FACES, check_connections, check_shapes, signed_volumes
 
 MIN_SHAPE = 1e-5
 """Least six-fold volume of a tet over its longest edge cubed; flatter tets are rejected. A cube's corner: 0.35."""
 TABLE_CELL = 0.354428
 """Edge of a cell of the table of the task SoftJumper [m]."""
 _TABLE_CORNER = (-1.160, 0.007, -1.221)
-_FACES = np.asarray([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""Vertices of the face opposite each vertex, counterclockwise seen from outside."""
-_EDGES = np.asarray(list(itertools.combinations(range(4), 2)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ class TetMesh:
     @property
     def volumes(self) -> np.ndarray:
         """Volume of each tet [m^3], shape (num_tets,), negative where it is inverted."""
-        return _signed_volumes(self.vertices, self.tets)
+        return signed_volumes(self.vertices, self.tets)
 
     @property
     def volume(self) -> float:
@@ -209,7 +207,7 @@ def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
     middle = {frozenset(map(int, edge)): first + i for i, edge in enumerate(np.asarray(edges))}
     unused, tets = set(middle), []
     for tet in mesh.tets:
-        hits = [e for e in _EDGES if frozenset(map(int, tet[e])) in middle]
+        hits = [e for e in EDGES if frozenset(map(int, tet[e])) in middle]
         if len(hits) > 1:
             raise ValueError(f"edges has two edges of the tet {tet.tolist()}: call split_edges once for each")
         if not hits:
@@ -241,7 +239,7 @@ def orient(mesh: TetMesh) -> TetMesh:
 @checked(mesh=_MESH)
 def boundary_faces(mesh: TetMesh) -> np.ndarray:
     """Triangles of the surface, counterclockwise seen from outside, int32 of shape (num_faces, 3)."""
-    faces = mesh.tets[:, _FACES].reshape(-1, 3)
+    faces = mesh.tets[:, FACES].reshape(-1, 3)
     _, inverse, counts = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
     return faces[counts[inverse.reshape(-1)] == 1]
 
@@ -322,61 +320,14 @@ def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
     if len(tets) == 0:
         raise ValueError("tets is empty: give at least one tet")
     check_range("tets", tets, len(vertices))
-    _check_shapes(vertices, tets, min_shape)
+    check_shapes(vertices, tets, min_shape)
     unused = np.setdiff1d(np.arange(len(vertices)), tets)
     if len(unused):
         raise ValueError(
             f"vertices has {len(unused)} that no tet uses (the first is {unused[0]}), which would have no mass: "
             "remove them and renumber tets"
         )
-    _check_connections(tets)
-
-
-def _check_shapes(vertices: np.ndarray, tets: np.ndarray, min_shape: float) -> None:
-    volumes = _signed_volumes(vertices, tets)
-    ends = vertices[tets[:, _EDGES]]
-    longest = np.sqrt(np.sum((ends[:, :, 0] - ends[:, :, 1]) ** 2, axis=-1)).max(axis=1)
-    flat = np.flatnonzero(np.abs(6 * volumes) <= min_shape * longest**3)
-    if len(flat):
-        t = int(flat[0])
-        raise ValueError(
-            f"tets has {len(flat)} degenerate ones (tet {t} with vertices {tets[t].tolist()} has volume "
-            f"{volumes[t]:.3g} m^3 for edges of up to {longest[t]:.3g} m): remesh, or remove them"
-        )
-    inverted = np.flatnonzero(volumes < 0)
-    if len(inverted):
-        t = int(inverted[0])
-        raise ValueError(
-            f"tets has {len(inverted)} of {len(tets)} inverted (tet {t} with vertices {tets[t].tolist()} has volume "
-            f"{volumes[t]:.3g} m^3): swap two vertices of each, as tetmesh.orient does"
-        )
-
-
-def _check_connections(tets: np.ndarray) -> None:
-    faces = np.sort(tets[:, _FACES].reshape(-1, 3), axis=1)
-    _, face, counts = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
-    face = face.reshape(-1, 4)
-    if counts.max() > 2:
-        crowded = faces[int(np.flatnonzero(face.reshape(-1) == counts.argmax())[0])]
-        raise ValueError(
-            f"tets has {counts.max()} around the face {crowded.tolist()}, where at most two can meet: remove overlaps "
-            "and duplicates"
-        )
-    part = np.arange(len(tets))
-    while True:
-        lowest = np.full(len(counts), len(tets))
-        np.minimum.at(lowest, face, part[:, None])
-        new = lowest[face].min(axis=1)
-        new = new[new]  # pointer jumping: two steps at once
-        if np.array_equal(new, part):
-            break
-        part = new
-    parts, sizes = np.unique(part, return_counts=True)
-    if len(parts) > 1:
-        raise ValueError(
-            f"tets form {len(parts)} parts without a common face, of {', '.join(map(str, sizes[:5]))}"
-            f"{', ...' if len(parts) > 5 else ''} tets: merge coincident vertices, or simulate each part as a mesh"
-        )
+    check_connections(tets)
 
 
 # --- Decompositions of a cell -----------------------------------------------------------------------------------------
@@ -397,11 +348,6 @@ def _alternating_corners(index: np.ndarray) -> np.ndarray:
     odd = even * [-1, 1, 1] + [1, 0, 0]
     is_odd = (index.sum(axis=1) % 2 == 1)[:, None, None, None]
     return index[:, None, None] + np.where(is_odd, odd, even)
-
-
-def _signed_volumes(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    a, b, c, d = np.moveaxis(np.asarray(vertices, np.float64)[tets], 1, 0)
-    return np.einsum("ti,ti->t", b - a, np.cross(c - a, d - a)) / 6.0
 
 
 __all__ = [
