@@ -253,7 +253,7 @@ def test_clear_errors(dough):
     other = scene.replace(colliders=(collider(BOX, body=3),))
     with pytest.raises(ValueError, match="collider 0 belongs to body 3, but there are poses of 1 bodies"):
         coupling.step(other, inertia_of(0.1), state, falling(), mpm.static_poses(2))
-    with pytest.raises(ValueError, match="give \\(num_bodies, 3\\)"):
+    with pytest.raises(ValueError, match="give an array of shape \\(num_bodies, 3\\)"):
         free_body.bodies_at_rest([0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match=r"density is -1\.0, but must be positive"):
         free_body.solid(BOX, -1.0)

@@ -128,7 +128,7 @@ def test_active_fibres_pull_along_themselves(x64):
 
 
 def test_scenes_that_do_not_fit_together_are_refused():
-    with pytest.raises(ValueError, match="give a tuple of materials and how many particles are of each"):
+    with pytest.raises(ValueError, match="give a tuple of materials and the number of particles of each"):
         make((SOLID, WATER))
     with pytest.raises(ValueError, match="give a tuple of materials"):
         make(SOLID, particle_counts=(8,))
