@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.numerics.checks import (
@@ -176,7 +177,7 @@ def poses(*axes: str) -> Rule:
 
 def key(name: str, value: Any) -> None:
     """A PRNG key of JAX, typed or raw, possibly traced."""
-    is_typed = isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key)
+    is_typed = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
     is_raw = getattr(value, "dtype", None) == np.uint32 and getattr(value, "ndim", 0) > 0
     if not (is_typed or is_raw):
         raise ValueError(f"{name} is {shown(value)}: give a PRNG key, jax.random.key(0)")
