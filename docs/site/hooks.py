@@ -1,7 +1,7 @@
 """Files outside ``docs/`` that belong to the site, links to them, and a check that no public name is left out.
 
-A link such as ``../examples/train_sapo.py`` works where the repository is browsed. In the site the same files lie
-beside the pages, so ``../`` goes.
+A link such as ``../examples/train_sapo.py`` works where the repository is browsed. In the site the folder ``examples``
+lies beside the pages, one level higher.
 """
 
 import ast
@@ -29,8 +29,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Links as they are in the site, and fences without what the tests read in them."""
     if page.file.src_uri in PAGES:
         return markdown.replace("](docs/", "](")
-    if "/" not in page.file.src_uri:
-        markdown = markdown.replace("](../", "](")
+    up = "../" * page.file.src_uri.count("/")
+    markdown = markdown.replace(f"]({up}../examples/", f"]({up}examples/")
     return re.sub(r"^(```\w+) \w+$", r"\1", markdown, flags=re.MULTILINE)
 
 
