@@ -33,8 +33,8 @@ With empty caches `rewax play HandFlip` takes 12 s on two cores of an EPYC, buil
     time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
 
 The numbers are mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
-Each policy is the best of one or two seeds; [the suite](measured/small_suite.md) has all algorithms. Scale `paper` is named
-where there is a policy at it: `rewax play AntRun --scale paper`.
+Each policy is the best of one or two seeds; [the suite](measured/small_suite.md) has all algorithms. Scale `paper` is
+named where there is a policy at it: `rewax play AntRun --scale paper`.
 Pictures and curves are those of the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds.
 In code: `rewax.load_policy("HandFlip")` ([trained policies](adapters.md#trained-policies)).
 
