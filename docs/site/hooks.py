@@ -39,9 +39,10 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_post_build(config: Any) -> None:
-    """Warn, which ``--strict`` makes an error, of public names that an API page lacks, and of scripts from the network."""
-    for script in re.findall(r'<(?:script|link)[^>]+(?:src|href)="https?:[^"]*"', _built(config, "index.html")):
-        log.warning(f"the site needs a network, but is read from disk: {script}")
+    """Warn, which ``--strict`` makes an error, of public names that an API page lacks, and of remote scripts."""
+    loaded = r'<script[^>]+src="https?:[^"]*"|<link rel="stylesheet" href="https?:[^"]*"'
+    for element in re.findall(loaded, _built(config, "index.html")):
+        log.warning(f"the site is read from disk, but {element} needs a network")
     for page in sorted((ROOT / "docs" / "api").glob("*.md")):
         shown = _built(config, f"api/{page.stem}.html")
         source = page.read_text()
