@@ -152,6 +152,14 @@ def test_links_of_the_top_level_lead_somewhere():
                 assert anchor in [re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles], anchor
 
 
+def test_pages_that_code_names_are_there():
+    named = set()
+    for folder in ("rewax", "benchmarks", "tests", "examples"):
+        for path in (ROOT / folder).rglob("*.py"):
+            named |= set(re.findall(r"\bdocs/[\w/]+\.md\b", path.read_text()))
+    assert len(named) > 10 and not [page for page in named if not (ROOT / page).is_file()]
+
+
 def test_the_page_of_a_task_on_a_robot_runs():
     names = run_page("docs/your_own_rigid_task.md")
     assert "MyTask" in rewax.list_envs() and names["env"].num_actions == 1
