@@ -71,19 +71,25 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     scale = default_scale() if scale is None else scale
     factory = _FACTORIES[name]
     scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
-    if scale not in scales:
-        raise ValueError(f"scale is {scale!r}: use one of {', '.join(map(repr, scales))}, or none to follow the device")
+    if not isinstance(scale, str) or scale not in scales:
+        raise ValueError(
+            f"scale is {scale!r}: {did_you_mean(scale, scales)}use one of {', '.join(map(repr, scales))}, or none to "
+            "follow the device"
+        )
     chosen = _imported(name, factory[scale] if isinstance(factory, Mapping) else factory)
     given = kwargs if isinstance(factory, Mapping) else {"scale": scale, **kwargs}
     _check_keywords(name, chosen, given)
     env = _call(name, chosen, given)
+    if not callable(getattr(env, "reset", None)) or not callable(getattr(env, "step", None)):
+        kind = type(env).__name__
+        raise ValueError(f"the factory of {name!r} returned a {kind}: return an environment, with reset and step")
     _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
     return env
 
 
 def check_name(name: str) -> None:
     """Raise a ValueError unless ``make`` knows the name."""
-    if name not in _FACTORIES:
+    if not isinstance(name, str) or name not in _FACTORIES:
         raise ValueError(
             f"there is no environment named {name!r}: {did_you_mean(name, _FACTORIES)}known are "
             f"{', '.join(list_envs())}; register others first, on the command line with --import MODULE"
@@ -92,7 +98,10 @@ def check_name(name: str) -> None:
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
     """``"did you mean 'x'? "`` for the known name that is nearest, or nothing where none is near."""
-    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    by_lower_case = {other.lower(): other for other in known}
+    if str(name).lower() in by_lower_case:
+        return f"did you mean {by_lower_case[str(name).lower()]!r}? "
+    close = difflib.get_close_matches(str(name), list(by_lower_case.values()), n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}? " if close else ""
 
 

@@ -31,7 +31,7 @@ def check_key(key: Any) -> None:
     typed = isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
     raw = isinstance(key, (jax.Array, np.ndarray)) and key.dtype == np.uint32 and key.ndim >= 1
     if not typed and not raw:
-        raise ValueError(f"the key is {_described(key)}: give a random key, jax.random.key(0) for example")
+        raise ValueError(f"the key is {described(key)}: give a random key, jax.random.key(0) for example")
     shape = key.shape if typed else key.shape[:-1]
     if shape != ():
         raise ValueError(f"the key holds keys of shape {shape}: give one key, and jax.vmap over reset for a batch")
@@ -45,7 +45,7 @@ def checked_observation(task: Any, obs: Any) -> Any:
     """
     if not isinstance(obs, Mapping) or not obs:
         raise ValueError(
-            f"{type(task).__name__}.observe returned {_described(obs)}: return a dict of arrays, "
+            f"{type(task).__name__}.observe returned {described(obs)}: return a dict of arrays, "
             '{"state": ...} for example'
         )
     return obs
@@ -60,7 +60,7 @@ def checked_reward(task: Any, returned: Any) -> tuple[Any, Any]:
     name = f"{type(task).__name__}.reward"
     if not isinstance(returned, tuple) or len(returned) != 2 or not isinstance(returned[1], Mapping):
         raise ValueError(
-            f"{name} returned {_described(returned)}: return the reward and a dict of scalars to log, "
+            f"{name} returned {described(returned)}: return the reward and a dict of scalars to log, "
             "(reward, {}) for example"
         )
     shapes = {"the reward": jnp.shape(returned[0]), **{repr(key): jnp.shape(v) for key, v in returned[1].items()}}
@@ -77,7 +77,7 @@ def checked_start(task: Any, returned: Any, parts: tuple[str, ...]) -> Any:
     """
     if not isinstance(returned, tuple) or len(returned) != len(parts):
         raise ValueError(
-            f"{type(task).__name__}.start returned {_described(returned)}: return {', '.join(parts[:-1])} and "
+            f"{type(task).__name__}.start returned {described(returned)}: return {', '.join(parts[:-1])} and "
             f"{parts[-1]}, which may be None"
         )
     return returned
@@ -99,7 +99,7 @@ def checked_poses(task: Any, poses: Any, num: int) -> Any:
     return poses
 
 
-def _described(value: Any) -> str:
+def described(value: Any) -> str:
     """A short value itself, an array by type and shape."""
     if isinstance(value, (jax.Array, np.ndarray)):
         return f"an array of {value.dtype} of shape {value.shape}"

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.envs.kit.options import integer_option
 from rewax.types import Array, Key, Observation, Scalar
 
 
@@ -26,9 +27,8 @@ class PointCloud(struct.Replaceable):
     noise: Scalar | None = None
 
     def __post_init__(self) -> None:
-        for name in ("num_points", "stride"):
-            if not isinstance(getattr(self, name), int) or getattr(self, name) < 1:
-                raise ValueError(f"{name} of the point cloud is {getattr(self, name)}: give a whole number, at least 1")
+        integer_option("PointCloud.num_points", self.num_points, "give the largest number of observed points")
+        integer_option("PointCloud.stride", self.stride, "give 1 for all points, n for every n-th one")
 
     @property
     def draws(self) -> bool:

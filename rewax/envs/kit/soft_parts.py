@@ -5,12 +5,17 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.kit.options import number_option
 from rewax.physics.mpm import Hencky, Material, QuadraticFluid, VonMises, Wall, WallKind, Walls
 from rewax.types import Array
+
+_IN_PA = "give a number of pascals"
 
 
 def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float = 0.2, density: float = 1.0) -> Material:
     """Plasticine: Hencky's law with a von Mises yield stress [Pa]; by default of density 1 [kg/m^3]."""
+    number_option("youngs_modulus", youngs_modulus, remedy=_IN_PA)
+    number_option("yield_stress", yield_stress, remedy=_IN_PA)
     return Material(
         density=density,
         elasticity=Hencky(youngs_modulus=youngs_modulus, poissons_ratio=poissons_ratio),
@@ -20,6 +25,7 @@ def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float =
 
 def water(youngs_modulus: float) -> Material:
     """The reference's water: lambda of this Young's modulus [Pa] and Poisson's ratio 0.3 is its bulk modulus."""
+    number_option("youngs_modulus", youngs_modulus, remedy=_IN_PA)
     return Material(density=1000.0, elasticity=QuadraticFluid(youngs_modulus=youngs_modulus, poissons_ratio=0.3))
 
 

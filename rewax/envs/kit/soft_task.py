@@ -13,6 +13,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.kit.appearance import soft_appearance, soft_values
 from rewax.envs.kit.checks import checked_observation, checked_poses, checked_start
+from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
 from rewax.envs.kit.task import Task, against
@@ -85,6 +86,7 @@ class SoftTask(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_list_every(self.list_every, self.num_substeps)
+        integer_option("store_every", self.store_every, "give a divisor of num_substeps, 1 to store every state")
         for name in ("joint_lower", "joint_upper", "joint_step"):
             shape, wanted = jnp.shape(getattr(self, name)), jnp.shape(self.joint_start)
             if shape != wanted:
@@ -243,8 +245,11 @@ def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = N
 
 
 def check_list_every(list_every: int | None, num_substeps: int) -> None:
-    """Raises ValueError unless lists of active nodes divide a control step."""
-    if list_every is not None and (list_every < 1 or num_substeps % list_every):
+    """Raises ValueError unless ``list_every`` is None or a divisor of ``num_substeps``."""
+    if list_every is None:
+        return
+    integer_option("list_every", list_every, "give a divisor of num_substeps, or None for a whole control step")
+    if num_substeps % list_every:
         raise ValueError(
             f"list_every is {list_every}, which does not divide num_substeps = {num_substeps}: choose a divisor, or "
             "None"

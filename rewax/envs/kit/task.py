@@ -9,7 +9,13 @@ import numpy as np
 from rewax import struct
 from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.envs.kit.checks import check_action, check_key, checked_observation, checked_reward
+from rewax.envs.kit.options import integer_option
 from rewax.types import Array, Key, Observation, PyTree
+
+_COUNTS = {
+    "num_substeps": "give the number of substeps in a control step",
+    "max_steps": "give the number of control steps in an episode",
+}
 
 
 class Task(struct.Replaceable):
@@ -23,9 +29,7 @@ class Task(struct.Replaceable):
 
     def __post_init__(self) -> None:
         for name in ("num_substeps", "max_steps"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or value < 1:
-                raise ValueError(f"{name} is {value}: give a whole number, at least 1")
+            integer_option(name, getattr(self, name), _COUNTS[name])
 
     # --- What a task defines ---
 

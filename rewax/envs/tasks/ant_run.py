@@ -6,9 +6,11 @@ Scale ``paper`` has the reference's numbers; ``small`` has shorter episodes and,
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, flag_option, number_option, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, load_asset
 from rewax.envs.kit.runner import Runner
 from rewax.physics import rigid
+from rewax.physics.numerics.checks import NOT_NEGATIVE
 from rewax.physics.rigid import Penalty
 from rewax.types import Array
 
@@ -45,10 +47,10 @@ class AntRun(Runner):
         return reward, {"velocity": velocity, "upright": upright, "heading": heading, "height": height}
 
 
-def _ant(asset: str, penalty: Penalty, *, num_substeps: int, max_steps: int) -> AntRun:
+def _ant(asset: str, penalty: Penalty, steps: Substeps, *, max_steps: int) -> AntRun:
     return AntRun(
-        model=load_asset(asset, dt=1.0 / 60 / num_substeps, penalty=penalty),
-        num_substeps=num_substeps,
+        model=load_asset(asset, dt=steps.dt, penalty=penalty),
+        num_substeps=steps.num,
         max_steps=max_steps,
         start_height=0.75,
         start_joints=_START_JOINTS,
@@ -57,7 +59,14 @@ def _ant(asset: str, penalty: Penalty, *, num_substeps: int, max_steps: int) -> 
     )
 
 
-def make_ant_run(*, scale: str, onset: float = 0.0, stale_mass_matrix: bool = False) -> AntRun:
+def make_ant_run(
+    *,
+    scale: str,
+    onset: float = 0.0,
+    stale_mass_matrix: bool = False,
+    dt: float | None = None,
+    num_substeps: int | None = None,
+) -> AntRun:
     """Factory for the registry.
 
     Args:
@@ -66,26 +75,29 @@ def make_ant_run(*, scale: str, onset: float = 0.0, stale_mass_matrix: bool = Fa
       stale_mass_matrix: compute the mass matrix at the first substep of a control step alone, as the reference does:
         an ant that runs is then turned by torques that no force makes (``rigid.step_with_stale_mass``).
     """
+    onset = number_option("onset", onset, NOT_NEGATIVE, remedy="give a depth in metres")
+    stale_mass_matrix = flag_option("stale_mass_matrix", stale_mass_matrix)
     # The ant's own law where its links touch each other; with the ground the means of the ant's and the ground's.
     among = Penalty(stiffness=4e3, damping=1e3, friction_damping=300.0, onset=onset)
     penalty = Penalty(stiffness=52e3, damping=1e3, friction_damping=650.0, onset=onset, among=among, at_surfaces=True)
-    num_substeps, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
-    ant = _ant("ant_run.xml", penalty, num_substeps=num_substeps, max_steps=max_steps)
+    own, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 60 / own, own))
+    ant = _ant("ant_run.xml", penalty, steps, max_steps=max_steps)
     # The reference's importer adds a hinge's armature to all moments of inertia of its link as well.
     armature = ant.model.parameters["dof_armature"][6:, None]
     inertia = ant.model.parameters["body_inertia"].at[_FIRST_LINK:].add(armature)
-    return ant.replace(model=ant.model.with_parameters(body_inertia=inertia), stale_mass_matrix=bool(stale_mass_matrix))
+    return ant.replace(model=ant.model.with_parameters(body_inertia=inertia), stale_mass_matrix=stale_mass_matrix)
 
 
-def make_ant(*, scale: str) -> AntRun:
+def make_ant(*, scale: str, dt: float | None = None, num_substeps: int | None = None) -> AntRun:
     """Ant of the dflex suite: DiffRL's contacts, damped in proportion to their depth, and armature; else as AntRun.
 
     Set in at once, a damper as strong reverses the velocity of a leg within a substep, and gradients of 32 steps reach
     1e16.
     """
     penalty = Penalty(stiffness=4e4, depth_damping=1e4, friction_damping=3e3)
-    num_substeps, max_steps = {"paper": (16, 1000), "small": (16, 300)}[scale]
-    ant = _ant("ant.xml", penalty, num_substeps=num_substeps, max_steps=max_steps)
+    max_steps = {"paper": 1000, "small": 300}[scale]
+    ant = _ant("ant.xml", penalty, substeps(dt, num_substeps, Substeps(1.0 / 60 / 16, 16)), max_steps=max_steps)
     friction = ant.model.parameters["pair_friction"].at[:, :2].set(0.75)
     armature = jnp.zeros(ant.model.num_dofs).at[6:].set(0.05)
     return ant.replace(model=ant.model.with_parameters(pair_friction=friction, dof_armature=armature))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, uniform
 from rewax.physics import rigid
 from rewax.physics.rigid import Penalty, RigidState
@@ -39,8 +40,9 @@ class CartpoleSwingUp(RigidTask):
         return -jnp.sum(jnp.stack([_WEIGHTS[name] * term for name, term in terms.items()])), terms
 
 
-def make_cartpole_swing_up(*, scale: str) -> CartpoleSwingUp:
+def make_cartpole_swing_up(*, scale: str, dt: float | None = None, num_substeps: int | None = None) -> CartpoleSwingUp:
     """Factory for the registry: four substeps, 240 steps of 1/60 s."""
     del scale
-    model = load_asset("cartpole.xml", dt=1.0 / 240, penalty=Penalty(stiffness=0.0))
-    return CartpoleSwingUp(model=model, num_substeps=4, max_steps=240)
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 240, 4))
+    model = load_asset("cartpole.xml", dt=steps.dt, penalty=Penalty(stiffness=0.0))
+    return CartpoleSwingUp(model=model, num_substeps=steps.num, max_steps=240)

@@ -13,6 +13,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.appearance import MARKER
+from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_parts import box_walls, lattice_box, random_box, water
 from rewax.envs.kit.soft_task import Soft, SoftPhysics, SoftTask
@@ -21,6 +22,7 @@ from rewax.physics import mpm
 from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid, MPMScene, WallKind
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.checks import Legal
 from rewax.physics.shapes import Box
 from rewax.types import Array, Key, Observation, PyTree, Scalar, Vector
 
@@ -146,11 +148,10 @@ def _outer(inner: tuple[float, float, float], thickness: float) -> Array:
 
 
 def _fluid_move(
-    scene: MPMScene, start: tuple[float, ...], rest_positions: Array, thickness: float, **changes: Any
+    scene: MPMScene, steps: Substeps, start: tuple[float, ...], rest_positions: Array, thickness: float, **changes: Any
 ) -> FluidMove:
     r = REFERENCE
     options = {
-        "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         "joint_step": jnp.full(3, r["joint_step"]),
         "spill_width": r["spill_width"],
@@ -166,16 +167,24 @@ def _fluid_move(
         joint_lower=r["joint_lower"],
         joint_upper=r["joint_upper"],
         outer=_outer(r["inner_size"], thickness),
+        num_substeps=steps.num,
+        list_every=steps.list_every,
         **options,
     )
 
 
-def paper(*, youngs_modulus: float = REFERENCE["youngs_modulus"], dt: float = REFERENCE["dt"]) -> FluidMove:
+def paper(
+    *,
+    youngs_modulus: float = REFERENCE["youngs_modulus"],
+    dt: float | None = None,
+    num_substeps: int | None = None,
+) -> FluidMove:
     """The reference's constants; the container starts below its lowest place, and the first step lifts it there."""
     r = REFERENCE
+    steps = substeps(dt, num_substeps, Substeps(r["dt"], r["num_substeps"], list_every=5))
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 49, 49), spacing=1.0 / r["grid"]),
-        dt=dt,
+        dt=steps.dt,
         material=water(youngs_modulus),
         particle_volume=float(np.prod(r["water_size"])) / r["num_particles"],
         gravity=(0.0, r["gravity"], 0.0),
@@ -186,22 +195,30 @@ def paper(*, youngs_modulus: float = REFERENCE["youngs_modulus"], dt: float = RE
     )
     return _fluid_move(
         scene,
+        steps,
         r["center"],
         random_box(r["center"], r["water_size"], r["num_particles"]),
         r["thickness"],
         cloud=PointCloud(num_points=r["num_observed"], stride=r["stride"]),
-        list_every=5,
     )
 
 
-def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float = 0.0625) -> FluidMove:
+def small(
+    *,
+    youngs_modulus: float = 2.5e4,
+    dt: float | None = None,
+    num_substeps: int | None = None,
+    thickness: float = 0.0625,
+) -> FluidMove:
     """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
     r, spacing, start = REFERENCE, 1.0 / 32, (0.5, 0.25, 0.5)
+    steps = substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=5))
+    thickness = number_option("thickness", thickness, Legal(0.0, 0.2), remedy="give the thickness of the walls in m")
     size, counts = np.asarray(r["water_size"]), (8, 5, 10)
     center = np.asarray(start) - [0.0, 0.5 * (r["inner_size"][1] - size[1]), 0.0]
     scene = mpm.make_scene(
         grid=Grid(shape=(33, 33, 33), spacing=spacing),
-        dt=dt,
+        dt=steps.dt,
         material=water(youngs_modulus),
         particle_volume=float(np.prod(size)) / np.prod(counts),
         gravity=(0.0, r["gravity"], 0.0),
@@ -211,12 +228,11 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
     )
     return _fluid_move(
         scene,
+        steps,
         start,
         lattice_box(center, size, counts),
         thickness,
         cloud=PointCloud(num_points=80, stride=5),
-        num_substeps=10,
-        list_every=5,
         max_steps=80,
         joint_step=jnp.full(3, 0.01),
         spill_width=0.005,

@@ -10,6 +10,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.coupled_task import CoupledPhysics, CoupledTask
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.rigid_task import load_asset
 from rewax.envs.kit.soft_parts import lattice_box
@@ -62,16 +63,18 @@ class GripperLift(CoupledTask):
         return reward, {"height": height, "gap": gap, "success": success}
 
 
-def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **options) -> GripperLift:
-    """A block of so many particles a cell along each axis; the robot's substep lasts ``each`` of the particles'."""
-    model = load_asset("gripper.xml", dt=each * dt)
-    counts = tuple(round(per_cell * edge / spacing) for edge in SIZE)
+def _gripper_lift(
+    steps: Substeps, *, spacing: float, each: int, max_active_nodes: int, cloud: PointCloud, max_steps: int
+) -> GripperLift:
+    """A block of two particles per cell and axis; a substep of the robot is ``each`` substeps of the particles."""
+    model = load_asset("gripper.xml", dt=steps.dt)
+    counts = tuple(round(2 * edge / spacing) for edge in SIZE)
     middle = np.array([0.2, FLOOR + 0.5 * SIZE[1] - 0.5 * spacing, 0.2])
     shape = (round(0.4 / spacing) + 1, round(0.56 / spacing) + 1, round(0.4 / spacing) + 1)
     sides = Wall(position=2 * spacing), Wall(position=0.4 - 2 * spacing)
     scene = mpm.make_scene(
         grid=Grid(shape=shape, spacing=spacing),
-        dt=dt,
+        dt=steps.dt / each,
         material=Material(
             density=1000.0,
             elasticity=NeoHookean(youngs_modulus=2e4, poissons_ratio=0.3),
@@ -83,7 +86,7 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
             lower=(sides[0], Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.3), sides[0]),
             upper=(sides[1], None, sides[1]),
         ),
-        **options.pop("scene", {}),
+        max_active_nodes=max_active_nodes,
     )
     return GripperLift(
         model=model,
@@ -94,35 +97,32 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
         start_height=middle[1],
         reach=10.0,
         effort=0.01,
-        **options,
+        cloud=cloud,
+        num_substeps=steps.num,
+        list_every=steps.list_every,
+        max_steps=max_steps,
     )
 
 
-def paper() -> GripperLift:
-    """For an accelerator: cells of 1 cm, 4096 particles, six seconds."""
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> GripperLift:
+    """For an accelerator: cells of 1 cm, 4096 particles, six seconds. dt and num_substeps are the robot's."""
     return _gripper_lift(
+        substeps(dt, num_substeps, Substeps(1e-3, 20, list_every=5)),
         spacing=0.01,
-        per_cell=2,
-        dt=2.5e-4,
         each=4,
-        num_substeps=20,
-        list_every=5,
-        max_steps=300,
+        max_active_nodes=8192,
         cloud=PointCloud(num_points=256, stride=16),
-        scene={"max_active_nodes": 8192},
+        max_steps=300,
     )
 
 
-def small() -> GripperLift:
-    """For two cores: cells of 2 cm, 512 particles, 1.2 s."""
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> GripperLift:
+    """For two cores: cells of 2 cm, 512 particles, 1.2 s. dt and num_substeps are the robot's."""
     return _gripper_lift(
+        substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=5)),
         spacing=0.02,
-        per_cell=2,
-        dt=1e-3,
         each=2,
-        num_substeps=10,
-        list_every=5,
-        max_steps=60,
+        max_active_nodes=1536,
         cloud=PointCloud(num_points=64, stride=8),
-        scene={"max_active_nodes": 1536},
+        max_steps=60,
     )

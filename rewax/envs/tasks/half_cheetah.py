@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, uniform
 from rewax.physics import rigid
+from rewax.physics.numerics.checks import NOT_NEGATIVE
 from rewax.physics.rigid import Penalty, RigidState
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -37,14 +39,18 @@ class HalfCheetah(RigidTask):
         return velocity - 0.1 * jnp.sum(physics.action**2), metrics
 
 
-def make_half_cheetah(*, scale: str, onset: float = 0.0) -> HalfCheetah:
+def make_half_cheetah(
+    *, scale: str, onset: float = 0.0, dt: float | None = None, num_substeps: int | None = None
+) -> HalfCheetah:
     """Factory for the registry: 16 substeps and 1000 steps of 1/60 s; ``small``: 8 substeps, 300 steps.
 
     Args:
       scale: ``"paper"`` or ``"small"``.
       onset: depth over which the contacts' damping sets in [m]; the reference has 0.
     """
-    num_substeps, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
+    own, max_steps = {"paper": (16, 1000), "small": (8, 300)}[scale]
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 60 / own, own))
+    onset = number_option("onset", onset, NOT_NEGATIVE, remedy="give a depth in metres")
     penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3, onset=onset)
-    model = load_asset("half_cheetah.xml", dt=1.0 / 60 / num_substeps, penalty=penalty)
-    return HalfCheetah(model=model, num_substeps=num_substeps, max_steps=max_steps)
+    model = load_asset("half_cheetah.xml", dt=steps.dt, penalty=penalty)
+    return HalfCheetah(model=model, num_substeps=steps.num, max_steps=max_steps)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.shadow_hand import HandTask, hand_colliders, joint_limits, load_hand
 from rewax.envs.kit.soft_parts import box_walls, dough
@@ -109,13 +110,15 @@ def paper(
     *,
     youngs_modulus: float = REFERENCE["youngs_modulus"],
     yield_stress: float = REFERENCE["yield_stress"],
-    dt: float = REFERENCE["dt"],
+    dt: float | None = None,
+    num_substeps: int | None = None,
 ) -> HandFlip:
     """The reference's constants."""
+    steps = substeps(dt, num_substeps, Substeps(REFERENCE["dt"], REFERENCE["num_substeps"], list_every=5))
     r, hand = REFERENCE, load_hand(scale=REFERENCE["hand_scale"], position=REFERENCE["hand_position"])
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 49, 49), spacing=1.0 / r["grid"]),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=r["particle_volume"],
         gravity=(0.0, r["gravity"], 0.0),
@@ -124,15 +127,14 @@ def paper(
         max_active_nodes=10752,
         reach=0.5,
     )
-    return _hand_flip(scene, hand, r["num_particles"], num_observed=r["num_observed"], list_every=5)
+    return _hand_flip(scene, hand, steps, r["num_particles"], num_observed=r["num_observed"])
 
 
-def _hand_flip(scene, hand, num_particles: int, *, num_observed: int, **changes) -> HandFlip:
+def _hand_flip(scene, hand, steps: Substeps, num_particles: int, *, num_observed: int, **changes) -> HandFlip:
     r, (lower, upper) = REFERENCE, joint_limits(hand)
     options = {
         "noise": reset_noise(r["shift_lower"], r["shift_upper"], r["stretch"]),
         "joint_step": jnp.full(len(START), r["joint_step"]),
-        "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         "rest_positions": mirrored_disc(r["center"], r["radius"], r["half_thickness"], num_particles),
         **changes,
@@ -143,6 +145,8 @@ def _hand_flip(scene, hand, num_particles: int, *, num_observed: int, **changes)
         joint_start=START,
         joint_lower=lower,
         joint_upper=upper,
+        num_substeps=steps.num,
+        list_every=steps.list_every,
         cloud=PointCloud(num_points=num_observed, stride=num_particles // num_observed),
         **options,
     )
@@ -152,15 +156,18 @@ def small(
     *,
     youngs_modulus: float = 800.0,
     yield_stress: float = 26.0,
-    dt: float = 4e-4,
+    dt: float | None = None,
+    num_substeps: int | None = None,
     softness: float = 100.0,
 ) -> HandFlip:
     """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
+    steps = substeps(dt, num_substeps, Substeps(4e-4, 15, list_every=5))
+    softness = number_option("softness", softness, remedy="give a decay per metre")
     r, hand = REFERENCE, load_hand(scale=REFERENCE["hand_scale"], position=REFERENCE["hand_position"])
     spacing, num_particles = 1.0 / 32, 256
     scene = mpm.make_scene(
         grid=Grid(shape=(20, 17, 20), spacing=spacing, origin=(6 * spacing, 4 * spacing, 9 * spacing)),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=r["particle_volume"] * r["num_particles"] / num_particles,
         gravity=(0.0, r["gravity"], 0.0),
@@ -172,10 +179,9 @@ def small(
     return _hand_flip(
         scene,
         hand,
+        steps,
         num_particles,
         num_observed=64,
-        num_substeps=15,
-        list_every=5,
         max_steps=60,
         joint_step=jnp.full(len(START), 0.06),
         noise=reset_noise((-0.03, -0.04, -0.03), (0.03, -0.04, 0.03)),

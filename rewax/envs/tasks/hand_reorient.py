@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, uniform, xyzw
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
@@ -129,18 +130,23 @@ def _norm(a: Array) -> Array:
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
 
 
-def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReorient:
+def make_hand_reorient(
+    *, scale: str, contact: Penalty | None = None, dt: float | None = None, num_substeps: int | None = None
+) -> HandReorient:
     """Factory for the registry.
 
     Args:
       scale: ``"paper"``: 64 substeps per control step of 1/120 s and 600 steps; ``"small"``: 8 and 150.
       contact: contacts and joint limits other than the scale's own, ``REFERENCE_CONTACT`` for example.
     """
-    num_substeps, max_steps, own = _SCALES[scale]
-    model = load_asset("allegro.xml", dt=1.0 / 120 / num_substeps, penalty=own if contact is None else contact)
+    if contact is not None and not isinstance(contact, Penalty):
+        raise ValueError(f"contact is {contact!r}: give a rewax.physics.rigid.Penalty, or None for the scale's own")
+    count, max_steps, penalty = _SCALES[scale]
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 120 / count, count))
+    model = load_asset("allegro.xml", dt=steps.dt, penalty=penalty if contact is None else contact)
     return HandReorient(
         model=model,
-        num_substeps=num_substeps,
+        num_substeps=steps.num,
         max_steps=max_steps,
         goal_position=model.home[_NUM_JOINTS:][:3] - jnp.array([0.0, 0.0, 0.04]),
         tolerance=0.1,

@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, uniform
 from rewax.physics import rigid
+from rewax.physics.numerics.checks import NOT_NEGATIVE
 from rewax.physics.rigid import Penalty, RigidState
 from rewax.types import Array, Key, Observation, PyTree, Vector
 
@@ -46,7 +48,7 @@ class Hopper(RigidTask):
         return physics.rigid.qpos[1] < self.fallen_height
 
 
-def make_hopper(*, scale: str, onset: float = 0.01) -> Hopper:
+def make_hopper(*, scale: str, onset: float = 0.01, dt: float | None = None, num_substeps: int | None = None) -> Hopper:
     """Factory for the registry.
 
     Args:
@@ -54,7 +56,9 @@ def make_hopper(*, scale: str, onset: float = 0.01) -> Hopper:
       onset: depth over which the contacts' damping sets in [m]; with 0, at once, policies hardly learn
         (``docs/rigid.md``).
     """
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 960, 16))
+    onset = number_option("onset", onset, NOT_NEGATIVE, remedy="give a depth in metres")
     penalty = Penalty(stiffness=2e4, damping=1e3, friction_damping=1e3, onset=onset)
-    model = load_asset("hopper.xml", dt=1.0 / 960, penalty=penalty)
+    model = load_asset("hopper.xml", dt=steps.dt, penalty=penalty)
     max_steps = {"paper": 1000, "small": 300}[scale]
-    return Hopper(model=model, num_substeps=16, max_steps=max_steps, fallen_height=-0.45)
+    return Hopper(model=model, num_substeps=steps.num, max_steps=max_steps, fallen_height=-0.45)

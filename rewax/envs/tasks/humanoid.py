@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, load_asset
 from rewax.envs.kit.runner import Runner
 from rewax.physics.rigid import Penalty
@@ -31,19 +32,20 @@ class Humanoid(Runner):
         return reward, {"velocity": velocity, "upright": upright, "heading": heading, "height": height}
 
 
-def make_humanoid(*, scale: str) -> Humanoid:
+def make_humanoid(*, scale: str, dt: float | None = None, num_substeps: int | None = None) -> Humanoid:
     """Factory for the registry: 48 substeps and 1000 steps of 1/60 s; ``small``: 16 substeps, 300 steps.
 
     Contacts are damped in proportion to their depth, as in DiffRL: set in at once, a damper as strong throws light
     hands and feet back, and falls do not come to rest. ``small`` rubs them with 300 N s/m instead of 1000, which its
     substep can follow: gradients of 32 random steps stay below 1e4 instead of 1e6.
     """
-    num_substeps, max_steps, rubbing = {"paper": (48, 1000, 1e3), "small": (16, 300, 3e2)}[scale]
+    own, max_steps, rubbing = {"paper": (48, 1000, 1e3), "small": (16, 300, 3e2)}[scale]
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 60 / own, own))
     penalty = Penalty(stiffness=2e4, depth_damping=5e3, friction_damping=rubbing)
-    model = load_asset("humanoid.xml", dt=1.0 / 60 / num_substeps, penalty=penalty)
+    model = load_asset("humanoid.xml", dt=steps.dt, penalty=penalty)
     return Humanoid(
         model=model,
-        num_substeps=num_substeps,
+        num_substeps=steps.num,
         max_steps=max_steps,
         start_height=1.35,
         start_joints=jnp.zeros(model.num_actuators),

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, random_turn, uniform
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_to_matrix
@@ -108,18 +109,19 @@ def _square(vector: Array) -> Array:
     return jnp.sum(vector**2)
 
 
-def make_quadruped(*, scale: str) -> Quadruped:
+def make_quadruped(*, scale: str, dt: float | None = None, num_substeps: int | None = None) -> Quadruped:
     """Factory for the registry.
 
     Args:
       scale: ``"paper"``: 20 substeps of 1 ms and 1000 steps; ``"small"``: 8 substeps of 2.5 ms and 300 steps.
     """
-    num_substeps, max_steps = {"paper": (20, 1000), "small": (8, 300)}[scale]
+    own, max_steps = {"paper": (20, 1000), "small": (8, 300)}[scale]
+    steps = substeps(dt, num_substeps, Substeps(0.02 / own, own))
     penalty = Penalty(stiffness=1e4, damping=200.0, friction_damping=200.0, onset=0.01)
-    model = load_asset("quadruped.xml", dt=0.02 / num_substeps, penalty=penalty)
+    model = load_asset("quadruped.xml", dt=steps.dt, penalty=penalty)
     return Quadruped(
         model=model,
-        num_substeps=num_substeps,
+        num_substeps=steps.num,
         max_steps=max_steps,
         stance=model.home[7:],
         reach=0.35,

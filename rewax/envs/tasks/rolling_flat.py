@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_parts import box_walls, dough, random_box, turn_about_y
 from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
@@ -70,7 +71,13 @@ def _pin(radius: float, half_length: float, *, offset: tuple[float, float, float
     )
 
 
-def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: float = 5e-5) -> RollingFlat:
+def paper(
+    *,
+    youngs_modulus: float = 5000.0,
+    yield_stress: float = 50.0,
+    dt: float | None = None,
+    num_substeps: int | None = None,
+) -> RollingFlat:
     """The reference's constants.
 
     The reference has 48 nodes along each axis; the 49th lies behind the walls and gives particles the reference's
@@ -78,9 +85,10 @@ def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: flo
     ``Status.INACTIVE_NODES`` tells if something does not fit in (``benchmarks/active_nodes.py`` measures the need).
     """
     size, count = (0.3, 0.125, 0.3), 2592
+    steps = substeps(dt, num_substeps, Substeps(5e-5, 40, list_every=5))
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 49, 49), spacing=1.0 / 48),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=float(np.prod(size)) / count,
         gravity=(0.0, -90.0, 0.0),
@@ -103,20 +111,27 @@ def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: flo
         noise=reset_noise((-0.1, 0.0, -0.1), (0.1, 0.05, 0.1), 0.1),
         height_scale=0.125,
         height_origin=0.0,
-        num_substeps=40,
+        num_substeps=steps.num,
         max_steps=300,
         cloud=PointCloud(num_points=250, stride=10),
-        list_every=5,
+        list_every=steps.list_every,
     )
 
 
-def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: float = 7e-4) -> RollingFlat:
+def small(
+    *,
+    youngs_modulus: float = 750.0,
+    yield_stress: float = 15.0,
+    dt: float | None = None,
+    num_substeps: int | None = None,
+) -> RollingFlat:
     """The same task for minutes on two cores; ``docs/rolling_flat.md`` gives the reason for each difference."""
     size, count, floor, spacing, radius = (0.3, 0.125, 0.3), 256, 0.0625, 1.0 / 24, 0.05
     top = floor + size[1]
+    steps = substeps(dt, num_substeps, Substeps(7e-4, 10))
     scene = mpm.make_scene(
         grid=Grid(shape=(22, 9, 19), spacing=spacing, origin=(1.5 * spacing, 0.0, 3.0 * spacing)),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=float(np.prod(size)) / count,
         gravity=(0.0, -90.0, 0.0),
@@ -135,7 +150,7 @@ def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: floa
         noise=reset_noise((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0)),
         height_scale=size[1],
         height_origin=floor,
-        num_substeps=10,
+        num_substeps=steps.num,
         max_steps=60,
         cloud=PointCloud(num_points=64, stride=4),
         observe_velocity=True,

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.envs.kit.start_noise import reset_noise
@@ -92,7 +93,9 @@ class SoftJumper(SoftTask):
         return reward, {"speed": speed, "height": height, "effort": effort}
 
 
-def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_damping"], **changes: Any) -> SoftJumper:
+def _soft_jumper(
+    steps: Substeps, *, friction_damping: float = REFERENCE["friction_damping"], **changes: Any
+) -> SoftJumper:
     r, mesh = REFERENCE, tets.soft_jumper_table()
     scene = tets.make_scene(
         mesh=mesh,
@@ -100,7 +103,7 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
         mu=r["mu"],
         lam=r["lam"],
         damping=r["damping"],
-        dt=dt,
+        dt=steps.dt,
         gravity=(0.0, r["gravity"], 0.0),
         contact=PenaltyContact(
             stiffness=r["contact_stiffness"],
@@ -113,7 +116,6 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
     )
     rest = jnp.asarray(mesh.vertices + np.array([0.0, r["height"], 0.0]), jnp.result_type(float))
     options = {
-        "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         "noise": reset_noise(r["shift_lower"], r["shift_upper"], r["stretch"]),
         **changes,
@@ -125,21 +127,21 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
         strength=r["strength"],
         effort=r["effort"],
         start_height=rest[:, 1].mean(),
+        num_substeps=steps.num,
         **options,
     )
 
 
-def paper(*, dt: float = REFERENCE["dt"]) -> SoftJumper:
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumper:
     """The reference's constants."""
-    return _soft_jumper(dt=dt)
+    return _soft_jumper(substeps(dt, num_substeps, Substeps(REFERENCE["dt"], REFERENCE["num_substeps"])))
 
 
-def small(*, dt: float = 1.0 / 60.0 / 16.0) -> SoftJumper:
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumper:
     """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
     return _soft_jumper(
-        dt=dt,
+        substeps(dt, num_substeps, Substeps(1.0 / 60.0 / 16.0, 16)),
         friction_damping=2.0,  # the reference's stops the lightest vertices more than twice over in a substep this long
-        num_substeps=16,
         max_steps=90,
         noise=reset_noise((-0.8, 0.0, -0.8), (0.8, 0.1, 0.8), 0.02),
     )

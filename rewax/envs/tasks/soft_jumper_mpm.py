@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.start_noise import reset_noise
 from rewax.envs.tasks.soft_jumper import REFERENCE, SoftJumper
@@ -106,7 +107,7 @@ def _tets_around(mesh: tetmesh.TetMesh, points: np.ndarray) -> np.ndarray:
     return np.minimum(weights.min(axis=-1), 1.0 - weights.sum(axis=-1)).argmax(axis=1)
 
 
-def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: Any) -> SoftJumperMPM:
+def _soft_jumper(steps: Substeps, *, per_cell: int, max_active_nodes: int, **changes: Any) -> SoftJumperMPM:
     """A table of so many particles a cell, two for each node along an axis."""
     r, body = REFERENCE, table(per_cell)
     elastic = tets.small_strain_moduli(r["mu"], r["lam"])
@@ -120,7 +121,7 @@ def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: 
             spacing=spacing,
             origin=(-0.5 * counts[0] * spacing, floor - 2.0 * spacing, -0.5 * counts[2] * spacing),
         ),
-        dt=dt,
+        dt=steps.dt,
         material=Material(
             density=r["density"],
             elasticity=NeoHookean(youngs_modulus=elastic.youngs_modulus, poissons_ratio=elastic.poissons_ratio),
@@ -148,22 +149,23 @@ def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: 
         effort=r["effort"],
         start_height=rest[:, 1].mean(),
         per_cell=per_cell,
+        num_substeps=steps.num,
         **options,
     )
 
 
-def paper() -> SoftJumperMPM:
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumperMPM:
     """2970 particles and SoftJumper's control steps and episodes."""
-    return _soft_jumper(per_cell=3, dt=1.0 / 60.0 / 16.0, max_active_nodes=5120, num_substeps=16)
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 60.0 / 16.0, 16))
+    return _soft_jumper(steps, per_cell=3, max_active_nodes=5120)
 
 
-def small() -> SoftJumperMPM:
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumperMPM:
     """880 particles, and SoftJumper's shorter episodes and smaller noise at this scale."""
     return _soft_jumper(
+        substeps(dt, num_substeps, Substeps(1.0 / 60.0 / 8.0, 8)),
         per_cell=2,
-        dt=1.0 / 60.0 / 8.0,
         max_active_nodes=2048,
-        num_substeps=8,
         max_steps=90,
         noise=reset_noise((-0.8, 0.0, -0.8), (0.8, 0.1, 0.8), 0.02),
     )

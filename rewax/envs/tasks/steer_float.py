@@ -13,6 +13,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.appearance import MARKER
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_parts import box_walls, lattice_box, turn_about_y, water
 from rewax.envs.kit.soft_task import Soft, SoftPhysics, SoftTask
@@ -90,7 +91,16 @@ class SteerFloat(SoftTask):
         return {"azimuth": 15.0, "elevation": 38.0}
 
 
-def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: float, dt: float, **changes) -> SteerFloat:
+def _steer_float(
+    steps: Substeps,
+    *,
+    spacing: float,
+    counts: tuple[int, int, int],
+    per_edge: float,
+    max_active_nodes: int,
+    cloud: PointCloud,
+    max_steps: int,
+) -> SteerFloat:
     """Water of ``counts`` particles in a lattice, and a float with ``per_edge`` metres between particles."""
     (left, right), (floor, _), (back, front) = BASIN
     size = (right - left, DEPTH, front - back)
@@ -110,7 +120,7 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
     ]
     scene = mpm.make_scene(
         grid=Grid(shape=tuple(round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4)), spacing=spacing),
-        dt=dt,
+        dt=steps.dt,
         material=(
             Material(
                 density=400.0,
@@ -129,7 +139,7 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
             ),
         ),
         walls=box_walls(floor, (left, back), (right, front), floor_kind=WallKind.SEPARATING),
-        **changes.pop("scene"),
+        max_active_nodes=max_active_nodes,
     )
     return SteerFloat(
         scene=scene,
@@ -141,37 +151,35 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
         mark_lower=(0.06, -0.05),
         mark_upper=(0.14, 0.05),
         unit=0.1,
-        **changes,
+        joint_step=(0.01, 0.01, 0.1),
+        cloud=cloud,
+        num_substeps=steps.num,
+        list_every=steps.list_every,
+        max_steps=max_steps,
     )
 
 
-def paper() -> SteerFloat:
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> SteerFloat:
     """For an accelerator: cells of 1.25 cm, some 15,000 particles, six seconds."""
     return _steer_float(
+        substeps(dt, num_substeps, Substeps(1e-3, 20, list_every=5)),
         spacing=0.0125,
         counts=(48, 9, 36),
         per_edge=0.0083,
-        dt=1e-3,
-        scene={"max_active_nodes": 20480},
-        joint_step=(0.01, 0.01, 0.1),
+        max_active_nodes=20480,
         cloud=PointCloud(num_points=250, stride=64),
-        num_substeps=20,
-        list_every=5,
         max_steps=300,
     )
 
 
-def small() -> SteerFloat:
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> SteerFloat:
     """For two cores: cells of 2.5 cm, some 1200 particles, 1.2 s."""
     return _steer_float(
+        substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=5)),
         spacing=0.025,
         counts=(20, 4, 15),
         per_edge=0.0125,
-        dt=2e-3,
-        scene={"max_active_nodes": 3328},
-        joint_step=(0.01, 0.01, 0.1),
+        max_active_nodes=3328,
         cloud=PointCloud(num_points=64, stride=20),
-        num_substeps=10,
-        list_every=5,
         max_steps=60,
     )

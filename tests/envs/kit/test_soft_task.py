@@ -151,7 +151,7 @@ def test_impossible_numbers_say_what_to_do(changes, sentence):
 
 @pytest.mark.parametrize("name", ["num_points", "stride"])
 def test_an_impossible_cloud_says_what_to_do(name):
-    with pytest.raises(ValueError, match=f"^{name} of the point cloud is 0: give a whole number, at least 1$"):
+    with pytest.raises(ValueError, match=f"^PointCloud.{name} is 0, but must be an integer of at least 1: give"):
         PointCloud(**{"num_points": 3, name: 0})
 
 
