@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import GetAttrKey, register_pytree_with_keys
 
+from rewax.short_repr import short_repr
 from rewax.types import Scalar
 
 T = TypeVar("T")
@@ -58,14 +59,16 @@ def dataclass(cls: type[T]) -> type[T]:
 
     The constructor turns numbers, tuples and lists of numbers and NumPy arrays of floats into JAX arrays: one number
     is weakly typed, it does not widen what it is combined with. ``__post_init__`` runs in the constructor; a tree that
-    JAX rebuilds is not checked again.
+    JAX rebuilds is not checked again. ``repr`` prints long arrays by type and shape.
 
     Not ``jax.tree_util.register_dataclass`` (nor flax's, which calls it): with jaxlib 0.10.1 the tree structures of two
     classes compare equal if their fields have the same names, and ``jit`` now and then runs what it compiled for a
     capsule when it is given a cylinder.
     """
     _convert_first(cls)
-    made: Any = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+    made: Any = dataclasses.dataclass(frozen=True, kw_only=True, repr=False)(cls)
+    if made.__repr__ is object.__repr__:
+        made.__repr__ = short_repr
     fields = dataclasses.fields(made)
     leaves = tuple(f.name for f in fields if f.metadata.get("pytree_node", True))
     static = tuple(f.name for f in fields if not f.metadata.get("pytree_node", True))

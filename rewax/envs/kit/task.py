@@ -10,6 +10,7 @@ from rewax import struct
 from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.envs.kit.checks import check_action, check_key, checked_observation, checked_reward
 from rewax.envs.kit.options import integer_option
+from rewax.envs.kit.task_repr import task_repr
 from rewax.types import Array, Key, Observation, PyTree
 
 _COUNTS = {
@@ -89,6 +90,9 @@ class Task(struct.Replaceable):
     @property
     def episode_length(self) -> int:
         return self.max_steps
+
+    def __repr__(self) -> str:
+        return task_repr(self)
 
     def reset(self, key: Key) -> State:
         """The beginning of an episode.
