@@ -21,7 +21,9 @@ from rewax.adapters.conversion import (
     numpy_observation,
     state_info,
 )
+from rewax.adapters.gymnasium_ids import register_envs
 from rewax.envs.base import ArraySpec, Env, State
+from rewax.envs.registry import make
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.training.evaluation.recording import snapshots
 from rewax.viz.render import pictures
@@ -33,6 +35,8 @@ try:
     from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise missing("gymnasium", "gymnasium") from error
+
+register_envs()
 
 
 class GymnasiumEnv(gymnasium.Env):
@@ -139,6 +143,18 @@ class GymnasiumVectorEnv(VectorEnv):
 
     def _infos(self, metrics: dict[str, np.ndarray]) -> dict[str, Any]:
         return {**metrics, **{f"_{name}": np.ones(self.num_envs, bool) for name in metrics}}
+
+
+def make_gymnasium_env(
+    *, task: str, scale: str, render_mode: str | None = None, size: tuple[int, int] = (360, 480), **options: Any
+) -> GymnasiumEnv:
+    """What ``gymnasium.make("rewax/RollingFlat-small-v0", ...)`` calls; options are those of ``rewax.make``."""
+    return GymnasiumEnv(make(task, scale=scale, **options), render_mode=render_mode, size=size)
+
+
+def make_gymnasium_vector_env(*, task: str, scale: str, num_envs: int = 1, **options: Any) -> GymnasiumVectorEnv:
+    """What ``gymnasium.make_vec("rewax/RollingFlat-small-v0", num_envs=16)`` calls."""
+    return GymnasiumVectorEnv(make(task, scale=scale, **options), num_envs)
 
 
 def observation_space(env: Env) -> spaces.Dict:

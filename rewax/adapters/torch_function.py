@@ -90,7 +90,16 @@ def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
 
 def to_jax(tensor: Any) -> Array:
-    """A torch tensor as a JAX array on the same device. Gradient: none."""
+    """A torch tensor as a JAX array on the same device. Gradient: none.
+
+    Raises:
+      ValueError: the tensor is float64 and JAX computes in float32, which would round it.
+    """
+    if tensor.dtype == torch.float64 and not jax.config.jax_enable_x64:
+        raise ValueError(
+            "a tensor is float64, but JAX computes in float32: give tensor.float(), or let JAX compute in float64 with "
+            'jax.config.update("jax_enable_x64", True) before anything else'
+        )
     return jnp.from_dlpack(tensor.detach().contiguous())
 
 
