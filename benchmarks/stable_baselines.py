@@ -105,7 +105,7 @@ def sac_policy(config: Any) -> type[SACPolicy]:
     return Policy
 
 
-def learner(name: str, config: Any, env: VecEnv, seed: int) -> Any:
+def learner(name: str, config: Any, env: Any, seed: int) -> Any:
     """Stable-Baselines3's algorithm with a configuration of rewax."""
     features = {"width": config.vector_features, "activation": config.activation}
     shared = {"gamma": config.discount, "learning_rate": config.actor_learning_rate, "seed": seed, "device": "cpu"}

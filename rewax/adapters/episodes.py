@@ -47,7 +47,7 @@ class Episodes:
             raise ValueError("no episode has begun: call reset before step")
         actions = check_action(actions, (self.num_envs, *self.env.action_spec.shape))
         self._state = state = self._step(self._state, actions)
-        rewards, done = np.asarray(state.reward, np.float32), np.array(state.done)
+        rewards, done = np.array(state.reward, np.float32), np.array(state.done)
         self._returns += rewards
         self._lengths += 1
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(t)} for t in np.asarray(state.truncated)]

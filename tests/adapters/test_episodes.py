@@ -24,6 +24,7 @@ def test_a_whole_episode_reports_its_return_and_its_last_observation():
         obs, rewards, done, infos = envs.step(np.full((3, 1), 0.1))
         total += rewards
         assert obs["x"].dtype == rewards.dtype == np.float32 and done.dtype == bool
+        assert all(array.flags.writeable for array in (obs["x"], rewards, done))  # learners change them in place
         assert done.tolist() == [step == 4] * 3
         assert [info["TimeLimit.truncated"] for info in infos] == done.tolist()
         assert all(("terminal_observation" in info) == (step == 4) for info in infos)
@@ -74,7 +75,7 @@ def test_flat_observations_are_in_the_order_of_their_names():
 
 def test_what_cannot_be_is_refused():
     for num_envs in (0, True, 2.5, "3"):
-        with pytest.raises(ValueError, match="num_envs is .*: give an integer of at least 1"):
+        with pytest.raises(ValueError, match=r"num_envs is .*: give an integer of at least 1"):
             Episodes(toys.point_mass(), num_envs)
     envs = Episodes(toys.point_mass(), 2)
     with pytest.raises(ValueError, match="no episode has begun: call reset before step"):

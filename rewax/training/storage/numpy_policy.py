@@ -70,7 +70,7 @@ class NumpyPolicy:
             if np.shape(observation[name]) != shape:
                 found = np.shape(observation[name])
                 raise ValueError(
-                    f"{name!r} of the observation has shape {found}: give shape {shape}, one environment's"
+                    f"{name!r} of the observation has shape {found}: give {shape}, that of one environment"
                 )
 
     def _normalized(self, observation):

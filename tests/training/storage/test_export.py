@@ -113,8 +113,8 @@ def test_noise_is_that_of_the_policys_distribution(tmp_path):
     ("changes", "sentence"),
     [
         ({"x": None}, r"the observation has no array 'x', only cloud, also: give all of \{"),
-        ({"cloud": np.zeros((9, 3))}, r"'cloud' of the observation has shape \(9, 3\): give shape \(8, 3\)"),
-        ({"x": np.zeros((4, 1))}, r"'x' of the observation has shape \(4, 1\): give shape \(1,\), one environment's"),
+        ({"cloud": np.zeros((9, 3))}, r"'cloud' of the observation has shape \(9, 3\): give \(8, 3\)"),
+        ({"x": np.zeros((4, 1))}, r"'x' of the observation has shape \(4, 1\): give \(1,\), that of one environment"),
         ("array", "the observation is a ndarray: give a dict of arrays"),
     ],
 )  # fmt: skip
