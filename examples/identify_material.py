@@ -39,6 +39,8 @@ class Args:
     iterations: int = 25
     steps: int = 8
     """Control steps that were observed."""
+    scaling: float = 1.0
+    """Factor of Polyak's step length; above 2 steps overshoot."""
 
 
 def with_modulus(env, modulus: jax.Array):
@@ -91,12 +93,14 @@ def main(args: Args) -> float:
         return value, grad.scene.material.elasticity.youngs_modulus * jnp.exp(log_modulus), status
 
     # The mismatch of the right modulus is zero, which Polyak's step length makes use of.
-    optimizer = optax.chain(optax.polyak_sgd(max_learning_rate=1e6), optax.clip(0.5))
+    optimizer = optax.chain(optax.polyak_sgd(max_learning_rate=1e6, scaling=args.scaling), optax.clip(0.5))
     log_modulus = last_valid = jnp.log(jnp.asarray(args.first_guess))
     opt_state = optimizer.init(log_modulus)
     for i in range(args.iterations):
         value, grad, status = loss_and_grad(log_modulus)
         modulus = float(jnp.exp(log_modulus))
+        if bits(status) and i == 0:
+            raise ValueError(f"the first guess has status {describe(bits(status))}: give a larger max_modulus")
         if bits(status):  # the gradient is zero: go back half the way to the last modulus whose motion is valid
             print(f"{i:4d}  E = {modulus:8.1f} Pa   {describe(bits(status))}: half the step back", flush=True)
             log_modulus = 0.5 * (log_modulus + last_valid)

@@ -14,15 +14,14 @@ def example(name):
 
 def test_identification_recovers_the_stiffness_and_steps_back_from_one_that_is_too_high(capsys):
     names = example("identify_material")
-    # One step of 0.5 in the logarithm leads from 900 Pa to 1484 Pa, which the substeps do not allow.
-    args = names["Args"](true_modulus=1150.0, first_guess=900.0, max_modulus=1200.0, iterations=9, steps=3)
-    assert names["main"](args) == pytest.approx(1150.0, rel=0.02)
+    # The first step leads from 900 Pa to some 1190 Pa; the substeps are stable up to 1148 Pa.
+    args = {"true_modulus": 1100.0, "first_guess": 900.0, "max_modulus": 1140.0, "scaling": 3.0}
+    assert names["main"](names["Args"](**args, iterations=8, steps=3)) == pytest.approx(1100.0, rel=0.01)
     text = capsys.readouterr().out
     assert "INVALID_PARAMETERS: half the step back" in text
-    assert "recovered" in text
 
 
 def test_identification_refuses_to_record_what_its_substeps_do_not_allow():
     names = example("identify_material")
-    with pytest.raises(ValueError, match="status INVALID_PARAMETERS: give a larger max_modulus"):
+    with pytest.raises(ValueError, match=r"status .*INVALID_PARAMETERS: give a larger max_modulus"):
         names["main"](names["Args"](true_modulus=5000.0, steps=1))

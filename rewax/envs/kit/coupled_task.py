@@ -10,17 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.kit.appearance import soft_appearance, soft_values
-from rewax.envs.kit.checks import checked_observation, checked_start
+from rewax.envs.kit.checks import checked_start
 from rewax.envs.kit.point_cloud import PointCloud
-from rewax.envs.kit.rigid_task import control_in_range
-from rewax.envs.kit.soft_task import Scene, Soft, check_list_every, soft_at_rest, soft_status
+from rewax.envs.kit.rigid_task import ActuatedTask
+from rewax.envs.kit.soft_body import Scene, Soft, SoftBodyTask, check_list_every, soft_at_rest, soft_status
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
-from rewax.envs.kit.task import Task, against
 from rewax.physics import rigid
 from rewax.physics.coupling import Wrench, articulated, no_wrench
 from rewax.physics.rigid import RigidModel, RigidState
-from rewax.types import Array, Key, Observation, PyTree, Vector
+from rewax.types import Array, Key, PyTree, Vector
 
 
 @struct.dataclass
@@ -43,7 +41,7 @@ class CoupledPhysics(struct.Replaceable):
 
 
 @struct.dataclass
-class CoupledTask(Task):
+class CoupledTask(ActuatedTask, SoftBodyTask):
     """A robot and particles or tetrahedra. Subclasses define ``observe`` and ``reward``, and what else differs.
 
     Every array is a leaf: differentiate with respect to it or vmap over it.
@@ -86,20 +84,7 @@ class CoupledTask(Task):
         del key
         return rigid.initial_state(self.model), soft_at_rest(self.scene, positions), None
 
-    def control(self, action: Array) -> Array:
-        """Controls of the model's actuators for an action within [-1, 1]: from end to end of limited ones' range."""
-        return control_in_range(self.model, action)
-
     # --- The environment ---
-
-    @property
-    def num_actions(self) -> int:
-        return self.model.num_actuators
-
-    @property
-    def control_dt(self) -> float:
-        """Duration of a control step [s]."""
-        return self.num_substeps * self.model.dt
 
     def begin(self, key: Key) -> tuple[CoupledPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
@@ -123,31 +108,6 @@ class CoupledTask(Task):
         touch = jax.tree.map(lambda a: a.mean(0), touch)
         return physics.replace(rigid=bodies, soft=soft, touch=touch, action=action), status
 
-    def seen(self, physics: CoupledPhysics, key: Key) -> tuple[Observation, Key]:
-        return self.cloud.shown(checked_observation(self, self.observe(physics)), (physics.soft.x, physics.soft.v), key)
-
-    def observed(self, physics: CoupledPhysics) -> Array:
-        """The fixed points of the cloud, shape (num_points, 3)."""
-        return self.cloud.pick(physics.soft.x)
-
-    def particles(self, physics: CoupledPhysics) -> Array:
-        """Positions for pictures [m], shape (num_points, 3)."""
-        return physics.soft.x
-
-    def particle_values(self, physics: CoupledPhysics) -> dict[str, Array]:
-        """Numbers that colour the points in pictures, shape (num_points,) each: ``speed`` [m/s], ``strain`` [-]."""
-        return soft_values(physics.soft)
-
-    @property
-    def appearance(self) -> dict[str, Any]:
-        """How pictures show the soft body, its floor and the camera; see ``rewax.viz.recording``."""
-        return {**soft_appearance(self.scene, self.up), "camera": self.camera}
-
     def render_shapes(self, physics: CoupledPhysics) -> list[dict[str, Any]]:
         """Drawings of the robot, see ``rewax.viz.shapes``."""
         return rigid.shapes(self.model, physics.rigid)
-
-    @property
-    def up(self) -> np.ndarray:
-        """Unit vector against gravity, for pictures, shape (3,); y without gravity."""
-        return against(self.scene.gravity, (0.0, 1.0, 0.0))

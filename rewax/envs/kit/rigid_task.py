@@ -37,8 +37,27 @@ class RigidPhysics(struct.Replaceable):
     task: PyTree = None
 
 
+class ActuatedTask(Task):
+    """Base of ``RigidTask`` and ``CoupledTask``: an action drives the actuators of a model."""
+
+    model: RigidModel
+
+    def control(self, action: Array) -> Array:
+        """Controls of the actuators for an action within [-1, 1], which spans the range of each limited actuator."""
+        return control_in_range(self.model, action)
+
+    @property
+    def num_actions(self) -> int:
+        return self.model.num_actuators
+
+    @property
+    def control_dt(self) -> float:
+        """Duration of a control step [s]."""
+        return self.num_substeps * self.model.dt
+
+
 @struct.dataclass
-class RigidTask(Task):
+class RigidTask(ActuatedTask):
     """A task on one model. Subclasses define ``start``, ``observe`` and ``reward``, and what else they need.
 
     Attributes:
@@ -57,20 +76,7 @@ class RigidTask(Task):
         """Bodies at the beginning of an episode, and what else the task keeps (None for nothing)."""
         raise NotImplementedError(f"{type(self).__name__} has no start(key): define it")
 
-    def control(self, action: Array) -> Array:
-        """Controls of the model's actuators for an action within [-1, 1]: from end to end of limited ones' range."""
-        return control_in_range(self.model, action)
-
     # --- The environment ---
-
-    @property
-    def num_actions(self) -> int:
-        return self.model.num_actuators
-
-    @property
-    def control_dt(self) -> float:
-        """Duration of a control step [s]."""
-        return self.num_substeps * self.model.dt
 
     def begin(self, key: Key) -> tuple[RigidPhysics, Key]:
         key, start_key = jax.random.split(key)

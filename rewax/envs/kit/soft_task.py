@@ -4,28 +4,24 @@ A task is a subclass that says what is observed and rewarded; see ``examples/cus
 of the scene whose joints move linearly within a control step and stop at their limits.
 """
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.kit.appearance import soft_appearance, soft_values
-from rewax.envs.kit.checks import checked_observation, checked_poses, checked_start
+from rewax.envs.kit.checks import checked_poses, checked_start
 from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.soft_body import Scene, Soft, SoftBodyTask, check_list_every, soft_at_rest, soft_status
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
-from rewax.envs.kit.task import Task, against
 from rewax.physics import mpm, tets
 from rewax.physics.contact import drawings
-from rewax.physics.mpm import MPMScene, MPMState
+from rewax.physics.mpm import MPMState
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import TetScene, TetState
 from rewax.types import Array, Key, Observation, PyTree, Vector
-
-Scene: TypeAlias = MPMScene | TetScene
-Soft: TypeAlias = MPMState | TetState
 
 
 @struct.dataclass
@@ -48,7 +44,7 @@ class SoftPhysics(struct.Replaceable):
 
 
 @struct.dataclass
-class SoftTask(Task):
+class SoftTask(SoftBodyTask):
     """A task on one scene. Subclasses define ``reward``, with tools ``poses``, and what else differs from the defaults.
 
     Every array is a leaf: differentiate with respect to it or vmap over it.
@@ -121,10 +117,6 @@ class SoftTask(Task):
         del action
         return self.scene
 
-    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
-        """Positions and velocities of all points as a policy sees them, shape (num_points, 3) each."""
-        return physics.soft.x, physics.soft.v
-
     @property
     def num_actions(self) -> int:
         """By default one for each joint; the first ones are the joints', see ``actuated`` for others."""
@@ -170,38 +162,13 @@ class SoftTask(Task):
         moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=motion / self.joint_step, action=action)
         return moved, status
 
-    def seen(self, physics: SoftPhysics, key: Key) -> tuple[Observation, Key]:
-        return self.cloud.shown(checked_observation(self, self.observe(physics)), self.points(physics), key)
-
     def at_rest(self, positions: Array) -> Soft:
         """The state of undeformed particles, or of vertices, that do not move [m]."""
         return soft_at_rest(self.scene, positions)
 
-    def observed(self, physics: SoftPhysics) -> Array:
-        """The fixed points of the cloud, shape (num_points, 3); rewards are computed from them."""
-        return self.cloud.pick(self.points(physics)[0])
-
-    def particles(self, physics: SoftPhysics) -> Array:
-        """Positions for pictures [m], shape (num_points, 3)."""
-        return physics.soft.x
-
-    def particle_values(self, physics: SoftPhysics) -> dict[str, Array]:
-        """Numbers that colour the points in pictures, shape (num_points,) each: ``speed`` [m/s], ``strain`` [-]."""
-        return soft_values(physics.soft)
-
-    @property
-    def appearance(self) -> dict[str, Any]:
-        """How pictures show the soft body, its floor and the camera; see ``rewax.viz.recording``."""
-        return {**soft_appearance(self.scene, self.up), "camera": self.camera}
-
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         """Drawings of the tools, see ``rewax.viz.shapes``."""
         return drawings(self.scene.colliders, jax.tree.map(lambda a: a[0], self.poses(physics.joint_q[None])))
-
-    @property
-    def up(self) -> np.ndarray:
-        """Unit vector against gravity, for pictures, shape (3,); y without gravity."""
-        return against(self.scene.gravity, (0.0, 1.0, 0.0))
 
     def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Array]:
         """Soft bodies after the substeps between poses, and their status bits.
@@ -225,32 +192,3 @@ class SoftTask(Task):
         boundaries = np.arange(0, self.num_substeps, every)[:, None] + np.arange(every + 1)
         particles, status = jax.lax.scan(move, soft, jax.tree.map(lambda a: a[boundaries], poses))
         return particles, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
-
-
-def soft_at_rest(scene: Scene, positions: Array) -> Soft:
-    """The state of undeformed particles, or of vertices, that do not move [m]."""
-    if isinstance(scene, TetScene):
-        return tets.initial_state(positions)
-    materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
-    return mpm.initial_state(positions, scene if any(m.initial_memory for m in materials) else None)
-
-
-def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:
-    """Status bits of particles or vertices that began a step at ``start``; see ``mpm`` and ``tets.check_status``."""
-    if isinstance(scene, TetScene):
-        assert isinstance(soft, TetState)
-        return tets.check_status(scene, soft, poses=poses)
-    assert isinstance(soft, MPMState) and isinstance(start, MPMState)
-    return mpm.check_status(scene, soft, start=start, poses=poses)
-
-
-def check_list_every(list_every: int | None, num_substeps: int) -> None:
-    """Raises ValueError unless ``list_every`` is None or a divisor of ``num_substeps``."""
-    if list_every is None:
-        return
-    integer_option("list_every", list_every, "give a divisor of num_substeps, or None for a whole control step")
-    if num_substeps % list_every:
-        raise ValueError(
-            f"list_every is {list_every}, which does not divide num_substeps = {num_substeps}: choose a divisor, or "
-            "None"
-        )

@@ -15,8 +15,9 @@ from rewax import struct
 from rewax.envs.kit.appearance import MARKER
 from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_parts import box_walls, lattice_box, random_box, water
-from rewax.envs.kit.soft_task import Soft, SoftPhysics, SoftTask
+from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.envs.kit.start_noise import round_unit
 from rewax.physics import mpm
 from rewax.physics.contact import Collider

@@ -12,8 +12,9 @@ from rewax import struct
 from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.shadow_hand import HandTask, hand_colliders, joint_limits, load_hand
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_parts import box_walls, dough
-from rewax.envs.kit.soft_task import Soft, SoftPhysics
+from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
 from rewax.physics import mpm
 from rewax.physics.mpm import Grid

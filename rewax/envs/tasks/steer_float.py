@@ -15,8 +15,9 @@ from rewax import struct
 from rewax.envs.kit.appearance import MARKER
 from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_parts import box_walls, lattice_box, turn_about_y, water
-from rewax.envs.kit.soft_task import Soft, SoftPhysics, SoftTask
+from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid, Material, NeoHookean, WallKind
