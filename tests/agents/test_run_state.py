@@ -110,7 +110,7 @@ def test_each_episode_draws_parameters_of_its_own():
 
 
 def test_a_batch_of_another_size_is_refused_before_anything_compiles():
-    with pytest.raises(ValueError, match=r"^num_envs is 3, but the batch's leaf .gain has shape \(2,\): give every"):
+    with pytest.raises(ValueError, match=r"^num_envs is 3, but .gain of the batch has shape \(2,\): give every"):
         make_sapo(stack(ENVS[:2]), CONFIG)
 
 

@@ -1,6 +1,6 @@
-"""What tasks share in which a robot handles a soft body and feels it: forces go both ways.
+"""Base of tasks in which a robot handles a soft body, with forces on both (two-way coupling).
 
-A task is a subclass that says what is observed and rewarded; see ``rewax/envs/tasks/gripper_lift.py``.
+A subclass defines observation and reward; see ``rewax/envs/tasks/gripper_lift.py``.
 """
 
 from typing import Any
@@ -23,14 +23,14 @@ from rewax.types import Array, Key, PyTree, Vector
 
 @struct.dataclass
 class CoupledPhysics(struct.Replaceable):
-    """What a task on a robot and a soft body simulates.
+    """State of a simulation of a robot and a soft body.
 
     Attributes:
       rigid: positions and velocities of the robot.
       soft: the particles, or the vertices.
       touch: mean force and torque of the soft body on each body of the robot in the last control step.
-      action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
-      task: what else the task keeps (a goal, say), or None.
+      action: the last action, within [-1, 1]; zero after a reset, shape (num_actions,).
+      task: further state of the task, a goal for example, or None.
     """
 
     rigid: RigidState
@@ -42,19 +42,19 @@ class CoupledPhysics(struct.Replaceable):
 
 @struct.dataclass
 class CoupledTask(ActuatedTask, SoftBodyTask):
-    """A robot and particles or tetrahedra. Subclasses define ``observe`` and ``reward``, and what else differs.
+    """A robot and particles or tetrahedra. Subclasses define ``observe`` and ``reward``; other methods have defaults.
 
-    Every array is a leaf: differentiate with respect to it or vmap over it.
+    Every array is a parameter: differentiate with respect to it or vmap over it.
 
     Attributes:
-      model: the robot; the scene's colliders belong to its bodies (``rigid.colliders``).
-      scene: the soft body and what bounds it; its dt divides the model's.
+      model: the robot. The colliders of the scene belong to its bodies (``rigid.colliders``).
+      scene: the soft body, walls and ground. Its dt divides that of the model.
       rest_positions: points before the noise of a reset [m], shape (num_points, 3).
-      noise: of a reset.
-      cloud: what a policy sees of the points.
-      num_substeps: of the robot per control step (static).
+      noise: random shift and stretch of the points at a reset.
+      cloud: the observed points.
+      num_substeps: substeps of the robot per control step (static).
       max_steps: control steps per episode (static).
-      list_every: particles only: substeps of the robot for which one list of active nodes serves, a divisor of
+      list_every: for particles, the substeps of the robot for which one list of active nodes serves, a divisor of
         num_substeps; None: a whole control step (static).
     """
 
@@ -72,14 +72,14 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
         check_list_every(self.list_every, self.num_substeps)
         articulated.soft_substeps(self.scene, self.model)
 
-    # --- What a task defines, beside observe and reward ---
+    # --- Methods that a task defines, beside observe and reward ---
 
     def start(self, positions: Array, key: Key) -> tuple[RigidState, Soft, PyTree]:
-        """Robot and soft body at the beginning of an episode, and what else the task keeps (None for nothing).
+        """Robot and soft body at the beginning of an episode, and ``physics.task``: further state, or None.
 
         Args:
           positions: ``rest_positions`` with the noise of a reset [m].
-          key: for other draws.
+          key: for further draws.
         """
         del key
         return rigid.initial_state(self.model), soft_at_rest(self.scene, positions), None
@@ -89,7 +89,7 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
     def begin(self, key: Key) -> tuple[CoupledPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
-        parts = ("the robot", "the soft body", "what the task keeps")
+        parts = ("the robot", "the soft body", "the state of the task")
         bodies, soft, task = checked_start(self, self.start(positions, start_key), parts)
         action, touch = jnp.zeros(self.num_actions, soft.x.dtype), no_wrench(self.model.num_bodies, soft.x)
         return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task), key

@@ -1,4 +1,4 @@
-"""What tasks with a soft body share, whether a robot or prescribed tools move it: observation, status, pictures."""
+"""Base of tasks with a soft body, whether a robot or prescribed tools move it: observation, status, pictures."""
 
 from typing import Any, TypeAlias
 
@@ -51,7 +51,7 @@ class SoftBodyTask(Task):
 
     @property
     def up(self) -> np.ndarray:
-        """Unit vector against gravity, for pictures, shape (3,); y without gravity."""
+        """Unit vector opposite to gravity, for pictures, shape (3,); y if gravity is zero."""
         return against(self.scene.gravity, (0.0, 1.0, 0.0))
 
 

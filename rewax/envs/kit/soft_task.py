@@ -1,7 +1,7 @@
-"""What tasks on soft bodies share, particles or tetrahedra: reset, moving tools, control step, time limit, pictures.
+"""Base of tasks on particles or tetrahedra: reset, moving tools, control step, time limit, pictures.
 
-A task is a subclass that says what is observed and rewarded; see ``examples/custom_soft_task.py``. Tools are colliders
-of the scene whose joints move linearly within a control step and stop at their limits.
+A subclass defines observation and reward; see ``examples/custom_soft_task.py``. Tools are colliders of the scene. Their
+joints move linearly within a control step and stop at their limits.
 """
 
 from typing import Any
@@ -26,14 +26,14 @@ from rewax.types import Array, Key, Observation, PyTree, Vector
 
 @struct.dataclass
 class SoftPhysics(struct.Replaceable):
-    """What a task on soft bodies simulates.
+    """State of a simulation of soft bodies and tools.
 
     Attributes:
       soft: the particles, or the vertices.
-      joint_q: where the tools' joints are [m, rad], shape (num_joints,).
-      joint_qd: how they moved in the last control step, in units of ``joint_step``, shape (num_joints,).
-      action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
-      task: what else the task keeps (a goal, say), or None.
+      joint_q: positions of the tools' joints [m, rad], shape (num_joints,).
+      joint_qd: motion of the joints in the last control step, in units of ``joint_step``, shape (num_joints,).
+      action: the last action, within [-1, 1]; zero after a reset, shape (num_actions,).
+      task: further state of the task, a goal for example, or None.
     """
 
     soft: Soft
@@ -45,23 +45,23 @@ class SoftPhysics(struct.Replaceable):
 
 @struct.dataclass
 class SoftTask(SoftBodyTask):
-    """A task on one scene. Subclasses define ``reward``, with tools ``poses``, and what else differs from the defaults.
+    """A task on one scene. Subclasses define ``reward``, and ``poses`` if there are tools; other methods have defaults.
 
-    Every array is a leaf: differentiate with respect to it or vmap over it.
+    Every array is a parameter: differentiate with respect to it or vmap over it.
 
     Attributes:
-      scene: the soft bodies, the tools as its colliders, and what bounds them.
+      scene: the soft bodies, the tools as its colliders, walls and ground.
       rest_positions: points before the noise of a reset [m], shape (num_points, 3).
-      noise: of a reset.
+      noise: random shift and stretch of the points at a reset.
       joint_start, joint_lower, joint_upper: first joint_q and its limits [m, rad], shape (num_joints,).
       joint_step: change of joint_q per control step for action 1 [m, rad], shape (num_joints,).
-      cloud: what a policy sees of the points.
-      num_substeps: per control step (static).
+      cloud: the observed points.
+      num_substeps: substeps per control step (static).
       max_steps: control steps per episode (static).
-      exact_limits: a joint that a limit stops has no derivative by its place before; else limits are frozen, as in
-        the reference, and its place keeps a derivative of 1 (static).
-      list_every: particles only: substeps for which one list of active nodes serves, a divisor of num_substeps; None: a
-        whole control step (static).
+      exact_limits: whether a joint that a limit stops has derivative 0 with respect to its previous position, which is
+        exact. If False, limits are frozen, as in the reference: that derivative is 1 (static).
+      list_every: for particles, the substeps for which one list of active nodes serves, a divisor of num_substeps;
+        None: a whole control step (static).
       store_every: substeps between stored states in the backward pass, see ``mpm.step`` (static).
     """
 
@@ -88,38 +88,38 @@ class SoftTask(SoftBodyTask):
             if shape != wanted:
                 raise ValueError(f"{name} has shape {shape}, but joint_start {wanted}: give one number for each joint")
 
-    # --- What a task defines ---
+    # --- Methods that a task defines ---
 
     def poses(self, joint_q: Array) -> Pose:
-        """Poses of the bodies that carry the colliders, for joint_q of shape (n, num_joints): (n, num_bodies, ...)."""
+        """Poses of the bodies that the colliders belong to, shape (n, num_bodies, ...), for joint_q (n, num_joints)."""
         if self.scene.colliders:
             raise NotImplementedError(f"{type(self).__name__} has colliders but no poses(joint_q): define it")
         return tets.static_poses(len(joint_q) - 1, dtype=joint_q.dtype)
 
     def observe(self, physics: SoftPhysics) -> Observation:
-        """Named observations of a state; by default some of the points, their mean, and the joints if there are any."""
+        """Named observations of a state; by default the observed points, their mean, and the joints of the tools."""
         seen = self.observed(physics)
         obs = {"particle_q": seen, "com_q": seen.mean(0)}
         return {**obs, "joint_q": physics.joint_q} if self.num_joints else obs
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
-        """Soft bodies at the beginning of an episode, and what else the task keeps (None for nothing).
+        """Soft bodies at the beginning of an episode, and ``physics.task``: further state of the task, or None.
 
         Args:
           positions: ``rest_positions`` with the noise of a reset [m].
-          key: for other draws.
+          key: for further draws.
         """
         del key
         return self.at_rest(positions), None
 
     def actuated(self, action: Array) -> Scene:
-        """The scene of a control step: what components of the action beyond the joints' change in it."""
+        """The scene of a control step. Components of the action beyond the joints' may change it: muscles, for example."""
         del action
         return self.scene
 
     @property
     def num_actions(self) -> int:
-        """By default one for each joint; the first ones are the joints', see ``actuated`` for others."""
+        """Number of components of an action. The first ones move the joints; ``actuated`` uses others."""
         return self.num_joints
 
     # --- The environment ---
@@ -136,7 +136,7 @@ class SoftTask(SoftBodyTask):
     def begin(self, key: Key) -> tuple[SoftPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
-        soft, task = checked_start(self, self.start(positions, start_key), ("the soft bodies", "what the task keeps"))
+        soft, task = checked_start(self, self.start(positions, start_key), ("the soft bodies", "the state of the task"))
         physics = SoftPhysics(
             soft=soft,
             joint_q=self.joint_start,
@@ -147,10 +147,10 @@ class SoftTask(SoftBodyTask):
         return physics, key
 
     def advance(self, physics: SoftPhysics, action: Array) -> tuple[SoftPhysics, Array]:
-        """Joints move by ``joint_step * action``, as far as their limits allow.
+        """Moves joints by ``joint_step * action``, clipped to their limits, and the soft bodies with them.
 
-        Gradient: exact through the soft bodies; at limits see ``exact_limits``. A joint that is held by a limit passes
-        no gradient to the action that pushes against it.
+        Gradient: exact through the soft bodies; ``exact_limits`` says what it is at limits. An action that pushes a
+          joint against its limit has gradient zero.
         """
         q = physics.joint_q
         before = q if self.exact_limits else jax.lax.stop_gradient(q)
@@ -163,7 +163,7 @@ class SoftTask(SoftBodyTask):
         return moved, status
 
     def at_rest(self, positions: Array) -> Soft:
-        """The state of undeformed particles, or of vertices, that do not move [m]."""
+        """The state of undeformed particles, or of vertices, at these positions [m] with velocity zero."""
         return soft_at_rest(self.scene, positions)
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
@@ -173,8 +173,8 @@ class SoftTask(SoftBodyTask):
     def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Array]:
         """Soft bodies after the substeps between poses, and their status bits.
 
-        Each ``list_every`` substeps have a list of active nodes of their own, because fast particles leave one that is
-        older. Every list is checked.
+        Each ``list_every`` substeps have their own list of active nodes, because fast particles leave the nodes of an
+        older list. The status checks every list.
         """
         if isinstance(scene, TetScene):
             assert isinstance(soft, TetState)
