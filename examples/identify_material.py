@@ -39,7 +39,7 @@ class Args:
     iterations: int = 25
     steps: int = 8
     """Control steps that were observed."""
-    scaling: float = 1.0
+    step_factor: float = 1.0
     """Factor of Polyak's step length; above 2 steps overshoot."""
 
 
@@ -93,7 +93,7 @@ def main(args: Args) -> float:
         return value, grad.scene.material.elasticity.youngs_modulus * jnp.exp(log_modulus), status
 
     # The mismatch of the right modulus is zero, which Polyak's step length makes use of.
-    optimizer = optax.chain(optax.polyak_sgd(max_learning_rate=1e6, scaling=args.scaling), optax.clip(0.5))
+    optimizer = optax.chain(optax.polyak_sgd(max_learning_rate=1e6), optax.scale(args.step_factor), optax.clip(0.5))
     log_modulus = last_valid = jnp.log(jnp.asarray(args.first_guess))
     opt_state = optimizer.init(log_modulus)
     for i in range(args.iterations):

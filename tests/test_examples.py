@@ -15,7 +15,7 @@ def example(name):
 def test_identification_recovers_the_stiffness_and_steps_back_from_one_that_is_too_high(capsys):
     names = example("identify_material")
     # The first step leads from 900 Pa to some 1190 Pa; the substeps are stable up to 1148 Pa.
-    args = {"true_modulus": 1100.0, "first_guess": 900.0, "max_modulus": 1140.0, "scaling": 3.0}
+    args = {"true_modulus": 1100.0, "first_guess": 900.0, "max_modulus": 1140.0, "step_factor": 3.0}
     assert names["main"](names["Args"](**args, iterations=8, steps=3)) == pytest.approx(1100.0, rel=0.01)
     text = capsys.readouterr().out
     assert "INVALID_PARAMETERS: half the step back" in text

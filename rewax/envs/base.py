@@ -172,7 +172,7 @@ def next_state(
 
 
 def failed_leaf_name(env: "Env", leaf: int) -> str:
-    """The name of the array with index ``State.failed_leaf``: ``"physics.rigid.qpos"``, ``"obs['state']"``, ``"reward"``.
+    """The name of the array with index ``State.failed_leaf``: ``"physics.rigid.qpos"``, ``"obs['state']"``.
 
     Args:
       env: the environment, unbatched.

@@ -36,7 +36,7 @@ class Runner(RigidTask):
     target: Vector
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
-        """The model's pose with uniform noise: position 0.1 m, rotation 7.5 degrees, joints 0.2 rad, velocities 0.25."""
+        """The model's pose with uniform noise: position 0.1 m, rotation 7.5 degrees, joints 0.2 rad, velocity 0.25."""
         keys = jax.random.split(key, 4)
         position = jnp.zeros(3).at[1].set(self.start_height) + uniform(keys[0], 3, 0.1)
         rotation = quaternion_product(self.model.home[3:7], random_turn(keys[1], np.pi / 24))
@@ -59,7 +59,7 @@ class Runner(RigidTask):
         return physics.rigid.qpos[1] < self.fallen_height
 
     def posture(self, physics: RigidPhysics) -> tuple[Array, Array, Array]:
-        """Rotation of the torso, and two cosines: its up axis to the world's, its forward axis to the target's direction."""
+        """Rotation of the torso, cosine of its up axis to the world's, and of its forward axis to the target."""
         q = physics.rigid.qpos
         rotation = quaternion_to_matrix(q[3:7])
         ahead = (self.target - q[:3]) * np.array([1.0, 0.0, 1.0])

@@ -19,7 +19,8 @@ NUM_JOINTS = 24
 
 @struct.dataclass
 class HandTask(SoftTask):
-    """A soft body on a hand. The 24 joints of the hand are WRJ1, WRJ0, FFJ3 to FFJ0, MF, RF, LFJ4 to LFJ0, THJ4 to THJ0 [rad].
+    """A soft body on a hand. The 24 joints of the hand are WRJ1, WRJ0, FFJ3 to FFJ0, MF, RF, LFJ4 to LFJ0,
+    THJ4 to THJ0 [rad].
 
     Attributes:
       hand: the model of the hand. Its geoms are the colliders of the scene.
@@ -43,7 +44,7 @@ def load_hand(*, scale: float, position: tuple[float, float, float]) -> RigidMod
     for geom in spec.geoms:
         geom.pos, geom.size = scale * np.asarray(geom.pos), scale * np.asarray(geom.size)
     wrist = spec.body("wrist")
-    turn = np.array([-1.0, -1.0, 1.0])  # 180 degrees about z, as the reference converts from z up to y up
+    turn = np.array([-1.0, -1.0, 1.0])  # 180 degrees about z, as the reference goes from z up to y up
     wrist.pos, wrist.quat = np.asarray(position) + turn * np.asarray(wrist.pos), [0.0, 0.0, 0.0, 1.0]
     return rigid.load(spec, dt=1e-3)
 

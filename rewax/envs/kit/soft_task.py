@@ -113,7 +113,7 @@ class SoftTask(SoftBodyTask):
         return self.at_rest(positions), None
 
     def actuated(self, action: Array) -> Scene:
-        """The scene of a control step. Components of the action beyond the joints' may change it: muscles, for example."""
+        """The scene of a control step. Components of the action beyond the joints' may change it (muscles)."""
         del action
         return self.scene
 

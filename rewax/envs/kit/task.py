@@ -20,7 +20,7 @@ _COUNTS = {
 
 
 class Task(struct.Replaceable):
-    """Base of ``RigidTask``, ``SoftTask`` and ``CoupledTask``, which define fields, ``begin``, ``advance`` and pictures.
+    """Base of ``RigidTask``, ``SoftTask`` and ``CoupledTask``, which add fields, ``begin``, ``advance`` and pictures.
 
     Their physics has the fields ``action`` and ``task``.
     """

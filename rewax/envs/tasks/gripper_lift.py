@@ -1,8 +1,8 @@
-"""GripperLift: two fingers grasp a soft block and lift it; the motors feel its weight and its give.
+"""GripperLift: two fingers grasp a soft block and lift it. The block exerts forces on the fingers, too.
 
-Not a task of the reference: fingers move by forces, not as prescribed, so what they hold pushes back. Friction decides:
-a policy that squeezes too little, or pulls too hard, loses the block. The gradient of the lifted height reaches the
-squeeze through the particles' contact.
+The reference has no such task: here motors move the fingers, and the block pushes back. A policy that squeezes too
+little, or pulls too hard, loses the block. The gradient of the height reaches the squeezing force through the contact
+of the particles.
 """
 
 import jax.numpy as jnp
@@ -20,20 +20,20 @@ from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
 from rewax.types import Array, Observation, Scalar
 
 SIZE = (0.08, 0.08, 0.08)
-"""Of the block [m]."""
+"""Edges of the block [m]."""
 FLOOR = 0.08
-"""Height of the floor [m]; material comes to rest up to a cell below it."""
+"""Height of the floor [m]. Material comes to rest up to one cell below it."""
 
 
 @struct.dataclass
 class GripperLift(CoupledTask):
-    """The environment; build it with ``rewax.make("GripperLift", scale=...)``.
+    """The task; ``rewax.make("GripperLift", scale=...)`` builds it.
 
     Attributes:
-      target: height of the block's middle that is wanted [m].
-      start_height: of its middle at rest [m].
+      target: desired height of the center of the block [m].
+      start_height: height of its center at rest [m].
       reach: weight of the distance between fingers and block in the reward [1/m].
-      effort: price of the sum of squares of the actions.
+      effort: weight of the squared norm of the action in the reward.
     """
 
     target: Scalar
@@ -49,8 +49,8 @@ class GripperLift(CoupledTask):
     def reward(self, physics: CoupledPhysics) -> tuple[Array, dict[str, Array]]:
         """1 - ((target - h) / (target - h0))^2 - reach gap - effort |a|^2.
 
-        h is the mean height of the block, h0 that at rest, gap the mean distance of the fingers from its middle along
-        x beyond half its size [m].
+        h is the mean height of the block [m] and h0 its value at rest. gap is the mean distance along x between the
+        fingers and the faces of the block [m].
         """
         x = physics.soft.x
         height = x[:, 1].mean()

@@ -1,7 +1,7 @@
 """HandFlip: fold a flat piece of dough on a hand, by closing the hand.
 
-At scale ``paper`` this is the task of the SAPO paper (DexDeform's flip as Rewarped simulates it): a Shadow hand, palm
-up, under a thin disc of dough. At scale ``small`` the same hand folds softer and coarser dough in fewer, longer steps.
+Scale ``paper`` is the task of the SAPO paper (DexDeform's flip as Rewarped simulates it): a Shadow hand, palm up, under
+a thin disc of dough. Scale ``small`` has the same hand, softer and coarser dough, and fewer, longer steps.
 """
 
 import jax
@@ -44,8 +44,8 @@ REFERENCE = {
     "num_observed": 250,
     "stride": 10,
 }
-"""Xing, Luk and Oh 2025 and Rewarped; lengths in m, times in s, moduli in Pa for dough of density 1. The volume of a
-particle is a squared length there; with a prescribed hand it has no effect on the motion."""
+"""Xing, Luk and Oh 2025 and Rewarped; lengths in m, times in s, moduli in Pa for dough of density 1. The reference
+squares a length for the volume of a particle; with a prescribed hand the volume does not affect the motion."""
 
 START = (
     *(-0.16514339750464327, -0.31973286565062153),
@@ -61,17 +61,17 @@ Gymnasium-Robotics (``DEFAULT_INITIAL_QPOS``), which DexDeform and Rewarped star
 
 @struct.dataclass
 class HandFlip(HandTask):
-    """The environment; build it with ``rewax.make("HandFlip", scale=...)``.
+    """The task; ``rewax.make("HandFlip", scale=...)`` builds it.
 
-    Observed points i and i + n/2 of n are mirror images of each other at rest. The task keeps their mean distance D0 at
-    the first step of the episode [m], shape (); negative before.
+    The observed points i and i + n/2, of n points, are mirror images of each other at rest. ``physics.task`` is D0, the
+    mean distance of these pairs at the first step of the episode [m], shape (); before that step it is negative.
     """
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         return self.at_rest(positions), -jnp.ones((), positions.dtype)
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """clip((D0 - D) / D0, -1, 1), D the mean distance of mirror pairs. D0 has no derivative."""
+        """clip((D0 - D) / D0, -1, 1), with D the mean distance of mirror pairs. D0 has no gradient."""
         distance = self.pair_distance(physics)
         first = self.first_distance(physics)
         closed = (first - distance) / first
@@ -92,7 +92,7 @@ class HandFlip(HandTask):
 
 
 def mirrored_disc(center: tuple[float, ...], radius: float, half_thickness: float, num_particles: int) -> Array:
-    """Uniform points of a disc about y from a fixed seed: one half in z >= 0, then its mirror images in z = 0.
+    """Random points of a disc about y, from a fixed seed: one half with z >= 0, then its mirror images in z = 0.
 
     Each half is sorted by z, then x, then y; shape (num_particles, 3).
     """
@@ -114,7 +114,7 @@ def paper(
     dt: float | None = None,
     num_substeps: int | None = None,
 ) -> HandFlip:
-    """The reference's constants."""
+    """The constants of the reference."""
     steps = substeps(dt, num_substeps, Substeps(REFERENCE["dt"], REFERENCE["num_substeps"], list_every=5))
     r, hand = REFERENCE, load_hand(scale=REFERENCE["hand_scale"], position=REFERENCE["hand_position"])
     scene = mpm.make_scene(
@@ -161,7 +161,7 @@ def small(
     num_substeps: int | None = None,
     softness: float = 100.0,
 ) -> HandFlip:
-    """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
+    """A task that learns within minutes on two cores; ``docs/soft_tasks.md`` has the reason for each difference."""
     steps = substeps(dt, num_substeps, Substeps(4e-4, 15, list_every=5))
     softness = number_option("softness", softness, remedy="give a decay per metre")
     r, hand = REFERENCE, load_hand(scale=REFERENCE["hand_scale"], position=REFERENCE["hand_position"])

@@ -1,7 +1,7 @@
 """HandLift: lift a cube of dough that lies on a hand, by closing the hand.
 
-At scale ``paper`` this is DexDeform's lift as Rewarped simulates it: a smaller Shadow hand than HandFlip's, palm up,
-under a cube of stiff and heavy dough. At scale ``small`` the dough is coarser, and steps are fewer and longer.
+Scale ``paper`` is DexDeform's lift as Rewarped simulates it: a smaller Shadow hand than that of HandFlip, palm up,
+under a cube of stiff and heavy dough. Scale ``small`` has coarser dough, and fewer, longer steps.
 """
 
 import jax.numpy as jnp
@@ -40,24 +40,24 @@ REFERENCE = {
     "num_observed": 250,
     "stride": 32,
 }
-"""Rewarped's dexdeform.Lift; lengths in m, times in s, moduli in Pa. Substeps, motion per step and observed points,
-which its configuration shares with the flip, are HandFlip's."""
+"""dexdeform.Lift of Rewarped; lengths in m, times in s, moduli in Pa. Substeps, motion per step and observed points are
+those of HandFlip: the two share them in Rewarped's configuration."""
 
 
 @struct.dataclass
 class HandLift(HandTask):
-    """The environment; build it with ``rewax.make("HandLift", scale=...)``.
+    """The task; ``rewax.make("HandLift", scale=...)`` builds it.
 
     Attributes:
-      datum: height that earns nothing [m]; 0 in the reference.
-      unit: height above it that earns 1 [m]; 1 in the reference.
+      datum: height at which the reward is 0 [m]; 0 in the reference.
+      unit: height above the datum at which the reward is 1 [m]; 1 in the reference.
     """
 
     datum: Vector
     unit: Vector
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """(h - datum) / unit, h the mean height of all particles [m]."""
+        """(h - datum) / unit, with h the mean height of all particles [m]."""
         height = physics.soft.x[:, 1].mean()
         return (height - self.datum) / self.unit, {"height": height}
 
@@ -103,7 +103,7 @@ def _hand_lift(*, grid: Grid, steps: Substeps, softness: float, walls: dict, sce
 
 
 def paper(*, dt: float | None = None, num_substeps: int | None = None) -> HandLift:
-    """The reference's constants."""
+    """The constants of the reference."""
     r = REFERENCE
     bound = 3.0 / r["grid"]
     return _hand_lift(
@@ -118,7 +118,7 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> HandLi
 
 
 def small(*, dt: float | None = None, num_substeps: int | None = None) -> HandLift:
-    """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
+    """A task that learns within minutes on two cores; ``docs/soft_tasks.md`` has the reason for each difference."""
     r, spacing = REFERENCE, 1.0 / 48
     center = (0.5, 0.265, 0.5)
     return _hand_lift(

@@ -15,21 +15,21 @@ from rewax.types import Array, Key, Observation, PyTree, Vector
 
 @struct.dataclass
 class Hopper(RigidTask):
-    """The environment; build it with ``rewax.make("Hopper", scale=...)``.
+    """The task; ``rewax.make("Hopper", scale=...)`` builds it.
 
     Observation ``state``, 11 numbers: height, pitch and the angles of thigh, leg and foot, then the rates of x, height,
-    pitch and the three joints. An action times 200 N m is the joints' torques. Height is that of the torso above the
-    model's own, 1.25 m.
+    pitch and the three joints. The joint torques are 200 N m times the action. Height is relative to that of the torso
+    in the model, 1.25 m.
 
     Attributes:
-      fallen_height: below which the episode ends [m].
+      fallen_height: height below which the episode ends [m].
     """
 
     fallen_height: Vector
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
-        place_key, velocity_key = jax.random.split(key)
-        return rigid.initial_state(self.model, uniform(place_key, 6, 0.05), uniform(velocity_key, 6, 0.05)), None
+        position_key, velocity_key = jax.random.split(key)
+        return rigid.initial_state(self.model, uniform(position_key, 6, 0.05), uniform(velocity_key, 6, 0.05)), None
 
     def observe(self, physics: RigidPhysics) -> Observation:
         return {"state": jnp.concatenate([physics.rigid.qpos[1:], physics.rigid.qvel])}
@@ -53,8 +53,9 @@ def make_hopper(*, scale: str, onset: float = 0.01, dt: float | None = None, num
 
     Args:
       scale: ``"paper"``: 16 substeps and 1000 steps of 1/60 s; ``"small"``: 300 steps.
-      onset: depth over which the contacts' damping sets in [m]; with 0, at once, policies hardly learn
+      onset: depth of contact at which damping reaches its full strength [m]. With 0 policies hardly learn
         (``docs/rigid.md``).
+      dt, num_substeps: see ``rewax.make``.
     """
     steps = substeps(dt, num_substeps, Substeps(1.0 / 960, 16))
     onset = number_option("onset", onset, NOT_NEGATIVE, remedy="give a depth in metres")

@@ -1,8 +1,8 @@
 """RollingFlat: flatten a piece of dough with a rolling pin.
 
-At scale ``paper`` this is the task of the SAPO paper (PlasticineLab's rolling pin as Rewarped simulates it). At scale
-``small`` the same task is made for minutes on two cores: softer dough, a thicker pin that starts on the dough, longer
-strokes per control step, shorter episodes; ``docs/rolling_flat.md`` says what differs and why.
+Scale ``paper`` is the task of the SAPO paper (PlasticineLab's rolling pin as Rewarped simulates it). Scale ``small``
+learns within minutes on two cores: it has softer dough, a thicker pin that starts on the dough, longer motions per
+control step and shorter episodes. ``docs/rolling_flat.md`` lists the differences and their reasons.
 """
 
 import jax.numpy as jnp
@@ -22,20 +22,20 @@ from rewax.physics.shapes import Capsule
 from rewax.types import Array, Observation, Vector
 
 _Y_TO_Z = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
-"""Turns a capsule, whose axis is y, so that it lies along z."""
+"""Rotation that takes the axis of a capsule from y to z."""
 
 
 @struct.dataclass
 class RollingFlat(SoftTask):
-    """The environment; build it with ``rewax.make("RollingFlat", scale=...)``.
+    """The task; ``rewax.make("RollingFlat", scale=...)`` builds it.
 
-    The pin's joints are x, height y [m] and yaw about y [rad]; actions are fractions of ``joint_step``.
+    The joints of the pin are x, height y [m] and yaw about y [rad]. Actions are fractions of ``joint_step``.
 
     Attributes:
-      pin_pivot: position of the pin's joint for joint_q = 0 [m], shape (3,); yaw turns about it.
-      height_scale: height of the dough that counts as 1 in the reward [m].
-      height_origin: height that counts as 0 in the reward [m].
-      observe_velocity: whether the pin's last motion is observed as joint_qd (static).
+      pin_pivot: position of the pin for joint_q = 0 [m], shape (3,), and the center of its yaw.
+      height_scale: unit of the height in the reward [m].
+      height_origin: height that is 0 in the reward [m].
+      observe_velocity: whether the last motion of the pin is observed, as joint_qd (static).
     """
 
     pin_pivot: Vector
@@ -53,7 +53,7 @@ class RollingFlat(SoftTask):
         return {**obs, "joint_qd": physics.joint_qd} if self.observe_velocity else obs
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """(1 / (1 + d))^2 (2 if d <= 0.33 else 1) - var(y), d the mean height of the observed particles."""
+        """(1 / (1 + d))^2 (2 if d <= 0.33 else 1) - var(y), with d the mean scaled height of the observed particles."""
         y = self.observed(physics)[:, 1]
         d = (y.mean() - self.height_origin) / self.height_scale
         variance = y.var(ddof=1)
@@ -78,11 +78,11 @@ def paper(
     dt: float | None = None,
     num_substeps: int | None = None,
 ) -> RollingFlat:
-    """The reference's constants.
+    """The constants of the reference.
 
-    The reference has 48 nodes along each axis; the 49th lies behind the walls and gives particles the reference's
-    bounds. Only nodes near particles take part: the list holds dough that lies flat on the whole table, and
-    ``Status.INACTIVE_NODES`` tells if something does not fit in (``benchmarks/active_nodes.py`` measures the need).
+    The reference has 48 nodes along each axis. The 49th node lies behind the walls; with it particles have the bounds
+    of the reference. The list of active nodes is long enough for dough that covers the whole table;
+    ``Status.INACTIVE_NODES`` reports when it is too short (``benchmarks/active_nodes.py`` measures what is needed).
     """
     size, count = (0.3, 0.125, 0.3), 2592
     steps = substeps(dt, num_substeps, Substeps(5e-5, 40, list_every=5))
@@ -97,7 +97,7 @@ def paper(
             _pin(0.012, 0.3, offset=(0.0, 0.0, 0.5), friction=0.9),
         ),
         walls=box_walls(floor=0.0625, lower=(0.0625, 0.0625), upper=(0.9375, 0.9375), ceiling=0.9375),
-        max_active_nodes=10752,  # a sheet over the table, at most a cell thick, needs 46 * 5 * 46
+        max_active_nodes=10752,  # a sheet over the table, at most one cell thick, touches 46 * 5 * 46 nodes
         reach=0.5,
     )
     return RollingFlat(
@@ -125,7 +125,7 @@ def small(
     dt: float | None = None,
     num_substeps: int | None = None,
 ) -> RollingFlat:
-    """The same task for minutes on two cores; ``docs/rolling_flat.md`` gives the reason for each difference."""
+    """A task that learns within minutes on two cores; ``docs/rolling_flat.md`` has the reason for each difference."""
     size, count, floor, spacing, radius = (0.3, 0.125, 0.3), 256, 0.0625, 1.0 / 24, 0.05
     top = floor + size[1]
     steps = substeps(dt, num_substeps, Substeps(7e-4, 10))
@@ -137,7 +137,7 @@ def small(
         gravity=(0.0, -90.0, 0.0),
         colliders=(_pin(radius, 0.25, offset=(0.0, 0.0, 0.0), friction=0.9),),
         walls=box_walls(floor=floor, lower=(0.15, 0.25), upper=(0.85, 0.75)),
-        max_active_nodes=1664,  # the most that any of the actions of benchmarks/active_nodes.py needed is 1416
+        max_active_nodes=1664,  # benchmarks/active_nodes.py needed at most 1416
     )
     return RollingFlat(
         scene=scene,
