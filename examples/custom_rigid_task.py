@@ -1,4 +1,4 @@
-"""Your own robot as a task: a model in MJCF, a reward, SAPO. `--mjcf` takes any with a free or slide joint first."""
+"""Your own robot as a task: a model in MJCF, a reward, SAPO. The first joint of `--mjcf` is free or a slide joint."""
 
 import jax.numpy as jnp
 import tyro
@@ -22,7 +22,7 @@ CRAWLER = """<mujoco><option timestep="0.004"/><default><geom type="capsule" siz
 
 @struct.dataclass
 class Run(RigidTask):
-    """Move along x: the reward is that velocity less 0.01 |action|^2; where it is along x is not observed."""
+    """Run along x: the reward is the velocity along x - 0.01 |action|^2. The position along x is not observed."""
 
     def start(self, key):
         return rigid.initial_state(self.model, qvel=uniform(key, self.model.num_dofs, 0.1)), None
@@ -36,7 +36,10 @@ class Run(RigidTask):
 
 
 def main(mjcf: str = CRAWLER, substeps: int = 5, iterations: int = 150, seed: int = 0) -> tuple[float, float]:
-    limits = {"limit_stiffness": 50.0, "limit_damping": 0.5}  # soft: within a substep no damper may stop a limb
+    limits = {
+        "limit_stiffness": 50.0,
+        "limit_damping": 0.5,
+    }  # soft: a damper that stops a limb within a substep is unstable
     model = rigid.load(mjcf, penalty=Penalty(stiffness=1e4, damping=50.0, friction_damping=50.0, onset=0.005, **limits))
     assert model.static.mj.jnt_type[0] in (0, 2), "the first joint is not free or a slide: write another reward for it"
     env = Run(model=model, num_substeps=substeps, max_steps=200)

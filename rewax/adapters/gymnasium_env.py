@@ -1,10 +1,11 @@
-"""Environments for gymnasium and all that builds on it, one or many at once.
+"""Environments for gymnasium and the libraries that use it, single or in a batch.
 
+    env = gymnasium.make("rewax/RollingFlat-small-v0")      # or 'paper'; options of rewax.make as keyword arguments
     env = GymnasiumEnv(rewax.make("RollingFlat"))
     envs = GymnasiumVectorEnv(rewax.make("RollingFlat"), num_envs=16)
 
-Observations are ``Dict`` spaces of float32, point clouds with shape (num_points, 3): ``gymnasium.wrappers`` flattens
-them for those who want one vector. No gradient passes through.
+Observations are ``Dict`` spaces of float32; a point cloud has shape (num_points, 3). The wrappers of gymnasium flatten
+them into one vector. No gradient passes through. Importing this module registers the names of ``gymnasium_ids``.
 """
 
 from typing import Any, ClassVar
@@ -40,9 +41,9 @@ register_envs()
 
 
 class GymnasiumEnv(gymnasium.Env):
-    """One environment; it needs ``reset`` after the end of an episode.
+    """One environment. Call ``reset`` after the end of an episode.
 
-    ``info`` holds the task's metrics, and ``status``: "OK", or the names of what failed.
+    ``info`` holds the metrics of the task, and ``status``: "OK", or the names of the status bits.
 
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
@@ -77,7 +78,7 @@ class GymnasiumEnv(gymnasium.Env):
         return numpy_observation(state), float(state.reward), *ends, state_info(state)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """A picture of the present state; its frame holds the beginning of the episode too."""
+        """A picture of the present state. The camera also shows the first state of the episode."""
         if self._record is None:
             return None
         if self._state is None:
@@ -87,7 +88,7 @@ class GymnasiumEnv(gymnasium.Env):
 
 
 class GymnasiumVectorEnv(VectorEnv):
-    """Many environments in one compiled program; each begins anew in the step that ends its episode.
+    """Many environments in one compiled program. Each begins a new episode in the step that ends one.
 
     In that step ``infos["final_obs"]`` and ``infos["final_info"]`` hold the end of the old episode, as in gymnasium's
     mode ``SAME_STEP``. All other entries of ``infos`` are arrays over the environments; ``status`` holds bits of
@@ -95,7 +96,7 @@ class GymnasiumVectorEnv(VectorEnv):
 
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
-      num_envs: how many.
+      num_envs: number of environments.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
@@ -112,7 +113,7 @@ class GymnasiumVectorEnv(VectorEnv):
         self._state: State | None = None
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """seed: one number, or one per environment."""
+        """First states. ``seed`` is one number, or one for each environment."""
         if seed is None or isinstance(seed, (int, np.integer)):
             super().reset(seed=None if seed is None else int(seed))
             keys = jax.random.split(key_from(self.np_random), self.num_envs)
@@ -158,10 +159,10 @@ def make_gymnasium_vector_env(*, task: str, scale: str, num_envs: int = 1, **opt
 
 
 def observation_space(env: Env) -> spaces.Dict:
-    """The observation's arrays, each a ``Box`` of float32."""
+    """The observation as a ``Dict`` with a ``Box`` of float32 for each array."""
     return spaces.Dict({name: box(spec) for name, spec in env.observation_spec.items()})
 
 
 def box(spec: ArraySpec) -> spaces.Box:
-    """The arrays of a spec, float32."""
+    """A spec as a ``Box`` of float32."""
     return spaces.Box(low=spec.low, high=spec.high, shape=spec.shape, dtype=np.float32)

@@ -115,7 +115,9 @@ def test_a_batch_of_another_size_is_refused_before_anything_compiles():
 
 
 def test_a_hook_that_the_environment_refuses_is_refused_before_anything_compiles():
-    sentence = r"^PointMass has no leaf 'gian': near are gain; rewax.envs.randomize.leaves\(env\) has all 1 by name"
+    sentence = (
+        r"^PointMass has no parameter 'gian': near are gain; rewax.envs.randomize.leaves\(env\) has all 1 by name"
+    )
     for env in (ENVS[0], stack(ENVS)):
         with pytest.raises(ValueError, match=sentence):
             make_sapo(env, CONFIG, randomize=hook({"gian": Uniform(0.5, 2.0)}))
