@@ -11,7 +11,7 @@ from rewax.physics import mpm, rigid
 from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
 from rewax.physics.shapes import fill_box
 from rewax.testing import check_env
-from rewax.training import TrainConfig, read_csv, train
+from rewax.training import TrainConfig, train_and_compare
 
 SPACING = 0.025
 FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almost a cell below its position
@@ -82,10 +82,7 @@ def main(iterations: int = 60, seed: int = 0, check: bool = True) -> tuple[float
     if check:
         check_env(env, check_full_episode=False)
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/fling-{seed}", seed=seed, eval_every=iterations)
-    train(make_sapo(env, SMALL), env, config)
-    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
-    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
-    return before, after
+    return train_and_compare(make_sapo(env, SMALL), env, config)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from rewax.envs.kit.rigid_task import RigidTask, uniform
 from rewax.physics import rigid
 from rewax.physics.rigid import Penalty
 from rewax.testing import check_env
-from rewax.training import TrainConfig, read_csv, train
+from rewax.training import TrainConfig, train_and_compare
 
 CRAWLER = """<mujoco><option timestep="0.004"/><default><geom type="capsule" size="0.03"/><motor gear="12"/>
 <joint axis="0 1 0"/><default class="leg"><joint range="-60 60" stiffness="12" damping="0.6" armature="0.02"/></default>
@@ -47,10 +47,7 @@ def main(mjcf: str = CRAWLER, substeps: int = 5, iterations: int = 150, seed: in
     networks = {"actor_widths": (64, 64), "critic_widths": (64, 64), "vector_features": 64, "differentiate": "full"}
     agent = make_sapo(env, SAPOConfig(num_envs=32, num_iterations=iterations, initial_temperature=0.1, **networks))
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/custom-{seed}", seed=seed, eval_every=iterations)
-    train(agent, env, config)
-    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
-    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
-    return before, after
+    return train_and_compare(agent, env, config)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from rewax.physics.mpm import DruckerPrager, Grid, Hencky, Material, Wall, WallK
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, fill_box
 from rewax.testing import check_env
-from rewax.training import TrainConfig, read_csv, train
+from rewax.training import TrainConfig, train_and_compare
 from rewax.types import Array
 
 SPACING = 0.025
@@ -88,10 +88,7 @@ def main(iterations: int = 60, seed: int = 0, check: bool = True) -> tuple[float
     if check:
         check_env(env, check_full_episode=False)
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/sand-{seed}", seed=seed, eval_every=iterations)
-    train(make_sapo(env, SMALL), env, config)
-    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
-    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
-    return before, after
+    return train_and_compare(make_sapo(env, SMALL), env, config)
 
 
 if __name__ == "__main__":
