@@ -41,7 +41,7 @@ class Runner(RigidTask):
         position = jnp.zeros(3).at[1].set(self.start_height) + uniform(keys[0], 3, 0.1)
         rotation = quaternion_product(self.model.home[3:7], random_turn(keys[1], np.pi / 24))
         joints = self.start_joints + uniform(keys[2], self.model.num_actuators, 0.2)
-        # The angular part of qvel is in the torso's frame. Uniform noise is the same in any frame.
+        # The angular part of qvel is in the torso's frame. The noise has no direction, so it needs no rotation.
         velocity = uniform(keys[3], self.model.num_dofs, 0.25)
         return rigid.initial_state(self.model, jnp.concatenate([position, rotation, joints]), velocity), None
 

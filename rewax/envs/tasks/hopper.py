@@ -35,7 +35,10 @@ class Hopper(RigidTask):
         return {"state": jnp.concatenate([physics.rigid.qpos[1:], physics.rigid.qvel])}
 
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
-        """Forward velocity + height + 1 - (pitch / 30 degrees)^2 - 0.1 |action|^2."""
+        """Forward velocity + tall + 1 - (pitch / 30 degrees)^2 - 0.1 |action|^2.
+
+        Let e = clip(height + 0.3 m, -1 m, 0.3 m). tall is e if e >= 0, and -200 e^2 otherwise.
+        """
         _, height, pitch = physics.rigid.qpos[:3]
         velocity = physics.rigid.qvel[0]
         above = jnp.clip(height + 0.3, -1.0, 0.3)

@@ -22,7 +22,7 @@ class Humanoid(Runner):
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
         """Forward velocity + 0.1 upright + heading + standing - 0.002 |action|^2.
 
-        Let e = min(height - fallen_height - 0.1 m, 0.1 m). standing is 10 e if e >= 0, and -200 e^2 otherwise.
+        Let e = clip(height - fallen_height - 0.1 m, -1 m, 0.1 m). standing is 10 e if e >= 0, and -200 e^2 otherwise.
         """
         height, velocity = physics.rigid.qpos[1], physics.rigid.qvel[0]
         _, upright, heading = self.posture(physics)
