@@ -49,6 +49,17 @@ def check_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
+def checked_num_envs(num_envs: Any) -> int:
+    """A number of environments.
+
+    Raises:
+      ValueError: it is no integer, or below 1.
+    """
+    if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
+        raise ValueError(f"num_envs is {num_envs!r}: give an integer of at least 1")
+    return int(num_envs)
+
+
 def compiled(env: Env) -> tuple[Any, Any]:
     """``reset`` and ``step``, each compiled when it is first called."""
     return jax.jit(env.reset), jax.jit(env.step)

@@ -5,7 +5,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from rewax.adapters.conversion import check_action, compiled, key_from, numpy_metrics, numpy_observation
+from rewax.adapters.conversion import (
+    check_action,
+    checked_num_envs,
+    compiled,
+    key_from,
+    numpy_metrics,
+    numpy_observation,
+)
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.status import describe
@@ -25,9 +32,7 @@ class Episodes:
     """
 
     def __init__(self, env: Env, num_envs: int, *, flat: bool = False) -> None:
-        if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs!r}: give an integer of at least 1")
-        self.env, self.num_envs, self.flat = env, int(num_envs), flat
+        self.env, self.num_envs, self.flat = env, checked_num_envs(num_envs), flat
         self._reset, self._step = compiled(Vmap(env=AutoReset(env=env)))
         self._state: State | None = None
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from rewax.adapters.conversion import (
     check_action,
+    checked_num_envs,
     compiled,
     key_from,
     missing,
@@ -102,9 +103,7 @@ class GymnasiumVectorEnv(VectorEnv):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(self, env: Env, num_envs: int) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}: give 1 or more")
-        self.env, self.num_envs = env, num_envs
+        self.env, self.num_envs = env, checked_num_envs(num_envs)
         self.single_observation_space = observation_space(env)
         self.single_action_space = box(env.action_spec)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -113,8 +113,9 @@ def test_gymnasiums_wrappers_and_vector_wrappers_work():
 
 
 def test_wrong_numbers_of_environments_and_seeds():
-    with pytest.raises(ValueError, match="num_envs is 0"):
-        GymnasiumVectorEnv(point_mass(), 0)
+    for num_envs in (0, "3", True):
+        with pytest.raises(ValueError, match=r"num_envs is .*: give an integer of at least 1"):
+            GymnasiumVectorEnv(point_mass(), num_envs)
     with pytest.raises(ValueError, match="2 seeds for 3 environments"):
         GymnasiumVectorEnv(point_mass(), 3).reset(seed=[0, 1])
 
