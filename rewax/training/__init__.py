@@ -1,7 +1,4 @@
-"""Training: the loop, what it stores, evaluations and pictures, suites of runs.
-
-Names are imported when they are first used.
-"""
+"""Training: the loop, storage, evaluations, pictures and suites of runs. Names are imported when first used."""
 
 from typing import TYPE_CHECKING
 
