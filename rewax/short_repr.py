@@ -5,6 +5,7 @@ import enum
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -44,7 +45,7 @@ def _text(value: Any) -> str:
 def _array(array: Any) -> str:
     kind = f"{array.dtype}[{','.join(map(str, array.shape))}]"
     is_known = isinstance(array, (jax.Array, np.ndarray, np.generic)) and not isinstance(array, Tracer)
-    if not is_known or jax.dtypes.issubdtype(array.dtype, jax.dtypes.extended) or array.dtype.kind not in "biuf":
+    if not is_known or jnp.issubdtype(array.dtype, jax.dtypes.prng_key) or array.dtype.kind not in "biuf":
         return kind
     if array.size > _MOST_NUMBERS or array.ndim > 1:
         return kind

@@ -2,8 +2,8 @@
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 from rewax.envs.kit.checks import described
 from rewax.physics.numerics.checks import POSITIVE, Legal, check_number, static_number
@@ -70,7 +70,7 @@ def number_option(name: str, value: Any, legal: Legal = POSITIVE, *, remedy: str
       ValueError: the value is of another type or shape, or is illegal.
     """
     check_is_no_flag(name, value)
-    if not isinstance(value, jax.core.Tracer):
+    if not isinstance(value, Tracer):
         check_number(name, value, legal, remedy)
     if np.shape(value) != ():
         raise ValueError(f"{name} has shape {np.shape(value)}: give one number; {_OTHER_VALUES}")
