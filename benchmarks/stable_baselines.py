@@ -30,71 +30,18 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
 import rewax
-from rewax.adapters.gymnasium_env import GymnasiumVectorEnv
+from rewax.adapters.stable_baselines3 import StableBaselinesVecEnv
 from rewax.agents.registry import algorithm
 from rewax.training.evaluation.episodes import make_evaluate
 from rewax.training.storage.cache import enable_compilation_cache
 
 NUM_EPISODES = 64
 ACTIVATIONS = {"silu": nn.SiLU, "elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
-
-
-class Batched(VecEnv):
-    """Environments of rewax in one compiled program, as Stable-Baselines3 sees them; observations are one vector."""
-
-    def __init__(self, env: Any, num_envs: int, seed: int) -> None:
-        self.envs, self._first_seed = GymnasiumVectorEnv(env, num_envs), seed
-        size = sum(int(np.prod(spec.shape)) for spec in env.observation_spec.values())
-        obs_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        super().__init__(num_envs, obs_space, self.envs.single_action_space)
-
-    def reset(self) -> np.ndarray:
-        self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, int)
-        return self._flat(self.envs.reset(seed=self._first_seed)[0])
-
-    def step_async(self, actions: np.ndarray) -> None:
-        self._actions = actions
-
-    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        obs, rewards, terminated, truncated, more = self.envs.step(self._actions)
-        done, infos = terminated | truncated, [{} for _ in range(self.num_envs)]
-        self._returns += rewards
-        self._lengths += 1
-        for i in np.flatnonzero(done):
-            last = {name: value[None] for name, value in more["final_obs"][i].items()}
-            infos[i] = {
-                "terminal_observation": self._flat(last)[0],
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
-                "episode": {"r": self._returns[i], "l": self._lengths[i]},
-            }
-        self._returns[done], self._lengths[done] = 0.0, 0
-        return self._flat(obs), rewards.astype(np.float32), done, infos
-
-    def _flat(self, obs: dict[str, np.ndarray]) -> np.ndarray:
-        return np.concatenate([obs[name].reshape(self.num_envs_of(obs), -1) for name in sorted(obs)], axis=1)
-
-    @staticmethod
-    def num_envs_of(obs: dict[str, np.ndarray]) -> int:
-        return len(next(iter(obs.values())))
-
-    def close(self) -> None: ...
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self.envs, attr_name, None)] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        setattr(self.envs, attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        return [getattr(self.envs, method_name)(*args, **kwargs)] * self.num_envs
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False] * self.num_envs
 
 
 def layers(size: int, widths: Sequence[int], activation: str, *, end: int | None = None) -> nn.Sequential:
@@ -158,7 +105,7 @@ def sac_policy(config: Any) -> type[SACPolicy]:
     return Policy
 
 
-def learner(name: str, config: Any, env: VecEnv, seed: int) -> Any:
+def learner(name: str, config: Any, env: Any, seed: int) -> Any:
     """Stable-Baselines3's algorithm with a configuration of rewax."""
     features = {"width": config.vector_features, "activation": config.activation}
     shared = {"gamma": config.discount, "learning_rate": config.actor_learning_rate, "seed": seed, "device": "cpu"}
@@ -190,7 +137,7 @@ def theirs(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -
     """Returns of Stable-Baselines3 after each number of control steps."""
     scaled = {"norm_reward": name == "ppo" or config.normalize_rewards, "gamma": config.discount}
     limited = {"norm_obs": config.normalize_observations, "clip_obs": config.observation_clip or np.inf}
-    env = VecNormalize(Batched(task, config.num_envs, seed), **scaled, **limited)
+    env = VecNormalize(StableBaselinesVecEnv(task, config.num_envs, seed=seed, flat=True), **scaled, **limited)
     model, found = learner(name, config, env, seed), []
     for total in steps:
         model.learn(total - model.num_timesteps, reset_num_timesteps=not found)
@@ -200,7 +147,7 @@ def theirs(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -
 
 def evaluated(model: Any, trained_in: VecNormalize, task: Any, seed: int) -> float:
     """Mean return of first episodes, with sampled actions."""
-    env = Batched(task, NUM_EPISODES, 1000 + seed)
+    env = StableBaselinesVecEnv(task, NUM_EPISODES, seed=1000 + seed, flat=True)
     obs, returns = env.reset(), np.full(NUM_EPISODES, np.nan)
     while np.isnan(returns).any():
         obs, _, done, infos = env.step(model.predict(trained_in.normalize_obs(obs), deterministic=False)[0])

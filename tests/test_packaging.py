@@ -50,7 +50,9 @@ def extras(*names: str) -> set[str]:
 
 def test_every_dependency_is_imported_and_every_import_declared():
     used, core = third_party(ROOT / "rewax"), declared(PROJECT["dependencies"])
-    optional = extras("meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch", "tune")
+    optional = extras(
+        "meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch", "stable-baselines3", "tune"
+    )
     assert core <= used, f"declared but not imported by rewax: {sorted(core - used)}"
     assert used - core == optional, f"imported by rewax but not declared: {sorted(used - core - optional)}"
 

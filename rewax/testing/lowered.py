@@ -1,4 +1,4 @@
-"""Where the programs of an environment run on a CPU: in C++, or in XLA and why."""
+"""Which programs of an environment run in C++ on a CPU, and why others run in XLA."""
 
 from typing import Any
 
@@ -12,15 +12,16 @@ from rewax.types import Array
 
 
 def where_it_runs(env: Env) -> list[Decision]:
-    """Lower a step of an environment and its derivatives, and say where each rule of each function runs.
+    """Lower a step of an environment and its derivatives, and list where each program of each function runs.
 
-    Nothing is compiled or run. The derivatives are those of all that a step returns by state, action and parameters.
+    Nothing is compiled or run. The derivatives are those of the returned state with respect to state, action and
+    parameters.
 
     Args:
       env: unbatched environment.
 
     Returns:
-      One decision for each function, rule and reason, sorted. ``reason`` is None for what runs in C++.
+      One decision for each function, program (value, jvp, vjp) and reason, sorted. ``reason`` is None in C++.
 
     Example:
       >>> assert not [decision for decision in where_it_runs(env) if decision.reason]

@@ -29,8 +29,9 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
     zero is the deterministic action, standard normal noise the sampled one. ``policy.stablehlo`` is for a batch of any
     size, on a CPU and on an NVIDIA GPU:
 
+        # pip install jax flatbuffers; rewax is not needed
         exported = jax.export.deserialize(bytearray(Path("policy.stablehlo").read_bytes()))
-        action = exported.call(obs, noise)        # leading axis of environments; JAX alone, without rewax
+        action = exported.call(obs, noise)        # with a leading axis of environments
 
     Args:
       run: from ``load_run``.
