@@ -142,9 +142,11 @@ class Run:
 
     def end(self) -> None:
         """After the last iteration of this process: everything trained is kept."""
-        if self._progress is not None:
-            self._progress.close()
-        self.save()
+        try:
+            if self._progress is not None:
+                self._progress.close()
+        finally:
+            self.save()
 
     def take(self, new: Any, metrics: Mapping[str, Any], seconds: float) -> None:
         """Take in the training state and the metrics of an iteration that took so many seconds."""

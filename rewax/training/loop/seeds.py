@@ -44,9 +44,11 @@ def train_seeds(
     """
     console = console or Console()
     with contextlib.ExitStack() as stack:
-        for config in configs:
-            stack.enter_context(hold(Path(config.run_dir).absolute(), must_exist=config.resume))
+        made = [
+            stack.enter_context(hold(Path(config.run_dir).absolute(), must_exist=config.resume)) for config in configs
+        ]
         stop = stack.enter_context(graceful_stop(functools.partial(say, console)))
+        stop.before_exit = lambda: [leave_nothing() for leave_nothing in made] and None
         stop.at_once = "stopped before the first iteration: nothing was trained"
         ready = [prepared(agent, env, config, describe, console) for config in configs]
         done = sorted({int(state.iteration) for state, _ in ready})

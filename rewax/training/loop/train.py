@@ -81,9 +81,10 @@ def train(
     leader = Leader()
     with (
         _ended(leader),
-        hold(Path(config.run_dir).absolute(), must_exist=config.resume),
+        hold(Path(config.run_dir).absolute(), must_exist=config.resume) as leave_nothing,
         graceful_stop(functools.partial(say, console)) as stop,
     ):
+        stop.before_exit = leave_nothing
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
         programs = Programs(env, agent.policy, config)

@@ -1,9 +1,10 @@
 """The directory of a run: writable, and used by one process at a time."""
 
 import contextlib
+import functools
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -22,12 +23,18 @@ class InUse(ValueError):
 
 
 @contextlib.contextmanager
-def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[None]:
+def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[Callable[[], None]]:
     """Within the block, this process alone uses the directory. The lock ends with the process, however it ends.
+
+    After an exception in the block, the lock file and the folders that ``hold`` made are removed, unless something else
+    has been written into them.
 
     Args:
       run_dir: made if missing.
       must_exist: refuse to make it.
+
+    Yields:
+      A function that removes what ``hold`` made, as after an exception; for a process that ends within the block.
 
     Raises:
       ValueError: in one sentence: the directory is missing, cannot be made or written to, or another process uses it
@@ -35,11 +42,42 @@ def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[None]:
     """
     if must_exist and not os.path.isdir(run_dir):
         raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
-    lock = _open_lock(run_dir)
-    with lock:
-        _check_contents(run_dir)
-        _take(lock, run_dir)
-        yield
+    path = run_dir / ".lock"
+    folders = [folder for folder in (run_dir, *run_dir.parents) if not os.path.lexists(folder)]
+    clean = functools.partial(_remove_new, None if os.path.lexists(path) else path, folders)
+    with _locked(run_dir):
+        try:
+            _check_contents(run_dir)
+            yield clean
+        except BaseException:
+            clean()
+            raise
+
+
+def _locked(run_dir: Path) -> IO[str]:
+    """The open and locked file. A lock of a file that its holder has removed since is worth nothing: try again."""
+    while True:
+        lock = _open_lock(run_dir)
+        try:
+            _take(lock, run_dir)
+            there = (run_dir / ".lock").stat()
+            if os.path.samestat(there, os.fstat(lock.fileno())):
+                return lock
+        except FileNotFoundError:
+            pass
+        except BaseException:
+            lock.close()
+            raise
+        lock.close()
+
+
+def _remove_new(lock: Path | None, folders: Sequence[Path]) -> None:
+    """Remove a lock file, and folders that are empty then, the innermost first."""
+    with contextlib.suppress(OSError):
+        if lock is not None:
+            lock.unlink()
+        for folder in folders:
+            folder.rmdir()
 
 
 def _open_lock(run_dir: Path) -> IO[str]:
