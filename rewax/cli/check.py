@@ -4,7 +4,7 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 
 _PROBLEM_FOUND = 1
@@ -40,7 +40,6 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: there is no such environment or scale.
     """
-    from rewax.envs import registry
     from rewax.testing import check_env, where_it_runs
     from rewax.training.storage.cache import enable_compilation_cache
 
@@ -48,7 +47,7 @@ def run(argv: Sequence[str]) -> int:
     options = parse(Options, argv, prog="rewax check", description="Check an environment against the protocol.")
     enable_compilation_cache()
     import_modules(options.imports)
-    env = registry.make(options.env, scale=options.scale)
+    env = build_env(options.env, options.scale)
     try:
         check_env(env, seed=options.seed, check_full_episode=options.whole_episode)
     except AssertionError as problem:

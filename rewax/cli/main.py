@@ -1,5 +1,6 @@
 """Commands by name, and what a wrong one costs: a sentence and an exit code."""
 
+import difflib
 import importlib
 import os
 import signal
@@ -69,7 +70,9 @@ def _run(argv: list[str]) -> int:
         print(_help())
         return _CLEAN_EXIT if argv else _BAD_INPUT
     if argv[0] not in COMMANDS:
-        raise ValueError(f"there is no command {argv[0]!r}: use one of {', '.join(COMMANDS)}, or --help")
+        close = difflib.get_close_matches(argv[0], COMMANDS, n=1)
+        near = f"did you mean {close[0]!r}? " if close else ""
+        raise ValueError(f"there is no command {argv[0]!r}: {near}use one of {', '.join(COMMANDS)}, or --help")
     command = importlib.import_module(COMMANDS[argv[0]])
     return command.run(argv[1:])
 

@@ -12,8 +12,8 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from rewax.agents.registry import Algorithm, algorithm
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.agents.registry import Algorithm, algorithm, build_agent
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.envs import registry
 
 _PROG = "rewax train"
@@ -50,10 +50,10 @@ def run(argv: Sequence[str]) -> int:
         console.quiet = not leads()
     else:
         cores_as_devices(first.devices)
-    import_modules(first.imports)
+    modules = import_modules(first.imports) or _recorded_modules(first)
     chosen = algorithm(first.algo)
     scale = first.scale or registry.default_scale()
-    env = registry.make(first.env, scale=scale)
+    env = build_env(first.env, scale)
     options = _options(first, scale, chosen, ReportConfig())
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
     if args.num_seeds < 1:
@@ -83,8 +83,10 @@ def run(argv: Sequence[str]) -> int:
             f"{first.algo} on {first.env}, seed {config.seed}, {num_iterations} iterations, in {config.run_dir}",
         )
     describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
+    if modules:
+        describe["imports"] = modules
     build_ahead(transfers=hasattr(env, "particles"))
-    agent = chosen.make(env, agent_config)
+    agent = build_agent(first.algo, env, agent_config)
     if args.num_seeds == 1:
         results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]
     else:
@@ -132,11 +134,25 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--devices", type=int, default=0)
     parser.add_argument("--distributed", action="store_true")
     parser.add_argument("--import", dest="imports", action="append", default=[])
+    parser.add_argument("--run-dir", default=None)
+    parser.add_argument("--resume", action="store_true")
     try:
         known, _ = parser.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
         raise ValueError(f"{error}; {_PROG} --help lists the options") from None
     return known
+
+
+def _recorded_modules(first: Any) -> list[dict[str, str]]:
+    """The modules that the run to be resumed was started with; they are imported."""
+    from rewax.training.storage.description import read_config
+    from rewax.training.storage.modules import import_recorded
+
+    if not (first.resume and first.run_dir):
+        return []
+    stored = read_config(first.run_dir)
+    import_recorded(stored, first.run_dir)
+    return stored.get("imports", [])
 
 
 def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
@@ -146,6 +162,10 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
         return dataclasses.field(default_factory=lambda: value)
 
     agent_config = chosen.preset(first.env, scale)
+    if not isinstance(agent_config, chosen.config_type):
+        raise ValueError(
+            f"the preset of {first.algo} returned {agent_config!r}: return a {chosen.config_type.__name__}"
+        )
     options = dataclasses.make_dataclass(
         "Options",
         [

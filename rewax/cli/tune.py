@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 from rewax.envs import registry
 
@@ -69,7 +69,7 @@ def run(argv: Sequence[str]) -> int:
     enable_compilation_cache()
     import_modules(options.imports)
     scale, console = options.scale or registry.default_scale(), Console(highlight=False, soft_wrap=True)
-    space, env = read_space(options.algo, options.space), registry.make(options.env, scale=scale)
+    space, env = read_space(options.algo, options.space), build_env(options.env, scale)
     names = ("seeds", "steps", "episodes", "reports")
     shared = {name: getattr(options, name) for name in names}
     task = Task(env=options.env, scale=scale, algo=options.algo, **shared)

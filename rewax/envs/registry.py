@@ -77,6 +77,11 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     given = kwargs if isinstance(factory, Mapping) else {"scale": scale, **kwargs}
     _check_keywords(name, chosen, given)
     env = _call(name, chosen, given)
+    if missing := [method for method in ("reset", "step") if not callable(getattr(env, method, None))]:
+        raise ValueError(
+            f"the factory of {name!r} returned {str(env)[:80]!r}, which has no method {missing[0]}: return an "
+            "environment, see rewax.envs.base.Env"
+        )
     _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
     return env
 

@@ -41,7 +41,7 @@ def test_without_a_command_the_help_names_all(capsys):
 @pytest.mark.parametrize(
     ("argv", "sentence"),
     [
-        (["trian"], "there is no command 'trian': use one of train, eval, bench, tune, play, plot, export, landscape, envs, check, doctor, completion, or --help"),
+        (["trian"], "there is no command 'trian': did you mean 'train'? use one of train, eval, bench, tune, play, plot, export, landscape, envs, check, doctor, completion, or --help"),
         (["eval"], "rewax eval needs one run directory or task: rewax eval HandFlip"),
         (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: use 1 or more"),
         (["eval", "--run-dir=a", "--episode=9"], "there is no option --episode: did you mean '--episodes'? rewax eval --help lists them"),
@@ -83,11 +83,12 @@ def test_an_environment_of_ones_own_is_trained_and_evaluated(tmp_path):
     evaluated = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2", "--import=tasks")
     assert evaluated.returncode == 0, evaluated.stderr
     assert evaluated.stdout.startswith("sapo on Mine, iteration 1\n") and "0 of 2 failed" in evaluated.stdout
+    evaluated = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2", "--no-video")
+    assert evaluated.returncode == 0, evaluated.stderr
+    (tmp_path / "tasks.py").unlink()
     unknown = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2")
     assert unknown.returncode == 2 and unknown.stderr.count("\n") == 1
-    assert (
-        "no environment named 'Mine'" in unknown.stderr and "on the command line with --import MODULE" in unknown.stderr
-    )
+    assert "--import of the module 'tasks' in" in unknown.stderr and "which is gone: put it back" in unknown.stderr
 
 
 def test_the_examples_are_these_commands(tmp_path):

@@ -45,7 +45,7 @@ def first_state(
         if not config.init_from:
             return fresh
         say(console, f"beginning with what {config.init_from} has learnt")
-        return warm_started(fresh, config.init_from)
+        return warm_started(fresh, config.init_from, agent.name)
     differences = changes(read_config(run_dir), plain(description))
     for name, old, new in differences:
         if name in _FLAGS:

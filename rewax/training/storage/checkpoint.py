@@ -109,6 +109,28 @@ def restore(
       ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
         (``DamagedCheckpoint``), or a field has another shape or type than ``like`` (``OtherStructure``).
     """
+    return _newest(run_dir, lambda path: _read(path, like), step, set_aside, notify)
+
+
+def stored_leaves(run_dir: str | Path) -> dict[str, Any]:
+    """Arrays of the newest readable checkpoint by name, such as ``.actor_params['params']['mean']['bias']``.
+
+    Raises:
+      ValueError: in one sentence: there is no checkpoint that can be read.
+    """
+
+    def read(path: Path) -> dict[str, Any]:
+        described = _read_description(path)
+        arrays = _read_arrays(path, described)
+        return {name: from_numpy(arrays[name], None, entry["impl"]) for name, entry in described.items()}
+
+    return _newest(run_dir, read, None, False, _warn)
+
+
+def _newest(
+    run_dir: str | Path, read: Callable[[Path], T], step: int | None, set_aside: bool, notify: Callable[[str], None]
+) -> T:
+    """What ``read`` makes of the newest checkpoint that is not damaged; arguments as for ``restore``."""
     run_dir = Path(run_dir).absolute()
     if not run_dir.is_dir():
         raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
@@ -122,7 +144,7 @@ def restore(
     damaged: dict[int, DamagedCheckpoint] = {}
     for candidate in [step] if step is not None else found[::-1]:
         try:
-            restored = _read(run_dir / "checkpoints" / str(candidate), like)
+            restored = read(run_dir / "checkpoints" / str(candidate))
         except DamagedCheckpoint as error:
             damaged[candidate] = error
             continue
@@ -214,4 +236,4 @@ def _unreadable(path: Path, error: object) -> DamagedCheckpoint:
     return DamagedCheckpoint(f"checkpoint {path} is damaged and cannot be read ({reason})")
 
 
-__all__ = ["DamagedCheckpoint", "OtherStructure", "latest_step", "restore", "save", "steps"]
+__all__ = ["DamagedCheckpoint", "OtherStructure", "latest_step", "restore", "save", "steps", "stored_leaves"]

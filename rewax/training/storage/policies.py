@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from rewax.agents.registry import algorithm
+from rewax.agents.registry import algorithm, build_agent
 from rewax.envs import registry
 from rewax.envs.base import Env
 from rewax.training.storage.description import plain
@@ -77,7 +77,7 @@ def load_policy(
     env = registry.make(card["env"], scale=card["scale"], **card["env_kwargs"]) if env is None else env
     _check_task(card, env)
     known = algorithm(card["agent"])
-    agent = known.make(env, agent_config(known.config_type, card[card["agent"]]))
+    agent = build_agent(card["agent"], env, agent_config(known.config_type, card[card["agent"]]))
     like = jax.eval_shape(agent.init, jax.random.key(0))
     named = named_leaves(like)
     shapes = {key: leaf.shape for key, leaf in named}

@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import jax
 
 from rewax.agents.base import Agent
-from rewax.agents.registry import algorithm, list_algorithms
+from rewax.agents.registry import algorithm, build_agent, list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
 from rewax.training.storage.description import read_config
+from rewax.training.storage.modules import import_recorded
 from rewax.types import Array, Key, Observation
 
 
@@ -67,6 +68,7 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
     if checkpoint.latest_step(run_dir) is None:
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
     config = read_config(run_dir)
+    import_recorded(config if env is None else {**config, "env": None}, run_dir)
     name = config.get("agent")
     if name is not None and name not in list_algorithms():
         raise ValueError(
@@ -81,7 +83,7 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         )
     env = _recorded_env(config, run_dir) if env is None else env
     known = algorithm(name)
-    agent = known.make(env, agent_config(known.config_type, config[name]))
+    agent = build_agent(name, env, agent_config(known.config_type, config[name]))
     train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
     return SavedRun(env, agent, train_state, config)
 

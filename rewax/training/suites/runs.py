@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
-from rewax.agents.registry import algorithm
+from rewax.agents.registry import build_agent
 from rewax.training.config import TrainConfig
 from rewax.training.evaluation.episodes import constant_policy, make_evaluate, uniform_policy
 from rewax.training.loop.progress import say
@@ -144,13 +144,13 @@ def read_result(folder: Path) -> dict[str, Any]:
 
 def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int) -> int:
     """One run, from its newest checkpoint if it has one; the signal that stopped it."""
-    folder, known, env = cell.folder(out_dir), algorithm(cell.algorithm), suite.env(cell.task)
+    folder, env = cell.folder(out_dir), suite.env(cell.task)
     config = suite.config(cell.task, cell.algorithm)
     in_one = config.steps_in(env) if hasattr(config, "steps_in") else config.horizon
     per_iteration = config.num_envs * in_one
     if cell.task in suite.steps:
         config = dataclasses.replace(config, num_iterations=math.ceil(suite.steps[cell.task] / per_iteration))
-    agent = known.make(env, config)
+    agent = build_agent(cell.algorithm, env, config)
     options = TrainConfig(
         num_iterations=config.num_iterations,
         num_steps=config.num_iterations * per_iteration,

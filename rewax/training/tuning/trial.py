@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from rewax.agents.config import Value
-from rewax.agents.registry import algorithm
+from rewax.agents.registry import algorithm, build_agent
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
 from rewax.training.evaluation.episodes import make_evaluate
@@ -91,7 +91,7 @@ def run_trial(
     """
     try:
         config = task.config(env, values)
-        agent = algorithm(task.algo).make(env, config)
+        agent = build_agent(task.algo, env, config)
     except ValueError as error:
         raise Failed(str(error)) from None
     seeds = [_Seed(env, agent, seed) for seed in task.seeds]
