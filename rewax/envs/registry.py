@@ -67,14 +67,9 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
       ValueError: unknown name, scale or keyword; the message lists what there is.
     """
     jax_versions.warn_if_untested()
-    check_name(name)
     scale = default_scale() if scale is None else scale
-    factory = _FACTORIES[name]
-    scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
-    if scale not in scales:
-        raise ValueError(f"scale is {scale!r}: use one of {', '.join(map(repr, scales))}, or none to follow the device")
-    chosen = _imported(name, factory[scale] if isinstance(factory, Mapping) else factory)
-    given = kwargs if isinstance(factory, Mapping) else {"scale": scale, **kwargs}
+    chosen = factory_of(name, scale)
+    given = kwargs if isinstance(_FACTORIES[name], Mapping) else {"scale": scale, **kwargs}
     _check_keywords(name, chosen, given)
     env = _call(name, chosen, given)
     if missing := [method for method in ("reset", "step") if not callable(getattr(env, method, None))]:
@@ -84,6 +79,20 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
         )
     _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
     return env
+
+
+def factory_of(name: str, scale: Scale | None = None) -> Callable[..., Env]:
+    """The function that builds an environment; a scale of None stands for any.
+
+    Raises:
+      ValueError: unknown name or scale, or the factory cannot be imported.
+    """
+    check_name(name)
+    factory = _FACTORIES[name]
+    scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
+    if scale is not None and scale not in scales:
+        raise ValueError(f"scale is {scale!r}: use one of {', '.join(map(repr, scales))}, or none to follow the device")
+    return _imported(name, factory[scale or scales[0]] if isinstance(factory, Mapping) else factory)
 
 
 def check_name(name: str) -> None:

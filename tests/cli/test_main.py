@@ -55,9 +55,29 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, c
     assert capsys.readouterr() == ("", f"error: {sentence}\n")
 
 
-def test_envs_prints_every_name(capsys):
-    assert main(["envs"]) == 0
-    assert capsys.readouterr().out.split() == registry.list_envs()
+def test_envs_prints_names_alone_where_a_program_reads_them(capsys):
+    for argv in (["envs"], ["envs", "--names"]):
+        assert main(argv) == 0
+        assert capsys.readouterr().out.split() == registry.list_envs()
+
+
+def test_envs_says_what_they_are_and_what_make_takes(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["envs", "--table"]) == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
+    assert set(registry.list_envs()) <= set(rows)
+    assert "flatten a piece of dough with a rolling pin." in rows["RollingFlat"]
+    assert "youngs_modulus, yield_stress, dt" in rows["RollingFlat"] and "onset, stale_mass_matrix" in rows["AntRun"]
+
+
+def test_envs_describes_those_that_are_named(capsys):
+    assert main(["envs", "RollingFlat", "--scale=small"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("RollingFlat at scale small: flatten a piece of dough with a rolling pin.\n")
+    for words in ("particle_q (64, 3)", "(3,), from -1 to 1", "60 control steps of 0.007 s", "youngs_modulus=750.0"):
+        assert words in text
+    assert main(["envs", "RolingFlat"]) == 2
+    assert "did you mean 'RollingFlat'?" in capsys.readouterr().err
 
 
 def test_a_reader_that_leaves_early_is_no_error(tmp_path):
