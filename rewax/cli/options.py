@@ -114,7 +114,7 @@ def _names(options: Any, filled: Any, prefix: str = "", kind: type = object) -> 
         if dataclasses.is_dataclass(value):
             yield from _names(value, value, f"{name}.", kind)
         elif isinstance(value, kind):
-            yield "import" if name == "imports" else name
+            yield {"imports": "import", "settings": "set"}.get(name, name)
 
 
 def _first_paragraph(box: str) -> str:

@@ -56,6 +56,25 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
     return evaluate
 
 
+def make_evaluate_in(policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
+    """``make_evaluate`` for environments that differ in parameters alone: compiled once for all of them.
+
+    Returns:
+      A jitted ``evaluate(env, train_state, key, deterministic=False) -> Evaluation``.
+    """
+    _check_num_episodes(num_episodes)
+    told = told_the_step(policy)
+
+    @functools.partial(jax.jit, static_argnames="deterministic")
+    def evaluate(env: Env, train_state: PyTree, key: Key, deterministic: bool = False) -> Evaluation:
+        def act(state: State, step: Array, key: Key) -> Array:
+            return told(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)
+
+        return _evaluate(env, act, key, num_episodes)
+
+    return evaluate
+
+
 def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> Evaluation:
     """Evaluate a sequence of actions taken without looking.
 

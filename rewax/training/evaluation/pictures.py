@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,11 +49,11 @@ def draw_strip(recording: Recording, out_png: Path, *, num_frames: int) -> str:
     return ""
 
 
-def draw_video(recording: Recording, out_mp4: Path, *, color_by: str = "material", surface: bool = False) -> str:
-    """An episode as a video; returns how fast it plays."""
+def draw_video(recording: Recording, out_mp4: Path, **options: Any) -> str:
+    """An episode as a video; returns how fast it plays. Options are those of ``rewax.viz.video.record_video``."""
     from rewax.viz.video import record_video
 
-    return record_video(recording, out_mp4, color_by=color_by, surface=surface)
+    return record_video(recording, out_mp4, **options)
 
 
 def draw_page(recording: Recording, out_html: Path) -> str:

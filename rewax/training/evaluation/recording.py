@@ -20,6 +20,26 @@ def can_record(env: Any) -> bool:
     return hasattr(env, "particles") or hasattr(env, "render_shapes")
 
 
+def check_color_by(env: Any, color_by: str) -> None:
+    """Check that particles of an environment can be coloured by this, before an episode is recorded.
+
+    Raises:
+      ValueError: they cannot; the message lists what there is.
+    """
+    if not hasattr(env, "particles"):
+        return
+    values: tuple[str, ...] = ()
+    if hasattr(env, "particle_values"):
+        try:
+            physics = jax.eval_shape(env.reset, jax.random.key(0)).physics
+            values = tuple(jax.eval_shape(lambda physics: dict(env.particle_values(physics)), physics))
+        except Exception:  # an environment's own code, which may need numbers: the recording says what is wrong
+            return
+    known = ("material", "height", *values)
+    if color_by not in known:
+        raise ValueError(f"particles cannot be coloured by {color_by!r}: use one of {', '.join(known)}")
+
+
 def record(
     env: Env,
     policy: Policy,
@@ -188,4 +208,4 @@ def _recording(
     )
 
 
-__all__ = ["can_record", "make_record", "record", "snapshots"]
+__all__ = ["can_record", "check_color_by", "make_record", "record", "snapshots"]

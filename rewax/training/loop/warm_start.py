@@ -77,8 +77,8 @@ def _check_fields(old: Mapping[str, Any], new: Mapping[str, Any], run_dir: str |
         whose = f"it has learnt {odd}, which" if odd in there else f"it has not learnt {odd}, which"
         verb = "does not have" if odd in there else "needs"
         raise ValueError(
-            f"{run_dir} was trained with {algorithm}: {whose} {name or 'this algorithm'} {verb}: begin with a run of the "
-            "same algorithm, or without --init-from"
+            f"{run_dir} was trained with {algorithm}: {whose} {name or 'this algorithm'} {verb}: begin with a run of "
+            "the same algorithm, or without --init-from"
         )
 
 
