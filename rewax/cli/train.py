@@ -13,6 +13,7 @@ import tyro
 from rich.console import Console
 
 from rewax.agents.registry import Algorithm, algorithm, build_agent
+from rewax.cli.documented import option_group, with_options
 from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.envs import registry
 
@@ -33,7 +34,7 @@ def run(argv: Sequence[str]) -> int:
       ValueError: an input that cannot be; one sentence.
     """
     from rewax.fixed_sources import build_ahead
-    from rewax.training.config import ReportConfig, TrainConfig
+    from rewax.training.config import TrainConfig
     from rewax.training.loop.hosts import connect, leads, num_processes
     from rewax.training.loop.progress import say
     from rewax.training.loop.seeds import train_seeds
@@ -54,14 +55,15 @@ def run(argv: Sequence[str]) -> int:
     chosen = algorithm(first.algo)
     scale = first.scale or registry.default_scale()
     env = build_env(first.env, scale)
-    options = _options(first, scale, chosen, ReportConfig())
+    preset = _preset(first, scale, chosen)
+    options = _options(first, scale, preset)
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
     if args.num_seeds < 1:
         raise ValueError(f"num-seeds is {args.num_seeds}: use 1 or more")
     if args.num_seeds > 1 and args.distributed:
         raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
-    agent_config, num_iterations, num_steps = _length(getattr(args, first.algo), env, args.steps)
+    agent_config, num_iterations, num_steps = _length(with_options(preset, getattr(args, first.algo)), env, args.steps)
     say(console, _scale_sentence(scale, first.scale))
     report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
     configs = [
@@ -143,6 +145,14 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     return known
 
 
+def _preset(first: Any, scale: str, chosen: Algorithm) -> Any:
+    """The algorithm's configuration for this environment and scale."""
+    config = chosen.preset(first.env, scale)
+    if not isinstance(config, chosen.config_type):
+        raise ValueError(f"the preset of {first.algo} returned {config!r}: return a {chosen.config_type.__name__}")
+    return config
+
+
 def _recorded_modules(first: Any) -> list[dict[str, str]]:
     """The modules that the run to be resumed was started with; they are imported."""
     from rewax.training.storage.description import read_config
@@ -155,17 +165,14 @@ def _recorded_modules(first: Any) -> list[dict[str, str]]:
     return stored.get("imports", [])
 
 
-def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
-    """The dataclass that the command line fills, its defaults those of this environment, scale and algorithm."""
+def _options(first: Any, scale: str, agent_config: Any) -> type:
+    """The dataclass that the command line fills; its defaults are those of this environment, scale and algorithm."""
+    from rewax.training.config import ReportConfig
 
     def nested(value: Any) -> Any:
         return dataclasses.field(default_factory=lambda: value)
 
-    agent_config = chosen.preset(first.env, scale)
-    if not isinstance(agent_config, chosen.config_type):
-        raise ValueError(
-            f"the preset of {first.algo} returned {agent_config!r}: return a {chosen.config_type.__name__}"
-        )
+    group, report = option_group(agent_config), option_group(ReportConfig())
     options = dataclasses.make_dataclass(
         "Options",
         [
@@ -181,7 +188,7 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
             ("init_from", str, ""),
             ("devices", int, 0),
             ("distributed", tyro.conf.FlagCreatePairsOff[bool], False),
-            (first.algo, type(agent_config), nested(agent_config)),
+            (first.algo, type(group), nested(group)),
             ("train", type(report), nested(report)),
         ],
         frozen=True,
