@@ -1,6 +1,11 @@
 """What a run is, apart from its algorithm."""
 
 import dataclasses
+from typing import Annotated
+
+from rewax.agents.legal import Count, Legal, Natural, Seed, Share, check_fields, is_whole
+
+_FRAMES = Legal("give a whole number of at least 2", lambda value: is_whole(value) and value >= 2)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -23,27 +28,22 @@ class ReportConfig:
       failure_window: iterations over which that share is taken.
     """
 
-    log_every: int = 1
-    eval_every: int = 20
-    num_eval_episodes: int = 16
-    checkpoint_every: int = 10
-    keep_checkpoints: int = 3
+    log_every: Count = 1
+    eval_every: Natural = 20
+    num_eval_episodes: Count = 16
+    checkpoint_every: Natural = 10
+    keep_checkpoints: Count = 3
     baselines: bool = True
     plots: bool = True
-    num_frames: int = 6
+    num_frames: Annotated[int, _FRAMES] = 6
     video: bool = True
     tensorboard: bool = True
     wandb: str = ""
-    max_failed_share: float = 0.5
-    failure_window: int = 20
+    max_failed_share: Share = 0.5
+    failure_window: Count = 20
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.max_failed_share <= 1.0:
-            raise ValueError(f"max_failed_share is {self.max_failed_share}: use a number from 0 to 1")
-        for name, least in _LEAST.items():
-            value = getattr(self, name, least)
-            if value < least:
-                raise ValueError(f"{name} is {value}: use {least} or more")
+        check_fields(self)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -62,29 +62,14 @@ class TrainConfig(ReportConfig):
         nothing of devices.
     """
 
-    num_iterations: int
+    num_iterations: Count
     run_dir: str
-    seed: int = 0
+    seed: Seed = 0
     resume: bool = False
     init_from: str = ""
-    devices: int = 0
-    num_steps: int = 0
+    devices: Natural = 0
+    num_steps: Natural = 0
 
     def over(self, iteration: int, env_steps: int) -> bool:
         """Whether a run that has done so many iterations and control steps is at its end."""
         return env_steps >= self.num_steps if self.num_steps else iteration >= self.num_iterations
-
-
-_LEAST = {
-    "num_iterations": 1,
-    "num_steps": 0,
-    "seed": 0,
-    "devices": 0,
-    "log_every": 1,
-    "eval_every": 0,
-    "num_eval_episodes": 1,
-    "checkpoint_every": 0,
-    "keep_checkpoints": 1,
-    "num_frames": 2,
-    "failure_window": 1,
-}
