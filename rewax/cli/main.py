@@ -36,7 +36,7 @@ COMMANDS = {
     "completion": "rewax.cli.completion",
 }
 """Modules of the commands by name."""
-_CLEAN_EXIT, _BAD_INPUT = 0, 2
+_CLEAN_EXIT, _CANNOT_GO_ON, _BAD_INPUT = 0, 1, 2
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -46,7 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
       argv: name of the command and its arguments, those of the process by default.
 
     Returns:
-      Exit code: 0; 2 after a sentence about an input that cannot be; 128 + signal after an interruption.
+      Exit code: 0; 1 after a run that failed; 2 after a sentence about an input that cannot be; 128 + signal after an
+      interruption.
     """
     # jax 0.10 prints an "error" for every program found in its cache, unless told so before jax is imported.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -63,6 +64,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read the output, `head` for example, has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
+    except OSError as error:
+        if type(error).__name__ != "CannotWrite":  # rewax.training.storage.run_directory, slow to import
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        return _CANNOT_GO_ON
 
 
 def _run(argv: list[str]) -> int:

@@ -1,5 +1,6 @@
 """A run under way: its training state, its open files, and what is done after each iteration."""
 
+import contextlib
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -231,8 +232,9 @@ class Run:
 
     def close(self) -> None:
         """Close every file."""
-        for writer in (self.metrics, self.timing, *self.boards, self.evaluator):
-            writer.close()
+        with contextlib.ExitStack() as stack:  # an error of one closes the others nevertheless
+            for writer in (self.metrics, self.timing, *self.boards, self.evaluator):
+                stack.callback(writer.close)
 
 
 def _last_iteration(config: TrainConfig, iteration: int, env_steps: int) -> int:

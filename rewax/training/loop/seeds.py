@@ -19,7 +19,7 @@ from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import TrainResult
 from rewax.training.loop.train import FINISHING, prepared
-from rewax.training.storage.run_directory import hold
+from rewax.training.storage.run_directory import full_disk_is_one_sentence, hold
 
 
 def train_seeds(
@@ -48,6 +48,11 @@ def train_seeds(
             stack.enter_context(hold(Path(config.run_dir).absolute(), must_exist=config.resume)) for config in configs
         ]
         stop = stack.enter_context(graceful_stop(functools.partial(say, console)))
+        stack.enter_context(
+            full_disk_is_one_sentence(
+                Path(configs[0].run_dir).parent, lambda: "the newest checkpoint of each run is kept"
+            )
+        )
         stop.before_exit = lambda: [leave_nothing() for leave_nothing in made] and None
         stop.at_once = "stopped before the first iteration: nothing was trained"
         ready = [prepared(agent, env, config, describe, console) for config in configs]

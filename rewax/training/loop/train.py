@@ -21,6 +21,7 @@ from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import Run, TrainResult
 from rewax.training.loop.start import first_state
+from rewax.training.storage import checkpoint
 from rewax.training.storage.description import (
     append_lowering,
     describe_run,
@@ -29,7 +30,7 @@ from rewax.training.storage.description import (
     write_environment,
 )
 from rewax.training.storage.metrics import need_wandb
-from rewax.training.storage.run_directory import hold
+from rewax.training.storage.run_directory import CannotWrite, full_disk_is_one_sentence, hold
 from rewax.training.storage.schedule import continued
 from rewax.types import Key
 
@@ -83,6 +84,7 @@ def train(
         _ended(leader),
         hold(Path(config.run_dir).absolute(), must_exist=config.resume) as leave_nothing,
         graceful_stop(functools.partial(say, console)) as stop,
+        full_disk_is_one_sentence(Path(config.run_dir), functools.partial(_kept, config.run_dir)),
     ):
         stop.before_exit = leave_nothing
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
@@ -110,12 +112,20 @@ def train(
             run.close()
 
 
+def _kept(run_dir: str) -> str:
+    """What a run that could not go on has left."""
+    newest = checkpoint.latest_step(run_dir)
+    if newest is None:
+        return "nothing was trained"
+    return f"the checkpoint of iteration {newest} is kept, and the same command with --resume continues from it"
+
+
 @contextlib.contextmanager
 def _ended(leader: Leader) -> Iterator[None]:
     """At the end, and after an input that is refused, the other processes leave too."""
     try:
         yield
-    except ValueError:
+    except (ValueError, CannotWrite):
         leader.end()
         raise
     leader.end()

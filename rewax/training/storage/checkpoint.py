@@ -1,14 +1,19 @@
 """Complete training states on disk, bit-exact.
 
-A checkpoint is one directory ``<run>/checkpoints/<iteration>`` holding ``arrays/`` (written by Orbax) and
-``leaves.json`` (name, shape, dtype and checksum of every leaf). It is written under another name and renamed when it is
-complete, so a directory with a number for a name and these contents is whole. Whatever else lies there is left alone.
+A checkpoint is one directory ``<run>/checkpoints/<iteration>`` holding ``arrays/`` (written by Orbax), ``leaves.json``
+(name, shape, dtype and checksum of every array) and ``checksums.json`` (of ``leaves.json``; older ones have none). It
+is written under another name and renamed when it is complete, so a directory with a number for a name and these
+contents is complete. All other files and folders there are left alone.
 """
 
+import contextlib
 import json
+import logging
 import shutil
+import threading
 import warnings
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -52,14 +57,12 @@ def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int |
         _remove(leftover)
     step = int(train_state.iteration)
     unfinished, final = folder / f".writing-{step}", folder / str(step)
-    unfinished.mkdir()
-    leaves = {name: to_numpy(leaf) for name, leaf in named_leaves(train_state)}
-    described = {name: describe_leaf(leaf, leaves[name]) for name, leaf in named_leaves(train_state)}
-    # Orbax refuses arrays without elements; their description says all there is to know.
-    stored = {name: value for name, value in leaves.items() if value.size}
-    with _checkpointer() as checkpointer:
-        checkpointer.save(unfinished / "arrays", args=ocp.args.StandardSave(stored))
-    (unfinished / "leaves.json").write_text(json.dumps(described, indent=1))
+    try:
+        _write(unfinished, train_state)
+    except BaseException:
+        with contextlib.suppress(OSError):  # a full disk has room again
+            _remove(unfinished)
+        raise
     if _is_checkpoint(final):
         _discard(final)
     elif final.exists():
@@ -69,6 +72,34 @@ def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int |
         if old != protect:
             _discard(folder / str(old))
     return final
+
+
+def _write(folder: Path, train_state: Any) -> None:
+    """Write the files of a checkpoint."""
+    folder.mkdir()
+    leaves = {name: to_numpy(leaf) for name, leaf in named_leaves(train_state)}
+    described = {name: describe_leaf(leaf, leaves[name]) for name, leaf in named_leaves(train_state)}
+    # Orbax refuses arrays without elements; their description says all there is to know.
+    stored = {name: value for name, value in leaves.items() if value.size}
+    with _silent_threads(), _checkpointer() as checkpointer:
+        checkpointer.save(folder / "arrays", args=ocp.args.StandardSave(stored))
+    text = json.dumps(described, indent=1)
+    (folder / "leaves.json").write_text(text)
+    (folder / "checksums.json").write_text(json.dumps({"leaves.json": zlib.crc32(text.encode())}) + "\n")
+
+
+@contextlib.contextmanager
+def _silent_threads() -> Iterator[None]:
+    """An exception in a thread of Orbax is raised by ``save`` too: its traceback is neither printed nor logged."""
+    log, usual = logging.getLogger("absl"), threading.excepthook
+    level = log.level
+    threading.excepthook = lambda _: None
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        threading.excepthook = usual
+        log.setLevel(level)
 
 
 def steps(run_dir: str | Path) -> list[int]:
@@ -199,7 +230,10 @@ def _read(path: Path, like: T) -> T:
 
 def _read_description(path: Path) -> dict[str, Any]:
     try:
-        described = json.loads((path / "leaves.json").read_text())
+        text, sums = (path / "leaves.json").read_bytes(), path / "checksums.json"
+        if sums.is_file() and json.loads(sums.read_text())["leaves.json"] != zlib.crc32(text):
+            raise ValueError("leaves.json does not have its checksum")
+        described = json.loads(text)
         complete = all(entry.keys() >= ENTRIES for entry in described.values())
     except Exception as error:
         raise _unreadable(path, error) from error

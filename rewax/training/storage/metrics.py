@@ -4,12 +4,13 @@
 on a CPU, and so does a resumed run; times are in ``timing.csv``.
 """
 
+import contextlib
 import csv
 import importlib.util
 import io
 import math
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,10 @@ class TensorBoardWriter:
         from tensorboardX import SummaryWriter  # slow to import, and only needed here
 
         self._writer = SummaryWriter(str(folder), purge_step=resume_at + 1 if resume_at else None)
+        # Its thread and its exit handler would print tracebacks of a full disk, of which the CSV files tell already.
+        events = self._writer.file_writer.event_writer._ev_writer
+        for name in ("write_event", "flush", "close"):
+            setattr(events, name, _without_os_errors(getattr(events, name)))
 
     def write(self, iteration: int, values: Mapping[str, Any], *, prefix: str = "train") -> None:
         """Write ``<prefix>/<name>`` for every value."""
@@ -135,6 +140,16 @@ class WandbWriter:
     def close(self) -> None:
         """Send what is left."""
         self._run.finish()
+
+
+def _without_os_errors(function: Callable[..., Any]) -> Callable[..., None]:
+    """The function, whose OSErrors are ignored."""
+
+    def call(*args: Any) -> None:
+        with contextlib.suppress(OSError):
+            function(*args)
+
+    return call
 
 
 def need_wandb() -> None:

@@ -1,6 +1,7 @@
 """The directory of a run: writable, and used by one process at a time."""
 
 import contextlib
+import errno
 import functools
 import os
 import socket
@@ -20,6 +21,38 @@ _REMEDY = "choose another directory (--run-dir)"
 
 class InUse(ValueError):
     """Another process uses the directory."""
+
+
+class CannotWrite(OSError):
+    """The disk is full, or a file became too large; the message says what is kept."""
+
+
+@contextlib.contextmanager
+def full_disk_is_one_sentence(run_dir: Path, kept: Callable[[], str]) -> Iterator[None]:
+    """Within the block, an exception that a full disk has caused, however deep, becomes ``CannotWrite``.
+
+    Args:
+      run_dir: directory of the run.
+      kept: what is kept, as a part of a sentence.
+    """
+    try:
+        yield
+    except Exception as error:
+        reason = _reason_of_full_disk(error)
+        if not reason:
+            raise
+        raise CannotWrite(f"{run_dir} cannot be written to ({reason}): free some space; {kept()}") from None
+
+
+def _reason_of_full_disk(error: BaseException | None) -> str:
+    """What the system says of a full disk somewhere in a chain of exceptions; libraries pass on its text alone."""
+    codes = [getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name)]
+    while error is not None:
+        for code in codes:
+            if getattr(error, "errno", None) == code or os.strerror(code) in str(error):
+                return os.strerror(code)
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 @contextlib.contextmanager
@@ -118,4 +151,4 @@ def _take(lock: IO[str], run_dir: Path) -> None:
     lock.flush()
 
 
-__all__ = ["InUse", "hold"]
+__all__ = ["CannotWrite", "InUse", "full_disk_is_one_sentence", "hold"]
