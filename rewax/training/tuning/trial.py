@@ -96,15 +96,14 @@ def run_trial(
         raise Failed(str(error)) from None
     seeds = [_Seed(env, agent, seed) for seed in task.seeds]
     train_step = compile_train_step(agent, seeds[0].state, console)
-    evaluate, done = make_evaluate(env, agent.policy, task.episodes), 0
+    evaluate = make_evaluate(env, agent.policy, task.episodes)
+    steps = config.num_iterations * config.num_envs * config.steps_in(env)
     for number in range(1, task.reports + 1):
-        until = round(config.num_iterations * number / task.reports)
-        for _ in range(until - done):
-            for seed in seeds:
+        for seed in seeds:
+            while seed.env_steps < steps * number / task.reports:
                 if stopped():
                     return
                 seed.advance(train_step)
-        done = until
         means = [float(evaluate(seed.state, seed.key)["mean"]) for seed in seeds]
         if not np.all(np.isfinite(means)):
             raise Failed(f"the mean returns are {means}")
@@ -118,7 +117,7 @@ class _Seed:
         self.state = jax.jit(agent.init)(jax.random.key(seed))
         self.key = jax.random.fold_in(jax.random.key(seed), _EVALUATION_STREAM)
         self._watch, self._finite = FailureWatch(env, ReportConfig()), FiniteCheck(self.state)
-        self._env_steps = 0
+        self.env_steps = 0
 
     def advance(self, train_step: Any) -> None:
         """One iteration.
@@ -127,9 +126,9 @@ class _Seed:
           Failed: too many episodes failed, or what was learnt is not finite.
         """
         self.state, metrics = train_step(self.state)
-        metrics, before, self._env_steps = jax.device_get(metrics), self._env_steps, int(self.state.env_steps)
+        metrics, before, self.env_steps = jax.device_get(metrics), self.env_steps, int(self.state.env_steps)
         iteration = int(self.state.iteration)
-        self._watch.add(iteration, self._env_steps - before, metrics)
+        self._watch.add(iteration, self.env_steps - before, metrics)
         if bad := self._finite.first_bad(self.state):
             raise Failed(f"iteration {iteration} made {bad} infinite or NaN")
         if reason := self._watch.reason():
