@@ -35,6 +35,7 @@ def run(argv: Sequence[str]) -> int:
     """
     from rewax.fixed_sources import build_ahead
     from rewax.training.config import TrainConfig
+    from rewax.training.loop.estimate import cost_sentence
     from rewax.training.loop.hosts import connect, leads, num_processes
     from rewax.training.loop.progress import say
     from rewax.training.loop.seeds import train_seeds
@@ -65,6 +66,8 @@ def run(argv: Sequence[str]) -> int:
 
     agent_config, num_iterations, num_steps = _length(with_options(preset, getattr(args, first.algo)), env, args.steps)
     say(console, _scale_sentence(scale, first.scale))
+    if scale == "paper" and (cost := cost_sentence(env, agent_config, num_steps)):
+        say(console, cost)
     report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
     configs = [
         TrainConfig(
@@ -172,7 +175,7 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
     def nested(value: Any) -> Any:
         return dataclasses.field(default_factory=lambda: value)
 
-    group, report = option_group(agent_config), option_group(ReportConfig())
+    group, report = option_group(agent_config), option_group(ReportConfig(eval_at_start=not _is_slow(scale)))
     options = dataclasses.make_dataclass(
         "Options",
         [
@@ -212,6 +215,13 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
         JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID, or by Slurm or MPI.
     """
     return options
+
+
+def _is_slow(scale: str) -> bool:
+    """Whether an evaluation takes many minutes, so that the first one waits for some training."""
+    import jax
+
+    return scale == "paper" and jax.default_backend() == "cpu"
 
 
 def _description(name: str, env_name: str, scale: str) -> str:

@@ -15,6 +15,7 @@ class ReportConfig:
     Attributes:
       log_every: iterations between rows of metrics.csv.
       eval_every: iterations between evaluations, 0 for one at the end only.
+      eval_at_start: evaluate before the first iteration too.
       num_eval_episodes: episodes of an evaluation.
       checkpoint_every: iterations between checkpoints, 0 for one at the end only; each evaluation is preceded by one.
       keep_checkpoints: number of checkpoints that stay.
@@ -30,6 +31,7 @@ class ReportConfig:
 
     log_every: Count = 1
     eval_every: Natural = 20
+    eval_at_start: bool = True
     num_eval_episodes: Count = 16
     checkpoint_every: Natural = 10
     keep_checkpoints: Count = 3

@@ -41,6 +41,8 @@ class Evaluator:
     def is_due(self, iteration: int) -> bool:
         """The schedule asks for an evaluation here, and ``eval.csv`` does not have it yet."""
         every = self._config.eval_every
+        if iteration == 0 and not self._config.eval_at_start:
+            return False
         return every > 0 and iteration % every == 0 and self.csv.last_iteration < iteration
 
     def evaluate(self, iteration: int, env_steps: int, train_state: Any) -> dict[str, Any]:

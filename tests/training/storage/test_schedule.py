@@ -39,3 +39,11 @@ def test_the_sentence_counts():
     assert lost_rows("metrics.csv", [1, 2, 9], {1, 2}) == ""
     assert "metrics.csv lacks 2 of its 4 rows (iterations 2 to 4)" in lost_rows("metrics.csv", [1, 3], {1, 2, 3, 4})
     assert "eval.csv lacks 1 of its 2 rows (iteration 2)" in lost_rows("eval.csv", [1], {1, 2})
+
+
+def test_a_run_without_an_evaluation_at_the_start_lacks_no_row():
+    schedule = continued({}, 0, ReportConfig(eval_every=2, eval_at_start=False))
+    assert due_rows(schedule, 5)["eval.csv"] == {2, 4}
+    again = continued({"schedule": schedule}, 3, ReportConfig(eval_every=1, eval_at_start=False))
+    assert due_rows(again, 5)["eval.csv"] == {2, 3, 4}
+    assert due_rows(continued({}, 0, ReportConfig(eval_every=2)), 5)["eval.csv"] == {0, 2, 4}
