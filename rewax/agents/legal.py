@@ -47,6 +47,7 @@ def is_number(value: object) -> bool:
 
 
 COUNT = Legal("give a whole number of at least 1", lambda v: is_whole(v) and v >= 1)
+AT_LEAST_2 = Legal("give a whole number of at least 2", lambda v: is_whole(v) and v >= 2)
 NATURAL = Legal("give a whole number of at least 0", lambda v: is_whole(v) and v >= 0)
 SEED = Legal("give a whole number from 0 to 4294967295", lambda v: is_whole(v) and 0 <= v < 2**32)
 SHARE = Legal("give a number between 0 and 1", lambda v: is_number(v) and 0.0 <= v <= 1.0)
@@ -147,6 +148,6 @@ def _tuple(parts: tuple[Any, ...]) -> Legal | None:
 
 
 __all__ = [
-    "COUNT", "INTERVAL", "POSITIVE", "Count", "Decay", "Interval", "Legal", "Natural", "NonNegative", "Positive",
-    "Seed", "Share", "Widths", "check_fields", "is_number", "is_whole", "legal_values",
+    "AT_LEAST_2", "COUNT", "INTERVAL", "NATURAL", "POSITIVE", "Count", "Decay", "Interval", "Legal", "Natural",
+    "NonNegative", "Positive", "Seed", "Share", "Widths", "check_fields", "is_number", "is_whole", "legal_values",
 ]  # fmt: skip

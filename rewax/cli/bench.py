@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import tyro
 from rich.console import Console
 
+from rewax.agents.legal import Natural
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import cores_as_devices, quiet
 
@@ -31,7 +32,7 @@ class Options:
     tasks: tuple[str, ...] = ()
     algorithms: tuple[str, ...] = ()
     seeds: tuple[int, ...] = ()
-    devices: int = 0
+    devices: Natural = 0
 
 
 def run(argv: Sequence[str]) -> int:
@@ -49,8 +50,6 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(Options, argv, prog="rewax bench", description="Compare algorithms on tasks.")
-    if options.devices < 0:
-        raise ValueError(f"devices is {options.devices}: use 0 for all, or 1 or more")
     cores_as_devices(options.devices)
     enable_compilation_cache()
     import_modules(options.imports)

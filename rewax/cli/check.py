@@ -4,6 +4,7 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 
+from rewax.agents.legal import Seed
 from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 
@@ -26,7 +27,7 @@ class Options:
     env: str
     scale: str = "small"
     imports: Imports = ()
-    seed: int = 0
+    seed: Seed = 0
     whole_episode: bool = True
     in_cpp: bool = False
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from rewax.agents.legal import Count, Natural, Seed
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
@@ -43,9 +44,9 @@ class Options:
     run_dir: str | None = None
     scale: str | None = None
     imports: Imports = ()
-    episodes: int = 64
-    seed: int = 0
-    step: int | None = None
+    episodes: Count = 64
+    seed: Seed = 0
+    step: Natural | None = None
     settings: _Settings = ()
     json: str | None = None
     video: bool = True
@@ -97,10 +98,6 @@ def _checked(options: Options) -> str:
     where = options.run or options.run_dir
     if where is None or (options.run and options.run_dir):
         raise ValueError("rewax eval needs one run directory or task: rewax eval HandFlip")
-    if options.episodes < 1:
-        raise ValueError(f"episodes is {options.episodes}: use 1 or more")
-    if options.seed < 0:
-        raise ValueError(f"seed is {options.seed}: use 0 or more")
     if any(pixels < 2 or pixels % 2 for pixels in options.video_size):
         raise ValueError(f"video-size is {' '.join(map(str, options.video_size))}: give even numbers from 2 on")
     for name, ending in (("json", ".json"), ("video_path", ".mp4")):

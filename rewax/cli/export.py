@@ -6,6 +6,7 @@ from pathlib import Path
 
 import tyro
 
+from rewax.agents.legal import Natural
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
@@ -26,7 +27,7 @@ class Options:
     out: str | None = None
     scale: str | None = None
     imports: Imports = ()
-    step: int | None = None
+    step: Natural | None = None
 
 
 def run(argv: Sequence[str]) -> int:

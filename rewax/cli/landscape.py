@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+from rewax.agents.legal import Count, Natural, Positive, Seed
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
@@ -25,11 +26,11 @@ class Options:
 
     run_dir: str
     imports: Imports = ()
-    size: int = 21
-    span: float = 1.0
-    episodes: int = 8
-    seed: int = 0
-    step: int | None = None
+    size: Count = 21
+    span: Positive = 1.0
+    episodes: Count = 8
+    seed: Seed = 0
+    step: Natural | None = None
     out: str | None = None
 
 

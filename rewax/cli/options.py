@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 
 import tyro
 
+from rewax.agents.legal import check_fields
 from rewax.agents.registry import list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
@@ -32,7 +33,7 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
       prog, description: of the help text.
 
     Raises:
-      ValueError: an option is unknown or its value cannot be read.
+      ValueError: an option is unknown, or its value cannot be read or is not legal for the field's type.
       SystemExit: with code 0, after ``--help``.
     """
     said = io.StringIO()
@@ -54,6 +55,7 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
             raise ValueError(_stray(unknown[0], list(argv), list(_names(options, filled, kind=bool)), prog))
         near = did_you_mean(name, [f"--{known}" for known in _names(options, filled)])
         raise ValueError(f"there is no option {name}: {near}{prog} --help lists them")
+    check_fields(filled)
     return filled
 
 

@@ -5,12 +5,15 @@ import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
+from rewax.agents.legal import AT_LEAST_2, Legal, Natural, Seed, is_whole
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
+_PORT = Legal("give a whole number from 1 to 65535", lambda value: is_whole(value) and 1 <= value <= 65535)
 _POLL = 1.0
 """Between looks for a new checkpoint of a live run [s]."""
 
@@ -37,13 +40,13 @@ class Options:
     scale: str | None = None
     out: str = "player.html"
     imports: Imports = ()
-    seed: int = 0
+    seed: Seed = 0
     sampled: tyro.conf.FlagCreatePairsOff[bool] = False
-    step: int | None = None
-    frames: int = 301
+    step: Natural | None = None
+    frames: Annotated[int, AT_LEAST_2] = 301
     live: tyro.conf.FlagCreatePairsOff[bool] = False
     host: str = "127.0.0.1"
-    port: int = 8080
+    port: Annotated[int, _PORT] = 8080
 
 
 def run(argv: Sequence[str]) -> int:
@@ -70,8 +73,6 @@ def run(argv: Sequence[str]) -> int:
     out = Path(options.out)
     if out.suffix not in (".html", ".htm") or not out.parent.is_dir():
         raise ValueError(f"out is {out}: give an .html file in a folder that exists")
-    if options.frames < 2:
-        raise ValueError(f"frames is {options.frames}: use 2 or more")
     enable_compilation_cache()
     import_modules(options.imports)
     build_ahead()

@@ -12,6 +12,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
+from rewax.agents.legal import NATURAL, Count, Natural, Seed
 from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
 from rewax.cli.options import Imports, build_env, import_modules, parse
@@ -46,6 +47,7 @@ def run(argv: Sequence[str]) -> int:
     console = Console(highlight=False)
     enable_compilation_cache()
     first = _look_ahead(argv)
+    NATURAL.check("devices", first.devices)
     if first.distributed:
         cores_as_devices(first.devices // (num_processes() or 1))
         connect()
@@ -59,8 +61,6 @@ def run(argv: Sequence[str]) -> int:
     preset = _preset(first, scale, chosen)
     options = _options(first, scale, preset)
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
-    if args.num_seeds < 1:
-        raise ValueError(f"num-seeds is {args.num_seeds}: use 1 or more")
     if args.num_seeds > 1 and args.distributed:
         raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
@@ -183,13 +183,13 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
             ("scale", str, scale),
             ("algo", str, first.algo),
             ("imports", Imports, ()),
-            ("seed", int, 0),
-            ("num_seeds", int, 1),
-            ("steps", int | None, None),
+            ("seed", Seed, 0),
+            ("num_seeds", Count, 1),
+            ("steps", Count | None, None),
             ("run_dir", str | None, None),
             ("resume", tyro.conf.FlagCreatePairsOff[bool], False),
             ("init_from", str, ""),
-            ("devices", int, 0),
+            ("devices", Natural, 0),
             ("distributed", tyro.conf.FlagCreatePairsOff[bool], False),
             (first.algo, type(group), nested(group)),
             ("train", type(report), nested(report)),
@@ -234,8 +234,6 @@ def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int, i
     per_iteration = agent_config.num_envs * in_one
     if steps is None:
         return agent_config, agent_config.num_iterations, agent_config.num_iterations * per_iteration
-    if steps < 1:
-        raise ValueError(f"steps is {steps}: use 1 or more")
     num_iterations = math.ceil(steps / per_iteration)
     return dataclasses.replace(agent_config, num_iterations=num_iterations), num_iterations, steps
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from rewax.agents.legal import Count
 from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 from rewax.envs import registry
@@ -37,11 +38,11 @@ class Options:
     scale: str | None = None
     algo: str = "sapo"
     imports: Imports = ()
-    trials: int = 30
+    trials: Count = 30
     seeds: tuple[int, ...] = (1000, 1001)
-    steps: int | None = None
-    episodes: int = 64
-    reports: int = 4
+    steps: Count | None = None
+    episodes: Count = 64
+    reports: Count = 4
     space: str | None = None
     out: str | None = None
 
@@ -64,8 +65,6 @@ def run(argv: Sequence[str]) -> int:
     quiet()
     options = parse(Options, argv, prog=_PROG, description="Search for hyper-parameters, with optuna.")
     need_optuna()
-    if options.trials < 1:
-        raise ValueError(f"trials is {options.trials}: use 1 or more")
     enable_compilation_cache()
     import_modules(options.imports)
     scale, console = options.scale or registry.default_scale(), Console(highlight=False, soft_wrap=True)

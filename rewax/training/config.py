@@ -3,9 +3,7 @@
 import dataclasses
 from typing import Annotated
 
-from rewax.agents.legal import Count, Legal, Natural, Seed, Share, check_fields, is_whole
-
-_FRAMES = Legal("give a whole number of at least 2", lambda value: is_whole(value) and value >= 2)
+from rewax.agents.legal import AT_LEAST_2, Count, Natural, Seed, Share, check_fields
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -37,7 +35,7 @@ class ReportConfig:
     keep_checkpoints: Count = 3
     baselines: bool = True
     plots: bool = True
-    num_frames: Annotated[int, _FRAMES] = 6
+    num_frames: Annotated[int, AT_LEAST_2] = 6
     video: bool = True
     tensorboard: bool = True
     wandb: str = ""

@@ -100,7 +100,7 @@ def test_steps_are_rounded_up_to_iterations_and_resume_continues(main, tmp_path)
         (["--scale=medium"], "scale is 'medium': use one of 'paper', 'small'"),
         (["--toy.noise=-1"], "noise is -1.0: use 0 or more"),
         (["--train.log-every=0"], "log_every is 0: give a whole number of at least 1"),
-        (["--steps=0"], "steps is 0: use 1 or more"),
+        (["--steps=0"], "steps is 0: give a whole number of at least 1"),
         (["--seed=-1"], "seed is -1: give a whole number from 0 to 4294967295"),
         (["--toy.noise=loud"], "--toy.noise is 'loud': give a number"),
         (["--steps", "abc"], "--steps is 'abc': give a whole number, or None"),

@@ -69,7 +69,7 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
     config = read_config(run_dir)
     import_recorded(config if env is None else {**config, "env": None}, run_dir)
-    name = config.get("agent")
+    name, file = config.get("agent"), Path(run_dir) / "config.json"
     if name is not None and name not in list_algorithms():
         raise ValueError(
             f"{run_dir} was trained with {name!r}, which is not registered here: import the module that registers it "
@@ -78,34 +78,61 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         )
     if name is None or not isinstance(config.get(name), Mapping):
         raise ValueError(
-            f"{run_dir}/config.json names no algorithm and its options: build the agent as for training, "
+            f"{file} names no algorithm and its options: build the agent as for training, "
             "and use checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
         )
-    env = _recorded_env(config, run_dir) if env is None else env
-    known = algorithm(name)
-    agent = build_agent(name, env, agent_config(known.config_type, config[name]))
+    stored = agent_config(algorithm(name).config_type, config[name], f"{file}: {name}")
+    env = _recorded_env(config, file) if env is None else env
+    agent = build_agent(name, env, stored)
     train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
     return SavedRun(env, agent, train_state, config)
 
 
-def _recorded_env(config: Mapping[str, Any], run_dir: str | Path) -> Env:
+def _recorded_env(config: Mapping[str, Any], file: Path) -> Env:
+    """The environment that a ``config.json`` describes."""
     kwargs = config.get("env_kwargs", {})
-    if not isinstance(config.get("env"), str) or "scale" not in config or not isinstance(kwargs, Mapping):
+    if not isinstance(config.get("env"), str) or "scale" not in config:
         raise ValueError(
-            f"{run_dir}/config.json names no environment, because rewax.make did not build it: build it as for "
+            f"{file} names no environment, because rewax.make did not build it: build it as for "
             "training and give it, load_run(run_dir, env=env)"
         )
-    return registry.make(config["env"], scale=config["scale"], **kwargs)
+    if not isinstance(kwargs, Mapping):
+        raise ValueError(f"{file}: env_kwargs is {kwargs!r}: give the arguments of rewax.make by name, or {{}}")
+    try:
+        return registry.make(config["env"], scale=config["scale"], **kwargs)
+    except Exception as error:  # wrong types of arguments reach the environment's own code
+        reason = (
+            str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {' '.join(str(error).split())}"
+        )
+        raise ValueError(
+            f"{file}: env {config['env']!r} with scale {config['scale']!r} and env_kwargs {dict(kwargs)!r} cannot be "
+            f"built: {kind}{' '.join(str(error).split())}"
+        ) from error
 
 
-def agent_config(config_type: type, stored: Mapping[str, Any]) -> Any:
-    """The agent's configuration from JSON; what a newer version has more keeps its default."""
-    known = {field.name for field in dataclasses.fields(config_type)}
+def agent_config(config_type: type, stored: Mapping[str, Any], where: str = "the stored configuration") -> Any:
+    """The agent's configuration from JSON; options that a newer version has added keep their defaults.
+
+    Args:
+      config_type: of the algorithm.
+      stored: options by name.
+      where: begins the sentence about an option that cannot be, with the file and the entry.
+
+    Raises:
+      ValueError: an unknown option, or a value that cannot be; one sentence.
+    """
+    known = [field.name for field in dataclasses.fields(config_type)]
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise ValueError(f"this version has no option {', '.join(unknown)}: use the version that the run was made with")
-    return config_type(**values)
+    for name in values:
+        if name not in known:
+            raise ValueError(
+                f"{where}.{name} is unknown: {registry.did_you_mean(name, known)}this version has no such option: "
+                "correct or remove it, or use the version that the run was made with"
+            )
+    try:
+        return config_type(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}.{error}") from None
 
 
 __all__ = ["SavedRun", "load_run"]
