@@ -163,6 +163,8 @@ def _recorded_modules(first: Any) -> list[dict[str, str]]:
 
     if not (first.resume and first.run_dir):
         return []
+    if not os.path.isdir(first.run_dir):
+        raise ValueError(f"there is no run directory {first.run_dir}: check the path, or start a new run there")
     stored = read_config(first.run_dir)
     import_recorded(stored, first.run_dir)
     return stored.get("imports", [])

@@ -96,14 +96,14 @@ def _recorded_env(config: Mapping[str, Any], file: Path) -> Env:
             f"{file} names no environment, because rewax.make did not build it: build it as for "
             "training and give it, load_run(run_dir, env=env)"
         )
+    if not isinstance(config["scale"], str):
+        raise ValueError(f"{file}: scale is {config['scale']!r}: use one of {', '.join(map(repr, registry.SCALES))}")
     if not isinstance(kwargs, Mapping):
         raise ValueError(f"{file}: env_kwargs is {kwargs!r}: give the arguments of rewax.make by name, or {{}}")
     try:
         return registry.make(config["env"], scale=config["scale"], **kwargs)
     except Exception as error:  # wrong types of arguments reach the environment's own code
-        reason = (
-            str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {' '.join(str(error).split())}"
-        )
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise ValueError(
             f"{file}: env {config['env']!r} with scale {config['scale']!r} and env_kwargs {dict(kwargs)!r} cannot be "
             f"built: {kind}{' '.join(str(error).split())}"

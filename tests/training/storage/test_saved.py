@@ -90,7 +90,7 @@ def load_again(tmp_path, env):
         ),
         (("sapo", "adam_b1"), -3, "config.json: sapo.adam_b1 is -3: give a number of at least 0 and below 1"),
         (("sapo", "learn_temperature"), "yes", "config.json: sapo.learn_temperature is 'yes': give True or False"),
-        (("scale",), 3, "config.json: env 'PointMass' with scale 3 and env_kwargs {} cannot be built: scale is 3"),
+        (("scale",), 3, "config.json: scale is 3: use one of 'paper', 'small'"),
         (("env_kwargs",), [1], "config.json: env_kwargs is [1]: give the arguments of rewax.make by name, or {}"),
         (("env_kwargs",), {"gain": 1}, "cannot be built: PointMass has no option 'gain'"),
     ],
