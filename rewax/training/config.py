@@ -1,4 +1,4 @@
-"""What a run is, apart from its algorithm."""
+"""Options of a run that do not belong to its algorithm."""
 
 import dataclasses
 from typing import Annotated
@@ -8,23 +8,23 @@ from rewax.agents.legal import AT_LEAST_2, Count, Natural, Seed, Share, check_fi
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReportConfig:
-    """What a run leaves behind, how often, and when it counts as failed.
+    """Which files a run writes, how often, and when the run counts as failed.
 
     Attributes:
       log_every: iterations between rows of metrics.csv.
-      eval_every: iterations between evaluations, 0 for one at the end only.
+      eval_every: iterations between evaluations; 0: evaluate at the end only.
       eval_at_start: evaluate before the first iteration too.
-      num_eval_episodes: episodes of an evaluation.
-      checkpoint_every: iterations between checkpoints, 0 for one at the end only; each evaluation is preceded by one.
-      keep_checkpoints: number of checkpoints that stay.
-      baselines: also evaluate no action and random actions, once, for comparison.
-      plots: draw the learning curve and an episode's particles or bodies at the end.
-      num_frames: moments of the episode in the latter.
-      video: with the plots, also write the episode as a video and as a page for a browser.
-      tensorboard: write event files beside the CSV.
-      wandb: project of Weights & Biases that gets the numbers too (needs rewax[wandb]); empty for none.
-      max_failed_share: share of numerically failed episodes above which the run stops; 1 never stops it.
-      failure_window: iterations over which that share is taken.
+      num_eval_episodes: number of episodes in each evaluation.
+      checkpoint_every: iterations between checkpoints; 0: save at the end only. A checkpoint precedes each evaluation.
+      keep_checkpoints: number of newest checkpoints that are kept.
+      baselines: also evaluate zero actions and random actions once, for comparison.
+      plots: at the end draw the learning curve and the particles or bodies of an episode.
+      num_frames: number of moments of that episode in one picture.
+      video: with ``plots``, also write the episode as a video and as a page for a browser.
+      tensorboard: write TensorBoard event files beside the CSV files.
+      wandb: Weights & Biases project that receives the metrics too (needs rewax[wandb]); empty: none.
+      max_failed_share: share of numerically failed episodes above which the run stops; 1: never stop.
+      failure_window: number of last iterations over which that share is computed.
     """
 
     log_every: Count = 1
@@ -48,18 +48,18 @@ class ReportConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainConfig(ReportConfig):
-    """A run: how long, from which seed, where, and what it leaves behind.
+    """A run: its length, seed, directory and reports.
 
     Attributes:
-      num_iterations: iterations in all, those before a resume among them.
-      num_steps: control steps of all environments, after which the run ends instead, with the iteration that reaches
-        them; 0: it ends after ``num_iterations``. For algorithms whose iterations differ in steps.
+      num_iterations: total number of iterations, including those before a resume.
+      num_steps: total number of control steps of all environments: the run ends with the iteration that reaches it.
+        For algorithms whose iterations have different numbers of steps. 0: the run ends after ``num_iterations``.
       run_dir: directory of the run.
-      seed: everything random follows from it.
+      seed: of all random numbers of the run.
       resume: continue the run in ``run_dir`` from its newest checkpoint.
-      init_from: directory of a run whose networks, temperature and statistics a new run begins with; empty for none.
-      devices: over how many its environments are divided; 0: as many of JAX's as divide them. A checkpoint knows
-        nothing of devices.
+      init_from: directory of another run; the new run starts with its networks, temperature and statistics. Empty: none.
+      devices: number of devices that the environments are sharded over; 0: the largest number of JAX's devices that
+        divides the number of environments. Checkpoints do not depend on it.
     """
 
     num_iterations: Count
@@ -71,5 +71,5 @@ class TrainConfig(ReportConfig):
     num_steps: Natural = 0
 
     def over(self, iteration: int, env_steps: int) -> bool:
-        """Whether a run that has done so many iterations and control steps is at its end."""
+        """Whether a run ends after this many iterations and control steps."""
         return env_steps >= self.num_steps if self.num_steps else iteration >= self.num_iterations

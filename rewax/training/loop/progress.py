@@ -1,4 +1,4 @@
-"""What the user sees while a run goes on: a bar on a terminal, lines elsewhere."""
+"""Progress of a run: a bar on a terminal, lines elsewhere."""
 
 import math
 import time
@@ -21,9 +21,9 @@ class ProgressReport:
     grows, and ``close`` prints the counts of the whole run.
 
     Args:
-      console: where to.
-      num_iterations: in all, kept as ``total``, which may change.
-      start: iterations done before this process.
+      console: to print to.
+      num_iterations: total number, kept in the attribute ``total``, which may be changed.
+      start: number of iterations done before this process.
     """
 
     def __init__(self, console: Console, num_iterations: int, start: int) -> None:
@@ -43,7 +43,7 @@ class ProgressReport:
             self._bar.start()
 
     def update(self, iteration: int, env_steps: int, metrics: Mapping[str, Any], steps_per_second: float) -> None:
-        """Show the state after an iteration. Numbers that are NaN (no episode ended) keep their previous value."""
+        """Show an iteration. A metric that is NaN, because no episode ended, keeps its previous value."""
         for name in self._shown:
             if math.isfinite(value := float(metrics.get(name, math.nan))):
                 self._shown[name] = value
@@ -87,7 +87,7 @@ class ProgressReport:
 
 
 def say(console: Console, text: str) -> None:
-    """Print a plain line, neither wrapped nor read as markup."""
+    """Print a line as it is: no wrapping, no markup."""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 

@@ -1,4 +1,4 @@
-"""Several seeds of one run side by side, in one program."""
+"""Several seeds of one run, batched in one program."""
 
 import contextlib
 import functools
@@ -32,15 +32,15 @@ def train_seeds(
 ) -> list[TrainResult]:
     """Train one agent from several seeds at once: ``vmap(train_step)``, a run directory for each.
 
-    Each seed's result is that of its run alone, up to rounding: a batched program adds in another order. A seed that
-    fails is ended; the others go on.
+    Each seed's result equals that of a run by itself up to rounding, because a batched program adds in another order. A
+    seed that fails ends; the others continue.
 
     Args:
       agent, env, describe, console: as for ``train``.
-      configs: alike but for ``seed`` and ``run_dir``.
+      configs: equal except for ``seed`` and ``run_dir``.
 
     Raises:
-      ValueError: as for ``train``; or runs that are resumed have done different numbers of iterations.
+      ValueError: as for ``train``; or the resumed runs have done different numbers of iterations.
     """
     console = console or Console()
     with contextlib.ExitStack() as stack:
@@ -75,7 +75,7 @@ def train_seeds(
         del ready
         try:
             for run in runs:
-                run.save()  # all of them have a checkpoint, or a stop would leave a group that cannot be resumed
+                run.save()  # a group of runs can be resumed only if each of them has a checkpoint
             for run in runs:
                 run.begin(stop)
             while not (all(run.over for run in runs) or stop.requested):
