@@ -57,7 +57,8 @@ class TrainConfig(ReportConfig):
       run_dir: directory of the run.
       seed: of all random numbers of the run.
       resume: continue the run in ``run_dir`` from its newest checkpoint.
-      init_from: directory of another run; the new run starts with its networks, temperature and statistics. Empty: none.
+      init_from: directory of another run: the new run starts with its networks, temperature and statistics;
+        empty: none.
       devices: number of devices that the environments are sharded over; 0: the largest number of JAX's devices that
         divides the number of environments. Checkpoints do not depend on it.
     """

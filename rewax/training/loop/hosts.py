@@ -156,4 +156,4 @@ def _like(value: Any, leaf: Any) -> Any:
     return from_numpy(value, None, str(jax.random.key_impl(leaf)) if is_key(leaf) else None)
 
 
-__all__ = ["Leader", "Command", "connect", "follow", "leads", "num_processes", "received"]
+__all__ = ["Command", "Leader", "connect", "follow", "leads", "num_processes", "received"]

@@ -244,7 +244,7 @@ class Run:
 
 
 def _last_iteration(config: TrainConfig, iteration: int, env_steps: int) -> int:
-    """The last iteration of the run; extrapolated from the mean number of steps where the run ends after ``num_steps``."""
+    """The last iteration of the run; estimated from the mean number of steps if it ends after ``num_steps``."""
     if not config.num_steps or not env_steps:
         return config.num_iterations
     return max(iteration, -(-iteration * config.num_steps // env_steps))

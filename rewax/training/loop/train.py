@@ -54,8 +54,8 @@ def train(
     """Train an agent and leave a run directory: checkpoints, metrics, evaluations, plots.
 
     On a CPU a run resumed from a checkpoint gives the same bits as one that never stopped: the same final state and the
-    same ``metrics.csv``. The last checkpoint is written before the final evaluation and the pictures, so a failure there
-    does not lose it.
+    same ``metrics.csv``. The last checkpoint is written before the final evaluation and the pictures, so that a failure
+    there does not lose it.
 
     A run stops early when more than ``config.max_failed_share`` of its episodes fail numerically, or when its critics'
     loss is not finite as often. It stops at once when a learnt parameter is not finite. No checkpoint holds such a

@@ -1,4 +1,4 @@
-"""A new run that begins with what an old one has learnt."""
+"""Initial training state of a new run with the networks of an old one."""
 
 import re
 from collections.abc import Mapping
@@ -13,18 +13,18 @@ from rewax.training.storage.description import read_config
 from rewax.training.storage.leaves import describe_leaf, from_numpy, named_leaves, to_numpy
 
 _OF_THE_RUN = ("environments", "key", "iteration", "env_steps", "replay", "learning_rate")
-"""Fields of a training state that begin anew; so do the states of optimizers."""
+"""Fields of a training state that are not taken over; states of optimizers are not either."""
 _STATISTICS = ".environments.statistics"
 
 
 def warm_started(fresh: Any, run_dir: str | Path, name: str = "") -> Any:
     """A fresh training state with the networks, temperatures and statistics of an old run's newest checkpoint.
 
-    Environments, randomness, counters, optimizers and replay buffers begin anew. The checkpoint is read by the names of
-    its arrays, so neither the old run's environment nor its algorithm has to be registered.
+    Environments, random keys, counters, optimizers and replay buffers stay those of the fresh state. The checkpoint is
+    read by the names of its arrays, so neither the old run's environment nor its algorithm has to be registered.
 
     Args:
-      fresh: as ``agent.init`` makes it.
+      fresh: the state that ``agent.init`` returns.
       run_dir: directory of the old run, of the same algorithm.
       name: of the algorithm; empty for one without a name.
 

@@ -40,16 +40,16 @@ class DamagedCheckpoint(ValueError):
 
 
 def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int | None = None) -> Path:
-    """Write a checkpoint of a whole training state, then remove all but the latest ``keep``.
+    """Write a checkpoint of a training state, then remove all but the newest ``keep``.
 
     Args:
       run_dir: directory of the run, made if missing.
-      train_state: pytree of arrays, typed PRNG keys among them, with a field ``iteration``.
-      keep: number of checkpoints that stay, at least 1.
-      protect: iteration of a checkpoint that stays as well.
+      train_state: pytree of arrays and typed PRNG keys with a field ``iteration``.
+      keep: number of checkpoints that are kept, at least 1.
+      protect: iteration of a checkpoint that is kept as well.
 
     Returns:
-      The checkpoint's directory; it appears complete or not at all, however the process ends.
+      The checkpoint's directory. It appears complete or not at all, even if the process is killed.
     """
     folder = Path(run_dir).absolute() / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
@@ -79,7 +79,7 @@ def _write(folder: Path, train_state: Any) -> None:
     folder.mkdir()
     leaves = {name: to_numpy(leaf) for name, leaf in named_leaves(train_state)}
     described = {name: describe_leaf(leaf, leaves[name]) for name, leaf in named_leaves(train_state)}
-    # Orbax refuses arrays without elements; their description says all there is to know.
+    # Orbax refuses arrays without elements; their description is sufficient.
     stored = {name: value for name, value in leaves.items() if value.size}
     with _silent_threads(), _checkpointer() as checkpointer:
         checkpointer.save(folder / "arrays", args=ocp.args.StandardSave(stored))
@@ -103,7 +103,7 @@ def _silent_threads() -> Iterator[None]:
 
 
 def steps(run_dir: str | Path) -> list[int]:
-    """Iterations of the checkpoints of a run, in order; stray files and folders do not count."""
+    """Iterations of the checkpoints of a run, in order; other files and folders are ignored."""
     folder = Path(run_dir) / "checkpoints"
     found = folder.iterdir() if folder.is_dir() else ()
     return sorted(int(path.name) for path in found if _is_number(path.name) and _is_checkpoint(path))
@@ -133,8 +133,8 @@ def restore(
       run_dir: directory of the run.
       like: a training state of the same structure, or its ``jax.eval_shape``; values are not used.
       step: iteration of the checkpoint; by default the newest that can be read.
-      set_aside: rename the damaged checkpoints that were passed over, so that the run does not meet them again.
-      notify: called with a sentence about each damaged checkpoint that was passed over; a Python warning by default.
+      set_aside: rename the damaged checkpoints that were skipped, so that the run does not find them again.
+      notify: called with a sentence about each damaged checkpoint that was skipped; a Python warning by default.
 
     Raises:
       ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
@@ -161,7 +161,7 @@ def stored_leaves(run_dir: str | Path) -> dict[str, Any]:
 def _newest(
     run_dir: str | Path, read: Callable[[Path], T], step: int | None, set_aside: bool, notify: Callable[[str], None]
 ) -> T:
-    """What ``read`` makes of the newest checkpoint that is not damaged; arguments as for ``restore``."""
+    """The result of ``read`` for the newest checkpoint that is not damaged; arguments as for ``restore``."""
     run_dir = Path(run_dir).absolute()
     if not run_dir.is_dir():
         raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
@@ -194,12 +194,12 @@ def _is_number(name: str) -> bool:
 
 
 def _is_checkpoint(path: Path) -> bool:
-    """Whole, or what damage has left of one."""
+    """A complete checkpoint, or the remains of one."""
     return (path / "leaves.json").is_file() or (path / "arrays").is_dir()
 
 
 def _discard(path: Path) -> None:
-    """Remove a checkpoint; renamed first, so that a half-removed one does not look complete."""
+    """Remove a checkpoint. It is renamed first, so that an interruption leaves nothing that looks complete."""
     _remove(path.rename(path.with_name(f".removing-{path.name}")))
 
 
@@ -258,7 +258,7 @@ def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, np.ndarray]
 
 
 def _checkpointer() -> ocp.Checkpointer:
-    """Of this process alone: Orbax's own would wait for the others."""
+    """A checkpointer of this process alone: Orbax's default would wait for the other processes."""
     alone = ocp.options.MultiprocessingOptions(primary_host=jax.process_index(), active_processes={jax.process_index()})
     if jax.process_count() == 1:
         alone = ocp.options.MultiprocessingOptions()

@@ -1,7 +1,7 @@
-"""A trained policy in NumPy alone: this file and ``weights.npz`` beside it are all it needs.
+"""A trained policy in NumPy; it needs this file and ``weights.npz`` only.
 
 policy = NumpyPolicy("weights.npz")
-action = policy(observation)                    # a dict of arrays, one environment's; deterministic
+action = policy(observation)                    # observation: dict of arrays of one environment; deterministic
 action = policy(observation, noise)             # noise: standard normal numbers, one per action component
 """
 

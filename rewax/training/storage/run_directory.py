@@ -1,4 +1,4 @@
-"""The directory of a run: writable, and used by one process at a time."""
+"""Exclusive use of a run's directory by one process."""
 
 import contextlib
 import errno
@@ -45,7 +45,7 @@ def full_disk_is_one_sentence(run_dir: Path, kept: Callable[[], str]) -> Iterato
 
 
 def _reason_of_full_disk(error: BaseException | None) -> str:
-    """What the system says of a full disk somewhere in a chain of exceptions; libraries pass on its text alone."""
+    """The system's message about a full disk in a chain of exceptions; some libraries keep its text only."""
     codes = [getattr(errno, name) for name in ("ENOSPC", "EDQUOT", "EFBIG") if hasattr(errno, name)]
     while error is not None:
         for code in codes:
@@ -57,14 +57,14 @@ def _reason_of_full_disk(error: BaseException | None) -> str:
 
 @contextlib.contextmanager
 def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[Callable[[], None]]:
-    """Within the block, this process alone uses the directory. The lock ends with the process, however it ends.
+    """Within the block, this process alone uses the directory. The lock ends with the process, also if it is killed.
 
     After an exception in the block, the lock file and the folders that ``hold`` made are removed, unless something else
     has been written into them.
 
     Args:
       run_dir: made if missing.
-      must_exist: refuse to make it.
+      must_exist: do not make it.
 
     Yields:
       A function that removes what ``hold`` made, as after an exception; for a process that ends within the block.
@@ -88,7 +88,7 @@ def hold(run_dir: Path, *, must_exist: bool = False) -> Iterator[Callable[[], No
 
 
 def _locked(run_dir: Path) -> IO[str]:
-    """The open and locked file. A lock of a file that its holder has removed since is worth nothing: try again."""
+    """The open and locked file; opened again if its former holder has removed the file in the meantime."""
     while True:
         lock = _open_lock(run_dir)
         try:
@@ -105,7 +105,7 @@ def _locked(run_dir: Path) -> IO[str]:
 
 
 def _remove_new(lock: Path | None, folders: Sequence[Path]) -> None:
-    """Remove a lock file, and folders that are empty then, the innermost first."""
+    """Remove a lock file, and then those folders that are empty, the innermost first."""
     with contextlib.suppress(OSError):
         if lock is not None:
             lock.unlink()
@@ -135,7 +135,7 @@ def _check_contents(run_dir: Path) -> None:
 
 
 def _take(lock: IO[str], run_dir: Path) -> None:
-    """Lock the file and write into it who holds it."""
+    """Lock the file and write the process and the machine into it."""
     if fcntl is None:
         return
     try:

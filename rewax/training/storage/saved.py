@@ -1,4 +1,4 @@
-"""Trained policies from their run directories."""
+"""Runs loaded from their directories."""
 
 import dataclasses
 import inspect
@@ -18,10 +18,10 @@ from rewax.types import Array, Key, Observation
 
 
 class SavedRun(NamedTuple):
-    """What a run directory holds.
+    """Contents of a run directory.
 
     Attributes:
-      env: the environment trained in, unbatched.
+      env: the environment that the run was trained in, unbatched.
       agent: the algorithm, bound to it; ``agent.policy(train_state, obs, key, deterministic=True)`` is the action for
         one environment.
       train_state: of the checkpoint.
@@ -35,11 +35,11 @@ class SavedRun(NamedTuple):
 
     @property
     def looks(self) -> bool:
-        """The policy depends on observations; that of a sequence of actions on the number of the step alone."""
+        """Whether the policy depends on observations; a learnt sequence of actions depends on the step only."""
         return "step" not in inspect.signature(self.agent.policy).parameters
 
     def act(self, obs: Observation, key: Key | None = None) -> Array:
-        """The action for one environment: drawn with ``key``, or the deterministic one without; ``vmap`` for more.
+        """The action for one environment: sampled with ``key``, deterministic without it; ``vmap`` for several.
 
         Raises:
           ValueError: the run learnt a sequence of actions.
@@ -53,7 +53,7 @@ class SavedRun(NamedTuple):
 
 
 def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = None) -> SavedRun:
-    """Build environment and agent as a run had them, and read its training state back.
+    """Build environment and agent of a run, and read its training state.
 
     Args:
       run_dir: directory of the run.
@@ -61,7 +61,7 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
       env: the environment that the run was trained in, unbatched; needed unless ``rewax.make`` built it.
 
     Raises:
-      ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` does not say what to build.
+      ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` has a wrong entry.
     """
     from rewax.training.storage import checkpoint  # orbax is slow to import
 

@@ -1,4 +1,4 @@
-"""Which rows the CSV files of a run must hold, also when its options changed from one resume to the next."""
+"""Rows that the CSV files of a run must hold, also if its options changed when it was resumed."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,11 +10,11 @@ Schedule = list[dict[str, int]]
 
 
 def continued(stored: Mapping[str, Any], iteration: int, config: ReportConfig) -> Schedule:
-    """The schedule of a run that goes on under ``config``.
+    """The schedule of a run that continues with ``config``.
 
     Args:
       stored: contents of its ``config.json``; empty for a new run.
-      iteration: that it continues from.
+      iteration: from which it continues.
       config: of the new segment.
     """
     new = {"after": iteration, "log_every": config.log_every, "eval_every": config.eval_every}
@@ -56,7 +56,7 @@ def due_rows(schedule: Schedule, until: int) -> dict[str, set[int]]:
 
 
 def lost_rows(name: str, there: list[int], due: set[int]) -> str:
-    """A sentence about the rows that a file should hold and does not; empty if it holds all."""
+    """A sentence about the missing rows of a file; empty if none is missing."""
     missing = sorted(due - set(there))
     if not missing:
         return ""
