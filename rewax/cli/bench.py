@@ -1,4 +1,4 @@
-"""``rewax bench``: tasks, algorithms and seeds of a suite, one table."""
+"""``rewax bench``: run a suite of tasks, algorithms and seeds, and write one table."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,12 +18,13 @@ class Options:
     Attributes:
       suite: smoke, small, paper, paper_stale_mass, ablations, ablations_paper, or the path of a TOML file.
       imports: module or .py file that registers environments or algorithms.
-      out: directory of the results; bench/<suite> by default. An interrupted benchmark continues there.
+      out: directory of the results, by default bench/<suite>; an interrupted benchmark continues there.
       tasks: only these of the suite's tasks.
       algorithms: only these of the suite's algorithms.
       seeds: only these of the suite's seeds.
-      devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
-        Several benchmarks of one core each, side by side, do more in an hour than one on all cores.
+      devices: number of devices (on a CPU: cores) that the environments are sharded over; 0: the largest number that
+        divides the number of environments. Several benchmarks of one core each, run at the same time, do more in
+        an hour than one on all cores.
     """
 
     suite: tyro.conf.Positional[str]
@@ -36,13 +37,13 @@ class Options:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Run what is left of a suite and write its results.
+    """Do the remaining runs of a suite and write its results.
 
     Returns:
       Exit code: 0, or 128 + signal after an interruption.
 
     Raises:
-      ValueError: the suite cannot be; one sentence.
+      ValueError: the suite has a wrong entry; one sentence.
     """
     from rewax.training.storage.cache import enable_compilation_cache
     from rewax.training.suites.runs import run_suite

@@ -1,4 +1,4 @@
-"""``rewax check``: whether an environment keeps the protocol."""
+"""``rewax check``: check an environment against the protocol of environments."""
 
 import dataclasses
 import sys
@@ -19,9 +19,9 @@ class Options:
       env: name of the environment, see ``rewax envs``.
       scale: ``small`` or ``paper``.
       imports: module or .py file that registers environments.
-      seed: of initial states and actions.
-      whole_episode: also run to the end of an episode, which may take long.
-      in_cpp: also demand that all laws, contacts and bodies run in C++ on a CPU, in both derivatives too.
+      seed: draws initial states and actions.
+      whole_episode: also run one episode to its end, which may take long.
+      in_cpp: also require that all laws, contacts and bodies run in C++ on a CPU, with both derivatives.
     """
 
     env: str
@@ -33,10 +33,10 @@ class Options:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Check an environment part by part.
+    """Check an environment.
 
     Returns:
-      Exit code: 0 if it keeps the protocol; 1 after a sentence about what is wrong.
+      Exit code: 0 if it conforms to the protocol; 1 after a sentence about a problem.
 
     Raises:
       ValueError: there is no such environment or scale.

@@ -23,21 +23,22 @@ class Options:
     """Options.
 
     Attributes:
-      run: directory of the run, or name of a task whose trained policy the package brings.
+      run: directory of the run, or name of a task with a packaged policy.
       run_dir: the same, as an option.
       scale: of a task given by name; by default what suits the device.
       imports: module or .py file that registers environments or algorithms.
-      episodes: how many, from random starts.
-      seed: draws the starts; the same seed gives the same ones to every policy.
+      episodes: number of episodes, from random initial states.
+      seed: draws the initial states; the same seed gives the same ones for every policy.
       step: iteration of the checkpoint, the newest by default.
       settings: evaluate in environments with these values of a physical parameter, and print a table; repeated, all
         combinations. youngs_modulus stands for the one parameter whose name ends so.
       json: file for the numbers; by default eval.json in the run's directory.
       video: record an episode with deterministic actions as a video.
-      video_path: .mp4 file of the video; by default episode.mp4 in the run's directory, or <task>.mp4 here.
+      video_path: .mp4 file of the video; by default episode.mp4 in the run's directory, or <task>.mp4 in
+        the working directory.
       video_size: width and height of the video in pixels, even numbers.
-      color_by: what colours particles in it: material, height, or what the environment offers (speed, strain).
-      surface: show particles in it by the surfaces of their materials; needs rewax[surfaces].
+      color_by: colours of particles in the video: material, height, or a value of the environment (speed, strain).
+      surface: draw the surfaces of materials in the video in place of particles; needs rewax[surfaces].
     """
 
     run: tyro.conf.Positional[str | None] = None
@@ -68,7 +69,7 @@ def run(argv: Sequence[str]) -> int:
     from rewax.training.storage.policies import is_policy, open_run
 
     quiet()
-    options = parse(Options, argv, prog="rewax eval", description="Evaluate what a run has learnt.")
+    options = parse(Options, argv, prog="rewax eval", description="Evaluate a trained policy.")
     where = _checked(options)
     enable_compilation_cache()
     import_modules(options.imports)

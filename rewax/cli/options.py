@@ -30,22 +30,22 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
     Args:
       options: dataclass with a default for every optional field.
       argv: arguments.
-      prog, description: of the help text.
+      prog, description: name and description in the help text.
 
     Raises:
       ValueError: an option is unknown, or its value cannot be read or is not legal for the field's type.
       SystemExit: with code 0, after ``--help``.
     """
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(output):
             filled, unknown = tyro.cli(
                 options, args=list(argv), prog=prog, description=description, return_unknown_args=True
             )
     except SystemExit as leaving:
         if not leaving.code:
             raise
-        problem = _first_paragraph(said.getvalue())
+        problem = _first_paragraph(output.getvalue())
         needed = re.match(r"Missing from .*?(--[\w.-]+)", problem)
         problem = f"{prog} needs the option {needed[1]}" if needed else _readable(problem)
         raise ValueError(f"{problem}; {prog} --help lists the options") from None
@@ -110,7 +110,7 @@ def _readable(problem: str) -> str:
 
 
 def _names(options: Any, filled: Any, prefix: str = "", kind: type = object) -> Iterator[str]:
-    """Long names of the options of nested dataclasses, of those whose values are of this kind."""
+    """Long names of the options of nested dataclasses with values of this type."""
     for field in dataclasses.fields(options):
         value, name = getattr(filled, field.name), prefix + field.name.replace("_", "-")
         if dataclasses.is_dataclass(value):
@@ -120,10 +120,10 @@ def _names(options: Any, filled: Any, prefix: str = "", kind: type = object) -> 
 
 
 def _first_paragraph(box: str) -> str:
-    """What the parser's box says between its title and its next rule, as one line."""
+    """The first paragraph in the parser's box of text, below its title, as one line."""
     _, *lines = re.sub(r"\x1b\[[0-9;]*m", "", box).strip().splitlines()
-    said = "\n".join(line.strip("│ ") for line in lines)
-    paragraphs = [part for part in re.split(r"^[╭╰─-]*[─-]{3,}[╯]?$", said, flags=re.MULTILINE) if part.strip()]
+    text = "\n".join(line.strip("│ ") for line in lines)
+    paragraphs = [part for part in re.split(r"^[╭╰─-]*[─-]{3,}[╯]?$", text, flags=re.MULTILINE) if part.strip()]
     return re.sub(r"\s+", " ", paragraphs[0]).strip().rstrip(".")
 
 

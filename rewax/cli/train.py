@@ -1,4 +1,4 @@
-"""``rewax train``: environment, scale, algorithm and every hyper-parameter, defaults from the presets."""
+"""``rewax train``: train an algorithm on an environment; defaults of all options come from the presets."""
 
 import argparse
 import contextlib
@@ -23,7 +23,7 @@ _FAILED_RUN = 1
 
 
 def run(argv: Sequence[str]) -> int:
-    """Train an agent as the arguments say.
+    """Train an agent.
 
     Args:
       argv: arguments after ``train``.
@@ -32,7 +32,7 @@ def run(argv: Sequence[str]) -> int:
       Exit code: 0; 1 after a run that failed; 128 + signal after an interruption.
 
     Raises:
-      ValueError: an input that cannot be; one sentence.
+      ValueError: an error in the input; one sentence.
     """
     from rewax.fixed_sources import build_ahead
     from rewax.training.config import TrainConfig
@@ -96,14 +96,14 @@ def run(argv: Sequence[str]) -> int:
         results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]
     else:
         results = train_seeds(agent, env, configs, describe=describe, console=console)
-    if any(result.failure for result in results):  # said by the run
+    if any(result.failure for result in results):  # the run has printed it
         return _FAILED_RUN
     signum = max(result.signum for result in results)
     return 128 + signum if signum else 0
 
 
 def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
-    """Where a seed's run goes: the algorithm is in the name unless it is SAPO."""
+    """Directory of a seed's run; its name has the algorithm unless that is SAPO."""
     if args.run_dir:
         return args.run_dir if args.num_seeds == 1 else f"{args.run_dir}/{seed}"
     algorithm_name = "" if first.algo == "sapo" else f"-{first.algo}"
@@ -111,12 +111,12 @@ def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
 
 
 def cores_as_devices(num_devices: int = 0) -> None:
-    """Let JAX see the cores of a CPU as devices, each of which computes a few environments.
+    """Make the cores of a CPU devices of JAX, each of which computes a few environments.
 
-    It has an effect only before JAX computes anything, and none on an accelerator.
+    This has an effect only before JAX computes anything, and none on an accelerator.
 
     Args:
-      num_devices: how many; 0: all cores.
+      num_devices: number of devices; 0: all cores.
     """
     import jax
 
@@ -125,13 +125,13 @@ def cores_as_devices(num_devices: int = 0) -> None:
 
 
 def quiet() -> None:
-    """Silence what libraries say on success, and warnings that users cannot act upon."""
+    """Silence libraries' messages of success, and warnings without a remedy for users."""
     for noisy in ("absl", "orbax", "jax._src.xla_bridge"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
 
 
 def _look_ahead(argv: Sequence[str]) -> Any:
-    """What the other defaults depend on: ``env``, ``scale``, ``algo`` and ``imports``; ``--env X`` and ``--env=X``."""
+    """Options that the defaults of the others depend on: ``env``, ``scale``, ``algo``, ``imports`` and so on."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--env", default="RollingFlat")
     parser.add_argument("--scale", default=None)
@@ -206,14 +206,15 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
       scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
-      seed: everything random follows from it.
-      num_seeds: seeds side by side in one program, from --seed on, a run directory for each.
-      steps: environment steps in all, rounded up to whole iterations; by default what the preset says.
-      run_dir: directory of the run; runs/<env>-<scale>[-<algo>]-<seed> by default.
+      seed: of all random numbers of the run.
+      num_seeds: number of seeds, from --seed on, batched in one program, with a run directory for each.
+      steps: total number of control steps, rounded up to whole iterations; by default that of the preset.
+      run_dir: directory of the run, by default runs/<env>-<scale>[-<algo>]-<seed>.
       resume: continue the run in run-dir from its newest checkpoint.
-      init_from: directory of a run of the same algorithm: begin with its networks, temperature and statistics.
-      devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
-      distributed: several processes train this run, on one machine or many, each started with this command and
+      init_from: directory of a run of the same algorithm: start with its networks, temperature and statistics.
+      devices: number of devices (on a CPU: cores) that the environments are sharded over; 0: the largest number that
+        divides the number of environments.
+      distributed: train with several processes, on one machine or many; each is started with this command and
         JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID, or by Slurm or MPI.
     """
     return options
@@ -231,7 +232,7 @@ def _description(name: str, env_name: str, scale: str) -> str:
 
 
 def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int, int]:
-    """The agent's configuration, number of iterations and of control steps for so many environment steps."""
+    """The agent's configuration, the number of iterations and of control steps; ``steps`` overrides the preset."""
     in_one = agent_config.steps_in(env) if hasattr(agent_config, "steps_in") else agent_config.horizon
     per_iteration = agent_config.num_envs * in_one
     if steps is None:

@@ -194,8 +194,10 @@ def _read_curves(path: Path) -> dict[Run, Curve]:
 
 def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
     """One line per task, one column per algorithm: mean return with sampled actions, and from three seeds on its 95 %
-    interval by Student's t. Parentheses have the number of seeds that failed, which the mean leaves out, and of those that
-    are not done yet. Tables of interquartile means and of durations follow.
+    interval by Student's t.
+
+    Parentheses have the number of seeds that failed, which the mean leaves out, and the number that is not done yet.
+    Tables of interquartile means and of durations follow.
     """
     names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
     names += suite.algorithms
