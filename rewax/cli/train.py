@@ -35,9 +35,7 @@ def run(argv: Sequence[str]) -> int:
       ValueError: an error in the input; one sentence.
     """
     from rewax.fixed_sources import build_ahead
-    from rewax.training.config import TrainConfig
     from rewax.training.loop.estimate import cost_sentence
-    from rewax.training.loop.hosts import connect, leads, num_processes
     from rewax.training.loop.progress import say
     from rewax.training.loop.seeds import train_seeds
     from rewax.training.loop.train import train
@@ -47,13 +45,7 @@ def run(argv: Sequence[str]) -> int:
     console = Console(highlight=False)
     enable_compilation_cache()
     first = _look_ahead(argv)
-    NATURAL.check("devices", first.devices)
-    if first.distributed:
-        cores_as_devices(first.devices // (num_processes() or 1))
-        connect()
-        console.quiet = not leads()
-    else:
-        cores_as_devices(first.devices)
+    _set_devices(first, console)
     modules = import_modules(first.imports) or _recorded_modules(first)
     chosen = algorithm(first.algo)
     scale = first.scale or registry.default_scale()
@@ -68,20 +60,7 @@ def run(argv: Sequence[str]) -> int:
     say(console, _scale_sentence(scale, first.scale))
     if scale == "paper" and (cost := cost_sentence(env, agent_config, num_steps)):
         say(console, cost)
-    report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
-    configs = [
-        TrainConfig(
-            **report,
-            num_iterations=num_iterations,
-            num_steps=num_steps,
-            run_dir=_run_dir(args, first, scale, seed),
-            seed=seed,
-            resume=args.resume,
-            init_from=args.init_from,
-            devices=args.devices,
-        )
-        for seed in range(args.seed, args.seed + args.num_seeds)
-    ]
+    configs = _configs(args, first, scale, num_iterations, num_steps)
     for config in configs:
         say(
             console,
@@ -100,6 +79,39 @@ def run(argv: Sequence[str]) -> int:
         return _FAILED_RUN
     signum = max(result.signum for result in results)
     return 128 + signum if signum else 0
+
+
+def _set_devices(first: Any, console: Console) -> None:
+    """Make CPU cores devices, and join the other processes of a distributed run."""
+    from rewax.training.loop.hosts import connect, leads, num_processes
+
+    NATURAL.check("devices", first.devices)
+    if first.distributed:
+        cores_as_devices(first.devices // (num_processes() or 1))
+        connect()
+        console.quiet = not leads()
+    else:
+        cores_as_devices(first.devices)
+
+
+def _configs(args: Any, first: Any, scale: str, num_iterations: int, num_steps: int) -> list[Any]:
+    """The configuration of each seed's run."""
+    from rewax.training.config import TrainConfig
+
+    report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
+    return [
+        TrainConfig(
+            **report,
+            num_iterations=num_iterations,
+            num_steps=num_steps,
+            run_dir=_run_dir(args, first, scale, seed),
+            seed=seed,
+            resume=args.resume,
+            init_from=args.init_from,
+            devices=args.devices,
+        )
+        for seed in range(args.seed, args.seed + args.num_seeds)
+    ]
 
 
 def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:

@@ -8,7 +8,7 @@ def config(log_every, eval_every):
     return ReportConfig(log_every=log_every, eval_every=eval_every)
 
 
-def test_rows_of_one_stretch():
+def test_rows_of_one_segment():
     due = due_rows(continued({}, 0, config(2, 3)), until=6)
     assert due["metrics.csv"] == due["timing.csv"] == {2, 4, 6}
     assert due["eval.csv"] == {0, 3}  # that of 6 follows its checkpoint
@@ -17,7 +17,7 @@ def test_rows_of_one_stretch():
     }  # fmt: skip
 
 
-def test_rows_of_several_stretches():
+def test_rows_of_several_segments():
     first = continued({}, 0, config(3, 0))
     second = continued({"schedule": first}, 4, config(1, 5))
     assert due_rows(second, until=6)["metrics.csv"] == {3, 5, 6}
