@@ -45,7 +45,7 @@ def with_options(config: Any, group: Any) -> Any:
 
 
 def field_help(kind: type) -> dict[str, str]:
-    """What docstrings say of each field of a dataclass; those of a class go before those of its bases."""
+    """The entry of each field of a dataclass in its docstring; a class has priority over its bases."""
     found: dict[str, str] = {}
     for part in reversed(kind.__mro__):
         if part is not object:

@@ -57,7 +57,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def describe(name: str, scale: str) -> str:
-    """What an environment is: a sentence, observations, actions, length of an episode, arguments of ``rewax.make``."""
+    """A description: a sentence, observations, actions, length of an episode, arguments of ``rewax.make``."""
     env: Any = build_env(name, scale)
     observations = ", ".join(f"{key} {spec.shape}" for key, spec in env.observation_spec.items())
     action, dt = env.action_spec, getattr(env, "control_dt", None)
@@ -73,7 +73,7 @@ def describe(name: str, scale: str) -> str:
 
 
 def summary(name: str) -> str:
-    """What an environment is, in a sentence: from the docstring of its module, or else of its factory."""
+    """A sentence about an environment, from the docstring of its module, or else of its factory."""
     factory = _factory(name)
     module = inspect.getmodule(factory)
     first = _first_sentence(getattr(module, "__doc__", None))

@@ -93,7 +93,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _checked(options: Options) -> str:
-    """Where the run is; everything that can be known without loading it is checked."""
+    """Check the options that need no loaded run; returns the directory or task to evaluate."""
     from rewax.viz.surface import need_marching_cubes
 
     where = options.run or options.run_dir

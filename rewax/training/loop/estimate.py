@@ -1,4 +1,4 @@
-"""What a run on a CPU will take, before its program is compiled."""
+"""Estimates of speed, time and memory of a run on a CPU, before its program is compiled."""
 
 from typing import Any
 

@@ -22,7 +22,7 @@ _REMEDY = f"set {', '.join(_SETTINGS[:2])} and {_SETTINGS[2]} for each process, 
 
 
 class Command(enum.IntEnum):
-    """What the leader tells the other processes to do."""
+    """A command of the leader to the other processes."""
 
     STEP = 0
     """Do an iteration of training."""

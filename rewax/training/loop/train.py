@@ -113,7 +113,7 @@ def train(
 
 
 def _kept(run_dir: str) -> str:
-    """What a run that could not go on has left."""
+    """A clause about the newest checkpoint of a run whose disk is full."""
     newest = checkpoint.latest_step(run_dir)
     if newest is None:
         return "nothing was trained"

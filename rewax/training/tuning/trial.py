@@ -26,7 +26,7 @@ class Failed(Exception):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Task:
-    """What every trial of a study trains.
+    """Description of the training in every trial of a study.
 
     Attributes:
       env: name of the environment.
