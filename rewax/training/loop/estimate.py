@@ -8,7 +8,7 @@ from rewax.envs.base import Env
 from rewax.training.loop.progress import duration
 
 _PER_CORE = {True: 0.9e6, False: 4e6}
-"""Particle-substeps per second and core, with and without the gradient (docs/benchmarks.md)."""
+"""Particle-substeps per second and core, with and without the gradient (docs/measured/benchmarks.md)."""
 
 
 def cost_sentence(env: Env, agent_config: Any, num_steps: int) -> str:
