@@ -18,7 +18,8 @@ from rewax import struct
 from rewax.agents import replay as replays
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import ActorCriticConfig, Count, Positive, Share
+from rewax.agents.config import ActorCriticConfig
+from rewax.agents.legal import Count, Natural, Positive, Share
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.replay import Replay, Sample, Step
 from rewax.agents.rollout import Transition, rollout
@@ -59,7 +60,7 @@ class SACConfig(ActorCriticConfig):
     replay_size: Count = 1_000_000
     batch_size: Count = 1024
     updates: Count = 8
-    warmup_steps: int = 32
+    warmup_steps: Natural = 32
     num_steps: Count = 3
     target_rate: Share = 0.005
     normalize_rewards: bool = False

@@ -1,10 +1,11 @@
-"""``rewax check``: whether an environment keeps the protocol."""
+"""``rewax check``: check an environment against the protocol of environments."""
 
 import dataclasses
 import sys
 from collections.abc import Sequence
 
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.agents.legal import Seed
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 
 _PROBLEM_FOUND = 1
@@ -18,29 +19,28 @@ class Options:
       env: name of the environment, see ``rewax envs``.
       scale: ``small`` or ``paper``.
       imports: module or .py file that registers environments.
-      seed: of initial states and actions.
-      whole_episode: also run to the end of an episode, which may take long.
-      in_cpp: also demand that all laws, contacts and bodies run in C++ on a CPU, in both derivatives too.
+      seed: draws initial states and actions.
+      whole_episode: also run one episode to its end, which may take long.
+      in_cpp: also require that all laws, contacts and bodies run in C++ on a CPU, with both derivatives.
     """
 
     env: str
     scale: str = "small"
     imports: Imports = ()
-    seed: int = 0
+    seed: Seed = 0
     whole_episode: bool = True
     in_cpp: bool = False
 
 
 def run(argv: Sequence[str]) -> int:
-    """Check an environment part by part.
+    """Check an environment.
 
     Returns:
-      Exit code: 0 if it keeps the protocol; 1 after a sentence about what is wrong.
+      Exit code: 0 if it conforms to the protocol; 1 after a sentence about a problem.
 
     Raises:
       ValueError: there is no such environment or scale.
     """
-    from rewax.envs import registry
     from rewax.testing import check_env, where_it_runs
     from rewax.training.storage.cache import enable_compilation_cache
 
@@ -48,7 +48,7 @@ def run(argv: Sequence[str]) -> int:
     options = parse(Options, argv, prog="rewax check", description="Check an environment against the protocol.")
     enable_compilation_cache()
     import_modules(options.imports)
-    env = registry.make(options.env, scale=options.scale)
+    env = build_env(options.env, options.scale)
     try:
         check_env(env, seed=options.seed, check_full_episode=options.whole_episode)
     except AssertionError as problem:

@@ -68,24 +68,35 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
       ValueError: a name, a scale or an option is unknown, or an option has an illegal value.
     """
     jax_versions.warn_if_untested()
-    check_name(name)
     scale = default_scale() if scale is None else scale
+    chosen = factory_of(name, scale)
+    given = kwargs if isinstance(_FACTORIES[name], Mapping) else {"scale": scale, **kwargs}
+    _check_keywords(name, chosen, given)
+    env = _call(name, chosen, given)
+    if missing := [method for method in ("reset", "step") if not callable(getattr(env, method, None))]:
+        raise ValueError(
+            f"the factory of {name!r} returned {str(env)[:80]!r}, which has no method {missing[0]}: return an "
+            "environment, see rewax.envs.base.Env"
+        )
+    _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
+    return env
+
+
+def factory_of(name: str, scale: Scale | None = None) -> Callable[..., Env]:
+    """The function that builds an environment; a scale of None stands for any.
+
+    Raises:
+      ValueError: unknown name or scale, or the factory cannot be imported.
+    """
+    check_name(name)
     factory = _FACTORIES[name]
     scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
-    if not isinstance(scale, str) or scale not in scales:
+    if scale is not None and (not isinstance(scale, str) or scale not in scales):
         raise ValueError(
             f"scale is {scale!r}: {did_you_mean(scale, scales)}use one of {', '.join(map(repr, scales))}, or none to "
             "follow the device"
         )
-    chosen = _imported(name, factory[scale] if isinstance(factory, Mapping) else factory)
-    given = kwargs if isinstance(factory, Mapping) else {"scale": scale, **kwargs}
-    _check_keywords(name, chosen, given)
-    env = _call(name, chosen, given)
-    if not callable(getattr(env, "reset", None)) or not callable(getattr(env, "step", None)):
-        kind = type(env).__name__
-        raise ValueError(f"the factory of {name!r} returned a {kind}: return an environment, with reset and step")
-    _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
-    return env
+    return _imported(name, factory[scale or scales[0]] if isinstance(factory, Mapping) else factory)
 
 
 def check_name(name: str) -> None:

@@ -1,4 +1,4 @@
-"""Episodes recorded for pictures: what is seen in each frame, and the rewards and status of every step."""
+"""Recordings of episodes for pictures: particles and bodies in each frame, rewards and status of each step."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import select
-from rewax.training.evaluation.episodes import Policy, told_the_step
+from rewax.training.evaluation.episodes import Policy, with_step
 from rewax.types import Array, Key, PyTree
 from rewax.viz.recording import Recording
 
@@ -16,8 +16,28 @@ _NOTHING = "the environment has neither particles(physics) nor render_shapes(phy
 
 
 def can_record(env: Any) -> bool:
-    """Whether an environment offers anything to pictures."""
+    """Whether an environment has something to draw."""
     return hasattr(env, "particles") or hasattr(env, "render_shapes")
+
+
+def check_color_by(env: Any, color_by: str) -> None:
+    """Check that particles of an environment can be coloured by this, before an episode is recorded.
+
+    Raises:
+      ValueError: they cannot; the message lists what there is.
+    """
+    if not hasattr(env, "particles"):
+        return
+    values: tuple[str, ...] = ()
+    if hasattr(env, "particle_values"):
+        try:
+            physics = jax.eval_shape(env.reset, jax.random.key(0)).physics
+            values = tuple(jax.eval_shape(lambda physics: dict(env.particle_values(physics)), physics))
+        except Exception:  # the environment's code cannot be traced: the recording reports an error
+            return
+    known = ("material", "height", *values)
+    if color_by not in known:
+        raise ValueError(f"particles cannot be coloured by {color_by!r}: use one of {', '.join(known)}")
 
 
 def record(
@@ -30,22 +50,22 @@ def record(
     deterministic: bool = True,
     name: str = "",
 ) -> Recording:
-    """Run one episode and keep what pictures need.
+    """Run one episode and record what pictures need.
 
     Args:
       env: unbatched environment with ``particles(physics)``, ``render_shapes(physics)`` or both; ``up``,
-        ``control_dt``, ``particle_values(physics)`` and ``appearance`` are used where there are.
+        ``control_dt``, ``particle_values(physics)`` and ``appearance`` are optional.
       policy, train_state: as for ``make_evaluate``.
       key: draws the initial state and the policy's samples.
-      max_frames: at least 2; longer episodes are shown every second step, every third, ...
+      max_frames: at least 2; of longer episodes every second step is recorded, or every third, ...
       deterministic: passed to the policy.
       name: of the recording.
 
     Returns:
-      The episode up to its end. Frames are equally spaced, but for the last one.
+      The episode up to its end. Frames are equally spaced, except for the last one.
 
     Raises:
-      ValueError: too few frames, or nothing to show.
+      ValueError: too few frames, or the environment has nothing to draw.
     """
     made = make_record(env, policy, max_frames=max_frames, deterministic=deterministic)
     return made(train_state, key, name)
@@ -56,10 +76,10 @@ def make_record(
 ) -> Callable[..., Recording]:
     """``record`` for several training states: ``(train_state, key, name) -> recording``, compiled once.
 
-    The function's ``max_steps`` ends an episode early, after the frame that reaches so many steps.
+    The function's ``max_steps`` ends an episode early, after the first frame with that many steps.
 
     Raises:
-      ValueError: too few frames, or nothing to show.
+      ValueError: too few frames, or the environment has nothing to draw.
     """
     if max_frames < 2:
         raise ValueError(f"max_frames is {max_frames}: use 2 or more")
@@ -87,10 +107,10 @@ def make_record(
 
 
 def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
-    """A function that makes a recording of given physics, one frame each, without rewards.
+    """A function from a list of physics states to a recording with one frame for each, without rewards.
 
     Raises:
-      ValueError: the environment has nothing to show.
+      ValueError: the environment has nothing to draw.
     """
     if not can_record(env):
         raise ValueError(_NOTHING)
@@ -103,23 +123,21 @@ def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
 
 
 def _beside(train_state: PyTree, state: State) -> State:
-    """The state on the training state's device: the program then takes the first state as all later ones."""
+    """The state on the training state's device, where all later states are, so that one program takes them all."""
     arrays = [leaf for leaf in jax.tree.leaves(train_state) if isinstance(leaf, jax.Array)]
     devices = {device for array in arrays for device in array.devices()}
     return jax.device_put(state, devices.pop()) if len(devices) == 1 else state
 
 
 def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> Callable[..., Any]:
-    """``(train_state, state, key) -> state, (rewards, status)`` of at most ``every`` steps, none after the episode's
-    end.
-    """
-    told = told_the_step(policy)
+    """``(train_state, state, key) -> state, (rewards, status)`` of at most ``every`` steps, up to the episode's end."""
+    policy_at = with_step(policy)
 
     @jax.jit
     def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, tuple[Array, Array]]:
         def body(state: State, _: None) -> tuple[State, tuple[Array, Array]]:
             step = state.step_count
-            action = told(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
+            action = policy_at(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
             over = state.done | (step >= env.episode_length)
             new = select(over, state, env.step(state, action))
             return new, (new.reward, new.status)
@@ -130,7 +148,7 @@ def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> 
 
 
 def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
-    """What is seen of a state, as numpy arrays; compiled unless the environment's own methods cannot be traced."""
+    """A function from physics to what is drawn, as NumPy arrays; compiled if the environment can be traced."""
 
     def see(physics: PyTree) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -145,14 +163,14 @@ def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
     kept: dict[str, Any] = {}
 
     def arrays(physics: PyTree) -> list[Any]:
-        """What changes; the rest, the kinds of drawings and the triangles of meshes, is kept while it is traced."""
+        """Arrays that change; kinds of drawings and triangles of meshes are constant and kept when this is traced."""
         leaves, kept["tree"] = jax.tree.flatten(see(physics))
         kept["rest"] = [leaf if isinstance(leaf, str | np.ndarray) else None for leaf in leaves]
         return [leaf for leaf in leaves if not isinstance(leaf, str | np.ndarray)]
 
     try:
         jax.eval_shape(arrays, physics)
-    except Exception:  # an environment's own code, which may need numbers
+    except Exception:  # the environment's code may need concrete values
         return lambda physics: jax.device_get(see(physics))
     compiled = jax.jit(arrays)
 
@@ -188,4 +206,4 @@ def _recording(
     )
 
 
-__all__ = ["can_record", "make_record", "record", "snapshots"]
+__all__ = ["can_record", "check_color_by", "make_record", "record", "snapshots"]

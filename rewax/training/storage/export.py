@@ -23,11 +23,11 @@ PLATFORMS = ("cpu", "cuda")
 
 
 def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
-    """Write a policy three times: ``policy.stablehlo``, ``weights.npz`` with ``numpy_policy.py``, ``policy.json``.
+    """Write ``policy.stablehlo``, ``weights.npz`` with ``numpy_policy.py``, and their description ``policy.json``.
 
-    All compute ``action = tanh(mean(obs) + std(obs) * noise)``, with the statistics of the observations built in: noise
-    zero is the deterministic action, standard normal noise the sampled one. ``policy.stablehlo`` is for a batch of any
-    size, on a CPU and on an NVIDIA GPU:
+    Both policies compute ``action = tanh(mean(obs) + std(obs) * noise)`` and include the normalisation of the
+    observations. Zero noise gives the deterministic action, standard normal noise a sampled one. ``policy.stablehlo``
+    takes a batch of any size, on a CPU and on an NVIDIA GPU:
 
         # pip install jax flatbuffers; rewax is not needed
         exported = jax.export.deserialize(bytearray(Path("policy.stablehlo").read_bytes()))
@@ -38,7 +38,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
       out: folder, made if missing.
 
     Returns:
-      What was written.
+      Paths of the files.
 
     Raises:
       ValueError: the algorithm learns no policy network.
@@ -92,7 +92,7 @@ def _description(run: SavedRun, actor: Actor) -> dict[str, Any]:
 
 
 def _weights(actor: Actor, params: Any, statistics: Any) -> dict[str, np.ndarray]:
-    """Parameters by path, and of each normalised observation its mean and what it is multiplied by."""
+    """Parameters by path, and the mean and scale of each normalised observation."""
     leaves = jax.tree.leaves_with_path(params["params"])
     weights = {"/".join(str(part.key) for part in path): np.asarray(leaf) for path, leaf in leaves}
     if actor.config.normalize_observations:

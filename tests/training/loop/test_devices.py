@@ -24,6 +24,6 @@ def test_what_cannot_be_divided_is_refused():
     with pytest.raises(ValueError, match=r"devices is 7, but JAX has 1 \(cpu\): ask for that many at most"):
         placement(8, 7)
     assert placement(8, 0) == placement(None, 0) == ONE_DEVICE
-    assert not Placement(mesh=object()).divides({"iteration": 0})  # an algorithm of one's own, without environments
+    assert not Placement(mesh=object()).shards({"iteration": 0})  # an algorithm of one's own, without environments
     tree = {"a": jax.numpy.ones(3)}
     assert on_one_device(tree) is tree and ONE_DEVICE.place(tree) is tree
