@@ -50,7 +50,7 @@ class SACConfig(ActorCriticConfig):
       target_rate: weight of the new parameters in each update of the target network.
       normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
         learn values of size 1 for any task, and the temperature has the same unit. Without it, critics need many
-        updates to reach values of hundreds, and the policy does not learn until then (docs/algorithms.md).
+        updates to reach values of hundreds, and the policy does not learn until then (docs/measured/algorithms.md).
       initial_temperature, temperature_learning_rate, target_entropy_scale: see ``SAPOConfig``.
     """
 
