@@ -6,21 +6,30 @@
 
 (`-m`, because torch would take `benchmarks/profile.py` for the module `profile` of Python.)
 
-Prints the mean return of 64 episodes with sampled actions after so many control steps of all environments together.
-``--options name=value`` changes the preset of both, ``--rewax name=value`` that of rewax alone.
+Prints the mean return of 64 episodes with sampled actions after the given numbers of control steps, counted over all
+environments. ``--options name=value`` changes the preset of both libraries, ``--rewax name=value`` that of rewax alone.
+``--shift-rewards C`` adds C to every reward in training; the printed returns are without it.
 
 Both have the preset's number of environments, horizon, layers (linear, LayerNorm, activation), batches, updates,
-learning rates and weight decay. Different in Stable-Baselines3: its initialisers. In its PPO the normal distribution's
-actions are clipped, its standard deviation is a parameter, ``target_kl`` ends an iteration's epochs early where that of
-rewax steers the learning rate, and rewards are normalised where rewax normalises values. In its SAC no gradient is
-clipped, and the temperature has the learning rate of the networks. With ``normalize_rewards`` its ``VecNormalize``
-divides rewards by the standard deviation of returns.
+learning rates and weight decay. With ``normalize_rewards`` rewax's SAC divides rewards by the root mean square of the
+returns in the replay buffer. Stable-Baselines3's ``VecNormalize`` divides them by the standard deviation of its running
+returns.
+Other differences of Stable-Baselines3:
+
+- Its initialisers.
+- PPO: actions of the normal distribution are clipped instead of squashed, the standard deviation is a parameter,
+  ``target_kl`` ends the epochs of an iteration early where that of rewax changes the learning rate, and rewards are
+  normalised where rewax normalises values.
+- SAC: no gradient is clipped, and the temperature has the learning rate of the networks.
+
+``--like-for-like`` removes those of SAC: orthogonal initialisers with the preset's gain, gradients clipped to
+``max_grad_norm``, the temperature's own learning rate.
 """
 
 import argparse
 import ast
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import gymnasium
@@ -30,18 +39,66 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.utils import update_learning_rate
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
 import rewax
+from rewax import struct
 from rewax.adapters.stable_baselines3 import StableBaselinesVecEnv
 from rewax.agents.registry import algorithm
+from rewax.envs.base import Env, State
 from rewax.training.evaluation.episodes import make_evaluate
 from rewax.training.storage.cache import enable_compilation_cache
 
 NUM_EPISODES = 64
 ACTIVATIONS = {"silu": nn.SiLU, "elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
+
+
+@struct.dataclass
+class Shifted:
+    """An environment that adds ``by`` to every reward."""
+
+    env: Any
+    by: jax.Array
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.env, name)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        state = self.env.step(state, action)
+        return state.replace(reward=state.reward + self.by)
+
+
+class ClippedAdamW(torch.optim.AdamW):
+    """AdamW on a gradient whose global norm is clipped."""
+
+    def __init__(self, params: Any, max_grad_norm: float, **options: Any) -> None:
+        super().__init__(params, **options)
+        self._max_norm = max_grad_norm
+
+    def step(self, closure: Any = None) -> Any:
+        for group in self.param_groups:
+            nn.utils.clip_grad_norm_(group["params"], self._max_norm)
+        return super().step(closure)
+
+
+class SACLikeOurs(SAC):
+    """SAC with the initialisers and the temperature's learning rate of a configuration of rewax."""
+
+    def start_like(self, config: Any) -> None:
+        """Draw the networks' parameters anew; call it once, before training."""
+        self._temperature_rate = config.temperature_learning_rate
+        for layer in self.policy.modules():
+            if isinstance(layer, nn.Linear):
+                nn.init.orthogonal_(layer.weight, config.initial_gain)
+                nn.init.zeros_(layer.bias)
+        self.critic_target.load_state_dict(self.critic.state_dict())
+
+    def _update_learning_rate(self, optimizers: Any) -> None:
+        super()._update_learning_rate(optimizers)
+        update_learning_rate(self.ent_coef_optimizer, self._temperature_rate)
 
 
 def layers(size: int, widths: Sequence[int], activation: str, *, end: int | None = None) -> nn.Sequential:
@@ -54,7 +111,7 @@ def layers(size: int, widths: Sequence[int], activation: str, *, end: int | None
 
 
 class Encoder(BaseFeaturesExtractor):
-    """The first layer of rewax's networks, of its own for actor and critic."""
+    """The first layer of rewax's networks. Actor and critic have one each."""
 
     def __init__(self, observation_space: gymnasium.spaces.Box, width: int, activation: str) -> None:
         size = observation_space.shape[0]
@@ -66,7 +123,7 @@ class Encoder(BaseFeaturesExtractor):
 
 
 class Heads(nn.Module):
-    """What follows the encoders of PPO's actor and critic."""
+    """The layers after the encoders of PPO's actor and critic."""
 
     def __init__(self, size: int, config: Any) -> None:
         super().__init__()
@@ -105,7 +162,7 @@ def sac_policy(config: Any) -> type[SACPolicy]:
     return Policy
 
 
-def learner(name: str, config: Any, env: Any, seed: int) -> Any:
+def learner(name: str, config: Any, env: VecEnv, seed: int, *, like_ours: bool) -> Any:
     """Stable-Baselines3's algorithm with a configuration of rewax."""
     features = {"width": config.vector_features, "activation": config.activation}
     shared = {"gamma": config.discount, "learning_rate": config.actor_learning_rate, "seed": seed, "device": "cpu"}
@@ -124,29 +181,36 @@ def learner(name: str, config: Any, env: Any, seed: int) -> Any:
             max_grad_norm=config.max_grad_norm, target_kl=config.target_kl, policy_kwargs=policy_kwargs, **shared,
         )  # fmt: skip
     sizes = {"pi": list(config.actor_widths), "qf": list(config.critic_widths)}
-    return SAC(
+    if like_ours:
+        policy_kwargs["optimizer_class"] = ClippedAdamW
+        policy_kwargs["optimizer_kwargs"]["max_grad_norm"] = config.max_grad_norm
+    sac = (SACLikeOurs if like_ours else SAC)(
         sac_policy(config), env, batch_size=config.batch_size, tau=config.target_rate, n_steps=config.num_steps,
         buffer_size=config.replay_size, learning_starts=config.warmup_steps * config.num_envs,
         train_freq=config.horizon, gradient_steps=config.updates, ent_coef=f"auto_{config.initial_temperature}",
         target_entropy=-config.target_entropy_scale * np.prod(env.action_space.shape),
         policy_kwargs={**policy_kwargs, "net_arch": sizes, "n_critics": config.num_critics}, **shared,
     )  # fmt: skip
+    if like_ours:
+        sac.start_like(config)
+    return sac
 
 
-def theirs(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -> list[float]:
-    """Returns of Stable-Baselines3 after each number of control steps."""
+def theirs(
+    name: str, task: Env, trained: Env, config: Any, steps: Sequence[int], seed: int, *, like_ours: bool
+) -> Iterator[float]:
+    """Returns of Stable-Baselines3 on ``task`` after each number of control steps on ``trained``."""
     scaled = {"norm_reward": name == "ppo" or config.normalize_rewards, "gamma": config.discount}
     limited = {"norm_obs": config.normalize_observations, "clip_obs": config.observation_clip or np.inf}
-    env = VecNormalize(StableBaselinesVecEnv(task, config.num_envs, seed=seed, flat=True), **scaled, **limited)
-    model, found = learner(name, config, env, seed), []
+    env = VecNormalize(StableBaselinesVecEnv(trained, config.num_envs, seed=seed, flat=True), **scaled, **limited)
+    model = learner(name, config, env, seed, like_ours=like_ours)
     for total in steps:
-        model.learn(total - model.num_timesteps, reset_num_timesteps=not found)
-        found.append(evaluated(model, env, task, seed))
-    return found
+        model.learn(total - model.num_timesteps, reset_num_timesteps=model.num_timesteps == 0)
+        yield evaluated(model, env, task, seed)
 
 
 def evaluated(model: Any, trained_in: VecNormalize, task: Any, seed: int) -> float:
-    """Mean return of first episodes, with sampled actions."""
+    """Mean return of each environment's first episode, with sampled actions."""
     env = StableBaselinesVecEnv(task, NUM_EPISODES, seed=1000 + seed, flat=True)
     obs, returns = env.reset(), np.full(NUM_EPISODES, np.nan)
     while np.isnan(returns).any():
@@ -156,16 +220,15 @@ def evaluated(model: Any, trained_in: VecNormalize, task: Any, seed: int) -> flo
     return float(returns.mean())
 
 
-def ours(name: str, task: Any, config: Any, steps: Sequence[int], seed: int) -> list[float]:
-    """Returns of rewax after each number of control steps."""
-    agent = algorithm(name).make(task, config)
+def ours(name: str, task: Env, trained: Env, config: Any, steps: Sequence[int], seed: int) -> Iterator[float]:
+    """Returns of rewax on ``task`` after each number of control steps on ``trained``."""
+    agent = algorithm(name).make(trained, config)
     evaluate = make_evaluate(task, agent.policy, NUM_EPISODES)
-    state, found = agent.init(jax.random.key(seed)), []
+    state = agent.init(jax.random.key(seed))
     for total in steps:
         while int(state.iteration) * config.samples < total:
             state, _ = agent.train_step(state)
-        found.append(float(evaluate(state, jax.random.key(1000 + seed))["mean"]))
-    return found
+        yield float(evaluate(state, jax.random.key(1000 + seed))["mean"])
 
 
 def main() -> None:
@@ -176,23 +239,30 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--options", nargs="*", default=[], metavar="NAME=VALUE")
     parser.add_argument("--rewax", nargs="*", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--shift-rewards", type=float, default=0.0, metavar="C")
+    parser.add_argument("--like-for-like", action="store_true")
     parser.add_argument("--only", choices=("rewax", "stable-baselines3"))
     args = parser.parse_args()
     enable_compilation_cache()
     torch.set_num_threads(1)
     task = rewax.make(args.env, scale="small")
+    trained = Shifted(env=task, by=np.float32(args.shift_rewards)) if args.shift_rewards else task
     config = changed(algorithm(args.algo).preset(args.env, "small"), args.options)
     runs = {
-        "rewax": lambda seed: ours(args.algo, task, changed(config, args.rewax), args.steps, seed),
-        "stable-baselines3": lambda seed: theirs(args.algo, task, config, args.steps, seed),
+        "rewax": lambda seed: ours(args.algo, task, trained, changed(config, args.rewax), args.steps, seed),
+        "stable-baselines3": lambda seed: theirs(
+            args.algo, task, trained, config, args.steps, seed, like_ours=args.like_for_like
+        ),
     }
     for name, run in runs.items():
         if args.only not in (None, name):
             continue
         rows = []
         for seed in args.seeds:
-            rows.append(run(seed))
-            print(f"{name:18s} seed {seed} {'':7s}", *(f"{value:10.1f}" for value in rows[-1]), flush=True)
+            rows.append([])
+            for total, value in zip(args.steps, run(seed), strict=True):
+                rows[-1].append(value)
+                print(f"{name:18s} seed {seed} {total:10,d} steps: {value:10.1f}", flush=True)
         mean, std = np.mean(rows, axis=0), np.std(rows, axis=0)
         print(f"{name:18s} mean after {args.steps}:", *(f"{m:.1f} ± {s:.1f}" for m, s in zip(mean, std, strict=True)))
 

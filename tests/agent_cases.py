@@ -66,7 +66,7 @@ ENV = toys.point_mass()
 
 @functools.cache
 def agent(name: str) -> Agent:
-    """Of a case; compiled once."""
+    """The agent of a case; compiled once."""
     case = CASES[name]
     return make_agent(case.name, ENV, case.config)
 
@@ -82,7 +82,7 @@ def trained(name: str, seed: int = 0) -> tuple[Any, list[dict[str, np.ndarray]]]
 
 
 def raw(leaf: Any) -> np.ndarray:
-    """Numbers of a leaf, those behind a key too."""
+    """The array of a leaf; the key data of a key."""
     return np.asarray(jax.random.key_data(leaf) if jax.numpy.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf)
 
 

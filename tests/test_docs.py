@@ -17,6 +17,7 @@ from native_cases import NEEDS_COMPILER
 import rewax
 from rewax.cli.main import COMMANDS
 from rewax.physics.mpm import transfer_cpp
+from rewax.testing import check_agent
 from rewax.training.suites.suite import read_suite
 from rewax.viz.curves import CURVE_COLORS
 
@@ -107,6 +108,7 @@ def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
     names = run_page("docs/algorithms.md")
     listing = code("docs/algorithms.md").split("import functools")[1]
     assert len(listing.strip().splitlines()) < 120
+    assert es_learns(names)
     known = names["algorithm"]("short_horizon")
     config = known.config_type(
         num_envs=4, horizon=4, num_iterations=120, actor_learning_rate=1e-2, critic_learning_rate=5e-3,
@@ -120,6 +122,21 @@ def test_the_algorithm_on_the_algorithms_page_learns_and_is_short():
         rewards.append(float(metrics["reward"]))
     assert np.mean(rewards[:2]) < -0.35 and np.mean(rewards[-20:]) > -0.2
     assert agent.name == "short_horizon" and int(state.env_steps) == 120 * 16
+
+
+def es_learns(names):
+    """Evolution strategies pass the check, and improve the reward per step on a point mass."""
+    known = names["algorithm"]("es")
+    config = known.config_type(
+        num_envs=32, horizon=5, actor_learning_rate=2e-2, actor_widths=(8,), vector_features=8, initial_log_std=-2.0
+    )
+    agent = known.make(toys.point_mass(), config)
+    check_agent(agent, toys.point_mass(), notify=None)
+    state, rewards = agent.init(jax.random.key(0)), []
+    for _ in range(150):
+        state, metrics = agent.train_step(state)
+        rewards.append(float(metrics["reward"]))
+    return np.mean(rewards[:2]) < -0.35 and np.mean(rewards[-20:]) > -0.25
 
 
 @NEEDS_COMPILER

@@ -24,7 +24,7 @@ ALLOWED = {
     "envs": {"base"} | PHYSICS,
     "agents": {"base", "lowering", "envs"} | PHYSICS,
     "training": {"base", "lowering", "envs", "agents", "viz"} | PHYSICS,
-    "testing": {"base", "lowering", "envs", "viz"} | PHYSICS,
+    "testing": {"base", "lowering", "envs", "agents", "viz"} | PHYSICS,
     "adapters": {"base", "envs", "training", "viz"},
     "debug": {"base"} | PHYSICS,
     "cli": {"base", "lowering", "envs", "agents", "training", "viz", "testing", "fixed_sources"} | PHYSICS,

@@ -1,4 +1,4 @@
-"""Algorithms, and the pieces that they are made of. An algorithm's file is imported when it is first asked for."""
+"""Algorithms, and the parts that they share. An algorithm's module is imported on first use."""
 
 from rewax.agents.base import Agent
 from rewax.agents.registry import Algorithm, algorithm, list_algorithms, make_agent, register_algorithm

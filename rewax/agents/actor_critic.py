@@ -1,4 +1,4 @@
-"""Actor and critics as an algorithm uses them: functions of parameters, statistics and observations."""
+"""Actor and critics bound to a configuration: functions of parameters, observation statistics and observations."""
 
 import dataclasses
 from collections.abc import Callable
@@ -27,13 +27,13 @@ S = TypeVar("S", bound=PolicyState)
 
 @dataclasses.dataclass(frozen=True)
 class Actor(Generic[P]):
-    """The policy network and its optimizer, as they follow from a configuration and the specs of an environment.
+    """The policy network and its optimizer, built from a configuration and the specs of an environment.
 
     Attributes:
-      config: sizes and learning rates.
-      network: flax module.
-      action_size: components of an action.
-      observation_spec: of the environment.
+      config: network sizes and learning rates.
+      network: the flax module of the policy.
+      action_size: number of action components.
+      observation_spec: the environment's ``observation_spec``.
     """
 
     config: P
@@ -42,22 +42,22 @@ class Actor(Generic[P]):
     observation_spec: dict[str, ArraySpec]
 
     def normalize(self, statistics: RunningStatistics, obs: Observation) -> Observation:
-        """Observations as the networks take them. Gradient: with respect to obs."""
+        """The observations that the networks take as input. Gradient: exact with respect to obs."""
         if not self.config.normalize_observations:
             return obs
         return normalize(statistics, obs, clip=self.config.observation_clip)
 
     def action_distribution(self, params: PyTree, statistics: RunningStatistics, obs: Observation) -> TanhNormal:
-        """Of one environment's action. Gradient: exact, with respect to params and obs."""
+        """The distribution of one environment's action. Gradient: exact with respect to params and obs."""
         return self.distribution(params, self.normalize(statistics, obs))
 
     def distribution(self, params: PyTree, normalized: Observation) -> TanhNormal:
-        """The same for an observation that ``normalize`` returned."""
+        """The action distribution for an observation that ``normalize`` returned."""
         mean, log_std = cast(tuple[Array, Array], self.network.apply(params, normalized))
         return TanhNormal(mean=mean, log_std=log_std)
 
     def sampling(self, params: PyTree, statistics: RunningStatistics) -> Policy:
-        """A policy for ``rollout`` that samples its actions. Gradient: through the samples, into params and obs."""
+        """A policy for ``rollout`` that samples its actions. Gradient: with respect to params and obs."""
 
         def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
             return self.action_distribution(params, statistics, obs).sample(key), {}
@@ -71,11 +71,11 @@ class Actor(Generic[P]):
 
     @property
     def actor_optimizer(self) -> optax.GradientTransformation:
-        """With a learning rate that falls, updated once per iteration."""
+        """The actor's optimizer: one update per iteration, with a learning rate that falls linearly."""
         return self.falling_optimizer(self.config.actor_learning_rate, 1)
 
     def optimizer(self, learning_rate: optax.ScalarOrSchedule) -> optax.GradientTransformation:
-        """The configuration's Adam with another learning rate."""
+        """The configuration's Adam with a given learning rate."""
         config = self.config
         return clipped_adamw(
             learning_rate,
@@ -86,7 +86,7 @@ class Actor(Generic[P]):
         )
 
     def falling_optimizer(self, learning_rate: float, updates_per_iteration: int) -> optax.GradientTransformation:
-        """The configuration's Adam with a learning rate that falls from this one."""
+        """The configuration's Adam. Its learning rate falls linearly from the given one to ``final_learning_rate``."""
         return self.optimizer(
             linear_fall(
                 learning_rate,
@@ -99,39 +99,39 @@ class Actor(Generic[P]):
     def update(
         self, learning_rate: float, grad: PyTree, opt_state: PyTree, params: PyTree, *, scale: Array | float = 1.0
     ) -> tuple[PyTree, PyTree]:
-        """Parameters and optimizer state after one step of the configuration's Adam, ``scale`` times as long.
+        """One step of the configuration's Adam; returns parameters and optimizer state.
 
-        Components of the gradient that are not finite count as zero.
+        The step is multiplied by ``scale``. Non-finite components of the gradient are replaced by zero.
         """
         return apply(self.optimizer(learning_rate), finite_or_zero(grad), opt_state, params, scale=scale)
 
 
 @dataclasses.dataclass(frozen=True)
 class ActorCritic(Actor[C]):
-    """The critics too.
+    """The policy network, the critics and their optimizers.
 
     Attributes:
-      critics: flax module.
+      critics: the flax module of the critics.
     """
 
     critics: Critics
 
     def values(self, params: PyTree, normalized: Observation) -> Array:
-        """By all critics, for a batch of observations that ``normalize`` returned, shape (n, num_critics)."""
+        """State values from all critics, shape (n, num_critics), for n observations that ``normalize`` returned."""
         return cast(Array, jax.vmap(lambda obs: self.critics.apply(params, obs))(normalized))
 
     def action_values(self, params: PyTree, normalized: Observation, action: Array) -> Array:
-        """The same for critics of observations and actions."""
+        """Action values from all critics, shape (n, num_critics), for n normalised observations and actions."""
         return cast(Array, jax.vmap(lambda *one: self.critics.apply(params, *one))(normalized, action))
 
 
 def make_actor(env: Env, config: P) -> Actor[P]:
-    """Policy network and optimizer for an environment, of which only the specs are used."""
+    """Policy network and optimizer for an environment. Only the environment's specs are used."""
     return Actor(config, _network(env, config), env.action_spec.shape[0], env.observation_spec)
 
 
 def make_actor_critic(env: Env, config: C) -> ActorCritic[C]:
-    """Networks and optimizers for an environment, of which only the specs are used."""
+    """Networks and optimizers for an environment. Only the environment's specs are used."""
     sizes = (config.critic_widths, config.num_critics)
     activation = ACTIVATIONS[config.activation]
     critics = Critics(_encoder(config), *sizes, activation, config.initial_gain, config.value_gain)
@@ -148,14 +148,14 @@ def actor_agent(
     randomize: Randomize | None = None,
     donate: bool = False,
 ) -> Agent[S]:
-    """An agent with a policy network from pure functions of its configuration.
+    """Builds the agent of an algorithm that has a policy network.
 
     Args:
-      name: of the algorithm.
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      name: the algorithm's name.
+      env: one environment without auto-reset, or a batch of ``num_envs`` environments (``rewax.envs.stack``).
       config: hyper-parameters.
-      init, train_step, donate: as for ``bind``.
-      randomize: ``(key, env) -> env``: draws parameters of the environment anew at each reset.
+      init, train_step, donate: see ``bind``.
+      randomize: ``(key, env) -> env``, called at each reset to draw new parameters of the environment.
     """
     leaves = partition(env, config.num_envs, randomize)
     policy = make_actor(leaves.first(), config).policy

@@ -1,18 +1,20 @@
-"""SAPO whose actor leaves the simulation's gradient for that of the critics where it varies too much.
+"""SAPO that mixes the simulation's gradient with that of the critics, where the simulation's varies too much.
 
-At every step of a rollout the gradient with respect to the next state is ``share`` times the simulation's, through the
-rest of the rollout, plus ``1 - share`` times that of the critics' value of that state. If the critics are right, the
-expectation is that of SAPO for every share. The last step of a rollout has one step of simulation and the critics
-behind it alone; where environments begin a rollout anywhere in their episodes, its variance is that of the critics'
-gradient at any step. The share is ``max_ratio`` times that variance over the variance at the step, at most 1.
+At every step of a rollout, the gradient with respect to the next state is a weighted sum. ``share`` weighs the
+gradient through the rest of the simulated rollout, ``1 - share`` the gradient of the critics' value of the next state.
+If the critics are exact, the expectation does not depend on the share.
 
-Source: after Gao et al. 2024, "Adaptive-Gradient Policy Optimization" (ICML 2024), which goes over from the
-simulation's gradient to that of a critic where a batch of gradients varies much. Different:
+The gradient of the last step of a rollout flows through one step of simulation and the critics. Its variance serves as
+the variance of the critics' gradient at every step. This assumes that environments begin rollouts at random times of
+their episodes. The share of step t is min(1, ``max_ratio`` * variance of the last step / variance of step t).
 
-- The critics are SAPO's of states, which take one step of simulation to give the gradient of an action; theirs is of
-  states and actions.
-- A share between 0 and 1 instead of a choice, for each step of a rollout instead of each transition.
-- The variance is that of earlier iterations, of the gradient with respect to the actions as it was mixed there.
+Source: after Gao et al. 2024, "Adaptive-Gradient Policy Optimization" (ICML 2024). Their method replaces the
+simulation's gradient by that of a critic where a batch of gradients varies much. Differences:
+
+- The critics are SAPO's state values, which need one step of simulation to give the gradient of an action. Theirs are
+  action values.
+- Each step of a rollout has a share between 0 and 1. Theirs is a choice for each transition.
+- The variance comes from earlier iterations. It is that of the mixed gradient with respect to the actions.
 - Everything else is SAPO's.
 """
 
@@ -43,8 +45,8 @@ class AGPOConfig(SAPOConfig):
     """Hyper-parameters beyond SAPO's.
 
     Attributes:
-      max_ratio: of the variances of the simulation's and the critics' gradients, above which the share falls.
-      variance_decay: share that the running mean of the variances keeps each iteration.
+      max_ratio: ratio of the variance at a step to that of the critics' gradient; above it the share falls below 1.
+      variance_decay: decay of the running mean of the variances per iteration.
     """
 
     max_ratio: Positive = 10.0
@@ -56,7 +58,7 @@ class AGPOConfig(SAPOConfig):
         if self.truncate_every is not None or self.state_gradient_decay != 1.0:
             raise ValueError(
                 f"truncate_every is {self.truncate_every}, state_gradient_decay {self.state_gradient_decay}: give None "
-                "and 1, the shares cut the gradient of the state"
+                "and 1, because the shares scale the gradient of the state"
             )
 
 
@@ -88,9 +90,9 @@ def actor_loss(
     """Minus the soft return per step of one environment's rollout.
 
     Args:
-      params: of the actor; and zeros that are added to the actions, shape (horizon, action_size).
+      params: the actor's parameters, and zeros of shape (horizon, action_size) that are added to the actions.
 
-    Gradient: at each step the share of the simulation's, and the critics' for the rest.
+    Gradient: at each step ``share`` times the simulation's plus ``1 - share`` times the critics'.
     """
     (actor_params, nudges), config, statistics = params, networks.config, common.environments.statistics
     soft_policy = sapo.soft_policy(networks, actor_params, statistics)
@@ -111,12 +113,14 @@ def actor_loss(
 
 
 def critic_part(v_tp1: Array, share_t: Array, done_t: Array, valid_t: Array, *, discount: float) -> Array:
-    """Discounted values of the states within segments, each times its share; the discount starts with each segment.
+    """Sum of discounted values of the states inside segments, each times its share. The discount restarts per segment.
+
+    ``rewax.agents.returns.short_horizon_return`` adds the values at the ends of segments.
 
     Args:
-      v_tp1: value of the state each step leads to, shape (T,).
-      share_t: of that value, shape (T,).
-      done_t, valid_t: see ``rewax.agents.returns.short_horizon_return``, which has the values at the ends of segments.
+      v_tp1: value of the state that step t leads to, shape (T,).
+      share_t: weight of that value, shape (T,).
+      done_t, valid_t: see ``short_horizon_return``.
 
     Returns:
       The sum, shape (). Gradient: exact.
@@ -132,10 +136,10 @@ def critic_part(v_tp1: Array, share_t: Array, done_t: Array, valid_t: Array, *, 
 
 
 def simulation_shares(config: AGPOConfig, variance: Array) -> Array:
-    """Share of the simulation's gradient in that of the state which each step starts from, shape (T,).
+    """Weight of the simulation's gradient in the gradient of state t, shape (T,).
 
     Args:
-      variance: of each step's discounted gradient, shape (T,). A step without variance has the share 1.
+      variance: variance of each step's discounted gradient, shape (T,). A step with variance 0 has the share 1.
     """
     undiscounted = variance / discounts(config) ** 2
     allowed = config.max_ratio * undiscounted[-1]

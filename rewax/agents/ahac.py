@@ -1,15 +1,15 @@
 """AHAC, adaptive-horizon actor-critic: SHAC whose horizon shrinks where the gradient grows too fast.
 
 Source: Georgiev et al. 2024, "Adaptive Horizon Actor-Critic for Policy Learning in Contact-Rich Differentiable
-Simulation" (ICML 2024). Different:
+Simulation" (ICML 2024). Differences:
 
-- They bound the stiffness of the dynamics, by contact forces over accelerations. Here it is read off the backward pass
-  of any environment: the logarithm of how much the gradient of the state grows over a step.
-- One horizon for all environments moves along the mean excess of that growth (an earlier rule of the authors), instead
-  of by a multiplier for each step.
-- The rollout always computes ``horizon`` steps; beyond the adaptive horizon the environments stand still.
-- Critics are fitted for a fixed number of passes over all samples at once: minibatches beyond the horizon would hold
-  no samples.
+- They bound the stiffness of the dynamics, measured by contact forces and accelerations. Here the backward pass of any
+  environment gives it: the logarithm of the factor by which the gradient of the state grows over a step.
+- All environments share one horizon. It moves by the mean excess of that growth, an earlier rule of the authors. Theirs
+  has a multiplier for each step.
+- The rollout always computes ``horizon`` steps. Beyond the adaptive horizon the environments stand still.
+- Critics are fitted with a fixed number of passes over one batch of all samples, because minibatches beyond the horizon
+  would be empty.
 """
 
 import dataclasses
@@ -40,11 +40,11 @@ class AHACConfig(FirstOrderConfig):
     """Hyper-parameters beyond those of ``FirstOrderConfig``.
 
     Attributes:
-      horizon: the longest.
-      min_horizon, initial_horizon: the shortest, and that of the first iteration.
-      max_growth: of the norm of the state's gradient per control step, above which the horizon shrinks [-].
+      horizon: the longest horizon.
+      min_horizon, initial_horizon: the shortest horizon, and the horizon of the first iteration.
+      max_growth: growth of the norm of the state's gradient per control step above which the horizon shrinks [-].
       horizon_rate: control steps by which the horizon moves per iteration and unit of excess.
-      critic_minibatches: 1.
+      critic_minibatches: must be 1.
     """
 
     optimizer: Optimizer = "adam"
@@ -73,7 +73,7 @@ class AHACConfig(FirstOrderConfig):
             )
 
     def steps_in(self, env: Env) -> int:
-        """Control steps of one environment in the first iteration; later ones follow the horizon."""
+        """Control steps of one environment in the first iteration. Later iterations follow ``AHACState.horizon``."""
         del env
         return self.initial_horizon
 
@@ -83,10 +83,10 @@ Networks: TypeAlias = ActorCritic[AHACConfig]
 
 @struct.dataclass
 class AHACState(ActorCriticState):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
-      horizon: of the next iteration, rounded to whole steps when it is used, shape ().
+      horizon: horizon of the next iteration, rounded to whole steps when it is used, shape ().
     """
 
     horizon: Array
@@ -99,7 +99,7 @@ def make_ahac(env: Env, config: AHACConfig | None = None, *, randomize: Randomiz
 
 
 def init(config: AHACConfig, leaves: EnvLeaves, key: Key) -> AHACState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     networks = make_actor_critic(leaves.first(), config)
     return start_actor_critic(AHACState, networks, leaves, key, horizon=jnp.full((), float(config.initial_horizon)))
 
@@ -126,9 +126,9 @@ def actor_loss(
     """Minus the return per step of one environment's rollout over the adaptive horizon.
 
     Args:
-      params: of the actor; and probes, see ``rollout``.
+      params: the actor's parameters, and the probes of ``rollout``.
 
-    Gradient: through the simulation; with respect to the probes: norms of the state's cotangents.
+    Gradient: through the simulation. With respect to the probes: norms of the cotangents of the states.
     """
     (actor_params, probes), config = params, networks.config
     policy = networks.sampling(actor_params, common.environments.statistics)
@@ -149,11 +149,11 @@ def horizon_update(config: AHACConfig, state: AHACState, growth: Array) -> tuple
     """Move the horizon against the excess of the gradient's growth.
 
     Args:
-      config, state: what is updated.
-      growth: see ``gradient_growth``.
+      config, state: the run.
+      growth: mean log growth from ``gradient_growth``.
 
     Returns:
-      The state; the metrics ``horizon``, of the rollout that was taken, and ``growth``.
+      The new state, and the metrics ``horizon`` (of the last rollout) and ``growth``.
     """
     horizon = state.horizon - config.horizon_rate * (growth - jnp.log(config.max_growth))
     new = state.replace(horizon=jnp.clip(horizon, config.min_horizon, config.horizon))
@@ -164,8 +164,8 @@ def gradient_growth(norms: Array, transitions: Transition) -> Array:
     """Mean logarithm of the factor by which the state's gradient grows backwards over a control step, shape ().
 
     Args:
-      norms: of the gradient with respect to the state that each step starts from, shape (num_envs, T).
-      transitions: leading axes (num_envs, T). Steps that end an episode pass no gradient on and do not count.
+      norms: norms of the gradient with respect to the state before each step, shape (num_envs, T).
+      transitions: leading axes (num_envs, T). Steps that end an episode cut the gradient and are left out.
     """
     before, after = norms[:, :-1], norms[:, 1:]
     counts = transitions.active[:, 1:] & ~transitions.done[:, :-1] & (before > 0) & (after > 0)

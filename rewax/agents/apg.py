@@ -1,7 +1,7 @@
 """APG, analytic policy gradient: the gradient of the rewards alone, through the simulation, without a value function.
 
-With a short horizon an iteration continues where the last one ended; with whole episodes (``horizon=0``) each iteration
-starts from new initial states and differentiates them to their time limit.
+With a short horizon, an iteration continues where the last one ended. With ``horizon=0`` each iteration starts from new
+initial states and differentiates whole episodes.
 
 Source: Freeman et al. 2021, Brax; Wiedemann et al. 2023, "Training Efficient Controllers via Analytic Policy Gradient";
 settings as in Xing, Luk and Oh 2025, with the corrections named in ``rewax.agents.sapo``.
@@ -30,7 +30,7 @@ from rewax.types import Array, Key, PyTree
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class APGConfig(PolicyConfig, GradientOptions):
-    """Hyper-parameters of its bases; the defaults are those of SAPO's paper."""
+    """The hyper-parameters of its base classes. The defaults are those of SAPO's paper."""
 
     least_horizon: ClassVar[int] = 0
     optimizer: Optimizer = "adam"
@@ -48,7 +48,7 @@ def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize 
 
 
 def init(config: APGConfig, leaves: EnvLeaves, key: Key) -> PolicyState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     actor, keys = make_actor(leaves.first(), config), run_keys(key)
     environments = start_environments(config, leaves, keys)
     params = actor.network.init(keys.actor, environments.first_observation())

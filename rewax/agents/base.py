@@ -1,4 +1,4 @@
-"""What an algorithm is to the training loop."""
+"""The interface between an algorithm and the training loop: ``Agent``, its state and its metrics."""
 
 import functools
 from collections.abc import Callable, Hashable
@@ -10,10 +10,10 @@ from rewax.envs.leaves import EnvLeaves, strongly_typed
 from rewax.types import Array, Key, Observation, PyTree
 
 TrainState: TypeAlias = PyTree
-"""Everything a run is: parameters, optimizer states, statistics, environments, keys, counters. A pytree with at least
-the fields ``iteration`` and ``env_steps`` (shape (), int32)."""
+"""The complete state of a run: parameters, optimizer states, statistics, environments, keys, counters. A pytree with at
+least the fields ``iteration`` and ``env_steps`` (shape (), int32)."""
 Metrics: TypeAlias = dict[str, Array]
-"""Named scalars of one iteration, the same keys every time."""
+"""Named scalars of one iteration. Every iteration has the same names."""
 
 S = TypeVar("S")
 C = TypeVar("C", bound=Hashable)
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class Act(Protocol):
-    """What ``Agent.policy`` is."""
+    """The type of ``Agent.policy``."""
 
     def __call__(self, state: TrainState, obs: Observation, key: Key, /, deterministic: bool = False) -> Array:
         """The action for one environment."""
@@ -34,11 +34,11 @@ class Agent(NamedTuple, Generic[S]):
     Attributes:
       init: ``key -> TrainState``.
       train_step: ``TrainState -> (TrainState, Metrics)``; one iteration, jitted. The input stays usable unless
-        ``consumes`` says otherwise.
+        ``consumes`` is set.
       policy: ``(TrainState, obs, key, deterministic=False) -> action`` for one environment; ``vmap`` over obs and key.
-      name: of the algorithm in ``rewax.agents.registry``; empty for one that is not registered.
-      config: its frozen dataclass of hyper-parameters.
-      consumes: ``train_step`` changes its input in place: it cannot be used afterwards.
+      name: the algorithm's name in ``rewax.agents.registry``; empty if it is not registered.
+      config: the frozen dataclass of hyper-parameters.
+      consumes: ``train_step`` donates its input, which cannot be used afterwards.
     """
 
     init: Callable[[Key], S]
@@ -61,16 +61,16 @@ def bind(
 ) -> Agent[S]:
     """An agent from pure functions of its configuration.
 
-    Agents of equal configurations share their compiled programs: environments whose parameters have other values
-    compile nothing.
+    Agents with equal configurations share their compiled programs. An environment with other parameter values compiles
+    nothing new.
 
     Args:
-      name: of the algorithm.
+      name: the algorithm's name.
       config: hyper-parameters.
-      leaves: of the environment.
+      leaves: the environment's parameters.
       init: ``(config, leaves, key) -> TrainState``.
       train_step: ``(config, TrainState) -> (TrainState, Metrics)``.
-      policy: as for ``Agent``.
+      policy: see ``Agent``.
       donate: ``train_step`` may reuse the memory of its input.
     """
     start, step = _compiled(init, config, True), _compiled(train_step, config, donate=donate)
@@ -81,11 +81,11 @@ def bind(
 def _compiled(
     function: Callable[..., T], config: Hashable, fix_types: bool = False, donate: bool = False
 ) -> Callable[..., T]:
-    """``function`` with its first argument fixed, jitted; once per configuration."""
+    """``function`` with ``config`` bound, jitted. Cached per configuration."""
 
     def program(*args: PyTree) -> T:
         out = function(config, *args)
-        # A run's first state has the types of all later ones, so that train_step is compiled once.
+        # Strong types from the start, so that train_step is compiled once.
         return jax.tree.map(strongly_typed, out) if fix_types else out
 
     return jax.jit(program, donate_argnums=0 if donate else ())

@@ -1,8 +1,8 @@
 """Hyper-parameters that algorithms share.
 
-Groups of options have no base class and no default of another group's option: ``RunConfig``, ``PolicyOptions``,
-``CriticOptions``, ``GradientOptions``, ``FittingOptions``. Three classes combine them, and an algorithm adds its own
-options and defaults to one of these. The legal values of an option stand in its type.
+Options come in five independent groups: ``RunConfig``, ``PolicyOptions``, ``CriticOptions``, ``GradientOptions``,
+``FittingOptions``. ``PolicyConfig``, ``ActorCriticConfig`` and ``FirstOrderConfig`` combine them. An algorithm
+subclasses one of these and adds options and defaults of its own. The type of an option says which values are legal.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
 
 Value: TypeAlias = bool | int | float | str | tuple[int | float, ...] | None
-"""What an option can be."""
+"""Type of an option's value."""
 Optimizer = Literal["adamw", "adam"]
 Combination = Literal["mean", "min"]
 Activation = Literal["silu", "elu", "relu", "tanh"]
@@ -37,16 +37,16 @@ Limit = Annotated[float | None, POSITIVE.or_none("give a positive number, or Non
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """What every algorithm has.
+    """Options of every algorithm.
 
     Attributes:
-      num_envs: environments side by side.
-      horizon: control steps per iteration and environment; 0, where an algorithm allows it: whole episodes, each
+      num_envs: number of environments in a batch.
+      horizon: control steps per iteration and environment. 0, if the algorithm allows it: whole episodes, each
         iteration from new initial states.
-      num_iterations: iterations over which learning rates fall.
-      quick_compile: on a CPU, compile with XLA's older generator of code: a first-order algorithm's train step in two
-        thirds to nine tenths of the time, whose iterations take 1 to 6 % longer. For short runs. Since
-        jax 0.12 XLA has one generator, and this changes nothing.
+      num_iterations: number of iterations over which learning rates fall.
+      quick_compile: on a CPU, compile with XLA's older code generator, for short runs. Compiling a first-order
+        algorithm's train step takes two thirds to nine tenths of the time, and iterations take 1 to 6 % longer. Since
+        jax 0.12 XLA has one generator, and this option changes nothing.
     """
 
     least_horizon: ClassVar[int] = 1
@@ -72,26 +72,27 @@ class RunConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyOptions:
-    """What every algorithm with a policy network has; the defaults are SAPO's for the deformable tasks.
+    """Options of every algorithm with a policy network. The defaults are SAPO's for the deformable tasks.
 
     Attributes:
       discount: gamma [-].
-      actor_learning_rate, final_learning_rate: at the first and from the last iteration on; linear in between.
-      optimizer: ``adamw``, or ``adam``: the same without weight decay.
-      adam_b1, adam_b2, weight_decay: of all optimizers.
+      actor_learning_rate, final_learning_rate: learning rate of the first iteration, and from iteration
+        ``num_iterations`` on; linear in between.
+      optimizer: ``adamw`` or ``adam``, which has no weight decay.
+      adam_b1, adam_b2, weight_decay: settings of all optimizers.
       max_grad_norm: global norm to which each optimizer's gradient is clipped.
-      actor_widths, point_widths, point_features, vector_features: network sizes; ``vector_features`` 0: vectors go to
-        the policy and the critics as they are.
+      actor_widths, point_widths, point_features, vector_features: network sizes. With ``vector_features`` 0, vectors go
+        to the policy and the critics without an encoder.
       activation: ``silu``, ``elu``, ``relu`` or ``tanh``.
-      initial_gain: of the orthogonal initialisers of all layers.
-      action_gain: of the policy's last layer; None: ``initial_gain``.
-      state_dependent_std: the standard deviation is an output of the network; else a parameter of its own.
+      initial_gain: gain of the orthogonal initialisers of all layers.
+      action_gain: gain of the policy's last layer; None: ``initial_gain``.
+      state_dependent_std: the standard deviation is an output of the network; else it is a parameter.
       log_std_range: clamp of the log standard deviation.
-      initial_log_std: the log standard deviation at the start, or, if it depends on the state, added to its bias.
+      initial_log_std: initial log standard deviation. If it depends on the state, this is the bias of its output.
       normalize_observations: running normalisation of vector observations.
-      observation_clip: normalised observations stay between minus and plus this, with zero gradient beyond; None: no
-        limit. The default is out of reach but for a task's first rollout and for numbers gone astray.
-      stagger_episodes: start environments at random points of their time limit, so that they do not reset together.
+      observation_clip: clamp of normalised observations, with zero gradient beyond; None: no limit. The default acts
+        only in a task's first rollout and on outliers.
+      stagger_episodes: start environments at random times of their episodes, so that they do not reset together.
     """
 
     discount: Share = 0.99
@@ -119,13 +120,13 @@ class PolicyOptions:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CriticOptions:
-    """What every algorithm with critics has.
+    """Options of every algorithm with critics.
 
     Attributes:
-      critic_learning_rate: at the first iteration.
-      num_critics: independent value heads on one encoder.
-      critic_widths: sizes of each head.
-      value_gain: of the orthogonal initialiser of each head's last layer; None: ``initial_gain``.
+      critic_learning_rate: learning rate of the first iteration.
+      num_critics: number of independent value heads on one encoder.
+      critic_widths: layer sizes of each head.
+      value_gain: gain of the orthogonal initialiser of each head's last layer; None: ``initial_gain``.
     """
 
     critic_learning_rate: Positive = 5e-4
@@ -147,10 +148,10 @@ class GradientOptions:
     """How the gradient flows through a rollout.
 
     Attributes:
-      differentiate: what the backward pass stores, see ``rewax.agents.rollout``; ``none``: the actor learns nothing.
-      truncate_every: cut the gradient of the environment's state after so many steps; None: never.
-      state_gradient_decay: factor on the gradient of the environment's state at every step, 1 for the exact gradient.
-      max_env_grad_norm: norm to which the gradient of each environment is clipped before the mean is taken; None: not.
+      differentiate: what the backward pass stores, see ``rewax.agents.rollout``. ``none``: the actor learns nothing.
+      truncate_every: cut the gradient of the environment's state every so many steps; None: never.
+      state_gradient_decay: factor on the gradient of the environment's state at every step; 1: exact gradient.
+      max_env_grad_norm: norm to which each environment's gradient is clipped before the mean; None: no clipping.
     """
 
     differentiate: Differentiation = "checkpointed"
@@ -160,7 +161,7 @@ class GradientOptions:
 
     @property
     def gradient_flow(self) -> GradientFlow:
-        """For ``rewax.agents.rollout.rollout``."""
+        """Keyword arguments for ``rewax.agents.rollout.rollout``."""
         return {
             "differentiate": self.differentiate,
             "truncate_every": self.truncate_every,
@@ -174,11 +175,12 @@ class FittingOptions:
 
     Attributes:
       td_lambda: lambda of the critics' targets, TD(lambda) [-].
-      critic_passes, critic_minibatches: how often each iteration's data is used, in how many contiguous parts.
-      critic_chunk: samples of a minibatch that are differentiated at a time, their gradients added up; the update is
-        the same but for rounding. None: all on an accelerator, as many as fit its cache on a CPU.
-      actor_value, target_value: what the actor and the critics' targets see of several critics: ``mean`` or ``min``.
-      target_decay: share of the old parameters that the target network keeps each iteration; None: no target network.
+      critic_passes, critic_minibatches: passes over each iteration's data, and contiguous minibatches per pass.
+      critic_chunk: number of samples of a minibatch that are differentiated at a time; their gradients are summed. It
+        changes the update by rounding only. None: all on an accelerator, as many as fit its cache on a CPU.
+      actor_value, target_value: how the actor and the critics' targets combine several critics, ``mean`` or ``min``.
+      target_decay: weight of the old parameters in each iteration's update of the target network; None: no target
+        network.
     """
 
     td_lambda: Share = 0.95
@@ -192,7 +194,7 @@ class FittingOptions:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PolicyConfig(PolicyOptions, RunConfig):
-    """Options of an algorithm with a policy network alone."""
+    """Options of an algorithm with a policy network and no critics."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,16 +1,17 @@
 """SAPO from demonstrations: a policy that first imitates an optimised open-loop sequence of actions.
 
-A run has two phases, told apart by the number of the iteration. In the first, an iteration is one of
-``rewax.agents.trajopt``: every environment plays the sequence from a new initial state to its end, and Adam moves the
-sequence. The actor is then regressed onto the actions that it saw played, the critics onto the rewards. In the second
-phase, an iteration is one of ``rewax.agents.sapo``.
+A run has two phases; the number of the iteration decides. In the first phase an iteration is one of
+``rewax.agents.trajopt``: every environment plays the sequence from a new initial state to its end, and Adam updates the
+sequence. Then the actor is regressed onto the played actions, and the critics onto the returns. In the second phase an
+iteration is one of ``rewax.agents.sapo``.
 
 Source: imitation of optimised trajectories before reinforcement learning, after Levine and Koltun 2013, "Guided Policy
-Search"; SAPO: Xing, Luk and Oh 2025. Different:
+Search"; SAPO: Xing, Luk and Oh 2025. Differences:
 
-- One sequence for all initial states by Adam, instead of one for each by dynamic programming.
-- The policy is regressed by squared errors: of its mode, and of its log standard deviation, which stays where it began.
-- The sequence is not drawn towards the policy.
+- Adam optimises one sequence for all initial states. Theirs are one trajectory each, by dynamic programming.
+- The policy is regressed with squared errors of its mode and of its log standard deviation, which keeps its initial
+  value.
+- The sequence is not regularised towards the policy.
 """
 
 import dataclasses
@@ -45,10 +46,11 @@ class DemonstratedConfig(SAPOConfig):
     """Hyper-parameters beyond SAPO's.
 
     Attributes:
-      num_iterations: of ``horizon`` steps, as many as both phases have steps; the first phase's iterations are longer.
-      demonstration_share: of all control steps, for the first phase.
-      sequence_learning_rate: of the sequence's Adam.
-      cloning_learning_rate, cloning_passes: of the actor's regression, passes over the data of each iteration.
+      num_iterations: control steps of both phases, divided by ``horizon``. The first phase has longer iterations.
+      demonstration_share: share of the control steps that the first phase gets.
+      sequence_learning_rate: learning rate of Adam for the sequence.
+      cloning_learning_rate, cloning_passes: learning rate of the actor's regression, and its passes over the data of
+        each iteration.
     """
 
     demonstration_share: Share = 0.5
@@ -57,18 +59,18 @@ class DemonstratedConfig(SAPOConfig):
     cloning_passes: Count = 16
 
     def demonstrations(self, env: Env) -> int:
-        """Iterations of the first phase."""
+        """Number of iterations of the first phase."""
         return int(self.demonstration_share * self.num_iterations * self.horizon) // env.episode_length
 
     def second_phase(self, env: Env) -> SAPOConfig:
-        """Options of SAPO, whose learning rates fall over the steps that the first phase leaves."""
+        """Options of SAPO in the second phase. Learning rates fall over its iterations."""
         left = self.num_iterations - self.demonstrations(env) * env.episode_length // self.horizon
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(SAPOConfig)}
         return SAPOConfig(**{**fields, "num_iterations": max(1, left)})
 
     @property
     def sequence(self) -> TrajOptConfig:
-        """Options of the sequence."""
+        """Options of TrajOpt in the first phase."""
         return TrajOptConfig(
             num_envs=self.num_envs,
             learning_rate=self.sequence_learning_rate,
@@ -80,11 +82,11 @@ class DemonstratedConfig(SAPOConfig):
 
 @struct.dataclass
 class DemonstratedState(SoftState):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
-      actions, actions_opt: the sequence, shape (episode_length, action_size), and its optimizer.
-      cloning_opt: of the actor's regression.
+      actions, actions_opt: the sequence, shape (episode_length, action_size), and the state of its optimizer.
+      cloning_opt: state of the optimizer of the actor's regression.
     """
 
     actions: Array
@@ -110,7 +112,7 @@ def make_demonstrated(
 
 
 def init(config: DemonstratedConfig, leaves: EnvLeaves, key: Key) -> DemonstratedState:
-    """The state of a run that has not begun: all actions of the sequence zero."""
+    """The first state of a run. All actions of the sequence are zero."""
     env = leaves.first()
     networks = make_actor_critic(env, config.second_phase(env))
     log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
@@ -123,9 +125,9 @@ def init(config: DemonstratedConfig, leaves: EnvLeaves, key: Key) -> Demonstrate
 
 
 def train_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
-    """One iteration of the phase that the run is in. A metric that the phase lacks is NaN, a counter 0.
+    """One iteration of the current phase. Metrics of the other phase are NaN, counters 0.
 
-    Under ``vmap``, as with ``--num-seeds``, both phases are computed in each iteration.
+    Under ``vmap``, as with ``--num-seeds``, every iteration computes both phases.
     """
     env = state.environments.env.first()
     phases: tuple[Phase, Phase] = (
@@ -161,7 +163,7 @@ def demonstration_step(config: DemonstratedConfig, state: DemonstratedState) -> 
     next_values = jax.vmap(functools.partial(networks.values, state.critic_params))(next_obs)
     state, critic_metrics = critic_update(networks, state, Rollout(end, t, next_values), t.reward)
     state, episode_metrics = state.after(config, end, t, key)
-    if config.stagger_episodes:  # for the second phase; the first begins anew
+    if config.stagger_episodes:  # for the second phase; the first one restarts all environments
         state = state.replace(environments=staggered(state.environments, stagger_key))
     return state, {**episode_metrics, **metrics, **cloning_metrics, **critic_metrics}
 
@@ -172,12 +174,12 @@ def clone(
     """Regress the actor onto the actions of a rollout.
 
     Args:
-      config, networks, state: what is fitted.
-      transitions: leading axes (num_envs, T). Steps after the first end of an episode do not count: the sequence goes
-        on there as if nothing had ended.
+      config, networks, state: the policy network with its optimizer, and the run.
+      transitions: leading axes (num_envs, T). Steps after the first end of an episode are masked, because the sequence
+        does not restart there.
 
     Returns:
-      The state; the metric ``cloning_loss``, see ``cloning_loss``.
+      The new state, and the metric ``cloning_loss``.
     """
     done = transitions.done
     counts = transitions.valid & (jnp.cumsum(done, axis=1) - done == 0)
@@ -197,14 +199,14 @@ def clone(
 
 
 def cloning_loss(params: PyTree, obs: PyTree, actions: Array, counts: Array, *, networks: Networks) -> Array:
-    """Mean squared errors of the actor's mode and of its log standard deviation. Gradient: exact.
+    """Mean squared error of the actor's mode plus that of its log standard deviation. Gradient: exact.
 
     Args:
-      params: of the actor.
-      obs: that ``Actor.normalize`` returned, leading axis (n,).
-      actions: that were played there, shape (n, action_size).
-      counts: which samples do, shape (n,), bool.
-      networks: the actor.
+      params: parameters of the actor.
+      obs: observations from ``Actor.normalize``, leading axis (n,).
+      actions: the played actions, shape (n, action_size).
+      counts: mask of the samples to use, shape (n,), bool.
+      networks: the policy network.
     """
     policy = jax.vmap(functools.partial(networks.distribution, params))(obs)
     errors = (policy.mode() - actions) ** 2 + (policy.log_std - networks.config.initial_log_std) ** 2

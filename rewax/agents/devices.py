@@ -1,7 +1,7 @@
-"""Environments over several devices: a mesh with one axis, and what is computed where.
+"""Environments sharded over several devices: a mesh with one axis, ``envs``.
 
-A program traced under ``jax.set_mesh(mesh_of(...))`` computes each environment on the device that holds it, and all
-else on every device. Without such a mesh nothing here changes a program.
+A program traced under ``jax.set_mesh(mesh_of(...))`` computes each environment on the device that holds it. Everything
+else is replicated on every device. Without such a mesh nothing here changes a program.
 """
 
 import functools
@@ -18,31 +18,31 @@ from rewax.types import PyTree
 T = TypeVar("T")
 
 AXIS = "envs"
-"""The axis of the mesh, and the name under which ``jax.lax.psum`` knows it."""
+"""Name of the mesh axis, also for ``jax.lax.psum``."""
 
 
 def mesh_of(devices: Sequence[object]) -> Mesh:
-    """A mesh of some of ``jax.devices()``, over which environments are sharded."""
+    """A mesh of the given devices, over which environments are sharded."""
     return Mesh(np.asarray(devices), (AXIS,), axis_types=(AxisType.Auto,))
 
 
 def num_shards() -> int:
-    """Devices of the mesh that the present program is traced for; 1 without one."""
+    """Number of devices in the mesh of the program that is being traced; 1 without a mesh."""
     mesh = jax.sharding.get_abstract_mesh()
     return 1 if mesh.empty or AXIS not in mesh.axis_names else mesh.shape[AXIS]
 
 
 def sharded(function: Callable[..., T], args: Sequence[PyTree], split: Sequence[bool], *, same: bool = False) -> T:
-    """``function(*args)`` on every device with its share of the arguments' first axis.
+    """``function(*args)`` on every device with its shard of the arguments' first axis.
 
     Args:
-      function: of trees. It must not close over arrays: a device gets the arguments only.
+      function: a function of pytrees. It must not close over arrays, because a device gets the arguments only.
       args: its arguments.
-      split: which of them are split over the devices; the others are the same on all.
-      same: all devices return the same, because they took means with ``mean_over_devices``.
+      split: for each argument, whether it is sharded; the others are replicated.
+      same: all devices return the same values, because ``function`` takes means with ``mean_over_devices``.
 
     Returns:
-      What the function returns, put together along the first axis; with ``same`` what any of them returns.
+      The results of all devices, concatenated along the first axis; with ``same`` the result of one device.
 
     Raises:
       ValueError: the function closes over an array.
@@ -56,19 +56,19 @@ def sharded(function: Callable[..., T], args: Sequence[PyTree], split: Sequence[
 
 
 def mean_over_devices(tree: PyTree) -> PyTree:
-    """Inside of ``sharded``: the mean of all devices' arrays. Elsewhere: the arrays."""
+    """Inside of ``sharded``: the mean of the arrays over all devices. Elsewhere: the arrays themselves."""
     mesh = jax.sharding.get_abstract_mesh()
     return jax.lax.pmean(tree, AXIS) if AXIS in mesh.manual_axes else tree
 
 
 def check_closes_over_no_array(function: Callable[..., object]) -> None:
-    """Checks that a function has its arrays from its arguments alone.
+    """Checks that a function gets arrays through its arguments only.
 
-    An array that it closes over would be a constant of the program, and would not be sharded. Looked through are
-    closures, defaults, ``functools.partial``, bound methods, and the containers in them; not global variables.
+    An array in its closure would be a constant of the program, and would not be sharded. The check looks into closures,
+    defaults, ``functools.partial``, bound methods, and the containers in them, but not at global variables.
 
     Raises:
-      ValueError: it closes over an array; the message names the function and the variable.
+      ValueError: the function closes over an array; the message names the function and the variable.
     """
     visited: set[int] = set()
     waiting: list[object] = [function]
@@ -89,7 +89,7 @@ def check_closes_over_no_array(function: Callable[..., object]) -> None:
 
 
 def _bound(function: object) -> Iterator[tuple[str, object]]:
-    """Names and values that a function brings with it."""
+    """Names and values that are bound to a function."""
     yield "its function", getattr(function, "__wrapped__", None)  # of jax.jit, for example
     if isinstance(function, functools.partial):
         yield "its function", function.func

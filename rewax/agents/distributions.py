@@ -13,10 +13,10 @@ class TanhNormal:
     """A diagonal normal distribution squashed into (-1, 1) by tanh.
 
     distrax's own ``Transformed(Normal, Tanh)`` gives NaN for the log probability of a saturated action, because it
-    inverts the tanh; here the value before the tanh is at hand whenever a probability is asked for.
+    inverts the tanh. Here log probabilities are computed from the value before the tanh.
 
     Attributes:
-      mean: of the normal distribution, shape (action_size,).
+      mean: mean of the normal distribution, shape (action_size,).
       log_std: logarithm of its standard deviation, shape (action_size,).
     """
 
@@ -33,16 +33,16 @@ class TanhNormal:
         return self.base.sample(seed=key)
 
     def log_prob_raw(self, raw: Array) -> Array:
-        """Log of the probability density of the action tanh(raw), shape (). Gradient: exact, finite everywhere."""
+        """Log probability density of the action tanh(raw), shape (). Gradient: exact, finite everywhere."""
         log_det = 2.0 * (jnp.log(2.0) - raw - jax.nn.softplus(-2.0 * raw))
         return jnp.sum(self.base.log_prob(raw) - log_det)
 
     def kl_divergence(self, other: "TanhNormal") -> Array:
-        """KL(self || other), shape (): that of the normal distributions, which the tanh does not change."""
+        """KL(self || other), shape (). The tanh does not change it: it is that of the two normal distributions."""
         return jnp.sum(self.base.kl_divergence(other.base))
 
     def sample_and_log_prob(self, key: Key) -> tuple[Array, Array]:
-        """An action, shape (action_size,), and the log of its probability density, shape ().
+        """An action, shape (action_size,), and its log probability density, shape ().
 
         Gradient: exact with respect to mean and log_std, through the sample (reparameterised).
         """
@@ -54,5 +54,5 @@ class TanhNormal:
         return self.sample_and_log_prob(key)[0]
 
     def mode(self) -> Array:
-        """tanh of the mean, shape (action_size,): the median, by convention the deterministic action."""
+        """tanh(mean), shape (action_size,): the median of the distribution, used as the deterministic action."""
         return jnp.tanh(self.mean)

@@ -14,22 +14,23 @@ def episode_metrics(running: Array, transitions: Transition) -> Metrics:
     """Metrics that every algorithm reports.
 
     Args:
-      running: returns of the episodes under way before the rollout, see ``running_returns``.
+      running: returns, so far, of the episodes that the rollout continues (``running_returns``), shape (num_envs,).
       transitions: leading axes (num_envs, horizon).
 
     Returns:
-      ``return``: mean over the episodes that ended without failure, NaN if none did; ``reward``: mean over steps;
-      ``episodes``, ``failed_episodes``: that ended, and of these by a numerical failure; ``status/<BIT>``: steps with
-      that bit of ``Status``; ``failed_env``, ``failed_leaf``: the first environment that failed, and which of its
-      arrays (see ``rewax.envs.base.failed_leaf_name``), -1 if none did; ``env/<name>``: means of the environment's own.
+      ``return``: mean over the episodes that ended without failure, NaN if none did. ``reward``: mean over steps.
+      ``episodes``: number of episodes that ended. ``failed_episodes``: number that ended by a numerical failure.
+      ``status/<BIT>``: number of steps with that bit of ``Status``. ``failed_env``: index of the first environment that
+      failed, -1 if none did. ``failed_leaf``: index of the array that was not finite there, for
+      ``rewax.envs.base.failed_leaf_name``. ``env/<name>``: means of the environment's own metrics.
     """
     _, finished = running_returns(running, transitions)
     counted = jnp.isfinite(finished)
     failed = transitions.failed
-    # Reductions instead of an index: sharded environments then need not be sent to other devices.
-    place = jnp.arange(failed.size, dtype=jnp.int32).reshape(failed.shape)
-    first = jnp.min(jnp.where(failed, place, failed.size))
-    env, leaf = first // failed.shape[1], jnp.max(jnp.where(place == first, transitions.failed_leaf, NO_LEAF))
+    # Reductions instead of indexing, so that sharded environments stay on their devices.
+    index = jnp.arange(failed.size, dtype=jnp.int32).reshape(failed.shape)
+    first = jnp.min(jnp.where(failed, index, failed.size))
+    env, leaf = first // failed.shape[1], jnp.max(jnp.where(index == first, transitions.failed_leaf, NO_LEAF))
     bits = {
         f"status/{bit.name}": jnp.sum((transitions.status & int(bit)) != 0) for bit in Status if bit is not Status.OK
     }
@@ -46,15 +47,16 @@ def episode_metrics(running: Array, transitions: Transition) -> Metrics:
 
 
 def running_returns(running: Array, transitions: Transition) -> tuple[Array, Array]:
-    """Returns of the episodes under way, and those of the steps that ended one.
+    """Returns of running and of finished episodes.
 
     Args:
-      running: returns so far, shape (num_envs,); NaN counts as unknown until the episode ends.
+      running: returns so far of the running episodes, shape (num_envs,). NaN marks an unknown return, until the episode
+        ends.
       transitions: leading axes (num_envs, horizon).
 
     Returns:
-      The returns under way, shape (num_envs,); and, shape (num_envs, horizon), the whole return where a step ended an
-      episode, NaN elsewhere and for episodes that failed numerically.
+      Returns so far after the rollout, shape (num_envs,). Returns of the episodes that ended, at the step that ended
+      them, shape (num_envs, horizon); NaN at other steps and for episodes that failed numerically.
     """
 
     def step(carry: Array, inputs: tuple[Array, Array, Array]) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""What first-order actor-critic algorithms share: the loss of a rollout, the updates of actor and critics."""
+"""Parts of first-order actor-critic algorithms: the loss of a rollout, the updates of actor and critics."""
 
 import functools
 from collections.abc import Callable
@@ -28,7 +28,7 @@ Networks: TypeAlias = ActorCritic[FirstOrderConfig]
 
 
 class Rollout(NamedTuple):
-    """One environment's rollout: its end, and the values of next observations by all critics, (T, num_critics)."""
+    """One environment's rollout: final state, transitions, and all critics' values of next_obs, (T, num_critics)."""
 
     end: State
     transitions: Transition
@@ -38,14 +38,14 @@ class Rollout(NamedTuple):
 def start_actor_critic(
     state_type: Callable[..., A], networks: Networks, leaves: EnvLeaves, key: Key, **own: PyTree
 ) -> A:
-    """The state of a run that has not begun.
+    """The first state of a run.
 
     Args:
       state_type: ``ActorCriticState``, or a subclass.
       networks: actor and critics.
-      leaves: of the environment.
-      key: of the run.
-      own: the fields that the subclass adds.
+      leaves: the environment's parameters.
+      key: the run's key.
+      own: values of the fields that the subclass adds.
     """
     keys = run_keys(key)
     environments = start_environments(networks.config, leaves, keys)
@@ -66,15 +66,15 @@ def start_actor_critic(
 def rollout_loss(
     networks: Networks, common: ActorCriticState, end: State, transitions: Transition, reward: Array
 ) -> tuple[Array, Rollout]:
-    """Minus the return per step of one environment's rollout: rewards, and values where a segment ends.
+    """Minus the return per step of one environment's rollout: rewards, plus values where segments end.
 
     Args:
-      networks, common: the critics, and the statistics of observations.
+      networks, common: the critics, and the observation statistics.
       end: state after the rollout.
-      transitions: of the rollout.
-      reward: of each step, with or without a bonus, shape (T,).
+      transitions: the rollout's transitions.
+      reward: reward of each step, with or without an entropy bonus, shape (T,).
 
-    Gradient: through rewards and observations; the critics' parameters are constants of the actor's loss.
+    Gradient: through rewards and observations. The critics' parameters are constants.
     """
     t, config = transitions, networks.config
     next_values = networks.values(common.critic_params, networks.normalize(common.environments.statistics, t.next_obs))
@@ -89,14 +89,14 @@ def actor_update(
     """One step of the actor along the mean of the environments' finite gradients.
 
     Args:
-      actor, state: what is updated.
-      loss: of one environment, see ``per_env_gradients``.
-      key: split into one per environment.
-      max_norm: to which each environment's gradient is clipped first, ``config.max_env_grad_norm``; None: not.
+      actor, state: the policy network with its optimizer, and the run.
+      loss: loss of one environment, see ``per_env_gradients``.
+      key: split into one key per environment.
+      max_norm: norm to which each environment's gradient is clipped before the mean; None: no clipping.
 
     Returns:
-      The state; the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``; and the loss's data, with a
-      leading axis of environments.
+      The new state; the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``; and the data of the
+      loss, leading axis of environments.
     """
     losses, data, grads = per_env_gradients(loss, state.actor_params, state.common(), state.environments, key)
     return (*actor_step(actor, state, losses, grads, max_norm=max_norm), data)
@@ -105,7 +105,7 @@ def actor_update(
 def actor_step(
     actor: Actor[AnyPolicyConfig], state: S, losses: Array, grads: PyTree, *, max_norm: float | None
 ) -> tuple[S, Metrics]:
-    """The same from the environments' losses and gradients."""
+    """``actor_update`` for losses and gradients that are given, leading axis of environments."""
     grad, metrics = mean_gradient(losses, grads, max_norm=max_norm)
     params, opt = apply(actor.actor_optimizer, grad, state.actor_opt, state.actor_params)
     return state.replace(actor_params=params, actor_opt=opt), metrics
@@ -115,9 +115,9 @@ def critic_update(networks: Networks, state: A, rollouts: Rollout, reward: Array
     """Regress all critics onto TD(lambda) targets; the target network follows.
 
     Args:
-      networks, state: what is fitted.
+      networks, state: the critics with their optimizer, and the run.
       rollouts: rollouts, leading axis of environments.
-      reward: of each step, with or without a bonus, shape (num_envs, T).
+      reward: reward of each step, with or without an entropy bonus, shape (num_envs, T).
     """
     t, config, statistics = rollouts.transitions, networks.config, state.environments.statistics
     next_values = rollouts.next_values
@@ -148,18 +148,18 @@ def critic_update(networks: Networks, state: A, rollouts: Rollout, reward: Array
 
 
 def combined(values: Array, how: Combination) -> Array:
-    """One value from those of several critics, by their ``mean`` or ``min``. Gradient: exact."""
+    """The ``mean`` or ``min`` over the critics' values, the last axis. Gradient: exact."""
     return values.mean(axis=-1) if how == "mean" else values.min(axis=-1)
 
 
 def critic_optimizer(networks: Networks) -> optax.GradientTransformation:
-    """With a learning rate that falls with the iterations; for ``fit_values``."""
+    """The critics' optimizer for ``fit_values``. Its learning rate falls linearly over the iterations."""
     config = networks.config
     return networks.falling_optimizer(config.critic_learning_rate, config.critic_passes * config.critic_minibatches)
 
 
 def critic_chunk(networks: Networks) -> int:
-    """Samples that the critics differentiate at a time: a divisor of the minibatch."""
+    """Number of samples that the critics differentiate at a time, a divisor of the minibatch."""
     config = networks.config
     if config.critic_chunk is not None:
         return config.critic_chunk

@@ -1,4 +1,4 @@
-"""Gradients through rollouts: one per environment, so that a non-finite gradient of one leaves the others intact."""
+"""Gradients through rollouts, one per environment, so that a non-finite one does not reach the others."""
 
 from collections.abc import Callable
 from typing import TypeAlias, TypeVar
@@ -20,7 +20,7 @@ R = TypeVar("R", bound=RunState)
 D = TypeVar("D")
 
 Loss: TypeAlias = Callable[[PyTree, R, AutoReset, State, Key], tuple[Array, D]]
-"""``(params, common, env, env_state, key) -> (loss, data)`` of one environment; common: ``RunState.common()``."""
+"""``(params, common, env, env_state, key) -> (loss, data)`` for one environment; common: ``RunState.common()``."""
 
 
 def per_env_gradients(
@@ -29,15 +29,15 @@ def per_env_gradients(
     """Loss, data and gradient of every environment.
 
     Args:
-      loss: of one environment behind ``AutoReset``, from its state. A function of the module whose configuration is
-        bound by ``functools.partial``; it has its arrays from its arguments.
-      params: what the gradient is taken with respect to.
-      common: what else all environments share, ``RunState.common()``.
-      environments: ``num_envs`` of them.
+      loss: loss of one environment behind ``AutoReset``, starting from its state. A module-level function with its
+        configuration bound by ``functools.partial``. It gets arrays through its arguments only.
+      params: the gradient is taken with respect to these.
+      common: everything else that all environments share, ``RunState.common()``.
+      environments: the ``num_envs`` environments.
       key: split into one key per environment.
 
     Returns:
-      Losses, shape (num_envs,); data, no gradient flows out of it; gradients. All have a leading axis of environments.
+      Losses, shape (num_envs,); data, with gradients stopped; gradients. All have a leading axis of environments.
 
     Raises:
       ValueError: the loss closes over an array.
@@ -53,11 +53,11 @@ def per_env_gradients(
 
 
 def mean_gradient(losses: Array, grads: PyTree, *, max_norm: float | None = None) -> tuple[PyTree, Metrics]:
-    """The mean of the environments' finite gradients, and what to report of it.
+    """Mean of the environments' finite gradients, and its metrics.
 
     Args:
-      losses, grads: as ``per_env_gradients`` returns them.
-      max_norm: to which each environment's gradient is clipped first; None: not.
+      losses, grads: from ``per_env_gradients``.
+      max_norm: norm to which each environment's gradient is clipped before the mean; None: no clipping.
 
     Returns:
       The gradient, and the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``.
@@ -75,14 +75,14 @@ def mean_gradient(losses: Array, grads: PyTree, *, max_norm: float | None = None
 
 
 def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
-    """Mean gradient over the environments whose loss and gradient are finite.
+    """Mean gradient over the environments with a finite loss and a finite gradient.
 
     Args:
       losses: shape (num_envs,).
-      grads: leaves with a leading axis of environments.
+      grads: arrays with a leading axis of environments.
 
     Returns:
-      The mean, zero if no environment is left, and which environments were kept, shape (num_envs,), bool.
+      The mean, zero if no environment is left; and a mask of the environments in the mean, shape (num_envs,), bool.
     """
     kept = jax.vmap(all_finite)((losses, grads))
     count = jnp.maximum(kept.sum(), 1)
@@ -94,9 +94,9 @@ def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
 
 
 def clip_per_env(grads: PyTree, max_norm: float) -> PyTree:
-    """Each environment's gradient, shortened to a global norm of ``max_norm`` where it is longer.
+    """Clips the global norm of each environment's gradient to ``max_norm``.
 
-    A gradient that is not finite, or whose norm is not, becomes NaN; ``mean_of_finite`` leaves it out.
+    A gradient becomes NaN if it or its norm is not finite. ``mean_of_finite`` leaves it out.
     """
     norms = jax.vmap(optax.tree.norm)(grads)
     scale = jnp.minimum(1.0, max_norm / jnp.where(norms > 0, norms, 1.0))

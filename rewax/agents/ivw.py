@@ -1,20 +1,21 @@
-"""SAPO whose actor weights the steps of a rollout by the inverse variance of their gradients.
+"""SAPO with inverse-variance weights: the actor weights the steps of a rollout by the inverse variance of gradients.
 
-The action of step t has the gradient of everything after it in the rollout, through H - t steps of the simulation: that
-of an early step is far noisier than that of a late one. Where environments begin a rollout anywhere in their episodes,
-every step estimates the same gradient of the policy, times discount^t. Of all weighted sums with that expectation, the
-one with weights proportional to discount^t / variance_t has the least variance, if steps are uncorrelated.
+The gradient with respect to the action of step t flows through H - t steps of the simulation, so early steps have far
+noisier gradients than late ones. If environments begin rollouts at random times of their episodes, every step gives an
+estimate of the same policy gradient, times discount^t. Among the weighted sums with the same expectation, weights
+proportional to discount^t / variance_t give the least variance, if steps are uncorrelated.
 
 Source: the idea of per-step inverse-variance weights for first-order gradients is that of IVW-H in Onoda, Parmas,
 Yaguchi and Matsuo 2026, "Does 'Do Differentiable Simulators Give Better Policy Gradients?' Give Better Policy
-Gradients?" (arXiv 2604.18161), of which only the abstract was at hand. The estimator is our own:
+Gradients?" (arXiv 2604.18161). Only its abstract was used; the estimator is our own:
 
-- It weights the steps of a first-order gradient; there is no zeroth-order estimate beside it.
-- The variance is that of the gradient with respect to the step's action, over environments, summed over components. The
-  variance of the policy's parameters would take a gradient of theirs for each step.
-- Weights come from earlier iterations, so they do not depend on the gradients that they weight and add no bias.
-- The estimate leans on late steps, hence on the critics' gradient, whose errors are a bias that no variance shows.
-- A discount that starts anew within a rollout, where an episode ends, does not change the weights.
+- It weights the steps of a first-order gradient. There is no zeroth-order estimate.
+- The variance is that of the gradient with respect to the step's action, taken over environments and summed over
+  components. The variance with respect to the policy's parameters would need a parameter gradient for each step.
+- Weights come from earlier iterations. They are independent of the gradients that they weight, so they add no bias.
+- Late steps get large weights, so the estimate depends more on the critics' gradient. Errors of the critics are a bias
+  that the variance does not show.
+- The discount restarts where an episode ends within a rollout. The weights ignore this.
 """
 
 import dataclasses
@@ -47,8 +48,8 @@ class IVWConfig(SAPOConfig):
     """Hyper-parameters beyond SAPO's.
 
     Attributes:
-      variance_decay: share that the running mean of the variances keeps each iteration.
-      variance_floor: a variance below this share of their mean counts as that share: it bounds the weights.
+      variance_decay: decay of the running mean of the variances per iteration.
+      variance_floor: lower bound of a variance, as a share of the mean variance; it bounds the weights.
     """
 
     variance_decay: Share = 0.9
@@ -60,9 +61,11 @@ class IVWConfig(SAPOConfig):
 
 
 def check_entropy_of_steps(config: SAPOConfig) -> None:
-    """Raises ValueError where the loss has a term of the entropy that is none of a step's return."""
+    """Raises ValueError if the loss has an entropy term that is not part of a step's return."""
     if not config.entropy_in_return and config.entropy_in_loss:
-        raise ValueError("entropy_in_loss is True without entropy_in_return: give False, steps have no such term")
+        raise ValueError(
+            "entropy_in_loss is True without entropy_in_return: give False, because the term belongs to no single step"
+        )
 
 
 C = TypeVar("C", bound=SAPOConfig)
@@ -71,10 +74,10 @@ Networks: TypeAlias = ActorCritic[IVWConfig]
 
 @struct.dataclass
 class IVWState(SoftState):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
-      variance: running mean of ``step_variance``; discount^t, which gives equal weights, before the first iteration.
+      variance: running mean of ``step_variance``, shape (T,). It starts as discount^t, which gives equal weights.
     """
 
     variance: Array
@@ -87,7 +90,7 @@ def make_ivw(env: Env, config: IVWConfig | None = None, *, randomize: Randomize 
 
 
 def start(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> IVWState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     networks = make_actor_critic(leaves.first(), config)
     log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
     own = {"log_temperature": log_alpha, "temperature_opt": opt, "variance": discounts(config)}
@@ -111,13 +114,13 @@ def train_step(config: IVWConfig, state: IVWState) -> tuple[IVWState, Metrics]:
 def measured_actor_update(
     networks: ActorCritic[C], state: IVWState, loss: Loss[IVWState, Rollout], key: Key, *, decay: float
 ) -> tuple[IVWState, Metrics, Rollout]:
-    """``first_order.actor_update`` that also measures the variance of the gradient of each step.
+    """``first_order.actor_update`` that also measures the variance of each step's gradient.
 
     Args:
-      networks, state, key: as there.
-      loss: of one environment; its parameters are the actor's, and zeros that it adds to the actions, shape
-        (horizon, action_size), whose gradient is that of the steps.
-      decay: share that the running mean of the variances keeps.
+      networks, state, key: see ``first_order.actor_update``.
+      loss: loss of one environment. Its parameters are the actor's, and zeros of shape (horizon, action_size) that it
+        adds to the actions; the gradient with respect to the zeros is that of the actions.
+      decay: decay of the running mean of the variances.
     """
     config = networks.config
     params = (state.actor_params, jnp.zeros((config.horizon, networks.action_size)))
@@ -133,9 +136,9 @@ def actor_loss(
     """Minus the soft return per step of one environment's rollout.
 
     Args:
-      params: of the actor; and zeros that are added to the actions, shape (horizon, action_size).
+      params: the actor's parameters, and zeros of shape (horizon, action_size) that are added to the actions.
 
-    Gradient: through the simulation; of the actor's parameters each step's share times its weight.
+    Gradient: through the simulation. Each step's contribution to the actor's gradient is multiplied by its weight.
     """
     (actor_params, nudges), config, statistics = params, networks.config, common.environments.statistics
 
@@ -151,7 +154,7 @@ def actor_loss(
 
 
 def running_variance(state: IVWState, gradients: Array, decay: float) -> Array:
-    """The running mean with the variances of an iteration, which is the first to count; see ``step_variance``."""
+    """The running mean updated with ``step_variance(gradients)``. The first iteration replaces the initial value."""
     measured = step_variance(gradients)
     kept = jnp.where(state.iteration == 0, 0.0, decay)
     return jnp.where(jnp.isfinite(measured), kept * state.variance + (1.0 - kept) * measured, state.variance)
@@ -161,8 +164,8 @@ def step_variance(gradients: Array) -> Array:
     """Variance over environments of each step's gradient, summed over the action's components, shape (T,).
 
     Args:
-      gradients: with respect to the actions, shape (num_envs, T, action_size). An environment whose gradient is not
-        finite is left out.
+      gradients: gradients with respect to the actions, shape (num_envs, T, action_size). Environments with a
+        non-finite gradient are left out.
     """
     kept = jax.vmap(all_finite)(gradients)[:, None, None]
     count = jnp.maximum(kept.sum(), 1)
@@ -172,11 +175,13 @@ def step_variance(gradients: Array) -> Array:
 
 
 def step_weights(config: IVWConfig, variance: Array) -> Array:
-    """Weights of least variance, shape (T,). Their sum over discount^t is that of equal weights, 1 each.
+    """Weights that give the least variance, shape (T,).
+
+    They are scaled such that sum(weights * discount^t) = sum(discount^t), as for weights of 1.
 
     Args:
-      config: the discount and the floor.
-      variance: of each step's discounted gradient, shape (T,). If all are zero, the weights are equal.
+      config: gives the discount and the floor.
+      variance: variance of each step's discounted gradient, shape (T,). If all are zero, all weights are 1.
     """
     mean = variance.mean()
     floored = jnp.maximum(variance, config.variance_floor * jnp.where(mean > 0, mean, 1.0))

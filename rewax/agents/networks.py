@@ -15,7 +15,7 @@ from rewax.types import Array, Key, Observation
 
 Activation = Callable[[Array], Array]
 _NARROW = 4
-"""A product with so few terms is not worth a matrix product."""
+"""Up to this many input features, a layer sums products instead of calling ``dot_general``."""
 
 
 def orthogonal(gain: float) -> nn.initializers.Initializer:
@@ -33,9 +33,9 @@ def orthogonal(gain: float) -> nn.initializers.Initializer:
 
 
 def _product(x: Array, matrix: Array, dimension_numbers: DotDimensionNumbers, **options: Any) -> Array:
-    """``lax.dot_general`` of a layer, with flax's options for it. Short rows are summed up, which XLA can fuse.
+    """``lax.dot_general`` of a layer, with flax's options. Inputs with few features are summed, which XLA can fuse.
 
-    Without it jax 0.10.1 fails to compile products of long batches of points (num_points, 3) for GPUs.
+    Without the sum, jax 0.10.1 fails to compile products of many points (num_points, 3) for GPUs.
     """
     if not 0 < x.shape[-1] <= _NARROW:
         return jax.lax.dot_general(x, matrix, dimension_numbers, **options)
@@ -72,9 +72,9 @@ class MLP(nn.Module):
 class Encoder(nn.Module):
     """Features of a named observation.
 
-    Point clouds, arrays (num_points, channels), each go through a PointNet: layers per point, mean over the points,
-    one more layer. Vectors are concatenated in the order of their names and go through one layer, or as they are with
-    ``vector_features`` 0.
+    Each point cloud, an array (num_points, channels), goes through a PointNet: layers per point, mean over the points,
+    one more layer. Vectors are concatenated in the order of their names and go through one layer, or through none if
+    ``vector_features`` is 0.
 
     Source: the 3D Diffusion Policy encoder as used by SAPO, with mean instead of max pooling.
     """
@@ -104,11 +104,10 @@ class Encoder(nn.Module):
 
 
 class GaussianActor(nn.Module):
-    """Observation -> mean and log standard deviation (clamped) of the action before its tanh.
+    """Observation -> mean and clamped log standard deviation of the action before its tanh.
 
-    ``head_gain`` is the last layer's gain; None: ``gain``.
-
-    The standard deviation depends on the observation, or is a parameter of its own (``state_dependent_std=False``).
+    ``head_gain`` is the last layer's gain; None: ``gain``. The standard deviation depends on the observation; with
+    ``state_dependent_std=False`` it is a parameter.
     """
 
     encoder: Encoder
@@ -135,9 +134,9 @@ class GaussianActor(nn.Module):
 
 
 class Critics(nn.Module):
-    """Observation -> values of several independent heads on one encoder, shape (num_critics,).
+    """Observation -> values of several independent heads on one shared encoder, shape (num_critics,).
 
-    With an action: the values of taking it, which the heads see beside the encoder's features. ``head_gain`` as for
+    With an action, action values: the action is concatenated to the encoder's features. ``head_gain``: see
     ``GaussianActor``.
     """
 

@@ -1,4 +1,4 @@
-"""Running mean and variance of observations, as a pytree; no single sample can spoil them."""
+"""Running mean and variance of observations, as a pytree. Outliers are clipped, so that they cannot dominate."""
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +9,8 @@ from rewax.types import Array, Observation
 
 EPSILON = 1e-5
 WINSOR_WIDTH = 10.0
-"""Samples count as if they were at most so many standard deviations from the running mean, or so many interquartile
-ranges beyond the quartiles of their batch, whichever is wider."""
+"""Samples are clipped to the wider of two ranges: this many standard deviations around the running mean, or this many
+interquartile ranges beyond the quartiles of their batch."""
 
 
 @struct.dataclass
@@ -18,8 +18,8 @@ class RunningStatistics:
     """Mean and variance of all samples so far, per component of the vector observations.
 
     Attributes:
-      count: number of samples, starting at 1 (a prior of mean 0 and variance 1), shape ().
-      mean, variance: by name of the observation.
+      count: number of samples plus 1, for a prior of mean 0 and variance 1, shape ().
+      mean, variance: one array per observation name.
     """
 
     count: Array
@@ -28,12 +28,12 @@ class RunningStatistics:
 
 
 def is_vector(spec: ArraySpec) -> bool:
-    """Vectors are normalised, point clouds (two axes) are not."""
+    """Whether an observation is a vector. Vectors are normalised, point clouds (two axes) are not."""
     return len(spec.shape) < 2
 
 
 def init_statistics(spec: dict[str, ArraySpec]) -> RunningStatistics:
-    """Statistics of nothing: mean 0, variance 1."""
+    """Statistics before the first sample: mean 0, variance 1."""
     shapes = {name: s.shape for name, s in spec.items() if is_vector(s)}
     return RunningStatistics(
         count=jnp.ones(()),
@@ -45,14 +45,13 @@ def init_statistics(spec: dict[str, ArraySpec]) -> RunningStatistics:
 def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Array | None = None) -> RunningStatistics:
     """Add a batch of observations. Gradient: none.
 
-    Samples are winsorised (``WINSOR_WIDTH``): one that lies far from all others is clipped to the usual range, so that
-    neither 9e5 nor a finite 1e20 among ordinary numbers changes the statistics by much. A sample with a non-finite
-    component is left out.
+    Samples are winsorised (``WINSOR_WIDTH``): outliers are clipped to the usual range, so that a value such as 1e20
+    among ordinary ones changes the statistics little. A sample with a non-finite component is left out.
 
     Args:
-      statistics: so far.
-      obs: with any number of leading axes.
-      valid: samples that count, bool, of the shape of these axes; None: all.
+      statistics: the statistics so far.
+      obs: observations, with any number of leading axes.
+      valid: mask of the samples to use, bool, with the shape of the leading axes; None: all.
 
     Source: Chan, Golub and LeVeque 1979, pairwise update of mean and variance; winsorising is an addition.
     """
@@ -78,12 +77,12 @@ def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Ar
 
 
 def normalize(statistics: RunningStatistics, obs: Observation, *, clip: float | None = None) -> Observation:
-    """(obs - mean) / sqrt(variance + 1e-5) for vectors, others unchanged.
+    """(obs - mean) / sqrt(variance + 1e-5) for vectors; other observations are returned unchanged.
 
     Args:
-      statistics: Gradient: none.
-      obs: Gradient: exact, zero where a component is clipped.
-      clip: normalised components stay between minus and plus this; None: no limit.
+      statistics: running statistics. Gradient: none.
+      obs: observations. Gradient: exact, zero where a component is clipped.
+      clip: normalised components are clipped to [-clip, clip]; None: no limit.
     """
     statistics = jax.lax.stop_gradient(statistics)
 
@@ -97,7 +96,7 @@ def normalize(statistics: RunningStatistics, obs: Observation, *, clip: float | 
 
 
 def _quartiles(flat: dict[str, Array], keep: Array) -> dict[str, Array]:
-    """First and third quartile of each component, (2, ...) by name; those of all names are found together."""
+    """First and third quartile of each component, shape (2, ...) for each name, in one call for all names."""
     columns = jnp.concatenate([batch.reshape(len(keep), -1) for batch in flat.values()], axis=1)
     found, start = {}, 0
     both = _order_statistics(columns, keep, (0.25, 0.75))
@@ -109,14 +108,14 @@ def _quartiles(flat: dict[str, Array], keep: Array) -> dict[str, Array]:
 
 
 def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) -> Array:
-    """Quantiles of each column: the smallest sample that at least a given share of the samples does not exceed.
+    """Quantiles of each column: the smallest sample such that at least the given share of the samples is not larger.
 
-    Finds two bits of the answer at a time, by counting: counts are sums, which devices take of their own samples. A
-    sort would need all samples on one device, and takes longer.
+    Finds two bits of the answer at a time, by counting. Counts are sums, so devices keep their own samples. A sort
+    would need all samples on one device, and is slower.
 
     Args:
       columns: shape (n, d).
-      keep: which samples count, shape (n,).
+      keep: mask of the samples to use, shape (n,).
 
     Returns:
       Shape (len(shares), d).
@@ -125,7 +124,7 @@ def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) ->
     unsigned = jnp.dtype(f"uint{size}")
     top = jnp.array(1 << (size - 1), unsigned)
     bits = jax.lax.bitcast_convert_type(columns, unsigned)
-    ordered = jnp.where(bits >= top, ~bits, bits | top)  # in the numbers' order
+    ordered = jnp.where(bits >= top, ~bits, bits | top)  # unsigned integers in the order of the floats
     wanted = jnp.array(shares)[:, None] * jnp.sum(keep)
     digits = jnp.arange(1, 4, dtype=unsigned)[:, None, None]
 
@@ -140,7 +139,7 @@ def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) ->
 
 
 def _winsorised(batch: Array, quartiles: Array, keep: Array, mean: Array, variance: Array) -> Array:
-    """Samples clipped to the usual range; those that do not count are zero."""
+    """Samples clipped to the usual range. Masked samples are zero."""
     low, high = jnp.where(jnp.any(keep), quartiles, mean)
     deviation, between = jnp.sqrt(variance), high - low
     low = jnp.minimum(mean - WINSOR_WIDTH * deviation, low - WINSOR_WIDTH * between)
@@ -149,8 +148,8 @@ def _winsorised(batch: Array, quartiles: Array, keep: Array, mean: Array, varian
 
 
 def _moments(batch: Array, keep: Array, count: Array) -> tuple[Array, Array]:
-    """Mean and variance of the samples that count."""
+    """Mean and variance of the samples that are not masked."""
     count = jnp.maximum(count, 1.0)
-    mean = jnp.sum(batch, axis=0) / count  # those that do not count are zero
+    mean = jnp.sum(batch, axis=0) / count  # masked samples are zero
     off = jnp.where(keep.reshape(-1, *[1] * (batch.ndim - 1)), batch - mean, 0.0)
     return mean, jnp.sum(off**2, axis=0) / count

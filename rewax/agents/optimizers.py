@@ -1,4 +1,4 @@
-"""Optimizers that the algorithms share."""
+"""Optimizers of all algorithms: AdamW with a clipped gradient, on parameters packed into one vector."""
 
 from typing import TypeGuard
 
@@ -20,9 +20,9 @@ def clipped_adamw(
 
     Args:
       learning_rate: a number, or a function of the number of updates.
-      max_grad_norm: over everything that is updated.
+      max_grad_norm: limit of the norm over all parameters.
       b1, b2: decay of the first and second moment.
-      weight_decay: times the learning rate.
+      weight_decay: decoupled weight decay, multiplied by the learning rate.
     """
     return optax.chain(
         optax.clip_by_global_norm(max_grad_norm),
@@ -33,22 +33,25 @@ def clipped_adamw(
 
 
 def linear_fall(start: float, end: float, num_iterations: int, *, updates_per_iteration: int = 1) -> optax.Schedule:
-    """A learning rate that falls linearly over the iterations of a run, constant within each, and stays at ``end``."""
+    """A learning rate that falls linearly over ``num_iterations`` and then stays at ``end``.
+
+    It is constant within an iteration of ``updates_per_iteration`` updates.
+    """
     schedule = optax.linear_schedule(start, end, num_iterations)
     return lambda count: schedule(jnp.asarray(count) // updates_per_iteration)
 
 
 @struct.dataclass
 class Packed:
-    """Parameters, or a tree of the same structure and shapes, as one vector, shape (number of parameters,)."""
+    """Parameters, or another tree of the same structure and shapes, as one vector, shape (number of parameters,)."""
 
     vector: Array
 
 
 class Packing:
-    """Parameters as one vector: an optimizer's arithmetic is then a few kernels, not a few for each layer.
+    """Packs parameters into one vector, so that an optimizer needs a few kernels in all instead of a few per layer.
 
-    One array alone, and arrays of several types, stay as they are.
+    A single array, or arrays of several dtypes, are not packed.
     """
 
     def __init__(self, params: PyTree) -> None:
@@ -61,11 +64,11 @@ class Packing:
         return jax.tree.map(lambda part: self._packed(part) if self._fits(part) else part, tree, is_leaf=self._fits)
 
     def unpack(self, tree: PyTree) -> PyTree:
-        """A packed tree as it was."""
+        """The inverse of ``pack``."""
         parts, treedef = jax.tree.flatten(tree, is_leaf=_is_packed)
-        where = [i for i, part in enumerate(parts) if _is_packed(part)]
-        if where:  # materialised: otherwise XLA computes each part of a vector in a kernel of its own
-            for i, packed in zip(where, materialize([parts[i] for i in where]), strict=True):
+        indices = [i for i, part in enumerate(parts) if _is_packed(part)]
+        if indices:  # materialised, because otherwise XLA computes each part of a vector in a separate kernel
+            for i, packed in zip(indices, materialize([parts[i] for i in indices]), strict=True):
                 parts[i] = self._parts(packed)
         return jax.tree.unflatten(treedef, parts)
 
@@ -98,7 +101,7 @@ def apply(
     *,
     scale: Array | float = 1.0,
 ) -> tuple[PyTree, PyTree]:
-    """Parameters and optimizer state after one update, which is multiplied by ``scale``."""
+    """One update, multiplied by ``scale``; returns parameters and optimizer state."""
     packing = Packing(params)
     grad, opt_state, params = packing.pack((grad, opt_state, params))
     updates, opt_state = optimizer.update(grad, opt_state, params)
@@ -107,5 +110,5 @@ def apply(
 
 
 def finite_or_zero(grad: PyTree) -> PyTree:
-    """The gradient with zeros where it is not finite."""
+    """The gradient, with non-finite components replaced by zero."""
     return jax.tree.map(lambda g: jnp.where(jnp.isfinite(g), g, 0.0), grad)

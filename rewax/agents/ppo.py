@@ -1,13 +1,17 @@
 """PPO, proximal policy optimisation: the zeroth-order baseline; no gradient of the simulation is used.
 
-One iteration: every environment acts for a horizon; several epochs follow the clipped surrogate of these actions. To
-read a train step, read this file, ``actor_critic`` (networks and their optimizer), ``run_state`` (environments and
-counters), ``rollout`` and ``returns``.
+One iteration: every environment acts for ``horizon`` steps, then several epochs maximise the clipped surrogate
+objective on these samples. A train step uses ``actor_critic`` (networks and their optimizer), ``run_state``
+(environments and counters), ``rollout`` and ``returns``.
 
 Source: Schulman et al. 2017, "Proximal Policy Optimization Algorithms"; generalised advantage estimation (GAE) from
-Schulman et al. 2016; settings as in Xing, Luk and Oh 2025. Different from theirs: actor and critic have an encoder
-each, actions are a squashed normal's (theirs a normal's with squashed mean, clipped), the value at a time limit is that
-of the last observation, and failed steps are masked.
+Schulman et al. 2016; settings as in Xing, Luk and Oh 2025. Differences from their code:
+
+- Actor and critic have separate encoders.
+- Actions come from a normal distribution squashed by tanh. Theirs come from a normal distribution with a squashed mean,
+  and are clipped.
+- At a time limit, the value is that of the last observation of the episode.
+- Failed steps are masked.
 """
 
 import dataclasses
@@ -43,17 +47,17 @@ class PPOConfig(ActorCriticConfig):
     """Hyper-parameters beyond those of ``ActorCriticConfig``.
 
     Attributes:
-      actor_learning_rate: at the start, of actor and critic; it follows the divergence then. The critic's own and the
-        final one are not used.
-      num_critics: 1.
-      gae_lambda: lambda of the advantages [-].
-      clip_range: of the ratio of probabilities.
-      epochs, minibatches: how often each iteration's data is used, in how many parts; shuffled each time.
-      value_coefficient: weight of half the square error of the values.
+      actor_learning_rate: initial learning rate of actor and critic; ``target_kl`` adapts it. ``critic_learning_rate``
+        and ``final_learning_rate`` are not used.
+      num_critics: must be 1.
+      gae_lambda: lambda of the advantages, GAE(lambda) [-].
+      clip_range: clip range of the probability ratio.
+      epochs, minibatches: passes over each iteration's data, and minibatches per pass; shuffled in each pass.
+      value_coefficient: weight of half the squared error of the values.
       entropy_coefficient: weight of the entropy of the normal distribution before its tanh.
-      target_kl: divergence of an epoch that the learning rate is steered to; None: a fixed learning rate.
+      target_kl: KL divergence per epoch towards which the learning rate is adapted; None: a fixed learning rate.
       learning_rate_range: limits of the learning rate.
-      normalize_values: the critic predicts returns in units of their running standard deviation.
+      normalize_values: the critic predicts returns divided by their running standard deviation.
     """
 
     actor_learning_rate: float = 5e-4
@@ -90,13 +94,14 @@ Networks: TypeAlias = ActorCritic[PPOConfig]
 
 @struct.dataclass
 class PPOState(PolicyState):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
-      actor_params, actor_opt: the optimizer's state is that of actor and critic together.
-      critic_params: of the value network.
-      value_statistics: of the returns that it predicts.
-      learning_rate: of the next epoch, shape ().
+      actor_params: parameters of the policy network.
+      actor_opt: state of the optimizer, which updates actor and critic together.
+      critic_params: parameters of the value network.
+      value_statistics: mean and variance of the returns that the critic predicts.
+      learning_rate: learning rate of the next epoch, shape ().
     """
 
     critic_params: PyTree
@@ -111,15 +116,15 @@ def make_ppo(env: Env, config: PPOConfig | None = None, *, randomize: Randomize 
 
 
 class Batch(NamedTuple):
-    """Samples of a rollout, leading axes (num_envs, T), or (n,) in a minibatch; the action's parts are of its normal.
+    """Samples of a rollout, leading axes (num_envs, T), or (n,) in a minibatch.
 
     Attributes:
-      obs: normalised.
+      obs: normalised observations.
       raw, log_prob: the action before its tanh, and the log probability of the action.
-      mean, log_std: of the policy that acted.
-      target: of the value.
-      advantage: normalised.
-      weight: 1 for samples that count, else 0.
+      mean, log_std: parameters of the normal distribution that the action was sampled from.
+      target: target of the critic.
+      advantage: normalised advantage.
+      weight: 0 for masked samples, else 1.
     """
 
     obs: Observation
@@ -133,7 +138,7 @@ class Batch(NamedTuple):
 
 
 def init(config: PPOConfig, leaves: EnvLeaves, key: Key) -> PPOState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     networks, keys = make_actor_critic(leaves.first(), config), run_keys(key)
     environments = start_environments(config, leaves, keys)
     actor_params = networks.network.init(keys.actor, environments.first_observation())
@@ -178,7 +183,7 @@ def act(
 
 
 def make_batch(networks: Networks, state: PPOState, t: Transition) -> tuple[Batch, RunningStatistics]:
-    """Samples with normalised targets and advantages; and the statistics of the targets.
+    """Samples with normalised targets and advantages; and updated statistics of the targets.
 
     Source: advantages, Schulman et al. 2016, eq. 16 (GAE).
     """
@@ -214,7 +219,7 @@ def _scale(statistics: RunningStatistics) -> Array:
 
 
 def epochs(networks: Networks, state: PPOState, batch: Batch, key: Key) -> tuple[PPOState, Metrics]:
-    """Several passes over the data; the learning rate follows the divergence after each."""
+    """Several passes over the data. After each, the learning rate is adapted to the KL divergence."""
     config = networks.config
 
     def epoch(state: PPOState, key: Key) -> tuple[PPOState, Metrics]:
@@ -234,7 +239,7 @@ def epochs(networks: Networks, state: PPOState, batch: Batch, key: Key) -> tuple
 
 
 def update(networks: Networks, state: PPOState, batch: Batch) -> tuple[PPOState, Metrics]:
-    """One step of actor and critic along the gradient of a minibatch."""
+    """One optimizer step of actor and critic on a minibatch."""
     params = (state.actor_params, state.critic_params)
     grad, metrics = jax.grad(functools.partial(ppo_loss, networks=networks, batch=batch), has_aux=True)(params)
     (actor, critic), opt = networks.update(1.0, grad, state.actor_opt, params, scale=state.learning_rate)
@@ -243,14 +248,14 @@ def update(networks: Networks, state: PPOState, batch: Batch) -> tuple[PPOState,
 
 
 def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch) -> tuple[Array, Metrics]:
-    """The clipped surrogate, the values' error and the entropy, means over the samples that count.
+    """Clipped surrogate objective, value error and entropy, as means over the unmasked samples.
 
     Args:
-      params: of actor and critic.
+      params: parameters of actor and critic.
       networks: actor and critic.
       batch: one minibatch.
 
-    Source: Schulman et al. 2017, as marked.
+    Source: Schulman et al. 2017; equation numbers stand in the code.
     """
     config, (actor_params, critic_params) = networks.config, params
 
@@ -274,15 +279,15 @@ def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch)
 
 
 def shuffled(key: Key, batch: PyTree, num_parts: int) -> PyTree:
-    """Samples in a new order, in equal parts.
+    """Samples in random order, split into equal minibatches.
 
     Args:
       key: draws the order.
-      batch: leaves with two leading axes (num_envs, T).
-      num_parts: a divisor of num_envs * T.
+      batch: arrays with two leading axes (num_envs, T).
+      num_parts: number of minibatches, a divisor of num_envs * T.
 
     Returns:
-      Leaves with leading axes (num_parts, num_envs * T / num_parts).
+      Arrays with leading axes (num_parts, num_envs * T / num_parts).
     """
     flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), batch)
     order = jax.random.permutation(key, len(jax.tree.leaves(flat)[0]))

@@ -1,7 +1,7 @@
 """Tuned configurations, by algorithm, environment and scale.
 
-Those of SAPO come first; the others have the same networks, environments and number of control steps, and settings of
-their own from ``rewax.agents.<algorithm>``.
+SAPO's presets come first. The presets of other algorithms have the same networks, environments and number of control
+steps; their other settings are the defaults in ``rewax.agents.<algorithm>``.
 """
 
 import dataclasses
@@ -40,19 +40,19 @@ SMALL = SAPOConfig(
     differentiate="full",
     quick_compile=True,
 )
-"""For two cores: small networks, short rollouts, a temperature that does not drown differences of 0.01 in a reward. A
-run is over before faster iterations make up for a longer compilation."""
+"""For two cores: small networks and short rollouts. The temperature is small, because rewards differ by 0.01. The runs
+are so short that a quick compilation saves more time than faster iterations."""
 
 _RUNNER = SAPOConfig(
     num_envs=64, num_iterations=5000, actor_widths=(128, 64, 32), critic_widths=(64, 64), vector_features=0
 )
-"""The paper's for AntRun and the dflex suite: 64 environments, 10 million steps, no encoder."""
+"""The paper's settings for AntRun and the dflex suite: 64 environments, 10 million steps, no encoder."""
 _HUMANOID = dataclasses.replace(_RUNNER, actor_widths=(256, 128), critic_widths=(128, 128))
 _CARTPOLE = dataclasses.replace(_RUNNER, actor_widths=(64, 64), critic_widths=(64, 64))
 
 
 def _small(paper: SAPOConfig, **changes: Value) -> SAPOConfig:
-    """The same networks on two cores: fewer environments and iterations; a rollout's memory is no concern."""
+    """The same networks, with fewer environments and iterations, for two cores. Memory suffices for ``full``."""
     small = {"num_envs": 32, "num_iterations": 300, "vector_features": 64, "initial_temperature": 0.1}
     shared = {"stagger_episodes": True, "differentiate": "full"}
     return dataclasses.replace(paper, **{**small, **shared, **changes})
@@ -117,23 +117,23 @@ _SIZES = (
     "max_env_grad_norm",
     "quick_compile",
 )
-"""What all algorithms take over from SAPO's presets, as far as they have it."""
+"""Options that all algorithms copy from SAPO's presets, if they have them."""
 _NO_GRADIENT = {"quick_compile": False}
-"""Algorithms that do not differentiate the simulation compile fast; their many updates would take a fifth longer."""
+"""Algorithms without a gradient of the simulation compile fast. quick_compile makes their updates a fifth slower."""
 _FAST_CRITICS: dict[str, dict[str, Value]] = {
     name: {"critic_learning_rate": 2e-3, "target_decay": 0.2} for name in ("AntRun", "Ant", "Hopper")
 }
-"""Tasks in which SHAC's critics learn faster than its defaults, as in the reference."""
+"""Tasks where SHAC's critics have larger learning rates than its defaults, as in the reference."""
 _LARGE_RETURNS: dict[str, dict[str, Value]] = {
     "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
 }
-"""Tasks with discounted returns of thousands, with which SAC starts slowly under its clipped gradient."""
+"""Tasks with discounted returns of thousands. Without normalised rewards SAC starts slowly on them."""
 _LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
-"""Tasks in which a fast change of a sequence of actions leads nowhere: whole episodes of them are chaotic."""
+"""Tasks with chaotic episodes: a sequence of actions needs a small learning rate."""
 
 
 def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
-    """Hyper-parameters of SAPO for a registered environment; for one without tuned values those of its scale.
+    """Hyper-parameters of SAPO for a registered environment. Without tuned values: the defaults of the scale.
 
     Raises:
       ValueError: there is no such scale.
@@ -166,7 +166,7 @@ def rpo_preset(env_name: str, scale: str) -> RPOConfig:
 
 
 def ahac_preset(env_name: str, scale: str) -> AHACConfig:
-    """Hyper-parameters of AHAC, whose horizon starts as SAPO's and may double; see ``sapo_preset``."""
+    """Hyper-parameters of AHAC. Its horizon starts as SAPO's and may double; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
     horizons = {"horizon": 2 * base.horizon, "initial_horizon": base.horizon, "min_horizon": base.horizon // 4}
     critics = {"critic_passes": base.critic_passes * base.critic_minibatches, "critic_minibatches": 1}
@@ -174,7 +174,7 @@ def ahac_preset(env_name: str, scale: str) -> AHACConfig:
 
 
 def ppo_preset(env_name: str, scale: str) -> PPOConfig:
-    """Hyper-parameters of PPO; at ``small`` more environments and fewer iterations; see ``sapo_preset``."""
+    """Hyper-parameters of PPO. At ``small``: more environments, fewer iterations; see ``sapo_preset``."""
     base = sapo_preset(env_name, scale)
     if scale == "paper":
         return _sized(PPOConfig, base, **_NO_GRADIENT)
@@ -212,7 +212,7 @@ def trajopt_preset(env_name: str, scale: str) -> TrajOptConfig:
 
 
 def demonstrated_preset(env_name: str, scale: str) -> DemonstratedConfig:
-    """Hyper-parameters of SAPO from demonstrations, whose sequence has half of TrajOpt's iterations to move as far."""
+    """Hyper-parameters of SAPO from demonstrations. The sequence has half of TrajOpt's iterations, twice its rate."""
     base = sapo_preset(env_name, scale)
     options = {field.name: getattr(base, field.name) for field in dataclasses.fields(base)}
     options |= {"initial_log_std": min(base.initial_log_std, -1.0)}
@@ -238,7 +238,7 @@ def _sequence_rate(env_name: str, scale: str) -> float:
 
 
 def _whole_episodes(env_name: str, scale: str, base: SAPOConfig) -> int:
-    """Iterations of whole episodes with as many control steps as SAPO has."""
+    """Number of iterations of whole episodes that take as many control steps as SAPO's preset."""
     length = make(env_name, scale=scale).episode_length if env_name in list_envs() else base.horizon
     return max(1, base.num_iterations * base.horizon // length)
 

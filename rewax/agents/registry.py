@@ -13,12 +13,12 @@ from rewax.envs.base import Env
 
 
 class Algorithm(NamedTuple):
-    """What training, the command line and saved runs need to know of an algorithm.
+    """A registered algorithm, as training, the command line and saved runs use it.
 
     Attributes:
-      make: ``(env, config) -> Agent``; keyword ``randomize`` as for ``make_sapo``.
-      config_type: frozen dataclass of hyper-parameters; a ``RunConfig``, or one with its fields.
-      preset: ``(env_name, scale) -> config``, tuned where there is something tuned.
+      make: ``(env, config) -> Agent``, with the keyword ``randomize`` of ``make_sapo``.
+      config_type: frozen dataclass of hyper-parameters: a ``RunConfig``, or another with its fields.
+      preset: ``(env_name, scale) -> config``: tuned hyper-parameters, or defaults.
     """
 
     make: Callable[..., Agent]
@@ -27,7 +27,7 @@ class Algorithm(NamedTuple):
 
 
 def _own(name: str, config: str, preset: str = "") -> Callable[[], Algorithm]:
-    """An algorithm of this package, imported when it is asked for."""
+    """An algorithm of this package, imported on first use."""
 
     def load() -> Algorithm:
         module = importlib.import_module(f"rewax.agents.{name}")
@@ -39,7 +39,7 @@ def _own(name: str, config: str, preset: str = "") -> Callable[[], Algorithm]:
 
 
 def _variant(of: str, changes: Mapping[str, Value]) -> Callable[[], Algorithm]:
-    """An algorithm with some options changed in all its presets."""
+    """A registered algorithm with some options changed in all its presets."""
 
     def load() -> Algorithm:
         known = algorithm(of)
@@ -81,11 +81,11 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
 
 
 def register_algorithm(name: str, algorithm: Algorithm) -> None:
-    """Make an algorithm known to the command line and to ``load_run``.
+    """Register an algorithm for the command line and ``load_run``.
 
     Args:
-      name: what users call it; ``Agent.name`` of the agents it makes.
-      algorithm: see there.
+      name: its name; must equal ``Agent.name`` of the agents it makes.
+      algorithm: how to make it.
 
     Raises:
       ValueError: the name is taken by another algorithm.
@@ -98,7 +98,7 @@ def register_algorithm(name: str, algorithm: Algorithm) -> None:
 
 
 def list_algorithms() -> list[str]:
-    """Names that ``algorithm`` knows, sorted."""
+    """Names of all registered algorithms, sorted."""
     return sorted(_ALGORITHMS)
 
 
@@ -106,7 +106,7 @@ def algorithm(name: str) -> Algorithm:
     """A registered algorithm.
 
     Raises:
-      ValueError: there is none of that name; the message lists what there is.
+      ValueError: the name is not registered; the message lists the registered names.
     """
     if name not in _ALGORITHMS:
         close = difflib.get_close_matches(name, _ALGORITHMS, n=1, cutoff=0.5)
@@ -131,6 +131,6 @@ def build_agent(name: str, env: Env, config: RunConfig) -> Agent:
 
 
 def make_agent(name: str, env: Env, config: RunConfig | None = None, **options: object) -> Agent:
-    """An agent of a registered algorithm; ``config`` defaults to the algorithm's own defaults."""
+    """An agent of a registered algorithm. ``config`` None: the defaults of ``config_type``."""
     known = algorithm(name)
     return known.make(env, known.config_type() if config is None else config, **options)

@@ -1,4 +1,4 @@
-"""A replay buffer on the device, a part of the training state: the last steps of all environments, and n-step samples.
+"""A replay buffer on the device: the last steps of all environments, and n-step samples. It is part of the state.
 
 Source: Mnih et al. 2015 (replay); Sutton and Barto 2018, section 7.1 (n-step returns).
 """
@@ -13,7 +13,7 @@ from rewax.types import Array, Key, Observation, PyTree
 
 
 class Step(NamedTuple):
-    """One control step as it is kept."""
+    """One stored control step."""
 
     obs: Observation
     action: Array
@@ -30,8 +30,8 @@ class Replay(struct.Replaceable):
     """The last ``capacity`` steps of every environment.
 
     Attributes:
-      steps: a ``Step`` with leading axes (capacity, num_envs); a ring.
-      count: steps of each environment that were ever added, shape (), int32.
+      steps: a ``Step`` with leading axes (capacity, num_envs), a ring buffer.
+      count: number of steps added so far per environment, shape (), int32.
     """
 
     steps: Step
@@ -43,22 +43,22 @@ class Replay(struct.Replaceable):
 
     @property
     def num_filled(self) -> Array:
-        """Steps of each environment that are there, shape (), int32."""
+        """Number of stored steps per environment, shape (), int32."""
         return jnp.minimum(self.count, self.capacity)
 
 
 class Sample(NamedTuple):
-    """Starts, and what n steps from them brought; leading axis of samples."""
+    """n-step transitions, leading axis of samples."""
 
     obs: Observation
     action: Array
     reward: Array
-    """Discounted sum over the steps, (n,)."""
+    """Discounted sum of rewards over the steps, (n,)."""
     discount: Array
-    """Of the value of ``next_obs``: gamma to the number of steps, 0 where the episode terminated, (n,)."""
+    """Discount of the value of ``next_obs``: gamma^steps, 0 where the episode terminated, (n,)."""
     next_obs: Observation
     valid: Array
-    """False where the first step failed: such a sample counts for nothing, (n,)."""
+    """False where the first step failed; such a sample must be masked, (n,)."""
 
 
 def make_replay(step: Step, capacity: int) -> Replay:
@@ -66,7 +66,7 @@ def make_replay(step: Step, capacity: int) -> Replay:
 
     Args:
       step: an example of one step of all environments, leading axis (num_envs,); arrays or their shapes.
-      capacity: steps of each environment.
+      capacity: steps per environment.
     """
     return Replay(
         steps=jax.tree.map(lambda a: jnp.zeros((capacity, *a.shape), a.dtype), step),
@@ -75,7 +75,7 @@ def make_replay(step: Step, capacity: int) -> Replay:
 
 
 def add(replay: Replay, steps: Step) -> Replay:
-    """The buffer with steps added, leading axes (T, num_envs), the oldest overwritten; T divides the capacity."""
+    """Adds steps with leading axes (T, num_envs) and overwrites the oldest. T must divide the capacity."""
     length = steps.reward.shape[0]
     start = replay.count % replay.capacity
 
@@ -86,12 +86,14 @@ def add(replay: Replay, steps: Step) -> Replay:
 
 
 def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discount: float) -> Sample:
-    """Uniform starts and the n steps from them; fewer where the episode ended, a step failed, or none is there yet.
+    """n-step transitions from uniformly drawn first steps.
+
+    A transition has fewer than n steps where the episode ended, a step failed, or the buffer ends.
 
     Args:
-      replay: with at least one step.
-      key: draws the starts.
-      num_samples: how many.
+      replay: a buffer with at least one step.
+      key: draws the first steps.
+      num_samples: number of transitions.
       num_steps: n.
       discount: gamma [-].
     """
@@ -127,10 +129,9 @@ def sample(replay: Replay, key: Key, num_samples: int, *, num_steps: int, discou
 
 
 def return_scale(replay: Replay, discount: float) -> Array:
-    """Root mean square of the discounted returns from every step that is there to the end of its episode, shape ().
+    """Root mean square of the discounted returns from every stored step to the end of its episode, shape ().
 
-    Where the buffer ends before the episode does, a return ends there too. Steps that failed count for nothing. Without
-    any reward the scale is 1.
+    A return also ends where the buffer ends. Failed steps are masked. If all rewards are zero, the scale is 1.
     """
     steps, position = replay.steps, jnp.arange(replay.capacity)
     newest = (replay.count - 1) % replay.capacity
@@ -151,5 +152,5 @@ def return_scale(replay: Replay, discount: float) -> Array:
 
 
 def bytes_of(step: PyTree, capacity: int) -> int:
-    """Memory of a buffer of so many steps of all environments [bytes]."""
+    """Memory of a buffer with ``capacity`` steps per environment [bytes]."""
     return capacity * sum(a.size * a.dtype.itemsize for a in jax.tree.leaves(step))

@@ -1,4 +1,4 @@
-"""Returns along one trajectory: TD(lambda), GAE, short horizons. Time is the leading axis, ``vmap`` over environments.
+"""Returns along one trajectory: TD(lambda), GAE, short horizons. Time is the leading axis; ``vmap`` over environments.
 
 A trajectory consists of segments: steps of one episode without a failed step between them.
 """
@@ -28,14 +28,14 @@ def td_lambda(
 
     G_t = r_t + discount * (v_tp1 if a segment ends at t, else (1 - lambda) v_tp1 + lambda G_tp1).
 
-    Minus V(s_t) they are the advantages of GAE, generalised advantage estimation, with the same lambda.
+    G_t - V(s_t) is the advantage of generalised advantage estimation, GAE(lambda).
 
     Args:
       r_t: rewards, shape (T,).
-      v_tp1: value of the state each step leads to, before any reset, and 0 where it is terminal, shape (T,).
+      v_tp1: value of the state that step t leads to, before any reset; 0 if it is terminal, shape (T,).
       done_t: whether the step ended an episode, terminated or truncated, shape (T,).
-      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step has no part in the targets of
-        those before it (``segment_ends``); its own target is meaningless.
+      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step does not enter the targets of
+        earlier steps (``segment_ends``). Its own target is meaningless.
       discount: gamma [-].
       lambda_: 0 bootstraps after one step, 1 at the end of the segment.
 
@@ -58,16 +58,16 @@ def td_lambda(
 def short_horizon_return(
     r_t: Array, v_tp1: Array, done_t: Array, valid_t: Array | None = None, *, discount: float
 ) -> Array:
-    """What a first-order agent ascends: discounted rewards of each segment, plus the value at its end.
+    """The objective of first-order agents: the discounted rewards of each segment plus the value at its end.
 
-    The discount starts anew with each segment.
+    The discount restarts with each segment.
 
     Args:
       r_t: rewards, shape (T,).
-      v_tp1: value of the state each step leads to, before any reset, and 0 where it is terminal, shape (T,).
+      v_tp1: value of the state that step t leads to, before any reset; 0 if it is terminal, shape (T,).
       done_t: whether the step ended an episode, shape (T,).
-      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step counts for nothing, and the segment
-        before it ends with the value of the state that it started from.
+      valid_t: whether the step succeeded, shape (T,); None: all did. A failed step is masked. The segment before it
+        ends with the value of the state that the failed step started from.
       discount: gamma [-].
 
     Returns:

@@ -12,11 +12,11 @@ from rewax.status import FATAL
 from rewax.types import Array, Key, Observation, PyTree
 
 Differentiation = Literal["full", "checkpointed", "none"]
-"""How a rollout is differentiated: store everything, recompute each step from its state, or not at all."""
+"""How a rollout is differentiated: store everything, recompute each step from its state, or cut all gradients."""
 
 
 class Transition(NamedTuple):
-    """One step; from a rollout with a leading axis of time."""
+    """One step. ``rollout`` returns transitions with a leading axis of time."""
 
     obs: Observation
     action: Array
@@ -30,14 +30,13 @@ class Transition(NamedTuple):
     """See ``State.failed_leaf``."""
     metrics: dict[str, Array]
     aux: dict[str, Array]
-    """What the policy returned beside its action, e.g. its entropy."""
+    """Auxiliary outputs of the policy, e.g. its entropy."""
     active: Array
-    """False beyond the rollout's ``num_active`` steps, where the environment stands still: such a step counts for
-    nothing."""
+    """False after the rollout's ``num_active`` steps, where the environment stands still. Such steps must be masked."""
 
     @property
     def done(self) -> Array:
-        """The episode ended, one way or the other."""
+        """The episode ended: it terminated or was truncated."""
         return self.terminated | self.truncated
 
     @property
@@ -47,12 +46,12 @@ class Transition(NamedTuple):
 
     @property
     def valid(self) -> Array:
-        """The step counts. One that failed does not: it has no reward and no next value."""
+        """The step is active and did not fail. A failed step has no reward and no next value."""
         return self.active & ~self.failed
 
 
 Policy = Callable[..., tuple[Array, dict[str, Array]]]
-"""``(obs, key) -> (action, aux)``; ``(obs, key, input) -> ...`` in a rollout with an input for every step."""
+"""``(obs, key) -> (action, aux)``, or ``(obs, key, input) -> (action, aux)`` in a rollout with ``inputs``."""
 
 
 def rollout(
@@ -73,22 +72,22 @@ def rollout(
 
     Args:
       env: an environment whose states carry ``final_obs``.
-      state: where to start; no gradient is taken through it unless the caller does.
+      state: initial state.
       policy: ``(obs, key) -> (action, aux)``; with ``inputs``: ``(obs, key, input) -> (action, aux)``.
-      key: randomness of the policy.
+      key: key for the policy, split into one per step.
       horizon: number of steps.
       differentiate: ``"full"`` stores every intermediate value of every step, ``"checkpointed"`` stores states and
         recomputes each step in the backward pass, ``"none"`` cuts all gradients.
-      truncate_every: cut the gradient of the state, its observation included, after so many steps; None: never.
-      state_gradient_decay: factor on that gradient at every step, or at each, shape (horizon,); 1: exact.
-      inputs: what the policy is given beside observation and key, leading axis (horizon,).
-      num_active: steps after which the environment stands still, at most ``horizon``; None: it never does.
+      truncate_every: cut the gradient of the state, including its observation, every so many steps; None: never.
+      state_gradient_decay: factor on that gradient, one for all steps or one per step, shape (horizon,); 1: exact.
+      inputs: additional input of the policy at each step, leading axis (horizon,).
+      num_active: the environment stands still after this many steps, at most ``horizon``; None: it never does.
       probes: zeros, shape (horizon,). The gradient with respect to ``probes[t]`` is the norm of the cotangent of
         state t.
 
     Returns:
       Final state, and transitions with leading axis (horizon,). Gradient: through actions, physics, observations and
-      rewards, cut at the end of each episode; where a decay or a truncation is given, biased.
+      rewards, cut at the end of each episode. A decay or a truncation makes it biased.
     """
     factors = None
     if truncate_every is not None or isinstance(state_gradient_decay, jax.Array) or state_gradient_decay != 1.0:
@@ -136,12 +135,12 @@ def rollout(
 
 
 def masked(tree: PyTree, valid: Array) -> PyTree:
-    """The tree with zeros where samples do not count; its arrays begin with the axes of ``valid``, bool."""
+    """The tree with zeros where ``valid`` is False. Its arrays begin with the axes of ``valid``, bool."""
     return jax.tree.map(lambda a: jnp.where(valid.reshape(*valid.shape, *[1] * (a.ndim - valid.ndim)), a, 0.0), tree)
 
 
 def scale_gradient(tree: PyTree, factor: Array) -> PyTree:
-    """The same values; their gradient times a factor, which has no gradient itself."""
+    """The same values; their gradient is multiplied by ``factor``. Gradient with respect to ``factor``: zero."""
 
     def scaled(factor: Array, grads: list[Array]) -> tuple[list[Array], Array]:
         # A factor of 0 cuts non-finite gradients too.

@@ -1,13 +1,16 @@
 """RPO, reparameterisation proximal policy optimisation: several epochs on one differentiated rollout.
 
-One iteration: the return of a short horizon is differentiated through the simulation by every action, once. Several
-epochs reuse these derivatives. For the policy's new parameters each action is written again as mean plus standard
-deviation times noise, with the noise that gives just that action, and weighted with the ratio of its probabilities.
-Samples whose ratio has left its range count for nothing. The first epoch follows SHAC's gradient.
+One iteration: the return over a short horizon is differentiated once, through the simulation, with respect to every
+action. Several epochs reuse these derivatives. Each epoch reparameterises every action under the new policy: mean plus
+standard deviation times the noise that reproduces the action. It weights the action by the probability ratio. Samples
+with a ratio outside its range are masked. The gradient of the first epoch is SHAC's.
 
-Source: Zhong et al. 2025, "Reparameterization Proximal Policy Optimization" (arXiv 2508.06214). Different: ratios and
-derivatives are those of the action before its tanh; Adam and networks are SAPO's; the entropy in the objective is that
-of the normal distribution before the tanh; observations' statistics stay as they were until the epochs are over.
+Source: Zhong et al. 2025, "Reparameterization Proximal Policy Optimization" (arXiv 2508.06214). Differences:
+
+- Ratios and derivatives are those of the action before its tanh.
+- Adam and the networks are SAPO's.
+- The entropy in the objective is that of the normal distribution before the tanh.
+- The observation statistics are updated after the epochs.
 """
 
 import dataclasses
@@ -43,8 +46,8 @@ class RPOConfig(FirstOrderConfig):
 
     Attributes:
       epochs: updates of the actor per rollout.
-      lowest_ratio, highest_ratio: range of the ratio of probabilities in which a sample counts.
-      kl_coefficient: weight of the divergence from the policy that acted.
+      lowest_ratio, highest_ratio: range of the probability ratio; samples outside it are masked.
+      kl_coefficient: weight of the KL divergence from the policy that acted.
       entropy_coefficient: weight of the entropy.
     """
 
@@ -76,19 +79,19 @@ def make_rpo(env: Env, config: RPOConfig | None = None, *, randomize: Randomize 
 
 
 def init(config: RPOConfig, leaves: EnvLeaves, key: Key) -> ActorCriticState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     networks = make_actor_critic(leaves.first(), config)
     state = start_actor_critic(ActorCriticState, networks, leaves, key)
     return state.replace(actor_opt=actor_optimizer(networks).init(state.actor_params))
 
 
 def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticState, Metrics]:
-    """One iteration: derivatives by actions, epochs of the actor, critics."""
+    """One iteration: derivatives with respect to actions, epochs of the actor, critics."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key = jax.random.split(state.key)
     loss = functools.partial(shifted_loss, networks=networks)
 
-    # Every environment's actions are shifted by the same zeros; their derivatives are its own.
+    # All environments share the zeros; each environment's gradient is with respect to its own actions.
     shift = jnp.zeros((config.horizon, networks.action_size))
     losses, rollouts, by_action = per_env_gradients(loss, shift, state.common(), state.environments, rollout_key)
     if config.max_env_grad_norm is not None:
@@ -105,9 +108,10 @@ def train_step(config: RPOConfig, state: ActorCriticState) -> tuple[ActorCriticS
 def shifted_loss(
     shift: Array, common: ActorCriticState, env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[Array, Rollout]:
-    """Minus the return per step of one environment whose actions before the tanh are shifted, shape (T, action_size).
+    """Minus the return per step of one environment.
 
-    Gradient: through the simulation and the later actions of the policy, with respect to the shift.
+    ``shift``, shape (T, action_size), is added to the actions before the tanh. Gradient: with respect to ``shift``,
+    through the simulation and the policy's later actions.
     """
     config, statistics = networks.config, common.environments.statistics
 
@@ -123,13 +127,14 @@ def shifted_loss(
 def actor_epochs(
     networks: Networks, state: ActorCriticState, rollouts: Rollout, by_action: Array, finite: Array
 ) -> tuple[ActorCriticState, Metrics]:
-    """Several updates of the actor on the same derivatives.
+    """Several updates of the actor with the same derivatives.
 
     Args:
-      networks, state: what is updated.
+      networks, state: the policy network with its optimizer, and the run.
       rollouts: rollouts, leading axis of environments.
-      by_action: derivative of each environment's loss by its actions before the tanh, shape (num_envs, T, action_size).
-      finite: environments that count, shape (num_envs,).
+      by_action: derivative of each environment's loss with respect to its actions before the tanh, shape
+        (num_envs, T, action_size).
+      finite: mask of the environments with finite derivatives, shape (num_envs,).
     """
     optimizer, t = actor_optimizer(networks), rollouts.transitions
     loss = functools.partial(
@@ -156,15 +161,15 @@ def actor_epochs(
 def surrogate_loss(
     params: PyTree, *, networks: Networks, obs: Observation, aux: dict[str, Array], by_action: Array, counts: Array
 ) -> tuple[Array, Metrics]:
-    """What an epoch descends: the reused derivatives along the actions, the divergence, minus the entropy.
+    """Loss of an epoch: the reused derivatives times the actions, plus the KL divergence, minus the entropy.
 
     Args:
       params: new parameters of the policy.
-      networks: of the policy.
+      networks: the policy network.
       obs: normalised observations, leading axes (num_envs, T).
       aux: ``raw``, ``mean`` and ``log_std`` of the policy that acted, the same axes.
-      by_action: derivative of the loss by the actions before the tanh, the same axes.
-      counts: samples that count, shape (num_envs, T), bool.
+      by_action: derivative of the loss with respect to the actions before the tanh, the same axes.
+      counts: mask of the samples to use, shape (num_envs, T), bool.
 
     Source: Zhong et al. 2025, sections on the surrogate objective, the clipped policy gradient and the KL divergence.
     """
@@ -176,7 +181,7 @@ def surrogate_loss(
     kept = counts & (ratio >= config.lowest_ratio) & (ratio <= config.highest_ratio)
     noise = jax.lax.stop_gradient((aux["raw"] - now.mean) * jnp.exp(-now.log_std))
     again = now.mean + jnp.exp(now.log_std) * noise
-    # A sum over time and a mean over environments: the derivatives are those of a loss per step already.
+    # Sum over time, mean over environments: the derivatives are already those of a loss per step.
     along = jnp.sum(jnp.where(counts[..., None], by_action, 0.0) * again, axis=-1)
     gain = jnp.sum(jnp.where(kept, ratio * along, 0.0)) / jnp.maximum(jnp.any(counts, axis=1).sum(), 1)
     kl = jnp.mean(jnp.sum(before.base.kl_divergence(now.base), axis=-1), where=counts)
@@ -186,5 +191,5 @@ def surrogate_loss(
 
 
 def actor_optimizer(networks: Networks) -> optax.GradientTransformation:
-    """With a learning rate that falls, updated several times per iteration."""
+    """The actor's optimizer: ``epochs`` updates per iteration, with a learning rate that falls linearly."""
     return networks.falling_optimizer(networks.config.actor_learning_rate, networks.config.epochs)

@@ -1,4 +1,4 @@
-"""The state of a run: its environments, what has been learnt, counters."""
+"""The state of a run: environments, learnt parameters, counters."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Self, TypeVar
@@ -22,7 +22,7 @@ from rewax.types import Array, Key, Observation, PyTree
 T = TypeVar("T")
 
 _ABSENT: Any = None
-"""Stands in ``Environments.common()`` for fields of other types, which must not be read there."""
+"""Replaces the fields of ``Environments`` that ``common()`` leaves out; they must not be read there."""
 
 
 @struct.dataclass
@@ -30,11 +30,11 @@ class Environments(struct.Replaceable):
     """``num_envs`` environments side by side, and the statistics of their observations.
 
     Attributes:
-      env: their parameters: data, not constants of a compiled program. Give other values with
-        ``env.replace(arrays=...)``, or those of another environment with ``EnvLeaves.of(env)``.
-      state: behind ``AutoReset``, leading axis (num_envs,).
-      statistics: of the vector observations so far.
-      episode_return: of the episodes under way; NaN for one whose beginning is unknown, shape (num_envs,).
+      env: the environments' parameters. They are data, not constants of a compiled program. ``env.replace(arrays=...)``
+        sets other values, ``EnvLeaves.of(env)`` takes those of another environment.
+      state: states behind ``AutoReset``, leading axis (num_envs,).
+      statistics: running statistics of the vector observations.
+      episode_return: returns so far of the running episodes, shape (num_envs,); NaN where the beginning is unknown.
     """
 
     env: EnvLeaves
@@ -47,7 +47,7 @@ class Environments(struct.Replaceable):
         return self.episode_return.shape[0]
 
     def first_observation(self) -> Observation:
-        """Of the first environment; networks are initialised with it."""
+        """The first environment's observation, used to initialise networks."""
         return jax.tree.map(lambda a: a[0], self.state.obs)
 
     def split(self, key: Key) -> Key:
@@ -55,11 +55,11 @@ class Environments(struct.Replaceable):
         return jax.random.split(key, self.num_envs)
 
     def map(self, function: Callable[..., T], shared: PyTree, *args: PyTree) -> T:
-        """``function(shared, env, state, *args)`` of every environment behind ``AutoReset``.
+        """``function(shared, env, state, *args)``, mapped over all environments behind ``AutoReset``.
 
         Args:
-          function: of one environment; it closes over no array, see ``sharded``.
-          shared: what is the same for all environments.
+          function: function of one environment. It must not close over arrays, see ``sharded``.
+          shared: argument that all environments share.
           args: trees with a leading axis of environments.
         """
         axes = (None, self.env.axis, 0, *[0] * len(args))
@@ -67,7 +67,7 @@ class Environments(struct.Replaceable):
         return sharded(mapped, (shared, self.env.replace(axis=None), self.state, *args), [axis == 0 for axis in axes])
 
     def common(self) -> "Environments":
-        """What all environments share: the statistics. All else is None."""
+        """The parts that all environments share: the statistics. All other fields are None."""
         return self.replace(env=_ABSENT, state=_ABSENT, episode_return=_ABSENT)
 
     def restarted(self, key: Key) -> "Environments":
@@ -88,12 +88,12 @@ class Environments(struct.Replaceable):
 
 @struct.dataclass
 class RunState(struct.Replaceable):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
       environments: the environments, with the statistics of their observations.
-      key: source of randomness.
-      iteration, env_steps: done so far, shape (), int32.
+      key: the source of randomness.
+      iteration, env_steps: number of iterations and of control steps so far, shape (), int32.
     """
 
     environments: Environments
@@ -102,17 +102,17 @@ class RunState(struct.Replaceable):
     env_steps: Array = struct.field(default_factory=lambda: jnp.zeros((), jnp.int32))
 
     def common(self) -> Self:
-        """What all environments share, without what each has of its own."""
+        """The state without the fields that differ between environments; ``Environments.common()``."""
         return self.replace(environments=self.environments.common())
 
     def after(self, config: RunConfig, end: State, transitions: Transition, key: Key) -> tuple[Self, Metrics]:
-        """The state after an iteration: environments moved on, counters raised; and the metrics of the episodes.
+        """The state after an iteration, with updated environments and counters; and the metrics of the episodes.
 
         Args:
-          config: of the run.
-          end: of the environments after the rollout, leading axis (num_envs,).
-          transitions: of the rollout, leading axes (num_envs, horizon).
-          key: of the next iteration.
+          config: the run's configuration.
+          end: states of the environments after the rollout, leading axis (num_envs,).
+          transitions: the rollout's transitions, leading axes (num_envs, horizon).
+          key: key of the next iteration.
         """
         new = self.replace(
             environments=self.environments.after(config, end, transitions),
@@ -125,10 +125,10 @@ class RunState(struct.Replaceable):
 
 @struct.dataclass
 class PolicyState(RunState):
-    """That of an algorithm with a policy network.
+    """The state of an algorithm with a policy network.
 
     Attributes:
-      actor_params, actor_opt: of the policy and its optimizer.
+      actor_params, actor_opt: parameters of the policy, and the state of their optimizer.
     """
 
     actor_params: PyTree
@@ -137,11 +137,11 @@ class PolicyState(RunState):
 
 @struct.dataclass
 class ActorCriticState(PolicyState):
-    """That of an algorithm with critics and an optimizer of their own.
+    """The state of an algorithm with critics that have their own optimizer.
 
     Attributes:
-      critic_params, critic_opt: of the critics and their optimizer.
-      target_params: of the critics' target network, which moves slowly; None: there is none.
+      critic_params, critic_opt: parameters of the critics, and the state of their optimizer.
+      target_params: parameters of the target network; None: there is none.
     """
 
     critic_params: PyTree
@@ -165,10 +165,10 @@ def run_keys(key: Key) -> RunKeys:
 
 
 def partition(env: Env, num_envs: int, randomize: Randomize | None = None) -> EnvLeaves:
-    """The parameters of an environment, or of a batch (``Vmap(env=..., env_axis=0)``), apart from its program.
+    """The parameters of an environment, or of a batch (``Vmap(env=..., env_axis=0)``), separated from its program.
 
     Raises:
-      ValueError: a batch of another size than ``num_envs``, or a hook that this environment refuses.
+      ValueError: the batch size is not ``num_envs``, or ``randomize`` does not fit the environment.
     """
     if randomize is not None:
         check_hook(EnvLeaves.of(env).first(), randomize)
@@ -185,10 +185,10 @@ def start_environments(config: RunConfig, env: EnvLeaves, keys: RunKeys) -> Envi
     """Environments at the beginning of a run.
 
     Args:
-      config: with ``stagger_episodes`` they start at random points of their time limit; with
-        ``normalize_observations`` the statistics begin with the first observations.
-      env: their parameters.
-      keys: of the run.
+      config: with ``stagger_episodes``, environments start at random times of their episodes; with
+        ``normalize_observations``, the statistics start with the first observations.
+      env: the environments' parameters.
+      keys: the run's keys.
     """
     num_envs, first = config.num_envs, env.first()
     state = _reset(env, jax.random.split(keys.environments, num_envs))
@@ -200,12 +200,12 @@ def start_environments(config: RunConfig, env: EnvLeaves, keys: RunKeys) -> Envi
 
 
 def staggered(environments: Environments, key: Key) -> Environments:
-    """The same environments at random points of their time limit."""
+    """The same environments with their step counts set to random times of an episode."""
     length = environments.env.first().episode_length
     start = jax.random.randint(key, (environments.num_envs,), 0, length, jnp.int32)
     return environments.replace(
         state=environments.state.replace(step_count=start),
-        # The return of a shortened first episode would not compare with the others'.
+        # The first episode is shortened, so its return would not be comparable.
         episode_return=jnp.where(start > 0, jnp.nan, environments.episode_return),
     )
 

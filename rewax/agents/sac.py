@@ -1,9 +1,12 @@
 """SAC, soft actor-critic: off-policy maximum-entropy reinforcement learning; no gradient of the simulation is used.
 
 Source: Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications"; settings as in Xing, Luk and Oh 2025.
-Different from theirs: actor and critics have an encoder each, the next observation of a time limit is the episode's
-last, failed steps are masked, and the critics' loss is the mean over critics where theirs is the sum: the gradient is
-half as large before it is clipped.
+Differences from their code:
+
+- Actor and critics have separate encoders.
+- At a time limit, the next observation is the last of the episode.
+- Failed steps are masked.
+- The critics' loss is the mean over critics. Theirs is the sum, so our gradient is half as large before it is clipped.
 """
 
 import dataclasses
@@ -39,16 +42,17 @@ class SACConfig(ActorCriticConfig):
     A checkpoint holds the replay buffer: with large observations take a smaller one, or checkpoints less often.
 
     Attributes:
-      replay_size: steps of all environments together that are kept; rounded down to whole iterations.
-      batch_size: samples of one update.
-      updates: per iteration.
-      warmup_steps: control steps of each environment with uniformly random actions before the first update.
+      replay_size: capacity of the replay buffer, in steps of all environments together, rounded down to whole
+        iterations.
+      batch_size: samples per update.
+      updates: updates per iteration.
+      warmup_steps: control steps per environment with uniformly random actions before the first update.
       num_steps: n of the n-step returns.
-      target_rate: share of the new parameters that the target network takes at each update.
+      target_rate: weight of the new parameters in each update of the target network.
       normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
-        learn numbers of size 1 whatever the task's rewards, and the temperature has the same unit. Without it and with
-        returns of thousands a clipped gradient makes the start slow (docs/measured/algorithms.md).
-      initial_temperature, temperature_learning_rate, target_entropy_scale: as for SAPO.
+        learn values of size 1 for any task, and the temperature has the same unit. Without it, critics need many
+        updates to reach values of hundreds, and the policy does not learn until then (docs/measured/algorithms.md).
+      initial_temperature, temperature_learning_rate, target_entropy_scale: see ``SAPOConfig``.
     """
 
     actor_learning_rate: float = 5e-4
@@ -78,7 +82,7 @@ class SACConfig(ActorCriticConfig):
 
     @property
     def capacity(self) -> int:
-        """Steps of each environment that are kept."""
+        """Capacity of the replay buffer, in steps per environment."""
         return self.replay_size // self.samples * self.horizon
 
 
@@ -87,11 +91,12 @@ Networks: TypeAlias = ActorCritic[SACConfig]
 
 @struct.dataclass
 class SACState(SoftState):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
-      critic_params, critic_opt, target_params: of the action values and of their slow copy.
-      replay: the last steps.
+      critic_params, critic_opt: parameters of the action-value networks, and the state of their optimizer.
+      target_params: parameters of the target network.
+      replay: the replay buffer.
     """
 
     replay: Replay
@@ -100,14 +105,14 @@ class SACState(SoftState):
 def make_sac(env: Env, config: SACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SAC on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``.
 
-    ``train_step`` consumes its input: the replay buffer is changed in place.
+    ``train_step`` consumes its input, because it changes the replay buffer in place.
     """
     config = SACConfig() if config is None else config
     return actor_agent("sac", env, config, init=init, train_step=train_step, randomize=randomize, donate=True)
 
 
 def init(config: SACConfig, leaves: EnvLeaves, key: Key) -> SACState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     env, keys = leaves.first(), run_keys(key)
     networks = make_actor_critic(env, config)
     environments = start_environments(config, leaves, keys)
@@ -137,7 +142,7 @@ def _empty_replay(environments: Environments, action: Array, capacity: int) -> R
 
 
 def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
-    """One iteration: act, remember, update."""
+    """One iteration: act, add to the replay buffer, update."""
     networks = make_actor_critic(state.environments.env.first(), config)
     key, rollout_key, update_key = jax.random.split(state.key, 3)
     warming_up = state.iteration * config.horizon < config.warmup_steps
@@ -149,7 +154,7 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
     replay = replays.add(state.replay, jax.tree.map(lambda a: jnp.swapaxes(a, 0, 1), steps))
     state, episode_metrics = state.after(config, end, t, key)
 
-    start = state.common().replace(replay=None)  # what the updates change, and small
+    start = state.common().replace(replay=None)  # without the buffer, which the updates do not change
     scale = replays.return_scale(replay, config.discount) if config.normalize_rewards else None
     one_update = functools.partial(update, networks, replay, scale)
     learnt, rows = jax.lax.scan(one_update, start, jax.random.split(update_key, config.updates))
@@ -161,7 +166,7 @@ def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:
 def act(
     shared: tuple[PyTree, RunningStatistics, Array], env: AutoReset, env_state: State, key: Key, *, networks: Networks
 ) -> tuple[State, Transition]:
-    """Rollout of one environment; ``shared``: the actor's parameters, statistics, and whether actions are random."""
+    """Rollout of one environment. ``shared``: actor parameters, observation statistics, whether actions are random."""
     actor_params, statistics, warming_up = shared
 
     def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
@@ -178,7 +183,7 @@ def update(
 ) -> tuple[SACState, Metrics]:
     """One update of critics, actor, temperature and target network on a batch from the replay buffer.
 
-    ``scale`` divides its rewards, unless it is None.
+    Rewards are divided by ``scale``, unless it is None.
     """
     config, statistics = networks.config, state.environments.statistics
     batch_key, next_key, actor_key = jax.random.split(key, 3)
@@ -195,7 +200,7 @@ def update(
 
 
 def critic_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
-    """One step of the critics; the target network follows."""
+    """One optimizer step of the critics, and one update of the target network."""
     config = networks.config
     loss = functools.partial(critic_loss, networks=networks, state=state, batch=batch, key=key)
     grad, metrics = jax.grad(loss, has_aux=True)(state.critic_params)
@@ -205,7 +210,7 @@ def critic_update(networks: Networks, state: SACState, batch: Sample, key: Key) 
 
 
 def actor_update(networks: Networks, state: SACState, batch: Sample, key: Key) -> tuple[SACState, Metrics]:
-    """One step of the actor."""
+    """One optimizer step of the actor."""
     loss = functools.partial(actor_loss, networks=networks, state=state, batch=batch, key=key)
     grad, metrics = jax.grad(loss, has_aux=True)(state.actor_params)
     rate = networks.config.actor_learning_rate
@@ -217,7 +222,7 @@ def actor_update(networks: Networks, state: SACState, batch: Sample, key: Key) -
 def critic_loss(
     params: PyTree, *, networks: Networks, state: SACState, batch: Sample, key: Key
 ) -> tuple[Array, Metrics]:
-    """Mean square error of all action values against the soft n-step target of the smaller one.
+    """Mean squared error of all action values. The soft n-step target takes the minimum over the target critics.
 
     Source: Haarnoja et al. 2018, eq. 5, without its factor 1/2.
     """
@@ -233,7 +238,7 @@ def critic_loss(
 def actor_loss(
     params: PyTree, *, networks: Networks, state: SACState, batch: Sample, key: Key
 ) -> tuple[Array, Metrics]:
-    """Minus the soft value of the policy's own actions. Gradient: through the samples.
+    """Minus the soft value of actions sampled from the policy. Gradient: reparameterised.
 
     Source: Haarnoja et al. 2018, eq. 7.
     """
@@ -244,7 +249,7 @@ def actor_loss(
 
 
 def _sampled(networks: Networks, params: PyTree, normalized: Observation, key: Key) -> tuple[Array, Array]:
-    """Actions and their log probabilities, one of each for every observation."""
+    """One action and its log probability for every observation."""
     keys = jax.random.split(key, len(jax.tree.leaves(normalized)[0]))
     return jax.vmap(lambda obs, key: networks.distribution(params, obs).sample_and_log_prob(key))(normalized, keys)
 

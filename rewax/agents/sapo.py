@@ -1,12 +1,17 @@
 """SAPO, soft analytic policy optimization: maximum-entropy first-order reinforcement learning.
 
-One iteration: every environment acts for a short horizon; the soft return of that segment plus the soft value at its
-end is differentiated through the simulation into the actor; temperature and critics follow.
+One iteration: every environment acts for a short horizon. The soft return of that segment plus the soft value at its
+end is differentiated through the simulation with respect to the actor's parameters. Then temperature and critics are
+updated.
 
 Source: Xing, Luk and Oh 2025, "Stabilizing Reinforcement Learning in Differentiable Multiphysics Simulation"
-(ICLR 2025), with these corrections of its code: the bootstrap is V(s_{t+1}) always, a reset cuts the gradient of its
-own environment only, the gradient norm is clipped over everything an optimizer updates, an environment whose gradient
-is not finite is left out and counted, and a step that failed numerically is masked instead of rewarded with 0.
+(ICLR 2025), with these corrections of its code:
+
+- Targets always bootstrap with V(s_{t+1}).
+- A reset cuts the gradient of its own environment only.
+- The gradient norm is clipped over all parameters of an optimizer.
+- Environments with a non-finite gradient are left out of the mean and counted.
+- A step that failed numerically is masked. Theirs has reward 0.
 """
 
 import dataclasses
@@ -36,14 +41,14 @@ class SAPOConfig(FirstOrderConfig):
     """Hyper-parameters beyond those of ``FirstOrderConfig``; the defaults are the paper's for the deformable tasks.
 
     Attributes:
-      initial_temperature: alpha at the start; fixed at it if ``learn_temperature`` is off.
-      learn_temperature: adapt alpha to the target entropy.
-      temperature_learning_rate: of Adam on the logarithm of the temperature, constant.
+      initial_temperature: initial temperature alpha; constant if ``learn_temperature`` is False.
+      learn_temperature: adapt alpha such that the entropy reaches its target.
+      temperature_learning_rate: constant learning rate of Adam for the logarithm of the temperature.
       target_entropy_scale: the target entropy is minus this times the number of action components.
-      entropy_in_return, entropy_in_targets: the two places of the entropy bonus (the paper's ablations).
-      entropy_in_loss: without the bonus in the return, the actor's loss still has minus its mean over the rollout, not
-        discounted, as in the paper's code.
-      normalize_entropy: the bonus is 0 at the target entropy and 1 at minus the target; else the entropy itself.
+      entropy_in_return, entropy_in_targets: add the entropy bonus to the actor's return, to the critics' targets.
+      entropy_in_loss: if the return has no bonus, subtract its undiscounted mean over the rollout from the actor's
+        loss, as in the paper's code.
+      normalize_entropy: scale the bonus to 0 at the target entropy and 1 at minus the target; else it is the entropy.
     """
 
     initial_temperature: float = 1.0
@@ -72,7 +77,7 @@ def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomiz
 
 
 def init(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> SoftState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     networks = make_actor_critic(leaves.first(), config)
     log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
     return start_actor_critic(SoftState, networks, leaves, key, log_temperature=log_alpha, temperature_opt=opt)
@@ -90,12 +95,12 @@ def train_step(config: SAPOConfig, state: S) -> tuple[S, Metrics]:
 
 
 def after_actor(networks: Networks, state: S, rollouts: Rollout, key: Key) -> tuple[S, Metrics]:
-    """The rest of an iteration: temperature, critics, environments.
+    """The rest of an iteration after the actor's update: temperature, critics, environments.
 
     Args:
-      networks, state: actor and critics, the actor updated already.
-      rollouts: with the policy's ``entropy``, leading axis of environments.
-      key: of the next iteration.
+      networks, state: actor and critics, and the run with the updated actor.
+      rollouts: rollouts with ``entropy`` in ``aux``, leading axis of environments.
+      key: key of the next iteration.
     """
     config = networks.config
     entropy = rollouts.transitions.aux["entropy"]
@@ -134,24 +139,24 @@ def actor_loss(
 
 
 def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningStatistics) -> Policy:
-    """Samples an action, and beside it an estimate of the entropy from a sample of its own."""
+    """A policy that samples an action and, in aux, an estimate of the entropy from a second sample."""
 
     def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
         distribution = networks.action_distribution(actor_params, statistics, obs)
         action_key, entropy_key = jax.random.split(key)
-        _, log_prob = distribution.sample_and_log_prob(entropy_key)  # not of the action that is taken
+        _, log_prob = distribution.sample_and_log_prob(entropy_key)  # an independent sample
         return distribution.sample(action_key), {"entropy": -log_prob}
 
     return policy
 
 
 def target_entropy(networks: Networks) -> float:
-    """The entropy that the temperature steers to: minus half the number of action components in the paper."""
+    """Target entropy: minus ``target_entropy_scale`` (1/2 in the paper) times the number of action components."""
     return -networks.config.target_entropy_scale * networks.action_size
 
 
 def bonus(networks: Networks, log_temperature: Array, entropy: Array) -> Array:
-    """alpha times the entropy of each step, which is normalised first. Gradient: exact."""
+    """alpha times the (normalised) entropy of each step. Gradient: exact."""
     if networks.config.normalize_entropy:
         entropy = normalized_entropy(entropy, target_entropy(networks))
     return jnp.exp(log_temperature) * entropy

@@ -1,15 +1,15 @@
 """SHAC, short-horizon actor-critic: first-order reinforcement learning without entropy.
 
-One iteration: every environment acts for a short horizon; the return of that segment plus the value at its end is
-differentiated through the simulation into the actor; critics follow.
+One iteration: every environment acts for a short horizon. The return of that segment plus the value at its end is
+differentiated through the simulation with respect to the actor's parameters. Then the critics are updated.
 
 Source: Xu et al. 2022, "Accelerated Policy Learning with Parallel Differentiable Simulation" (ICLR 2022), with the
 settings that Xing, Luk and Oh 2025 compare SAPO with (layer norm before the activation, one Adam step per iteration)
-and the corrections named in ``rewax.agents.sapo``. Different from their code:
+and the corrections named in ``rewax.agents.sapo``. Differences from their code:
 
-- The actor's return ends with the value of the critics themselves; theirs with that of the target network, which
-  serves the critics' targets alone here.
-- Encoders of point clouds begin with ``initial_gain`` (the square root of 2) like all other layers; theirs with 1.
+- The actor's return bootstraps with the critics. Theirs bootstraps with the target network; here the target network is
+  used for the critics' targets only.
+- Point-cloud encoders are initialised with ``initial_gain`` (the square root of 2), like all layers. Theirs use 1.
 """
 
 import dataclasses
@@ -55,7 +55,7 @@ def make_shac(env: Env, config: SHACConfig | None = None, *, randomize: Randomiz
 
 
 def init(config: SHACConfig, leaves: EnvLeaves, key: Key) -> ActorCriticState:
-    """The state of a run that has not begun."""
+    """The first state of a run."""
     return start_actor_critic(ActorCriticState, make_actor_critic(leaves.first(), config), leaves, key)
 
 

@@ -1,4 +1,4 @@
-"""Entropy and its price, the temperature."""
+"""The temperature, the weight of the entropy: its loss and its update."""
 
 from typing import TypeVar
 
@@ -15,11 +15,11 @@ from rewax.types import Array, PyTree
 
 @struct.dataclass
 class SoftState(ActorCriticState):
-    """That of an algorithm with critics and a temperature.
+    """The state of an algorithm with critics and a temperature.
 
     Attributes:
       log_temperature: logarithm of the temperature alpha, shape ().
-      temperature_opt: of its optimizer.
+      temperature_opt: state of its optimizer.
     """
 
     log_temperature: Array
@@ -30,13 +30,13 @@ S = TypeVar("S", bound=SoftState)
 
 
 def start_temperature(actor: Actor[AnyPolicyConfig], alpha: float, learning_rate: float) -> tuple[Array, PyTree]:
-    """``log_temperature`` and ``temperature_opt`` of a run that has not begun."""
+    """Initial ``log_temperature`` and ``temperature_opt``."""
     log_temperature = jnp.log(jnp.full((), alpha))
     return log_temperature, actor.optimizer(learning_rate).init(log_temperature)
 
 
 def normalized_entropy(entropy: Array, target: float) -> Array:
-    """(entropy + |target|) / (2 |target|): 0 at a negative target, 1 at minus the target. Gradient: exact.
+    """(entropy + |target|) / (2 |target|). For a negative target: 0 at the target, 1 at minus it. Gradient: exact.
 
     Source: Xing, Luk and Oh 2025 (SAPO), entropy normalisation: offset, then scale.
     """
@@ -45,14 +45,15 @@ def normalized_entropy(entropy: Array, target: float) -> Array:
 
 
 def temperature_loss(log_temperature: Array, entropy: Array, target: float) -> Array:
-    """exp(log_temperature) |target| (entropy - target). Its gradient raises the temperature below the target.
+    """exp(log_temperature) |target| (entropy - target).
 
-    The factor |target| makes up for the scale of ``normalized_entropy``.
+    Descent raises the temperature while the entropy is below the target. The factor |target| compensates the scale of
+    ``normalized_entropy``.
 
     Args:
       log_temperature: shape ().
-      entropy: mean over the data, shape (). Gradient: none.
-      target: of the entropy.
+      entropy: mean entropy over the data, shape (). Gradient: none.
+      target: target entropy.
 
     Source: Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications", section "Automating Entropy
       Adjustment for Maximum Entropy RL", times |target|.
@@ -63,17 +64,17 @@ def temperature_loss(log_temperature: Array, entropy: Array, target: float) -> A
 def update_temperature(
     actor: Actor[AnyPolicyConfig], state: S, entropy: Array, *, target: float, learning_rate: float
 ) -> tuple[S, Metrics]:
-    """One step towards the target entropy; the gradient of a loss that is not finite counts as zero.
+    """One step of the temperature towards the target entropy. A non-finite gradient is replaced by zero.
 
     Args:
-      actor: whose optimizer is used.
-      state: what is updated.
-      entropy: mean over the data, shape ().
-      target: of the entropy.
-      learning_rate: constant.
+      actor: gives the optimizer.
+      state: the run.
+      entropy: mean entropy over the data, shape ().
+      target: target entropy.
+      learning_rate: constant learning rate.
 
     Returns:
-      The state, and the metric ``temperature``.
+      The new state, and the metric ``temperature``.
     """
     grad = jax.grad(temperature_loss)(state.log_temperature, entropy, target)
     log_temperature, opt = actor.update(learning_rate, grad, state.temperature_opt, state.log_temperature)

@@ -1,10 +1,10 @@
 """TrajOpt, trajectory optimisation: one open-loop sequence of actions for all initial states.
 
-One iteration: every environment plays the sequence from a new initial state to its end; the undiscounted return is
-differentiated through the whole episode into the sequence.
+One iteration: every environment plays the sequence from a new initial state to its end. The undiscounted return is
+differentiated through the whole episode with respect to the actions.
 
-Source: the baseline of Xing, Luk and Oh 2025, an open-loop sequence that maximises the total reward across
-environments, by Adam. The actions are clipped to their bounds after each update, where a gradient would vanish.
+Source: the baseline of Xing, Luk and Oh 2025, an open-loop sequence that maximises the total reward over environments
+with Adam. The actions are clipped to their bounds after each update, because beyond the bounds the gradient is zero.
 """
 
 import dataclasses
@@ -35,8 +35,8 @@ class TrajOptConfig(GradientOptions, RunConfig):
     """Hyper-parameters.
 
     Attributes:
-      horizon: 0, whole episodes.
-      learning_rate, adam_b1, adam_b2: of Adam.
+      horizon: must be 0, for whole episodes.
+      learning_rate, adam_b1, adam_b2: settings of Adam.
     """
 
     least_horizon: ClassVar[int] = 0
@@ -53,17 +53,17 @@ class TrajOptConfig(GradientOptions, RunConfig):
 
     @property
     def optimizer(self) -> optax.GradientTransformation:
-        """Of the sequence."""
+        """The optimizer of the sequence."""
         return optax.adam(self.learning_rate, self.adam_b1, self.adam_b2)
 
 
 @struct.dataclass
 class TrajOptState(RunState):
-    """Everything a run is; a checkpoint holds just this.
+    """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
       actions: the sequence, shape (episode_length, action_size).
-      opt_state: of the optimizer.
+      opt_state: state of the optimizer.
     """
 
     actions: Array
@@ -74,13 +74,12 @@ def make_trajopt(env: Env, config: TrajOptConfig | None = None, *, randomize: Ra
     """TrajOpt on an environment.
 
     Args:
-      env: one environment, without auto-reset; or a batch of ``num_envs`` of them, see ``rewax.envs.stack``.
+      env: one environment without auto-reset, or a batch of ``num_envs`` environments (``rewax.envs.stack``).
       config: hyper-parameters.
-      randomize: ``(key, env) -> env``: draws parameters of the environment anew at each reset.
+      randomize: ``(key, env) -> env``, called at each reset to draw new parameters of the environment.
 
     Returns:
-      ``init(key)``, ``train_step(state)`` and ``policy(state, obs, key, deterministic=False, step=0)``, which looks at
-      the number of the step alone.
+      An agent with ``policy(state, obs, key, deterministic=False, step=0)``. The action depends on ``step`` only.
     """
     config = TrajOptConfig() if config is None else config
     leaves = partition(env, config.num_envs, randomize)
@@ -90,13 +89,13 @@ def make_trajopt(env: Env, config: TrajOptConfig | None = None, *, randomize: Ra
 def policy(
     state: TrajOptState, obs: Observation, key: Key, deterministic: bool = False, step: Array | int = 0
 ) -> Array:
-    """The sequence's action of a step, the last one beyond its end."""
+    """The action of a step of the sequence; after its end, the last action."""
     del obs, key, deterministic
     return state.actions[jnp.clip(step, 0, len(state.actions) - 1)]
 
 
 def init(config: TrajOptConfig, leaves: EnvLeaves, key: Key) -> TrajOptState:
-    """The state of a run that has not begun: all actions zero."""
+    """The first state of a run. All actions are zero."""
     env, keys = leaves.first(), run_keys(key)
     actions = jnp.zeros((env.episode_length, *env.action_spec.shape))
     environments = start_environments(config, leaves, keys)
@@ -122,7 +121,7 @@ def train_step(config: TrajOptConfig, state: TrajOptState) -> tuple[TrajOptState
 def sequence_loss(
     actions: Array, common: RunState, env: AutoReset, env_state: State, key: Key, *, config: TrajOptConfig
 ) -> tuple[Array, tuple[State, Transition]]:
-    """Minus the undiscounted return of one environment that plays the sequence. Gradient: through the simulation."""
+    """Minus the undiscounted return of one environment for a sequence of actions. Gradient: through the simulation."""
     del common
 
     def play(obs: Observation, key: Key, action: Array) -> tuple[Array, dict[str, Array]]:

@@ -1,4 +1,4 @@
-"""Regression of critics onto targets."""
+"""Regression of critics onto targets, such as TD(lambda) returns."""
 
 import functools
 import math
@@ -16,12 +16,13 @@ from rewax.envs.base import ArraySpec
 from rewax.types import Array, Observation, PyTree
 
 Values = Callable[[PyTree, Observation], Array]
-"""``(params, obs) -> values`` of all critics for observations with one leading axis, shape (n, num_critics)."""
+"""``(params, obs) -> values`` of all critics, shape (n, num_critics), for observations with one leading axis."""
 ValueLoss = Callable[[Array, Array], Array]
-"""``(values, targets) -> loss`` of each value; shapes (n, num_critics), (n, 1) and (n, num_critics)."""
+"""``(values, targets) -> losses``, one loss per value; shapes (n, num_critics), (n, 1) and (n, num_critics)."""
 
 _CACHED_POINTS = 4096
-"""Observed points whose activations stay in a CPU's cache; at 64,000 a critic's gradient takes twice as long each."""
+"""Number of observed points with activations that fit the cache of a CPU. With 64,000, a critic's gradient takes twice
+as long per point."""
 
 
 def square_error(values: Array, targets: Array) -> Array:
@@ -43,19 +44,18 @@ def fit_values(
     chunk: int,
     loss: ValueLoss = square_error,
 ) -> tuple[PyTree, PyTree, Metrics]:
-    """Several passes over contiguous minibatches in order of time.
+    """Fits the critics with several passes over contiguous minibatches, in order of time.
 
     Args:
-      values: all critics.
-      params, opt_state, optimizer: what is fitted.
-      obs: what the critics take, leading axes (num_envs, horizon).
-      targets: shape (num_envs, horizon). Gradient: none.
-      valid: samples that count, shape (num_envs, horizon), bool; of the others even a NaN does no harm.
-      passes: over all data.
-      minibatches: contiguous parts of the data; a divisor of the number of samples.
-      chunk: samples that are differentiated at a time; a divisor of the minibatch. The update is the same but for
-        rounding.
-      loss: of each value; its mean over samples and critics is descended.
+      values: function that evaluates all critics.
+      params, opt_state, optimizer: the critics' parameters and their optimizer.
+      obs: normalised observations, leading axes (num_envs, horizon).
+      targets: targets, shape (num_envs, horizon). Gradient: none.
+      valid: mask of the samples to use, shape (num_envs, horizon), bool. Masked samples may be NaN.
+      passes: passes over all data.
+      minibatches: minibatches per pass; a divisor of the number of samples.
+      chunk: samples differentiated at a time; a divisor of the minibatch size. It changes the update by rounding only.
+      loss: loss of each value. The mean over samples and critics is minimised.
 
     Returns:
       Parameters, optimizer state, and the metrics ``critic_loss`` (of the last pass) and ``critic_grad_norm``.
@@ -90,7 +90,7 @@ def _fit(
     minibatches: int,
     chunk: int,
 ) -> tuple[PyTree, PyTree, Metrics]:
-    chunk = math.gcd(chunk, targets.size // minibatches)  # of this device's share
+    chunk = math.gcd(chunk, targets.size // minibatches)  # on each device's shard
 
     def parts(a: Array) -> Array:
         by_time = jnp.swapaxes(a, 0, 1)
@@ -98,7 +98,7 @@ def _fit(
 
     weight = parts(valid.astype(targets.dtype))
     share = mean_over_devices(weight.mean(axis=(1, 2), keepdims=True))
-    weight = weight / jnp.where(share > 0, share, 1.0)  # exactly 1 where all samples count
+    weight = weight / jnp.where(share > 0, share, 1.0)  # exactly 1 if no sample is masked
     batches = (jax.tree.map(parts, obs), parts(targets), weight)
     packing = Packing(params)
 
@@ -119,7 +119,7 @@ def _fit(
 
 
 def mean_over_chunks(function: Callable[..., PyTree], chunks: tuple[PyTree, ...]) -> PyTree:
-    """Mean of ``function(*chunk)`` over the leading axis of all arrays in ``chunks``, one chunk after the other."""
+    """Mean of ``function(*chunk)`` over the leading axis of all arrays in ``chunks``, computed sequentially."""
     first = jax.tree.map(lambda a: a[0], chunks)
     count = len(jax.tree.leaves(chunks)[0])
 
@@ -133,7 +133,7 @@ def mean_over_chunks(function: Callable[..., PyTree], chunks: tuple[PyTree, ...]
 
 
 def chunk_size(minibatch: int, observation_spec: dict[str, ArraySpec]) -> int:
-    """How many samples to differentiate at a time: all on an accelerator, as many as fit the cache on a CPU."""
+    """Number of samples to differentiate at a time: all on an accelerator, as many as fit the cache on a CPU."""
     if jax.default_backend() != "cpu":
         return minibatch
     points = max((spec.shape[0] for spec in observation_spec.values() if len(spec.shape) == 2), default=1)

@@ -1,4 +1,4 @@
-"""``rewax check``: check an environment against the protocol of environments."""
+"""``rewax check``: checks an environment, or an algorithm on it, against the protocol."""
 
 import dataclasses
 import sys
@@ -18,38 +18,49 @@ class Options:
     Attributes:
       env: name of the environment, see ``rewax envs``.
       scale: ``small`` or ``paper``.
-      imports: module or .py file that registers environments.
+      algo: name of an algorithm: check its agent, with its preset, instead of the environment.
+      imports: module or .py file that registers environments or algorithms.
       seed: draws initial states and actions.
+      may_be_nan: with ``algo``: metrics that may be NaN.
       whole_episode: also run one episode to its end, which may take long.
       in_cpp: also require that all laws, contacts and bodies run in C++ on a CPU, with both derivatives.
     """
 
     env: str
     scale: str = "small"
+    algo: str = ""
     imports: Imports = ()
     seed: Seed = 0
+    may_be_nan: tuple[str, ...] = ("return",)
     whole_episode: bool = True
     in_cpp: bool = False
 
 
 def run(argv: Sequence[str]) -> int:
-    """Check an environment.
+    """Check an environment, or an algorithm on it, part by part.
 
     Returns:
       Exit code: 0 if it conforms to the protocol; 1 after a sentence about a problem.
 
     Raises:
-      ValueError: there is no such environment or scale.
+      ValueError: there is no such environment, scale or algorithm.
     """
-    from rewax.testing import check_env, where_it_runs
+    from rewax.agents.registry import algorithm
+    from rewax.testing import check_agent, check_env, where_it_runs
     from rewax.training.storage.cache import enable_compilation_cache
 
     quiet()
-    options = parse(Options, argv, prog="rewax check", description="Check an environment against the protocol.")
+    options = parse(Options, argv, prog="rewax check", description="Check an environment or an algorithm.")
     enable_compilation_cache()
     import_modules(options.imports)
     env = build_env(options.env, options.scale)
+    known = algorithm(options.algo) if options.algo else None
     try:
+        if known is not None:
+            agent = known.make(env, known.preset(options.env, options.scale))
+            check_agent(agent, env, seed=options.seed, may_be_nan=options.may_be_nan)
+            print(f"{options.algo} on {options.env} at scale {options.scale} keeps the protocol")
+            return 0
         check_env(env, seed=options.seed, check_full_episode=options.whole_episode)
     except AssertionError as problem:
         print(f"problem: {problem}", file=sys.stderr)

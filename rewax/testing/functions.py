@@ -21,7 +21,7 @@ _Step = Callable[[State, Array], State]
 def check_reset_key(reset: _Reset, state: State, key: Key) -> None:
     """Checks that equal keys give equal states and different keys give different ones."""
     pure = "let reset depend on its key alone"
-    _check_same(reset(key), state, 0.0, "two resets with one key", pure)
+    check_same(reset(key), state, 0.0, "two resets with one key", pure)
     other = reset(jax.random.fold_in(key, 2))
     differs = any(not np.array_equal(a, b) for a, b in zip(_floats(state), _floats(other), strict=True))
     assert differs, "reset gives the same state for different keys: draw the initial state from the key"
@@ -34,8 +34,8 @@ def check_purity(env: Env, step: _Step, state: State, action: Array, new: State,
     pure = (
         "let step depend on state and action alone: no Python state, no numpy random numbers, no callbacks that count"
     )
-    _check_same(step(state, action), new, 0.0, "two steps from one state", pure)
-    _check_same(new, env.step(state, action), tolerance, "jit(step) and step", pure)
+    check_same(step(state, action), new, 0.0, "two steps from one state", pure)
+    check_same(new, env.step(state, action), tolerance, "jit(step) and step", pure)
 
 
 def check_vmap(env: Env, reset: _Reset, step: _Step, key: Key, tolerance: float) -> None:
@@ -52,7 +52,7 @@ def check_vmap(env: Env, reset: _Reset, step: _Step, key: Key, tolerance: float)
     for i in range(3):
         row = jax.tree.map(lambda leaf, i=i: leaf[i], batch)
         what = "vmap of reset and step, and a loop over them,"
-        _check_same(row, step(reset(keys[i]), actions[i]), tolerance, what, alone)
+        check_same(row, step(reset(keys[i]), actions[i]), tolerance, what, alone)
 
 
 def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -> None:
@@ -62,7 +62,7 @@ def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -
         beyond = step(state, jnp.full(spec.shape, bound + direction * 10.0 * (spec.high - spec.low)))
         check_values(env, beyond, "step with an action beyond its bounds")
         what = f"steps with an action beyond its bound {bound} and at it"
-        _check_same(beyond, step(state, jnp.full(spec.shape, bound)), tolerance, what, "clip the action in step")
+        check_same(beyond, step(state, jnp.full(spec.shape, bound)), tolerance, what, "clip the action in step")
 
 
 def check_gradient(env: Env, state: State, key: Key, num_steps: int) -> None:
@@ -158,8 +158,8 @@ def _floats(tree: PyTree) -> list[np.ndarray]:
     return [np.asarray(leaf) for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 
-def _check_same(a: PyTree, b: PyTree, tolerance: float, what: str, remedy: str) -> None:
-    """Arrays agree within ``tolerance`` times their largest number; integers and keys agree exactly."""
+def check_same(a: PyTree, b: PyTree, tolerance: float, what: str, remedy: str, *, of: str = "the state") -> None:
+    """Leaves agree within ``tolerance`` relative to the largest number of the leaf; integers and keys exactly."""
     assert jax.tree.structure(a) == jax.tree.structure(b), f"{what} return different structures: {remedy}"
     for (path, x), y in zip(jax.tree.leaves_with_path(a), jax.tree.leaves(b), strict=True):
         if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
@@ -167,4 +167,4 @@ def _check_same(a: PyTree, b: PyTree, tolerance: float, what: str, remedy: str) 
         x, y = np.asarray(x), np.asarray(y)
         slack = tolerance * max(1.0, np.max(np.abs(y), initial=0.0)) if jnp.issubdtype(x.dtype, jnp.floating) else 0
         same = np.allclose(x, y, rtol=0.0, atol=slack, equal_nan=True)
-        assert same, f"{what} differ in {jax.tree_util.keystr(path)} of the state: {remedy}"
+        assert same, f"{what} differ in {jax.tree_util.keystr(path)} of {of}: {remedy}"

@@ -9,7 +9,7 @@ from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
 from rewax.types import Array, Key
 
-_UNTRACEABLE = (
+UNTRACEABLE = (
     jax.errors.ConcretizationTypeError,
     jax.errors.TracerArrayConversionError,
     jax.errors.TracerIntegerConversionError,
@@ -38,7 +38,7 @@ def named(what: str, function: Callable[..., Any], *args: Any) -> Any:
     """``function(*args)``. Raises AssertionError with a remedy if the function cannot be traced."""
     try:
         return function(*args)
-    except _UNTRACEABLE as error:
+    except UNTRACEABLE as error:
         first = str(error).splitlines()[0].rstrip(".")
         raise AssertionError(f"{what} cannot be compiled with traced parameters ({first}): use {_REMEDY}") from error
 

@@ -41,13 +41,38 @@ def test_the_benchmark_gives_it_the_layers_of_rewax(name):
     changes = ["minibatches=1", "epochs=1"] if name == "ppo" else ["batch_size=16", "updates=2", "warmup_steps=4"]
     config, task = comparison.changed(config, changes), toys.point_mass()
     env = StableBaselinesVecEnv(task, config.num_envs, flat=True)
-    policy = comparison.learner(name, config, env, 0).policy
+    policy = comparison.learner(name, config, env, 0, like_ours=False).policy
     theirs = sum(p.numel() for n, p in policy.named_parameters() if "target" not in n)
     state = algorithm(name).make(task, config).init(jax.random.key(0))
     ours = sum(a.size for a in jax.tree.leaves((state.actor_params, state.critic_params)))
     # PPO's policy there has a standard deviation apart from the network: one number for a head of 6 + 1.
     assert theirs == ours - (6 if name == "ppo" else 0)
-    assert np.isfinite(comparison.theirs(name, task, config, [32, 64], 0)).all()
+    assert np.isfinite(list(comparison.theirs(name, task, task, config, [32, 64], 0, like_ours=False))).all()
+
+
+def test_its_sac_trains_like_ours():
+    changes = ["num_envs=4", "horizon=4", "batch_size=16", "updates=2", "warmup_steps=4", "max_grad_norm=1e-6"]
+    config = comparison.changed(algorithm("sac").preset("Mine", "small"), changes)
+    env = StableBaselinesVecEnv(toys.point_mass(), config.num_envs, flat=True)
+    learner = comparison.learner("sac", config, env, 0, like_ours=True)
+    weight = learner.critic.q_networks[0][-1].weight
+    np.testing.assert_allclose(weight.norm().item(), config.initial_gain, rtol=1e-5)  # one orthogonal row
+    target = learner.critic_target.q_networks[0][-1].weight
+    np.testing.assert_array_equal(target.detach().numpy(), weight.detach().numpy())
+    learner.learn(64)
+    # The actor's: that of the critics has the actor's loss added after their update.
+    norm = sum(float((p.grad**2).sum()) for p in learner.actor.parameters()) ** 0.5
+    np.testing.assert_allclose(norm, 1e-6, rtol=1e-2)
+    assert learner.ent_coef_optimizer.param_groups[0]["lr"] == config.temperature_learning_rate
+
+
+def test_a_shifted_reward_is_the_reward_and_a_number():
+    task = toys.point_mass()
+    shifted = comparison.Shifted(env=task, by=np.float32(25.0))
+    state, action = task.reset(jax.random.key(0)), np.ones(1, np.float32)
+    difference = shifted.step(state, action).reward - task.step(state, action).reward
+    np.testing.assert_allclose(difference, 25.0, rtol=1e-6)
+    assert shifted.episode_length == task.episode_length
 
 
 @pytest.mark.parametrize("flat", [False, True])

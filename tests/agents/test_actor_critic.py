@@ -1,4 +1,4 @@
-"""Networks and optimizers that follow from a configuration."""
+"""Networks and optimizers built from a configuration."""
 
 import dataclasses
 

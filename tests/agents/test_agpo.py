@@ -1,4 +1,4 @@
-"""Mixed gradients: the simulation's where the share is 1, the critics' after one step where it is 0."""
+"""AGPO: share 1 gives the simulation's gradient, share 0 the critics' gradient after one step."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ def test_the_critics_part_leaves_out_the_ends_of_segments():
 
 
 def loss_gradient(variance, max_ratio=2.0):
-    """Of one environment's loss: with respect to the actor and the actions."""
+    """Gradient of one environment's loss with respect to the actor's parameters and the actions."""
     networks = make_actor_critic(ENV, dataclasses.replace(CONFIG, max_ratio=max_ratio))
     state = STATE.replace(variance=variance)
     loss = loss_of(networks, state)

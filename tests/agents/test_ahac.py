@@ -1,4 +1,4 @@
-"""AHAC: how fast the state's gradient grows, and the horizon that follows."""
+"""AHAC: the growth of the state's gradient, and the horizon that it sets."""
 
 import dataclasses
 
@@ -23,7 +23,7 @@ def test_growth_is_the_mean_logarithm_of_the_ratio_of_norms():
     norms = jnp.array([[8.0, 4.0, 2.0, 1.0]])  # doubles with each step backwards
     no, yes = np.zeros((1, 4), bool), np.ones((1, 4), bool)
     assert gradient_growth(norms, transitions(no, yes)) == pytest.approx(np.log(2.0))
-    odd = norms.at[0, 0].set(1e9)  # of an earlier episode
+    odd = norms.at[0, 0].set(1e9)  # a step before the end of an earlier episode
     ended = no.copy()
     ended[0, 0] = True
     assert gradient_growth(odd, transitions(ended, yes)) == pytest.approx(np.log(2.0))

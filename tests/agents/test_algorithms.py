@@ -1,4 +1,4 @@
-"""What holds for every algorithm: it learns, repeats itself to the bit, resumes, reports, and is found by its name."""
+"""Every algorithm learns, repeats itself bit for bit, resumes, reports its metrics, and is found by its name."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ ALL = sorted(CASES)
 
 @pytest.mark.parametrize("name", ALL)
 def test_it_learns_and_compiles_once(name):
-    """The point starts 0.5 to 1.5 from its goal and stays there untrained: -5 per episode; perfect play costs -0.4."""
+    """The point starts 0.5 to 1.5 from its goal. Without training it stays there and earns -5; the optimum is -0.4."""
     state, rows = trained(name)
     key = jax.random.key(5)
     result = make_evaluate(ENV, agent(name).policy, 64)(state, key, deterministic=True)
@@ -56,7 +56,7 @@ def test_it_reports_what_the_loop_needs(name):
     assert all(set(row) == set(rows[0]) for row in rows)
     assert int(state.iteration) == CASES[name].num_iterations
     config = CASES[name].config
-    if name not in ("ahac", "sapo_from_demonstrations"):  # whose iterations vary
+    if name not in ("ahac", "sapo_from_demonstrations"):  # their iterations vary in length
         per_iteration = config.num_envs * config.steps_in(ENV)
         assert int(state.env_steps) == per_iteration * CASES[name].num_iterations
 

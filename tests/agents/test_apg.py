@@ -1,4 +1,4 @@
-"""APG: its gradient is that of the rewards alone; whole episodes begin anew each iteration."""
+"""APG: its gradient is that of the rewards; with whole episodes, every iteration restarts."""
 
 import dataclasses
 

@@ -22,8 +22,10 @@ Q, R = np.diag([1.0, 0.2]), np.array([[0.2]])
 
 @struct.dataclass
 class LinearQuadratic:
-    """x <- A x + B u from |x| <= 0.5; reward -(x' Q x + u' R u) of the state before the step. The bounds of u are never
-    reached by the optimum."""
+    """x <- A x + B u from |x| <= 0.5; the reward is -(x' Q x + u' R u) with the state before the step.
+
+    The optimal u stays within its bounds.
+    """
 
     @property
     def observation_spec(self):
@@ -99,8 +101,8 @@ def test_within_one_percent_of_the_riccati_optimum(name):
 
 
 def test_the_first_order_gradient_points_where_a_zeroth_order_estimate_does():
-    """Of the expected return of a noisy linear policy: 1e5 episodes with antithetic perturbations of its two gains."""
-    gains, spread, pairs = jnp.array([-0.3, -0.6]), 0.05, 50_000
+    """The return is that of a noisy linear policy. The estimate has 1e5 episodes with antithetic perturbations of its gains."""
+    gains, deviation, pairs = jnp.array([-0.3, -0.6]), 0.05, 50_000
     env = AutoReset(env=ENV)
 
     def episode(gains, key):
@@ -111,8 +113,8 @@ def test_the_first_order_gradient_points_where_a_zeroth_order_estimate_does():
 
     def zeroth(key):
         shift_key, episode_key = jax.random.split(key)
-        shift = spread * jax.random.normal(shift_key, (2,))
-        return (episode(gains + shift, episode_key) - episode(gains - shift, episode_key)) * shift / (2 * spread**2)
+        shift = deviation * jax.random.normal(shift_key, (2,))
+        return (episode(gains + shift, episode_key) - episode(gains - shift, episode_key)) * shift / (2 * deviation**2)
 
     first = jax.jit(jax.vmap(jax.grad(episode), (None, 0)))(gains, jax.random.split(jax.random.key(0), 256)).mean(0)
     estimate = jax.jit(jax.vmap(zeroth))(jax.random.split(jax.random.key(1), pairs)).mean(0)

@@ -1,4 +1,4 @@
-"""Hyper-parameters: the paper's by default, impossible ones refused."""
+"""Hyper-parameters: defaults are the paper's, impossible values are refused."""
 
 import dataclasses
 import inspect
@@ -59,8 +59,10 @@ def test_another_default_keeps_the_restriction():
 
 
 def test_an_option_has_one_default_whatever_the_order_of_the_bases():
-    """Groups of options have no base class and no option in common; an algorithm has one combination of them, or the
-    options of another algorithm and new ones."""
+    """Groups of options have no base class and no common option.
+
+    An algorithm has one combination of them, or extends another algorithm.
+    """
     of_algorithms = {algorithm(name).config_type for name in list_algorithms()}
     for name in list_algorithms():
         config_type = algorithm(name).config_type

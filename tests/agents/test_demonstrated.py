@@ -1,4 +1,4 @@
-"""SAPO from demonstrations: two phases with one budget of steps, and a policy that does what the sequence does."""
+"""SAPO from demonstrations: two phases share one budget of steps, and the policy imitates the sequence."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ NAME = "sapo_from_demonstrations"
 
 
 def test_both_phases_have_as_many_steps_as_sapo():
-    """Sequences of 5 steps beside iterations of 4; and the episodes of HandFlip, 60 steps, beside 16."""
+    """With sequences of 5 steps and iterations of 4; and on HandFlip, with episodes of 60 steps and iterations of 16."""
     config = DemonstratedConfig(num_envs=4, horizon=4, num_iterations=10, demonstration_share=0.5)
     assert config.demonstrations(ENV) == 4 and config.second_phase(ENV).num_iterations == 5
     hand, env = demonstrated_preset("HandFlip", "small"), make("HandFlip", scale="small")
@@ -29,7 +29,7 @@ def test_both_phases_have_as_many_steps_as_sapo():
 
 
 def test_the_policy_does_what_the_sequence_does_when_the_second_phase_begins():
-    """The best sequence moves by -1, -1, 0, 0, 0: a policy sees where it is, hence knows which step it is."""
+    """The best sequence moves by -1, -1, 0, 0, 0. The policy observes the position, which identifies the step."""
     state, one = agent(NAME).init(jax.random.key(0)), CASES[NAME].config.demonstrations(ENV)
     for _ in range(one):
         state, metrics = agent(NAME).train_step(state)
@@ -46,7 +46,7 @@ def test_the_policy_does_what_the_sequence_does_when_the_second_phase_begins():
     np.testing.assert_array_equal(state.actions, before)
 
 
-def test_cloning_loss_is_the_mean_square_of_what_it_says():
+def test_cloning_loss_is_a_mean_squared_error():
     config = CASES[NAME].config
     networks = make_actor_critic(ENV, config.second_phase(ENV))
     params = networks.network.init(jax.random.key(0), {"x": jnp.zeros(1)})
@@ -62,7 +62,7 @@ def test_cloning_loss_is_the_mean_square_of_what_it_says():
 
 
 def test_actions_after_the_end_of_an_episode_are_not_imitated():
-    """They were optimised for an episode that had gone on; those that reset plays belong to another start."""
+    """The sequence was optimised from the first state of the episode, not from the state after a reset."""
     config, state = CASES[NAME].config, agent(NAME).init(jax.random.key(0))
     networks = make_actor_critic(ENV, config.second_phase(ENV))
     zeros, over = jnp.zeros((2, 4)), jnp.zeros((2, 4), bool).at[:, 1].set(True)

@@ -1,4 +1,4 @@
-"""What is computed on every device has its arrays from its arguments: the check, and that the helpers make it."""
+"""Functions that run on every device get arrays through their arguments only; the helpers check it."""
 
 import functools
 
@@ -22,7 +22,7 @@ def scaled(x, factor):
 
 
 class Holder:
-    """An object whose method reads an array of its own."""
+    """An object with a method that reads an array attribute."""
 
     factor = 2.0
 
@@ -57,7 +57,7 @@ def nested(value):
         (functools.partial(closing_over(jax.random.key(0))), "value"),
     ],
 )
-def test_arrays_that_a_function_brings_with_it_are_found(function, name):
+def test_arrays_in_a_function_are_found(function, name):
     with pytest.raises(ValueError, match=f"closes over {name}, which holds an array: give it as an argument"):
         check_closes_over_no_array(function)
 

@@ -1,4 +1,4 @@
-"""The squashed normal distribution: a density, differentiable through its samples, finite where it saturates."""
+"""The squashed normal: a density, differentiable through its samples, finite for saturated actions."""
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ def test_density_is_that_of_the_change_of_variables(x64):
     np.testing.assert_allclose(log_prob, (normal - np.log(1 - actions**2)).sum(1), rtol=1e-9, atol=1e-9)
 
 
-def test_samples_have_the_stated_mean_and_spread():
+def test_samples_have_the_stated_mean_and_deviation():
     raw = np.arctanh(draws(0.3, -0.7, 4000)[0].astype(np.float64))
     np.testing.assert_allclose([raw.mean(), raw.std()], [0.3, np.exp(-0.7)], atol=0.03)
 

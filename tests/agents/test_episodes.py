@@ -1,4 +1,4 @@
-"""Metrics of episodes: what ended, what failed, which bits were set."""
+"""Metrics of episodes: ended and failed episodes, bits of the status."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""What the critics are fitted to, and which of the two temperatures they see."""
+"""Targets of the critics, and the temperature in them: the one before or after its update."""
 
 import dataclasses
 import functools
@@ -22,7 +22,7 @@ CONFIG = SAPOConfig(
     num_envs=4,
     horizon=4,
     initial_temperature=0.5,
-    temperature_learning_rate=0.5,  # so large that before and after the update differ
+    temperature_learning_rate=0.5,  # so large that the temperatures before and after the update differ
     critic_passes=1,
     critic_minibatches=1,
     critic_learning_rate=1e-2,
@@ -115,7 +115,7 @@ def test_a_failed_step_is_no_sample_and_ends_the_segment_before_it(start, data):
     clean = failed._replace(transitions=failed.transitions._replace(obs=data.transitions.obs))
     expected = expected_loss(start, clean, failed.transitions.reward, valid)
     np.testing.assert_allclose(whole[1]["critic_loss"], expected, rtol=1e-4)
-    # what the failed step would have been paid does not matter
+    # the reward of the failed step does not matter
     paid = update()(start, failed, failed.transitions.reward.at[2, 1].set(1e6))
     chex.assert_trees_all_equal(whole, paid)
 
@@ -142,7 +142,7 @@ def test_targets_take_the_temperature_after_its_update(start, data):
 
 
 def test_entropy_is_a_sample_of_its_own(start, data):
-    """Were it minus the log probability of the action taken, it would follow from the action."""
+    """Minus the log probability of the taken action would be a function of the action."""
     t = data.transitions
     networks = make_actor_critic(ENV, CONFIG)
     distribution = jax.vmap(

@@ -1,4 +1,4 @@
-"""Gradients of many environments: which count, how long they may be, and that none touches another."""
+"""Gradients of many environments: finite ones are averaged, long ones clipped, and none affects another."""
 
 import jax
 import jax.numpy as jnp

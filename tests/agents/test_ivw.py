@@ -1,4 +1,4 @@
-"""Inverse-variance weights: of least variance, and exactly what scales each step's share of the gradient."""
+"""Inverse-variance weights give the least variance, and scale each step's contribution to the gradient."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ CONFIG = CASES["sapo_ivw"].config
 
 
 def test_weights_are_those_of_least_variance():
-    """Of sums with a given expectation, when step t has the mean discount^t and a variance of its own."""
+    """Among weighted sums with the same expectation, if step t has mean discount^t and its own variance."""
     config = dataclasses.replace(CONFIG, discount=0.8, variance_floor=1e-6)
     variance, mean = np.array([9.0, 4.0, 1.0, 0.25]), 0.8 ** np.arange(4)
     weights = np.asarray(ivw.step_weights(config, jnp.array(variance, jnp.float32)))
@@ -46,7 +46,7 @@ def test_the_variance_leaves_out_what_is_not_finite():
 
 @pytest.fixture(scope="module")
 def gradient():
-    """Of one environment's loss: with respect to the actor and to the actions, for the variances of the state."""
+    """A function of the variances: the gradient of one environment's loss with respect to actor parameters and actions."""
     networks = make_actor_critic(ENV, CONFIG)
     state = make_agent("sapo_ivw", ENV, CONFIG).init(jax.random.key(0))
     one = jax.tree.map(lambda a: a[0], state.environments.state)
@@ -73,7 +73,8 @@ def test_with_equal_weights_it_is_sapo(gradient):
 
 
 def test_each_step_has_its_weight_and_actions_keep_their_gradient(gradient):
-    """The gradient is linear in the weights: four of them give the four steps' shares, which foretell a fifth."""
+    """The gradient is linear in the weights: four sets of weights give the contributions of the four steps, and a fifth tests
+    them."""
     of, _ = gradient
     variances = [jnp.array(v) for v in ([1.0, 2, 3, 4], [4.0, 1, 1, 2], [2.0, 5, 1, 1], [1.0, 1, 3, 1], [3.0, 2, 2, 1])]
     weights = np.array([ivw.step_weights(CONFIG, v) for v in variances], np.float64)

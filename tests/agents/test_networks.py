@@ -1,4 +1,4 @@
-"""Networks: what an encoder must not see and must see, where a policy starts, that critics are independent."""
+"""Networks: invariances and inputs of the encoder, the initial policy, independent critics."""
 
 import jax
 import jax.numpy as jnp
@@ -60,7 +60,7 @@ def test_encoder_moves_with_a_single_point(encode):
 
 @pytest.fixture(scope="module")
 def initial_policies():
-    """Parameters of 32 fresh policies, and mean and log standard deviation of 32 observations each under them."""
+    """Parameters of 32 initial policies, and their mean and log standard deviation for 32 observations each."""
     module = actor()
     params = jax.jit(jax.vmap(lambda k: module.init(k, observation(0))))(jax.random.split(jax.random.key(1), 32))
     obs = jax.tree.map(lambda *a: jnp.stack(a), *[observation(i) for i in range(32)])
@@ -122,7 +122,7 @@ def test_a_layer_multiplies_by_its_matrix_and_narrow_ones_need_no_matrix_product
 
 
 def test_initialisers_under_vmap_draw_what_each_key_draws_alone():
-    """Several batched QR decompositions in one program can dead-lock XLA's CPU threads: this returns at all."""
+    """Several batched QR decompositions in one program can dead-lock XLA's CPU threads; this test would hang."""
     from rewax.agents.networks import orthogonal
 
     def draw(key):

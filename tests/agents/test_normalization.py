@@ -1,4 +1,4 @@
-"""Running statistics: in parts = at once = numpy, and what normalisation leaves alone."""
+"""Running statistics: incremental = at once = numpy; normalisation leaves point clouds unchanged."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The replay buffer: what it keeps, and n-step samples against a loop in numpy."""
+"""The replay buffer: stored steps, and n-step samples against a loop in numpy."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ NUM_ENVS, CAPACITY, DISCOUNT = 2, 8, 0.5
 
 
 def steps(first, length, terminated=None, done=None, valid=None):
-    """Steps whose observations and rewards name time and environment: 10 t + env."""
+    """Steps with observations and rewards that encode time and environment: 10 t + env."""
     name = 10.0 * (first + np.arange(length))[:, None] + np.arange(NUM_ENVS)
     no = np.zeros((length, NUM_ENVS), bool)
     return Step(

@@ -1,4 +1,4 @@
-"""Returns along one trajectory against the reference's recursion, sums written out, and cases done by hand."""
+"""Returns along one trajectory against the reference's recursion, explicit sums, and cases by hand."""
 
 import jax
 import jax.numpy as jnp
@@ -66,7 +66,7 @@ def test_td_lambda_by_hand():
     np.testing.assert_allclose(targets(middle, v.at[1].set(0.0)), [4.0, 2.0, 24.0])
 
 
-def test_td_lambda_zero_bootstraps_after_one_step_and_one_at_the_end_of_the_stretch(x64):
+def test_td_lambda_zero_bootstraps_after_one_step_and_one_at_the_end_of_the_segment(x64):
     reward, value, done, discount, _ = draw(1)
     one_step = reward + discount[:, None] * value
     np.testing.assert_allclose(many_targets(reward, value, done, discount, np.zeros(NUM)), one_step, rtol=1e-12)
@@ -97,7 +97,7 @@ def test_short_horizon_return_equals_a_loop_over_segments(x64):
 
 
 @pytest.mark.parametrize("end", [0, 2, 4])
-def test_gradient_reaches_values_only_at_the_ends_of_stretches(end):
+def test_gradient_reaches_values_only_at_the_ends_of_segments(end):
     r, v, done = jnp.arange(5.0), jnp.ones(5), jnp.arange(5) == end
     weights = 0.5 ** np.concatenate([np.arange(end + 1), np.arange(4 - end)])
     ends = (np.arange(5) == end) | (np.arange(5) == 4)
@@ -112,7 +112,7 @@ def test_a_failed_step_is_worth_the_value_before_it_not_nothing():
     r, v = jnp.array([-1.0, -2.0, 0.0, -4.0]), jnp.array([-10.0, -20.0, 0.0, -40.0])
     done, valid = jnp.array([False, False, True, False]), jnp.array([True, True, False, True])
     got = td_lambda(r, v, done, valid, discount=0.5, lambda_=0.5)
-    # step 1 ends the stretch with V = -20: G1 = -2 - 10 = -12; G0 = -1 + 0.5 (-5 - 6) = -6.5; G3 = -4 - 20
+    # step 1 ends the segment with V = -20: G1 = -2 - 10 = -12; G0 = -1 + 0.5 (-5 - 6) = -6.5; G3 = -4 - 20
     np.testing.assert_allclose(got[np.array([0, 1, 3])], [-6.5, -12.0, -24.0])
     # 1 * -1 + 0.5 (-2 + 0.5 * -20), nothing for step 2, then -4 + 0.5 * -40
     got = short_horizon_return(r, v, done, valid, discount=0.5)

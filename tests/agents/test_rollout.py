@@ -1,4 +1,4 @@
-"""A policy acting on a line: what is recorded, and where gradients flow."""
+"""A policy acting on a line: recorded transitions, and the flow of gradients."""
 
 import jax
 import numpy as np
@@ -31,7 +31,7 @@ def state():
 
 @pytest.fixture(scope="module")
 def runs(state):
-    """By way of differentiation: rewards with their slopes by k, and the rest."""
+    """For each way of differentiation: the derivative of the rewards with respect to k, the rewards, and the rest."""
 
     def both(differentiate):
         def total(k):
@@ -92,7 +92,7 @@ def test_needs_automatic_resets(state):
 
 
 def slopes(state, **options):
-    """Rewards' sum by each of an open loop's actions, and by the probes."""
+    """Gradient of the sum of rewards with respect to the actions of an open loop, and to the probes."""
     actions, probes = 0.1 * np.arange(1.0, 4.0, dtype=np.float32)[:, None], np.zeros(3, np.float32)
 
     def total(actions, probes):
@@ -116,7 +116,7 @@ def slopes(state, **options):
 
 def test_the_gradient_of_the_state_decays_or_is_cut(state):
     by_action, by_probe, x = slopes(state)
-    late = -2.0 * GAIN * x  # of each step's own reward by its action
+    late = -2.0 * GAIN * x  # derivative of each step's own reward with respect to its action
     np.testing.assert_allclose(by_action, np.cumsum(late[::-1])[::-1], rtol=1e-5)
     np.testing.assert_allclose(by_probe, np.abs(np.cumsum((late / GAIN)[::-1])[::-1]), rtol=1e-5)
     decayed, _, same = slopes(state, state_gradient_decay=0.5)

@@ -1,4 +1,4 @@
-"""RPO: its first epoch follows SHAC's gradient; later ones weigh and leave out samples."""
+"""RPO: its first epoch follows SHAC's gradient; later epochs weight and mask samples."""
 
 import dataclasses
 import functools
@@ -27,7 +27,7 @@ def start():
 
 @pytest.fixture(scope="module")
 def rolled(start):
-    """Losses, rollouts and derivatives by actions."""
+    """Losses, rollouts, and derivatives with respect to actions."""
 
     @jax.jit
     def roll(state):
@@ -57,15 +57,17 @@ def test_the_first_epoch_follows_the_gradient_of_shac(start, rolled):
         start.actor_params
     )
     expected, _ = mean_of_finite(losses, grads)
-    (_, said), found = slope(start.actor_params, start, rolled)
-    assert said["kept"] == 1.0 and abs(said["kl"]) < 1e-6
-    chex.assert_trees_all_close(found, expected, rtol=2e-3, atol=2e-5)  # noise is a difference over a spread
+    (_, metrics), found = slope(start.actor_params, start, rolled)
+    assert metrics["kept"] == 1.0 and abs(metrics["kl"]) < 1e-6
+    chex.assert_trees_all_close(
+        found, expected, rtol=2e-3, atol=2e-5
+    )  # noise is a difference over a standard deviation
 
 
-def test_samples_whose_ratio_has_left_its_range_count_for_nothing(start, rolled):
+def test_samples_with_a_ratio_outside_its_range_are_masked(start, rolled):
     far = jax.tree.map(lambda a: a + 0.3, start.actor_params)
-    (_, said), _ = slope(far, start, rolled)
-    assert 0.0 < said["kept"] < 1.0 and said["kl"] > 0.01
+    (_, metrics), _ = slope(far, start, rolled)
+    assert 0.0 < metrics["kept"] < 1.0 and metrics["kl"] > 0.01
     acted = {name: np.asarray(value, np.float64) for name, value in rolled[1].transitions.aux.items()}
     obs = NETWORKS.normalize(start.environments.statistics, rolled[1].transitions.obs)
     now = jax.vmap(jax.vmap(lambda one: NETWORKS.distribution(far, one)))(obs)
@@ -74,13 +76,13 @@ def test_samples_whose_ratio_has_left_its_range_count_for_nothing(start, rolled)
         return (-0.5 * ((acted["raw"] - mean) / np.exp(log_std)) ** 2 - log_std).sum(-1)
 
     ratio = np.exp(log_density(now.mean, now.log_std) - log_density(acted["mean"], acted["log_std"]))
-    along = (np.asarray(rolled[2]) * acted["raw"]).sum(-1)  # the actions written again are those that were taken
+    along = (np.asarray(rolled[2]) * acted["raw"]).sum(-1)  # reparameterised actions equal the taken ones
     for low, high in ((0.0, float(np.median(ratio)) + 1.0), (min(float(np.median(ratio)), 0.99), 1e9)):
         counts = (ratio >= low) & (ratio <= high)
         assert 0 < counts.sum() < counts.size
         config = dataclasses.replace(CONFIG, lowest_ratio=low, highest_ratio=high, kl_coefficient=0.0)
-        (value, said), _ = slope(far, start, rolled, config)
-        np.testing.assert_allclose(said["kept"], counts.mean(), rtol=1e-6)
+        (value, metrics), _ = slope(far, start, rolled, config)
+        np.testing.assert_allclose(metrics["kept"], counts.mean(), rtol=1e-6)
         np.testing.assert_allclose(value, np.sum(ratio * along * counts) / len(ratio), rtol=2e-3, atol=1e-5)
 
 

@@ -1,4 +1,4 @@
-"""Environments of a run: alike, different, drawn anew; their parameters are data of the compiled program."""
+"""Environments of a run: equal, different or randomised parameters, which are data of the compiled program."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""SAC: its losses written out, the warm-up, the entropy that it holds, and the buffer that is not copied."""
+"""SAC: its losses, the warm-up, the target entropy, and the buffer, which is not copied."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""SAPO on a point mass: the gradient it follows, that it learns, and what a broken environment may not do."""
+"""SAPO on a point mass: its gradient, its learning, and isolation of a broken environment."""
 
 import dataclasses
 import functools
@@ -40,7 +40,7 @@ CALM = dataclasses.replace(CONFIG, log_std_range=(-20.0, -20.0))
 
 @struct.dataclass
 class Faulty(toys.PointMass):
-    """A point mass whose first step may go wrong, by ``physics["mode"]``; a reset heals it."""
+    """A point mass with a first step that fails as ``physics["mode"]`` says; a reset heals it."""
 
     def reset(self, key):
         state = super().reset(key)
@@ -67,7 +67,7 @@ ENV = Faulty(gain=jnp.float32(0.5), length=LENGTH)
 
 
 def prepared(state, modes, counts=(0, 0, 0, 0)):
-    """The same run with environments in these modes after these numbers of steps."""
+    """The same run with the given modes and step counts of the environments."""
     envs = state.environments
     physics = {**envs.state.physics, "mode": jnp.array(modes, jnp.int32)}
     env_state = envs.state.replace(physics=physics, step_count=jnp.array(counts, jnp.int32))
@@ -97,7 +97,7 @@ def start(agent):
 
 
 def per_env_gradients(config):
-    """Loss, data and gradient of every environment, with the keys that ``train_step`` would use; jitted."""
+    """Jitted: loss, data and gradient of every environment, with the keys of ``train_step``."""
     networks = make_actor_critic(ENV, config)
 
     @jax.jit

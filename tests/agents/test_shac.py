@@ -1,4 +1,4 @@
-"""SHAC: the target network, and what distinguishes it from SAPO."""
+"""SHAC: the target network, and the differences from SAPO."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ def test_the_target_network_keeps_its_share_of_the_old_parameters():
 
 
 def test_the_targets_come_from_the_target_network():
-    """With other parameters in it, the critics' loss is another."""
+    """Other parameters in the target network change the critics' loss."""
     start = agent("shac").init(jax.random.key(0))
     other = start.replace(target_params=jax.tree.map(lambda a: a + 0.3, start.target_params))
     losses = [float(agent("shac").train_step(state)[1]["critic_loss"]) for state in (start, other)]
@@ -30,7 +30,7 @@ def test_the_targets_come_from_the_target_network():
 
 
 def test_without_entropy_and_with_its_settings_sapo_is_shac():
-    """The two of them take the same step but for the noise of the actions, which SAPO draws with a split key."""
+    """Both take the same step except for the noise of the actions: SAPO splits the key."""
     config = CASES["shac"].config
     same = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
     sapo = make_agent(

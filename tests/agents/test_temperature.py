@@ -1,4 +1,4 @@
-"""The temperature's loss, with its factor, and where it goes."""
+"""The temperature: the factor of its loss, and the direction of its update."""
 
 import dataclasses
 

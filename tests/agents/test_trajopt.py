@@ -1,4 +1,4 @@
-"""TrajOpt: one sequence for all starts, played by the number of the step, clipped to the bounds of actions."""
+"""TrajOpt: one sequence for all initial states, indexed by the step, clipped to the action bounds."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from rewax.training.evaluation.recording import record
 
 
 def test_it_finds_the_best_sequence():
-    """Starts are uniform in [0.5, 1.5]: the best sequence moves their mean from 1 to 0 in two steps and keeps it."""
+    """Initial positions are uniform in [0.5, 1.5]: the best sequence moves their mean from 1 to 0 in two steps."""
     state, _ = trained("trajopt")
     means = 1.0 + 0.5 * np.cumsum(state.actions[:, 0])
     np.testing.assert_allclose(means, [0.5, 0.0, 0.0, 0.0, 0.0], atol=0.12)

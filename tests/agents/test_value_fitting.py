@@ -1,4 +1,4 @@
-"""Regression: chunks add up, masks mask, points are counted."""
+"""Regression: sums over chunks, masks, and the number of points per chunk."""
 
 import chex
 import jax
@@ -46,7 +46,7 @@ def test_chunks_of_a_minibatch_add_up_to_its_update(chunk):
     chex.assert_trees_all_close(fit(chunk=chunk), fit(), rtol=1e-5)
 
 
-def test_samples_that_do_not_count_are_as_if_they_were_not_there():
+def test_masked_samples_change_nothing():
     valid = ALL.at[1].set(False)
     spoilt = {"x": OBS["x"].at[1].set(jnp.nan)}
     got = fit(spoilt, TARGETS.at[1].set(jnp.nan), valid, minibatches=1, chunk=32)

@@ -5,6 +5,9 @@ import pytest
 import toys
 
 from rewax import struct
+from rewax.agents import registry as algorithms
+from rewax.agents.config import RunConfig
+from rewax.agents.registry import Algorithm
 from rewax.cli.main import main
 from rewax.envs import registry
 
@@ -35,8 +38,30 @@ def test_one_that_does_not(registered, capsys):
     assert "problem: " in (said := capsys.readouterr().err) and "gradient" in said
 
 
+def make_absent(env, config):
+    """A toy with a metric that is NaN."""
+    toy = toys.make_toy(env)
+
+    def train_step(state):
+        state, metrics = toy.train_step(state)
+        return state, {**metrics, "alpha": jnp.float32(jnp.nan)}
+
+    return toy._replace(train_step=train_step)
+
+
+def test_an_algorithm(registered, capsys, monkeypatch):
+    absent = Algorithm(make_absent, RunConfig, lambda env_name, scale: RunConfig())
+    monkeypatch.setitem(algorithms._ALGORITHMS, "absent", lambda: absent)
+    assert main(["check", "--env", "Point", "--algo", "absent"]) == 1
+    assert "problem: metric 'alpha' is nan: look for" in capsys.readouterr().err
+    assert main(["check", "--env", "Point", "--algo", "absent", "--may-be-nan", "return", "alpha"]) == 0
+    assert capsys.readouterr().out.endswith("absent on Point at scale small keeps the protocol\n")
+
+
 def test_wrong_usage(capsys):
     assert main(["check", "--env", "RolingFlat"]) == 2
     assert "RollingFlat" in capsys.readouterr().err
+    assert main(["check", "--env", "RollingFlat", "--algo", "sapoo"]) == 2
+    assert "did you mean 'sapo'" in capsys.readouterr().err
     assert main(["check"]) == 2
     assert "rewax check needs the option --env" in capsys.readouterr().err
