@@ -24,7 +24,7 @@ class Options:
       step: iteration of the checkpoint, the newest by default.
       video: record an episode with deterministic actions: episode.mp4 in the run's directory, or <task>.mp4 here.
       color_by: what colours particles in it: material, height, or what the environment offers (speed, strain).
-      surface: show particles in it by the surfaces of their materials; needs rewax[surfaces].
+      surface: show particles in it by the surfaces of their materials.
     """
 
     run: tyro.conf.Positional[str | None] = None
@@ -53,7 +53,6 @@ def run(argv: Sequence[str]) -> int:
     from rewax.training.evaluation.recording import can_record, record
     from rewax.training.storage.cache import enable_compilation_cache
     from rewax.training.storage.policies import is_policy, open_run
-    from rewax.viz.surface import need_marching_cubes
 
     quiet()
     options = parse(Options, argv, prog="rewax eval", description="Evaluate what a run has learnt.")
@@ -62,8 +61,6 @@ def run(argv: Sequence[str]) -> int:
         raise ValueError("rewax eval needs one run directory or task: rewax eval HandFlip")
     if options.episodes < 1:
         raise ValueError(f"episodes is {options.episodes}: use 1 or more")
-    if options.surface:
-        need_marching_cubes()
     enable_compilation_cache()
     import_modules(options.imports)
     saved = open_run(where, step=options.step, scale=options.scale)

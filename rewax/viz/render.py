@@ -8,7 +8,6 @@ import numpy as np
 
 from rewax.viz.colors import color_by as colors_of
 from rewax.viz.recording import Recording
-from rewax.viz.surface import need_marching_cubes
 
 RENDERERS = ("auto", "mujoco", "software")
 
@@ -29,14 +28,13 @@ def pictures(
       renderer: ``mujoco`` needs OpenGL through EGL or OSMesa; ``software`` needs nothing; ``auto`` takes MuJoCo's where
         a graphics card draws, and goes on with the other one if it fails.
       color_by: what colours particles: ``material``, ``height``, ``speed``, ``strain``.
-      surface: show particles by the surfaces of their materials, which ``software`` alone draws; it needs scikit-image.
+      surface: show particles by the surfaces of their materials, which ``software`` alone draws.
 
     Returns:
       Pictures in order, uint8 of shape (height, width, 3).
 
     Raises:
-      ValueError: an unknown renderer, nothing of the name ``color_by``, no OpenGL for ``mujoco``, surfaces with it or
-        without scikit-image.
+      ValueError: an unknown renderer, nothing of the name ``color_by``, no OpenGL for ``mujoco``, or surfaces with it.
     """
     if renderer not in RENDERERS:
         raise ValueError(f"renderer is {renderer!r}: use one of {', '.join(RENDERERS)}")
@@ -45,7 +43,6 @@ def pictures(
     if surface:
         if renderer == "mujoco":
             raise ValueError("the renderer mujoco draws no surfaces of particles: use software or auto")
-        need_marching_cubes()
         renderer = "software"
     if renderer == "software":
         return software_pictures(recording, size, color_by, surface=surface)

@@ -94,9 +94,9 @@ class SoftwareRenderer:
             self._draw_triangles(camera, corners, faces, colors[triangles].mean(axis=1), depth, picture)
         elif self._surface:
             for part in surfaces(self._recording, frame):
-                normals = part.normals[part.triangles].mean(axis=1)
+                corners, normals = part.vertices[part.triangles], part.normals[part.triangles]
                 color = colors[part.nearest][part.triangles].mean(axis=1)
-                self._draw_triangles(camera, part.vertices[part.triangles], normals, color, depth, picture)
+                self._draw_triangles(camera, corners, normals, color, depth, picture)
                 self._draw_spheres(camera, cloud, part.loose, colors, depth, picture)
         else:
             self._draw_spheres(camera, cloud, np.arange(len(cloud)), colors, depth, picture)
@@ -110,14 +110,17 @@ class SoftwareRenderer:
         depth: np.ndarray,
         picture: np.ndarray,
     ) -> None:
-        """Triangles with corners of shape (n, 3, 3) and a normal and a colour each."""
+        """Triangles with corners of shape (n, 3, 3), a colour each, and a normal each, (n, 3), or for each corner."""
         buffer = NearestBuffer(self._rows, self._columns)
         buffer.add_triangles(np.stack(camera.project(corners, self._rows, self._columns), axis=-1).astype(np.float32))
         pixels, which, at = buffer.result()
         shown = at < depth[pixels]
         pixels, which, at = pixels[shown], which[shown], at[shown]
         depth[pixels] = at
-        picture[pixels] = self._shade(normals[which].astype(np.float32), colors[which])
+        normal = normals[which]
+        if normals.ndim == 3:
+            normal = _interpolated(camera.eye + at[:, None] * self._rays[pixels], corners[which], normal)
+        picture[pixels] = self._shade(normal.astype(np.float32), colors[which])
 
     def _draw_spheres(
         self,
@@ -180,13 +183,9 @@ class SoftwareRenderer:
         buffer.add_triangles(projected[surface.triangles].astype(np.float32))
         pixels, which, at = buffer.result()
         points = camera.eye + at[:, None] * self._rays[pixels]
-        corners = vertices[surface.triangles[which]]
-        opposite = [np.cross(corners[:, i - 2] - points, corners[:, i - 1] - points) for i in range(3)]
-        face = sum(opposite)
-        share = np.stack([np.einsum("ni,ni->n", part, face) for part in opposite], axis=1)
-        normals = np.einsum("nc,nci->ni", np.maximum(share, 0.0), surface.normals[surface.triangles[which]])
-        normals = turned(normals, np.asarray(shape["rotation"], float).T)
-        return pixels, at, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        corners = surface.triangles[which]
+        normals = _interpolated(points, vertices[corners], surface.normals[corners])
+        return pixels, at, turned(normals, np.asarray(shape["rotation"], float).T)
 
     def _rectangle(self, camera: Camera, shape: Drawing) -> tuple[np.ndarray, np.ndarray]:
         """First and last column and row that may show a shape; all of them for one that reaches behind the eye."""
@@ -219,6 +218,20 @@ class SoftwareRenderer:
         large = np.empty((height, _SAMPLES, width, _SAMPLES, *pixels.shape[1:]), np.float32)
         large[:] = pixels.reshape(height, 1, width, 1, *pixels.shape[1:])
         return large.reshape(self._rows * self._columns, *pixels.shape[1:])
+
+
+def _interpolated(points: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Unit normals at points of triangles, weighted by the areas opposite to their corners.
+
+    Args:
+      points: shape (n, 3).
+      corners, normals: of each point's triangle, shape (n, 3, 3).
+    """
+    opposite = [np.cross(corners[:, i - 2] - points, corners[:, i - 1] - points) for i in range(3)]
+    face = sum(opposite)
+    share = np.stack([np.einsum("ni,ni->n", part, face) for part in opposite], axis=1)
+    normal = np.einsum("nc,nci->ni", np.maximum(share, 0.0), normals)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
 
 def _rays(camera: Camera, rows: int, columns: int) -> np.ndarray:
