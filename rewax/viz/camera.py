@@ -99,23 +99,50 @@ def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
     """Choose a camera that shows everything that happens.
 
     Args:
-      recording: what happens. Its ``camera`` may hold ``azimuth`` and ``elevation`` [degrees], ``zoom`` (above 1 is
-        nearer) and ``follow``: whether the camera goes with what moves. By default it does where things travel
-        further than twice their own size.
+      recording: its ``camera`` may hold ``azimuth`` and ``elevation`` [degrees], ``zoom`` (above 1 is nearer) and
+        ``follow``: whether the camera goes with what moves. By default it does where things travel further than twice
+        their own size.
       aspect: width of the picture divided by its height.
 
     Raises:
       ValueError: ``camera`` has an unknown key.
     """
+    boxes = _boxes(recording)
+    return _frame(recording, boxes, aspect, follow=_follows(recording, boxes))
+
+
+def frame_both(recording: Recording, *, aspect: float = 4 / 3) -> tuple[Framing, Framing, bool]:
+    """The camera that follows, the one that stands still, and whether ``frame_recording`` chooses the first."""
+    boxes = _boxes(recording)
+    followed, still = (_frame(recording, boxes, aspect, follow=follow) for follow in (True, False))
+    return followed, still, _follows(recording, boxes)
+
+
+def _options(recording: Recording) -> dict[str, Any]:
     options = {**_DEFAULTS, **recording.camera}
     if unknown := sorted(set(options) - set(_DEFAULTS)):
         raise ValueError(f"camera has an unknown key {unknown[0]!r}: use {', '.join(_DEFAULTS)}")
+    return options
+
+
+def _boxes(recording: Recording) -> np.ndarray:
+    """Lower and upper corners of what each frame shows [m], shape (num_frames, 2, 3)."""
     margin = 0.0 if recording.particles is None else 0.5 * float(diameters(recording).max())
-    boxes = np.stack([np.stack(_box(recording, i, margin)) for i in range(recording.num_frames)])
+    return np.stack([np.stack(_box(recording, i, margin)) for i in range(recording.num_frames)])
+
+
+def _follows(recording: Recording, boxes: np.ndarray) -> bool:
+    """Whether the camera goes with what moves."""
+    follow = _options(recording)["follow"]
+    if follow is not None:
+        return bool(follow)
+    size = float(np.median(np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)))
+    return float(np.linalg.norm(np.ptp(boxes.mean(axis=1), axis=0))) > 2.0 * size
+
+
+def _frame(recording: Recording, boxes: np.ndarray, aspect: float, *, follow: bool) -> Framing:
+    options = _options(recording)
     middles, sizes = boxes.mean(axis=1), boxes[:, 1] - boxes[:, 0]
-    size = float(np.median(np.linalg.norm(sizes, axis=1)))
-    travel = float(np.linalg.norm(np.ptp(middles, axis=0)))
-    follow = travel > 2.0 * size if options["follow"] is None else bool(options["follow"])
     if follow:
         targets, radius = _smooth(middles), 0.6 * float(np.linalg.norm(sizes, axis=1).max())
     else:
@@ -123,8 +150,8 @@ def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
         targets = np.broadcast_to(0.5 * (low + high), middles.shape)
         radius = 0.5 * float(np.linalg.norm(high - low))
     azimuth, elevation = float(options["azimuth"]), float(options["elevation"])
-    seen_from = look(np.zeros(3), up=recording.up, azimuth=azimuth, elevation=elevation, distance=1.0)
-    distance = _fitting_distance(boxes - targets[:, None], seen_from, aspect) / float(options["zoom"])
+    direction = look(np.zeros(3), up=recording.up, azimuth=azimuth, elevation=elevation, distance=1.0)
+    distance = _fitting_distance(boxes - targets[:, None], direction, aspect) / float(options["zoom"])
     return Framing(
         targets=targets,
         distance=distance,
@@ -186,4 +213,4 @@ def _smooth(path: np.ndarray) -> np.ndarray:
     return (sums[2 * width + 1 :] - sums[: -2 * width - 1]) / (2 * width + 1)
 
 
-__all__ = ["FIELD_OF_VIEW", "Camera", "Framing", "focal_length", "frame_recording", "look"]
+__all__ = ["FIELD_OF_VIEW", "Camera", "Framing", "focal_length", "frame_both", "frame_recording", "look"]

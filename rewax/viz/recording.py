@@ -24,6 +24,8 @@ class Recording:
       steps: control steps since the beginning of each frame, shape (num_frames,).
       rewards: of every control step, shape (num_steps,).
       status: bits of ``rewax.status.Status`` after every control step, shape (num_steps,).
+      actions: of every control step, shape (num_steps, num_actions); None where they are not kept.
+      metrics: named numbers of every control step, shape (num_steps,) each.
       particles: positions [m], shape (num_frames, num_particles, 3); None without particles.
       values: named numbers of each particle (``speed``, ``strain``), shape (num_frames, num_particles) each.
       drawings: rigid shapes of each frame (``rewax.viz.shapes``): the same kinds, meshes with the same triangles.
@@ -41,6 +43,8 @@ class Recording:
     steps: np.ndarray
     rewards: np.ndarray
     status: np.ndarray
+    actions: np.ndarray | None = None
+    metrics: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     particles: np.ndarray | None = None
     values: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     drawings: Sequence[Sequence[Drawing]] = ()

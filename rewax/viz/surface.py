@@ -69,7 +69,8 @@ def _surface(cloud: np.ndarray, members: np.ndarray, diameter: float) -> Surface
     place = (points - low) / cell
     density = _counts(place, np.ceil(extent / cell).astype(int) + 2 * MARGIN + 1)
     density = gaussian_filter(density, SMOOTHING * diameter / cell, mode="constant", truncate=3.0)
-    density[[0, -1]] = density[:, [0, -1]] = density[:, :, [0, -1]] = 0.0
+    for axis in range(3):  # a closed surface even where many particles share a place
+        np.moveaxis(density, axis, 0)[[0, 1, -2, -1]] = 0.0
     at_particles = density[tuple(np.rint(place).astype(int).T)]
     level = LEVEL * float(np.median(at_particles))
     vertices, normals, triangles = surface_nets(density, level)

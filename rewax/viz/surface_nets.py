@@ -12,7 +12,7 @@ def surface_nets(values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarr
     edge that crosses joins the vertices of its four cells by two triangles.
 
     Args:
-      values: shape (nx, ny, nz); below the level on the outermost nodes, so that the surface is closed.
+      values: shape (nx, ny, nz); below the level on the two outermost layers of nodes, so that the surface is closed.
       level: value on the surface.
 
     Returns:
@@ -61,8 +61,7 @@ def _normals(values: np.ndarray, vertices: np.ndarray) -> np.ndarray:
         weight = np.prod(np.where(corner, part, 1.0 - part), axis=1)
         node = base + corner
         for axis in range(3):
-            ahead = np.minimum(node + _AXES[axis], np.array(values.shape) - 1)
-            behind = np.maximum(node - _AXES[axis], 0)
+            ahead, behind = node + _AXES[axis], node - _AXES[axis]
             gradient[:, axis] += weight * (values[tuple(ahead.T)] - values[tuple(behind.T)])
     return -gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-300)
 
