@@ -48,7 +48,6 @@ function union(ranges) {
 class Player {
   constructor(data) {
     Object.assign(this, { runs: data.runs, status: data.status, speed: data.speed, time: 0, playing: false, dirty: true, drawn: 0 });
-    this.duration = Math.max(...this.runs.map((run) => run.times[run.times.length - 1]));
     const metrics = new Set(this.runs.flatMap((run) => Object.keys(run.metrics)));
     this.plots = ["reward", "return", ...(this.runs.some((run) => run.num_actions) ? ["actions"] : []), ...metrics];
     this.show = {
@@ -101,6 +100,11 @@ class Player {
     return this.views.filter(({ section }) => !section.hidden);
   }
 
+  // Seconds until the longest of the visible runs ends.
+  get duration() {
+    return Math.max(...this.visible().map(({ run }) => run.times[run.times.length - 1]));
+  }
+
   // Show one run, or all of them (-1).
   choose(index) {
     const narrow = window.innerWidth < window.innerHeight, count = index < 0 ? this.runs.length : 1;
@@ -108,7 +112,7 @@ class Player {
     this.views.forEach(({ section }, i) => { section.hidden = index >= 0 && i !== index; });
     byId("runs").style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
     [...byId("tabs").children].forEach((tab, i) => tab.setAttribute("aria-pressed", String(i - 1 === index)));
-    this.dirty = true;
+    this.seek(this.time);
   }
 
   toggle(playing = !this.playing) {

@@ -48,7 +48,7 @@ class Curves {
     const { canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight, pen = penOf(canvas);
     if (!pen) return;
     const extent = show.extent || extentOf([this.run], show.plot);
-    const key = [canvas.width, canvas.height, show.plot, extent].join();
+    const key = [canvas.width, canvas.height, duration, show.plot, extent].join();
     if (key !== this.key) {  // everything but the cursor is drawn once
       this.still = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height });
       const still = this.still.getContext("2d");
