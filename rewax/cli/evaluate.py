@@ -24,7 +24,7 @@ class Options:
       step: iteration of the checkpoint, the newest by default.
       video: record an episode with deterministic actions: episode.mp4 in the run's directory, or <task>.mp4 here.
       color_by: what colours particles in it: material, height, or what the environment offers (speed, strain).
-      surface: show particles in it by the surfaces of their materials.
+      surface: show particles in it by the surfaces of their materials; --no-surface shows them as balls.
     """
 
     run: tyro.conf.Positional[str | None] = None
@@ -36,7 +36,7 @@ class Options:
     step: int | None = None
     video: bool = True
     color_by: str = "material"
-    surface: tyro.conf.FlagCreatePairsOff[bool] = False
+    surface: bool = True
 
 
 def run(argv: Sequence[str]) -> int:

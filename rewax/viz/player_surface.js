@@ -2,8 +2,8 @@
 // Surfaces of particles, as in surface.py and surface_nets.py: a Gaussian around each particle adds to a density on a
 // grid, and a surface net lies where the density is half of the median over the particles.
 
-const CELLS_PER_DIAMETER = 2.5;
-const SMOOTHING = 0.75;  // standard deviation of the Gaussian, in diameters
+const CELLS_PER_DIAMETER = 2;
+const SMOOTHING = 1;  // standard deviation of the Gaussian, in diameters
 const LEVEL = 0.5;
 const MARGIN = 4;        // cells between the particles and the end of the grid
 const MAX_CELLS = 400_000;

@@ -10,9 +10,9 @@ import numpy as np
 from rewax.viz.recording import Recording, diameters
 from rewax.viz.surface_nets import surface_nets
 
-CELLS_PER_DIAMETER = 2.5
+CELLS_PER_DIAMETER = 2.0
 """Cells of the density's grid along a particle's diameter."""
-SMOOTHING = 0.75
+SMOOTHING = 1.0
 """Standard deviation of the Gaussian around a particle, in diameters."""
 LEVEL = 0.5
 """Density on the surface; 1 is the median over the particles, thus that of the interior."""

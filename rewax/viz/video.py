@@ -19,7 +19,7 @@ def record_video(
     size: tuple[int, int] = SIZE,
     renderer: str = "auto",
     color_by: str = "material",
-    surface: bool = False,
+    surface: bool | None = None,
 ) -> str:
     """Draw a recording as a video.
 

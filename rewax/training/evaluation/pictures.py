@@ -48,7 +48,7 @@ def draw_strip(recording: Recording, out_png: Path, *, num_frames: int) -> str:
     return ""
 
 
-def draw_video(recording: Recording, out_mp4: Path, *, color_by: str = "material", surface: bool = False) -> str:
+def draw_video(recording: Recording, out_mp4: Path, *, color_by: str = "material", surface: bool | None = None) -> str:
     """An episode as a video; returns how fast it plays."""
     from rewax.viz.video import record_video
 
