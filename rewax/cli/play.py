@@ -123,9 +123,9 @@ def _live(options: Options) -> int:
         while True:
             iteration = int(train_state.iteration)
             recording = record(train_state, jax.random.key(options.seed), name)
-            said = f"iteration {iteration}: {int(recording.steps[-1])} steps, return {recording.totals[-1]:.4g}"
-            print(said, flush=True)
-            viewer.show(recording, f"**{name}**, {said}")
+            summary = f"iteration {iteration}: {int(recording.steps[-1])} steps, return {recording.totals[-1]:.4g}"
+            print(summary, flush=True)
+            viewer.show(recording, f"**{name}**, {summary}")
             while checkpoint.latest_step(directory) in (None, newest):
                 time.sleep(_POLL)
             newest = checkpoint.latest_step(directory)  # one that is damaged is passed over, and not tried again
