@@ -57,7 +57,7 @@ def write_player(recordings: Sequence[Recording], out_html: str | Path, *, title
         "title": html.escape(title),
         "style": _asset("player.css"),
         "script": "\n".join(map(_asset, SCRIPTS)),
-        "data": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/"),
+        "data": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
     }
     page = re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _asset("player.html"))
     out = Path(out_html)
