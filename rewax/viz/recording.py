@@ -106,7 +106,7 @@ class Recording:
             drawings=[self.drawings[i] for i in frames] if len(self.drawings) else (),
         )
 
-    def spread(self, num_frames: int) -> "Recording":
+    def subsample(self, num_frames: int) -> "Recording":
         """At most so many frames, equally spaced from first to last."""
         return self.take(np.unique(np.linspace(0, self.num_frames - 1, num_frames).round().astype(int)))
 
