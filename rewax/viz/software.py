@@ -1,4 +1,4 @@
-"""A renderer that needs nothing but numpy: lit spheres for particles, exact rigid shapes, a floor with shadows."""
+"""A renderer in NumPy: particles as surfaces or lit balls, exact rigid shapes, a floor with shadows."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from rewax.viz.shapes import Drawing, placed, support
 from rewax.viz.surface import has_surfaces, surfaces
 
 _SAMPLES = 2
-"""Samples along either edge of a pixel; colours are their mean."""
+"""Samples along each edge of a pixel; its colour is their mean."""
 
 
 class SoftwareRenderer:
@@ -156,7 +156,7 @@ class SoftwareRenderer:
     def _draw_shape(
         self, camera: Camera, shape: Drawing, surface: Mesh | None, depth: np.ndarray, picture: np.ndarray
     ) -> None:
-        """A rigid shape, or the mesh that it is, where it is nearer than what is there."""
+        """Draw a rigid shape in the pixels where it is nearest."""
         seen = self._see_shape(camera, shape) if surface is None else self._see_mesh(camera, shape, surface)
         pixels, at, normal = seen
         shown = np.flatnonzero(at < depth[pixels])
@@ -203,7 +203,7 @@ class SoftwareRenderer:
         return np.clip(first, 0, whole), np.clip(last, 0, whole)
 
     def _shade(self, normal: np.ndarray, color: np.ndarray) -> np.ndarray:
-        """Light from the sky, from the eye and from a lamp, with a small gleam."""
+        """Colours under light from the sky, from the eye and from a lamp, with a small highlight."""
         lamp = np.maximum(normal @ self._light, 0.0)
         from_sky = 0.5 + 0.5 * (normal @ self._up.astype(np.float32))
         halfway = self._light + self._axes[2]
@@ -213,7 +213,7 @@ class SoftwareRenderer:
         return (light[:, None] * color + 0.14 * gleam[:, None]).astype(np.float32)
 
     def _enlarge(self, pixels: np.ndarray) -> np.ndarray:
-        """Pixels as their samples, shape (num_samples, ...)."""
+        """Repeat each pixel for its samples, shape (num_samples, ...)."""
         height, width = self._size
         large = np.empty((height, _SAMPLES, width, _SAMPLES, *pixels.shape[1:]), np.float32)
         large[:] = pixels.reshape(height, 1, width, 1, *pixels.shape[1:])

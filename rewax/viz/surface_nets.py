@@ -1,4 +1,7 @@
-"""Surface nets (Gibson 1998): a closed mesh where numbers on a grid cross a level. ``player_surface.js`` does the same."""
+"""Surface nets (Gibson 1998): a closed mesh where numbers on a grid cross a level.
+
+The player has the same method in ``player_surface.js``.
+"""
 
 import numpy as np
 
@@ -20,10 +23,9 @@ def surface_nets(values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarr
       shape (n, 3); triangles, counter-clockwise seen from outside, shape (m, 3).
     """
     edges = [_crossings(values - level, axis) for axis in range(3)]
-    cells, points = zip(*(_around(values.shape, nodes, at, axis) for axis, (nodes, at, _) in enumerate(edges)), strict=True)
-    flat = np.concatenate([part.reshape(-1) for part in cells])
-    used, index, counts = np.unique(flat, return_inverse=True, return_counts=True)
-    at = np.concatenate([np.repeat(part, 4, axis=0) for part in points])
+    cells = np.concatenate([_cells_around(values.shape, nodes, axis) for axis, (nodes, _, _) in enumerate(edges)])
+    used, index, counts = np.unique(cells, return_inverse=True, return_counts=True)
+    at = np.repeat(np.concatenate([points for _, points, _ in edges]), 4, axis=0)
     sums = [np.bincount(index.reshape(-1), weights=at[:, i], minlength=len(used)) for i in range(3)]
     vertices = np.stack(sums, axis=-1) / counts[:, None]
     quads = index.reshape(-1, 4)
@@ -43,13 +45,11 @@ def _crossings(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, n
     return nodes, nodes + part[:, None] * _AXES[axis], above > below
 
 
-def _around(
-    shape: tuple[int, ...], nodes: np.ndarray, points: np.ndarray, axis: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Flat indices of the four cells around each edge, counter-clockwise about its axis; the edges' points."""
+def _cells_around(shape: tuple[int, ...], nodes: np.ndarray, axis: int) -> np.ndarray:
+    """Flat indices of the four cells around each edge, counter-clockwise about its axis, shape (num_edges, 4)."""
     second, third = _AXES[(axis + 1) % 3], _AXES[(axis + 2) % 3]
     around = [nodes, nodes - second, nodes - second - third, nodes - third]
-    return np.stack([np.ravel_multi_index(tuple(cell.T), shape) for cell in around], axis=-1), points
+    return np.stack([np.ravel_multi_index(tuple(cell.T), shape) for cell in around], axis=-1)
 
 
 def _normals(values: np.ndarray, vertices: np.ndarray) -> np.ndarray:

@@ -223,7 +223,9 @@ def test_names_from_recordings_stay_text_and_surfaces_are_smooth(tmp_path):
 @needs_browser
 def test_a_phone_shows_one_run_at_a_time(tmp_path):
     path = write_player([scene()] * 4, tmp_path / "a.html")
-    document, console, _ = browse(path, 0.0, tmp_path / "a.png", size=(520, 844))  # windows of Chromium have 500 pixels or more
+    document, console, _ = browse(
+        path, 0.0, tmp_path / "a.png", size=(520, 844)
+    )  # windows of Chromium have 500 pixels or more
     assert not console
     sections = re.findall(r"<section([^>]*)>", document.partition('<main id="runs"')[2].partition("</main>")[0])
     assert len(sections) == 4 and ["hidden" in section for section in sections] == [False, True, True, True]

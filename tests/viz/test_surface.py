@@ -47,7 +47,9 @@ def test_a_drop_that_flies_alone_is_loose_and_each_material_has_its_own_surface(
     halves = (points[:, 0] > 0.0).astype(int)
     left, right = surfaces(made(points, materials=halves, material_names=("water", "sand")), 0)
     border = 0.5 * SPACING  # halfway between the last particles of either side
-    assert abs(left.vertices[:, 0].max() - border) < SPACING and abs(right.vertices[:, 0].min() - border) < 1.5 * SPACING
+    assert (
+        abs(left.vertices[:, 0].max() - border) < SPACING and abs(right.vertices[:, 0].min() - border) < 1.5 * SPACING
+    )
     assert set(halves[left.nearest]) == {0} and set(halves[right.nearest]) == {1}
 
 
@@ -82,9 +84,7 @@ def test_a_mesh_keeps_its_own_surface():
 
 def test_surfaces_are_the_default_where_the_renderer_draws_them():
     recording = made(ball(), floor=0.0)
-    plain, asked, balls = (
-        next(pictures(recording, size=(60, 80), surface=surface)) for surface in (None, True, False)
-    )
+    plain, asked, balls = (next(pictures(recording, size=(60, 80), surface=surface)) for surface in (None, True, False))
     np.testing.assert_array_equal(plain, asked)
     assert not np.array_equal(plain, balls)
 

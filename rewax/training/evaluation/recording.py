@@ -9,7 +9,7 @@ import numpy as np
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import select
 from rewax.training.evaluation.episodes import Policy, told_the_step
-from rewax.types import Array, Key, PyTree
+from rewax.types import Key, PyTree
 from rewax.viz.recording import Recording
 
 _NOTHING = "the environment has neither particles(physics) nor render_shapes(physics): define one of them for pictures"
