@@ -208,7 +208,7 @@ def test_names_from_recordings_stay_text_and_surfaces_are_smooth(tmp_path):
     path = write_player([ball, ball], tmp_path / "a.html", title="safe {{data}}")
     images = {}
     for shown in ("", "&balls"):
-        document, console, images[shown] = browse(path, 0.02, tmp_path / f"a{shown}.png", more=f"&run=1{shown}")
+        document, console, images[shown] = browse(path, 0.02, tmp_path / f"{len(images)}.png", more=f"&run=1{shown}")
         assert not console and "<title>safe {{data}}</title>" in document
         assert document.count("&lt;img src=x") >= 4 and "<img" not in document
     rough = {}
