@@ -46,7 +46,7 @@ class SACConfig(ActorCriticConfig):
       target_rate: share of the new parameters that the target network takes at each update.
       normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
         learn numbers of size 1 whatever the task's rewards, and the temperature has the same unit. Without it and with
-        returns of thousands a clipped gradient makes the start slow (docs/algorithms.md).
+        returns of thousands a clipped gradient makes the start slow (docs/measured/algorithms.md).
       initial_temperature, temperature_learning_rate, target_entropy_scale: as for SAPO.
     """
 
