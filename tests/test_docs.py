@@ -100,7 +100,7 @@ def test_viz_page_runs_and_does_what_it_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = run_page("docs/viz.md")
     assert names["recording"].num_frames <= 61 and len(names["recording"].rewards) == names["recording"].steps[-1]
-    assert names["said"] == "in real time" and b"ftyp" in (tmp_path / "episode.mp4").read_bytes()[:16]
+    assert names["speed"] == "in real time" and b"ftyp" in (tmp_path / "episode.mp4").read_bytes()[:16]
     assert names["page"].stat().st_size > 20_000
 
 

@@ -38,7 +38,7 @@ class Options:
         the working directory.
       video_size: width and height of the video in pixels, even numbers.
       color_by: colours of particles in the video: material, height, or a value of the environment (speed, strain).
-      surface: draw the surfaces of materials in the video in place of particles; needs rewax[surfaces].
+      surface: draw the surfaces of materials in the video; --no-surface draws particles as balls.
     """
 
     run: tyro.conf.Positional[str | None] = None
@@ -54,7 +54,7 @@ class Options:
     video_path: str | None = None
     video_size: tuple[int, int] = (480, 360)
     color_by: str = "material"
-    surface: tyro.conf.FlagCreatePairsOff[bool] = False
+    surface: bool = True
 
 
 def run(argv: Sequence[str]) -> int:
@@ -94,8 +94,6 @@ def run(argv: Sequence[str]) -> int:
 
 def _checked(options: Options) -> str:
     """Check the options that need no loaded run; returns the directory or task to evaluate."""
-    from rewax.viz.surface import need_marching_cubes
-
     where = options.run or options.run_dir
     if where is None or (options.run and options.run_dir):
         raise ValueError("rewax eval needs one run directory or task: rewax eval HandFlip")
@@ -105,8 +103,6 @@ def _checked(options: Options) -> str:
         path = getattr(options, name)
         if path is not None and (Path(path).suffix != ending or not Path(path).parent.is_dir()):
             raise ValueError(f"{name.replace('_', '-')} is {path}: give a file {ending} in a folder that exists")
-    if options.surface:
-        need_marching_cubes()
     return where
 
 

@@ -36,7 +36,7 @@ def draw_strip(recording: Recording, out_png: Path, *, num_frames: int) -> str:
     """Some moments of an episode in one picture: particles and bodies, or rigid bodies alone."""
     from rewax.viz import bodies, plots  # matplotlib is slow to import
 
-    shown = recording.spread(num_frames)
+    shown = recording.subsample(num_frames)
     labels = [
         f"step {step}\nreturn {total:{'.0f' if abs(total) >= 100 else '.3g'}}"
         for step, total in zip(shown.steps, shown.totals, strict=True)

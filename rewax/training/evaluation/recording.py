@@ -9,7 +9,7 @@ import numpy as np
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import select
 from rewax.training.evaluation.episodes import Policy, with_step
-from rewax.types import Array, Key, PyTree
+from rewax.types import Key, PyTree
 from rewax.viz.recording import Recording
 
 _NOTHING = "the environment has neither particles(physics) nor render_shapes(physics): define one of them for pictures"
@@ -92,16 +92,14 @@ def make_record(
     def made(train_state: PyTree, key: Key, name: str = "", max_steps: int | None = None) -> Recording:
         reset_key, act_key = jax.random.split(key)
         state = _beside(train_state, reset(reset_key))
-        seen, steps, rewards, status = [see(state.physics)], [0], [], []
+        seen, steps, logged = [see(state.physics)], [0], []
         while not bool(state.done) and steps[-1] < (env.episode_length if max_steps is None else max_steps):
             state, of_steps = advance(train_state, state, act_key)
             count = int(state.step_count) - steps[-1]
-            reward, bits = jax.device_get(of_steps)
-            rewards.append(reward[:count])
-            status.append(bits[:count])
+            logged.append(jax.tree.map(lambda values: values[:count], jax.device_get(of_steps)))  # noqa: B023
             steps.append(int(state.step_count))
             seen.append(see(state.physics))
-        return _recording(env, seen, steps, rewards, status, name)
+        return _recording(env, seen, steps, logged, name)
 
     return made
 
@@ -117,7 +115,7 @@ def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
     see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
 
     def of(frames: list[PyTree]) -> Recording:
-        return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], [], "")
+        return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], "")
 
     return of
 
@@ -130,17 +128,21 @@ def _beside(train_state: PyTree, state: State) -> State:
 
 
 def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> Callable[..., Any]:
-    """``(train_state, state, key) -> state, (rewards, status)`` of at most ``every`` steps, up to the episode's end."""
+    """``(train_state, state, key) -> state, logged`` of at most ``every`` steps, up to the episode's end.
+
+    ``logged`` has ``rewards``, ``status``, ``actions`` and ``metrics`` of each step.
+    """
     policy_at = with_step(policy)
 
     @jax.jit
-    def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, tuple[Array, Array]]:
-        def body(state: State, _: None) -> tuple[State, tuple[Array, Array]]:
+    def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, dict[str, Any]]:
+        def body(state: State, _: None) -> tuple[State, dict[str, Any]]:
             step = state.step_count
             action = policy_at(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
             over = state.done | (step >= env.episode_length)
             new = select(over, state, env.step(state, action))
-            return new, (new.reward, new.status)
+            logged = {"rewards": new.reward, "status": new.status, "actions": action, "metrics": new.metrics}
+            return new, logged
 
         return jax.lax.scan(body, state, None, length=every)
 
@@ -182,15 +184,19 @@ def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
 
 
 def _recording(
-    env: Any, seen: list[dict[str, Any]], steps: list[int], rewards: Any, status: Any, name: str
+    env: Any, seen: list[dict[str, Any]], steps: list[int], logged: list[dict[str, Any]], name: str
 ) -> Recording:
     first = seen[0]
+    nothing = {"rewards": np.zeros(0), "status": np.zeros(0, np.int32), "actions": None, "metrics": {}}
+    whole = jax.tree.map(lambda *parts: np.concatenate(parts), *logged) if logged else nothing
     options = dict(getattr(env, "appearance", {}))
     dt = getattr(env, "control_dt", None)
     return Recording(
         steps=np.asarray(steps),
-        rewards=np.concatenate([*rewards, np.zeros(0)]),
-        status=np.concatenate([*status, np.zeros(0, np.int32)]),
+        rewards=np.asarray(whole["rewards"], float),
+        status=whole["status"],
+        actions=None if whole["actions"] is None else whole["actions"].reshape(len(whole["rewards"]), -1),
+        metrics={metric: values for metric, values in whole["metrics"].items() if values.ndim == 1},
         particles=np.stack([np.asarray(frame["particles"], np.float32) for frame in seen])
         if "particles" in first
         else None,
