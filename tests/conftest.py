@@ -31,7 +31,7 @@ if "XLA_FLAGS" not in os.environ and _knows(_QUICK_TO_COMPILE):
 
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rewax" / "jax-tests"
 jax.config.update("jax_compilation_cache_dir", str(_CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", float(os.environ.get("MINC", "0.5")))
 
 hypothesis.settings.register_profile(
     "rewax",
