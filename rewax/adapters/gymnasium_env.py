@@ -94,7 +94,7 @@ class GymnasiumVectorEnv(VectorEnv):
       num_envs: how many.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(self, env: Env, num_envs: int) -> None:
         if num_envs < 1:

@@ -126,6 +126,6 @@ class Task(struct.Replaceable):
 
 def against(gravity: Array, default: tuple[float, float, float]) -> np.ndarray:
     """Unit vector against gravity, shape (3,); the default without gravity."""
-    gravity = np.asarray(gravity, float)
-    strength = np.linalg.norm(gravity)
-    return -gravity / strength if strength > 0.0 else np.asarray(default)
+    pull = np.asarray(gravity, float)
+    strength = np.linalg.norm(pull)
+    return -pull / strength if strength > 0.0 else np.asarray(default)

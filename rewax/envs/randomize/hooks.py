@@ -111,7 +111,7 @@ class _Place(NamedTuple):
 
     leaf: int
     """Index among the environment's leaves."""
-    index: tuple[int | None, ...]
+    index: tuple[int | None, ...]  # pyright: ignore[reportIncompatibleMethodOverride]
     """Into the leaf's first axes; None takes all of an axis."""
 
 

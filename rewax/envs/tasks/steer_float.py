@@ -108,8 +108,9 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
         np.full(len(solid), np.prod(FLOAT_SIZE) / len(solid)),
         np.full(len(pool), np.prod(size) / np.prod(counts)),
     ]
+    width, height, depth = (round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4))
     scene = mpm.make_scene(
-        grid=Grid(shape=tuple(round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4)), spacing=spacing),
+        grid=Grid(shape=(width, height, depth), spacing=spacing),
         dt=dt,
         material=(
             Material(
@@ -119,7 +120,7 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
             water(2.5e4),
         ),
         particle_counts=(len(solid), len(pool)),
-        particle_volume=np.concatenate(volumes),
+        particle_volume=np.concatenate(volumes),  # pyright: ignore[reportArgumentType]
         gravity=(0.0, -9.81, 0.0),
         colliders=(
             Collider(

@@ -110,7 +110,7 @@ def _motions(bodies: FreeBodies) -> list[Motion]:
 
 def _prescribed(interval: tuple[Pose, Pose], dt: float) -> list[Motion]:
     """Of each body that moves as prescribed."""
-    return [chord_motion(*(body_pose(p, b) for p in interval), dt) for b in range(interval[0].position.shape[0])]
+    return [chord_motion(*(body_pose(p, b) for p in interval), dt) for b in range(interval[0].position.shape[0])]  # pyright: ignore[reportCallIssue]
 
 
 def _predict(contact: SoftContact, bodies: FreeBodies, inertia: Inertia) -> FreeBodies:

@@ -24,7 +24,7 @@ class ActiveNodes(NamedTuple):
 
     offset: Array
     """Add it to the index along z to have a node's place in the list, for each column, shape (num_columns,), int32."""
-    index: tuple[Array, Array, Array]
+    index: tuple[Array, Array, Array]  # pyright: ignore[reportIncompatibleMethodOverride]
     """Index of each node along x, y, z, arrays (num_active,), int32; meaningless where a place is not used."""
     position: Vec3
     """Position of each node [m], components of shape (num_active,)."""

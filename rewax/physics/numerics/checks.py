@@ -142,7 +142,7 @@ def whole_number(name: str, value: Any, least: int, remedy: str) -> int:
         legal = False
     if not legal:
         raise ValueError(f"{name} is {value!r}: {remedy}")
-    return whole
+    return whole  # pyright: ignore[reportPossiblyUnboundVariable]
 
 
 def check_enum(name: str, value: Any, kind: type[enum.Enum]) -> None:

@@ -81,7 +81,7 @@ def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
             choices = _CHOICES[name]
             if value not in choices:
                 raise ValueError(f"{name} is {value!r}: use one of {', '.join(map(repr, choices))}")
-            setattr(mj.opt, name, choices[value])
+            setattr(mj.opt, name, choices[value])  # pyright: ignore[reportArgumentType]
         else:
             legal, shape, remedy = _NUMBERS[name]
             check_numbers([Number(name, value, legal, remedy, shape)])

@@ -84,7 +84,7 @@ def spread(index: np.ndarray, values: Array, size: int) -> Array:
 class _Places(NamedTuple):
     """Different places in a vector."""
 
-    index: tuple[int, ...]
+    index: tuple[int, ...]  # pyright: ignore[reportIncompatibleMethodOverride]
     size: int
 
 

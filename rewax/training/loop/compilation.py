@@ -14,7 +14,7 @@ from rewax.agents.base import Agent
 from rewax.training.loop.devices import ONE_DEVICE, Placement
 from rewax.training.loop.progress import say
 
-_QUICK = {"xla_cpu_use_fusion_emitters": False}
+_QUICK: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False}
 """XLA's older generator of code for loops. XLA of jax 0.12 has it no more."""
 
 
@@ -47,7 +47,7 @@ def compile_train_step(
     return compiled
 
 
-def compiler_options(agent: Agent) -> dict[str, bool]:
+def compiler_options(agent: Agent) -> dict[str, bool | str]:
     """What XLA is told about how to compile the agent's programs."""
     return _QUICK if _wants_quick(agent) and _has_older_generator() else {}
 

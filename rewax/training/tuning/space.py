@@ -31,8 +31,9 @@ class Range(NamedTuple):
         """Whether the value is one of these."""
         if self.choices:
             return value in self.choices
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and self.low <= value <= self.high and (not self.integers or isinstance(value, int))
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            return False
+        return self.low <= value <= self.high and (not self.integers or isinstance(value, int))
 
     def stored(self, value: Value) -> Any:
         """How a study stores a value: a choice by its place."""
