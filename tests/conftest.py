@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import jax
@@ -31,7 +32,7 @@ if "XLA_FLAGS" not in os.environ and _knows(_QUICK_TO_COMPILE):
 
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rewax" / "jax-tests"
 jax.config.update("jax_compilation_cache_dir", str(_CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", float(os.environ.get("MINC", "0.5")))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # the workers share even the smallest programs
 
 hypothesis.settings.register_profile(
     "rewax",
@@ -42,6 +43,19 @@ hypothesis.settings.register_profile(
     suppress_health_check=[hypothesis.HealthCheck.function_scoped_fixture],
 )
 hypothesis.settings.load_profile("rewax")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With ``pytest -n`` each worker begins with half of the files, so that tests of a file share what they compile.
+
+    Pytest without xdist has no such hook and no option ``--dist``.
+    """
+    if config.getvalue("dist") != "load":
+        return None  # asked for something else
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
 
 
 _MANY_MAPS = 20_000
