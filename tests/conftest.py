@@ -15,13 +15,16 @@ import numpy as np
 import pytest
 from rigid_models import QUICK_TO_COMPILE
 
-_QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false"
-"""XLA's older code generator for a CPU: a third less to compile, programs up to 1.4 times as slow."""
+_QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+"""XLA's older code generator for a CPU, and LLVM without optimisation: half to compile, slower programs.
+
+Tests compile long and compute little; what computes long is C++ of rewax, which the flags do not reach.
+"""
 
 
-def _knows(flag: str) -> bool:
-    """Whether this XLA has the flag: one that has not ends the process."""
-    environment = {**os.environ, "XLA_FLAGS": flag, "JAX_PLATFORMS": "cpu"}
+def _knows(flags: str) -> bool:
+    """Whether this XLA has the flags: one that lacks one ends the process."""
+    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     command = [sys.executable, "-c", "import jax; jax.devices()"]
     return subprocess.run(command, env=environment, capture_output=True).returncode == 0
 
@@ -69,6 +72,13 @@ def few_programs() -> Iterator[None]:
     maps = Path("/proc/self/maps")
     if maps.is_file() and maps.read_bytes().count(b"\n") > _MANY_MAPS:
         jax.clear_caches()
+
+
+@pytest.fixture(scope="session")
+def sharing_programs() -> dict[str, str]:
+    """The environment of another Python that keeps compiled programs where the tests do."""
+    cache = {"JAX_COMPILATION_CACHE_DIR": str(_CACHE), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    return {**os.environ, **cache}
 
 
 @pytest.fixture
