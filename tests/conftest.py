@@ -61,16 +61,19 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return WorkStealingScheduling(config, log)
 
 
-_MANY_MAPS = 20_000
-"""Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes."""
+_MANY_MAPS, _MUCH_MEMORY = 20_000, 1.5e9
+"""Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes. [1, bytes]"""
 
 
 @pytest.fixture(scope="module", autouse=True)
 def few_programs() -> Iterator[None]:
-    """Compiled programs of earlier modules go before they are too many; the cache on disk keeps them."""
+    """Compiled programs of earlier modules go before they are too many or too large; the cache on disk keeps them."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.is_file() and maps.read_bytes().count(b"\n") > _MANY_MAPS:
+    process = Path("/proc/self")
+    if not process.is_dir():
+        return
+    resident = int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if resident > _MUCH_MEMORY or (process / "maps").read_bytes().count(b"\n") > _MANY_MAPS:
         jax.clear_caches()
 
 

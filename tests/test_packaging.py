@@ -19,7 +19,9 @@ DISTRIBUTIONS = {
     "orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx", "imageio_ffmpeg": "imageio-ffmpeg", "OpenGL": "pyopengl",
 }  # fmt: skip
 """Where a distribution has another name than its top module."""
-EXTRA_MODULES = {"scikit-image": "skimage", "dm-env": "dm_env", "stable-baselines3": "stable_baselines3"}
+EXTRA_MODULES = {
+    "scikit-image": "skimage", "dm-env": "dm_env", "stable-baselines3": "stable_baselines3", "pytest-xdist": "xdist",
+}  # fmt: skip
 """The same of extras."""
 
 
