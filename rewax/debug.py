@@ -1,4 +1,4 @@
-"""For finding out where a simulation went wrong."""
+"""Locates the first non-finite value of a simulation."""
 
 from typing import NamedTuple
 
@@ -14,16 +14,16 @@ FIELDS = ("x", "v", "C", "F", "memory")
 
 
 class NaNLocation(NamedTuple):
-    """The first number that is not finite."""
+    """The first non-finite value."""
 
     substep: int
-    """How many substeps went well before; -1: it was there at the start."""
+    """Index of the substep that produced it; -1: the start held it."""
     field: str
-    """Of ``MPMState``; the first of x, v, C, F, memory in which there is one."""
+    """Field of ``MPMState``: the first of x, v, C, F, memory that holds one."""
     particle: int
-    """The first particle that has one."""
+    """Index of the first particle that has one."""
     before: dict[str, np.ndarray]
-    """What the particle was before that substep, by field; at the start what it is."""
+    """The particle's values by field, before that substep or at the start."""
 
     def __str__(self) -> str:
         when = "at the start" if self.substep < 0 else f"in substep {self.substep}"
@@ -34,14 +34,14 @@ class NaNLocation(NamedTuple):
 
 
 def locate_nan(scene: MPMScene, state: MPMState, poses: Pose) -> NaNLocation | None:
-    """The first substep, field and particle with a number that is not finite, or None.
+    """The first substep, field and particle with a non-finite value, or None.
 
-    Runs ``mpm.step`` again, substep by substep; not for use inside ``jit``.
+    Repeats ``mpm.step`` substep by substep. It cannot run inside ``jit``.
 
     Args:
       scene: the scene.
-      state: particles at the start of the step, one environment.
-      poses: of its bodies at the boundaries of substeps, as for ``mpm.step``.
+      state: particles of one environment at the start of the step.
+      poses: poses of the scene's bodies at the boundaries of substeps, as for ``mpm.step``.
 
     Example:
       >>> if int(state.status) & Status.NAN:
@@ -50,7 +50,7 @@ def locate_nan(scene: MPMScene, state: MPMState, poses: Pose) -> NaNLocation | N
     first = _first_bad(state)
     if first is not None:
         return NaNLocation(-1, *first, _particle(state, first[1]))
-    # Chosen once per step, as in mpm.step.
+    # Active nodes are chosen once per step, as in mpm.step.
     nodes = jax.jit(mpm.nodes_of_step)(scene, state.x)
     one = jax.jit(lambda state, nodes, before, after: mpm.substep(scene, state, before, after, nodes=nodes))
     for substep in range(poses.position.shape[0] - 1):

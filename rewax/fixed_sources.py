@@ -1,4 +1,4 @@
-"""The C++ programs of rewax, the same on every machine, so that a wheel can bring their libraries."""
+"""All C++ programs of rewax. They are the same on every machine, so a wheel can hold their libraries."""
 
 import threading
 
@@ -10,19 +10,19 @@ from rewax.physics.mpm import transfer_cpp
 
 
 def fixed_sources() -> tuple[Source, ...]:
-    """Every program: transfers, the machine in both precisions, and what cuts vectors into arrays."""
+    """All programs: transfers (P2G and G2P), the machine in both precisions, and ``split_vector``."""
     machines = (machine.machine(np.dtype(dtype)).source for dtype in ("float32", "float64"))
     return (transfer_cpp.SOURCE, splitting._SOURCE, *machines)
 
 
 def build_ahead(*, transfers: bool = True) -> threading.Thread:
-    """Load the programs of float32 in a thread, building what neither came with rewax nor was built before.
+    """Loads the float32 programs in a thread, and builds those that are neither shipped nor cached.
 
-    The compiler is a process of its own: it works while Python imports and traces. Whoever needs a program before it is
-    there waits for it (``build.load``).
+    The compiler is a separate process, so it works while Python imports and traces. ``build.load`` waits for a program
+    that is being built.
 
     Args:
-      transfers: also those between particles and grid.
+      transfers: whether to load the transfers between particles and grid.
     """
     sources = [machine.machine(np.dtype("float32")).source, *[transfer_cpp.SOURCE] * transfers, splitting._SOURCE]
 

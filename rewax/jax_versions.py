@@ -1,4 +1,4 @@
-"""The versions of JAX that rewax is tested with, and those that it refuses."""
+"""Versions of JAX that rewax is tested with, and versions that it excludes."""
 
 import functools
 import importlib.metadata
@@ -6,26 +6,26 @@ import warnings
 
 OLDEST = (0, 10, 1)
 NEWEST = (0, 12)
-"""All of 0.12. A newer JAX is expected to work and named once; see ``untested``."""
+"""Includes all of 0.12. A newer JAX is expected to work and causes one warning; see ``untested``."""
 EXCLUDED = {
     "0.10.2": "miscompiles some programs on the CPU",
     "0.11.0": "compiles sums of particles for GPUs into slow loops of compare-and-swap",
 }
-"""Releases of that range that are not used, and why."""
+"""Excluded releases of that range, and the reasons."""
 
 
 def requirement() -> str:
-    """What pip is told, as in ``pyproject.toml``: there is no upper bound."""
+    """Requirement for pip, as in ``pyproject.toml``, without an upper bound."""
     return ",".join([f"jax>={_dotted(OLDEST)}", *(f"!={version}" for version in EXCLUDED)])
 
 
 def tested() -> str:
-    """The range in words."""
+    """The tested range in words."""
     return f"{_dotted(OLDEST)} to {_dotted(NEWEST)}"
 
 
 def untested(version: str) -> str | None:
-    """A sentence on a JAX that is newer than the tested ones, or None."""
+    """A warning about a JAX that is newer than the tested ones, else None."""
     if numbers(version)[: len(NEWEST)] <= NEWEST:
         return None
     return (
@@ -36,14 +36,14 @@ def untested(version: str) -> str | None:
 
 @functools.cache
 def warn_if_untested() -> None:
-    """Warn once in a process if the installed JAX is newer than the tested ones."""
+    """Warns once per process if the installed JAX is newer than the tested ones."""
     sentence = untested(importlib.metadata.version("jax"))
     if sentence is not None:
         warnings.warn(sentence, UserWarning, stacklevel=3)
 
 
 def numbers(version: str) -> tuple[int, ...]:
-    """The numbers a version begins with: 0.12.8rc1 gives (0, 12, 8)."""
+    """Leading numbers of a version: 0.12.8rc1 gives (0, 12, 8)."""
     found = []
     for part in version.split("."):
         digits = part[: len(part) - len(part.lstrip("0123456789"))]

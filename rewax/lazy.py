@@ -1,4 +1,4 @@
-"""Packages that hand on names without importing the modules which define them."""
+"""Lazy re-exports: a package provides names without importing the modules that define them."""
 
 import importlib
 import sys
@@ -7,11 +7,11 @@ from typing import Any
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """``__getattr__`` and ``__dir__`` of a package whose names are imported when they are first used.
+    """``__getattr__`` and ``__dir__`` of a package that imports its names on first use.
 
     Args:
-      package: its ``__name__``.
-      homes: the modules that define its names, ``{"Task": "rewax.envs.kit.task"}``.
+      package: the package's ``__name__``.
+      homes: module that defines each name, ``{"Task": "rewax.envs.kit.task"}``.
     """
 
     def get(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""How sure a mean is: intervals and interquartile means of returns; learning curves."""
+"""Confidence intervals and interquartile means of returns; learning curves."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -13,12 +13,12 @@ def bootstrap_interval(
 
     Args:
       values: independent samples, such as returns of episodes or of seeds; at least one.
-      confidence: of the interval [-].
-      num_resamples: draws with replacement.
-      seed: of the draws: the same values always give the same interval.
+      confidence: confidence level of the interval [-].
+      num_resamples: number of resamples with replacement.
+      seed: random seed; the same values always give the same interval.
 
     Returns:
-      Lower and upper end; both the value itself if there is but one.
+      Lower and upper end. For a single value both are the value.
     Source: Efron 1979.
     """
     values = np.asarray(values, np.float64)
@@ -31,11 +31,11 @@ def bootstrap_interval(
 def student_interval(values: Sequence[float] | np.ndarray, *, confidence: float = 0.95) -> tuple[float, float]:
     """Interval of the mean of few samples, by Student's t distribution.
 
-    Resampling three values yields an interval that is far too short: they never show how far others may lie.
+    The bootstrap of three values yields an interval that is far too short.
 
     Args:
-      values: independent samples of about normal distribution, such as returns of seeds; at least two.
-      confidence: of the interval [-].
+      values: independent, approximately normal samples, such as returns of seeds; at least two.
+      confidence: confidence level of the interval [-].
 
     Returns:
       Lower and upper end.
@@ -50,14 +50,14 @@ def student_interval(values: Sequence[float] | np.ndarray, *, confidence: float 
 
 
 def interquartile_mean(values: Sequence[float] | np.ndarray) -> float:
-    """Mean of the middle half of the values: a quarter is cut off at either end, values at the border in part.
+    """Mean of the middle half of the values; values at the borders of the half count in part.
 
     Source: Agarwal et al. 2021, Deep Reinforcement Learning at the Edge of the Statistical Precipice.
     """
     values = np.sort(np.asarray(values, np.float64))
-    place = np.arange(len(values))
+    index = np.arange(len(values))
     quarter = len(values) / 4.0
-    weight = np.clip(np.minimum(place + 1, len(values) - quarter) - np.maximum(place, quarter), 0.0, 1.0)
+    weight = np.clip(np.minimum(index + 1, len(values) - quarter) - np.maximum(index, quarter), 0.0, 1.0)
     return float(np.sum(weight * values) / np.sum(weight))
 
 
@@ -65,24 +65,24 @@ class Curve(NamedTuple):
     """A learning curve.
 
     Attributes:
-      steps: of the environments, increasing, shape (points,).
-      returns: mean of the episodes up to there, shape (points,).
+      steps: environment steps, increasing, shape (points,).
+      returns: mean return of recent episodes at these steps, shape (points,).
     """
 
     steps: np.ndarray
     returns: np.ndarray
 
     def at(self, steps: np.ndarray) -> "Curve":
-        """The curve at other steps, interpolated."""
+        """The curve, interpolated at other steps."""
         return Curve(steps, np.interp(steps, self.steps, self.returns))
 
 
 def learning_curve(columns: Mapping[str, np.ndarray], *, decay: float = 0.9) -> Curve:
-    """Exponentially weighted means of the returns of the episodes that ended; without points if none did.
+    """Exponentially weighted mean returns of finished episodes; the curve has no points if none finished.
 
     Args:
-      columns: ``env_steps`` and ``return``, NaN where no episode ended; of a run's ``metrics.csv``.
-      decay: weight of the past per row.
+      columns: ``env_steps`` and ``return`` of a run's ``metrics.csv``; ``return`` is NaN where no episode ended.
+      decay: decay of the weights per row.
     """
     ended = np.isfinite(columns.get("return", np.zeros(0)))
     steps, returns = (columns[name][ended] if ended.any() else np.zeros(0) for name in ("env_steps", "return"))

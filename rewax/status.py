@@ -1,7 +1,7 @@
-"""What went wrong in a simulation, as a bit field that lives inside jitted code.
+"""Numerical failures of a simulation as bits of ``State.status``.
 
-Exceptions cannot leave a compiled program, so a numerical failure sets bits in ``State.status`` instead: the
-episode ends with zero gradient, the failure is counted in the metrics, and no other environment is touched.
+A compiled program cannot raise exceptions, so a numerical failure sets bits in ``State.status``. A fatal failure ends
+the episode with zero gradient. Metrics count all failures, and other environments are not affected.
 """
 
 import enum
@@ -21,20 +21,20 @@ class Status(enum.IntFlag):
     OUT_OF_DOMAIN = 2
     """A particle left the simulated box and was clamped to its border. Not fatal."""
     CFL = 4
-    """A particle crosses more than one cell per substep: the result is not to be trusted. Not fatal."""
+    """A particle crosses more than one cell per substep: the result is unreliable. Not fatal."""
     INACTIVE_NODES = 8
-    """More nodes were needed than the scene's ``max_active_nodes``, or a particle moved by more than a cell within a
-    step of such a scene: the result is not to be trusted. Give a larger number, or shorter steps. Not fatal."""
+    """A step needs more nodes than the scene's ``max_active_nodes``, or a particle moves by more than a cell in such a
+    step: the result is unreliable. Give a larger number, or shorter steps. Not fatal."""
     INVERTED = 16
-    """A particle is flattened or turned inside out (det F <= 0): the time step is too long for what happens to it, or
-    something crushes it. Not fatal."""
+    """A particle is flattened or inverted (det F <= 0): the time step is too long for its motion, or it is crushed. Not
+    fatal."""
     FAR_COLLIDERS = 32
-    """More colliders were near than the scene's ``max_near_colliders``: some may have been left out. Give a larger
+    """More colliders are near than the scene's ``max_near_colliders``: some may have been left out. Give a larger
     number. Not fatal."""
     INVALID_PARAMETERS = 64
-    """A number that cannot be, in the scene or the model: not finite, friction below 0, a size, softness, density or
-    volume that is not positive, a substep too long for the stiffness, a pose that is not finite. Such numbers are
-    refused when a scene is built; this bit tells of those that were traced or replaced. Fatal: the episode ends."""
+    """The scene or model holds an illegal value: not finite, friction below 0, a size, softness, density or volume that
+    is not positive, a substep too long for the stiffness, a pose that is not finite. Building a scene refuses such
+    values; this bit reports values that were traced or replaced. Fatal: the episode ends."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
@@ -50,7 +50,7 @@ _REMEDIES = {
 
 
 def remedy(status: int) -> str:
-    """What helps against the bits set in one status: ``remedy(8) == 'a larger max_active_nodes'``."""
+    """Remedies for the bits of a status: ``remedy(8) == 'a larger max_active_nodes'``."""
     known = [what for bit, what in _REMEDIES.items() if status & bit]
     unknown = status & ~sum(_REMEDIES)
     return ", ".join(known + ["shorter substeps or softer contacts"] * bool(unknown or not known))
@@ -68,6 +68,6 @@ def all_finite(tree: PyTree) -> Array:
 
 
 def describe(status: int) -> str:
-    """The names of the bits set in one status, joined by ``|``: ``describe(3) == 'NAN|OUT_OF_DOMAIN'``."""
+    """Names of the bits of a status, joined by ``|``: ``describe(3) == 'NAN|OUT_OF_DOMAIN'``."""
     names = [bit.name or "" for bit in Status if bit is not Status.OK and status & bit]
     return "|".join(names) or "OK"

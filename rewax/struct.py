@@ -1,11 +1,11 @@
-"""The one import point of the pytree dataclass.
+"""Frozen dataclasses that are JAX pytrees.
 
-State and parameters of rewax are frozen, keyword-only dataclasses registered as pytrees: fields are leaves
-(differentiated, vmapped, checkpointed) unless marked ``static_field()``, which makes them part of the tree's
-structure (hashed and compared, a change recompiles).
+States and parameters of rewax are frozen, keyword-only dataclasses registered as pytrees. Their fields are leaves
+(differentiated, vmapped, checkpointed), except for those marked ``static_field()``. Static fields are part of the
+tree's structure: they are hashed and compared, and a change recompiles.
 
-A number is a leaf. Numbers that a constructor gets (``Sphere(radius=0.1)``, ``gravity=(0, -9.81, 0)``) become JAX
-arrays, so that ``jax.grad``, ``jax.vmap`` and randomization find them. What is absent is ``None``.
+Constructors convert numbers (``Sphere(radius=0.1)``, ``gravity=(0, -9.81, 0)``) to JAX arrays, so that ``jax.grad``,
+``jax.vmap`` and randomization find them. Absent values are ``None``.
 """
 
 import dataclasses
@@ -25,29 +25,29 @@ T = TypeVar("T")
 
 
 def field(*, pytree_node: bool = True, metadata: Mapping[str, Any] | None = None, **kwargs: Any) -> Any:
-    """``dataclasses.field`` of a leaf, or with ``pytree_node=False`` of a static field."""
+    """``dataclasses.field`` for a leaf, or for a static field with ``pytree_node=False``."""
     return dataclasses.field(metadata={**(metadata or {}), "pytree_node": pytree_node}, **kwargs)
 
 
 def static_field(**kwargs: Any) -> Any:
-    """A field that is part of the pytree's structure instead of being a leaf; its value must be hashable."""
+    """A field that is part of the pytree's structure; its value must be hashable."""
     return field(pytree_node=False, **kwargs)
 
 
 def number(
     legal: Any, remedy: str, *, shape: tuple[int, ...] | None = None, vector: bool = False, **kwargs: Any
 ) -> Any:
-    """A field that holds a number, or an array of them, with what it may be.
+    """A field that holds a number or an array of numbers, with its legal values.
 
-    ``rewax.physics.numerics.checks.numbers_of`` collects such fields of an object; scenes check them when they are
-    built and inside compiled programs.
+    ``rewax.physics.numerics.checks.numbers_of`` collects such fields of an object. Scenes check them when they are
+    built, and inside compiled programs.
 
     Args:
-      legal: a ``rewax.physics.numerics.checks.Legal``, ``POSITIVE`` for example.
-      remedy: what messages advise, "give a length in metres".
-      shape: the shape that the value must have; None: any.
-      vector: the value is one vector, or one for each particle, of shape (3,) or (num_particles, 3).
-      kwargs: ``default`` for example; a field whose default is None may be None.
+      legal: a ``rewax.physics.numerics.checks.Legal``, for example ``POSITIVE``.
+      remedy: advice in error messages, "give a length in metres".
+      shape: required shape of the value; None: any.
+      vector: whether the value is one vector, shape (3,), or one per particle, shape (num_particles, 3).
+      kwargs: arguments of ``dataclasses.field``, such as ``default``. A field with default None may be None.
     """
     return field(metadata={"number": (legal, remedy, shape), "vector": vector}, **kwargs)
 
@@ -56,13 +56,13 @@ def number(
 def dataclass(cls: type[T]) -> type[T]:
     """Decorator: a frozen, keyword-only dataclass that is a JAX pytree and has ``.replace(**changes)``.
 
-    The constructor turns numbers, tuples and lists of numbers and NumPy arrays of floats into JAX arrays: one number
-    is weakly typed, it does not widen what it is combined with. ``__post_init__`` runs in the constructor; a tree that
-    JAX rebuilds is not checked again.
+    The constructor converts numbers, tuples and lists of numbers, and NumPy arrays of floats to JAX arrays. A single
+    number becomes weakly typed, so it does not promote other types. ``__post_init__`` runs in the constructor, but not
+    when JAX rebuilds a tree.
 
-    Not ``jax.tree_util.register_dataclass`` (nor flax's, which calls it): with jaxlib 0.10.1 the tree structures of two
-    classes compare equal if their fields have the same names, and ``jit`` now and then runs what it compiled for a
-    capsule when it is given a cylinder.
+    It does not use ``jax.tree_util.register_dataclass`` (nor flax's, which calls it): in jaxlib 0.10.1 the tree
+    structures of two classes compare equal if their fields have the same names, and ``jit`` sometimes runs the program
+    of a capsule for a cylinder.
     """
     _convert_first(cls)
     made: Any = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
@@ -89,7 +89,7 @@ def dataclass(cls: type[T]) -> type[T]:
 
 
 def _convert_first(cls: Any) -> None:
-    """Make ``__post_init__`` begin with numbers as arrays."""
+    """Makes ``__post_init__`` convert numbers to arrays first."""
     check = cls.__dict__.get("__post_init__")
 
     def __post_init__(self: Any) -> None:
@@ -108,7 +108,7 @@ def _convert_first(cls: Any) -> None:
 
 
 def _as_leaf(value: Any, is_real: bool) -> Any:
-    """Numbers as a JAX array, anything else as it is. Tuples, and the integers of a real field, become floats."""
+    """Converts numbers to JAX arrays; tuples, and integers of real fields, become floats. Returns others unchanged."""
     if isinstance(value, (tuple, list)):
         if not value or not _all_numbers(value):
             return value
@@ -116,10 +116,15 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
             return jnp.asarray(np.asarray(value, float))
         except ValueError:  # rows of several lengths: checks name the field
             return value
+    if is_real and isinstance(value, (bool, np.bool_)):
+        return value  # no real number: checks name the field
     if isinstance(value, numbers.Real) and not isinstance(value, np.generic):
-        return jnp.asarray(float(value) if is_real else value)
+        try:
+            return jnp.asarray(float(value) if is_real else value)
+        except OverflowError:
+            return value
     if isinstance(value, (np.ndarray, np.generic)):
-        if is_real and value.dtype.kind in "biu":
+        if is_real and value.dtype.kind in "iu":
             value = value.astype(float)
         return jnp.asarray(value) if value.dtype.kind == "f" else value
     if is_real and isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.integer):
@@ -134,7 +139,7 @@ def _all_numbers(values: Any) -> bool:
 
 
 def replace_leaf(tree: Any, path: str, value: Any) -> Any:
-    """A copy of nested objects in which one number is another.
+    """A copy of nested objects with one parameter replaced.
 
     Args:
       tree: an environment, a scene, a material, ...
@@ -143,7 +148,7 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
       value: the new number or array.
 
     Raises:
-      ValueError: there is no such field. The message lists those that there are.
+      ValueError: there is no such field. The message lists the existing fields.
 
     Gradient: exact with respect to ``value``.
     """
@@ -169,7 +174,7 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
 
 
 class Replaceable:
-    """Base that tells type checkers of the method which ``dataclass`` adds."""
+    """Base class that declares the method ``replace``, which ``dataclass`` adds, for type checkers."""
 
     if TYPE_CHECKING:
 

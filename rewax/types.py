@@ -1,4 +1,4 @@
-"""Names for arrays, so that signatures say what is meant."""
+"""Type aliases of arrays for signatures."""
 
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -9,7 +9,7 @@ Array: TypeAlias = jax.Array
 Scalar: TypeAlias = jax.Array | float
 """A number: shape ()."""
 Vector: TypeAlias = Any
-"""An array in a field of a ``struct.dataclass``, whose constructor also takes tuples and NumPy arrays of numbers."""
+"""An array in a field of a ``struct.dataclass``; constructors also accept tuples and NumPy arrays of numbers."""
 Key: TypeAlias = jax.Array
 """A typed PRNG key (``jax.random.key``), shape ()."""
 Observation: TypeAlias = Mapping[str, jax.Array]

@@ -1,4 +1,4 @@
-"""The compiler under the physics: traced programs that run in C++ on a CPU (docs/lowering.md)."""
+"""Compiler of traced programs to C++ on a CPU (docs/lowering.md)."""
 
 from rewax.lowering.fusion import compute_once, materialize
 from rewax.lowering.kernels import pointwise

@@ -1,8 +1,7 @@
-"""Assembles lists of operations to bytecode for the machine: instructions chosen, registers given.
+"""Assembles lists of operations into bytecode for the machine: instruction selection and register allocation.
 
-Operations with one user each form trees. A tree is covered by as few and as large instructions as possible (instruction
-selection by dynamic programming over trees: Aho, Lam, Sethi, Ullman, Compilers, 8.11). The register of a value that
-nobody needs any more is used again.
+Operations with one consumer each form trees. Dynamic programming covers a tree with as few instructions as possible
+(Aho, Lam, Sethi, Ullman, Compilers, section 8.11). Registers are reused after the last read of their value.
 """
 
 import functools
@@ -18,35 +17,35 @@ from rewax.lowering.operations import Operation, UnsupportedError
 
 
 class Bytecode(NamedTuple):
-    """A program with one batch element in each lane."""
+    """Bytecode with one batch element per lane."""
 
     code: np.ndarray
-    """Runs: an instruction, how often, and the registers of each time; int32."""
+    """Runs: an instruction, its number of repetitions, and its registers for each repetition; int32."""
     constants: np.ndarray
     num_registers: int
     operands: tuple[int, ...]
-    """Which arguments it reads."""
+    """Indices of the arguments that it reads."""
 
 
 class BlockBytecode(NamedTuple):
-    """A pointwise program."""
+    """Bytecode of a pointwise program."""
 
     shared: Bytecode
-    """What all elements share, computed once for each batch element."""
+    """Computes the values that all elements share, once per batch element."""
     code: np.ndarray
-    """The rest. It finds its operands by these numbers: registers, then shared values, inputs and outputs."""
+    """Computes the rest. Its operands are numbered: registers first, then shared values, inputs and outputs."""
     num_registers: int
     num_sums: int
     shared_registers: tuple[int, ...]
-    """Where the shared program leaves the values that the rest reads."""
+    """Registers of the shared program with the values that the rest reads."""
     inputs: tuple[tuple[int, int, int, int], ...]
-    """Which argument, which of its rows, how many rows it has, bytes of a number."""
+    """For each input: index of the argument, index of the row, number of rows, bytes per number."""
     outputs: tuple[tuple[int, int, int, int], ...]
-    """The same for those results that are not summed."""
+    """The same for each row of the results that are not summed."""
 
     @property
     def layout(self) -> np.ndarray:
-        """All but the code, as ``rewax_add_program`` reads it."""
+        """All fields except the code, in the layout of ``rewax_add_program``."""
         rows = [number for row in (*self.inputs, *self.outputs) for number in row]
         counts = (len(self.shared_registers), len(self.inputs), len(self.outputs))
         head = (self.shared.num_registers, self.num_registers, self.num_sums, *counts)
@@ -54,7 +53,7 @@ class BlockBytecode(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """An instruction, the operation that it completes and those that it reads."""
+    """An instruction, the operation that it computes and the operations that it reads."""
 
     instruction: Expression
     operation: int
@@ -62,53 +61,53 @@ class _Step(NamedTuple):
     extra: tuple[int, ...] = ()
 
 
-def assemble(line: OperationList, types: Sequence[Any]) -> Bytecode:
-    """The program of a list of operations, for batch elements side by side.
+def assemble(listing: OperationList, types: Sequence[Any]) -> Bytecode:
+    """Bytecode of a list of operations, with one batch element per lane.
 
     Args:
-      line: the operations.
-      types: of its arguments.
+      listing: the operations.
+      types: types of the arguments.
 
     Raises:
-      UnsupportedError: it returns integers or booleans, or there is no instruction for an operation.
+      UnsupportedError: the program returns integers or booleans, or an operation has no instruction.
     """
-    operations, outputs = line.operations, line.outputs
+    operations, outputs = listing.operations, listing.outputs
     if any(operations[i].kind != "f" for output in outputs for i in output):
         raise UnsupportedError("it returns integers or booleans")
     arguments = {operations[i].constant[0] for i in _needed(operations, outputs) if operations[i].name == "input"}
-    found, registers = _of_lanes(line, outputs, types, tuple(sorted(arguments)))
+    found, registers = _lane_bytecode(listing, outputs, types, tuple(sorted(arguments)))
     full = [output for output in outputs if output]
     stores = [("store", (registers[i], k, offset)) for k, output in enumerate(full) for offset, i in enumerate(output)]
     return found._replace(code=np.concatenate([found.code, _in_runs(stores)]))
 
 
 def assemble_blocks(
-    line: OperationList, types: Sequence[Any], rows: Sequence[int], summed: Sequence[bool]
+    listing: OperationList, types: Sequence[Any], rows: Sequence[int], summed: Sequence[bool]
 ) -> BlockBytecode:
-    """The program of a list of operations, for many elements in each batch element.
+    """Bytecode of a list of operations, for many elements per batch element.
 
     Args:
-      line: the operations.
-      types: of its arguments.
-      rows: how many numbers of an element each argument has.
+      listing: the operations.
+      types: types of the arguments.
+      rows: number of values per element of each argument.
       summed: which of the results are sums over all elements.
 
     Raises:
-      UnsupportedError: it returns integers, or there is no instruction for an operation.
+      UnsupportedError: the program returns integers, or an operation has no instruction.
     """
-    operations = line.operations
-    if any(operations[i].kind in ("i", "l", "u") for output in line.outputs for i in output):
+    operations = listing.operations
+    if any(operations[i].kind in ("i", "l", "u") for output in listing.outputs for i in output):
         raise UnsupportedError("it returns integers")
-    own = [output for output, total in zip(line.outputs, summed, strict=True) if not total]
-    sums = [i for output, total in zip(line.outputs, summed, strict=True) if total for i in output]
-    return _Blocks(line, types, rows, own, sums).assembled()
+    own = [output for output, total in zip(listing.outputs, summed, strict=True) if not total]
+    sums = [i for output, total in zip(listing.outputs, summed, strict=True) if total for i in output]
+    return _Blocks(listing, types, rows, own, sums).assembled()
 
 
 # --- Instruction selection --------------------------------------------------------------------------------------------
 
 
 def _needed(operations: Sequence[Operation], outputs: Sequence[Sequence[int]]) -> list[int]:
-    """Operations that the outputs need, in order."""
+    """Indices of the operations that the outputs depend on, in order."""
     needed, rest = set(), [i for output in outputs for i in output]
     while rest:
         i = rest.pop()
@@ -120,7 +119,7 @@ def _needed(operations: Sequence[Operation], outputs: Sequence[Sequence[int]]) -
 
 @functools.cache
 def _candidates(name: str, operands: tuple[tuple[str, str], ...], lanes: bool) -> tuple[int, ...]:
-    """Instructions that end with an operation of operands of these kinds, which these operations alone compute."""
+    """Instructions whose last operation is ``name`` and whose parts fit operands of these (kind, inner operation)."""
 
     def fits(part: Expression, operand: tuple[str, str]) -> bool:
         return _is(part, operand[0], lanes) if isinstance(part, str) else part[0] == operand[1]
@@ -132,7 +131,7 @@ def _candidates(name: str, operands: tuple[tuple[str, str], ...], lanes: bool) -
 
 
 def _is(kind: str, given: str, lanes: bool) -> bool:
-    """Whether an operand fits an instruction. In lanes constants are vectors, too."""
+    """Whether an operand of a kind fits an instruction. In lanes, constants are vectors too."""
     return kind == given or (lanes and kind == given.lower())
 
 
@@ -141,10 +140,10 @@ def _orders(name: str, operands: tuple) -> tuple[tuple, ...]:
 
 
 class _Cover:
-    """Instructions that compute the operations of a program."""
+    """Covers the operations of a program with instructions."""
 
     def __init__(self, operations: Sequence[Operation], chosen: Sequence[int], kept: set[int], lanes: bool) -> None:
-        """``chosen`` are to be computed, in this order; values of ``kept`` are results."""
+        """``chosen``: operations to compute, in order; ``kept``: operations whose values are results."""
         self.operations, self.lanes = operations, lanes
         users = Counter(o for i in chosen for o in operations[i].operands)
         self.inner = {i for i in chosen if users[i] == 1 and i not in kept and operations[i].operands}
@@ -167,7 +166,7 @@ class _Cover:
         return [found[i] for i in sorted(found)]
 
     def cheapest(self, i: int) -> tuple[int, int, tuple[int, ...]]:
-        """Cost, number and operands of the best instruction whose last operation is ``i``."""
+        """Cost, index and operands of the cheapest instruction whose last operation is ``i``."""
         name, operands = self.operations[i].name, self.operations[i].operands
         given = tuple((self.kinds[o], self.operations[o].name if o in self.inner else "") for o in operands)
         found = []
@@ -181,7 +180,7 @@ class _Cover:
         return min(found)
 
     def matched(self, expression: tuple, i: int) -> tuple[int, ...] | None:
-        """The operands of an expression whose last operation is ``i``; None if it is another expression."""
+        """The operands of an expression that matches the tree of operation ``i``; None if it does not match."""
         name, *parts = expression
         if self.operations[i].name != name:
             return None
@@ -201,47 +200,47 @@ class _Cover:
 
 
 class _Registers:
-    """Registers of values. The register of a value that is no longer needed is used again."""
+    """Allocates registers and reuses those of dead values."""
 
     def __init__(self, steps: Sequence[_Step], kept: set[int]) -> None:
-        self.place: dict[int, int] = {}
+        self.register: dict[int, int] = {}
         self.count = 0
         self.free: list[int] = []
         self.last = {o: k for k, step in enumerate(steps) for o in (step.operation, *step.operands)}
         self.last |= dict.fromkeys(kept, len(steps))
 
     def release(self, k: int, values: Sequence[int]) -> None:
-        """Frees the registers of values that step ``k`` is the last one to need."""
-        self.free += [self.place[i] for i in dict.fromkeys(values) if self.last[i] == k and i in self.place]
+        """Frees the registers of values whose last read is step ``k``."""
+        self.free += [self.register[i] for i in dict.fromkeys(values) if self.last[i] == k and i in self.register]
 
     def take(self, i: int) -> int:
         if not self.free:
             self.free.append(self.count)
             self.count += 1
-        self.place[i] = self.free.pop()
-        return self.place[i]
+        self.register[i] = self.free.pop()
+        return self.register[i]
 
 
 def _in_runs(rows: Sequence[tuple[Expression, tuple[int, ...]]]) -> np.ndarray:
     code: list[int] = []
     begin = 0
-    for k, (instruction, places) in enumerate(rows):
+    for k, (instruction, locations) in enumerate(rows):
         if k == 0 or rows[k - 1][0] != instruction:
             begin = len(code) + 1
             code += [NUMBERS[instruction], 0]
         code[begin] += 1
-        code += places
+        code += locations
     return np.array(code, np.int32)
 
 
 # --- Batch elements in lanes ------------------------------------------------------------------------------------------
 
 
-def _of_lanes(
-    line: OperationList, outputs: Sequence[Sequence[int]], types: Sequence[Any], arguments: tuple[int, ...]
+def _lane_bytecode(
+    listing: OperationList, outputs: Sequence[Sequence[int]], types: Sequence[Any], arguments: tuple[int, ...]
 ) -> tuple[Bytecode, dict[int, int]]:
-    """A program that leaves its results in registers, and these registers."""
-    operations, kept = line.operations, {i for output in outputs for i in output}
+    """Bytecode that keeps its results in registers, and the registers of all values."""
+    operations, kept = listing.operations, {i for output in outputs for i in output}
     needed = _needed(operations, outputs)
     computed = _Cover(operations, needed, kept, lanes=True).steps()
     read = {o for step in computed for o in step.operands} | kept
@@ -258,11 +257,11 @@ def _of_lanes(
     steps.sort(key=lambda step: step.operation)
     registers, rows = _Registers(steps, kept), []
     for k, (instruction, i, operands, extra) in enumerate(steps):
-        places = tuple(registers.place[o] for o in operands)
+        locations = tuple(registers.register[o] for o in operands)
         registers.release(k, operands)
-        rows.append((instruction, (registers.take(i), *places, *extra)))
-    numbers = np.array([_lane(operations[i], line.dtype) for i in constants], line.dtype)
-    return Bytecode(_in_runs(rows), numbers, registers.count, arguments), registers.place
+        rows.append((instruction, (registers.take(i), *locations, *extra)))
+    numbers = np.array([_lane(operations[i], listing.dtype) for i in constants], listing.dtype)
+    return Bytecode(_in_runs(rows), numbers, registers.count, arguments), registers.register
 
 
 def _type_name(dtype: Any) -> str:
@@ -270,28 +269,28 @@ def _type_name(dtype: Any) -> str:
 
 
 def _lane(operation: Operation, dtype: np.dtype) -> Any:
-    """A constant as the number whose bits the machine finds in a lane."""
+    """A constant as a number with the bits of its lane."""
     if operation.kind == "f":
         return dtype.type(float(operation.constant))
     bits = 8 * dtype.itemsize
-    whole = -int(operation.constant == "True") if operation.kind == "b" else int(operation.constant)
-    return np.array(whole % 2**bits, f"uint{bits}").view(dtype)
+    integer = -int(operation.constant == "True") if operation.kind == "b" else int(operation.constant)
+    return np.array(integer % 2**bits, f"uint{bits}").view(dtype)
 
 
 # --- Elements in blocks -----------------------------------------------------------------------------------------------
 
 
 class _Blocks:
-    """Assembles a pointwise program. A place is a kind of memory (register, shared, input, output) and an index."""
+    """Assembles a pointwise program. A location is a kind of memory (register, shared, input, output) and an index."""
 
     def __init__(
-        self, line: OperationList, types: Sequence[Any], rows: Sequence[int], own: list[list[int]], sums: list[int]
+        self, listing: OperationList, types: Sequence[Any], rows: Sequence[int], own: list[list[int]], sums: list[int]
     ) -> None:
-        self.line, self.types, self.rows, self.own, self.sums = line, types, rows, own, sums
-        self.operations = line.operations
+        self.listing, self.types, self.rows, self.own, self.sums = listing, types, rows, own, sums
+        self.operations = listing.operations
         self.needed = _needed(self.operations, [*own, sums])
         self.inputs = [i for i in self.needed if self.operations[i].name == "input" and not self.operations[i].shared]
-        self.places: dict[int, tuple[str, int]] = {}
+        self.locations: dict[int, tuple[str, int]] = {}
         self.code: list[tuple[Expression, tuple[Any, ...]]] = []
 
     def assembled(self) -> BlockBytecode:
@@ -304,13 +303,13 @@ class _Blocks:
         shared = sorted(
             {o for s in steps for o in s.operands if operations[o].shared} | {i for i in kept if operations[i].shared}
         )
-        program, registers = _of_lanes(self.line, [shared], self.types, tuple(range(len(self.types))))
-        self.places |= {i: ("shared", k) for k, i in enumerate(shared)}
-        self.places |= {i: ("input", k) for k, i in enumerate(self.inputs) if operations[i].kind == "f"}
-        num_registers = self.place_steps(steps)
+        program, registers = _lane_bytecode(self.listing, [shared], self.types, tuple(range(len(self.types))))
+        self.locations |= {i: ("shared", k) for k, i in enumerate(shared)}
+        self.locations |= {i: ("input", k) for k, i in enumerate(self.inputs) if operations[i].kind == "f"}
+        num_registers = self.locate_steps(steps)
         begin = {"register": 0, "shared": num_registers, "input": num_registers + len(shared)}
         begin |= {"output": begin["input"] + len(self.inputs), "number": 0}
-        rows = [(name, tuple(begin[kind] + k for kind, k in places)) for name, places in self.code]
+        rows = [(name, tuple(begin[kind] + k for kind, k in locations)) for name, locations in self.code]
         outputs = [
             (k, c, len(output), self.bytes(i)) for k, output in enumerate(self.own) for c, i in enumerate(output)
         ]
@@ -321,7 +320,7 @@ class _Blocks:
         )  # fmt: skip
 
     def summed_products(self) -> list[_Step]:
-        """Products that nothing but one sum needs."""
+        """Products whose only consumer is one sum."""
         operations = self.operations
         users = Counter(o for i in self.needed for o in operations[i].operands)
         users.update([i for output in (*self.own, self.sums) for i in output])
@@ -329,8 +328,8 @@ class _Blocks:
         varying = [i for i in products if not any(operations[o].shared for o in operations[i].operands)]
         return [_Step("sum_of_products", i, operations[i].operands) for i in varying]
 
-    def place_steps(self, steps: Sequence[_Step]) -> int:
-        """Writes the code, and returns the number of registers."""
+    def locate_steps(self, steps: Sequence[_Step]) -> int:
+        """Assigns locations, appends the code, and returns the number of registers."""
         operations, registers = self.operations, _Registers(steps, set())
         wanted: dict[int, list[int]] = defaultdict(list)
         for k, i in enumerate(i for output in self.own for i in output):
@@ -339,34 +338,34 @@ class _Blocks:
         for k, i in enumerate(self.sums):
             sums[i].append(k)
         for k, (instruction, i, operands, _) in enumerate(steps):
-            places = tuple(self.places[o] for o in operands)
+            locations = tuple(self.locations[o] for o in operands)
             registers.release(k, operands)
             if instruction == "sum_of_products":
-                self.code.append((instruction, (("number", sums.pop(i)[0]), *places)))
+                self.code.append((instruction, (("number", sums.pop(i)[0]), *locations)))
                 continue
             if wanted[i] and operations[i].kind == "f":
-                self.places[i] = ("output", wanted[i].pop(0))
+                self.locations[i] = ("output", wanted[i].pop(0))
             else:
-                self.places[i] = ("register", registers.take(i))
+                self.locations[i] = ("register", registers.take(i))
             if operations[i].name == "input":
-                places = (("input", self.inputs.index(i)),)
-            self.code.append((instruction, (self.places[i], *places)))
+                locations = (("input", self.inputs.index(i)),)
+            self.code.append((instruction, (self.locations[i], *locations)))
             self.deliver(i, wanted.pop(i), sums.pop(i, []))
             registers.release(k, [i])
         temporary = registers.count
-        for i in {**wanted, **sums}:  # inputs, and what all elements share
+        for i in {**wanted, **sums}:  # inputs and shared values
             kind = "f" if operations[i].kind == "f" else "w"
             if operations[i].shared:
-                self.code.append((("copy", kind.upper()), (("register", temporary), self.places[i])))
-                self.places[i] = ("register", temporary)
+                self.code.append((("copy", kind.upper()), (("register", temporary), self.locations[i])))
+                self.locations[i] = ("register", temporary)
             self.deliver(i, wanted.get(i, []), sums.get(i, []))
         return temporary + 1
 
     def deliver(self, i: int, outputs: list[int], sums: list[int]) -> None:
-        """Results that are a value that is already computed."""
+        """Appends copies of a computed value to outputs and sums."""
         instruction = ("copy", "f") if self.operations[i].kind == "f" else "store_bool"
-        self.code += [(instruction, (("output", k), self.places[i])) for k in outputs]
-        self.code += [("sum", (("number", k), self.places[i])) for k in sums]
+        self.code += [(instruction, (("output", k), self.locations[i])) for k in outputs]
+        self.code += [("sum", (("number", k), self.locations[i])) for k in sums]
 
     def conversion(self, i: int) -> str:
         return f"convert_{_type_name(self.types[self.operations[i].constant[0]])}"
@@ -375,7 +374,7 @@ class _Blocks:
         operation = self.operations[i]
         if operation.name == "input" and not operation.shared and i in self.inputs:
             return np.dtype(self.types[operation.constant[0]]).itemsize
-        return 1 if operation.kind == "b" else self.line.dtype.itemsize
+        return 1 if operation.kind == "b" else self.listing.dtype.itemsize
 
 
 __all__ = ["BlockBytecode", "Bytecode", "assemble", "assemble_blocks"]

@@ -1,8 +1,8 @@
-"""Compiles C++ FFI targets with the system compiler and caches them, where rewax brings no library for them.
+"""Loads C++ FFI targets: shipped libraries, cached ones, or ones that the system compiler builds.
 
-``load`` prefers a library that came with the wheel (``shipped``), then one that this machine built before
-(``library_cache``), then builds it (``compiler``). Without any of these, or with ``REWAX_NATIVE=0`` in the environment,
-``load`` gives None and callers do without: whatever is written in C++ is written with JAX, too.
+``load`` prefers a library of the wheel (``shipped``), then one that this machine built before (``library_cache``), then
+builds it (``compiler``). If all fail, or with ``REWAX_NATIVE=0`` in the environment, ``load`` returns None and callers
+use JAX: every C++ program has an equivalent in JAX.
 """
 
 import contextlib
@@ -24,10 +24,10 @@ from rewax.lowering import library_cache, shipped
 from rewax.lowering.portability import is_portable
 
 THREADS = Path(__file__).with_name("threads.h")
-"""Text to begin a program with that shares its work out among threads."""
+"""Header to prepend to programs that distribute work over threads."""
 
 _refused: set["Source"] = set()
-"""Programs whose shipped library this JAX does not take."""
+"""Programs whose shipped library this JAX refuses."""
 
 _locks: dict["Source", threading.Lock] = {}
 
@@ -36,33 +36,33 @@ class Source(NamedTuple):
     """A C++ program."""
 
     stem: str
-    """Beginning of its library's name."""
+    """Prefix of the library's file name."""
     text: str
     optimization: tuple[str, ...] = ("-O3",)
     """Options of the compiler."""
 
 
 class Loaded(NamedTuple):
-    """A library, or why there is none."""
+    """A library, or the reason why there is none."""
 
     library: ctypes.CDLL | None
     reason: str
-    """Where the library is, or a sentence about what is missing."""
+    """Path of the library, or a sentence that says what is missing."""
 
 
 @functools.cache
 def register(source: Source, symbols: tuple[str, ...]) -> bool:
-    """Make functions of a C++ program known to XLA as targets of ``jax.ffi.ffi_call`` on a CPU.
+    """Registers functions of a C++ program as targets of ``jax.ffi.ffi_call`` on a CPU.
 
-    Whoever calls other functions of the library, too, calls ``load`` afterwards: a shipped library that this JAX
-    refuses is replaced by one that is built.
+    Callers of other functions of the library must call ``load`` afterwards, because a shipped library that this JAX
+    refuses is replaced by a built one.
 
     Args:
       source: the program; it may include the headers of ``jax.ffi``.
-      symbols: names of its handlers, which are the targets' names, too.
+      symbols: names of its handlers, which are also the targets' names.
 
     Returns:
-      Whether they can be called.
+      Whether the targets can be called.
     """
     library, reason = load(source)
     if library is None:
@@ -70,11 +70,11 @@ def register(source: Source, symbols: tuple[str, ...]) -> bool:
     version = shipped.ffi_version_of(Path(reason))
     if version not in (None, shipped.ffi_version(jax.ffi.include_dir())):
         with contextlib.suppress(RuntimeError):  # there is no CPU
-            jax.local_devices(backend="cpu")  # refused before its backend exists, a library makes that fail, not this
+            jax.local_devices(backend="cpu")  # create the backend first: else a refused library breaks it
     try:
         for symbol in symbols:
             jax.ffi.register_ffi_target(symbol, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
-    except Exception:  # of several types in different releases of JAX
+    except Exception:  # its type differs between releases of JAX
         if version is None:
             raise
         _refused.add(source)
@@ -85,12 +85,11 @@ def register(source: Source, symbols: tuple[str, ...]) -> bool:
 
 @functools.cache
 def load(source: Source) -> Loaded:
-    """The library of a C++ program, built if it neither came with rewax nor was built by this machine before.
+    """The library of a C++ program: shipped, cached, or built now.
 
-    Libraries are kept in ``$XDG_CACHE_HOME/rewax/native`` (``~/.cache/rewax/native``), one for each version of the
-    source, the compiler, jaxlib and the processor. The compiler is ``$CXX``, else the first of c++, g++ and clang++.
-    With ``REWAX_NATIVE=build`` in the environment, libraries that came with rewax are not used. Threads that ask for
-    the same program build it once.
+    Libraries are cached in ``$XDG_CACHE_HOME/rewax/native`` (``~/.cache/rewax/native``), one for each source, compiler,
+    jaxlib and processor. The compiler is ``$CXX``, else the first of c++, g++ and clang++. With ``REWAX_NATIVE=build``
+    in the environment, shipped libraries are not used. Threads that load the same program build it once.
     """
     with _locks.setdefault(source, threading.Lock()):
         return _load(source)
@@ -104,7 +103,7 @@ def _load(source: Source) -> Loaded:
         try:
             return Loaded(ctypes.CDLL(str(path)), str(path))
         except OSError as error:
-            library_cache.say(f"{path} is not used: {error}")
+            library_cache.warn(f"{path} is not used: {error}")
     words = compilers.command()
     if words is None:
         return Loaded(None, no_compiler())
@@ -124,7 +123,7 @@ def _load(source: Source) -> Loaded:
 
 
 def is_off() -> bool:
-    """Whether programs hold no C++: the user wants none, or they must run elsewhere."""
+    """Whether programs must hold no C++: by the user's choice, or because they must be portable."""
     return _is_unwanted() or is_portable()
 
 
@@ -133,19 +132,19 @@ def _is_unwanted() -> bool:
 
 
 def compiler() -> str | None:
-    """The C++ compiler that is used, with options that $CXX names, None without one."""
+    """The C++ compiler with the options of $CXX; None without a compiler."""
     words = compilers.command()
     return shlex.join(words) if words else None
 
 
 def no_compiler() -> str:
-    """A sentence for users who have no compiler."""
+    """A sentence that says that there is no compiler."""
     chosen = os.environ.get("CXX")
     return f"there is no C++ compiler (CXX={chosen})" if chosen else "there is no C++ compiler"
 
 
 def is_available() -> bool:
-    """Whether programs that never change (``rewax.fixed_sources``) can run as C++: shipped or built."""
+    """Whether the C++ programs of ``rewax.fixed_sources`` can run: shipped or built."""
     return not is_off() and (compiler() is not None or (_may_be_shipped() and bool(shipped.folders())))
 
 

@@ -1,4 +1,4 @@
-"""The system's C++ compiler: which it is, and how it is run."""
+"""Finds and runs the system's C++ compiler."""
 
 import functools
 import os
@@ -17,28 +17,25 @@ from typing import IO
 _COMPILERS = ("c++", "g++", "clang++")
 FLAGS = ("-std=c++17", "-fno-math-errno", "-fwrapv", "-fno-trapping-math", "-fPIC", "-shared", "-w")
 NATIVE = {"x86_64": ("-march=native",), "AMD64": ("-march=native",)}
-"""Options for the instructions of this processor, by the name of its architecture."""
+"""Options that enable the instructions of this processor, by architecture."""
 _BUILD_S, _VERSION_S = 300.0, 60.0
 _MOST_OUTPUT = 2**20
 
 
 class CompilerError(Exception):
-    """A sentence about a compiler that made nothing."""
+    """The compiler failed. The message is a sentence that names the reason."""
 
 
 def command() -> tuple[str, ...] | None:
-    """The compiler and options that come with it: ``$CXX``, split as a shell does, else c++, g++ or clang++.
-
-    None without one.
-    """
+    """The compiler and its options: ``$CXX``, split as a shell does, else c++, g++ or clang++; None without one."""
     chosen = os.environ.get("CXX", "").strip()
     if chosen:
-        whole = shutil.which(chosen)  # a path may hold spaces
+        path = shutil.which(chosen)  # a path may hold spaces
         try:
-            words = [chosen] if whole else shlex.split(chosen)
-        except ValueError:  # a quotation mark too few
+            words = [chosen] if path else shlex.split(chosen)
+        except ValueError:  # an unclosed quotation mark
             return None
-        program = whole or (shutil.which(words[0]) if words else None)
+        program = path or (shutil.which(words[0]) if words else None)
         return (program, *words[1:]) if program else None
     if sys.platform == "win32":
         return None
@@ -48,10 +45,10 @@ def command() -> tuple[str, ...] | None:
 
 @functools.cache
 def version(words: tuple[str, ...]) -> str:
-    """What the compiler says of itself.
+    """Output of the compiler's ``--version``.
 
     Raises:
-      CompilerError: nothing.
+      CompilerError: the compiler failed.
     """
     return run([*words, "--version"], _VERSION_S)
 
@@ -60,25 +57,25 @@ def build(words: Sequence[str], text: str, options: Sequence[str], folder: Path)
     """The shared library of a C++ program.
 
     Args:
-      words: the compiler.
-      text: the program.
-      options: of the compiler, ``FLAGS`` among them.
-      folder: where files may be left.
+      words: command of the compiler.
+      text: source of the program.
+      options: options of the compiler, including ``FLAGS``.
+      folder: folder for temporary files.
 
     Raises:
-      CompilerError: there is none.
+      CompilerError: the compiler wrote no library.
     """
     program, library = folder / "program.cc", folder / "library.so"
     program.write_text(text, encoding="utf-8")
     run([*words, *options, str(program), "-o", str(library)], _BUILD_S)
     contents = library.read_bytes() if library.is_file() else b""
     if not contents or _is_cut(contents):
-        raise CompilerError(f"{shlex.join(words)} failed (it wrote no whole library)")
+        raise CompilerError(f"{shlex.join(words)} failed (it wrote no complete library)")
     return contents
 
 
 def _is_cut(contents: bytes) -> bool:
-    """Whether a library of Linux lacks its end, where linkers write the table of sections: to load it is to crash."""
+    """Whether an ELF library is truncated before the end of its section table; loading it would crash."""
     if contents[:6] != b"\x7fELF\x02\x01":  # 64 bits, little-endian
         return False
     begin, size, number = struct.unpack("<40xQ10xHH2x", contents[:64].ljust(64))
@@ -86,10 +83,10 @@ def _is_cut(contents: bytes) -> bool:
 
 
 def run(words: Sequence[str], seconds: float) -> str:
-    """What a program prints. It and the programs that it starts end with the time limit, or with this call.
+    """Standard output of a program. The program and its children are killed at the time limit.
 
     Raises:
-      CompilerError: it failed.
+      CompilerError: the program failed.
     """
     name = shlex.join(words[: -1 if len(words) == 2 else 1])
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
@@ -97,7 +94,7 @@ def run(words: Sequence[str], seconds: float) -> str:
             process = subprocess.Popen(
                 words,
                 stdin=subprocess.DEVNULL,
-                stdout=output,  # files: a pipe stays open as long as anything that the compiler starts
+                stdout=output,  # a file: a pipe would stay open as long as any child process
                 stderr=errors,
                 env={**os.environ, "LC_ALL": "C"},
                 start_new_session=True,
@@ -113,8 +110,10 @@ def run(words: Sequence[str], seconds: float) -> str:
             _kill(process)
             raise
         if status:
-            said = _text(errors).strip().splitlines()
-            first = next((line for line in said if "error" in line), said[0] if said else f"exit status {status}")
+            messages = _text(errors).strip().splitlines()
+            first = next(
+                (line for line in messages if "error" in line), messages[0] if messages else f"exit status {status}"
+            )
             raise CompilerError(f"{name} failed ({first})")
         return _text(output)
 
@@ -125,7 +124,7 @@ def _text(file: IO[bytes]) -> str:
 
 
 def _kill(process: subprocess.Popen) -> None:
-    """A program and all that it started: they are a group of processes of their own."""
+    """Kills a program and its children, which form a process group."""
     try:
         os.killpg(process.pid, signal.SIGKILL)
     except (AttributeError, OSError):  # Windows has no groups
@@ -134,13 +133,13 @@ def _kill(process: subprocess.Popen) -> None:
 
 
 def processor() -> str:
-    """What tells processors with different instructions apart: a cache may be shared between machines."""
+    """A name of the processor's instruction set, because machines may share a cache."""
     return " ".join(processor_flags()) or platform.processor()
 
 
 @functools.cache
 def processor_flags() -> tuple[str, ...]:
-    """Names that Linux gives to a processor's instructions, none elsewhere."""
+    """Flags of the processor in Linux's /proc/cpuinfo; empty on other systems."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

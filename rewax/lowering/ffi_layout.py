@@ -15,19 +15,19 @@ from rewax.types import Array
 
 
 class Operand(NamedTuple):
-    """An argument of an FFI call. Its axes: those of ``vmap``, its own, and that of the elements if it varies."""
+    """An argument of an FFI call. Its axes are those of ``vmap``, its own, and a last axis of elements if it varies."""
 
     array: Array
     varies: bool
     present: tuple[bool, ...]
-    """Which axes of ``vmap`` it has, outermost first."""
+    """Which axes of ``vmap`` the array has, outermost first."""
 
     @property
     def own_shape(self) -> tuple[int, ...]:
         return self.array.shape[sum(self.present) :]
 
     @property
-    def of_one_element(self) -> tuple[tuple[int, ...], Any, bool]:
+    def element_aval(self) -> tuple[tuple[int, ...], Any, bool]:
         shape = self.own_shape
         return (*shape[:-1], 1) if self.varies else shape, self.array.dtype, bool(jax.typeof(self.array).weak_type)
 
@@ -37,7 +37,7 @@ class Operand(NamedTuple):
         return math.prod(self.own_shape) if any(self.present) else 0
 
     def laid_out(self, batch: tuple[int, ...]) -> Array:
-        """With all axes of ``vmap``, or none."""
+        """The array with all axes of ``vmap``, or with none."""
         if all(self.present) or not self.step:
             return self.array
         sizes = iter(self.array.shape)
@@ -46,7 +46,7 @@ class Operand(NamedTuple):
 
 
 def cpu_rules(run: Callable[[str, Program, Arrays, Arrays], Arrays]) -> Rules:
-    """Rules that ``run(name of the rule, program, arrays, linear)`` computes on a CPU, and JAX elsewhere."""
+    """Rules that ``run(name of the rule, program, arrays, linear)`` computes on a CPU, and JAX on other platforms."""
     return Rules(*(ByPlatform(functools.partial(run, which), getattr(RECOMPUTED, which)) for which in Rules._fields))
 
 
@@ -60,7 +60,7 @@ def batch_shape(operands: Sequence[Operand]) -> tuple[int, ...]:
 
 
 def operands_of(program: Program, arrays: Arrays, linear: Arrays, varies: Sequence[bool]) -> list[Operand]:
-    """The arguments of a rule. Those in which it is linear have all axes of ``vmap``."""
+    """The arguments of a rule. Its linear arguments have all axes of ``vmap``."""
     present = [tuple(batch[k] for batch in reversed(program.batches)) for k in range(len(arrays))]
     present += [(True,) * len(program.batches)] * len(linear)
     given = zip((*arrays, *linear), varies, present, strict=True)
@@ -74,9 +74,9 @@ def trace_rule(
 
     Args:
       which: ``value``, ``tangent`` or ``cotangent``.
-      program: whose.
-      avals: shape, type and weakness of its arguments.
-      count: how many of them are not linear arguments. They come first.
+      program: the program.
+      avals: shape, type and weak type of the rule's arguments.
+      count: number of leading arguments that are not linear.
     """
     rules = {
         "value": lambda *a: tuple(jax.tree.leaves(program.apply(a))),
@@ -84,7 +84,7 @@ def trace_rule(
         "cotangent": lambda *a: RECOMPUTED.cotangent(program, a[:count], a[count:]),
     }
     structs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in avals]
-    # Under an empty mesh, so that avals carry no sharding: this is the program of one element.
+    # An empty mesh, so that avals carry no sharding.
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
         return jax.make_jaxpr(rules[which])(*structs)
 

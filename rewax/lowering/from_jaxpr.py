@@ -1,7 +1,7 @@
-"""Traced programs as lists of operations on single numbers.
+"""Lowers traced programs to lists of scalar operations.
 
-Arrays, which are small, are spelled out number by number, short loops turn by turn. Of a condition both branches are
-computed and one is selected. ``primitives`` has what can stand in a program; anything else is refused with a reason.
+Small arrays are expanded into scalars, and short loops are unrolled. Both branches of a condition are computed, and one
+is selected. ``primitives`` lists the supported operations; others are refused with a reason.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _IDENTITIES = frozenset(["optimization_barrier", "copy", "copy_p", "stop_gradien
 _KEEPS_CONSTANTS = frozenset([
     "select_n", "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "stack", "concatenate", *_IDENTITIES
 ])  # fmt: skip
-_OF_LOOPS = frozenset({
+_LOOP_PARAMETERS = frozenset({
     "jaxpr", "length", "reverse", "unroll", "linear", "num_consts", "num_carry", "ft_in", "ft_out", "_split_transpose",
 })  # fmt: skip
 
@@ -37,9 +37,9 @@ class OperationList(NamedTuple):
 
     operations: list[Operation]
     outputs: list[list[int]]
-    """For each result the operations that give its numbers, in order."""
+    """For each result, the indices of the operations of its entries, in order."""
     dtype: np.dtype
-    """The floating type."""
+    """The program's floating type."""
 
 
 def from_jaxpr(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_000) -> OperationList:
@@ -47,11 +47,11 @@ def from_jaxpr(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_00
 
     Args:
       program: arithmetic on small arrays.
-      varies: which of its arguments differ between the elements.
-      most: how many operations it may have.
+      varies: which of its arguments differ between elements.
+      most: largest number of operations.
 
     Raises:
-      UnsupportedError: it has something else.
+      UnsupportedError: the program cannot be lowered.
     """
     dtype = _floating_type(program)
     builder, inputs = _Builder(dtype, most), []
@@ -75,7 +75,7 @@ def _floating_type(program: ClosedJaxpr) -> np.dtype:
 
 
 class _Builder(Operations):
-    """The list of a traced program's operations."""
+    """Builds the list of a traced program's operations."""
 
     def run(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Values]) -> list[Values]:
         values: dict[Any, Values] = {}
@@ -97,7 +97,7 @@ class _Builder(Operations):
     def equation(self, eqn: Any, args: list[Values]) -> list[Values]:
         name, params = eqn.primitive.name, eqn.params
         if not eqn.outvars and not eqn.effects:
-            return []  # a derivative leaves some behind
+            return []  # differentiation leaves such equations behind
         if not eqn.outvars:
             raise UnsupportedError(f"it has the operation {name} without a result")
         if eqn.primitive is linear_call_p:
@@ -117,7 +117,7 @@ class _Builder(Operations):
             inner = next(params[key] for key in ("jaxpr", "call_jaxpr", "call") if key in params)
             closed = hasattr(inner, "consts")
             return self.run(inner.jaxpr if closed else inner, inner.consts if closed else (), args)
-        # Constants of another precision are converted, and nothing else: a comparison would see rounded numbers.
+        # Only constants of another precision are converted: a comparison would see rounded values.
         converts = name == "convert_element_type" and eqn.outvars[0].aval.dtype == self.dtype
         if name not in _KEEPS_CONSTANTS and not converts and any(map(self.is_foreign, (*eqn.invars, *eqn.outvars))):
             raise UnsupportedError(f"it computes with floating types other than {self.dtype}")
@@ -139,13 +139,13 @@ class _Builder(Operations):
         return np.issubdtype(dtype, np.floating) and dtype != self.dtype
 
     def scan(self, eqn: Any, args: list[Values]) -> list[Values]:
-        """A short loop, written out."""
+        """Unrolls a short loop."""
         params = eqn.params
-        known("scan", params, _OF_LOOPS)
+        known("scan", params, _LOOP_PARAMETERS)
         length, jaxpr = params["length"], params["jaxpr"]
         if not 0 < length <= _LONGEST_LOOP:
             raise UnsupportedError(f"it has a loop of {length} turns")
-        # By the axes: what they are called has changed between versions of JAX.
+        # Counted by ranks: the parameters' names differ between versions of JAX.
         num_carry = sum(len(o.aval.shape) == len(i.shape) for o, i in zip(eqn.outvars, jaxpr.out_avals, strict=True))
         num_stacked = sum(len(o.aval.shape) > len(i.shape) for o, i in zip(eqn.invars, jaxpr.in_avals, strict=True))
         last = len(args) - num_stacked
@@ -160,26 +160,26 @@ class _Builder(Operations):
         return [*carry, *(np.stack(same) for same in zip(*turns, strict=True))]
 
     def cond(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
-        """A condition, as ``vmap`` makes of it: all branches, and a selection."""
+        """Computes all branches of a condition and selects one, as ``vmap`` does."""
         known("cond", params, {"branches"})
         branches = [self.run(branch.jaxpr, branch.consts, args[1:]) for branch in params["branches"]]
         return [select(self, args[0], cases) for cases in zip(*branches, strict=True)]
 
     def reduce(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
-        """Several arrays reduced together by a function of their numbers."""
+        """Reduces several arrays together by a function of scalars."""
         known("reduce", params, {"computation", "jaxpr", "dimensions", "consts", "out_sharding"})
         jaxpr, axes, half = params["jaxpr"], params["dimensions"], len(args) // 2
         given = [rows(a, axes) for a in args[:half]]
         totals = [np.full(a.shape[1:], initial, np.int64) for a, initial in zip(given, args[half:], strict=True)]
-        for place in np.ndindex(totals[0].shape):
+        for index in np.ndindex(totals[0].shape):
             for k in range(len(given[0])):
-                numbers = [np.asarray(a[place]) for a in (*totals, *(r[k] for r in given))]
+                numbers = [np.asarray(a[index]) for a in (*totals, *(r[k] for r in given))]
                 for total, number in zip(totals, self.run(jaxpr.jaxpr, jaxpr.consts, numbers), strict=True):
-                    total[place] = number
+                    total[index] = number
         return totals
 
     def linear_solve(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
-        """``jax.lax.custom_linear_solve``: what its solver does."""
+        """Runs the solver of ``jax.lax.custom_linear_solve``."""
         known("custom_linear_solve", params, {"const_lengths", "jaxprs"})
         lengths, solve = params["const_lengths"], params["jaxprs"].solve
         first = lengths.matvec + lengths.vecmat
@@ -187,7 +187,7 @@ class _Builder(Operations):
 
 
 def known(name: str, params: dict[str, Any], parameters: set[str] | frozenset[str]) -> None:
-    """Raises UnsupportedError if a primitive has a parameter that is not one of these."""
+    """Raises UnsupportedError if a primitive has a parameter outside ``parameters``."""
     unknown = sorted(set(params) - parameters)
     if unknown:
         raise UnsupportedError(f"it has the operation {name} with the unknown parameter {', '.join(unknown)}")

@@ -1,11 +1,11 @@
 """A fusion boundary that XLA's CPU compiler respects, under two names: one for speed, one for correctness.
 
 XLA fuses elementwise arithmetic into each of its consumers and recomputes it there. On a CPU a chain of such fusions
-can cost ten times the arithmetic, and each of them may round otherwise (a product and a sum become one operation here
-and two there). ``jax.lax.optimization_barrier`` should prevent that, but XLA's CPU pipeline drops it before it fuses.
-The operands of a while loop, though, must be stored: the boundary is a loop that runs zero times, which the compiler
-cannot know. On other platforms a boundary for speed is nothing at all, for there what is stored between two kernels
-costs more than what is computed twice; one for correctness is an optimization barrier.
+can cost ten times the arithmetic. Each fusion may round differently, because a product and a sum may become one
+operation. ``jax.lax.optimization_barrier`` should prevent fusion, but XLA's CPU pipeline drops it before it fuses. XLA
+must store the operands of a while loop, so the boundary is a loop that runs zero times, which the compiler cannot
+prove. On other platforms a boundary for speed is the identity, because stores between kernels cost more than
+recomputation; a boundary for correctness is an optimization barrier.
 """
 
 from typing import Any, TypeVar
@@ -20,9 +20,9 @@ S = TypeVar("S")
 
 
 def materialize(tree: T) -> T:
-    """The same arrays, on a CPU stored before their users, in the value and in the derivatives: for speed.
+    """The same arrays, stored before their consumers on a CPU, in the value and the derivatives: for speed.
 
-    A program without it gives the same numbers, up to rounding. Where that is not so, write ``compute_once``.
+    A program without it gives the same results up to rounding. If it would not, use ``compute_once``.
 
     Gradient: exact (the identity), forward and reverse.
     """
@@ -30,10 +30,10 @@ def materialize(tree: T) -> T:
 
 
 def compute_once(tree: T) -> T:
-    """The same arrays, of which all users see one and the same rounding: for correctness.
+    """The same arrays, with the same rounding for all consumers: for correctness.
 
-    It belongs wherever several users take a decision by these numbers (rounding down, a comparison, an equality) and
-    must take the same one. A program without it may be wrong by far more than rounding.
+    Use it if several consumers take a decision on these values (floor, a comparison, an equality) and must agree. A
+    program without it may be wrong by far more than rounding.
 
     Gradient: exact (the identity), forward and reverse.
     """
@@ -41,7 +41,7 @@ def compute_once(tree: T) -> T:
 
 
 def stored(once: T, fast: S) -> tuple[T, S]:
-    """``(compute_once(once), materialize(fast))``, together: one loop on a CPU. Gradient: exact."""
+    """``(compute_once(once), materialize(fast))`` in one loop on a CPU. Gradient: exact."""
     return _stored((once, fast), _FOR_BOTH, len(jax.tree.leaves(once)))
 
 
@@ -66,13 +66,13 @@ def _store_on_cpu(static: int | None, residuals: Arrays, arrays: Arrays) -> Arra
 
 def _otherwise(arrays: Arrays) -> Arrays:
     """Not the identity, or the compiler would remove the loop."""
-    # Rotate arrays of equal shape: not provably an identity, and free. A sum each would be a third of all kernels.
-    places: dict[Any, list[int]] = {}
+    # Rotate arrays of equal shape: not provably an identity, and free. A sum per array would be a third of all kernels.
+    groups: dict[Any, list[int]] = {}
     for i, a in enumerate(arrays):
-        places.setdefault((a.shape, a.dtype), []).append(i)
+        groups.setdefault((a.shape, a.dtype), []).append(i)
     out = list(arrays)
-    for where in places.values():
-        for i, k in zip(where, [*where[1:], where[0]], strict=True):
+    for group in groups.values():
+        for i, k in zip(group, [*group[1:], group[0]], strict=True):
             out[i] = arrays[k] if i != k else arrays[i] + arrays[i]
     return tuple(out)
 

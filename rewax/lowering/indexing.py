@@ -1,4 +1,4 @@
-"""Which numbers of an array remain, and where, when it is sliced, padded, gathered and so on. Nothing is computed."""
+"""Slices, pads, gathers and scatters of arrays of operation indices. Nothing is computed."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeAlias
@@ -11,7 +11,7 @@ Values: TypeAlias = np.ndarray
 
 
 def rows(a: Values, axes: Sequence[int]) -> Values:
-    """The arrays along the other axes, one after the other."""
+    """The array with ``axes`` moved to the front and flattened into one."""
     moved = np.moveaxis(a, axes, range(len(axes)))
     return moved.reshape(int(np.prod(moved.shape[: len(axes)])), *moved.shape[len(axes) :])
 
@@ -20,11 +20,11 @@ def gathered(operand: Values, index: np.ndarray, params: dict[str, Any], out: An
     """``jax.lax.gather`` at known indices.
 
     Args:
-      operand: what is taken from.
+      operand: the array to gather from.
       index: start indices; the last axis holds their coordinates.
-      params: of the primitive.
+      params: parameters of the primitive.
       out: type of the result.
-      filling: the operation that stands for numbers out of bounds, where the mode fills.
+      filling: operation for entries out of bounds, in modes that fill.
     """
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
@@ -32,10 +32,10 @@ def gathered(operand: Values, index: np.ndarray, params: dict[str, Any], out: An
     result = np.full((*index.shape[:-1], *window), filling, np.int64)
     batching = tuple(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
     mode = params["mode"]
-    if mode == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS:  # what XLA does where the promise is broken
+    if mode == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS:  # as XLA does if the promise is broken
         mode = jax.lax.GatherScatterMode.CLIP
-    for place, where in _windows(index, operand.shape, sizes, numbers.start_index_map, batching, mode):
-        result[place] = operand[where].reshape(window)
+    for position, where in _windows(index, operand.shape, sizes, numbers.start_index_map, batching, mode):
+        result[position] = operand[where].reshape(window)
     batch = [axis for axis in range(len(out.shape)) if axis not in numbers.offset_dims]
     return np.moveaxis(result, range(result.ndim), (*batch, *numbers.offset_dims))
 
@@ -47,13 +47,13 @@ def scattered(
     params: dict[str, Any],
     merge: Callable[[Values, Values], Values] | None,
 ) -> Values:
-    """``jax.lax.scatter`` and its like at known indices.
+    """``jax.lax.scatter``, ``scatter_add`` and so on at known indices.
 
     Args:
-      operand, updates: as there.
+      operand, updates: as in ``jax.lax.scatter``.
       index: start indices; the last axis holds their coordinates.
-      params: of the primitive.
-      merge: of what is there and an update; None: the update.
+      params: parameters of the primitive.
+      merge: function of old values and updates; None: the updates replace them.
     """
     numbers = params["dimension_numbers"]
     dropped = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
@@ -65,8 +65,8 @@ def scattered(
     updates = updates.transpose(*batch, *numbers.update_window_dims)
     batching = tuple(zip(numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True))
     result, coordinates = operand.copy(), numbers.scatter_dims_to_operand_dims
-    for place, where in _windows(index, operand.shape, sizes, coordinates, batching, params["mode"]):
-        update = updates[place].reshape(sizes)
+    for position, where in _windows(index, operand.shape, sizes, coordinates, batching, params["mode"]):
+        update = updates[position].reshape(sizes)
         result[where] = update if merge is None else merge(result[where], update)
     return result
 
@@ -79,16 +79,16 @@ def _windows(
     batching: Sequence[tuple[int, int]],
     mode: Any,
 ) -> Iterator[tuple[tuple[int, ...], tuple[slice, ...]]]:
-    """Positions in the array of indices, each with its window of the operand; those out of bounds are left out."""
-    for place in np.ndindex(index.shape[:-1]):
+    """Positions in the array of indices, each with its window of the operand, without windows out of bounds."""
+    for position in np.ndindex(index.shape[:-1]):
         start = [0] * len(shape)
-        for coordinate, axis in zip(index[place], coordinates, strict=True):
+        for coordinate, axis in zip(index[position], coordinates, strict=True):
             start[axis] = int(coordinate)
         for axis, of_index in batching:
-            start[axis] = place[of_index]
+            start[axis] = position[of_index]
         inside = [max(min(b, n - k), 0) for b, n, k in zip(start, shape, sizes, strict=True)]
         if mode == jax.lax.GatherScatterMode.CLIP or inside == start:
-            yield place, tuple(slice(b, b + k) for b, k in zip(inside, sizes, strict=True))
+            yield position, tuple(slice(b, b + k) for b, k in zip(inside, sizes, strict=True))
 
 
 def _broadcast(args: list[Values], params: dict[str, Any], out: Any) -> Values:
@@ -99,7 +99,7 @@ def _broadcast(args: list[Values], params: dict[str, Any], out: Any) -> Values:
 
 
 def _reshape(args: list[Values], params: dict[str, Any], out: Any) -> Values:
-    """``dimensions`` is the order in which the operand's axes are read."""
+    """Reshapes the operand; ``dimensions`` is the order in which its axes are read."""
     order = params["dimensions"]
     return (args[0] if order is None else args[0].transpose(order)).reshape(out.shape)
 
@@ -112,7 +112,7 @@ def _slice(args: list[Values], params: dict[str, Any], out: Any) -> Values:
 
 
 def _pad(args: list[Values], params: dict[str, Any], out: Any) -> Values:
-    """Also by less than nothing, which cuts."""
+    """Pads; negative padding crops."""
     values, filling = args
     config = params["padding_config"]
     sizes = [size + max(size - 1, 0) * gap for size, (*_, gap) in zip(values.shape, config, strict=True)]
@@ -137,4 +137,4 @@ PARTS: dict[str, Callable[[list[Values], dict[str, Any], Any], Values]] = {
     "pad": _pad,
     "stack": lambda args, params, out: np.stack(args, axis=params["axis"]),
 }
-"""Operations by the names of JAX's primitives: their arguments, parameters and the type of their result."""
+"""``(arguments, parameters, type of the result) -> result`` by the names of JAX's primitives."""

@@ -1,8 +1,8 @@
-"""Instructions of the machine: one operation each, and the small expressions that real programs are full of.
+"""Instructions of the machine: single operations, and small expressions that are frequent in programs of tasks.
 
-An instruction reads blocks of elements from memory, computes an expression of them in processor registers, and writes
-one block. What it costs are its loads and its store: an expression of five operations costs little more than one.
-``FUSED`` are the expressions that ``benchmarks/lowering.py --mine`` counts in the programs of the tasks.
+An instruction reads blocks of elements from memory, computes an expression in processor registers, and writes one
+block. Loads and the store dominate its cost: an expression of five operations costs little more than one operation.
+``benchmarks/lowering.py --mine`` counts the expressions of ``FUSED`` in the programs of tasks.
 """
 
 import ast
@@ -11,11 +11,11 @@ from collections import defaultdict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from rewax.lowering.operations import OF_TRUTH, OF_WHOLE
+from rewax.lowering.operations import ON_BOOLEANS, ON_INTEGERS
 
 Expression = str | tuple
-"""An operand, ``f`` (floating-point) or ``w`` (integer or boolean), in capitals if all elements share it; or an
-operation's name and its operands."""
+"""An operand, ``f`` (floating-point) or ``w`` (integer or boolean), in capitals if all elements share it; or a tuple of
+an operation's name and its operands."""
 
 TEXT = {
     "add": "{0} + {1}",
@@ -72,8 +72,8 @@ TEXT = {
     "b_to_f": "__builtin_convertvector(-{0}, {kind})",
     "i_to_f": "__builtin_convertvector({0}, {kind})",
     "l_to_f": "__builtin_convertvector({0}, {kind})",
-    "f_to_i": "ToWhole({0}, 32)",
-    "f_to_l": "ToWhole({0}, 64)",
+    "f_to_i": "ToInteger({0}, 32)",
+    "f_to_l": "ToInteger({0}, 64)",
     "b_to_i": "-{0}",
     "b_to_l": "-{0}",
     "i_to_b": "{0} != 0",
@@ -84,9 +84,9 @@ TEXT = {
     "wrap": "Wrap({0})",
     "copy": "{0}",
 }
-"""C++ of each operation (``lanes.h``); booleans are 0 and -1."""
+"""C++ of each operation, with the functions of ``lanes.h``; booleans are 0 and -1."""
 
-_ONLY_OF_WHOLE = frozenset(["and", "or", "xor", "not", "wrap"])
+_ONLY_ON_INTEGERS = frozenset(["and", "or", "xor", "not", "wrap"])
 COMMUTATIVE = frozenset(["add", "mul", "and", "or", "xor", "eq", "ne"])
 
 FUSED = """
@@ -129,15 +129,15 @@ abs(a) - B
 B * (a + b + c)
 B * (a - b + c - d)
 """
-"""In Python: capitals are shared by all elements, w and x are booleans."""
+"""Fused expressions in Python syntax: all elements share operands in capitals; w and x are booleans."""
 
 
 class Instruction(NamedTuple):
-    """What the machine executes at once."""
+    """An instruction of the machine."""
 
     expression: Expression
     operands: tuple[str, ...]
-    """Kinds of its operands, in the order in which it reads them."""
+    """Kinds of its operands, in reading order."""
 
 
 def operands_in(expression: Expression) -> Iterator[str]:
@@ -168,7 +168,7 @@ def _parse(node: ast.AST) -> Expression:
 
 
 def _simple() -> Iterator[Expression]:
-    """One operation of operands of each kind that it takes, of which at least one varies."""
+    """Single operations, for each combination of operand kinds in which at least one operand varies."""
     for name, text in TEXT.items():
         arity = 3 if "{2}" in text else 2 if "{1}" in text else 1
         if name == "select":
@@ -178,7 +178,7 @@ def _simple() -> Iterator[Expression]:
         elif "_to_" in name:
             kinds = [("f" if name.startswith("f") else "w",)]
         else:
-            pairs = ["fF"] * (name not in _ONLY_OF_WHOLE) + ["wW"] * (name in OF_TRUTH | OF_WHOLE)
+            pairs = ["fF"] * (name not in _ONLY_ON_INTEGERS) + ["wW"] * (name in ON_BOOLEANS | ON_INTEGERS)
             kinds = [k for pair in pairs for k in itertools.product(pair, repeat=arity) if pair[0] in k]
         yield from ((name, *k) for k in kinds)
 
@@ -191,30 +191,30 @@ def _instructions() -> list[Instruction]:
 INSTRUCTIONS = _instructions()
 NUMBERS = {instruction.expression: number for number, instruction in enumerate(INSTRUCTIONS)}
 BY_NAME: dict[str, list[int]] = defaultdict(list)
-"""Instructions whose last operation has a name."""
+"""Indices of the instructions whose last operation has a name."""
 for _number, _instruction in enumerate(INSTRUCTIONS):
     BY_NAME[_instruction.expression[0]].append(_number)
 SPECIAL = ("constant", "load_float", "load_int32", "load_int64", "load_bool", "store", "convert_int32", "convert_int64",
            "convert_bool", "store_bool", "sum", "sum_of_products")  # fmt: skip
-"""What moves numbers between the machine and arrays; ``machine.cc`` has their C++."""
+"""Instructions that move numbers between registers and arrays; ``machine.cc`` holds their C++."""
 NUMBERS |= {name: len(INSTRUCTIONS) + k for k, name in enumerate(SPECIAL)}
 
 
 def cases() -> str:
-    """The machine's code of each instruction, as cases of a C++ switch (in the terms of ``machine.cc``)."""
+    """C++ of each instruction, as cases of the switch in ``machine.cc``."""
     found = []
     for number, (expression, kinds) in enumerate(INSTRUCTIONS):
         before, each = [], []
         for k, kind in enumerate(kinds):
             vector = "V" if kind in "fF" else "VI"
             if kind.isupper():
-                before.append(f"const {vector} a{k} = Shared<{vector}>(PLACE({k + 1}));")
+                before.append(f"const {vector} a{k} = Shared<{vector}>(OPERAND({k + 1}));")
             else:
-                before.append(f"const T* const p{k} = PLACE({k + 1});")
+                before.append(f"const T* const p{k} = OPERAND({k + 1});")
                 each.append(f"const {vector} a{k} = Get<{vector}>(p{k} + k);")
         value = _statement(expression, iter(f"a{k}" for k in range(len(kinds))))
         found.append(
-            f"case {number}: REPEAT({len(kinds) + 1}) {{ T* const to = PLACE(0); {' '.join(before)} "
+            f"case {number}: REPEAT({len(kinds) + 1}) {{ T* const to = OPERAND(0); {' '.join(before)} "
             f"EACH {{ {' '.join(each)} Put(to + k, {value}); }} }} break;"
         )
     return "\n".join(found)

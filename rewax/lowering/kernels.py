@@ -1,9 +1,9 @@
-"""Arithmetic on each particle or node alone: on a CPU one program of the machine, and one for each derivative.
+"""Pointwise arithmetic on particles or nodes: on a CPU one program of the machine each for value, JVP and VJP.
 
-XLA's CPU compiler makes a loop, and a store, of every array that has two users. Arithmetic on the components of 3x3
-matrices is all such arrays: a hundred loops for a material law, four hundred for its derivative, most of the time to
-compile and much of the time to run. The machine (``machine``) evaluates the traced program of *one* element for blocks
-of a few hundred elements, whose intermediate values stay in the processor's first cache.
+XLA's CPU compiler emits a loop and a store for every array that has two consumers. Arithmetic on the components of 3x3
+matrices consists of such arrays: a hundred loops for a material law, four hundred for its derivative. They take most of
+the compile time and much of the run time. The machine (``machine``) evaluates the traced program of *one* element for
+blocks of a few hundred elements, whose intermediate values stay in the processor's L1 cache.
 """
 
 import functools
@@ -30,30 +30,29 @@ P = TypeVar("P")
 T = TypeVar("T")
 
 _BLOCK = 512
-"""A block has at most so many elements: enough that the choice of instructions takes little of the time, few enough
-that registers stay in the processor's caches. A thread computes one block at a time, with sums of its own."""
+"""Largest number of elements of a block: enough to amortise the dispatch of instructions, few enough to keep registers
+in the processor's caches. A thread computes one block at a time and keeps sums per block."""
 
 _ALIGNMENT = 64
-"""The size of a block is a multiple of this: full vectors on any processor."""
+"""Block sizes are multiples of this, so that vectors are full on any processor."""
 
 
 def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
-    """``function`` of many elements, computed element by element.
+    """``function`` of many independent elements, in C++ on a CPU.
 
-    On a CPU value, forward and reverse derivative are one program of the machine each; the derivatives keep nothing
-    but the arguments. Without the machine it is the function itself, and on a GPU XLA's kernels of it.
+    On a CPU the value, the forward derivative (JVP) and the reverse derivative (VJP) are one program of the machine
+    each. The derivatives store only the arguments. Without the machine, and on a GPU, the function itself runs.
 
     Args:
-      function: ``(shared, elements) -> results``, pure, defined once (it is traced once for arguments of one form).
-        ``elements`` and the results are pytrees of arrays (..., num_elements), the results of floating-point;
-        ``shared`` is a pytree of small arrays and numbers that all elements use. It consists of arithmetic,
-        comparisons and selections, and what it does with one element it does with all: none knows another.
+      function: ``(shared, elements) -> results``, pure, defined once (it is traced once per form of arguments).
+        ``elements`` and ``results`` are pytrees of arrays (..., num_elements); results are floating-point. ``shared``
+        is a pytree of small arrays and numbers that all elements use. The function consists of arithmetic, comparisons
+        and selections, and applies them to each element independently.
 
-    Floats in ``shared`` become arrays, so that one program serves all of them; integers are part of the program.
-    Elements that are no arrays of one length and one precision are left to the function itself, with a warning.
+    Floats in ``shared`` become arrays, so that one program serves all values; integers are static. If elements are not
+    arrays of one length and one precision, the function itself runs, with a warning.
 
-    Gradient: exact, forward and reverse, with respect to both arguments. Where the machine runs it, no second
-      derivatives.
+    Gradient: exact, forward and reverse, with respect to both arguments. No second derivatives in the machine.
     """
 
     @functools.wraps(function)
@@ -65,18 +64,18 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
             if jax.default_backend() == "cpu":
                 report.note(function, "value", "its elements are not arrays of one length and one floating type")
             return function(shared, elements)
-        # As arrays: a number inside the program would make another program of every number.
+        # As arrays: a Python float would be static, and every value would need its own program.
         shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
         first, *_ = split_arguments(shared)
         arrays, treedef, constants = split_arguments((shared, elements))
         varies = tuple(k >= len(first) for k in range(len(arrays)))
-        return run_program(Program(POINTWISE, _spread(function), None, treedef, constants, varies), arrays)
+        return run_program(Program(POINTWISE, _broadcast(function), None, treedef, constants, varies), arrays)
 
     return call
 
 
 def _common_type(elements: Any) -> Any:
-    """The floating type of elements; None if there is not exactly one, or not exactly one number of elements."""
+    """The floating type of elements; None unless they have one floating type and one length."""
     leaves = jax.tree.leaves(elements)
     if not all(isinstance(a, (jax.Array, np.ndarray)) and a.ndim for a in leaves):
         return None
@@ -85,9 +84,9 @@ def _common_type(elements: Any) -> Any:
 
 
 def separated(parameters: T) -> tuple[T, T]:
-    """Parameters that all elements share, and those of which each has its own, arrays (num_elements,).
+    """Parameters that all elements share, and per-element parameters, which are arrays (num_elements,).
 
-    Both are trees like the given one, with None where the other has something; ``joined`` puts them together.
+    Both trees have the given structure, with None in place of the other's leaves; ``joined`` merges them.
     """
     return tuple(  # type: ignore[return-value]
         jax.tree.map(lambda a, own=own: a if (jnp.ndim(a) == 1) == own else None, parameters) for own in (False, True)
@@ -100,42 +99,42 @@ def joined(shared: T, own: T) -> T:
 
 
 def _adapts(number: Any) -> bool:
-    """It takes the precision of what it meets."""
+    """Whether a number has a weak floating type."""
     if not isinstance(number, jax.Array):
         return isinstance(number, float)
     return bool(number.weak_type) and jnp.issubdtype(number.dtype, jnp.floating)
 
 
 class _Target(NamedTuple):
-    """A program that XLA can call."""
+    """A program in the machine that XLA can call."""
 
     handler: str
     number: int
     outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
-    """Shape and type of each result for one element, and whether it is summed over all elements."""
+    """Shape and type of each result for one element, and whether it is summed over elements."""
 
 
 @functools.lru_cache(maxsize=1024)
-def _spread(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """The same function, whose results all have the elements' shape."""
+def _broadcast(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The function with its results broadcast to the number of elements."""
 
     @functools.wraps(function)
-    def spread(shared: Any, elements: Any) -> Any:
+    def broadcast(shared: Any, elements: Any) -> Any:
         count = jax.tree.leaves(elements)[0].shape[-1]
         return jax.tree.map(lambda a: jnp.broadcast_to(a, (*a.shape[:-1], count)), function(shared, elements))
 
-    return spread
+    return broadcast
 
 
 def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """One rule: by the machine if it can."""
+    """Runs a rule in the machine if possible, else with JAX."""
     if build.is_off():
         return _with_jax(which, program, arrays, linear)
     perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
     of_linear = {"value": [], "tangent": perturbed, "cotangent": [True] * len(linear)}[which]
     varies = (*program.varies, *of_linear)
     operands = operands_of(program, arrays, linear, varies)
-    avals = tuple(o.of_one_element for o in operands)
+    avals = tuple(o.element_aval for o in operands)
     target = _target(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
@@ -160,19 +159,19 @@ POINTWISE = cpu_rules(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """The same without the machine."""
+    """Runs a rule with JAX."""
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
 def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
-    """Arrays of the given shapes that lie one after the other along the last axis."""
+    """Splits the last axis into consecutive arrays of the given shapes."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = jnp.split(numbers, ends[:-1], axis=-1)
     return [part.reshape(*part.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
 def _blocks(count: int) -> tuple[int, int]:
-    """How many blocks there are, about equal for threads to share them, and how many elements each has."""
+    """Number of blocks, of about equal size, and number of elements per block."""
     block = -(-count // max(-(-count // _BLOCK), 1))
     block = -(-max(block, 1) // _ALIGNMENT) * _ALIGNMENT
     return -(-count // block), block
@@ -181,30 +180,30 @@ def _blocks(count: int) -> tuple[int, int]:
 def bytecode_of(
     which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
 ) -> tuple[BlockBytecode, np.dtype, tuple]:
-    """Bytecode of one rule, its floating type, and shape, type and sum of its results as in ``_Target``.
+    """Bytecode of a rule, its floating type, and the outputs of ``_Target``.
 
     Raises:
-      UnsupportedError: it cannot be written so.
+      UnsupportedError: the rule cannot be lowered.
     """
     traced = trace_rule(which, program, avals, len(program.varies))
     summed = [False] * len(traced.out_avals)
     if which == "cotangent":
         summed = [not v for v, p in zip(program.varies, program.perturbed, strict=True) if p]
     outputs = tuple((a.shape, a.dtype, s) for a, s in zip(traced.out_avals, summed, strict=True))
-    line = from_jaxpr(traced, varies)
+    listing = from_jaxpr(traced, varies)
     types, rows = [a.dtype for a in traced.in_avals], [math.prod(a.shape) for a in traced.in_avals]
-    return assemble_blocks(line, types, rows, summed), line.dtype, outputs
+    return assemble_blocks(listing, types, rows, summed), listing.dtype, outputs
 
 
 @functools.lru_cache(maxsize=1024)
 def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | str:
-    """The bytecode of one rule, known to XLA; or the reason why there is none."""
+    """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
         bytecode, dtype, outputs = bytecode_of(which, program, avals, varies)
     except UnsupportedError as error:
         return str(error)
-    except Exception as error:  # a form that nobody thought of: never a reason to fail
+    except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
     number, reason = load(dtype, bytecode)
     return reason if number is None else _Target(machine(dtype).blocks_handler, number, outputs)

@@ -1,4 +1,4 @@
-// What the machine's instructions (instructions.py) are made of: vectors of numbers, and functions of them.
+// Vectors of numbers and functions on them, for the machine's instructions (instructions.py).
 
 #include <cmath>
 #include <cstdint>
@@ -35,11 +35,11 @@ inline V Wide(U a) { return a[0] - V{}; }
 inline VI Wide(UI a) { return a[0] + VI{}; }
 
 template <typename X>
-X Full(T a) {  // a copy of the bits, which may be those of an integer
+X Full(T a) {  // copies the bits, which may be those of an integer
   REWAX_LANES(X, a);
 }
 
-// NaN if either is.
+// NaN if either operand is NaN.
 template <typename X>
 X Max(X a, X b) {
   return ((a > b) | (a != a)) ? a : b;
@@ -80,13 +80,13 @@ template <typename X>
 X Sign(X a) {
   return a > 0 ? X{} + 1 : a < 0 ? X{} - 1 : a;
 }
-// Integers of 32 bits in lanes of 64: their low bits, with the sign.
+// Sign-extends the low 32 bits in lanes of 64 bits.
 template <typename X>
 X Wrap(X a) {
   if constexpr (sizeof(T) == 8) return (a << 32) >> 32;
   return a;
 }
-// Of integers as XLA divides: by zero the quotient is -1 and the remainder the dividend, and nothing overflows.
+// Integer division as in XLA: division by zero gives quotient -1 and remainder the dividend; nothing overflows.
 template <typename X>
 X Div(X a, X b) {
   if constexpr (std::is_floating_point_v<std::decay_t<decltype(X{}[0])>>) {
@@ -116,8 +116,8 @@ auto IsFinite(X a) {
   return Abs(a) < Full<X>(kInfinity);
 }
 
-// Exponential, logarithm, sine and cosine of all lanes at once, with the reductions and polynomials of Moshier's Cephes library; in
-// double precision, where only tests compute, those of the C library.
+// Exponential, logarithm, sine and cosine of all lanes at once, with the reductions and polynomials of Moshier's Cephes
+// library. Double precision, which only tests use, calls the C library.
 template <typename X>
 X Exp(X a) {
   if constexpr (sizeof(T) == 8) {
@@ -134,9 +134,9 @@ X Exp(X a) {
     p = p * r + 1.6666665459e-1f;
     p = p * r + 5.0000001201e-1f;
     p = p * (r * r) + r + 1.0f;
-    // 2^n in two factors: n = 128 and n < -126 have no exponent of their own.
-    const I whole = __builtin_convertvector(n == n ? n : X{}, I), half = whole >> 1;
-    const I first = (half + 127) << 23, second = (whole - half + 127) << 23;
+    // 2^n in two factors: n = 128 and n < -126 exceed the range of a float's exponent.
+    const I integer = __builtin_convertvector(n == n ? n : X{}, I), half = integer >> 1;
+    const I first = (half + 127) << 23, second = (integer - half + 127) << 23;
     return p * (X)first * (X)second;
   }
 }
@@ -188,7 +188,7 @@ X SineOrCosine(X a, int quarters) {
   const I turn = __builtin_convertvector(n == n ? n : X{}, I) + quarters;
   X value = (turn & 1) != 0 ? cosine : sine;
   value = (turn & 2) != 0 ? -value : value;
-  // Beyond, the polynomials are wrong. Lane by lane, for no lane's result may depend on the others.
+  // The polynomials are wrong for larger angles. Lane by lane: a lane's result must not depend on other lanes.
   bool small = true;
   for (int l = 0; l < kSize<X>; ++l) small &= !(std::fabs(a[l]) > 8192);
   if (!small) {
@@ -205,13 +205,13 @@ X Cos(X a) {
   return SineOrCosine(a, 1);
 }
 
-// Towards zero, to an integer of so many bits; the nearest there is for what is too large, 0 for NaN.
+// Rounds towards zero to an integer of `bits` bits; clamps values out of range; NaN gives 0.
 template <typename X>
-auto ToWhole(X a, int bits) {
+auto ToInteger(X a, int bits) {
   typedef decltype(X{} < X{}) I;
   const bool wide = bits == 64 && sizeof(T) == 8;
   const X limit = Full<X>(wide ? T(9223372036854775808.0) : T(2147483648.0));
-  // The greatest numbers below the limit that T has.
+  // Greatest number of type T below the limit.
   const T below = wide ? T(9223372036854774784.0) : sizeof(T) == 8 ? T(2147483647.0) : T(2147483520.0);
   const X inside = Max(Min(a == a ? a : X{}, Full<X>(below)), -limit);
   const I most = I{} + (wide ? static_cast<int64_t>(9223372036854775807LL) : 2147483647);
@@ -219,17 +219,17 @@ auto ToWhole(X a, int bits) {
 }
 
 template <typename S>
-VI LoadWhole(const S* from, int count) {
+VI LoadIntegers(const S* from, int count) {
   VI r;
   for (int l = 0; l < kLanes; ++l) r[l] = static_cast<decltype(+r[0])>(from[l < count ? l : count - 1]);
   return r;
 }
-inline VI LoadTruth(const bool* from, int count) { return -LoadWhole(from, count); }
-inline void StoreTruth(bool* to, VI a, int count) {
+inline VI LoadBooleans(const bool* from, int count) { return -LoadIntegers(from, count); }
+inline void StoreBooleans(bool* to, VI a, int count) {
   for (int l = 0; l < count; ++l) to[l] = a[l] != 0;
 }
 
-// The sum over a chunk's elements: what is beyond the last one does not count.
+// Zeros the lanes beyond the last element, before a sum.
 inline V Part(V a, int count) {
   if (count < kLanes) {
     for (int l = count; l < kLanes; ++l) a[l] = 0;

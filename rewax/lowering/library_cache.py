@@ -1,7 +1,7 @@
-"""Libraries on disk: verified before they are loaded, written atomically, kept where only the user can write.
+"""Cache of built libraries: verified before loading, written atomically, in a folder that only the user can write to.
 
 A library's file is called ``<name>-<checksum>.so``. The checksum covers the name and every byte, because the dynamic
-loader maps a truncated file without complaint and the process dies when it touches what is missing.
+loader maps a truncated file without an error, and the process dies when it reads a missing page.
 """
 
 import atexit
@@ -18,29 +18,29 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 _LARGEST = 2**28
-"""Bytes; what is larger is no library of ours."""
+"""Largest size of a library in bytes."""
 _LEFTOVER_S = 3600.0
-"""A build takes minutes at most: an older build folder belongs to a process that was killed."""
+"""Age in seconds at which a build folder belongs to a killed process: a build takes minutes at most."""
 _BUILD, _TEMPORARY = "building-", "rewax-native-"
 _temporary: list[Path] = []
 
 
 def load(name: str, make: Callable[[Path], bytes]) -> tuple[ctypes.CDLL, Path]:
-    """A library and its file: the one that is kept if it is whole, else a new one.
+    """A library and its file: the cached one if it is undamaged, else a new one.
 
     Args:
-      name: tells libraries apart, without a slash.
-      make: builds it in an empty folder and returns its bytes.
+      name: identifies the library; without a slash.
+      make: builds the library in an empty folder and returns its bytes.
 
     Raises:
-      OSError: it can neither be kept nor be loaded, not even in a temporary folder.
+      OSError: the library cannot be written or loaded, not even in a temporary folder.
     """
     home = folder()
     path, damaged = find(home, name, private=True)
     if path:
         with contextlib.suppress(OSError):
             return ctypes.CDLL(str(path)), path
-        _remove(path)  # it was built where other libraries are installed
+        _remove(path)  # it was built against other system libraries
     contents = None
     try:
         with _build_folder(home) as empty:
@@ -50,17 +50,17 @@ def load(name: str, make: Callable[[Path], bytes]) -> tuple[ctypes.CDLL, Path]:
             if other != path and fault(other, name, private=True):
                 _remove(other)
         return _loaded(path), path
-    except OSError as error:  # the disk is full, read-only, or one that no program runs from
+    except OSError as error:  # the disk is full, read-only, or mounted noexec
         home = temporary_folder()
         with _build_folder(home) as empty:
             path = keep(home, name, contents or make(empty), empty)
         library = _loaded(path)
-        say(f"{name} cannot be kept and is built at every start ({error})")
+        warn(f"{name} cannot be kept and is built at every start ({error})")
         return library, path
 
 
 def _loaded(path: Path) -> ctypes.CDLL:
-    """A new library, which goes if it does not load."""
+    """Loads a new library, and removes it if that fails."""
     try:
         return ctypes.CDLL(str(path))
     except OSError:
@@ -69,30 +69,30 @@ def _loaded(path: Path) -> ctypes.CDLL:
 
 
 def find(home: Path, name: str, *, private: bool) -> tuple[Path | None, list[Path]]:
-    """A whole library of a name if there is one, and files of that name that are none, about which the user is told.
+    """The undamaged library of a name, if any, and the damaged files of that name. Warns about the latter.
 
     Args:
-      home: the folder that it is in.
+      home: folder of the library.
       name: as in ``load``.
-      private: whether nobody but the user may be able to write it.
+      private: whether to refuse files that others can write to.
     """
     damaged = []
     for path in sorted(home.glob(f"{name}[-.]*")):
         reason = fault(path, name, private=private)
         if reason is None:
             return path, damaged
-        say(f"{path} is not used: {reason}")
+        warn(f"{path} is not used: {reason}")
         damaged.append(path)
     return None, damaged
 
 
 def fault(path: Path, name: str, *, private: bool) -> str | None:
-    """Why a library must not be loaded; None if it is whole."""
+    """Why a library must not be loaded; None if it is undamaged."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
     try:
         if path.is_symlink():
             return "it is a link"
-        descriptor = os.open(path, flags)  # of a pipe without a writer, too, which would block otherwise
+        descriptor = os.open(path, flags)  # O_NONBLOCK: a pipe without a writer would block
         with os.fdopen(descriptor, "rb") as file:
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
@@ -113,11 +113,14 @@ def file_name(name: str, contents: bytes) -> str:
 
 
 def keep(home: Path, name: str, contents: bytes, empty: Path | None = None) -> Path:
-    """Write a library into a folder, in one step that a crash of the machine does not divide.
+    """Writes a library into a folder atomically, also if the machine crashes.
 
-    A file that is there already is replaced, never written to: another process may have mapped it.
+    An existing file is replaced, never written to, because another process may have mapped it.
 
     Args:
+      home: the folder.
+      name: as in ``load``.
+      contents: bytes of the library.
       empty: a folder on the same disk for unfinished files; None: ``home``.
     """
     path = home / file_name(name, contents)
@@ -133,7 +136,7 @@ def keep(home: Path, name: str, contents: bytes, empty: Path | None = None) -> P
     except BaseException:
         Path(unfinished).unlink(missing_ok=True)
         raise
-    with contextlib.suppress(OSError):  # not every file system, nor Windows, can
+    with contextlib.suppress(OSError):  # some file systems, and Windows, cannot
         descriptor = os.open(home, os.O_RDONLY)
         try:
             os.fsync(descriptor)
@@ -151,13 +154,13 @@ def folder() -> Path:
         cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         return _made_private(cache.absolute() / "rewax" / "native")
     except (OSError, RuntimeError) as error:  # RuntimeError: no home
-        say(f"C++ is built at every start, in a temporary folder: {error}; XDG_CACHE_HOME can name another cache")
+        warn(f"C++ is built at every start, in a temporary folder: {error}; XDG_CACHE_HOME can name another cache")
         return temporary_folder()
 
 
 def temporary_folder() -> Path:
-    """A folder of this process, which goes when the process does."""
-    _temporary[:] = [path for path in _temporary if path.is_dir()]  # others clean up, too
+    """A folder that is removed when this process ends."""
+    _temporary[:] = [path for path in _temporary if path.is_dir()]  # another program may have removed it
     if not _temporary:
         _remove_leftovers(Path(tempfile.gettempdir()), _TEMPORARY)
         path, owner = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{os.getpid()}-")), os.getpid()
@@ -167,7 +170,7 @@ def temporary_folder() -> Path:
 
 
 def _made_private(path: Path) -> Path:
-    """A folder, made if need be, that belongs to the user, and that nobody else can write to."""
+    """Creates a folder, if needed, that belongs to the user and that nobody else can write to."""
     for part in (*reversed(path.parents), path):
         if not part.is_dir():
             part.mkdir(mode=0o700, exist_ok=True)
@@ -199,7 +202,7 @@ def _build_folder(home: Path) -> Iterator[Path]:
 
 
 def _remove_leftovers(home: Path, prefix: str) -> None:
-    """What killed processes left in a folder."""
+    """Removes files of killed processes from a folder."""
     for path in home.glob(f"{prefix}*"):
         with contextlib.suppress(OSError):
             status = path.lstat()
@@ -226,6 +229,6 @@ def _remove(path: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def say(sentence: str) -> None:
-    """Tell the user, once in a process."""
+def warn(sentence: str) -> None:
+    """Warns the user, once per process."""
     warnings.warn(sentence, stacklevel=3)

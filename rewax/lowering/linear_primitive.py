@@ -1,8 +1,8 @@
 """Linear maps with a hand-written transpose, for both directions of differentiation and under ``vmap``.
 
-``jax.custom_vjp`` would give up forward mode, ``jax.custom_derivatives.linear_call`` has no batching rule. A JAX
-primitive of our own (see "JAX internals: primitives" in JAX's documentation) has both: used inside the rule of a
-``jax.custom_jvp`` it gives forward mode by running the map and reverse mode by running its transpose.
+``jax.custom_vjp`` has no forward mode, and ``jax.custom_derivatives.linear_call`` has no batching rule. The JAX
+primitive of this module (see "JAX internals: primitives" in JAX's documentation) has both. Inside the rule of a
+``jax.custom_jvp``, forward mode (JVP) runs the map, and reverse mode (VJP) runs its transpose.
 """
 
 import functools
@@ -20,19 +20,19 @@ from rewax.types import Array
 
 Arrays = tuple[Array, ...]
 Rule = Callable[[Any, Arrays, Arrays], Arrays]
-"""``(static, residuals, linear) -> outputs``; every array may carry further leading batch axes, the same for all."""
+"""``(static, residuals, linear) -> outputs``; all arrays may carry the same additional leading batch axes."""
 
 Shapes = tuple[tuple[tuple[int, ...], Any], ...]
 """Shape and dtype of each output."""
 
 
 class ByPlatform(NamedTuple):
-    """One rule written twice. Lowering for a platform decides which one a program holds."""
+    """A rule in one form per platform. JAX selects the form when it lowers a program."""
 
     cpu: Rule
     other: Rule
-    numbers: Rule | None = None
-    """For programs that ``from_jaxpr`` lowers to operations on single numbers; None: the other."""
+    scalar: Rule | None = None
+    """The rule that ``from_jaxpr`` lowers to scalar operations; None: ``other``."""
 
     def __call__(self, static: Any, residuals: Arrays, linear: Arrays) -> Arrays:
         return self.cpu(static, residuals, linear)
@@ -40,10 +40,10 @@ class ByPlatform(NamedTuple):
 
 @runtime_checkable
 class Batchable(Protocol):
-    """What ``static`` can be, so that ``vmap`` does not broadcast residuals that all batch elements share."""
+    """Protocol of ``static``: with it, ``vmap`` does not broadcast residuals that all batch elements share."""
 
     def batched(self, which: tuple[bool, ...]) -> Self:
-        """The same under one more ``vmap``. ``which``: which of the residuals have its axis, at the front."""
+        """``static`` under one more ``vmap``; ``which`` tells which residuals have its axis, in front."""
         ...
 
 
@@ -64,13 +64,12 @@ def linear_call(
 
     Args:
       function: maps arrays to a tuple of arrays. Must accept leading batch axes: ``vmap`` calls it once with all
-        arrays batched along axis 0 instead of tracing it anew. ``ByPlatform`` where a CPU and a GPU want other
-        programs for the same numbers; so may ``transpose`` be.
-      transpose: ``(static, residuals, cotangents of the outputs) -> cotangents of linear``.
-      static: anything hashable. If it is ``Batchable``, residuals without the axis of a ``vmap`` are not broadcast.
+        arrays batched along axis 0 instead of tracing it again. It may be a ``ByPlatform``.
+      transpose: ``(static, residuals, cotangents of the outputs) -> cotangents of linear``; it may be a ``ByPlatform``.
+      static: a hashable value. If it is ``Batchable``, residuals without the axis of a ``vmap`` are not broadcast.
       residuals: arrays in which the function need not be linear. Gradient: none (wrap in ``jax.custom_jvp``).
       linear: arrays in which the function is linear. Gradient: exact.
-      like: arrays of the shapes and types of the outputs, if they are known; else the function is traced to find out.
+      like: arrays with the shapes and types of the outputs; None: trace the function to infer them.
     """
     if like is None:
         inputs = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, (*residuals, *linear)))
@@ -93,7 +92,7 @@ def linear_call(
 
 
 def _varying_alike(*groups: Sequence[Array]) -> list[list[Array]]:
-    """The same arrays; inside ``jax.shard_map`` all vary over the mesh axes that one of them varies over."""
+    """The same arrays; inside ``jax.shard_map`` all of them vary over the union of their mesh axes."""
     axes = [_varying_axes(a) for group in groups for a in group]
     union = frozenset().union(*axes)
     if all(own == union for own in axes):
@@ -127,22 +126,22 @@ def run_elsewhere(*args: Array, function: Rule, **params: Any) -> list[Array]:
 
 
 def run_scalar_form(*args: Array, function: Rule, **params: Any) -> list[Array]:
-    numbers = function.numbers if isinstance(function, ByPlatform) else None
-    return run_elsewhere(*args, function=function if numbers is None else numbers, **params)
+    scalar = function.scalar if isinstance(function, ByPlatform) else None
+    return run_elsewhere(*args, function=function if scalar is None else scalar, **params)
 
 
 def _abstract_eval(*args: ShapedArray, out: Shapes, **params: Any) -> list[ShapedArray]:
     del params
     if not any(_varying_axes(a) for a in args):
         return [ShapedArray(*a) for a in out]
-    # Inside of shard_map results vary as the arguments do.
+    # Inside shard_map, results vary over the same mesh axes as the arguments.
     sharding = jax.sharding.NamedSharding(args[0].sharding.mesh, jax.sharding.PartitionSpec())
     return [ShapedArray(*a, sharding=sharding, manual_axis_type=args[0].manual_axis_type) for a in out]
 
 
 @functools.lru_cache(maxsize=4096)
 def _shapes(args: tuple, function: Rule, static: Any, num_residuals: int, precision: Any) -> Shapes:
-    """Shapes of the outputs, from one trace of the function; transformations derive theirs from these."""
+    """Shapes of the outputs, from one trace of the function; transformations derive their shapes from these."""
     del precision  # cache key only: jax_enable_x64
     xs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in args]
     out = jax.eval_shape(lambda xs: function(static, tuple(xs[:num_residuals]), tuple(xs[num_residuals:])), xs)
@@ -197,8 +196,8 @@ _compiled = jax.jit(linear_call_p.bind, static_argnames=("function", "transpose"
 
 @linear_call_p.def_impl
 def _impl(*args: Array, **params: Any) -> list[Array]:
-    """Outside of jit: a program of its own, for whatever platform that is."""
-    # Also inside of jax.disable_jit: without jit, bind would call this function again.
+    """Outside jit: compiles a program of its own."""
+    # Also inside jax.disable_jit: without jit, bind would call this function again.
     with jax.disable_jit(False):
         return _compiled(*args, **params)
 
@@ -211,7 +210,7 @@ _lower_run = mlir.lower_fun(_run, multiple_results=True)
 
 
 def _lower_on_cpu(context: Any, *args: Any, **params: Any) -> Any:
-    """What is exported must run where there is no C++ of ours."""
+    """Lowers for a CPU; exported programs hold none of rewax's C++."""
     if not getattr(context.module_context.lowering_parameters, "for_export", False):
         return _lower_run(context, *args, **params)
     with portable():

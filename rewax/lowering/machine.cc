@@ -1,12 +1,12 @@
-// Runs programs (assembler.py) through XLA's foreign function interface, for many batch elements at once.
+// Runs bytecode (assembler.py) through XLA's foreign function interface, for many batch elements at once.
 //
-// machine.py builds this file after threads.h, lanes.h and the macros REWAX_CASES, the code of each instruction;
-// REWAX_LANES_HANDLER and REWAX_BLOCKS_HANDLER, the handlers' names; and the numbers of special instructions.
+// machine.py puts this text after threads.h, lanes.h, the enum of special instructions and the macros REWAX_CASES (the
+// code of each instruction), REWAX_LANES_HANDLER and REWAX_BLOCKS_HANDLER (the handlers' names).
 //
 // There are two ways to fill vectors. A program of small arrays (articulated bodies) has one batch element in each
-// lane: numbers are gathered from arrays at the program's beginning, and each register is one vector. A pointwise
-// program has neighbouring elements in the lanes: a register is a block of vectors, operands are used where they lie,
-// and results are computed where they shall lie.
+// lane: it gathers numbers from arrays at its beginning, and each register is one vector. A pointwise program has
+// neighbouring elements in the lanes: a register is a block of vectors, and instructions read operands from the
+// arguments and write results to the outputs directly.
 
 #include <memory>
 #include <mutex>
@@ -23,7 +23,7 @@ inline X Get(const T* from) {
 }
 inline void Put(T* to, V a) { *reinterpret_cast<AnywhereV*>(to) = a; }
 inline void Put(T* to, VI a) { Put(to, (V)a); }
-// What all elements share, in all lanes.
+// Broadcasts a value that all elements share to all lanes.
 template <typename X>
 inline X Shared(const T* from) {
   UI bits;
@@ -31,8 +31,8 @@ inline X Shared(const T* from) {
   return (X)Wide(bits);
 }
 
-// Lane l is a batch element, whose arrays begin l * step numbers after those of the first; with a step of 0 all
-// batch elements have the same. Lanes beyond the last one repeat it.
+// Lane l holds a batch element. Its arrays begin l * step numbers after those of the first; with a step of 0 all batch
+// elements share one array. Lanes beyond the last batch element repeat it.
 inline V Gather(const T* from, int64_t step, int count) {
   if (step == 0) return Full<V>(*from);
   V r;
@@ -40,26 +40,26 @@ inline V Gather(const T* from, int64_t step, int count) {
   return r;
 }
 template <typename S>
-inline VI GatherWhole(const S* from, int64_t step, int count) {
+inline VI GatherIntegers(const S* from, int64_t step, int count) {
   VI r;
   for (int l = 0; l < kLanes; ++l) r[l] = static_cast<decltype(+r[0])>(from[(l < count ? l : count - 1) * step]);
   return r;
 }
 
-// A row of runs: an instruction, how often, and for each time its registers.
+// A sequence of runs: an instruction, its number of repetitions, and its registers for each repetition.
 struct Code {
   std::vector<int32_t> code;
   std::vector<T> constants;
   int64_t num_registers;
 };
 
-// Where one number of each element lies: which array, which of its rows, how many there are, and bytes of a number.
+// Location of one number of each element: index of the array, index of the row, number of rows, bytes per number.
 struct Row {
   int32_t array, row, rows, bytes;
 };
 
 struct Program {
-  Code lanes;  // of a pointwise program: what all elements share
+  Code lanes;  // in a pointwise program: the values that all elements share
   Code blocks;
   int64_t num_sums = 0;
   std::vector<int32_t> shared;        // registers of `lanes` that `blocks` reads
@@ -77,14 +77,14 @@ std::shared_ptr<const Program> Find(int64_t number) {
   return found == Programs().end() ? nullptr : found->second;
 }
 
-// Aligned memory of this thread, for so many vectors.
+// Aligned memory of this thread for `count` vectors.
 V* Scratch(size_t count) {
   static thread_local std::vector<char> memory;
   if (memory.size() < count * sizeof(V) + 64) memory.resize(count * sizeof(V) + 64);
   return reinterpret_cast<V*>((reinterpret_cast<uintptr_t>(memory.data()) + 63) & ~static_cast<uintptr_t>(63));
 }
 
-// What a run works with: registers that are vectors (lanes), or places of blocks.
+// Data of one run: registers that are vectors (lanes), or addresses of registers that are blocks.
 struct Frame {
   T* registers;
   const T* constants;
@@ -95,12 +95,12 @@ struct Frame {
   int64_t first;
   int count;
 
-  T* const* places;
+  T* const* addresses;
   V* sums;
-  int vectors, left;  // of a block; elements of its last vector
+  int vectors, left;  // number of vectors of a block; elements of its last vector
 };
 
-// The sum of a block's vectors, of which the last has `left` elements.
+// Sum of a block's vectors; the last vector has `left` elements.
 template <typename Vectors>
 inline V SumOf(int64_t end, int left, const Vectors& vector) {
   V even{}, odd{};
@@ -114,15 +114,15 @@ inline V SumOf(int64_t end, int left, const Vectors& vector) {
   return even + (odd + Part(vector(last), left));
 }
 
-#define REPEAT(places) for (; times; --times, at += (places))
-#define PLACE(k) (kBlocks ? places[at[k]] : registers + static_cast<int64_t>(at[k]) * kLanes)
+#define REPEAT(width) for (; times; --times, at += (width))
+#define OPERAND(k) (kBlocks ? addresses[at[k]] : registers + static_cast<int64_t>(at[k]) * kLanes)
 #define EACH for (int64_t k = 0; k < end; k += kLanes)
 
 template <bool kBlocks>
 void Run(const Code& program, const Frame& f) {
   const int64_t end = (kBlocks ? f.vectors : 1) * kLanes;
-  T* const registers = f.registers;  // in variables: whatever is stored could be what a pointer leads to
-  T* const* const places = f.places;
+  T* const registers = f.registers;  // in local variables, because stores could alias the fields of f
+  T* const* const addresses = f.addresses;
   const int32_t* at = program.code.data();
   const int32_t* const stop = at + program.code.size();
   while (at != stop) {
@@ -132,50 +132,50 @@ void Run(const Code& program, const Frame& f) {
     switch (instruction) {
       REWAX_CASES
       case kConstant:
-        REPEAT(2) Put(PLACE(0), Shared<V>(f.constants + at[1]));  // of any type, bit by bit
+        REPEAT(2) Put(OPERAND(0), Shared<V>(f.constants + at[1]));  // the bits of a value of any type
         break;
 #define REWAX_FROM(S) static_cast<const S*>(f.operands[at[1]]) + f.first * f.steps[at[1]] + at[2], f.steps[at[1]], f.count
       case kLoadFloat:
-        REPEAT(3) Put(PLACE(0), Gather(REWAX_FROM(T)));
+        REPEAT(3) Put(OPERAND(0), Gather(REWAX_FROM(T)));
         break;
       case kLoadInt32:
-        REPEAT(3) Put(PLACE(0), GatherWhole(REWAX_FROM(int32_t)));
+        REPEAT(3) Put(OPERAND(0), GatherIntegers(REWAX_FROM(int32_t)));
         break;
       case kLoadInt64:
-        REPEAT(3) Put(PLACE(0), GatherWhole(REWAX_FROM(int64_t)));
+        REPEAT(3) Put(OPERAND(0), GatherIntegers(REWAX_FROM(int64_t)));
         break;
       case kLoadBool:
-        REPEAT(3) Put(PLACE(0), -GatherWhole(REWAX_FROM(bool)));
+        REPEAT(3) Put(OPERAND(0), -GatherIntegers(REWAX_FROM(bool)));
         break;
       case kStore:
         REPEAT(3) {
           const int64_t step = f.steps[f.num_operands + static_cast<size_t>(at[1])];
           T* const to = static_cast<T*>(f.results[at[1]]) + f.first * step + at[2];
-          const V a = Get<V>(PLACE(0));
+          const V a = Get<V>(OPERAND(0));
           for (int l = 0; l < f.count; ++l) to[l * step] = a[l];
         }
         break;
       case kConvertInt32:
-        REPEAT(2) EACH Put(PLACE(0) + k, LoadWhole(reinterpret_cast<const int32_t*>(PLACE(1)) + k, kLanes));
+        REPEAT(2) EACH Put(OPERAND(0) + k, LoadIntegers(reinterpret_cast<const int32_t*>(OPERAND(1)) + k, kLanes));
         break;
       case kConvertInt64:
-        REPEAT(2) EACH Put(PLACE(0) + k, LoadWhole(reinterpret_cast<const int64_t*>(PLACE(1)) + k, kLanes));
+        REPEAT(2) EACH Put(OPERAND(0) + k, LoadIntegers(reinterpret_cast<const int64_t*>(OPERAND(1)) + k, kLanes));
         break;
       case kConvertBool:
-        REPEAT(2) EACH Put(PLACE(0) + k, LoadTruth(reinterpret_cast<const bool*>(PLACE(1)) + k, kLanes));
+        REPEAT(2) EACH Put(OPERAND(0) + k, LoadBooleans(reinterpret_cast<const bool*>(OPERAND(1)) + k, kLanes));
         break;
       case kStoreBool:
-        REPEAT(2) EACH StoreTruth(reinterpret_cast<bool*>(PLACE(0)) + k, Get<VI>(PLACE(1) + k), kLanes);
+        REPEAT(2) EACH StoreBooleans(reinterpret_cast<bool*>(OPERAND(0)) + k, Get<VI>(OPERAND(1) + k), kLanes);
         break;
       case kSum:
         REPEAT(2) {
-          const T* const a = PLACE(1);
+          const T* const a = OPERAND(1);
           f.sums[at[0]] += SumOf(end, f.left, [=](int64_t k) { return Get<V>(a + k); });
         }
         break;
       case kSumOfProducts:
         REPEAT(3) {
-          const T *const a = PLACE(1), *const b = PLACE(2);
+          const T *const a = OPERAND(1), *const b = OPERAND(2);
           f.sums[at[0]] += SumOf(end, f.left, [=](int64_t k) { return Get<V>(a + k) * Get<V>(b + k); });
         }
         break;
@@ -185,7 +185,7 @@ void Run(const Code& program, const Frame& f) {
   }
 }
 
-// Where arguments and results lie.
+// Addresses of arguments and results.
 struct Buffers {
   std::vector<const void*> operands;
   std::vector<void*> results;
@@ -227,10 +227,10 @@ struct Block {
   const void* const* operands;
   void* const* results;
   const int64_t* steps;
-  int64_t count, copy, begin, end;
+  int64_t count, batch_element, begin, end;
 
-  char* Place(const Row& row, const void* array, int64_t step) const {
-    return static_cast<char*>(const_cast<void*>(array)) + (copy * step + row.row * count + begin) * row.bytes;
+  char* Address(const Row& row, const void* array, int64_t step) const {
+    return static_cast<char*>(const_cast<void*>(array)) + (batch_element * step + row.row * count + begin) * row.bytes;
   }
 
   void Evaluate(T* sums) const {
@@ -238,49 +238,49 @@ struct Block {
     const bool full = size % kLanes == 0;
     const size_t registers = static_cast<size_t>(program.blocks.num_registers);
     const size_t num_sums = static_cast<size_t>(program.num_sums), length = static_cast<size_t>(vectors);
-    // If the last vector is not full, rows are copied. A number of them has eight bytes at most.
+    // If the last vector is not full, rows are copied. Their numbers have at most eight bytes.
     const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T));
     const size_t num_copies = full ? 0 : num_rows * row_size;
-    const size_t num_places = registers + program.shared.size() + num_rows;
-    V* const memory = Scratch(registers * length + num_copies + num_sums + num_places * sizeof(T*) / sizeof(V) + 1);
+    const size_t num_addresses = registers + program.shared.size() + num_rows;
+    V* const memory = Scratch(registers * length + num_copies + num_sums + num_addresses * sizeof(T*) / sizeof(V) + 1);
     V* copies = memory + registers * length;
     V* const totals = copies + num_copies;
-    T** const places = reinterpret_cast<T**>(totals + num_sums);
+    T** const addresses = reinterpret_cast<T**>(totals + num_sums);
     std::fill(totals, totals + num_sums, V{});
 
-    T** place = places;
-    for (size_t k = 0; k < registers; ++k) *place++ = reinterpret_cast<T*>(memory + k * length);
-    for (int32_t k : program.shared) *place++ = const_cast<T*>(shared + k * kLanes);
+    T** address = addresses;
+    for (size_t k = 0; k < registers; ++k) *address++ = reinterpret_cast<T*>(memory + k * length);
+    for (int32_t k : program.shared) *address++ = const_cast<T*>(shared + k * kLanes);
     for (const Row& row : program.inputs) {
-      char* from = Place(row, operands[row.array], steps[row.array]);
+      char* from = Address(row, operands[row.array], steps[row.array]);
       if (!full) {
         from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
         copies += row_size;
       }
-      *place++ = reinterpret_cast<T*>(from);
+      *address++ = reinterpret_cast<T*>(from);
     }
-    T** const first_output = place;
+    T** const first_output = address;
     for (const Row& row : program.outputs) {
-      char* const to = full ? Place(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies);
-      *place++ = reinterpret_cast<T*>(to);
+      char* const to = full ? Address(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies);
+      *address++ = reinterpret_cast<T*>(to);
       if (!full) copies += row_size;
     }
 
     Frame f{};
-    f.places = places;
+    f.addresses = addresses;
     f.sums = totals;
     f.vectors = static_cast<int>(vectors);
     f.left = static_cast<int>(size - (vectors - 1) * kLanes);
     Run<true>(program.blocks, f);
-    place = first_output;
+    address = first_output;
     for (const Row& row : program.outputs) {
       if (full) break;
-      std::memcpy(Place(row, results[row.array], row.rows * count), *place++, static_cast<size_t>(size * row.bytes));
+      std::memcpy(Address(row, results[row.array], row.rows * count), *address++, static_cast<size_t>(size * row.bytes));
     }
     for (size_t k = 0; k < num_sums; ++k) sums[k] = Total(totals[k]);
   }
 
-  // A copy whose last number is repeated.
+  // A copy of a row whose last value is repeated.
   static char* Repeated(const char* from, char* to, int64_t bytes, int64_t count, int64_t full) {
     std::memcpy(to, from, static_cast<size_t>(count * bytes));
     const char* const last = to + (count - 1) * bytes;
@@ -302,30 +302,30 @@ ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaini
   std::vector<T> shared(static_cast<size_t>(batch * registers + kLanes));
   const auto address = reinterpret_cast<uintptr_t>(shared.data());
   T* const aligned = reinterpret_cast<T*>((address + sizeof(V) - 1) / sizeof(V) * sizeof(V));
-  for (int64_t copy = 0; copy < batch; ++copy) {
+  for (int64_t batch_element = 0; batch_element < batch; ++batch_element) {
     Frame f{};
-    f.registers = aligned + copy * registers;
+    f.registers = aligned + batch_element * registers;
     f.constants = program->lanes.constants.data();
     f.operands = operands.data();
     f.steps = steps;
-    f.first = copy;
+    f.first = batch_element;
     f.count = 1;
     Run<false>(program->lanes, f);
   }
   ForEach(pool, batch * blocks, [&](int64_t task) {
-    const int64_t copy = task / blocks, begin = task % blocks * block;
+    const int64_t batch_element = task / blocks, begin = task % blocks * block;
     T* const sums = program->num_sums ? static_cast<T*>(results.back()) + task * program->num_sums : nullptr;
     const int64_t end = std::min(begin + block, count);
-    Block{*program, aligned + copy * registers, operands.data(), results.data(), steps, count, copy, begin, end}
-        .Evaluate(sums);
+    const T* const own = aligned + batch_element * registers;
+    Block{*program, own, operands.data(), results.data(), steps, count, batch_element, begin, end}.Evaluate(sums);
   });
   return ffi::Error::Success();
 }
 
 }  // namespace
 
-// Args: number of the program; its code: of lanes, of blocks; the constants of lanes; how many registers of lanes and
-// blocks, sums, shared registers, inputs and outputs; then those registers, and each row.
+// Args: number of the program; its code of lanes and of blocks; the constants of lanes; `layout`: counts of registers of
+// lanes and of blocks, sums, shared registers, inputs and outputs, then the shared registers and the rows.
 extern "C" void rewax_add_program(int64_t number, const int32_t* lanes, int64_t lanes_length, const int32_t* blocks,
                                   int64_t blocks_length, const T* constants, int64_t num_constants, const int32_t* layout) {
   auto program = std::make_shared<Program>();

@@ -1,9 +1,9 @@
-"""The machine: one C++ program that interprets bytecode (``assembler``), and long programs of small arrays in it.
+"""The machine: one C++ program that interprets bytecode (``assembler``); ``interpreted`` runs functions in it.
 
-A substep of articulated bodies is tens of thousands of operations on single numbers, in hundreds of small arrays. XLA's
-CPU compiler makes hundreds of loops of them, most of the time to compile and much of the time to run; a C++ compiler
-takes a minute. Bytecode needs no compiler: the machine, built once for all programs, applies each instruction to a
-vector of batch elements.
+A substep of articulated bodies is tens of thousands of scalar operations in hundreds of small arrays. XLA's CPU
+compiler emits hundreds of loops, which take most of the compile time and much of the run time. A C++ compiler would
+take a minute per program. Bytecode needs no compiler: the machine is built once for all programs and applies each
+instruction to a vector of batch elements.
 """
 
 import ctypes
@@ -30,19 +30,19 @@ from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arg
 T = TypeVar("T")
 
 _MOST_OPERATIONS = 500_000
-"""Of a program; more would take as long to assemble as XLA takes to compile."""
+"""Largest number of operations of a program. Assembling more takes as long as XLA takes to compile."""
 
 _HEADER = Path(__file__).with_name("lanes.h")
 
 
 def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | None = None) -> Callable[..., T]:
-    """``recomputed``, whose value and derivatives the machine interprets on a CPU.
+    """``recomputed``, with its value, JVP and VJP interpreted by the machine on a CPU.
 
-    Under ``vmap`` the batch elements run in the lanes of vectors. What is no arithmetic at known indices, a
-    ``while_loop`` for instance, is left to XLA, rule by rule. So are all rules without the machine, and on a GPU.
+    Under ``vmap`` the batch elements run in the lanes of vectors. A rule that is more than arithmetic at constant
+    indices (a ``while_loop``, for instance) is left to XLA. Without the machine, and on a GPU, all rules are.
 
     Args:
-      function, derivative_of: as for ``recomputed``, of small arrays of one floating type and fixed shapes.
+      function, derivative_of: as for ``recomputed``, on small arrays of one floating type.
 
     Gradient: as for ``recomputed``.
     """
@@ -50,14 +50,14 @@ def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | No
     @functools.wraps(function)
     def call(*args: Any) -> T:
         arrays, treedef, constants = split_arguments(args)
-        passes = INTERPRETED if build.is_available() else RECOMPUTED
-        return run_program(Program(passes, function, derivative_of, treedef, constants), arrays)
+        rules = INTERPRETED if build.is_available() else RECOMPUTED
+        return run_program(Program(rules, function, derivative_of, treedef, constants), arrays)
 
     return call
 
 
 class _Target(NamedTuple):
-    """A program that XLA can call."""
+    """A program in the machine that XLA can call."""
 
     handler: str
     number: int
@@ -67,11 +67,11 @@ class _Target(NamedTuple):
 
 
 def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """One rule: by the machine if it can."""
+    """Runs a rule in the machine if possible, else with JAX."""
     if build.is_off():
         return _with_jax(which, program, arrays, linear)
     operands = operands_of(program, arrays, linear, [False] * (len(arrays) + len(linear)))
-    avals = tuple(o.of_one_element for o in operands)
+    avals = tuple(o.element_aval for o in operands)
     target = _target(which, program._replace(batches=()), avals, len(arrays), jnp.result_type(float))
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
@@ -92,40 +92,40 @@ INTERPRETED = cpu_rules(_run)
 
 
 def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays:
-    """The same without the machine."""
+    """Runs a rule with JAX."""
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
 @functools.lru_cache(maxsize=1024)
 def _target(which: str, program: Program, avals: tuple, count: int, precision: Any) -> _Target | str:
-    """The bytecode of one rule, known to XLA; or the reason why there is none."""
+    """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
         traced = trace_rule(which, program, avals, count)
-        line = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
-        bytecode = assemble(line, [aval.dtype for aval in traced.in_avals])
+        listing = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
+        bytecode = assemble(listing, [aval.dtype for aval in traced.in_avals])
     except UnsupportedError as error:
         return str(error)
-    except Exception as error:  # a form that nobody thought of: never a reason to fail
+    except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
-    number, reason = load(line.dtype, bytecode)
+    number, reason = load(listing.dtype, bytecode)
     if number is None:
         return reason
     outputs = tuple((a.shape, a.dtype) for a in traced.out_avals)
-    return _Target(machine(line.dtype).lanes_handler, number, bytecode.operands, outputs)
+    return _Target(machine(listing.dtype).lanes_handler, number, bytecode.operands, outputs)
 
 
 # --- The machine ------------------------------------------------------------------------------------------------------
 
 
 class Machine(NamedTuple):
-    """The program that interprets bytecode of a floating type."""
+    """The C++ program that interprets bytecode of a floating type."""
 
     source: build.Source
     lanes_handler: str
-    """What XLA calls for ``Bytecode``."""
+    """Name of the FFI target for ``Bytecode``."""
     blocks_handler: str
-    """What XLA calls for ``BlockBytecode``."""
+    """Name of the FFI target for ``BlockBytecode``."""
 
 
 @functools.cache
@@ -148,11 +148,11 @@ def machine(dtype: np.dtype) -> Machine:
 
 
 def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | None, str]:
-    """Hand bytecode to the machine.
+    """Loads bytecode into the machine.
 
     Returns:
-      Its number for the machine's handlers; or None, and a sentence that says why there is no machine. The number is
-      a content hash: cached executables stay valid across processes.
+      The bytecode's number for the FFI targets; or None, and a sentence that says why there is no machine. The number
+      is a content hash: cached executables stay valid across processes.
     """
     source, *handlers = machine(dtype)
     registered = build.register(source, tuple(handlers))

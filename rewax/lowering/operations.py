@@ -1,9 +1,8 @@
-"""Operations on single numbers, listed in order, each once.
+"""Lists of scalar operations, with common subexpressions merged and constants folded.
 
-An operation with the operands of an earlier one is that one, and one of constants is a constant. As in XLA, a product
-with one, a quotient by one and a sum with zero are their other operand, and a product with a boolean is a selection. A
-product with zero is computed: it is NaN where the other factor is infinite or NaN. Structural zeros
-(``structural_zeros``) are left out of products and sums.
+As in XLA, ``1 x``, ``x / 1`` and ``x + 0`` are ``x``, and a product with a boolean is a selection. A product with zero
+is computed, because it is NaN if the other factor is infinite or NaN. Structural zeros (``structural_zeros``) are
+omitted from products and sums.
 """
 
 import math
@@ -20,33 +19,33 @@ ARITHMETIC = frozenset({
     "atanh", "erf", "erfc", "logistic", "pow", "atan2", "floor", "ceil", "round_even", "round_away", "is_finite", "lt",
     "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not",
 })  # fmt: skip
-"""Operations on numbers, by the names of JAX's primitives."""
-OF_WHOLE = frozenset([
+"""Elementwise operations, by the names of JAX's primitives."""
+ON_INTEGERS = frozenset([
     "add", "sub", "mul", "neg", "div", "rem", "max", "min", "sign", "lt", "le", "gt", "ge", "eq", "ne", "and", "or",
     "xor", "not", "select", "wrap",
 ])  # fmt: skip
-"""Those that integers have."""
-OF_TRUTH = frozenset(["and", "or", "xor", "not", "eq", "ne", "select"])
-"""Those that booleans have, and unsigned integers that are no constants (JAX numbers the updates of a scatter)."""
+"""Operations that integers support."""
+ON_BOOLEANS = frozenset(["and", "or", "xor", "not", "eq", "ne", "select"])
+"""Operations that booleans support, and unsigned integers that are no constants (JAX's scatters have some)."""
 _WRAPS = frozenset(["add", "sub", "mul", "neg", "div"])
-"""Those whose result can need more bits than an integer has."""
+"""Operations on integers that can overflow."""
 _COMPARISONS = frozenset(["lt", "le", "gt", "ge", "eq", "ne"])
-_OF_CONSTANTS: dict[str, Callable[..., Any]] = {
+_FOLDED: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "max": np.maximum,
     "min": np.minimum, "abs": np.abs, "sign": np.sign, "sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil,
     "round_even": np.rint, "rem": np.fmod, "lt": np.less, "le": np.less_equal, "gt": np.greater,
     "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal, "is_finite": np.isfinite,
     "select": lambda which, yes, no: yes if which else no,
 }  # fmt: skip
-"""What is computed here, once, where all operands are constants."""
-_OF_INTEGERS: dict[str, Callable[[Any, Any], int]] = {
+"""Operations that are folded if all operands are constants."""
+_INTEGER_FUNCTIONS: dict[str, Callable[[Any, Any], int]] = {
     "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "and": lambda a, b: a & b,
     "or": lambda a, b: a | b, "xor": lambda a, b: a ^ b,
-    # As XLA divides: towards zero, and by zero it gives -1 and the dividend.
+    # As in XLA: towards zero; division by zero gives -1 and the dividend.
     "div": lambda a, b: -1 if b == 0 else abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1),
     "rem": lambda a, b: a if b == 0 else abs(a) % abs(b) * (-1 if a < 0 else 1),
 }  # fmt: skip
-_OF_BOOLEANS: dict[str, Callable[..., Any]] = {
+_BOOLEAN_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not,
 }  # fmt: skip
 KINDS = {
@@ -57,11 +56,11 @@ _BITS = {"i": 32, "l": 64, "u": 32}
 
 
 class UnsupportedError(Exception):
-    """A program has something that is not arithmetic on numbers of one precision; the message names it."""
+    """A program cannot be lowered. The message completes a sentence about the program and names the reason."""
 
 
 class Operation(NamedTuple):
-    """One number from others. Equal operations on equal operands are one."""
+    """A scalar operation on the results of earlier operations."""
 
     name: str
     """One of ``ARITHMETIC``, ``select``, ``constant``, ``input``, ``wrap`` (an integer to 32 bits), or a conversion,
@@ -71,13 +70,13 @@ class Operation(NamedTuple):
     kind: str
     """One of ``KINDS``; ``f`` has the program's one precision."""
     shared: bool
-    """The same for all elements of a batch element."""
+    """Whether all elements of a batch element share the value."""
     constant: Any = None
-    """Of a ``constant`` its value, as text; of an ``input`` which argument it is, and the offset in it."""
+    """The value of a ``constant``, as text; the index of the argument and the offset in it of an ``input``."""
 
 
 class Operations:
-    """The list that a program becomes, and how it grows."""
+    """Builds a list of operations."""
 
     def __init__(self, dtype: np.dtype, most: int) -> None:
         self.dtype = dtype
@@ -86,7 +85,7 @@ class Operations:
         self.known: dict[Any, int] = {}
         self.constants: dict[int, Any] = {}
         self.absent: int | None = None
-        """The structural zero, once there is one."""
+        """Index of the structural zero, if there is one."""
 
     def add(self, operation: Operation) -> int:
         if len(self.listed) >= self.most:
@@ -94,20 +93,20 @@ class Operations:
         self.listed.append(operation)
         return len(self.listed) - 1
 
-    def input(self, place: int, offset: int, kind: str, varying: bool) -> int:
-        return self.add(Operation("input", (), kind, not varying, (place, offset)))
+    def input(self, argument: int, offset: int, kind: str, varying: bool) -> int:
+        return self.add(Operation("input", (), kind, not varying, (argument, offset)))
 
     def constant(self, value: Any, kind: str) -> int:
         number = {"f": self.dtype.type, "b": bool}.get(kind, int)(value)
         key = ("constant", repr(number), kind)  # as text: -0.0 equals 0.0, and NaN nothing
         if key not in self.known:
             text = repr(float(value) if kind == "f" else number)
-            self.known[key] = place = self.add(Operation("constant", (), kind, True, text))
-            self.constants[place] = number
+            self.known[key] = index = self.add(Operation("constant", (), kind, True, text))
+            self.constants[index] = number
         return self.known[key]
 
     def structural(self, values: Values) -> Values:
-        """The same numbers; zeros among them that are constants become structural ones."""
+        """The same values; constant zeros become structural zeros."""
 
         def mark(i: int) -> int:
             if self.listed[i].kind != "f" or self.constants.get(i) != 0:
@@ -119,12 +118,12 @@ class Operations:
         return self.map(mark, values)
 
     def apply(self, name: str, *operands: int, kind: str | None = None) -> int:
-        """The operation, or an earlier one or an operand that is the same number.
+        """Index of the operation, or of an earlier operation or operand with the same value.
 
         Args:
-          name: of the operation.
+          name: name of the operation.
           operands: indices of its operands.
-          kind: of its result; None: that of its first operand.
+          kind: kind of its result; None: that of its first operand.
         """
         key = (name, operands, kind)
         if key not in self.known:
@@ -147,10 +146,10 @@ class Operations:
         kind = kind or (of if name not in _COMPARISONS else "b")
         constants = [self.constants.get(o) for o in operands]
         if all(c is not None for c in constants):
-            value = self.of_constants(name, of, constants, kind)
+            value = self.folded_value(name, of, constants, kind)
             if value is not None:
                 return self.constant(value, kind)
-        if of == "u" and name == "not":  # in lanes of 64 bits, too, an unsigned integer has 32
+        if of == "u" and name == "not":  # an unsigned integer has 32 bits even in lanes of 64 bits
             return self.apply("xor", *operands, self.constant(2**32 - 1, "u"), kind="u")
         self.check(name, of)
         if of == "f" and name in ("mul", "div", "add", "sub"):
@@ -158,32 +157,32 @@ class Operations:
             if simpler is not None:
                 return simpler
         result = self.add(Operation(name, operands, kind, all(o.shared for o in used)))
-        # In lanes of 64 bits an integer of 32 bits has to be brought back to them.
+        # In lanes of 64 bits an overflowed integer of 32 bits must be wrapped.
         return self.apply("wrap", result) if kind == "i" and name in _WRAPS and self.dtype.itemsize == 8 else result
 
     def check(self, name: str, kind: str) -> None:
-        """Raises UnsupportedError where numbers of a kind do not have an operation."""
-        allowed = {"b": OF_TRUTH, "u": OF_TRUTH, "i": OF_WHOLE, "l": OF_WHOLE}.get(kind)
+        """Raises UnsupportedError if a kind of numbers does not support an operation."""
+        allowed = {"b": ON_BOOLEANS, "u": ON_BOOLEANS, "i": ON_INTEGERS, "l": ON_INTEGERS}.get(kind)
         if "_to_" not in name and (name not in allowed if allowed else name == "wrap"):
             raise UnsupportedError(f"it has the operation {name} of {KINDS[kind]}")
         if kind == "f" and name in ("and", "or", "xor", "not"):
             raise UnsupportedError(f"it has the operation {name} of {KINDS[kind]}")
 
-    def of_constants(self, name: str, of: str, constants: list[Any], kind: str) -> Any:
-        """The value of an operation on constants; None if it is left to the program."""
+    def folded_value(self, name: str, of: str, constants: list[Any], kind: str) -> Any:
+        """The value of an operation on constants; None if it is not folded."""
         if "_to_" in name:
-            return self.of_conversion(constants[0], of, kind)
+            return self.converted_value(constants[0], of, kind)
         if name == "wrap":
             return wrapped(constants[0], "i")
         if of in _BITS and name in ("neg", "not"):
             return wrapped(-constants[0] if name == "neg" else ~constants[0], of)
-        if of in _BITS and name in _OF_INTEGERS:
-            return wrapped(_OF_INTEGERS[name](*constants), of)
-        table = _OF_BOOLEANS if of == "b" and name in _OF_BOOLEANS else _OF_CONSTANTS
+        if of in _BITS and name in _INTEGER_FUNCTIONS:
+            return wrapped(_INTEGER_FUNCTIONS[name](*constants), of)
+        table = _BOOLEAN_FUNCTIONS if of == "b" and name in _BOOLEAN_FUNCTIONS else _FOLDED
         with np.errstate(all="ignore"):
             return table[name](*constants) if name in table else None
 
-    def of_conversion(self, value: Any, of: str, kind: str) -> Any:
+    def converted_value(self, value: Any, of: str, kind: str) -> Any:
         if kind in _BITS and of == "f":
             least, most = (0, 2**32 - 1) if kind == "u" else (-(2 ** (_BITS[kind] - 1)), 2 ** (_BITS[kind] - 1) - 1)
             return 0 if np.isnan(value) else least if value <= least else int(min(value, most))
@@ -192,7 +191,7 @@ class Operations:
         return bool(value) if kind == "b" else value
 
     def without_absent(self, name: str, operands: tuple[int, ...]) -> int | None:
-        """The result of an operation on structural zeros, if it needs none."""
+        """The result of an operation with a structural zero if it needs no computation, else None."""
         first, *others = operands
         if name in ("mul", "neg") or (name == "div" and first == self.absent):
             return self.absent
@@ -203,18 +202,18 @@ class Operations:
         return None
 
     def simpler(self, name: str, operands: tuple[int, ...], constants: list[Any]) -> int | None:
-        """What XLA makes of an operation with a zero, a one or a boolean: an operand, or a selection."""
+        """XLA's simplification of an operation with a zero, a one or a boolean: an operand, a selection, or None."""
         (a, b), (number, other) = operands, constants
         if name == "mul":
-            for factor, truth in ((a, b), (b, a)):
-                if self.listed[truth].name == "b_to_f":
-                    return self.selected(self.listed[truth].operands[0], self.constant(0.0, "f"), factor)
+            for factor, boolean in ((a, b), (b, a)):
+                if self.listed[boolean].name == "b_to_f":
+                    return self.selected(self.listed[boolean].operands[0], self.constant(0.0, "f"), factor)
         if name in ("mul", "div"):
             return a if other == 1 else b if number == 1 and name == "mul" else None
         return a if other == 0 else b if number == 0 and name == "add" else None
 
     def kind_of(self, dtype: Any) -> str:
-        """The kind of numbers of a type.
+        """The kind of a type.
 
         Raises:
           UnsupportedError: lanes of the program's precision cannot hold them.
@@ -245,8 +244,8 @@ class Operations:
         numbers = [function(*each) for each in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
         return np.array(numbers, np.int64).reshape(arrays[0].shape)
 
-    def whole(self, values: Values) -> np.ndarray:
-        """Integers that are constants."""
+    def constant_integers(self, values: Values) -> np.ndarray:
+        """The values of integers that are constants."""
         if not all(v in self.constants for v in values.ravel().tolist()):
             raise UnsupportedError("it has indices that depend on its arguments")
         return np.array([self.constants[v] for v in values.ravel().tolist()], np.int64).reshape(values.shape)
@@ -275,7 +274,7 @@ class Operations:
 
 
 def wrapped(value: int, kind: str) -> int:
-    """An integer as one of the kind: modulo a power of two."""
+    """Wraps an integer to the bits of a kind."""
     bits = _BITS[kind]
     least = 0 if kind == "u" else -(2 ** (bits - 1))
     return (int(value) - least) % 2**bits + least

@@ -1,4 +1,4 @@
-"""Programs without custom calls, which run on any machine with XLA."""
+"""Programs without rewax's C++, which run on any machine with XLA."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ _portable = jax.make_user_context(False)
 
 
 def portable() -> Any:
-    """A context in which programs are compiled without C++ of our own.
+    """A context in which programs are compiled without rewax's C++.
 
-    ``jax.export`` needs no context: what it lowers is portable by itself.
+    ``jax.export`` needs no context: exported programs are always portable.
 
     Example:
       >>> with portable():
@@ -20,5 +20,5 @@ def portable() -> Any:
 
 
 def is_portable() -> bool:
-    """Whether C++ must be left out: inside of ``portable``, or while JAX exports a program."""
+    """Whether C++ must be left out: inside ``portable``, or while JAX exports a program."""
     return bool(_portable.value)

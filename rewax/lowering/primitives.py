@@ -1,7 +1,6 @@
-"""JAX's primitives that can be lowered, each with the parameters that it may have and what it is on single numbers.
+"""Table of JAX's primitives that can be lowered: their known parameters and their scalar operations.
 
-A primitive that is not here, or that has a parameter that is not here, is refused: a later version of JAX may mean
-something new by it.
+A primitive or parameter outside the table is refused, because a later version of JAX may give it a new meaning.
 """
 
 import functools
@@ -28,26 +27,24 @@ class Primitive(NamedTuple):
     """How a primitive is lowered."""
 
     parameters: frozenset[str]
-    """Those that ``lower`` honours, or that change no number."""
+    """Parameters that ``lower`` honours, or that do not affect the result."""
     lower: Callable[[Any, Equation, list[Values]], Values]
     """``(builder, equation, arguments) -> result``."""
 
 
-_SAME_NUMBERS = frozenset(
-    {"sharding", "out_sharding", "precision", "indices_are_sorted", "unique_indices", "weak_type"}
-)
-"""Parameters of several primitives that say where or how fast, not what."""
+_NO_EFFECT = frozenset({"sharding", "out_sharding", "precision", "indices_are_sorted", "unique_indices", "weak_type"})
+"""Parameters of many primitives that do not affect the result."""
 
 
 def elementwise(builder: Operations, eqn: Equation, args: list[Values], name: str | None = None) -> Values:
-    """An operation on each number."""
+    """Applies an operation elementwise."""
     refuse_unless(eqn, accuracy=(None,), out_dtype=(None, eqn.out.dtype))
     kind = builder.kind_of(eqn.out.dtype)
     return builder.map(lambda *a: builder.apply(name or eqn.name, *a, kind=kind), *args)
 
 
 def refuse_unless(eqn: Equation, **allowed: tuple[Any, ...]) -> None:
-    """Raises UnsupportedError if a parameter has another value than those."""
+    """Raises UnsupportedError if a parameter has a value that is not allowed."""
     for name, values in allowed.items():
         if eqn.params.get(name) not in values:
             raise UnsupportedError(f"it has the operation {eqn.name} with {name}={eqn.params[name]}")
@@ -82,14 +79,14 @@ def _round(b: Operations, eqn: Equation, args: list[Values]) -> Values:
 
 
 def _reduce_precision(b: Operations, eqn: Equation, args: list[Values]) -> Values:
-    """Only to the precision that numbers have."""
+    """Accepts only the program's own precision."""
     bits = np.finfo(b.dtype)
     refuse_unless(eqn, exponent_bits=(bits.nexp,), mantissa_bits=(bits.nmant,))
     return args[0]
 
 
 def select(b: Operations, which: Values, cases: Sequence[Values]) -> Values:
-    """The case that a boolean, or an integer clipped to what there is, names."""
+    """Selects a case by a boolean, or by an integer that is clipped to the number of cases."""
     if len(cases) == 1:
         return b.map(lambda _, case: case, which, cases[0])
     if which.size and b.listed[int(which.flat[0])].kind == "b":
@@ -109,7 +106,7 @@ def _select_n(b: Operations, eqn: Equation, args: list[Values]) -> Values:
 
 
 def fold(b: Operations, how: str, terms: Values, kind: str) -> Values:
-    """Sums, products and so on along the first axis, from the first term to the last."""
+    """Reduces along the first axis, from the first term to the last."""
     if not len(terms):
         neutral = {"add": 0, "mul": 1, "or": False, "and": True}
         if how not in neutral or (how in ("or", "and") and kind != "b"):
@@ -139,11 +136,11 @@ def _cumulative(how: str) -> Callable[[Operations, Equation, list[Values]], Valu
     return lower
 
 
-def _place_of_extreme(b: Operations, eqn: Equation, args: list[Values]) -> Values:
-    """The first of the greatest or least terms; NaN is greater and less than anything."""
+def _index_of_extreme(b: Operations, eqn: Equation, args: list[Values]) -> Values:
+    """Index of the first greatest or least term; NaN counts as the extreme."""
     better, kind = "gt" if eqn.name == "argmax" else "lt", b.kind_of(eqn.params["index_dtype"])
     terms = rows(args[0], eqn.params["axes"])
-    best, place = terms[0], np.full(terms.shape[1:], b.constant(0, kind), np.int64)
+    best, index = terms[0], np.full(terms.shape[1:], b.constant(0, kind), np.int64)
     for k, term in enumerate(terms[1:], start=1):
         which = b.map(lambda x, y: b.apply(better, x, y), term, best)
         if term.size and b.listed[int(term.flat[0])].kind == "f":
@@ -151,8 +148,8 @@ def _place_of_extreme(b: Operations, eqn: Equation, args: list[Values]) -> Value
             number = b.map(lambda x: b.apply("eq", x, x), best)
             which = b.map(lambda x, y, z: b.apply("or", x, b.apply("and", y, z)), which, nan, number)
         best = b.map(b.selected, which, best, term)
-        place = b.map(lambda w, x, k=k: b.selected(w, x, b.constant(k, kind)), which, place)
-    return place
+        index = b.map(lambda w, x, k=k: b.selected(w, x, b.constant(k, kind)), which, index)
+    return index
 
 
 def _dot_general(b: Operations, eqn: Equation, args: list[Values]) -> Values:
@@ -167,7 +164,7 @@ def _dot_general(b: Operations, eqn: Equation, args: list[Values]) -> Values:
 
 
 def _contracted(a: Values, batch: Sequence[int], contract: Sequence[int]) -> Values:
-    """Batch, contracted and other axes, as one each."""
+    """The array with its batch, contracted and other axes flattened into one axis each."""
     moved = np.moveaxis(a, (*batch, *contract), range(len(batch) + len(contract)))
     sizes = [math.prod(a.shape[axis] for axis in axes) for axes in (batch, contract)]
     return moved.reshape((*sizes, math.prod(_others(a, batch, contract))))
@@ -187,7 +184,7 @@ def _gather(b: Operations, eqn: Equation, args: list[Values]) -> Values:
     kind, given = b.kind_of(eqn.out.dtype), eqn.params["fill_value"]
     nothing = {"f": float("nan"), "i": -(2**31), "l": -(2**63), "u": 2**32 - 1, "b": True}[kind]
     filling = b.constant(nothing if given is None else given, kind)
-    return gathered(args[0], b.whole(args[1]), eqn.params, eqn.out, filling)
+    return gathered(args[0], b.constant_integers(args[1]), eqn.params, eqn.out, filling)
 
 
 def _scatter(b: Operations, eqn: Equation, args: list[Values]) -> Values:
@@ -200,7 +197,7 @@ def _scatter(b: Operations, eqn: Equation, args: list[Values]) -> Values:
 
     if jaxpr is None and eqn.name != "scatter":
         raise UnsupportedError(f"it has the operation {eqn.name} without a function")
-    return scattered(args[0], b.whole(args[1]), args[2], eqn.params, merge if jaxpr is not None else None)
+    return scattered(args[0], b.constant_integers(args[1]), args[2], eqn.params, merge if jaxpr is not None else None)
 
 
 def _dynamic_slice(b: Operations, eqn: Equation, args: list[Values]) -> Values:
@@ -214,9 +211,9 @@ def _dynamic_update_slice(b: Operations, eqn: Equation, args: list[Values]) -> V
 
 
 def _window(b: Operations, a: Values, starts: Sequence[Values], sizes: Sequence[int]) -> tuple[slice, ...]:
-    """A window at constant indices, moved inside the array as JAX does."""
-    whole = [int(b.whole(start)) for start in starts]
-    firsts = [max(min(start, n - k), 0) for start, k, n in zip(whole, sizes, a.shape, strict=True)]
+    """A window at constant indices, clamped to the array as in JAX."""
+    integers = [int(b.constant_integers(start)) for start in starts]
+    firsts = [max(min(start, n - k), 0) for start, k, n in zip(integers, sizes, a.shape, strict=True)]
     return tuple(slice(first, first + k) for first, k in zip(firsts, sizes, strict=True))
 
 
@@ -225,7 +222,7 @@ def _part(name: str) -> Callable[[Operations, Equation, list[Values]], Values]:
 
 
 def _named(parameters: str, lower: Callable[[Any, Equation, list[Values]], Values]) -> Primitive:
-    return Primitive(_SAME_NUMBERS | set(parameters.split()), lower)
+    return Primitive(_NO_EFFECT | set(parameters.split()), lower)
 
 
 _INDEXING = "dimension_numbers mode"
@@ -250,8 +247,8 @@ PRIMITIVES: dict[str, Primitive] = {
         f"cum{name}": _named("axis reverse", _cumulative(how))
         for name, how in {"sum": "add", "prod": "mul", "max": "max", "min": "min"}.items()
     },
-    "argmax": _named("axes index_dtype", _place_of_extreme),
-    "argmin": _named("axes index_dtype", _place_of_extreme),
+    "argmax": _named("axes index_dtype", _index_of_extreme),
+    "argmin": _named("axes index_dtype", _index_of_extreme),
     "dot_general": _named("dimension_numbers preferred_element_type", _dot_general),
     "iota": _named("dtype shape dimension", _iota),
     "gather": _named(f"{_INDEXING} slice_sizes fill_value", _gather),
@@ -273,6 +270,6 @@ PRIMITIVES: dict[str, Primitive] = {
     "pad": _named("padding_config", _part("pad")),
     "stack": _named("axis", _part("stack")),
 }  # fmt: skip
-"""By their names."""
+"""The lowered primitives by name."""
 
 __all__ = ["KINDS", "PRIMITIVES", "Equation", "Primitive", "fold", "refuse_unless", "select"]

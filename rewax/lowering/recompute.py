@@ -15,17 +15,17 @@ T = TypeVar("T")
 
 
 def recomputed(function: Callable[..., T], derivative_of: Callable[..., T] | None = None) -> Callable[..., T]:
-    """``function`` with its forward and reverse derivative as one operation each that evaluates it again.
+    """``function`` with its JVP and VJP as one operation each, which evaluates the function again.
 
-    What ``jax.checkpoint`` does for memory this does too. In addition the function is traced once for its value and
-    once for its derivative, where the program around it would be linearised, transposed and batched equation by
-    equation: for a simulation inside a policy gradient that is most of the time before compilation.
+    It saves memory like ``jax.checkpoint``. In addition JAX traces the function once for its value and once for each
+    derivative, instead of linearising, transposing and batching it equation by equation. For a simulation inside a
+    policy gradient this removes most of the time before compilation.
 
     Args:
       function: pure, from pytrees to a pytree of floating-point arrays. Everything that varies must be an argument.
-      derivative_of: what to differentiate instead, called as ``derivative_of(result, *args)`` where ``result`` is
-        ``function(*args)``. Its derivative by ``args`` must be that of ``function``. For the result of an iteration,
-        the implicit function theorem gives it without running the iteration again. None: ``function`` itself.
+      derivative_of: function to differentiate instead, called as ``derivative_of(result, *args)`` with ``result =
+        function(*args)``. Its derivative with respect to ``args`` must be that of ``function``. For the result of an
+        iteration, the implicit function theorem provides it without a second iteration. None: ``function`` itself.
 
     Gradient: exact, forward and reverse, once (no second derivatives).
     """
@@ -39,28 +39,30 @@ def recomputed(function: Callable[..., T], derivative_of: Callable[..., T] | Non
 
 
 class Rules(NamedTuple):
-    """How a ``Program`` and its derivatives are evaluated."""
+    """Rules that evaluate the value, JVP and VJP of a ``Program``."""
 
     value: Rule
     tangent: Rule
+    """The JVP."""
     cotangent: Rule
+    """The VJP."""
 
 
 class Program(NamedTuple):
     """A function of flat arrays, under any number of ``vmap``."""
 
-    passes: Rules
+    rules: Rules
     function: Callable[..., Any]
     derivative_of: Callable[..., Any] | None
     treedef: Any
     constants: tuple[Any, ...]
-    """For each leaf of the arguments: type, value and text if it is a Python number, None if it is an array."""
+    """For each leaf of the arguments: (type, value, repr) of a Python number, None for an array."""
     varies: tuple[bool, ...] = ()
-    """Of a pointwise function: which of the arrays have an axis of elements, the last one."""
+    """In a pointwise program: which of the arrays have a last axis of elements."""
     perturbed: tuple[bool, ...] = ()
     """Which of the arrays have a derivative."""
     batches: tuple[tuple[bool, ...], ...] = ()
-    """For each vmap, innermost first: which of the arrays have its axis."""
+    """For each ``vmap``, innermost first: which of the arrays have its axis."""
 
     def batched(self, which: tuple[bool, ...]) -> "Program":
         return self._replace(batches=(*self.batches, which))
@@ -73,18 +75,18 @@ class Program(NamedTuple):
         return self.function(*self.arguments(arrays))
 
     def results(self, arrays: Sequence[Array]) -> Any:
-        """Structure, shapes and types of what the function returns."""
+        """Structure, shapes and types of the function's result."""
         shapes = tuple((a.shape, a.dtype, bool(a.weak_type)) for a in map(jax.typeof, arrays))
         return _results(self._replace(perturbed=()), shapes, jnp.result_type(float))
 
     def under_vmap(self, function: Callable[[Arrays, Arrays], Arrays]) -> Callable[[Arrays, Arrays], Arrays]:
-        """A function of (arrays, further arrays); the further ones have every batch axis."""
+        """``function(arrays, linear)`` under all batch axes; every linear array has all of them."""
         for which in self.batches:
             function = jax.vmap(function, in_axes=(tuple(0 if b else None for b in which), 0))
         return function
 
-    def of_perturbed(self, arrays: Arrays) -> tuple[Callable[..., Arrays], Arrays]:
-        """What to differentiate, as a function of the perturbed arrays alone, and their values."""
+    def perturbed_function(self, arrays: Arrays) -> tuple[Callable[..., Arrays], Arrays]:
+        """The function to differentiate, of the perturbed arrays alone, and their values."""
         count = len(self.perturbed)
         arrays, result = arrays[:count], arrays[count:]
 
@@ -100,15 +102,15 @@ class Program(NamedTuple):
 
 
 def run_program(program: Program, arrays: list[Array]) -> Any:
-    """What the program's function returns. Gradient: by the program's rules."""
+    """The result of the program's function. Gradient: by the program's rules."""
     return jax.tree.unflatten(jax.tree.structure(program.results(arrays)), _call(program, *arrays))
 
 
 def split_arguments(args: Any) -> tuple[list[Array], Any, tuple[Any, ...]]:
-    """Arrays of a pytree, and what a ``Program`` says of the rest: its structure and its Python numbers."""
+    """Arrays, structure and Python numbers of a pytree, as a ``Program`` stores them."""
     leaves, treedef = jax.tree.flatten(args)
-    # Python numbers stay what they are: as arrays they would take part in the promotion of types.
-    # With type and text: 1, 1.0 and True are equal, and so are 0.0 and -0.0, but they make different programs.
+    # Python numbers stay Python numbers: as arrays they would take part in type promotion.
+    # Type and repr are part of the key: 1, 1.0 and True are equal, as are 0.0 and -0.0, but give different programs.
     constants = tuple(
         (type(leaf), leaf, repr(leaf)) if isinstance(leaf, (bool, int, float)) else None for leaf in leaves
     )
@@ -126,7 +128,7 @@ def _results(program: Program, shapes: tuple, precision: Any) -> Any:
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _call(program: Program, *arrays: Array) -> Arrays:
     like = jax.tree.leaves(program.results(arrays))
-    return linear_call(program.passes.value, no_transpose, program, arrays, (), like=like)
+    return linear_call(program.rules.value, no_transpose, program, arrays, (), like=like)
 
 
 def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
@@ -135,7 +137,7 @@ def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Array
     linear = [t for t, p in zip(tangents, perturbed, strict=True) if p]
     out = _call(program._replace(perturbed=()), *arrays)
     known = () if program.derivative_of is None else tuple(out)
-    forward, reverse = program.passes.tangent, program.passes.cotangent
+    forward, reverse = program.rules.tangent, program.rules.cotangent
     return out, linear_call(forward, reverse, program, (*arrays, *known), linear, like=out)
 
 
@@ -148,7 +150,7 @@ def _value(program: Program, arrays: Arrays, nothing: Arrays) -> Arrays:
 
 def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
     def tangent(arrays: Arrays, tangents: Arrays) -> Arrays:
-        function, values = program.of_perturbed(arrays)
+        function, values = program.perturbed_function(arrays)
         return jax.jvp(function, values, tangents)[1]
 
     return program.under_vmap(tangent)(arrays, tangents)
@@ -156,7 +158,7 @@ def _tangent(program: Program, arrays: Arrays, tangents: Arrays) -> Arrays:
 
 def _cotangent(program: Program, arrays: Arrays, cotangents: Arrays) -> Arrays:
     def cotangent(arrays: Arrays, cotangents: Arrays) -> Arrays:
-        function, values = program.of_perturbed(arrays)
+        function, values = program.perturbed_function(arrays)
         return jax.vjp(function, *values)[1](cotangents)
 
     return program.under_vmap(cotangent)(arrays, cotangents)

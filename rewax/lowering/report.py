@@ -1,7 +1,7 @@
-"""What of a program runs in C++ and what is left to XLA, and why: counted, named once in a warning, listed on request.
+"""Reports which rules of a program run in C++, and why others are left to XLA: by warning once, and as a list.
 
-Decisions are made while JAX lowers a program for a CPU, once for each compiled program. A program that JAX takes from
-memory decides nothing anew.
+Decisions are made while JAX lowers a program for a CPU, once per compiled program. A program from JAX's cache reports
+nothing again.
 """
 
 import contextlib
@@ -16,18 +16,18 @@ RULES = {"value": "the value", "tangent": "the forward derivative (JVP)", "cotan
 
 
 class LoweringWarning(UserWarning):
-    """A part of a program runs in XLA, slower than in C++."""
+    """Warns that a part of a program runs in XLA, slower than in C++."""
 
 
 class Decision(NamedTuple):
     """Where one rule of one function runs."""
 
     function: str
-    """Module and name."""
+    """Module and name of the function."""
     rule: str
     """One of ``RULES``."""
     reason: str | None
-    """Why it is left to XLA; None: it runs in C++."""
+    """Why the rule is left to XLA; None: it runs in C++."""
 
     def __str__(self) -> str:
         where = "C++" if self.reason is None else f"XLA, for {self.reason}"
@@ -35,12 +35,12 @@ class Decision(NamedTuple):
 
 
 _listeners: list[tuple[int, list[Decision]]] = []
-"""Threads that listen, and what they have heard."""
+"""Listening threads, and the decisions that each has received."""
 _named: set[Decision] = set()
 
 
 def note(function: Callable[..., Any] | str, rule: str, reason: str | None) -> None:
-    """Tell everybody who listens where a rule runs, and warn once if that is XLA."""
+    """Reports to the listeners of this thread where a rule runs, and warns once if it runs in XLA."""
     decision = Decision(function if isinstance(function, str) else name_of(function), rule, reason)
     for thread, heard in _listeners:
         if thread == threading.get_ident():
@@ -57,7 +57,7 @@ def note(function: Callable[..., Any] | str, rule: str, reason: str | None) -> N
 
 @contextlib.contextmanager
 def recorded() -> Iterator[list[Decision]]:
-    """The decisions of this thread inside of the block, in order; one function can be decided on several times.
+    """The decisions of this thread inside the block, in order; a function can occur several times.
 
     Example:
       >>> with recorded() as decisions:
@@ -74,7 +74,7 @@ def recorded() -> Iterator[list[Decision]]:
 
 
 def name_of(function: Callable[..., Any]) -> str:
-    """Module and name of a function, without the marks of closures."""
+    """Module and name of a function, without ``<locals>``."""
     inner = inspect.unwrap(function)
     while isinstance(inner, functools.partial):
         inner = inspect.unwrap(inner.func)

@@ -1,7 +1,7 @@
-"""Libraries that come with rewax, for machines without a compiler: a wheel for Linux on x86-64 holds them.
+"""Libraries in the wheel for Linux on x86-64, for machines without a compiler.
 
-``hatch_build.py`` builds them when it makes the wheel, a set for each level of instructions. Their names hold a hash of
-their source, so that a library never stands for another text than its own.
+``hatch_build.py`` builds them with the wheel, one set for each level of x86-64. File names hold a hash of the source,
+so that a library is only used for its own source.
 """
 
 import functools
@@ -22,11 +22,11 @@ LEVELS = {
     "x86-64-v3": "abm avx avx2 bmi1 bmi2 f16c fma movbe xsave",
     "x86-64-v2": "cx16 lahf_lm popcnt pni sse4_1 sse4_2 ssse3",
 }
-"""Levels of x86-64, best first, and the flags by which /proc/cpuinfo shows one beyond those of the lower levels."""
+"""Levels of x86-64, best first, and the flags of /proc/cpuinfo that each adds to the level below."""
 
 
 def find(stem: str, text: str, options: tuple[str, ...]) -> Path | None:
-    """The shipped library of a program that is best for this processor, None without one."""
+    """The best shipped library of a program for this processor; None without one."""
     for folder in folders():
         path, _ = library_cache.find(folder, name(stem, text, options), private=False)
         if path:
@@ -35,16 +35,16 @@ def find(stem: str, text: str, options: tuple[str, ...]) -> Path | None:
 
 
 def name(stem: str, text: str, options: tuple[str, ...]) -> str:
-    """Beginning of a library's file name."""
+    """Prefix of a library's file name."""
     return f"{stem}-{hashlib.sha256('|'.join((text, *options)).encode()).hexdigest()[:16]}"
 
 
 def folders() -> list[Path]:
-    """Where shipped libraries are that this processor and this JAX can use, best first."""
+    """Folders of shipped libraries that this processor and this JAX can use, best first."""
     if not FOLDER.is_dir() or not sys.platform.startswith("linux") or platform.machine() != "x86_64":
         return []
     runtime = ffi_version(jax.ffi.include_dir())
-    if runtime is None:  # what the runtime refuses may break JAX for a CPU altogether
+    if runtime is None:  # a library that the runtime refuses may break JAX's CPU backend
         return []
     versions = [(ffi_version_of(home), home) for home in FOLDER.glob("ffi-*")]
     homes = [(version, home) for version, home in versions if version and (runtime[0], 0) <= version <= runtime]
@@ -53,10 +53,10 @@ def folders() -> list[Path]:
 
 
 def processor_levels(flags: tuple[str, ...]) -> list[str]:
-    """Levels that a processor has, best first.
+    """Levels of x86-64 that a processor supports, best first.
 
     Args:
-      flags: as /proc/cpuinfo names them.
+      flags: the processor's flags in /proc/cpuinfo.
     """
     found = []
     for level in reversed(LEVELS):
@@ -68,7 +68,7 @@ def processor_levels(flags: tuple[str, ...]) -> list[str]:
 
 @functools.cache
 def ffi_version(include: str) -> tuple[int, int] | None:
-    """Version of XLA's foreign function interface: JAX refuses a library built with a newer one, or one of years ago.
+    """Version of XLA's foreign function interface (FFI). JAX refuses libraries of a newer or a much older version.
 
     Args:
       include: folder of the headers of ``jax.ffi``.
@@ -82,10 +82,10 @@ def ffi_version(include: str) -> tuple[int, int] | None:
 
 
 def ffi_version_of(path: Path) -> tuple[int, int] | None:
-    """The version of the headers that a shipped library was built with, None for any other file.
+    """FFI version of the headers that a shipped library was built with; None for any other file.
 
     Args:
-      path: of the library, or of the folder of its version.
+      path: path of the library, or of the folder of its version.
     """
     inside = path.relative_to(FOLDER).parts[:1] if path.is_relative_to(FOLDER) else ()
     found = re.fullmatch(r"ffi-(\d+)\.(\d+)", "".join(inside))

@@ -1,6 +1,6 @@
-// Cuts each row of a matrix into pieces, one buffer for each, through XLA's foreign function interface.
+// Splits each row of a matrix into pieces, one buffer per piece, through XLA's foreign function interface.
 //
-// splitting.py builds this file after threads.h.
+// splitting.py puts this text after threads.h.
 
 #include <cstring>
 #include <utility>
@@ -8,9 +8,9 @@
 
 namespace {
 
-ffi::Error Divide(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
-  const size_t num_rows = static_cast<size_t>(whole.element_count() / std::max<int64_t>(whole.dimensions().back(), 1));
-  const char* from = static_cast<const char*>(whole.untyped_data());
+ffi::Error Split(ffi::AnyBuffer vectors, ffi::RemainingRets pieces) {
+  const size_t num_rows = static_cast<size_t>(vectors.element_count() / std::max<int64_t>(vectors.dimensions().back(), 1));
+  const char* from = static_cast<const char*>(vectors.untyped_data());
   std::vector<std::pair<char*, size_t>> to(pieces.size());
   for (size_t k = 0; k < to.size(); ++k) {
     auto piece = *pieces.get<ffi::AnyBuffer>(k);
@@ -27,4 +27,4 @@ ffi::Error Divide(ffi::AnyBuffer whole, ffi::RemainingRets pieces) {
 
 }  // namespace
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_split_vector, Divide, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_split_vector, Split, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());

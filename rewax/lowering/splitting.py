@@ -1,4 +1,4 @@
-"""A vector cut into arrays."""
+"""Splits a vector into arrays."""
 
 import itertools
 import math
@@ -19,29 +19,29 @@ _SOURCE = build.Source(
 
 
 def split_vector(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
-    """Arrays of the given shapes that lie one after the other in a vector, shape (number of all their elements,).
+    """Splits a vector into consecutive arrays of the given shapes; its length is their total size.
 
-    On a CPU with a C++ compiler one operation makes all of them. XLA would make a kernel for each, which takes longer
-    to compile than to run.
+    With C++ on a CPU this is one operation. XLA would make one kernel per array, which takes longer to compile than to
+    run.
 
     Gradient: exact, forward and reverse.
     """
     shapes = tuple(shapes)
     like = [jax.ShapeDtypeStruct(shape, vector.dtype) for shape in shapes]
-    return list(linear_call(_CUT, _joined, shapes, (), (vector,), like=like))
+    return list(linear_call(_SPLIT, _joined, shapes, (), (vector,), like=like))
 
 
-def _cut(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
+def _split(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
     (vector,) = linear
     ends = itertools.accumulate(math.prod(shape) for shape in shapes)
     parts = jnp.split(vector, list(ends)[:-1], axis=-1)
     return tuple(part.reshape(*vector.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True))
 
 
-def _cut_at_once(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
+def _split_in_cpp(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
     (vector,) = linear
     if not vector.size or build.is_off() or not build.register(_SOURCE, ("rewax_split_vector",)):
-        return _cut(shapes, nothing, linear)
+        return _split(shapes, nothing, linear)
     pieces = [jax.ShapeDtypeStruct((*vector.shape[:-1], *shape), vector.dtype) for shape in shapes]
     return tuple(jax.ffi.ffi_call("rewax_split_vector", pieces)(vector))
 
@@ -51,6 +51,6 @@ def _joined(shapes: _Shapes, nothing: Arrays, cotangents: Arrays) -> Arrays:
     return (jnp.concatenate([c.reshape(*c.shape[:batch], -1) for c in cotangents], axis=-1),)
 
 
-_CUT = ByPlatform(cpu=_cut_at_once, other=_cut)
+_SPLIT = ByPlatform(cpu=_split_in_cpp, other=_split)
 
 __all__ = ["split_vector"]

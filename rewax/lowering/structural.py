@@ -1,4 +1,4 @@
-"""Zeros that stand for nothing: entries of tables and matrices that cannot be anything else."""
+"""Structural zeros: entries of tables and matrices that are always zero."""
 
 from typing import TypeVar
 
@@ -10,12 +10,11 @@ T = TypeVar("T")
 
 
 def structural_zeros(tree: T) -> T:
-    """The same arrays, whose constant zeros are left out of products and sums in lowered programs.
+    """The same arrays; lowered programs omit their constant zeros from products and sums.
 
-    In a lowered program 0 x is computed, for it is NaN where x is infinite or NaN. That costs an operation. Mark an
-    index table, or a matrix most of whose entries are known to be zero, and its zeros cost nothing: their product with
-    any number is zero. Only zeros that are constants in the program are meant, and only what is computed from the
-    marked arrays.
+    A lowered program computes the product of a constant zero and x, because it is NaN if x is infinite or NaN. Mark an
+    index table or a sparse matrix, and products with its zeros are zero for any x and cost nothing. Only zeros that are
+    constants in the program count, and only in operations on the marked arrays.
 
     Args:
       tree: arrays of floating-point numbers.

@@ -1,4 +1,4 @@
-// Work shared out among the threads that XLA gives a call.
+// Distributes work over the thread pool that XLA gives a call.
 
 #include <algorithm>
 #include <atomic>
@@ -13,7 +13,7 @@ namespace ffi = xla::ffi;
 
 namespace {
 
-// Runs task(0), ..., task(count - 1). The caller works, too, so that a pool whose threads are all busy cannot block it.
+// Runs task(0), ..., task(count - 1). The caller works too, so a pool whose threads are all busy cannot block it.
 template <typename Task>
 void ForEach(ffi::ThreadPool& pool, int64_t count, const Task& task) {
   const int64_t helpers = std::min<int64_t>(pool.num_threads(), count) - 1;
@@ -27,7 +27,7 @@ void ForEach(ffi::ThreadPool& pool, int64_t count, const Task& task) {
     std::condition_variable all;
   };
   auto shared = std::make_shared<Shared>();
-  // A helper that starts when nothing is left touches only `shared`: `task` may be gone by then.
+  // A helper that starts late reads only `shared`: `task` may no longer exist.
   auto work = [shared, count, &task] {
     for (int64_t i; (i = shared->next.fetch_add(1)) < count;) {
       task(i);

@@ -1,1 +1,1 @@
-"""Solvers side by side on shared ground: ``mpm``, ``tets``, ``rigid``; ``coupling`` knows more than one of them."""
+"""Physics: the solvers ``mpm``, ``tets`` and ``rigid``, and ``coupling`` between them."""

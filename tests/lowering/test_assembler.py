@@ -17,7 +17,7 @@ from rewax.lowering.operations import UnsupportedError
 
 FLOAT = np.dtype(np.float32)
 NAMES = {number: name for name, number in NUMBERS.items()}
-NUM_PLACES = {"constant": 2, "load_float": 3, "store": 3, "sum": 2, "sum_of_products": 3, "store_bool": 2}
+NUM_OPERANDS = {"constant": 2, "load_float": 3, "store": 3, "sum": 2, "sum_of_products": 3, "store_bool": 2}
 
 
 def instructions(code):
@@ -25,9 +25,9 @@ def instructions(code):
     found, at = [], 0
     while at < len(code):
         name, times = NAMES[code[at]], int(code[at + 1])
-        places = NUM_PLACES[name] if isinstance(name, str) else 1 + len(INSTRUCTIONS[code[at]].operands)
+        operands = NUM_OPERANDS[name] if isinstance(name, str) else 1 + len(INSTRUCTIONS[code[at]].operands)
         found.append((name, times))
-        at += 2 + places * times
+        at += 2 + operands * times
     assert at == len(code)
     return found
 

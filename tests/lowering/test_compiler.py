@@ -78,7 +78,7 @@ def test_the_line_with_the_error_is_the_one_that_is_named(script, tmp_path):
 @pytest.mark.parametrize("text", ["exit 0", "for file; do :; done; : > $file"])
 def test_a_compiler_that_writes_nothing(script, tmp_path, text):
     path = script(text)
-    with pytest.raises(compiler.CompilerError, match="it wrote no whole library"):
+    with pytest.raises(compiler.CompilerError, match="it wrote no complete library"):
         compiler.build((str(path),), "", (), tmp_path)
 
 
@@ -90,7 +90,7 @@ def test_a_compiler_that_writes_half_a_library(script, tmp_path, share):
     part = tmp_path / "part"
     part.write_bytes(whole[: int(share * len(whole))])
     path = script(f"for file; do :; done; cp {part} $file")
-    with pytest.raises(compiler.CompilerError, match="it wrote no whole library"):
+    with pytest.raises(compiler.CompilerError, match="it wrote no complete library"):
         compiler.build((str(path),), "", (), tmp_path)
 
 

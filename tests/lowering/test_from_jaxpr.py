@@ -95,9 +95,11 @@ def test_a_result_of_another_shape_than_announced_is_refused(monkeypatch):
 def test_a_parameter_that_is_not_known_is_refused(monkeypatch):
     """As a later version of JAX may add one that means something."""
     for name, program in (("reshape", lambda a: a.reshape(2, 2)), ("scan", looped), ("cond", chosen)):
-        known = {"reshape": module.PRIMITIVES["reshape"].parameters, "scan": module._OF_LOOPS, "cond": {"branches"}}[
-            name
-        ]
+        known = {
+            "reshape": module.PRIMITIVES["reshape"].parameters,
+            "scan": module._LOOP_PARAMETERS,
+            "cond": {"branches"},
+        }[name]
         with pytest.raises(UnsupportedError, match=f"{name} with the unknown parameter news"):
             module.known(name, dict.fromkeys([*known, "news"]), known)
         from_jaxpr(jax.make_jaxpr(program)(jnp.ones(4)), [False])
@@ -142,7 +144,7 @@ def test_a_program_of_endless_arithmetic_is_refused():
 
 
 def over_axes(a, b):
-    """Sums, products of batches, running sums, and the places of extremes."""
+    """Sums, products of batches, running sums, and the indices of extremes."""
     cube = a[:, None, None] * b[None, :, None] - jnp.stack([a, b])[None].mT
     return (
         jnp.einsum("ijk,ijl->ilk", cube, cube),

@@ -69,7 +69,7 @@ def test_a_chain_is_computed_once_and_not_in_each_of_its_users(boundary):
 
 @BOTH
 def test_each_of_several_arrays_is_computed_once(boundary):
-    """Those of one form change places in the empty loop; left where they are, the compiler would see through it."""
+    """Arrays of equal shape are rotated in the empty loop. Otherwise the compiler would remove it."""
     x = jnp.linspace(0.0, 1.0, 4096).reshape(64, 64)
 
     def sines(store) -> int:
@@ -83,9 +83,9 @@ def test_each_of_several_arrays_is_computed_once(boundary):
 
 
 def test_users_of_a_number_rounded_down_see_one_and_the_same():
-    """Whole part and rest make the number again, although it lies on the edge between two whole parts.
+    """Integer part and rest add up to the number, although it lies on the edge between two integers.
 
-    Computed once more for the scatter, with a product and a sum rounded as one, the whole part may be the next one: then the
+    Computed once more for the scatter, with a product and a sum rounded as one, the integer part may be the next one: then the
     sum is off by 1.
     """
     rng = np.random.default_rng(0)
@@ -97,9 +97,9 @@ def test_users_of_a_number_rounded_down_see_one_and_the_same():
     @jax.jit
     def split(a, b, c):
         number = (a * b + c) * 10.0
-        whole = compute_once(jnp.floor(number - 0.5).astype(jnp.int32))
-        rest = number - whole
-        return number, table[whole] + rest, table.at[whole].add(rest), jnp.sum(table) + jnp.sum(rest)
+        integer = compute_once(jnp.floor(number - 0.5).astype(jnp.int32))
+        rest = number - integer
+        return number, table[integer] + rest, table.at[integer].add(rest), jnp.sum(table) + jnp.sum(rest)
 
     number, again, gathered, total = split(a, b, c)
     np.testing.assert_allclose(again, number, atol=1e-5)

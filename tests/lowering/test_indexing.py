@@ -7,15 +7,15 @@ from operation_cases import assert_equal_to_jax
 
 
 def by_index(a, b):
-    """Everything that reads and writes at known places."""
+    """Every operation that reads or writes at constant indices."""
     table = jnp.outer(a, b)
-    places = np.array([[2, 0], [1, 1]])
+    indices = np.array([[2, 0], [1, 1]])
     batched = jax.vmap(lambda row, k: jax.lax.dynamic_slice(row, (k,), (2,)))(table, np.array([1, 0, 5]))
     return (
-        table[places[:, 0], places[:, 1]],
-        table.at[places[:, 0], places[:, 1]].add(a[:2]),
+        table[indices[:, 0], indices[:, 1]],
+        table.at[indices[:, 0], indices[:, 1]].add(a[:2]),
         table.at[1:, ::2].set(7.0),
-        table.at[places[:, 0]].multiply(2.0),
+        table.at[indices[:, 0]].multiply(2.0),
         a.at[np.array([1, 9])].set(5.0, mode="drop"),
         a.at[np.array([1, 9])].get(mode="fill", fill_value=3.0),
         a.at[np.array([1, 9])].get(mode="promise_in_bounds"),

@@ -64,7 +64,7 @@ def test_operations(x64, monkeypatch, dtype):
         "ceil": jnp.ceil, "is_finite": jnp.isfinite, "logistic": jax.nn.sigmoid, "cube": lambda a: a**3,
         "sin": lambda a: jnp.sin(jnp.clip(a, -20.0, 20.0)), "cos": lambda a: jnp.cos(jnp.clip(a, -20.0, 20.0)),
         "not": lambda a: ~(a > 0),
-        "inverse": lambda a: a**-2, "clip": lambda a: jnp.clip(a, -1.0, 1.0), "whole": lambda a: (2 * a).astype(jnp.int32),
+        "inverse": lambda a: a**-2, "clip": lambda a: jnp.clip(a, -1.0, 1.0), "integer": lambda a: (2 * a).astype(jnp.int32),
     }  # fmt: skip
     binary = {
         "max": jnp.maximum, "min": jnp.minimum, "div": jnp.divide, "lt": jnp.less, "le": jnp.less_equal,

@@ -234,7 +234,7 @@ def test_laws_are_not_kept_for_ever():
         def law(shared, elements):
             return elements
 
-        module._spread(law)
+        module._broadcast(law)
         return weakref.ref(law)
 
     first = define()

@@ -11,7 +11,7 @@ from rewax.lowering import machine as module
 from rewax.lowering.machine import interpreted
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
 
-PLACES = np.array([2, 0, 2])
+INDICES = np.array([2, 0, 2])
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def square(inputs):
 def moved(solved, inputs, gain):
     """Uses everything that articulated bodies use: tables, indices, selections, angles, empty arrays."""
     a = inputs["a"]
-    turned = jnp.sin(a[PLACES]) * gain - jnp.arctan2(a, 2.0 + a[::-1] ** 2)
+    turned = jnp.sin(a[INDICES]) * gain - jnp.arctan2(a, 2.0 + a[::-1] ** 2)
     steepest = jax.nn.one_hot(jnp.argmax(jnp.abs(a)), 3, dtype=a.dtype) * (inputs["index"] > 1)
     kept = jnp.where(inputs["active"], solved, jnp.clip(turned, -0.4, 0.4)) + steepest
     return {

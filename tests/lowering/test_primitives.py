@@ -61,8 +61,12 @@ def test_conversions_and_integers_of_both_widths(x64, dtype):
     numbers = np.array([2147483600.0, 2147483647.5, 3e9, -3e9, 1e19, -1e19, np.nan, 7.9, -7.9, 2.0**40])
 
     def function(a):
-        whole = a.astype(dtype)
-        return (whole.astype(float), (whole * 3 + 1).astype(float), (whole.astype(jnp.int32) - 5).astype(float))
+        integers = a.astype(dtype)
+        return (
+            integers.astype(float),
+            (integers * 3 + 1).astype(float),
+            (integers.astype(jnp.int32) - 5).astype(float),
+        )
 
     for found in (
         jax.vmap(interpreted(function))(numbers),

@@ -1,4 +1,4 @@
-"""Contact of boxes with boxes: one contact a pair, that of the axis along which they overlap least."""
+"""Box-box contact with one contact per pair, on the axis of least overlap (separating axis theorem)."""
 
 import jax
 import jax.numpy as jnp
@@ -7,11 +7,11 @@ import numpy as np
 from rewax.types import Array
 
 _FLAT = 0.1
-"""Sine of the tilt up to which two faces, or a face and an edge, touch in between instead of at a corner."""
+"""Sine of a tilt. Below it the contact of two faces, or of a face and an edge, lies between the corners."""
 _SKEW = 0.03
-"""Square of the sine of the angle between two edges below which their common normal counts less and less."""
+"""Squared sine of the angle between two edges. Below it their common normal fades out."""
 _ROUNDS = 3
-"""Of projections that look for a point of both boxes."""
+"""Number of projections that look for a point inside both boxes."""
 
 
 def box_box(
@@ -24,18 +24,18 @@ def box_box(
 ) -> tuple[Array, Array, Array]:
     """Distances, points and normals of contact of two boxes, n pairs.
 
-    Two boxes overlap if they do along the normals of their faces (6) and the common normals of their edges (9). So
-    corners in faces and edges that cross are found alike. The axis of least overlap gives distance and normal. The
-    contact lies in the middle of faces that are parallel and moves to the deepest corner as they tilt: a flat box lies
-    flat. It does not damp rocking.
+    Two boxes overlap if they overlap along the normals of their faces (6) and the common normals of their edges (9).
+    This finds corners in faces and crossing edges. The axis of least overlap gives distance and normal. The contact
+    lies in the middle of parallel faces and moves to the deepest corner as they tilt, so a flat box lies flat. One
+    contact does not damp rocking.
 
     Args:
-      center, other_center: of the first and second boxes [m], shape (n, 3).
+      center, other_center: centers of the first and second boxes [m], shape (n, 3).
       rotation, other_rotation: from each box's frame to the world's, shape (n, 3, 3).
-      half_size, other_half_size: of the boxes [m], shape (n, 3).
+      half_size, other_half_size: half sizes of the boxes [m], shape (n, 3).
 
     Returns:
-      Signed distances along these axes [m], shape (n,): of boxes that overlap the depth, of boxes apart at most the
+      Signed distances along these axes [m], shape (n,): minus the depth if the boxes overlap, else a lower bound of the
       distance; points of contact [m], shape (n, 3); unit normals from first to second, shape (n, 3).
 
     Gradient: exact, finite everywhere. Where two axes have the same overlap the normal jumps, the distance does not.
@@ -59,7 +59,7 @@ def box_box(
     distance = jnp.sum(normal * gap, axis=-1)
     distance -= jnp.sum(half_size * jnp.abs(tilt), axis=-1) + jnp.sum(other_half_size * jnp.abs(other_tilt), axis=-1)
     distance -= jnp.where(is_skew, _fade(square), 0.0) * jnp.min(half_size, axis=-1)
-    # The foremost point of either box, brought into both.
+    # Start from the foremost point of each box and project it into both.
     first = center + _row(half_size * jnp.clip(tilt / _FLAT, -1.0, 1.0), axes)
     second = other_center - _row(other_half_size * jnp.clip(other_tilt / _FLAT, -1.0, 1.0), others)
     for _ in range(_ROUNDS):
@@ -71,13 +71,13 @@ def box_box(
 def _least_overlap(
     axes: Array, half_size: Array, others: Array, other_half_size: Array, gap: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Which axis separates most, one-hot, shape (n, 3) each: face of the first, of the second, edges of both."""
+    """One-hot axes of least overlap, shape (n, 3) each: face of the first box, of the second, edges of both."""
     turn = jnp.sum(axes[:, :, None, :] * others[:, None, :, :], axis=-1)  # cosines between axes
     near = jnp.abs(turn)
     shift, other_shift = jnp.sum(axes * gap[:, None, :], axis=-1), jnp.sum(others * gap[:, None, :], axis=-1)
     faces = jnp.abs(shift) - half_size - jnp.sum(near * other_half_size[:, None, :], axis=-1)
     other_faces = jnp.abs(other_shift) - other_half_size - jnp.sum(near * half_size[:, :, None], axis=-2)
-    # Of edge i of the first and j of the second: the first's next two axes, and what they are along the common normal.
+    # Edge i of the first box and edge j of the second: project the other axes of each on the common normal.
     after, last = np.array([1, 2, 0]), np.array([2, 0, 1])
     square = jnp.maximum(1.0 - turn * turn, 1e-6)
     between = jnp.abs(shift[:, last, None] * turn[:, after] - shift[:, after, None] * turn[:, last])
@@ -91,7 +91,7 @@ def _least_overlap(
 
 
 def _fade(square: Array) -> Array:
-    """How far the common normal of nearly parallel edges falls behind, in half sizes; without bound as they align."""
+    """Penalty on the common normal of nearly parallel edges, in half sizes; it grows without bound as they align."""
     return jnp.maximum(_SKEW / jnp.maximum(square, 1e-6) - 1.0, 0.0)
 
 
@@ -100,9 +100,9 @@ def _row(weight: Array, axes: Array) -> Array:
 
 
 def _nearest(center: Array, axes: Array, half_size: Array, point: Array) -> Array:
-    """The point of boxes nearest to points, shape (n, 3)."""
-    place = jnp.sum(axes * (point - center)[:, None, :], axis=-1)
-    return center + _row(jnp.clip(place, -half_size, half_size), axes)
+    """Points of the boxes that are nearest to the given points, shape (n, 3)."""
+    local = jnp.sum(axes * (point - center)[:, None, :], axis=-1)
+    return center + _row(jnp.clip(local, -half_size, half_size), axes)
 
 
 __all__ = ["box_box"]

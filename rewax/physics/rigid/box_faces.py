@@ -1,4 +1,4 @@
-"""Contact of boxes with boxes as MuJoCo has it: faces that lie on each other at up to eight points, or edges at one."""
+"""Box-box contact as in MuJoCo: up to eight points where two faces meet, or one point where two edges cross."""
 
 from typing import NamedTuple
 
@@ -10,31 +10,33 @@ from rewax.physics.rigid.small_products import compose, cross, rotate
 from rewax.types import Array
 
 MOST = 8
-"""Corners of what two rectangles have in common."""
+"""Largest number of corners of the intersection of two rectangles."""
 _BIAS, _SAME = 0.95, 0.99
-"""Edges meet only if they overlap by this much less than faces, or their normal is further from that of the faces."""
+"""Edges meet if they overlap less than faces. If the cosine between both normals is above ``_SAME``, they must overlap
+less than ``_BIAS`` times the faces."""
 _ALIGNED = 0.01
-"""Sine of the angle of two edges below which the place where they cross has no derivative."""
+"""Sine of the angle between two edges. Below it their crossing point has no derivative."""
 _TINY = 1e-9
 _SIGNS = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 class _Meeting(NamedTuple):
-    """What of two boxes meets: axes are one-hot, with their signs, of shape (3,); no derivative."""
+    """The features of two boxes that meet. Axes are signed one-hot vectors, shape (3,). No derivative."""
 
     of_second: Array
     """Whether the face is the second box's, shape ()."""
     face: Array
-    """Outward, of the box whose face it is; the other's face towards it."""
+    """Outward axis of the reference face, in the frame of its box."""
     other_face: Array
+    """Axis of the other box's face that points most against it."""
     is_edge: Array
     """Whether edges meet instead, shape ()."""
     edge: Array
-    """Of the first box, with the sign for which the product with the second's points from first to second."""
+    """Edge of the first box. Its sign makes the cross product with the second's edge point from first to second."""
     other_edge: Array
     beside: Array
-    """Signs of where these edges lie in their boxes, 0 along the edge."""
+    """Signs of the edge's center in its box, in half sizes; 0 along the edge."""
     other_beside: Array
 
 
@@ -48,20 +50,20 @@ def box_faces(
 ) -> tuple[Array, Array, Array]:
     """Distances, points and normal of the contacts of two boxes.
 
-    The normal is the axis of least overlap, of six faces and nine pairs of edges. The rectangles of two faces, one laid
-    on the other, touch at the corners of what they have in common; two edges where they are nearest.
+    The normal is the axis of least overlap among six faces and nine pairs of edges. Two faces touch at the corners of
+    the intersection of their rectangles. Two edges touch at their nearest points.
 
     Args:
-      center, other_center: of the first and the second box [m], shape (3,).
+      center, other_center: centers of the first and the second box [m], shape (3,).
       rotation, other_rotation: from each box's frame to the world's, shape (3, 3).
-      half_size, other_half_size: of the boxes [m], shape (3,).
+      half_size, other_half_size: half sizes of the boxes [m], shape (3,).
 
     Returns:
-      Signed distances along the normal [m], the smallest first, 1 for contacts that there are not, shape (8,); points
+      Signed distances along the normal [m], the smallest first, 1 in unused slots, shape (8,); points
       halfway between the boxes [m], shape (8, 3); unit normal from first to second, shape (3,).
 
-    Gradient: exact while the same features meet. The place where edges within 0.6 degrees of each other cross is held:
-      it runs along them as they turn.
+    Gradient: exact while the same features meet. The crossing point of edges within 0.6 degrees of each other is held:
+      its derivative grows without bound as they align.
     Source: MuJoCo 4.0: separating axes, and the incident face clipped by the reference face.
     """
     meeting = jax.lax.stop_gradient(
@@ -76,7 +78,7 @@ def box_faces(
     axes, guest_axes = swapped(rotation, other_rotation)
     size, guest_size = swapped(half_size, other_half_size)
 
-    # The face's frame, two axes in it and its normal, and in that the other rectangle: its middle and half its sides.
+    # The reference face's frame (two tangents, normal), and in it the center and half sides of the other rectangle.
     first = jnp.roll(jnp.abs(meeting.face), 1)
     along = jnp.stack([first, jnp.roll(first, 1)])
     up = rotate(axes, meeting.face)
@@ -93,15 +95,15 @@ def box_faces(
     distance, point = jnp.sum(chosen * distance, axis=1), jnp.sum(chosen[:, :, None] * point, axis=1)
     point = base + rotate(frame.T, point + lift * (height - 0.5 * distance[:, None]))
 
-    # Edges instead: the points of their lines that are nearest to each other.
+    # Edges: the nearest points of their lines.
     edge, other_edge = rotate(rotation, meeting.edge), rotate(other_rotation, meeting.other_edge)
     skew = cross(edge, other_edge)
     square = jnp.where(meeting.is_edge, jnp.sum(skew * skew), 1.0)
-    place = center + rotate(rotation, meeting.beside * half_size)
-    gap = other_center + rotate(other_rotation, meeting.other_beside * other_half_size) - place
+    start = center + rotate(rotation, meeting.beside * half_size)
+    gap = other_center + rotate(other_rotation, meeting.other_beside * other_half_size) - start
     normal = skew / jnp.sqrt(square)
     between = jnp.sum(gap * normal)
-    met = place + edge * (jnp.sum(cross(gap, other_edge) * skew) / square) + 0.5 * between * normal
+    met = start + edge * (jnp.sum(cross(gap, other_edge) * skew) / square) + 0.5 * between * normal
     is_first = meeting.is_edge & (np.arange(MOST) == 0)
     distance = jnp.where(meeting.is_edge, jnp.where(is_first, between, 1.0), distance)
     return (
@@ -112,18 +114,18 @@ def box_faces(
 
 
 def _common_corners(middle: Array, sides: Array, reach: Array) -> tuple[Array, Array]:
-    """Corners of what two rectangles have in common as seen from above, at the height of the second; are they there.
+    """Corners of the intersection of two rectangles seen from above, at the height of the second; whether each exists.
 
     Args:
-      middle, sides: of the second rectangle, and half its sides, shapes (3,) and (2, 3); z is the height.
-      reach: half the sides of the first, which lies around the origin, shape (2,).
+      middle, sides: center and half sides of the second rectangle, shapes (3,) and (2, 3); z is the height.
+      reach: half sides of the first rectangle, which is centered at the origin, shape (2,).
     """
     signs, two = (jnp.asarray(a, reach.dtype) for a in (_SIGNS, [-1.0, 1.0]))
     # Corners of the second inside the first.
     corner = middle + jnp.sum(signs[:, :, None] * sides, axis=1)
     inside = jnp.all(jnp.abs(corner[:, :2]) <= reach, axis=-1)
 
-    # Where the sides of the second cross the lines of the first's: [side, x or y, which of the two lines].
+    # Crossings of the second's sides with the lines of the first's sides: [side, x or y, which of the two lines].
     start = jnp.concatenate([middle - sides, middle + sides])
     way = jnp.concatenate([sides[::-1], sides[::-1]])
     line, run = start[:, :2, None], way[:, :2, None]

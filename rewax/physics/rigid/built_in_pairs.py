@@ -1,4 +1,4 @@
-"""Kinds of geoms whose contacts rewax finds itself; all others are MJX's."""
+"""Pairs of geom kinds that rewax collides itself. MJX collides all others."""
 
 import jax.numpy as jnp
 
@@ -36,7 +36,7 @@ def _sphere_box(sphere: Geom, box: Geom) -> _Found:
 
 
 def _capsule_capsule(first: Geom, second: Geom) -> _Found:
-    """With the axes closer to parallel than under a penalty law before the contact moves, as in MuJoCo."""
+    """As in MuJoCo: the contact moves to the middle only if the axes are parallel up to rounding."""
     parallel = 10.0 * float(jnp.finfo(first.position.dtype).eps)
     lines = [(geom.position, geom.rotation[:, 2], geom.size) for geom in (first, second)]
     return capsule_capsule(*lines[0], *lines[1], parallel=parallel)
@@ -60,6 +60,6 @@ BUILT_IN_PAIRS = (
     ContactPair(("box", "box"), MOST, _box_box),
 )  # fmt: skip
 UNDER_A_PENALTY = tuple(pair for pair in BUILT_IN_PAIRS if pair.kinds == ("plane", "box"))
-"""Under a penalty law rewax has capsules and boxes of its own for explicit pairs (``forces``), and MJX's for others."""
+"""Built-in pairs under a penalty law. ``forces.contacts`` collides explicit pairs of other kinds, and MJX the rest."""
 
 __all__ = ["BUILT_IN_PAIRS", "UNDER_A_PENALTY"]

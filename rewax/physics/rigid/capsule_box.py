@@ -1,4 +1,4 @@
-"""Contact of capsules with boxes as MuJoCo has it: at the nearest point, and at a second one where the capsule lies."""
+"""Capsule-box contact as in MuJoCo: at the nearest point, and at a second point if the capsule lies on the box."""
 
 import itertools
 from typing import NamedTuple
@@ -12,30 +12,32 @@ from rewax.physics.rigid.sphere_box import sphere_box
 from rewax.types import Array
 
 _ALIGNED = 1e-4
-"""Square of the sine of the angle between capsule and edge below which the place where they are nearest is held."""
+"""Squared sine of the angle between capsule and edge. Below it the nearest point has no derivative."""
 _BEYOND = 4.0
-"""In half lengths of a capsule: further than anything on it."""
+"""A distance in half lengths of a capsule that is beyond both of its ends."""
 _EDGES = np.repeat(np.eye(3), 4, axis=0)
 _CORNERS = np.array([np.insert(s, j, 0.0) for j in range(3) for s in itertools.product((-1.0, 1.0), repeat=2)])
-"""Of each edge of a box the axis, one-hot, and where it lies, in half sizes."""
+"""Axis of each edge of a box, one-hot, and the edge's center in half sizes."""
 _TINY = 1e-12
 
 
 class _Nearest(NamedTuple):
-    """Where the axis of a capsule is nearest to a box, in half lengths of the capsule; the box's feature there."""
+    """The point of a capsule's axis that is nearest to a box, and the nearest feature of the box."""
 
-    place: Array
+    offset: Array
+    """Signed distance of the point from the capsule's center, in half lengths of the capsule, shape ()."""
     is_end: Array
-    """Whether it is an end of the capsule over a face or inside the box, shape ()."""
+    """Whether the point is an end of the capsule over a face or inside the box, shape ()."""
     face: Array
-    """That face's axis, one-hot, zero inside, shape (3,)."""
+    """Axis of that face, one-hot, zero inside the box, shape (3,)."""
     edge: Array
-    """Axis of the edge otherwise, one-hot, shape (3,)."""
+    """Axis of the nearest edge if the point is no such end, one-hot, shape (3,)."""
     along: Array
-    """Place on that edge in half lengths, shape ()."""
+    """Position on that edge in half lengths of the edge, shape ()."""
     corner: Array
-    """Signs of the corner at the near end of the edge, or at its lower one, shape (3,)."""
+    """Signs of the corner at the near end of the edge; of its lower end if the nearest point is inside the edge."""
     is_corner: Array
+    """Whether that corner is the nearest feature, shape ()."""
 
 
 def capsule_box(
@@ -44,26 +46,26 @@ def capsule_box(
     """Distances, points and normals of the two contacts of a capsule with a box.
 
     Args:
-      center: of the capsule [m], shape (3,).
-      axis: unit vector along it, shape (3,).
+      center: center of the capsule [m], shape (3,).
+      axis: unit vector along the capsule, shape (3,).
       size: radius and half the length of the axis [m], shape (2,).
       box: centre of the box [m], shape (3,).
       rotation: from the box's frame to the world's, shape (3, 3).
-      half_size: of the box [m], shape (3,).
+      half_size: half sizes of the box [m], shape (3,).
 
     Returns:
-      Signed distances [m], 1 for a second contact that there is not, shape (2,); points halfway between the surfaces
+      Signed distances [m], 1 if there is no second contact, shape (2,); points halfway between the surfaces
       [m], shape (2, 3); unit normals from capsule to box, shape (2, 3).
 
-    Gradient: exact while the same features are nearest. The place where capsule and edge are nearest is held while they
-      are within 0.6 degrees of each other: it runs along them as they turn.
+    Gradient: exact while the same features are nearest. The nearest point of a capsule and an edge is held while they
+      are within 0.6 degrees of parallel: its derivative grows without bound as they align.
     Source: MuJoCo's engine_collision_box.c, capsule with box.
     """
     middle, half = rotate(rotation.T, center - box), rotate(rotation.T, axis) * size[1]
     nearest = _nearest(middle, half, half_size)
     second, exists = _second(nearest, middle, half, half_size)
-    places = jnp.stack([nearest.place, nearest.place + second])
-    spheres = center + places[:, None] * axis * size[1]
+    offsets = jnp.stack([nearest.offset, nearest.offset + second])
+    spheres = center + offsets[:, None] * axis * size[1]
 
     def twice(a: Array) -> Array:
         return jnp.stack([a, a])
@@ -73,7 +75,7 @@ def capsule_box(
 
 
 def _nearest(middle: Array, half: Array, size: Array) -> _Nearest:
-    """All in the box's frame, for a capsule from middle - half to middle + half."""
+    """Nearest features, in the box's frame, of a capsule from ``middle - half`` to ``middle + half``."""
     edges, corners, two = (jnp.asarray(a, half.dtype) for a in (_EDGES, _CORNERS, [[-1.0], [1.0]]))
     ends = middle + two * half
     beyond = ends - jnp.clip(ends, -size, size)
@@ -87,20 +89,20 @@ def _nearest(middle: Array, half: Array, size: Array) -> _Nearest:
     area = a * c - b * b
     crosses = area > _TINY * a * c
     area = jnp.where(crosses, area, 1.0)
-    edge_place, place = (c * u - b * v) / area, (a * v - b * u) / area
-    tip = jnp.where(jnp.abs(edge_place) > 1.0, jnp.sign(edge_place), 0.0)
+    edge_offset, offset = (c * u - b * v) / area, (a * v - b * u) / area
+    tip = jnp.where(jnp.abs(edge_offset) > 1.0, jnp.sign(edge_offset), 0.0)
     past = tip != 0.0
-    edge_place = jnp.clip(edge_place, -1.0, 1.0)
+    edge_offset = jnp.clip(edge_offset, -1.0, 1.0)
     length = jnp.maximum(c, _TINY)
-    place = jnp.where(past, (v - b * edge_place) / length, place)
-    over = jnp.abs(place) > 1.0
-    place = jnp.clip(place, -1.0, 1.0)
-    again = (u - b * place) / a
-    tip = jnp.where(over & (jnp.abs(again) > 1.0), jnp.sign(again), tip)  # MuJoCo keeps a tip that is one no longer
-    edge_place = jnp.where(over, jnp.clip(again, -1.0, 1.0), edge_place)
+    offset = jnp.where(past, (v - b * edge_offset) / length, offset)
+    over = jnp.abs(offset) > 1.0
+    offset = jnp.clip(offset, -1.0, 1.0)
+    again = (u - b * offset) / a
+    tip = jnp.where(over & (jnp.abs(again) > 1.0), jnp.sign(again), tip)  # MuJoCo keeps the tip from before the clip
+    edge_offset = jnp.where(over, jnp.clip(again, -1.0, 1.0), edge_offset)
     held = area < _ALIGNED * a * c
-    place, edge_place = (jnp.where(held, jax.lax.stop_gradient(x), x) for x in (place, edge_place))
-    apart = gap - place[:, None] * half + (edge_place * reach)[:, None] * edges
+    offset, edge_offset = (jnp.where(held, jax.lax.stop_gradient(x), x) for x in (offset, edge_offset))
+    apart = gap - offset[:, None] * half + (edge_offset * reach)[:, None] * edges
     edge_distance = jnp.where(crosses, jnp.sum(apart * apart, axis=1), jnp.inf)
 
     end, edge = jnp.argmin(end_distance), jnp.argmin(edge_distance)
@@ -110,30 +112,31 @@ def _nearest(middle: Array, half: Array, size: Array) -> _Nearest:
     edge_axis = jnp.sum(chosen[:, None] * edges, axis=0)
     upper = jnp.where(near_tip > 0.0, 1.0, -1.0)
     return _Nearest(
-        place=jnp.where(is_end, jnp.where(end == 0, -1.0, 1.0), jnp.sum(chosen * place)),
+        offset=jnp.where(is_end, jnp.where(end == 0, -1.0, 1.0), jnp.sum(chosen * offset)),
         is_end=is_end,
         face=jnp.where(end == 0, outside[0], outside[1]).astype(middle.dtype),
         edge=edge_axis,
-        along=jnp.sum(chosen * edge_place),
+        along=jnp.sum(chosen * edge_offset),
         corner=jnp.sum(chosen[:, None] * corners, axis=0) + edge_axis * upper,
         is_corner=near_tip != 0.0,
     )
 
 
 def _second(nearest: _Nearest, middle: Array, half: Array, size: Array) -> tuple[Array, Array]:
-    """Way along the capsule from the first contact to the second; whether there is one, shape () each.
+    """Signed distance along the capsule from the first contact to the second; whether there is a second, shape () each.
 
-    From an end over a face until the other end or the face's rim; from a corner along the edge or the face that the
-    capsule goes along more; from an edge across that face of the two.
+    From an end over a face, the second contact is at the other end or at the face's rim. From a corner, it lies along
+    the edge or the face to which the capsule is more nearly parallel. From an edge, it lies across the more nearly
+    parallel of the two faces.
     """
-    place, reach = nearest.place, jnp.abs(half)
+    offset, reach = nearest.offset, jnp.abs(half)
     has_reach = reach > _TINY
     reach = jnp.where(has_reach, reach, 1.0)
     wide = jnp.where(has_reach, 2.0 * size / reach, _BEYOND)
-    inward = -jnp.sign(place)
+    inward = -jnp.sign(offset)
 
     # From an end over a face.
-    end = middle + place * half
+    end = middle + offset * half
     way = jnp.where(has_reach, (jnp.where(half * inward > 0, size, -size) - end) / jnp.where(has_reach, half, 1.0), 9.0)
     way = jnp.where(nearest.face > 0, _BEYOND, way * inward)
     from_end = jnp.minimum(2.0, jnp.min(jnp.where(way > 0, way, _BEYOND))) * inward
@@ -145,8 +148,8 @@ def _second(nearest: _Nearest, middle: Array, half: Array, size: Array) -> tuple
     forward = jnp.where(count == 1, 1.0, -1.0)
     single = jnp.where(count == 1, differs, ~differs)
     along_edge = jnp.sum(single * half * half) > 0.5 * jnp.sum(half * half)
-    edge_way = jnp.minimum(1.0 - forward * place, jnp.min(jnp.where(single, wide, _BEYOND))) * forward
-    face_way = -jnp.minimum(1.0 + forward * place, jnp.min(jnp.where(single, _BEYOND, wide))) * forward
+    edge_way = jnp.minimum(1.0 - forward * offset, jnp.min(jnp.where(single, wide, _BEYOND))) * forward
+    face_way = -jnp.minimum(1.0 + forward * offset, jnp.min(jnp.where(single, _BEYOND, wide))) * forward
     from_corner = jnp.where(along_edge, edge_way, face_way)
     at_corner = (count == 1) | (count == 2)
 
@@ -159,7 +162,7 @@ def _second(nearest: _Nearest, middle: Array, half: Array, size: Array) -> tuple
     same = jnp.any((half > 0) & (nearest.edge > 0)) == ahead
     rest = 1.0 - jnp.where(same, 1.0, -1.0) * nearest.along
     limits = jnp.where(main > 0, wide, jnp.where(nearest.edge > 0, 0.5 * wide * rest, _BEYOND))
-    from_edge = jnp.minimum(1.0 - forward * place, jnp.min(limits)) * forward
+    from_edge = jnp.minimum(1.0 - forward * offset, jnp.min(limits)) * forward
 
     way = jnp.where(nearest.is_corner, from_corner, from_edge)
     exists = jnp.where(nearest.is_corner, at_corner, jnp.sum(sides) == 1)

@@ -1,11 +1,11 @@
-"""Contact of capsules with each other and with spheres."""
+"""Capsule-capsule and sphere-capsule contact."""
 
 import jax.numpy as jnp
 
 from rewax.types import Array
 
 _PARALLEL = 1e-6
-"""Square of the sine of the angle between two axes below which their contact moves to the middle of the first."""
+"""Squared sine of the angle between two axes. Below it their contact moves to the middle of the first capsule."""
 
 
 def sphere_capsule(
@@ -14,17 +14,18 @@ def sphere_capsule(
     """Distances, points and normals of contact of spheres with capsules, n pairs.
 
     Args:
-      center, radius: of the spheres [m], shapes (n, 3) and (n,).
-      other_center, axis: of the capsules [m], and unit vectors along them, shape (n, 3).
-      size: of the capsules, radius and half the length of the axis [m], shape (n, 2).
+      center, radius: centers and radii of the spheres [m], shapes (n, 3) and (n,).
+      other_center: centers of the capsules [m], shape (n, 3).
+      axis: unit vectors along the capsules, shape (n, 3).
+      size: radii and half lengths of the axes of the capsules [m], shape (n, 2).
 
     Returns:
-      As of ``capsule_capsule``, normals from sphere to capsule.
+      Distances, points and normals as ``capsule_capsule`` returns them; normals point from sphere to capsule.
 
     Gradient: exact, finite everywhere. Where the sphere's centre lies on the axis the normal is zero.
     """
-    place = jnp.clip(jnp.sum((center - other_center) * axis, axis=-1), -size[..., 1], size[..., 1])
-    return _spheres(center, radius, other_center + place[..., None] * axis, size[..., 0])
+    offset = jnp.clip(jnp.sum((center - other_center) * axis, axis=-1), -size[..., 1], size[..., 1])
+    return _spheres(center, radius, other_center + offset[..., None] * axis, size[..., 0])
 
 
 def capsule_capsule(
@@ -40,11 +41,11 @@ def capsule_capsule(
     """Distances, points and normals of contact of two capsules, n pairs.
 
     Args:
-      center, other_center: of the first and the second capsules [m], shape (n, 3).
-      axis, other_axis: unit vectors along them, shape (n, 3).
+      center, other_center: centers of the first and the second capsules [m], shape (n, 3).
+      axis, other_axis: unit vectors along the capsules, shape (n, 3).
       size, other_size: radius and half the length of the axis [m], shape (n, 2).
-      parallel: square of the sine of the angle between two axes below which their contact moves to the middle of the
-        first. The smaller, the closer to MuJoCo's, and the larger the derivatives of capsules that are almost parallel.
+      parallel: squared sine of the angle between two axes, below which their contact moves to the middle of the first
+        capsule. A smaller value is closer to MuJoCo, but gives larger derivatives to almost parallel capsules.
 
     Returns:
       Signed distances between the surfaces [m], shape (n,); points halfway between them [m], shape (n, 3); unit
@@ -57,13 +58,13 @@ def capsule_capsule(
     gap = other_center - center
     cosine = jnp.sum(axis * other_axis, axis=-1)
     along, other_along = jnp.sum(axis * gap, axis=-1), jnp.sum(other_axis * gap, axis=-1)
-    # Places along the axes, from the centres: on the first as if the second were endless, then each by the other.
-    place = (along - cosine * other_along) / (1.0 - cosine * cosine + parallel)
-    place = jnp.clip(place, -length, length)
-    other_place = jnp.clip(cosine * place - other_along, -other_length, other_length)
-    place = jnp.clip(cosine * other_place + along, -length, length)
-    nearest = center + place[..., None] * axis
-    return _spheres(nearest, size[..., 0], other_center + other_place[..., None] * other_axis, other_size[..., 0])
+    # Offsets along the axes from the centers: first as if the second axis were endless, then each from the other.
+    offset = (along - cosine * other_along) / (1.0 - cosine * cosine + parallel)
+    offset = jnp.clip(offset, -length, length)
+    other_offset = jnp.clip(cosine * offset - other_along, -other_length, other_length)
+    offset = jnp.clip(cosine * other_offset + along, -length, length)
+    nearest = center + offset[..., None] * axis
+    return _spheres(nearest, size[..., 0], other_center + other_offset[..., None] * other_axis, other_size[..., 0])
 
 
 def _spheres(center: Array, radius: Array, other_center: Array, other_radius: Array) -> tuple[Array, Array, Array]:

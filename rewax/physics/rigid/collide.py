@@ -1,7 +1,7 @@
-"""Contacts of a model: of the kinds of geoms that rewax has functions for, and of all others, for which it asks MJX.
+"""Contacts of a model. rewax collides the kinds of geoms that it has functions for, and MJX all others.
 
-MJX's ``collision`` has one table of functions, which all its users in a process share. So that stays as it is: MJX is
-shown the pairs of geoms that it has to collide, as explicit ones of a model that has no other.
+All users of MJX in a process share its one table of collision functions, so rewax does not change it. Instead it gives
+MJX a model whose only contacts are explicit pairs: those that MJX has to collide.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -23,18 +23,18 @@ from rewax.physics.rigid.shown_to_mjx import with_one_group
 from rewax.types import Array
 
 _ENDLESS = {"plane", "hfield"}
-"""Kinds that have no bounding sphere: all their pairs are looked at."""
+"""Kinds without a bounding sphere: ``max_geom_pairs`` does not apply to their pairs."""
 
 
 class Collisions(NamedTuple):
-    """Which geoms of a model may touch, and who finds their contacts: part of the program.
+    """Static: which geoms of a model may touch, and which function finds their contacts.
 
     Attributes:
       mj: MuJoCo's model.
       groups: pairs of geoms.
-      functions: one for each group; None: MJX's.
-      max_geom_pairs: so many pairs of a group are looked at, those whose bounding spheres are nearest; None: all.
-      max_contact_points: so many contacts of each dimension count, the deepest; None: all.
+      functions: the function of each group; None: MJX finds the contacts.
+      max_geom_pairs: number of pairs of a group that are collided, those with the nearest bounding spheres; None: all.
+      max_contact_points: number of contacts kept of each condim, the deepest; None: all.
     """
 
     mj: mujoco.MjModel
@@ -44,20 +44,20 @@ class Collisions(NamedTuple):
     max_contact_points: int | None
 
     @property
-    def of_mjx(self) -> list[GeomPairs]:
+    def mjx_groups(self) -> list[GeomPairs]:
         return [group for group, pair in zip(self.groups, self.functions, strict=True) if pair is None]
 
 
 def collisions(
     mj: mujoco.MjModel, listed: np.ndarray, *, penalty: bool = False, added: Sequence[ContactPair] = ()
 ) -> Collisions:
-    """Which geoms of a model may touch, and who finds their contacts.
+    """Which geoms of a model may touch, and which function finds their contacts.
 
     Args:
       mj: MuJoCo's model.
-      listed: numbers of the explicit pairs that count, shape (n,).
-      penalty: whether under a penalty law.
-      added: the user's contact pairs, which replace those that rewax has built in.
+      listed: ids of the explicit pairs to include, shape (n,).
+      penalty: whether contacts follow a penalty law.
+      added: the user's contact pairs. They replace built-in pairs of the same kinds.
     """
     known = {pair.kinds: pair for pair in (*(UNDER_A_PENALTY if penalty else BUILT_IN_PAIRS), *added)}
     most_pairs, most_points = limit(mj, "max_geom_pairs"), limit(mj, "max_contact_points")
@@ -74,26 +74,26 @@ class _Contacts(NamedTuple):
     frame: Array
     parameters: ContactParameters
     geoms: Array | np.ndarray
-    """Numbers of the two geoms, shape (n, 2); NumPy's while they belong to the program."""
+    """Ids of the two geoms, shape (n, 2); a NumPy array if they are static."""
 
 
 def collide(found: Collisions, m: mjx.Model, d: mjx.Data) -> mjx.Contact:
     """Contacts of all geoms that may touch, in MJX's order: by dimension, by group, by pair.
 
     Args:
-      found: who collides what.
-      m: MJX's model ``without_contacts``, with the numbers that may be traced.
-      d: poses of the geoms.
+      found: the groups of pairs and their functions.
+      m: MJX's model ``without_contacts``, with parameters that may be traced.
+      d: MJX's data with the poses of the geoms.
 
     Returns:
-      MJX's contacts [m]. Slots without a contact have a distance above their margin.
+      MJX's contacts [m]. Unused slots have a distance above their margin.
 
-    Gradient: that of the functions of the pairs; through MJX's routines as these have it.
-    Source: MuJoCo MJX 3.17, ``collision_driver.collision``, with which order and parameters agree to the bit.
+    Gradient: that of the pairs' functions; for MJX's functions, MJX's own.
+    Source: MuJoCo MJX 3.17, ``collision_driver.collision``. Order and parameters agree with it to the bit.
     """
     by_dim: dict[int, list[_Contacts]] = {}
     for group, pair in zip(found.groups, found.functions, strict=True):
-        by_dim.setdefault(group.condim, []).append(_of_group(found, m, d, group, pair))
+        by_dim.setdefault(group.condim, []).append(_group_contacts(found, m, d, group, pair))
     if found.max_contact_points is not None:
         by_dim = {dim: [_deepest(found.max_contact_points, parts)] for dim, parts in by_dim.items()}
     dims = [np.full(len(part.distance), dim) for dim in sorted(by_dim) for part in by_dim[dim]]
@@ -104,7 +104,9 @@ def collide(found: Collisions, m: mjx.Model, d: mjx.Data) -> mjx.Contact:
     return contact_of(every.distance, every.point, every.frame, every.parameters, geoms, dim)
 
 
-def _of_group(found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pair: ContactPair | None) -> _Contacts:
+def _group_contacts(
+    found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pair: ContactPair | None
+) -> _Contacts:
     parameters, geoms = contact_parameters(found.mj, m, group), group.geoms
     num, most = len(geoms), found.max_geom_pairs
     most = num if most is None or _ENDLESS & {*group.kinds} else most
@@ -124,7 +126,7 @@ def _of_group(found: Collisions, m: mjx.Model, d: mjx.Data, group: GeomPairs, pa
 
 
 def _nearest(num: int, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
-    """Numbers of the pairs whose bounding spheres are nearest, shape (num,)."""
+    """Indices of the pairs with the nearest bounding spheres, shape (num,)."""
     center, other_center = d.geom_xpos[geoms.T]
     radius, other_radius = m.geom_rbound[geoms.T]
     distance = jax.vmap(jnp.linalg.norm)(other_center - center) - (radius + other_radius)
@@ -140,7 +142,7 @@ def _deepest(num: int, parts: list[_Contacts]) -> _Contacts:
 
 
 def _repeated(num: int, tree: Any) -> Any:
-    """Each row as often as a pair of geoms has contacts."""
+    """Repeats each row ``num`` times, once per contact of a pair of geoms."""
 
     def rows(a: Array | np.ndarray) -> Array | np.ndarray:
         return (np if isinstance(a, np.ndarray) else jnp).repeat(a, num, axis=0)

@@ -1,4 +1,4 @@
-"""What MJX leaves out of the rows of connect equalities."""
+"""The velocity-product term of connect equalities, which MJX omits."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -24,18 +24,18 @@ def connect_drifts(
 ) -> Array:
     """Accelerations at constant joint rates between the anchors of connect equalities [m/s^2].
 
-    MuJoCo 4 subtracts them from the targets of the rows, so that what turns fast stays together; MJX 3.17 does not.
+    MuJoCo 4 subtracts them from the targets of the rows, so that fast-turning bodies stay connected. MJX 3.17 does not.
 
     Args:
       mj: the model.
-      topology, kin: its tree and where it is.
+      topology, kin: the tree and its kinematics.
       qvel: joint velocities, shape (num_dofs,).
-      eq_data, eq_active: numbers of all equalities and whether each holds, shapes (num_equalities, 11) and
+      eq_data, eq_active: data of all equalities and whether each is active, shapes (num_equalities, 11) and
         (num_equalities,).
-      site_position: of all sites [m], shape (num_sites, 3), or None if there are none.
+      site_position: positions of all sites [m], shape (num_sites, 3), or None if there are none.
 
     Returns:
-      One number for each row of these equalities, which come first, shape (3 num_connects,).
+      One drift per row of the connect equalities, which are the first rows, shape (3 num_connects,).
     """
     connect = np.flatnonzero(mj.eq_type == mujoco.mjtEq.mjEQ_CONNECT)
     if mjcf.is_disabled(mj, "EQUALITY") or mjcf.is_disabled(mj, "CONSTRAINT") or not connect.size:

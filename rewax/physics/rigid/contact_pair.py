@@ -1,4 +1,4 @@
-"""How two kinds of geoms touch, as an object: what users add to a model, and what rewax has built in."""
+"""Contact functions of two kinds of geoms, which users can add to the built-in ones."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -6,25 +6,27 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rewax.physics.rigid.argument_checks import check_integer, shown
 from rewax.physics.rigid.small_products import cross
 from rewax.types import Array
 
 KINDS = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
-"""Kinds of geoms that position, rotation and size say all about, in MuJoCo's order."""
+"""Kinds of geoms that position, rotation and size fully describe, in MuJoCo's order."""
 NO_CONTACT = 1.0
-"""Distance [m] in a slot that holds no contact, as in MuJoCo's JAX implementation."""
+"""Distance [m] in an unused slot, as in MJX (MuJoCo's JAX implementation)."""
 
 
 class Geom(NamedTuple):
     """One geom of a model.
 
     Attributes:
-      position: of its center [m], shape (3,).
-      rotation: from its frame to the world's, shape (3, 3). Planes have their normal, capsules and cylinders their
-        axis, along the frame's z: ``rotation[:, 2]``.
-      size: MuJoCo's ``geom_size`` [m], shape (3,): of a sphere the radius, of a capsule or cylinder the radius and half
-        the length, of a box half the edges, of an ellipsoid the semi-axes; numbers that a kind has not are 0.
+      position: its center [m], shape (3,).
+      rotation: from its frame to the world's, shape (3, 3). A plane's normal, and the axis of a capsule or cylinder,
+        is the frame's z axis: ``rotation[:, 2]``.
+      size: MuJoCo's ``geom_size`` [m], shape (3,): radius of a sphere; radius and half length of a capsule or cylinder;
+        half sizes of a box; semi-axes of an ellipsoid. Unused entries are 0.
     """
 
     position: Array
@@ -37,18 +39,18 @@ class ContactPair:
     """How geoms of two kinds touch; give it to ``load`` as one of ``contact_pairs``.
 
     Attributes:
-      kinds: of the two geoms, by their names in MJCF, in MuJoCo's order: plane, sphere, capsule, ellipsoid, cylinder,
-        box.
-      num_contacts: number n of slots for contacts of one pair of geoms.
+      kinds: the two geoms' kinds by their names in MJCF, in MuJoCo's order: plane, sphere, capsule, ellipsoid,
+        cylinder, box.
+      num_contacts: number n of contact slots for one pair of geoms.
       function: ``function(first, second)`` of two ``Geom``s returns three arrays. Signed distances between the surfaces
-        [m], shape (n,), negative where they overlap, 1 in a slot without contact. Points halfway between the surfaces
-        [m], shape (n, 3). Unit normals from the first geom to the second, shape (n, 3), or (3,) for one that all
-        contacts have in common; or frames, shape (n, 3, 3), whose rows are the normal and two directions of friction.
-        With one contact the axis of length n may be left out of distance and point. It is a pure JAX function of one
+        [m], shape (n,), negative where they overlap, 1 in an unused slot. Points halfway between the surfaces
+        [m], shape (n, 3). Unit normals from the first geom to the second, shape (n, 3), or (3,) if all contacts share
+        one; or frames, shape (n, 3, 3), whose rows are the normal and two directions of friction. For
+        ``num_contacts=1`` distance and point may omit the axis of length n. It is a pure JAX function of one
         pair of geoms; rewax maps it over all pairs of the model. Models that share the function share programs.
 
     Raises:
-      ValueError: a kind is unknown, or they are in another order, or the number of contacts is no whole number above 0.
+      ValueError: a kind is unknown, the kinds are in another order, or ``num_contacts`` is no positive integer.
 
     Gradient: that of the function, with respect to positions, rotations and sizes.
 
@@ -69,35 +71,34 @@ class ContactPair:
     def __post_init__(self) -> None:
         kinds = tuple(self.kinds) if isinstance(self.kinds, (tuple, list)) else self.kinds
         if not isinstance(kinds, tuple) or len(kinds) != 2 or not all(kind in KINDS for kind in kinds):
-            raise ValueError(f"kinds is {self.kinds!r}: give two of {', '.join(map(repr, KINDS))}")
+            raise ValueError(f"kinds is {shown(self.kinds)}: give two of {', '.join(map(repr, KINDS))}")
         if kinds == ("plane", "plane"):
             raise ValueError("kinds is ('plane', 'plane'), which never touch: give another kind beside plane")
         if KINDS.index(kinds[0]) > KINDS.index(kinds[1]):
             raise ValueError(f"kinds is {self.kinds!r}: give {kinds[::-1]!r}, MuJoCo's order, and a function of these")
         object.__setattr__(self, "kinds", kinds)
-        if not isinstance(self.num_contacts, int) or isinstance(self.num_contacts, bool) or self.num_contacts < 1:
-            raise ValueError(f"num_contacts of {self} is {self.num_contacts!r}: give a whole number, at least 1")
+        check_integer(f"num_contacts of {self}", self.num_contacts, 1)
         if not callable(self.function):
-            raise ValueError(f"function of {self} is {self.function!r}: give a function of two geoms")
+            raise ValueError(f"function of {self} is {shown(self.function)}: give a function of two geoms")
 
     def __str__(self) -> str:
         return f"the contact pair {self.kinds[0]}-{self.kinds[1]}"
 
 
 def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
-    """Contacts of n pairs of geoms, those of a pair one after another.
+    """Contacts of n pairs of geoms; contacts of one pair are consecutive.
 
     Args:
-      pair: how they touch, with k contacts each.
+      pair: the contact function, with k contacts per pair.
       first, second: the geoms, each array with a leading axis of length n.
 
     Returns:
       Distances [m], shape (n k,); points [m], shape (n k, 3); frames, shape (n k, 3, 3).
 
     Raises:
-      ValueError: the pair's function returns something else than ``ContactPair`` says.
+      ValueError: the pair's function returns something else than ``ContactPair`` requires.
 
-    Gradient: that of the pair's function; of the directions of friction as ``contact_frame`` says.
+    Gradient: that of the pair's function; for the directions of friction, that of ``contact_frame``.
     """
     num, dtype = pair.num_contacts, first.position.dtype
 
@@ -117,9 +118,9 @@ def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Ar
 
 
 def contact_frame(normal: Array) -> Array:
-    """A right-handed frame of a normal, as MuJoCo makes it: rows normal and two tangents. (..., 3) -> (..., 3, 3).
+    """MuJoCo's right-handed contact frame, with rows normal and two tangents. (..., 3) -> (..., 3, 3).
 
-    Gradient: exact, but where the tangent changes from about y to about z.
+    Gradient: exact, except at the switch of the tangent from about y to about z.
     """
     level = (normal[..., 1] > -0.5) & (normal[..., 1] < 0.5)
     start = jnp.where(level[..., None], jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
@@ -129,22 +130,34 @@ def contact_frame(normal: Array) -> Array:
 
 
 def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
-    """Raises a ValueError unless all are contact pairs, of different kinds, whose functions return what they should."""
+    """Raises a ValueError unless all are contact pairs of different kinds whose functions return the right shapes."""
     for i, pair in enumerate(pairs):
         if not isinstance(pair, ContactPair):
             raise ValueError(f"contact_pairs holds {pair!r}: give rigid.ContactPair(kinds, num_contacts, function)")
         if any(pair.kinds == other.kinds for other in pairs[:i]):
             raise ValueError(f"contact_pairs holds {str(pair)[4:]} twice: leave one out")
-        geom = jax.eval_shape(lambda: Geom(jnp.zeros(3), jnp.zeros((3, 3)), jnp.zeros(3)))
-        _check_result(pair, jax.eval_shape(pair.function, geom, geom))
+        _check_result(pair, _traced(pair))
+
+
+def _traced(pair: ContactPair) -> Any:
+    """The result of a pair's function for geoms of which only shapes are known."""
+    geom = jax.eval_shape(lambda: Geom(jnp.zeros(3), jnp.zeros((3, 3)), jnp.zeros(3)))
+    results: list[Any] = []
+    try:
+        jax.eval_shape(lambda first, second: results.append(pair.function(first, second)), geom, geom)
+    except Exception as error:  # of any type: it comes from a user's function
+        reason = " ".join(str(error).partition("\n")[0].split())
+        raise ValueError(
+            f"the function of {pair} cannot be traced ({type(error).__name__}: {reason}): give a pure JAX function"
+        ) from error
+    return results[0]
 
 
 def _check_result(pair: ContactPair, result: Any) -> None:
     """Raises a ValueError unless a pair's function returned three arrays of real numbers of the right shapes."""
     if not isinstance(result, (tuple, list)) or len(result) != 3:
-        raise ValueError(
-            f"the function of {pair} returned a {type(result).__name__}: return distance, point and normal"
-        )
+        what = "one array" if isinstance(result, jax.Array) else shown(result)
+        raise ValueError(f"the function of {pair} returned {what}: return distance, point and normal")
     num = pair.num_contacts
     legal = {
         "distance": [(num,)] + [()] * (num == 1),
@@ -152,6 +165,8 @@ def _check_result(pair: ContactPair, result: Any) -> None:
         "normal": [(num, 3), (3,), (num, 3, 3)],
     }
     for array, (name, shapes) in zip(result, legal.items(), strict=True):
+        if not isinstance(array, (jax.Array, np.ndarray, np.generic, float, int)):
+            raise ValueError(f"the function of {pair} returned {shown(array)} as {name}: return an array")
         if jnp.shape(array) not in shapes:
             wanted = ", or ".join(map(str, shapes))
             raise ValueError(

@@ -1,4 +1,4 @@
-"""Forces on articulated rigid bodies: contacts, limits, actuators, springs, as MJX and the penalty law give them."""
+"""Forces on articulated rigid bodies: contacts, limits, actuators and springs, from MJX and the penalty law."""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
@@ -36,7 +36,7 @@ from rewax.physics.rigid.mjx_access import (
     with_tendon_velocities,
 )
 from rewax.physics.rigid.model import RigidModel, RigidState
-from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select, spread
+from rewax.physics.rigid.small_products import compose, cross, dot, rotate, scatter, select
 from rewax.physics.rigid.solver import Rows
 from rewax.physics.rigid.sphere_box import sphere_box
 from rewax.physics.rigid.spring_contacts import Penalty, contact_wrenches, limit_forces
@@ -45,15 +45,17 @@ from rewax.types import Array
 
 
 def kinematics(model: RigidModel, qpos: Array) -> Kinematics:
+    """``kinematics.kinematics`` of a model."""
     return tree_kinematics(model.static.topology, tree_parameters(model), qpos)
 
 
 def tree_parameters(model: RigidModel) -> TreeParameters:
+    """The model's parameters that its tree needs."""
     return TreeParameters(**{name: model.parameters[name] for name in TreeParameters._fields})
 
 
 def attached(kin: Kinematics, body: np.ndarray, position: Array, quaternion: Array) -> Pose:
-    """World poses of what is fixed to bodies."""
+    """World poses of frames that are fixed to bodies."""
     frames = jnp.concatenate([kin.rotation, kin.position[:, :, None]], axis=-1)
     frame = structural_zeros(select(body, frames))
     rotation = compose(frame[:, :, :3], quaternion_to_matrix(quaternion))
@@ -61,10 +63,10 @@ def attached(kin: Kinematics, body: np.ndarray, position: Array, quaternion: Arr
 
 
 def mjx_data(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array) -> tuple[mjx.Model, mjx.Data]:
-    """MJX's model and data at a state, with all that its collision, constraints, actuators and passive forces read."""
+    """MJX's model and data at a state, with all fields that MJX's collisions, constraints and forces read."""
     static, parameters = model.static, dict(model.parameters)
     for name in ("jnt_solimp", "geom_solimp", "pair_solimp"):
-        # The exponent of the impedance has a derivative with log(0) in it; the rest may be differentiated.
+        # The derivative by the exponent of the impedance contains log(0), so only the other entries have a gradient.
         value = parameters[name]
         parameters[name] = jnp.concatenate([value[:, :4], jax.lax.stop_gradient(value[:, 4:])], axis=1)
     m = static.mjx.replace(**parameters, opt=static.mjx.opt.replace(gravity=model.gravity))
@@ -103,7 +105,7 @@ def mjx_data(model: RigidModel, kin: Kinematics, state: RigidState, ctrl: Array)
 def applied_forces(
     model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data, wrenches: Array
 ) -> tuple[Array, Array]:
-    """Generalized forces of actuators, springs, dampers and wrenches, shape (num_dofs,); rates of the activations."""
+    """Generalized forces of actuators, springs, dampers and wrenches, shape (num_dofs,); time derivative of ``act``."""
     topology = model.static.topology
     twist = body_velocities(topology, kin, d.qvel)
     d = mjx.fwd_actuation(
@@ -123,14 +125,14 @@ def applied_forces(
         position, dof = mj.jnt_qposadr[joint], mj.jnt_dofadr[joint]
         limits = model.parameters["jnt_range"][joint] + model.parameters["jnt_margin"][joint, None] * np.array([1, -1])
         found = limit_forces(model.penalty, limits, d.qpos[position], d.qvel[dof])
-        force = force + spread(dof, found, model.num_dofs)
+        force = force + scatter(dof, found, model.num_dofs)
     return force, d.act_dot
 
 
 def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
-    """How much velocities take from the forces on them: -d force / d velocity, symmetric, shape (num_dofs, num_dofs).
+    """Damping matrix -d force / d velocity, symmetric, shape (num_dofs, num_dofs).
 
-    Of joints, tendons and actuators, without the terms of inertia, as MuJoCo's integrator implicitfast has it.
+    As in MuJoCo's integrator implicitfast it includes joints, tendons and actuators, but not the Coriolis terms.
 
     Gradient: exact.
     """
@@ -161,7 +163,7 @@ def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
 
 
 def _spring_forces(model: RigidModel, qpos: Array) -> Array:
-    """Of the joints' springs, shape (num_dofs,); MJX's have no derivative where a ball joint is at rest."""
+    """Forces of the joints' springs, shape (num_dofs,). MJX's lack a derivative for a ball joint at its reference."""
     mj, rest = model.static.mj, model.parameters["qpos_spring"]
     free, ball = (mj.jnt_type == int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL"))
     simple = ~free & ~ball
@@ -169,20 +171,20 @@ def _spring_forces(model: RigidModel, qpos: Array) -> Array:
     def joined(simple_start: np.ndarray, free_start: np.ndarray) -> np.ndarray:
         return np.concatenate([simple_start, (free_start[:, None] + np.arange(3)).ravel()])
 
-    place = joined(mj.jnt_qposadr[simple], mj.jnt_qposadr[free])
+    index = joined(mj.jnt_qposadr[simple], mj.jnt_qposadr[free])
     dof = joined(mj.jnt_dofadr[simple], mj.jnt_dofadr[free])
-    stretch = spread(dof, qpos[place] - rest[place], model.num_dofs)
+    displacement = scatter(dof, qpos[index] - rest[index], model.num_dofs)
     if np.any(free | ball):
-        place = np.concatenate([mj.jnt_qposadr[free] + 3, mj.jnt_qposadr[ball]])[:, None] + np.arange(4)
+        index = np.concatenate([mj.jnt_qposadr[free] + 3, mj.jnt_qposadr[ball]])[:, None] + np.arange(4)
         dof = np.concatenate([mj.jnt_dofadr[free] + 3, mj.jnt_dofadr[ball]])[:, None] + np.arange(3)
-        back = rest[place] * np.array([1.0, -1.0, -1.0, -1.0])
-        turn = rotation_vector(quaternion_product(back, qpos[place]))
-        stretch = stretch + spread(dof.ravel(), turn.ravel(), model.num_dofs)
-    return -model.parameters["jnt_stiffness"][mj.dof_jntid] * stretch
+        back = rest[index] * np.array([1.0, -1.0, -1.0, -1.0])
+        turn = rotation_vector(quaternion_product(back, qpos[index]))
+        displacement = displacement + scatter(dof.ravel(), turn.ravel(), model.num_dofs)
+    return -model.parameters["jnt_stiffness"][mj.dof_jntid] * displacement
 
 
 def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
-    """As MJX has them, but for turns of ball joints, where those have no derivative at rest, shape (num_actuators,)."""
+    """Lengths of the actuators, shape (num_actuators,). MJX's lack a derivative for ball joints."""
     mj = model.static.mj
     on_joint = np.isin(mj.actuator_trntype, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)))
     joint = np.where(on_joint, mj.actuator_trnid[:, 0], 0)
@@ -194,7 +196,7 @@ def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
 
 
 class _Contacts(NamedTuple):
-    """What the penalty law needs to know of all pairs that may touch, see ``penalty.contact_wrenches``."""
+    """Inputs of ``spring_contacts.contact_wrenches`` for all pairs that may touch."""
 
     distance: Array
     margin: Array
@@ -205,7 +207,7 @@ class _Contacts(NamedTuple):
 
 
 def contacts(model: RigidModel, m: mjx.Model, d: mjx.Data) -> _Contacts:
-    """Those of all pairs of geoms, then those that the penalty law has apart: of spheres, capsules, boxes, listed."""
+    """Contacts of ``collide``, then those of explicit pairs that a penalty law collides with functions of its own."""
     contact = collide(model.static.collisions, m, d)
     friction = jnp.where(np.asarray(contact.dim) > 1, contact.friction[:, 0], 0.0)
     found = [
@@ -236,7 +238,7 @@ def contacts(model: RigidModel, m: mjx.Model, d: mjx.Data) -> _Contacts:
 def _own_contacts(
     model: RigidModel, pairs: np.ndarray, geoms: tuple[np.ndarray, np.ndarray], met: tuple[Array, Array, Array]
 ) -> _Contacts:
-    """Distances, points and normals of pairs, with the pairs' margins and friction."""
+    """Contacts from distances, points and normals, with the explicit pairs' margins and friction."""
     distance, point, normal = met
     margin, friction = (model.parameters[f"pair_{name}"][pairs] for name in ("margin", "friction"))
     friction = jnp.where(model.static.mj.pair_dim[pairs] > 1, friction[:, 0], 0.0)
@@ -268,7 +270,7 @@ def _contact_wrenches(
 
 
 def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data) -> Rows:
-    """Constraints of limits, contacts, dry friction and equalities; none under the penalty law."""
+    """Constraint rows of limits, contacts, dry friction and equalities; no rows under a penalty law."""
     if model.penalty is None:
         contact = collide(model.static.collisions, m, d) if model.static.has_contacts else None
         if model.static.mj.ntendon:

@@ -1,16 +1,19 @@
-"""Bodies of a model as tools that push particles and vertices: geoms as colliders, joint angles as poses."""
+"""Geoms of a rigid model as colliders that push particles and vertices; poses of its bodies."""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.contact.colliders import Collider
+from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, Number, check_numbers, static_number
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix
+from rewax.physics.rigid.argument_checks import check_instance, check_plain, real_array, shown
 from rewax.physics.rigid.forces import kinematics
 from rewax.physics.rigid.mjx_access import mujoco
 from rewax.physics.rigid.model import RigidModel
@@ -19,7 +22,7 @@ from rewax.physics.shapes.mesh_sdf import bake_mesh
 from rewax.types import Array, Scalar
 
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Our capsules and cylinders lie along y, MuJoCo's along z."""
+"""Rotation of the axis: capsules and cylinders lie along y in rewax and along z in MuJoCo."""
 
 
 def colliders(
@@ -30,16 +33,16 @@ def colliders(
     mesh_spacing: float | None = None,
     chosen: Callable[[str, str], bool] | None = None,
 ) -> tuple[Collider, ...]:
-    """A collider for each geom that can touch anything, in the order of the model; ``Collider.body`` is its body.
+    """One collider per geom that can touch anything, in the order of the model; ``Collider.body`` is its body.
 
     Args:
-      model: the bodies; the numbers of its geoms become leaves of the colliders.
-      friction: Coulomb coefficient of all; None: that of each geom.
-      softness: of all [1/m], see ``Collider``.
-      mesh_spacing: of the grids to which meshes are baked [m]; needed where there are meshes. A mesh is taken as it
-        is, not its convex hull.
-      chosen: ``chosen(name of the body, name of the geom)`` says which geoms; None: those whose contype or conaffinity
-        is not 0.
+      model: the bodies. The parameters of its geoms become parameters of the colliders.
+      friction: Coulomb coefficient of all colliders [-]; None: that of each geom.
+      softness: softness of all colliders [1/m], see ``Collider``.
+      mesh_spacing: spacing of the grids to which meshes are baked [m]; required if there are meshes. The collider is
+        the mesh itself, not its convex hull.
+      chosen: ``chosen(name of the body, name of the geom)`` returns whether to include a geom; None: include geoms with
+        a contype or conaffinity other than 0.
 
     Raises:
       ValueError: a geom is a plane (use a wall or a ground), a height field or another kind without a distance; meshes
@@ -50,6 +53,8 @@ def colliders(
       >>> tools = rigid.colliders(model, friction=0.5)  # doctest: +SKIP
       >>> poses = rigid.poses(model, qpos)  # qpos: (num_substeps + 1, num_positions)  # doctest: +SKIP
     """
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
+    _check_options(friction, softness, mesh_spacing, chosen)
     mj, found = model.static.mj, []
     for geom in range(mj.ngeom):
         body, name = mj.body(int(mj.geom_bodyid[geom])).name, mj.geom(geom).name
@@ -77,13 +82,34 @@ def poses(model: RigidModel, qpos: Array) -> Pose:
 
     Gradient: exact.
     """
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
+    qpos = jnp.asarray(real_array("qpos", qpos, "give joint positions, such as state.qpos"))
+    if qpos.shape[-1:] != (model.num_positions,):
+        raise ValueError(f"qpos has shape {qpos.shape}: give shape (..., {model.num_positions}), as in the model")
     one = qpos.reshape(-1, qpos.shape[-1])
     found = jax.vmap(lambda q: kinematics(model, q))(one)
     return Pose(*(a.reshape(*qpos.shape[:-1], *a.shape[1:]) for a in (found.position, found.rotation)))
 
 
+def _check_options(friction: Any, softness: Any, mesh_spacing: Any, chosen: Any) -> None:
+    rules = (
+        ("friction", friction, NOT_NEGATIVE, "give a Coulomb coefficient"),
+        ("softness", softness, POSITIVE, "give a decay per metre"),
+    )
+    for name, value, legal, remedy in rules:
+        if value is not None:
+            check_plain(name, value, remedy)
+            check_numbers([Number(name, value, legal, remedy, ())])
+    if mesh_spacing is not None:
+        remedy = "give the spacing of a grid in metres"
+        check_plain("mesh_spacing", mesh_spacing, remedy)
+        static_number("mesh_spacing", mesh_spacing, POSITIVE, remedy)
+    if chosen is not None and not callable(chosen):
+        raise ValueError(f"chosen is {shown(chosen)}: give a function of the names of body and geom")
+
+
 def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Shape, np.ndarray]:
-    """A geom's shape, and the turn from the shape's frame to the geom's."""
+    """A geom's shape, and the rotation from the shape's frame to the geom's."""
     mj, size = model.static.mj, model.parameters["geom_size"][geom]
     kinds, straight = mujoco.mjtGeom, np.eye(3)
     match kinds(mj.geom_type[geom]):
@@ -109,7 +135,7 @@ def _shape(model: RigidModel, geom: int, mesh_spacing: float | None) -> tuple[Sh
 
 
 class _Mesh:
-    """A mesh of a model, with the names that ``bake_mesh`` reads."""
+    """A mesh of a model with the attributes that ``bake_mesh`` reads."""
 
     def __init__(self, mj: mujoco.MjModel, mesh: int) -> None:
         first, count = mj.mesh_vertadr[mesh], mj.mesh_vertnum[mesh]

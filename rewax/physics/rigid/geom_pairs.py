@@ -1,4 +1,4 @@
-"""Which geoms of a model may touch: explicit pairs, and those that their masks and bodies let touch."""
+"""Pairs of geoms that may touch: explicit pairs, and pairs that contact masks and the tree of bodies permit."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -13,20 +13,19 @@ from rewax.physics.rigid.mjcf import is_disabled
 
 
 class GeomPairs(NamedTuple):
-    """Pairs of geoms of the same kinds, meshes and number of friction directions; n pairs.
+    """n pairs of geoms with the same kinds, meshes and condim.
 
-    The order of groups, and of the pairs within one, is that of MJX: contacts, and with them constraint rows, have the
-    order that users of MJX know.
+    Groups, and the pairs within a group, are in MJX's order. So contacts and constraint rows are in MJX's order too.
     """
 
     kinds: tuple[str, str]
-    """Of the two geoms, by their names in MJCF, in MuJoCo's order."""
+    """Kinds of the two geoms, by their names in MJCF, in MuJoCo's order."""
     condim: int
     """Dimensions of the contact force: 1, 3, 4 or 6."""
     geoms: np.ndarray
-    """Numbers of the geoms, shape (n, 2)."""
+    """Ids of the geoms, shape (n, 2)."""
     listed: np.ndarray
-    """Number of the model's explicit pair, or -1, shape (n,). Explicit pairs come first."""
+    """Id of the explicit pair, or -1 if there is none, shape (n,). Explicit pairs come first."""
 
 
 def geom_pairs(mj: mujoco.MjModel, listed: np.ndarray) -> tuple[GeomPairs, ...]:
@@ -34,7 +33,7 @@ def geom_pairs(mj: mujoco.MjModel, listed: np.ndarray) -> tuple[GeomPairs, ...]:
 
     Args:
       mj: the model.
-      listed: numbers of the explicit pairs that count, shape (m,).
+      listed: ids of the explicit pairs to include, shape (m,).
 
     Source: MuJoCo MJX 3.17, ``collision_driver.geom_pairs`` and ``_geom_groups``.
     """
@@ -55,7 +54,7 @@ def kind(mj: mujoco.MjModel, geom: int) -> str:
 
 
 def _key(mj: mujoco.MjModel, first: int, second: int, pair: int) -> tuple:
-    """What pairs of one group have in common."""
+    """Key of a group: all its pairs have the same."""
     if pair >= 0:
         condim = mj.pair_dim[pair]
     else:
@@ -67,7 +66,7 @@ def _key(mj: mujoco.MjModel, first: int, second: int, pair: int) -> tuple:
 
 
 def _cells(mj: mujoco.MjModel, first_kind: str, field: int, geom: int) -> tuple[int, ...]:
-    """How many cells of a height field, along x and y, a geom can cover."""
+    """Number of cells of a height field that a geom can cover along x and y; () without a height field."""
     if first_kind != "hfield":
         return ()
     counts = mj.hfield_ncol[field], mj.hfield_nrow[field]
@@ -77,7 +76,7 @@ def _cells(mj: mujoco.MjModel, first_kind: str, field: int, geom: int) -> tuple[
 
 
 def _pairs(mj: mujoco.MjModel, listed: np.ndarray) -> list[tuple[int, int, int]]:
-    """Two geoms, the lower kind first, and the number of their explicit pair, or -1."""
+    """Ids of two geoms, the lower kind first, and the id of their explicit pair, or -1."""
     found: set[tuple[int, int]] = set()
     pairs = []
 
@@ -88,7 +87,7 @@ def _pairs(mj: mujoco.MjModel, listed: np.ndarray) -> list[tuple[int, int, int]]
         geoms = ordered(int(mj.pair_geom1[pair]), int(mj.pair_geom2[pair]))
         found.add(geoms)
         pairs.append((*geoms, int(pair)))
-    for first, second in _of_bodies_that_meet(mj):
+    for first, second in _unfiltered_pairs(mj):
         geoms = ordered(first, second)
         if geoms not in found and _match(mj, *geoms):
             found.add(geoms)
@@ -96,8 +95,8 @@ def _pairs(mj: mujoco.MjModel, listed: np.ndarray) -> list[tuple[int, int, int]]
     return pairs
 
 
-def _of_bodies_that_meet(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
-    """Geoms with masks, of bodies that are neither one nor parent and child, as far as welds go, nor excluded."""
+def _unfiltered_pairs(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
+    """Pairs of geoms with masks whose bodies are not excluded, nor welded together, nor parent and child."""
     has_mask = (mj.geom_contype | mj.geom_conaffinity) != 0
     geoms = {body: np.flatnonzero(has_mask & (mj.geom_bodyid == body)).tolist() for body in range(mj.nbody)}
     excluded, filters = set(mj.exclude_signature.tolist()), not is_disabled(mj, "FILTERPARENT")
@@ -110,7 +109,7 @@ def _of_bodies_that_meet(mj: mujoco.MjModel) -> Iterator[tuple[int, int]]:
 
 
 def _match(mj: mujoco.MjModel, first: int, second: int) -> bool:
-    """Whether the masks of two geoms let them touch, and their kinds can."""
+    """Whether the masks of two geoms permit a contact and their kinds can have one."""
     if kind(mj, first) == "plane" and kind(mj, second) in ("plane", "hfield"):
         return False
     types, affinities = mj.geom_contype, mj.geom_conaffinity

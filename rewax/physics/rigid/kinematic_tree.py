@@ -1,8 +1,8 @@
-"""Trees of rigid bodies in reduced coordinates: tables and numbers.
+"""Trees of rigid bodies in reduced coordinates: topology and parameters.
 
-Everything that runs over the tree is a product with a constant matrix of zeros and ones (which joint moves which body).
-Conventions are MuJoCo's: free and ball joints are unit quaternions (w, x, y, z), angular velocities of free and ball
-joints are in the body's frame.
+Sums over the tree are products with constant matrices of zeros and ones (``moves``: which joint moves which body).
+Conventions are MuJoCo's: orientations of free and ball joints are unit quaternions (w, x, y, z), their angular
+velocities are in the body's frame.
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from rewax.types import Array
 
 
 class JointType(enum.IntEnum):
-    """Kinds of joints, numbered as MuJoCo does."""
+    """Kinds of joints, numbered as in MuJoCo."""
 
     FREE = 0
     BALL = 1
@@ -29,21 +29,22 @@ _DOF_SIZE = {JointType.FREE: 6, JointType.BALL: 3, JointType.SLIDE: 1, JointType
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TreeTopology:
-    """What is fixed about a tree; body 0 is the world, a link is a joint with the frame it moves.
+    """The static part of a tree. Body 0 is the world. A link is a joint together with the frame that it moves.
 
     Attributes:
-      joint_type: of each joint, shape (num_joints,).
-      links: for each link its joint (-1: none), body and whether it is its body's first; link 0 is the world.
-      ancestors: links 2^k steps towards the world, one array of shape (num_links,) per round.
-      body_link: last link of each body, whose frame is the body's, shape (num_bodies,).
+      joint_type: type of each joint, shape (num_joints,).
+      link_joint, link_body, link_first: joint (-1: none) and body of each link, and whether it is its body's first;
+        link 0 is the world.
+      ancestors: the link 2^k steps towards the world, one array of shape (num_links,) for each k.
+      body_link: last link of each body, shape (num_bodies,). Its frame is the body's frame.
       body_root: the outermost moving ancestor of each body, shape (num_bodies,).
       dof_body, dof_link: body and link of each degree of freedom; the link of a free joint's translation is the world.
       dof_axis: local axis where no joint axis gives it (free and ball joints), shape (num_dofs, 3).
       dof_joint: joint of each degree of freedom.
-      dof_turns: whether it turns or slides, shape (num_dofs,).
+      dof_turns: whether a degree of freedom rotates (else it translates), shape (num_dofs,).
       moves: 1 where a degree of freedom moves a body, shape (num_bodies, num_dofs).
       before: 1 where one degree of freedom moves the axis of another, shape (num_dofs, num_dofs).
-      subtree: 1 where a body hangs on another or is it, shape (num_bodies, num_bodies).
+      subtree: 1 where body j is in the subtree of body i (i included), shape (num_bodies, num_bodies).
     """
 
     joint_type: np.ndarray
@@ -73,7 +74,7 @@ class TreeTopology:
 
     @property
     def quaternions(self) -> list[tuple[int, int]]:
-        """Where the quaternion of each of ``ball_joints`` and its three rates begin."""
+        """Start of the quaternion in qpos and of its three rates in qvel, for each of ``ball_joints``."""
         dof = np.cumsum([0] + [_DOF_SIZE[JointType(t)] for t in self.joint_type])
         skip = {JointType.FREE: 3, JointType.BALL: 0}
         return [
@@ -93,17 +94,17 @@ class TreeTopology:
 
     @property
     def joint_qpos(self) -> np.ndarray:
-        """Where each joint's coordinates begin, shape (num_joints,)."""
+        """Offset of each joint's coordinates in qpos, shape (num_joints,)."""
         sizes = [_QPOS_SIZE[JointType(t)] for t in self.joint_type]
         return np.cumsum([0, *sizes])[:-1].astype(int)
 
 
 def tree_topology(body_parent: np.ndarray, joint_body: np.ndarray, joint_type: np.ndarray) -> TreeTopology:
-    """Tables of a tree.
+    """The topology of a tree.
 
     Args:
-      body_parent: of each body, smaller than its own number; the world is 0.
-      joint_body, joint_type: of each joint, ordered by body.
+      body_parent: parent of each body, smaller than the body's own index; the world is 0.
+      joint_body, joint_type: body and type of each joint, ordered by body.
     """
     num_bodies, num_joints = len(body_parent), len(joint_type)
     link_joint, link_body, link_first, link_parent = [-1], [0], [False], [0]
@@ -179,22 +180,25 @@ def _subtree(body_parent: np.ndarray) -> np.ndarray:
 
 
 class TreeParameters(NamedTuple):
-    """Numbers of a tree, named as in MuJoCo's model; rows of body 0 do not count."""
+    """Parameters of a tree, named as in MuJoCo's model. Rows of body 0 are ignored."""
 
     qpos0: Array
-    """Joint positions for which hinges and slides are at zero, shape (num_positions,)."""
+    """Joint positions at which hinges and slides are at zero, shape (num_positions,)."""
     body_pos: Array
     """Frame of each body in its parent's [m], shape (num_bodies, 3)."""
     body_quat: Array
+    """Orientation of each body in its parent's frame, shape (num_bodies, 4)."""
     body_ipos: Array
-    """Centre of mass in the body's frame [m], shape (num_bodies, 3), and principal axes of inertia."""
+    """Center of mass in the body's frame [m], shape (num_bodies, 3)."""
     body_iquat: Array
+    """Orientation of the principal axes of inertia in the body's frame, shape (num_bodies, 4)."""
     body_mass: Array
-    """[kg], shape (num_bodies,)."""
+    """Mass of each body [kg], shape (num_bodies,)."""
     body_inertia: Array
     """Principal moments of inertia [kg m^2], shape (num_bodies, 3)."""
     jnt_pos: Array
-    """Anchor of each joint in its body's frame [m], shape (num_joints, 3), and unit axis."""
+    """Anchor of each joint in its body's frame [m], shape (num_joints, 3)."""
     jnt_axis: Array
+    """Unit axis of each joint in its body's frame, shape (num_joints, 3)."""
     dof_armature: Array
     """Inertia added to each degree of freedom [kg m^2 or kg], shape (num_dofs,)."""

@@ -1,7 +1,7 @@
-"""Where the bodies of a tree are and how they move.
+"""Forward kinematics of a tree of bodies: poses, velocities, spatial axes of the joints.
 
-Poses are composed along all chains at once in log2(depth) rounds, so programs stay small whatever the tree. Spatial
-vectors are [angular, linear] in world axes about the centre of mass of the body's whole tree. That keeps rounding small
+Poses are composed along all chains at once in log2(depth) rounds, so programs stay small for any tree. Spatial vectors
+are [angular, linear] in world axes about the center of mass of the body's whole tree. This keeps rounding errors small
 far from the origin.
 
 Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 2 and 4; layout as in MuJoCo's documentation.
@@ -22,22 +22,22 @@ from rewax.types import Array, Scalar
 
 
 class Kinematics(NamedTuple):
-    """Where bodies are, and what moves them. Gradient: exact with respect to positions and parameters."""
+    """Poses of bodies and spatial axes of joints. Gradient: exact with respect to positions and parameters."""
 
     position: Array
     """Origin of each body's frame [m], shape (num_bodies, 3)."""
     rotation: Array
     """From each body's frame to the world's, shape (num_bodies, 3, 3)."""
     com: Array
-    """Centre of mass of each body [m], shape (num_bodies, 3)."""
+    """Center of mass of each body [m], shape (num_bodies, 3)."""
     inertia_rotation: Array
     """From each body's principal axes to the world's, shape (num_bodies, 3, 3)."""
     subtree_com: Array
-    """Centre of mass of each body with all that hangs on it [m], shape (num_bodies, 3)."""
+    """Center of mass of each body's subtree [m], shape (num_bodies, 3)."""
     tree_com: Array
-    """The same of the body's outermost ancestor: where its spatial vectors are taken, shape (num_bodies, 3)."""
+    """Center of mass of each body's whole tree [m], where its spatial vectors are taken, shape (num_bodies, 3)."""
     axes: Array
-    """Spatial velocity of what a degree of freedom moves, at unit rate, shape (num_dofs, 6)."""
+    """Spatial velocity of the bodies that a degree of freedom moves, per unit rate, shape (num_dofs, 6)."""
 
 
 def kinematics(topology: TreeTopology, parameters: TreeParameters, qpos: Array) -> Kinematics:
@@ -45,8 +45,8 @@ def kinematics(topology: TreeTopology, parameters: TreeParameters, qpos: Array) 
 
     Args:
       topology: the tree.
-      parameters: its numbers.
-      qpos: joint positions [m, rad, quaternions], shape (num_positions,); quaternions need not be unit.
+      parameters: its parameters.
+      qpos: joint positions [m, rad, quaternions], shape (num_positions,); quaternions may have any length.
     """
     links = _link_frames(topology, parameters, qpos)
     bodies = select(topology.body_link, links)
@@ -54,7 +54,7 @@ def kinematics(topology: TreeTopology, parameters: TreeParameters, qpos: Array) 
     com = position + rotate(rotation, parameters.body_ipos)
     mass = parameters.body_mass[:, None]
     subtree_mass = dot(topology.subtree, mass)
-    subtree_mass = jnp.where(subtree_mass > 0, subtree_mass, 1.0)  # of what has no mass, the place is not used
+    subtree_mass = jnp.where(subtree_mass > 0, subtree_mass, 1.0)  # massless subtree: its center of mass is never read
     subtree_com = dot(topology.subtree, mass * com) / subtree_mass
     tree_com = select(topology.body_root, subtree_com)
     dof_frame = select(topology.dof_link, links)
@@ -76,21 +76,21 @@ def kinematics(topology: TreeTopology, parameters: TreeParameters, qpos: Array) 
 
 
 def body_velocities(topology: TreeTopology, kin: Kinematics, rates: Array) -> Array:
-    """Spatial velocity [rad/s, m/s] of each body at its tree's centre of mass, shape (num_bodies, 6).
+    """Spatial velocity [rad/s, m/s] of each body at its tree's center of mass, shape (num_bodies, 6).
 
     Args:
-      topology, kin: the tree and where it is.
-      rates: velocities, or anything else per degree of freedom, shape (num_dofs,). The result is linear in them.
+      topology, kin: the tree and its kinematics.
+      rates: velocities, or another vector over degrees of freedom, shape (num_dofs,). The result is linear in them.
     """
     return dot(topology.moves, kin.axes * rates[:, None])
 
 
 def generalized_forces(topology: TreeTopology, kin: Kinematics, wrenches: Array) -> Array:
-    """Forces on the degrees of freedom that do the same work as wrenches on bodies, shape (num_dofs,).
+    """Generalized forces that do the same work as wrenches on bodies, shape (num_dofs,).
 
     Args:
-      topology, kin: the tree and where it is.
-      wrenches: torque about the tree's centre of mass [N m] and force [N] on each body, shape (num_bodies, 6).
+      topology, kin: the tree and its kinematics.
+      wrenches: torque about the tree's center of mass [N m] and force [N] on each body, shape (num_bodies, 6).
     """
     return jnp.sum(kin.axes * dot(topology.moves.T, wrenches), axis=-1)
 
@@ -99,10 +99,10 @@ def point_velocities(kin: Kinematics, velocities: Array, body: Array, point: Arr
     """Velocity of points that move with bodies [m/s], shape (n, 3).
 
     Args:
-      kin: where the bodies are.
-      velocities: their spatial velocities, shape (num_bodies, 6).
-      body: which body each point belongs to, shape (n,), int.
-      point: in the world [m], shape (n, 3).
+      kin: kinematics of the tree.
+      velocities: spatial velocities of the bodies, shape (num_bodies, 6).
+      body: index of each point's body, shape (n,), int.
+      point: positions in the world [m], shape (n, 3).
     """
     return moving_points(kin, velocities, body, point)[0]
 
@@ -110,9 +110,10 @@ def point_velocities(kin: Kinematics, velocities: Array, body: Array, point: Arr
 def moving_points(
     kin: Kinematics, velocities: Array, body: Array, point: Array
 ) -> tuple[Array, Callable[[Array], Array]]:
-    """The same, and a function of forces at these points [N], in world axes, shape (n, 3).
+    """Velocities as ``point_velocities`` returns them, and a function from forces to wrenches.
 
-    It returns their wrenches on the bodies as ``generalized_forces`` takes them, shape (num_bodies, 6).
+    The function maps forces at the points [N], world axes, shape (n, 3), to wrenches on the bodies for
+    ``generalized_forces``, shape (num_bodies, 6).
     """
     onehot = structural_zeros(jax.nn.one_hot(body, velocities.shape[0], dtype=point.dtype))
     carried = dot(onehot, jnp.concatenate([velocities, kin.tree_com], axis=-1))
@@ -128,10 +129,10 @@ def point_drifts(topology: TreeTopology, kin: Kinematics, qvel: Array, body: Arr
     """Acceleration of points that move with bodies while all joints keep their rates [m/s^2], shape (n, 3).
 
     Args:
-      topology, kin: the tree and where it is.
+      topology, kin: the tree and its kinematics.
       qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
-      body: which body each point belongs to, shape (n,), int.
-      point: in the world [m], shape (n, 3).
+      body: index of each point's body, shape (n,), int.
+      point: positions in the world [m], shape (n, 3).
     """
     velocity = body_velocities(topology, kin, qvel)
     drift = point_velocities(kin, dot(topology.moves, axis_drifts(topology, kin, qvel)), body, point)
@@ -141,7 +142,7 @@ def point_drifts(topology: TreeTopology, kin: Kinematics, qvel: Array, body: Arr
 
 
 def integrate(topology: TreeTopology, qpos: Array, qvel: Array, dt: Scalar) -> Array:
-    """Joint positions after moving with constant velocities for a time dt [s]; quaternions come out normalised."""
+    """Joint positions after motion with constant velocities for a time dt [s], with normalised quaternions."""
     moved = qpos + dt * dot(topology.coordinate_of_dof, qvel)
     for quaternion, turn in topology.quaternions:
         moved = moved.at[quaternion : quaternion + 4].set(
@@ -151,8 +152,8 @@ def integrate(topology: TreeTopology, qpos: Array, qvel: Array, dt: Scalar) -> A
 
 
 def axis_drifts(topology: TreeTopology, kin: Kinematics, qvel: Array) -> Array:
-    """Rate of change of each joint's axis, times its rate: velocity-product accelerations, shape (num_dofs, 6)."""
-    carried = dot(topology.before, kin.axes * qvel[:, None])  # what moves an axis turns it
+    """Velocity-product acceleration of each axis: its rate of change times its rate, shape (num_dofs, 6)."""
+    carried = dot(topology.before, kin.axes * qvel[:, None])  # velocity of the frame that carries the axis
     return _motion_cross(carried, kin.axes) * qvel[:, None]
 
 
@@ -212,7 +213,7 @@ def _dof_axes(topology: TreeTopology, parameters: TreeParameters) -> tuple[Array
 
 
 def _turn(q: Array, angle: Array) -> Array:
-    """Unit quaternion after turning by a vector of angles [rad] in the body's frame. Gradient: exact, at rest too."""
+    """Unit quaternion after a rotation by a vector [rad] in the body's frame. Gradient: exact, also at zero."""
     square = 0.25 * jnp.sum(angle * angle)
     small = square < 1e-6
     half = jnp.sqrt(jnp.where(small, 1.0, square))

@@ -1,62 +1,99 @@
-"""MJCF models: read them, and say clearly what is not supported."""
+"""Compiles MJCF models and refuses those with unsupported features."""
 
 # pyright: reportAttributeAccessIssue=false
 
+import re
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from rewax.physics.rigid.argument_checks import check_instance
+
 LIMITS = ("max_contact_points", "max_geom_pairs")
-"""Custom numbers with which a model asks MJX to leave contacts out."""
+"""Custom numerics of a model that limit the number of MJX's contacts."""
+_REMEDY = "give a path, MJCF text, an MjSpec or an MjModel"
+_LONGEST_NAME = 200
+_ATTRIBUTE = re.compile(r"""([\w:]+)\s*=\s*["']([^"']*)["']""")
+_TEXTS = frozenset(["name", "class", "childclass", "file", "model"])
+"""Attributes of MJCF that may hold the word nan."""
 
 
 def compile_model(source: Any) -> mujoco.MjModel:
-    """MuJoCo's model of an MJCF file's path, of MJCF text or of a ``mujoco.MjSpec``; a ``mujoco.MjModel`` as it is.
+    """MuJoCo's model of an MJCF file, MJCF text or a ``mujoco.MjSpec``. A ``mujoco.MjModel`` is returned unchanged.
 
     Raises:
-      ValueError: it is none of these, or cannot be read.
+      ValueError: the source is none of these, or MuJoCo cannot read it.
     """
+    if isinstance(source, mujoco.MjModel):
+        return source
+    if not isinstance(source, (mujoco.MjSpec, str, Path)):
+        raise ValueError(f"a {type(source).__name__} is not a model: {_REMEDY}")
+    source = source.lstrip("\ufeff \t\r\n") if isinstance(source, str) else source
+    is_text = isinstance(source, str) and source.startswith("<")
+    if not is_text and not isinstance(source, mujoco.MjSpec):
+        if not _is_file(Path(source)):
+            raise ValueError(f"there is no MJCF file {str(source)[:_LONGEST_NAME]!r}: {_REMEDY}")
+        _refuse_nan(Path(source).read_text(encoding="utf-8", errors="replace"))
+    elif is_text:
+        _refuse_nan(source)
     try:
-        if isinstance(source, mujoco.MjModel):
-            return source
         if isinstance(source, mujoco.MjSpec):
             return source.compile()
-        if isinstance(source, str) and source.lstrip().startswith("<"):
-            return mujoco.MjModel.from_xml_string(source)
-        if isinstance(source, (str, Path)):
-            if not Path(source).is_file():
-                raise ValueError(
-                    f"there is no MJCF file {str(source)!r}: give a path, MJCF text, an MjSpec or an MjModel"
-                )
-            return mujoco.MjModel.from_xml_path(str(source))
-    except ValueError as error:
-        raise ValueError(f"the model cannot be read: {error}") from error
-    raise ValueError(f"a {type(source).__name__} is not a model: give a path, MJCF text, an MjSpec or an MjModel")
+        return mujoco.MjModel.from_xml_string(source) if is_text else mujoco.MjModel.from_xml_path(str(source))
+    except (ValueError, mujoco.FatalError) as error:
+        raise ValueError(f"the model cannot be read: {_sentence(error)}: correct the MJCF") from error
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
+
+
+def _refuse_nan(text: str) -> None:
+    """Raises ValueError for attributes with NaN: MuJoCo takes some of them for absent and keeps others."""
+    if "nan" not in text.lower():
+        return
+    text = re.sub(r"<!--.*?-->", lambda comment: "\n" * comment[0].count("\n"), text, flags=re.DOTALL)
+    for found in _ATTRIBUTE.finditer(text):
+        if found[1] not in _TEXTS and {"nan", "-nan", "+nan"} & {*found[2].lower().split()}:
+            line = text.count("\n", 0, found.start()) + 1
+            raise ValueError(f"{found[1]} is {found[2]!r} in line {line} of the MJCF: give finite numbers")
+
+
+def _sentence(error: Exception) -> str:
+    """MuJoCo's message in one line, without empty names."""
+    lines = [" ".join(line.split()) for line in str(error).splitlines() if line.strip()]
+    first = re.sub(r"^(XML )?Error: (Error: )?", "", lines[0] if lines else "MuJoCo gives no reason").rstrip(":")
+    rest = ", ".join(lines[1:]).replace("Element name '', ", "element ").replace("Element", "element")
+    return f"{first} ({rest})" if rest else first
 
 
 def is_disabled(mj: mujoco.MjModel, name: str) -> bool:
-    """Whether the model disables what MuJoCo's flag ``mjDSBL_<name>`` stands for."""
+    """Whether the model sets MuJoCo's disable flag ``mjDSBL_<name>``."""
     return bool(mj.opt.disableflags & getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
 
 
 def numeric(mj: mujoco.MjModel, name: str) -> list[int]:
-    """Where MJX reads a custom number of this name, shape (1,) or (0,): at the number's place among their names."""
+    """Index at which MJX reads a custom numeric of this name: its id, not its address. Empty if there is none."""
     found = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return [found] if found >= 0 else []
 
 
 def limit(mj: mujoco.MjModel, name: str) -> int | None:
-    """One of ``LIMITS``; None: the model has none."""
+    """The value of one of ``LIMITS``; None: the model sets no limit."""
     found = [int(value) for value in mj.numeric_data[numeric(mj, name)]]
     return found[0] if found and found[0] >= 0 else None
 
 
 def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the explicit pairs of two kinds of geoms, unless contacts are disabled or limited; their geoms.
+    """Ids of explicit pairs of two kinds of geoms, and the ids of their two geoms, shape (n,) each.
 
-    Not of pairs that could also touch without being listed: MJX leaves those out because they are.
+    Empty if contacts are disabled or limited. Pairs whose masks also permit a contact are left out: without the
+    explicit pair, MJX would collide them.
 
     Args:
       mj: the model.
@@ -75,7 +112,7 @@ def own_pairs(mj: mujoco.MjModel, first: str, second: str) -> tuple[np.ndarray, 
 
 
 def lone_dofs(mj: mujoco.MjModel) -> np.ndarray:
-    """Degrees of freedom of the free joints of trees that have no other joint, shape (n, 6)."""
+    """Degrees of freedom of free joints whose tree has no other joint, shape (n, 6)."""
     start = mj.jnt_dofadr[mj.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
     root = mj.body_rootid[mj.dof_bodyid]
     alone = np.array([np.sum(root == root[dof]) == 6 for dof in start], bool)
@@ -83,11 +120,12 @@ def lone_dofs(mj: mujoco.MjModel) -> np.ndarray:
 
 
 def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
-    """Of a body, geom or joint with this name.
+    """Id of a body, geom or joint with this name.
 
     Raises:
-      ValueError: there is none; the message says which there are.
+      ValueError: there is none. The message lists the known names.
     """
+    check_instance(f"the name of a {kind}", name, str, "give a string")
     found = mujoco.mj_name2id(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
     if found < 0:
         count = {"body": mj.nbody, "geom": mj.ngeom, "joint": mj.njnt}[kind]
@@ -97,11 +135,11 @@ def number(mj: mujoco.MjModel, kind: str, name: str) -> int:
 
 
 def check_model(mj: mujoco.MjModel, *, penalty: bool) -> None:
-    """Raise a ValueError that names what would be computed wrongly, or ignored in silence.
+    """Raises a ValueError if the model has a feature that rewax would compute wrongly or ignore.
 
     Args:
       mj: the model.
-      penalty: whether contacts and limits are springs and dampers instead of MuJoCo's constraints.
+      penalty: whether contacts and limits follow a penalty law instead of MuJoCo's constraints.
     """
     _check_options(mj, penalty)
     _check_actuators(mj)
@@ -119,7 +157,7 @@ def _check_options(mj: mujoco.MjModel, penalty: bool) -> None:
         )
     if mj.opt.integrator == fast and (mj.opt.density or mj.opt.viscosity):
         raise ValueError(
-            "the model's integrator is IMPLICITFAST in a medium that drags, which is not supported: load(..., "
+            "the model's integrator is IMPLICITFAST in a medium with drag, which is not supported: load(..., "
             'integrator="Euler"), or density=0.0, viscosity=0.0'
         )
     if not penalty and mj.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
@@ -155,7 +193,7 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
         enum = getattr(mujoco, f"mjt{prefix.removeprefix('mj').capitalize()}")
         wrong = ~np.isin(getattr(mj, field), [int(getattr(enum, f"{prefix}_{kind}")) for kind in kinds])
         if np.any(wrong):
-            actuator, what = _named(mj, "actuator", wrong), field.removeprefix("actuator_")
+            actuator, what = named(mj, "actuator", wrong), field.removeprefix("actuator_")
             raise ValueError(
                 f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
             )
@@ -164,7 +202,7 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
     turning &= mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)
     if np.any(turning):
         raise ValueError(
-            f"{_named(mj, 'actuator', turning)} turns a site against its refsite, which is not supported: set the last "
+            f"{named(mj, 'actuator', turning)} turns a site against its refsite, which is not supported: set the last "
             "three numbers of its gear to zero, or remove the refsite"
         )
 
@@ -187,7 +225,7 @@ _UNSUPPORTED = (
     ("geom_surfacevel", "a surfacevel"),
     ("geom_fluid", "a fluidshape"),
 )
-"""Fields of MuJoCo's model that must be zero, because MJX ignores them; older versions have fewer."""
+"""Fields of MuJoCo's model that must be zero because MJX ignores them. Older versions lack some of them."""
 
 
 def _check_fields(mj: mujoco.MjModel) -> None:
@@ -198,7 +236,7 @@ def _check_fields(mj: mujoco.MjModel) -> None:
             kind = field.split("_")[0]
             if kind == "dof":
                 wrong = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong])
-            name = _named(mj, {"dof": "joint", "jnt": "joint"}.get(kind, kind), wrong)
+            name = named(mj, {"dof": "joint", "jnt": "joint"}.get(kind, kind), wrong)
             raise ValueError(f"{name} has {what}, which is not supported: remove it")
 
 
@@ -208,39 +246,42 @@ def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
     uneven = mj.pair_friction[:, 0] != mj.pair_friction[:, 1]
     if np.any(uneven):
         raise ValueError(
-            f"{_named(mj, 'pair', uneven)} has two coefficients of sliding friction, of which a Penalty knows one: "
+            f"{named(mj, 'pair', uneven)} has two coefficients of sliding friction, but a Penalty has one: "
             "make them equal"
         )
     touches = (mj.geom_contype | mj.geom_conaffinity) != 0
     for kind, wrong in (("pair", mj.pair_dim > 3), ("geom", (mj.geom_condim > 3) & touches)):
         if np.any(wrong):
             raise ValueError(
-                f"{_named(mj, kind, wrong)} has a condim above 3, but a Penalty knows no torsional or rolling "
+                f"{named(mj, kind, wrong)} has a condim above 3, but a Penalty has no torsional or rolling "
                 f"friction: give that {kind} condim 3"
             )
     if is_disabled(mj, "LIMIT") or is_disabled(mj, "CONSTRAINT"):
         raise ValueError(
-            "the model disables limits or all constraints, which a Penalty does not: remove the flag, and ranges and "
-            "contacts that are not wanted"
+            "the model disables limits or all constraints, which a Penalty does not: remove the flag "
+            "and unwanted ranges and contacts"
         )
     ball = (mj.jnt_limited != 0) & (mj.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
     if np.any(ball):
         raise ValueError(
-            f"{_named(mj, 'joint', ball)} is a ball with a limit, which a Penalty cannot hold: remove the limit"
+            f"{named(mj, 'joint', ball)} is a ball joint with a limit, which a Penalty does not support: remove the "
+            "limit"
         )
     if mj.neq or np.any(mj.dof_frictionloss) or np.any(mj.tendon_limited) or np.any(mj.tendon_frictionloss):
         raise ValueError(
-            "the model has equality constraints, dry friction or tendon limits, which a Penalty cannot hold: remove "
-            "them, or load it without a Penalty"
+            "the model has equality constraints, dry friction or tendon limits, which a Penalty does not support: "
+            "remove them, or load it without a Penalty"
         )
 
 
-def _named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
+def named(mj: mujoco.MjModel, kind: str, wrong: np.ndarray) -> str:
+    """The first element of a kind for which ``wrong`` is true, by its name or id."""
     number = int(np.flatnonzero(wrong)[0])
     name = mujoco.mj_id2name(mj, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number)
     return f"{kind} {name!r}" if name else f"{kind} number {number}"
 
 
 __all__ = [
-    "LIMITS", "check_model", "compile_model", "is_disabled", "limit", "lone_dofs", "number", "numeric", "own_pairs",
+    "LIMITS", "check_model", "compile_model", "is_disabled", "limit", "lone_dofs", "named", "number", "numeric",
+    "own_pairs",
 ]  # fmt: skip

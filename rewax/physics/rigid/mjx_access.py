@@ -1,7 +1,7 @@
-"""MJX, imported quietly, and all that rewax uses of it without a public name.
+"""Imports MJX without its warnings, and holds every access to MJX's private fields.
 
-MJX keeps what its JAX backend alone has in ``Data._impl`` and warns where it is read without that name. So every field
-below is read and written there; no other file names one, and no function of MJX that is not public is called.
+No other file of rewax imports ``mujoco.mjx``. MJX keeps the fields of its JAX backend in ``Data._impl``; the functions
+below read and write them there. rewax calls only public functions of MJX.
 """
 
 # pyright: reportAttributeAccessIssue=false, reportReturnType=false, reportAssignmentType=false
@@ -17,7 +17,7 @@ import numpy as np
 from rewax.types import Array
 
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-    # Without the optional package warp MJX prints two warnings that mean nothing to its JAX implementation.
+    # Without the optional package warp, MJX prints two warnings that do not concern its JAX backend.
     _level = logging.root.manager.disable
     logging.disable(logging.WARNING)
     import mujoco
@@ -27,20 +27,20 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.St
 
 
 class ConstraintArrays(NamedTuple):
-    """What MJX says of n constraint rows: equalities first, then dry friction, limits, contacts."""
+    """MJX's n constraint rows: equalities first, then dry friction, limits, contacts."""
 
     jacobian: Array
     """Shape (n, num_dofs)."""
     stiffness: Array
     """Inverse of the regularisation, shape (n,)."""
     target: Array
-    """Acceleration that each row asks for, shape (n,)."""
+    """Reference acceleration of each row, shape (n,)."""
     friction_loss: Array
     """Largest force of dry friction, shape (n,)."""
 
 
 def num_bounded_rows(d: mjx.Data) -> tuple[int, int]:
-    """How many constraint rows are equalities, and how many dry friction."""
+    """Number of constraint rows of equalities, and of dry friction."""
     return int(d._impl.ne), int(d._impl.nf)  # there is no public function that counts rows
 
 
@@ -48,55 +48,55 @@ def listed_collisions(m: mjx.Model, d: mjx.Data) -> mjx.Contact:
     """Contacts that ``mjx.collision`` finds in a model.
 
     Args:
-      m: a model, of which explicit pairs of geoms alone can touch.
-      d: its poses; what it holds of contacts is not read.
+      m: a model in which only explicit pairs of geoms can touch.
+      d: MJX's data with the poses; its contacts are not read.
     """
-    d = d.tree_replace({"_impl.ncon": m.npair})  # with 0, as in data without contacts, MJX looks for none
-    return mjx.collision(m, d)._impl.contact  # contacts have no other place
+    d = d.tree_replace({"_impl.ncon": m.npair})  # with 0 contacts, MJX would skip collision
+    return mjx.collision(m, d)._impl.contact  # the only field with contacts
 
 
 def constraint_arrays(m: mjx.Model, d: mjx.Data, contact: mjx.Contact | None) -> ConstraintArrays:
-    """Rows that ``mjx.make_constraint`` makes of the model's equalities, friction and limits, and of contacts."""
+    """Rows of ``mjx.make_constraint`` for the model's equalities, friction and limits, and for the contacts."""
     if contact is not None:
-        d = d.tree_replace({"_impl.contact": contact})  # from where make_constraint takes them
-    impl = mjx.make_constraint(m, d)._impl  # where it leaves the rows
+        d = d.tree_replace({"_impl.contact": contact})  # where make_constraint reads them
+    impl = mjx.make_constraint(m, d)._impl  # where make_constraint writes the rows
     return ConstraintArrays(impl.efc_J, impl.efc_D, impl.efc_aref, impl.efc_frictionloss)
 
 
 def actuator_moments(d: mjx.Data) -> Array:
-    """Moment arms of actuators, as ``mjx.transmission`` found them, shape (num_actuators, num_dofs)."""
-    return d._impl.actuator_moment  # transmission has no other result that holds them
+    """Moment arms of actuators from ``mjx.transmission``, shape (num_actuators, num_dofs)."""
+    return d._impl.actuator_moment
 
 
 def tendon_jacobian(d: mjx.Data) -> Array:
-    """Derivative of tendons' lengths, as ``mjx.tendon`` found it, shape (num_tendons, num_dofs)."""
-    return d._impl.ten_J  # tendon has no other result that holds it
+    """Derivative of the tendons' lengths from ``mjx.tendon``, shape (num_tendons, num_dofs)."""
+    return d._impl.ten_J
 
 
 def actuator_velocities(d: mjx.Data) -> Array:
-    """Set by ``with_actuator_velocities``, shape (num_actuators,)."""
-    return d._impl.actuator_velocity  # see there
+    """Velocities set by ``with_actuator_velocities``, shape (num_actuators,)."""
+    return d._impl.actuator_velocity
 
 
 def with_actuator_velocities(d: mjx.Data, velocity: Array) -> mjx.Data:
-    """Data for ``mjx.fwd_actuation``."""
-    return d.tree_replace({"_impl.actuator_velocity": velocity})  # it reads them there
+    """Data with actuator velocities, which ``mjx.fwd_actuation`` reads."""
+    return d.tree_replace({"_impl.actuator_velocity": velocity})
 
 
 def with_tendon_velocities(d: mjx.Data, velocity: Array) -> mjx.Data:
-    """Data for ``mjx.passive``."""
-    return d.tree_replace({"_impl.ten_velocity": velocity})  # it reads them there
+    """Data with tendon velocities, which ``mjx.passive`` reads."""
+    return d.tree_replace({"_impl.ten_velocity": velocity})
 
 
 def contact_of(
     distance: Array, point: Array, frame: Array, parameters: tuple[Array, ...], geoms: Array, dim: np.ndarray
 ) -> mjx.Contact:
-    """Contacts as MJX has them; ``parameters`` are margin, friction, solref, solreffriction and solimp."""
+    """MJX's contacts; ``parameters`` are margin, friction, solref, solreffriction and solimp."""
     names = ("includemargin", "friction", "solref", "solreffriction", "solimp")
     return mjx.Contact(
         dist=distance, pos=point, frame=frame, **dict(zip(names, parameters, strict=True)),
         geom=geoms, geom1=geoms[:, 0], geom2=geoms[:, 1], dim=dim,
-        efc_address=np.full(len(dim), -1),  # of sensors, which rewax leaves out
+        efc_address=np.full(len(dim), -1),  # for sensors, which rewax leaves out
     )  # fmt: skip
 
 

@@ -1,4 +1,7 @@
-"""Articulated rigid bodies: a model read from MJCF, its numbers, its state."""
+"""Articulated rigid bodies: a model loaded from MJCF, its parameters, its state.
+
+MuJoCo compiles the model. MJX supplies the static data of constraints and contacts (``mjx_access`` imports it).
+"""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
@@ -13,14 +16,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.physics.numerics.checks import POSITIVE, check_numbers, static_number
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_numbers, static_number
 from rewax.physics.rigid import mjcf
+from rewax.physics.rigid.argument_checks import check_instance, check_plain, real_array
 from rewax.physics.rigid.collide import collisions
 from rewax.physics.rigid.contact_pair import ContactPair, check_contact_pairs
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology
 from rewax.physics.rigid.mjx_access import mjx, mujoco, num_bounded_rows
-from rewax.physics.rigid.overrides import Overrides, moving_geoms, with_overrides, without_idle_parts
-from rewax.physics.rigid.parameter_checks import parameter_numbers
+from rewax.physics.rigid.overrides import Overrides, check_options, moving_geoms, with_overrides, without_idle_parts
+from rewax.physics.rigid.parameter_checks import check_compiled, check_unit_lengths, parameter_numbers
 from rewax.physics.rigid.shown_to_mjx import with_groups_that_touch, without_contacts
 from rewax.physics.rigid.spring_contacts import Penalty, check_penalty
 from rewax.types import Array
@@ -33,14 +37,14 @@ PARAMETERS = (
     "pair_friction", "pair_solref", "pair_solimp", "pair_margin",
     "actuator_gear", "actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange",
 )  # fmt: skip
-"""Fields of MuJoCo's model that are leaves of ``RigidModel``; everything else about a model is static."""
+"""Fields of MuJoCo's model that are parameters of a ``RigidModel``. All other fields are static."""
 
 
 class _Model:
-    """The static part of a ``RigidModel``: two of the same MJCF with the same contact pairs are equal.
+    """The static part of a ``RigidModel``. Two of them are equal if their MJCF and contact pairs are equal.
 
-    Under a penalty law explicit pairs of a sphere and a box, of two capsules and, where it wants that, of two boxes are
-    apart from all others, unless the user added a contact pair of these kinds.
+    Under a penalty law, explicit sphere-box and capsule-capsule pairs have functions of their own; with
+    ``boxes_touch_once`` box-box pairs have one too. A contact pair that the user added for these kinds comes first.
     """
 
     def __init__(
@@ -66,7 +70,7 @@ class _Model:
         self.collisions = collisions(compiled, others, penalty=law[0], added=contact_pairs)
         shown = without_idle_parts(compiled)
         if any(group.kinds in added for group in self.collisions.groups):
-            shown = with_groups_that_touch(shown, self.collisions.of_mjx)
+            shown = with_groups_that_touch(shown, self.collisions.mjx_groups)
         with jax.ensure_compile_time_eval():
             self.mjx = without_contacts(shown, mjx.put_model(shown, jax.local_devices()[0], impl="jax"))
             self.data = mjx.make_data(self.mjx, jax.local_devices()[0], impl="jax")
@@ -92,14 +96,14 @@ class RigidModel(struct.Replaceable):
     """A tree of rigid bodies; build it with ``load``.
 
     Attributes:
-      parameters: MuJoCo's fields named in ``PARAMETERS``, as leaves: differentiate with respect to them, vmap over
-        them, change them without compiling again. What MuJoCo derives from them (inverse weights) stays as it is, and
-        where the model has no dry friction there stays none; damping that it had none of is explicit in time; ranges
-        of what is unlimited have no effect. Masses and inertias are numbers of their own: change both. Quaternions and
-        axes must stay of length 1.
-      gravity: [m/s^2], shape (3,).
+      parameters: MuJoCo's fields named in ``PARAMETERS``. Differentiate with respect to them, vmap over them, change
+        them without compiling again. Values that MuJoCo derives from them (inverse weights) do not follow. Ranges of
+        unlimited joints and actuators have no effect. In a model loaded without dry friction, a traced one has no
+        effect; in a model loaded without damping, a traced one is explicit in time. Mass and inertia are separate
+        parameters: change both. Quaternions and axes must keep length 1.
+      gravity: gravitational acceleration [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
-      static: everything else.
+      static: the static part of the model.
     """
 
     parameters: dict[str, Array]
@@ -121,7 +125,7 @@ class RigidModel(struct.Replaceable):
 
     @property
     def num_bodies(self) -> int:
-        """The world, body 0, included."""
+        """Number of bodies, including the world, body 0."""
         return self.static.mj.nbody
 
     @property
@@ -131,81 +135,90 @@ class RigidModel(struct.Replaceable):
 
     @property
     def home(self) -> Array:
-        """Positions of the model as written: its first keyframe, or its reference pose, shape (num_positions,)."""
+        """Joint positions of the model's first keyframe, else its reference pose, shape (num_positions,)."""
         mj = self.static.mj
         return jnp.asarray(mj.key_qpos[0] if mj.nkey else mj.qpos0, self.parameters["qpos0"].dtype)
 
     def with_parameters(self, **changes: Array) -> "RigidModel":
-        """A copy with other numbers.
+        """A copy with other parameters.
 
         Raises:
-          ValueError: there is no such parameter, its shape differs, a number cannot be (not finite, a mass, size or
-            friction below 0), or the model has no damping or dry friction to change.
+          ValueError: there is no such parameter, its shape differs, a value is illegal (not finite, a mass, size or
+            friction below 0), or the model was loaded without the damping or dry friction to change.
         """
         for name, value in changes.items():
             if name not in self.parameters:
                 raise ValueError(f"a rigid model has no parameter {name!r}: known are {', '.join(self.parameters)}")
+            real_array(name, value, "give an array of numbers in MuJoCo's unit")
             if jnp.shape(value) != self.parameters[name].shape:
                 raise ValueError(
                     f"{name} has shape {jnp.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
                 )
             absent = name in ("dof_damping", "dof_frictionloss") and not np.any(getattr(self.static.mj, name))
             if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
-                raise ValueError(f"the model was loaded without {name}, so it takes none: give its MJCF a little of it")
+                raise ValueError(
+                    f"the model was loaded without {name}, so it cannot change: give it a positive value in the MJCF"
+                )
         check_numbers(parameter_numbers(changes))
+        check_unit_lengths(changes)
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **given})
 
     def with_mocap(self, position: Array, quaternion: Array | None = None) -> "RigidModel":
-        """A copy whose mocap bodies are elsewhere; for each step another one, the compiled program serves them all.
+        """A copy with other poses of the mocap bodies. One compiled step serves all such copies.
 
-        Between steps the bodies jump: to contacts and equalities they are at rest, as in MuJoCo.
+        Mocap bodies jump between steps. Contacts and equalities see them at rest, as in MuJoCo.
 
         Args:
-          position: of the mocap bodies, in the order of the model [m], shape (num_mocap, 3).
-          quaternion: (w, x, y, z), of any length, shape (num_mocap, 4); None: as they are.
+          position: positions of the mocap bodies, in the order of the model [m], shape (num_mocap, 3).
+          quaternion: orientations (w, x, y, z) of any length above 0, shape (num_mocap, 4); None: unchanged.
 
         Raises:
-          ValueError: a shape does not fit, or the model has no mocap bodies.
+          ValueError: a shape differs, a value is not finite, or the model has no mocap bodies.
 
-        Gradient: exact, with respect to both.
+        Gradient: exact with respect to both arguments.
         """
         bodies = np.flatnonzero(self.static.mj.body_mocapid >= 0)
         if not len(bodies):
             raise ValueError('the model has no mocap bodies: give one of the world\'s bodies mocap="true" in its MJCF')
         numbers = self.static.mj.body_mocapid[bodies]
-        changes = {"body_pos": jnp.asarray(position, self.home.dtype)}
+        rows = "give one row per mocap body"
+        changes = {"body_pos": jnp.asarray(real_array("position", position, rows), self.home.dtype)}
         check_shape("position", changes["body_pos"], (len(bodies), 3), " (one row per mocap body)")
+        check_numbers([Number("position", changes["body_pos"], FINITE, "give a position in metres")])
         if quaternion is not None:
-            q = jnp.asarray(quaternion, self.home.dtype)
+            q = jnp.asarray(real_array("quaternion", quaternion, rows), self.home.dtype)
             check_shape("quaternion", q, (len(bodies), 4), " (one row per mocap body)")
+            check_numbers(
+                [Number("the quaternion's squared length", jnp.sum(q * q, axis=-1), POSITIVE, "give (w, x, y, z)")]
+            )
             changes["body_quat"] = q / jnp.sqrt(jnp.sum(q * q, axis=-1, keepdims=True))
         moved = {name: self.parameters[name].at[bodies].set(value[numbers]) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **moved})
 
     def body(self, name: str) -> int:
-        """Number of a body."""
+        """Id of the body with this name."""
         return mjcf.number(self.static.mj, "body", name)
 
     def geom(self, name: str) -> int:
-        """Number of a geom."""
+        """Id of the geom with this name."""
         return mjcf.number(self.static.mj, "geom", name)
 
     def joint(self, name: str) -> tuple[int, int]:
-        """Where a joint's coordinates begin in positions and in velocities."""
+        """Offsets of a joint's coordinates in qpos and in qvel."""
         joint = mjcf.number(self.static.mj, "joint", name)
         return int(self.static.mj.jnt_qposadr[joint]), int(self.static.mj.jnt_dofadr[joint])
 
 
 @struct.dataclass
 class RigidState(struct.Replaceable):
-    """A tree of rigid bodies between two substeps.
+    """State of a tree of rigid bodies.
 
     Attributes:
       qpos: joint positions [m, rad, unit quaternions (w, x, y, z)], shape (num_positions,).
       qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
-      act: activations of actuators that have a state, shape (num_activations,).
-      qacc: accelerations of the last substep [m/s^2, rad/s^2], shape (num_dofs,): where the next solve begins. No
+      act: activations of stateful actuators, shape (num_activations,).
+      qacc: accelerations of the last substep [m/s^2, rad/s^2], shape (num_dofs,): the first guess of the next solve. No
         gradient.
     """
 
@@ -223,37 +236,40 @@ def load(
     contact_pairs: Sequence[ContactPair] = (),
     **overrides: Unpack[Overrides],
 ) -> RigidModel:
-    """A model from MJCF.
-
-    What has no effect on the motion is left out: energy, sensors, geoms that cannot touch.
+    """Loads a model from MJCF, without the parts that do not affect the motion: energy, sensors, visual geoms.
 
     Args:
       source: path of an MJCF file, its text, a ``mujoco.MjSpec`` or a ``mujoco.MjModel``.
       dt: duration of a substep [s]; None: the model's own timestep.
-      penalty: contact by springs and dampers with these numbers; None: MuJoCo's soft constraints. For gradients of use
-        give these an impedance that begins at zero (``solimp="0.0001 0.95 0.02"``, and dt of at most 1/240 s): by
-        default it jumps to 0.9 on contact, and the derivative of that jump's time is missing from every gradient.
-      contact_pairs: how geoms of some kinds touch, added to those that rewax has built in
-        (``built_in_pairs.BUILT_IN_PAIRS``) or in place of them. All other kinds are MJX's.
-      **overrides: options in place of the model's own, such as ``integrator="Euler"`` and ``cone="pyramidal"`` for
-        models whose own are not supported; ``overrides.Overrides`` lists them.
+      penalty: parameters of a contact law of springs and dampers; None: MuJoCo's soft constraints. Useful gradients of
+        the latter need an impedance that begins near zero (``solimp="0.0001 0.95 0.02"``, and dt of at most 1/240 s):
+        the default jumps to 0.9 on contact, and gradients lack the derivative of the time of this jump.
+      contact_pairs: contact functions of kinds of geoms. They are added to the built-in ones
+        (``built_in_pairs.BUILT_IN_PAIRS``) or replace them. MJX collides all other kinds.
+      **overrides: options that replace the model's own, such as ``integrator="Euler"`` and ``cone="pyramidal"`` if its
+        own are not supported; ``overrides.Overrides`` lists them.
 
     Raises:
-      ValueError: it cannot be read, or uses something that is not supported; the message says what and where, and which
-        override helps. An override is unknown or has a value that cannot be. A contact pair is not what ``ContactPair``
-        says, or there are two of the same kinds.
+      ValueError: the model cannot be read or has an unsupported feature; the message names it and an override that
+        helps. An override is unknown or has an illegal value. A contact pair is not as ``ContactPair`` requires, or two
+        have the same kinds.
 
     Example:
       >>> model = rigid.load("humanoid.xml", integrator="implicitfast", cone="pyramidal")  # doctest: +SKIP
     """
     if isinstance(contact_pairs, ContactPair):
         raise ValueError(f"contact_pairs is {contact_pairs}: give a sequence, contact_pairs=(pair,) for one")
+    check_instance("contact_pairs", contact_pairs, (tuple, list), "give a sequence, contact_pairs=(pair,) for one")
     contact_pairs = tuple(contact_pairs)
     check_contact_pairs(contact_pairs)
     compiled = with_overrides(mjcf.compile_model(source), overrides)
     if dt is not None:
+        remedy = "give the duration of a substep in seconds"
+        check_plain("dt", dt, remedy)
         compiled = copy.copy(compiled)
-        compiled.opt.timestep = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+        compiled.opt.timestep = static_number("dt", dt, POSITIVE, remedy)
+    check_options(compiled)
+    check_compiled(compiled)
     mjcf.check_model(compiled, penalty=penalty is not None)
     parameters = {name: np.array(getattr(compiled, name)) for name in PARAMETERS}
     if compiled.nkey and compiled.nmocap:
@@ -261,6 +277,7 @@ def load(
         for name, keyed in (("body_pos", compiled.key_mpos[0]), ("body_quat", compiled.key_mquat[0])):
             parameters[name][mocap] = keyed.reshape(compiled.nmocap, -1)[compiled.body_mocapid[mocap]]
     check_numbers(parameter_numbers(parameters))
+    check_unit_lengths(parameters)
     if penalty is not None:
         check_penalty(penalty, float(np.max(compiled.body_subtreemass[1:])), compiled.opt.timestep)
     try:
@@ -268,7 +285,8 @@ def load(
     except (NotImplementedError, AssertionError) as error:
         remedy = ", or give contact_pairs one of these kinds" if "collisions not implemented" in str(error) else ""
         raise ValueError(
-            f"MJX does not support this model ({error}): remove that, or let such geoms not touch{remedy}"
+            f"MJX does not support this model ({error}): remove that, or set contype and conaffinity of "
+            f"such geoms to 0{remedy}"
         ) from error
     gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
     real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)
@@ -280,7 +298,15 @@ def load(
     )
 
 
+def check_state(model: RigidModel, state: RigidState) -> None:
+    """Raises ValueError unless these are a model and a state of this model."""
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
+    check_instance("state", state, RigidState, "give a state that rigid.initial_state returned")
+    for name, size in (("qpos", model.num_positions), ("qvel", model.num_dofs)):
+        check_shape(f"the state's {name}", getattr(state, name), (size,), " of this model (map batches with jax.vmap)")
+
+
 def check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:
-    """Raises ValueError unless an array has the shape; ``what`` is said of the shape."""
+    """Raises ValueError unless an array has the shape; the message explains the shape with ``what``."""
     if jnp.shape(value) != shape:
         raise ValueError(f"{name} has shape {jnp.shape(value)}: give shape {shape}{what}")

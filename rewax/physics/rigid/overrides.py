@@ -1,4 +1,4 @@
-"""Options that ``load`` sets in place of a model's own, and what of a model has no effect on the motion."""
+"""Options that replace a model's own, and the parts of a model that do not affect the motion."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number, check_numbers
+from rewax.physics.rigid.argument_checks import check_instance, check_integer, check_plain, shown
 from rewax.physics.rigid.mjcf import LIMITS
 
 
@@ -18,27 +19,28 @@ class Overrides(TypedDict, total=False):
 
     integrator: Literal["Euler", "implicitfast"]
     cone: Literal["pyramidal", "elliptic"]
-    """Of friction; elliptic with a ``Penalty`` only, for which it means nothing."""
+    """Friction cone. Elliptic cones need a ``Penalty``, which ignores the option."""
     gravity: Sequence[float]
-    """[m/s^2], three numbers."""
+    """Gravitational acceleration [m/s^2], three numbers."""
     wind: Sequence[float]
     """Velocity of the medium [m/s], three numbers."""
     density: float
-    """Of the medium [kg/m^3]."""
+    """Density of the medium [kg/m^3]."""
     viscosity: float
-    """Of the medium [Pa s]."""
+    """Viscosity of the medium [Pa s]."""
     impratio: float
-    """Of frictional to normal impedance."""
+    """Ratio of frictional to normal impedance."""
     iterations: int
-    """Most steps of the solver."""
+    """Largest number of Newton steps of the solver."""
     noslip_iterations: int
+    """Steps of MuJoCo's noslip solver; rewax supports 0 only."""
     max_contact_points: int | None
-    """So many of the contacts count, the deepest; None: all. MJX's, which models may carry among their custom numbers:
-    MuJoCo has no such limit."""
+    """Number of contacts kept, the deepest; None: all. A limit of MJX, which reads it from the model's custom numerics;
+    MuJoCo has none."""
     max_geom_pairs: int | None
-    """So many of the pairs of each two kinds of shapes are looked at, those whose bounding spheres are nearest."""
+    """Number of pairs of each group that are collided, those with the nearest bounding spheres; None: all."""
     flags: Mapping[str, bool]
-    """Of MJCF's element flag: whether each is enabled."""
+    """Whether each flag of MJCF's element ``flag`` is enabled."""
 
 
 _CHOICES = {
@@ -46,27 +48,27 @@ _CHOICES = {
     "cone": {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC},
 }
 _NUMBERS = {
-    "gravity": (FINITE, (3,), "give an acceleration in m/s^2"),
-    "wind": (FINITE, (3,), "give a velocity in m/s"),
-    "density": (NOT_NEGATIVE, (), "give it in kg/m^3"),
-    "viscosity": (NOT_NEGATIVE, (), "give it in Pa s"),
-    "impratio": (POSITIVE, (), "give a ratio"),
-    "iterations": (POSITIVE, (), "give a whole number"),
-    "noslip_iterations": (NOT_NEGATIVE, (), "give a whole number"),
+    "gravity": (FINITE, "give an acceleration in m/s^2", (3,)),
+    "wind": (FINITE, "give a velocity in m/s", (3,)),
+    "density": (NOT_NEGATIVE, "give it in kg/m^3", ()),
+    "viscosity": (NOT_NEGATIVE, "give it in Pa s", ()),
+    "impratio": (POSITIVE, "give a ratio", ()),
 }
+_INTEGERS = {"iterations": 1, "noslip_iterations": 0}
+"""Integer options and their least values."""
 _IDLE_FLAGS = ("ENERGY", "FWDINV", "INVDISCRETE")
-"""Flags of what MuJoCo computes besides the motion."""
+"""Flags of quantities that MuJoCo computes besides the motion."""
 
 
 def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
-    """A copy of a model with other options; the model itself where there are none.
+    """A copy of a model with other options; the model itself if there are none.
 
     Raises:
-      ValueError: there is no such option, or it cannot have this value.
+      ValueError: there is no such option, or its value is illegal.
     """
     if not overrides:
         return mj
-    known = {*_CHOICES, *_NUMBERS, *LIMITS, "flags"}
+    known = {*_CHOICES, *_NUMBERS, *_INTEGERS, *LIMITS, "flags"}
     mj = copy.copy(mj)
     for name, value in overrides.items():
         if name not in known:
@@ -79,31 +81,40 @@ def with_overrides(mj: mujoco.MjModel, overrides: Overrides) -> mujoco.MjModel:
             _set_limit(mj, name, value)
         elif name in _CHOICES:
             choices = _CHOICES[name]
-            if value not in choices:
-                raise ValueError(f"{name} is {value!r}: use one of {', '.join(map(repr, choices))}")
-            setattr(mj.opt, name, choices[value])  # pyright: ignore[reportArgumentType]
+            if not isinstance(value, str) or value not in choices:
+                raise ValueError(f"{name} is {shown(value)}: use one of {', '.join(map(repr, choices))}")
+            setattr(mj.opt, name, choices[value])
+        elif name in _INTEGERS:
+            check_integer(name, value, _INTEGERS[name])
+            setattr(mj.opt, name, value)
         else:
-            legal, shape, remedy = _NUMBERS[name]
-            check_numbers([Number(name, value, legal, remedy, shape)])
-            if isinstance(getattr(mj.opt, name), int) and not isinstance(value, (int, np.integer)):
-                raise ValueError(f"{name} is {value}: {remedy}")
+            check_plain(name, value, _NUMBERS[name][1])
+            check_numbers([Number(name, value, *_NUMBERS[name])])
             setattr(mj.opt, name, value)
     return mj
 
 
+def check_options(mj: mujoco.MjModel) -> None:
+    """Raises ValueError for options with illegal values, which MuJoCo's compiler accepts."""
+    for name in _INTEGERS:
+        check_integer(f"the model's {name}", getattr(mj.opt, name), 0)
+    rules = {**_NUMBERS, "timestep": (POSITIVE, "give load a dt in seconds", ())}
+    check_numbers([Number(f"the model's {name}", getattr(mj.opt, name), *rule) for name, rule in rules.items()])
+
+
 def without_idle_parts(mj: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy for MJX without what has no effect on the motion: energy, sensors, integrator and solver (ours)."""
+    """A copy for MJX without energy and sensors, and without the integrator and solver, which are rewax's own."""
     mj = copy.copy(mj)
     for flag in _IDLE_FLAGS:
         mj.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, f"mjENBL_{flag}"))
-    mj.sensor_type[:] = mujoco.mjtSensor.mjSENS_CLOCK  # a kind that MJX knows; none is evaluated
+    mj.sensor_type[:] = mujoco.mjtSensor.mjSENS_CLOCK  # a type that MJX accepts; no sensor is evaluated
     mj.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     mj.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     return mj
 
 
 def moving_geoms(mj: mujoco.MjModel) -> np.ndarray:
-    """Numbers of the geoms whose poses count for the motion: those that may touch and those that tendons wrap."""
+    """Ids of the geoms whose poses affect the motion: those that may touch and those that tendons wrap."""
     counts = (mj.geom_contype | mj.geom_conaffinity) != 0
     counts[mj.pair_geom1] = counts[mj.pair_geom2] = True
     wraps = np.isin(mj.wrap_type, [mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER])
@@ -113,8 +124,8 @@ def moving_geoms(mj: mujoco.MjModel) -> np.ndarray:
 
 def _set_limit(mj: mujoco.MjModel, name: str, value: Any) -> None:
     number = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_NUMERIC, name)
-    if value is not None and (not isinstance(value, (int, np.integer)) or value < 1):
-        raise ValueError(f"{name} is {value}: give a whole number, at least 1, or None for no limit")
+    if value is not None:
+        check_integer(name, value, 1, ", or None for no limit")
     if value is not None and number < 0:
         raise ValueError(
             f"the model has no {name} to change: write <custom><numeric name='{name}' data='{value}'/></custom>"
@@ -133,12 +144,14 @@ def _set_flags(mj: mujoco.MjModel, flags: Any) -> None:
         for name, value in enum.__members__.items()
         if name.startswith(kind)
     }
+    check_instance("flags", flags, Mapping, 'give a dictionary of booleans, such as {"gravity": False}')
     for name, enabled in flags.items():
         if name not in bits:
             raise ValueError(f"MuJoCo has no flag {name!r}: known are {', '.join(sorted(bits))}")
+        check_instance(f"the flag {name!r}", enabled, (bool, np.bool_), "give True to enable it, or False")
         field, bit, is_set = bits[name]
         others = getattr(mj.opt, field) & ~bit
         setattr(mj.opt, field, others | bit if bool(enabled) == is_set else others)
 
 
-__all__ = ["Overrides", "moving_geoms", "with_overrides", "without_idle_parts"]
+__all__ = ["Overrides", "check_options", "moving_geoms", "with_overrides", "without_idle_parts"]

@@ -1,9 +1,16 @@
-"""What the numbers of a rigid model may be."""
+"""Legal values of a rigid model's parameters."""
+
+# pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Mapping
 from typing import Any
 
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, any_illegal
+import jax
+import mujoco
+import numpy as np
+
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, any_illegal, check_numbers
+from rewax.physics.rigid.mjcf import LIMITS, named, numeric
 from rewax.physics.rigid.spring_contacts import Penalty, penalty_numbers
 from rewax.types import Array
 
@@ -14,7 +21,7 @@ _NOT_NEGATIVE = {
 
 
 def parameter_numbers(parameters: Mapping[str, Any]) -> list[Number]:
-    """Fields of MuJoCo's model, by their names, and what they may be."""
+    """Parameters by the names of MuJoCo's fields, with their legal values."""
     return [
         Number(name, value, NOT_NEGATIVE if name in _NOT_NEGATIVE else FINITE, "give it in MuJoCo's unit")
         for name, value in parameters.items()
@@ -22,9 +29,52 @@ def parameter_numbers(parameters: Mapping[str, Any]) -> list[Number]:
 
 
 def has_invalid_parameters(parameters: Mapping[str, Any], gravity: Array, penalty: Penalty | None) -> Array:
-    """Whether a model holds a number that cannot be, shape (), bool; for traced or replaced ones. Gradient: none."""
+    """Whether a model holds an illegal value, shape (), bool; for traced or replaced values. Gradient: none."""
     numbers = [*parameter_numbers(parameters), Number("gravity", gravity, FINITE, "give an acceleration in m/s^2")]
     return any_illegal(numbers + ([] if penalty is None else penalty_numbers(penalty)))
 
 
-__all__ = ["has_invalid_parameters", "parameter_numbers"]
+def check_unit_lengths(parameters: Mapping[str, Any]) -> None:
+    """Raises ValueError for a quaternion or a joint axis whose length is not 1; traced ones are not checked."""
+    for name in ("body_quat", "body_iquat", "geom_quat", "jnt_axis"):
+        value = parameters.get(name)
+        if value is None or any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value)):
+            continue
+        length = np.linalg.norm(np.asarray(value, float), axis=-1)
+        wrong = ~(np.abs(length - 1.0) < 0.01)
+        if np.any(wrong):
+            row = int(np.flatnonzero(wrong)[0])
+            raise ValueError(
+                f"{name}[{row}] has length {length[row]:.3g}, but must have length 1: divide by its length"
+            )
+
+
+def check_compiled(mj: mujoco.MjModel) -> None:
+    """Raises ValueError for values of a compiled model that MuJoCo accepts although they mean nothing."""
+    names = ("key_qpos", "key_mpos", "key_mquat")
+    check_numbers([Number(name, getattr(mj, name), FINITE, "correct the model's keyframe") for name in names])
+    for field in ("jnt_range", "tendon_range", "actuator_ctrlrange", "actuator_forcerange"):
+        kind, _, name = field.partition("_")
+        limits = getattr(mj, field)
+        if np.any(wrong := limits[:, 0] > limits[:, 1]):
+            low, high = limits[np.flatnonzero(wrong)[0]]
+            where = named(mj, kind.replace("jnt", "joint"), wrong)
+            raise ValueError(f"{where} has the {name} {low:g} to {high:g}: give the lower limit first")
+    for name in LIMITS:
+        for value in mj.numeric_data[numeric(mj, name)]:
+            if not np.isfinite(value) or value != int(value) or value < -1:
+                raise ValueError(f"the model's {name} is {value:g}: give an integer, at least 0, or -1 for no limit")
+    if np.any(wrong := _massless_dofs(mj)):
+        joint = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong])
+        raise ValueError(f"{named(mj, 'joint', joint)} moves no mass: give its body a positive mass and inertia")
+
+
+def _massless_dofs(mj: mujoco.MjModel) -> np.ndarray:
+    """Whether a degree of freedom moves neither mass nor armature, shape (num_dofs,)."""
+    mass = np.array(mj.body_mass)
+    for body in range(mj.nbody - 1, 0, -1):
+        mass[mj.body_parentid[body]] += mass[body]
+    return (mass[mj.dof_bodyid] <= 0.0) & (mj.dof_armature <= 0.0)
+
+
+__all__ = ["check_compiled", "check_unit_lengths", "has_invalid_parameters", "parameter_numbers"]

@@ -1,4 +1,4 @@
-"""Contact of boxes with planes: all four lower corners, however deep."""
+"""Plane-box contact at the four lower corners, at any depth."""
 
 import itertools
 
@@ -16,17 +16,17 @@ def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_
 
     Args:
       plane: a point of the plane [m], shape (3,).
-      normal: unit vector out of it, shape (3,).
-      center: of the box [m], shape (3,).
+      normal: unit normal out of the plane, shape (3,).
+      center: center of the box [m], shape (3,).
       rotation: from the box's frame to the world's, shape (3, 3).
-      half_size: of the box [m], shape (3,).
+      half_size: half sizes of the box [m], shape (3,).
 
     Returns:
       Signed distances [m], shape (4,), and points halfway between corner and plane [m], shape (4, 3).
 
-    Gradient: exact while the same corners are the lower ones; where two change places they are equally high.
-    Source: MuJoCo's own plane and box. MJX keeps of the corners those within 1 mm of the deepest, so that a soft box
-      which tilts loses the force of its other corners from one step to the next.
+    Gradient: exact while the same corners are the lower ones; two corners that swap are equally high.
+    Source: MuJoCo's plane-box collision. MJX keeps only corners within 1 mm of the deepest, so a soft box that tilts
+      suddenly loses the force of its other corners.
     """
     arms = jnp.sum(rotation * (jnp.asarray(_CORNERS, half_size.dtype) * half_size)[:, None, :], axis=-1)
     height = jnp.sum(arms * normal, axis=-1)

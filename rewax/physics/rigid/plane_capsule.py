@@ -1,4 +1,4 @@
-"""Contact of capsules with planes: both ends, with friction along the capsule and across it."""
+"""Plane-capsule contact at both ends, with friction directions along the capsule and across it."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ from rewax.physics.rigid.small_products import cross
 from rewax.types import Array
 
 _UPRIGHT = 0.1
-"""Sine of the angle between axis and normal below which the directions of friction have no derivative."""
+"""Sine of the angle between axis and normal. Below it the directions of friction have no derivative."""
 
 
 def plane_capsule(plane: Array, normal: Array, center: Array, axis: Array, size: Array) -> tuple[Array, Array, Array]:
@@ -15,19 +15,19 @@ def plane_capsule(plane: Array, normal: Array, center: Array, axis: Array, size:
 
     Args:
       plane: a point of the plane [m], shape (3,).
-      normal: unit vector out of it, shape (3,).
-      center: of the capsule [m], shape (3,).
-      axis: unit vector along it, shape (3,).
-      size: radius and half the length of the axis [m], shape (2,).
+      normal: unit normal out of the plane, shape (3,).
+      center: center of the capsule [m], shape (3,).
+      axis: unit vector along the capsule, shape (3,).
+      size: radius and half length of the axis [m], shape (2,).
 
     Returns:
       Signed distances [m], shape (2,); points halfway between surface and plane [m], shape (2, 3); their
-      frame, whose rows are the normal, the direction of the axis along the plane and the third, shape (3, 3).
+      common frame with rows normal, direction of the axis in the plane, and their cross product, shape (3, 3).
 
-    Gradient: exact, but that the directions of friction are held while the capsule stands within 6 degrees of upright,
-      where they turn at once as it tilts.
-    Source: MuJoCo's plane and capsule. MJX takes fixed directions within 30 degrees of upright, which turns the pyramid
-      of friction.
+    Gradient: exact, except that the directions of friction are held within 6 degrees of upright, where a small tilt
+      rotates them by a large angle.
+    Source: MuJoCo's plane-capsule collision. MJX uses fixed directions within 30 degrees of upright, which rotates the
+      friction pyramid.
     """
     lean = axis - normal * jnp.sum(axis * normal)
     square = jnp.sum(lean * lean)

@@ -1,4 +1,4 @@
-"""What can be asked of a state: poses, velocities, shapes for pictures, distances."""
+"""Quantities of a state: poses, velocities, shapes to draw, distances."""
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
@@ -18,44 +18,48 @@ from rewax.physics.rigid.forces import (
 from rewax.physics.rigid.kinematics import body_velocities as spatial_velocities
 from rewax.physics.rigid.kinematics import point_velocities
 from rewax.physics.rigid.mjx_access import mujoco
-from rewax.physics.rigid.model import RigidModel, RigidState
+from rewax.physics.rigid.model import RigidModel, RigidState, check_state
 from rewax.types import Array
 
 
 def body_poses(model: RigidModel, state: RigidState) -> Pose:
     """Origin and orientation of every body's frame, shapes (num_bodies, 3) and (num_bodies, 3, 3). Gradient: exact."""
+    check_state(model, state)
     kin = kinematics(model, state.qpos)
     return Pose(kin.position, kin.rotation)
 
 
 def geom_poses(model: RigidModel, state: RigidState) -> Pose:
     """Center and orientation of every geom, shapes (num_geoms, 3) and (num_geoms, 3, 3). Gradient: exact."""
+    check_state(model, state)
     kin = kinematics(model, state.qpos)
     return attached(kin, model.static.mj.geom_bodyid, model.parameters["geom_pos"], model.parameters["geom_quat"])
 
 
 def body_velocities(model: RigidModel, state: RigidState) -> tuple[Array, Array]:
-    """Velocity of each body's origin [m/s] and its angular velocity [rad/s], world axes, shape (num_bodies, 3) each.
+    """Velocity of each body's origin [m/s] and angular velocity [rad/s], world axes, shape (num_bodies, 3) each.
 
     Gradient: exact.
     """
+    check_state(model, state)
     kin = kinematics(model, state.qpos)
     twist = spatial_velocities(model.static.topology, kin, state.qvel)
     return point_velocities(kin, twist, jnp.arange(model.num_bodies), kin.position), twist[:, :3]
 
 
 def centers_of_mass(model: RigidModel, state: RigidState) -> Array:
-    """Of each body together with all that hangs on it [m], shape (num_bodies, 3); row 0: of everything."""
+    """Center of mass of each body's subtree [m], shape (num_bodies, 3); row 0: of all bodies. Gradient: exact."""
+    check_state(model, state)
     return kinematics(model, state.qpos).subtree_com
 
 
 def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
-    """Drawings of the geoms for pictures; ``rewax.viz.shapes`` has a table of their keys.
+    """Shapes of the geoms to draw; ``rewax.viz.shapes`` has a table of their keys.
 
-    Height fields and geoms given by a signed distance (``type="sdf"``) are left out, and geoms of the groups 3 to 5,
-    which MuJoCo's viewer hides, of a body that has others. Vertices and triangles of meshes are the same numpy arrays
-    every time.
+    Height fields and geoms of ``type="sdf"`` are left out. Geoms of groups 3 to 5, which MuJoCo's viewer hides, are
+    left out if their body has other geoms. Every call returns the same NumPy arrays for meshes.
     """
+    check_state(model, state)
     mj, pose = model.static.mj, geom_poses(model, state)
     hidden = mj.geom_group > 2
     shown = set(mj.geom_bodyid[~hidden])
@@ -84,7 +88,7 @@ def shapes(model: RigidModel, state: RigidState) -> list[dict[str, Any]]:
 
 @functools.lru_cache(maxsize=256)
 def _mesh(static: Any, mesh: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] and triangles of a mesh of the model, in the frame that MuJoCo gives its geoms."""
+    """Vertices [m] and triangles of a mesh of the model, in the frame of its geoms."""
     mj = static.mj
     vertices, triangles = (
         slice(first[mesh], first[mesh] + count[mesh])
@@ -94,16 +98,19 @@ def _mesh(static: Any, mesh: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def contact_distances(model: RigidModel, state: RigidState, *, body: str | None = None) -> Array:
-    """Signed distance of every pair that may touch [m], negative inside, shape (num_contacts,); 1 for unused slots.
+    """Signed distances of all pairs that may touch [m], negative inside, shape (num_contacts,); 1 in unused slots.
 
     Args:
       model: the bodies.
-      state: where they are.
-      body: name of a body: 1 for all pairs without it.
+      state: their state.
+      body: name of a body; pairs without it get distance 1. None: all pairs.
 
     Raises:
-      ValueError: there is no such body; the message says which there are.
+      ValueError: there is no such body. The message lists the known names.
+
+    Gradient: that of ``collide``.
     """
+    check_state(model, state)
     m, d = mjx_data(model, kinematics(model, state.qpos), state, jnp.zeros(model.num_actuators, state.qpos.dtype))
     found = contacts(model, m, d)
     if body is None:

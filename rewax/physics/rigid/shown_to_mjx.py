@@ -1,4 +1,4 @@
-"""Models as MJX is shown them: with only those contacts that it has to find."""
+"""Models that rewax passes to MJX, restricted to the contacts that MJX has to find."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -13,10 +13,10 @@ from rewax.physics.rigid.mjx_access import mjx, mujoco
 
 
 def with_groups_that_touch(mj: mujoco.MjModel, groups: Sequence[GeomPairs]) -> mujoco.MjModel:
-    """A copy of a model for ``mjx.put_model`` in which only geoms of these groups touch.
+    """A copy of a model for ``mjx.put_model`` in which only geoms of the kinds of these groups touch.
 
-    MJX refuses kinds that it cannot collide and meshes with a margin, and prepares meshes that may touch. More geoms of
-    the same kinds may touch here than in the model.
+    ``put_model`` refuses kinds that MJX cannot collide and meshes with a margin, and prepares meshes that may touch.
+    In the copy more geoms of the same kinds may touch than in the model.
     """
     mj = copy.copy(mj)
     pairs = [(group.kinds, group.geoms[group.listed < 0]) for group in groups]
@@ -31,24 +31,24 @@ def with_groups_that_touch(mj: mujoco.MjModel, groups: Sequence[GeomPairs]) -> m
     mj.geom_margin[np.setdiff1d(np.arange(mj.ngeom), [*with_meshes])] = 0.0
     listed = {int(pair) for group in groups for pair in group.listed}
     for pair in set(range(mj.npair)) - listed:
-        # A pair cannot be taken from a compiled model. But two geoms of one kind MJX can collide, if not two planes.
+        # A pair cannot be removed from a compiled model. But MJX can collide two geoms of one kind other than plane.
         geoms = int(mj.pair_geom1[pair]), int(mj.pair_geom2[pair])
         mj.pair_geom1[pair] = mj.pair_geom2[pair] = max(geoms, key=lambda geom: int(mj.geom_type[geom]))
     return mj
 
 
 def without_contacts(mj: mujoco.MjModel, m: mjx.Model) -> mjx.Model:
-    """MJX's model of one in which nothing touches, and as many contacts count as there are."""
+    """MJX's model without contacts and without a limit of their number."""
     none, numbers = np.zeros_like(m.geom_contype), np.array(m.numeric_data)
     numbers[mjcf.numeric(mj, "max_contact_points")] = -1
     return m.replace(npair=0, geom_contype=none, geom_conaffinity=none, numeric_data=numbers)
 
 
 def with_one_group(m: mjx.Model, group: GeomPairs) -> mjx.Model:
-    """A model in which nothing touches, with the pairs of a group as explicit ones; without a limit of contacts.
+    """A model without other contacts, with the pairs of a group as its explicit pairs.
 
-    MJX hands a pair's margin on to its contacts and does nothing else with it. So here it is the pair's number in the
-    group, which says whose contacts they are where MJX leaves pairs out.
+    MJX only copies a pair's margin to its contacts. So here the margin is the pair's index in the group, which tells
+    whose contacts they are if MJX leaves pairs out.
     """
     num = len(group.geoms)
     sizes = {"friction": 5, "solref": mujoco.mjNREF, "solreffriction": mujoco.mjNREF, "solimp": mujoco.mjNIMP}

@@ -1,4 +1,4 @@
-"""Products of small matrices that fuse, and in full precision."""
+"""Products of small matrices, in full precision and in a form that XLA fuses."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ def dot(a: np.ndarray | Array, b: Array) -> Array:
     """Matrix product in full precision (accelerators round float32 products otherwise).
 
     Args:
-      a: shape (n, k). A constant, an array of NumPy, becomes sums on a GPU, which fuse with what is around them.
+      a: shape (n, k). On a GPU, products with a NumPy array become sums, which fuse with neighbouring operations.
       b: shape (k,) or (k, m).
     """
     if isinstance(a, np.ndarray):
@@ -31,12 +31,12 @@ def dot(a: np.ndarray | Array, b: Array) -> Array:
 
 
 class _Table(NamedTuple):
-    """A constant matrix and what it is multiplied with: a vector or a matrix, either with more axes in front."""
+    """Static data of a product of a constant matrix with a vector or a matrix, with any leading batch axes."""
 
     vector: bool
 
     def batched(self, which: tuple[bool, ...]) -> "_Table":
-        del which  # the passes take a matrix with or without the axes of what it is multiplied with
+        del which  # the rules accept a matrix without the other operand's batch axes
         return self
 
 
@@ -70,48 +70,48 @@ _TRANSPOSED = ByPlatform(cpu=_product_of_transposed, other=_sums_of_transposed)
 
 
 def select(index: np.ndarray, table: Array) -> Array:
-    """``table[index]`` for a constant index; as a matrix product, whose transpose needs no scatter."""
+    """``table[index]`` for a constant index, as a matrix product, so that its transpose needs no scatter."""
     onehot = np.eye(table.shape[0])[index]
     return dot(onehot, table.reshape(table.shape[0], -1)).reshape(len(index), *table.shape[1:])
 
 
-def spread(index: np.ndarray, values: Array, size: int) -> Array:
-    """An array of ``size`` entries that has the values at constant places, shape (len(index),), and zeros elsewhere."""
-    places = _Places(tuple(int(i) for i in index), size)
-    return linear_call(_SPREAD, _PICK, places, (), (values,))[0]
+def scatter(index: np.ndarray, values: Array, size: int) -> Array:
+    """An array of ``size`` entries with the values, shape (len(index),), at constant indices and zeros elsewhere."""
+    target = _Target(tuple(int(i) for i in index), size)
+    return linear_call(_SCATTER, _GATHER, target, (), (values,))[0]
 
 
-class _Places(NamedTuple):
-    """Different places in a vector."""
+class _Target(NamedTuple):
+    """Distinct indices into a vector of ``size`` entries."""
 
     index: tuple[int, ...]  # pyright: ignore[reportIncompatibleMethodOverride]
     size: int
 
 
-def _spread(static: _Places, residuals: Arrays, arrays: Arrays) -> Arrays:
+def _scatter(static: _Target, residuals: Arrays, arrays: Arrays) -> Arrays:
     del residuals
     (values,) = arrays
     zeros = jnp.zeros((*values.shape[:-1], static.size), values.dtype)
     return (zeros.at[..., np.array(static.index, int)].set(values, unique_indices=True),)
 
 
-def _pick(static: _Places, residuals: Arrays, arrays: Arrays) -> Arrays:
+def _gather(static: _Target, residuals: Arrays, arrays: Arrays) -> Arrays:
     del residuals
     return (arrays[0][..., np.array(static.index, int)],)
 
 
-def _spread_as_sums(static: _Places, residuals: Arrays, arrays: Arrays) -> Arrays:
+def _scatter_as_sums(static: _Target, residuals: Arrays, arrays: Arrays) -> Arrays:
     del residuals
     onehot = jnp.asarray(np.eye(static.size)[:, np.array(static.index, int)], arrays[0].dtype)
     return _sums(_Table(vector=True), (onehot,), arrays)
 
 
-_SPREAD = ByPlatform(cpu=_spread, other=_spread_as_sums)
-_PICK = ByPlatform(cpu=_pick, other=_pick)
+_SCATTER = ByPlatform(cpu=_scatter, other=_scatter_as_sums)
+_GATHER = ByPlatform(cpu=_gather, other=_gather)
 
 
 def compose(a: Array, b: Array) -> Array:
-    """Products of small matrices, (..., n, n) each; as one reduction that fuses."""
+    """Products of small matrices, (..., n, n) each, as one reduction that fuses."""
     return jnp.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
 
 

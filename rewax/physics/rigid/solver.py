@@ -1,17 +1,16 @@
 """Constraint forces of articulated bodies: a convex problem in the joint accelerations, and its derivative.
 
-Each row of the constraints answers the acceleration J a of its contact, limit or friction with the force of a spring
-that is bounded from both sides, f = clip(-D (J a - a_ref), lower, upper): without bounds for an equality, between
-minus and plus the dry friction of a joint, and never negative for a contact or a limit. Accelerations are where all
-forces balance,
+Each constraint row exerts the force of a bounded spring on its acceleration J a: f = clip(-D (J a - a_ref), lower,
+upper). Equalities have no bounds. Dry friction is bounded by plus and minus its limit. Forces of contacts and limits
+are never negative. The accelerations satisfy
 
     M a = force + J^T f(a),
 
-the minimum of a strictly convex, piecewise quadratic function. Newton's method with an exact line search finds it in a
-few steps and knows when it is there: a full step that clips the same rows as before is exact.
+which is the minimum of a strictly convex, piecewise quadratic function. Newton's method with an exact line search finds
+it in a few steps. It has converged when a full step clips the same rows as the step before.
 
 Source: Todorov 2014, Convex and analytically-invertible dynamics with contacts and constraints, section IV (primal
-form, pyramidal cones), as in MuJoCo's Newton solver; the line search over the kinks is our own.
+form, pyramidal cones), as in MuJoCo's Newton solver. Deviation: the line search over the kinks is rewax's own.
 """
 
 import functools
@@ -32,20 +31,19 @@ class Rows(NamedTuple):
     jacobian: Array
     """J, shape (num_rows, num_dofs)."""
     stiffness: Array
-    """D > 0: force per unit of missed acceleration, shape (num_rows,)."""
+    """D > 0: force per unit of J a - a_ref, shape (num_rows,)."""
     target: Array
     """a_ref: acceleration at which the force is zero, shape (num_rows,)."""
     lower: Array
-    """Smallest force, -inf where there is none, shape (num_rows,)."""
+    """Smallest force, or -inf, shape (num_rows,)."""
     upper: Array
-    """Largest force, inf where there is none, shape (num_rows,)."""
+    """Largest force, or inf, shape (num_rows,)."""
 
 
 def row_forces(rows: Rows, qacc: Array) -> Array:
     """Force of each constraint at given accelerations [N or N m], shape (num_rows,).
 
-    Limits and contacts push alone (>= 0), pyramids of friction are contacts of their own, and dry friction stays within
-    its largest force.
+    Limits and contacts only push (>= 0). Each edge of a friction pyramid is a row. Dry friction is bounded.
 
     Gradient: exact, zero where clipped. Source: Todorov 2014, "Convex and analytically-invertible dynamics with
       contacts and constraints in MuJoCo".
@@ -54,7 +52,7 @@ def row_forces(rows: Rows, qacc: Array) -> Array:
 
 
 def curvature(mass: Array, rows: Rows, qacc: Array) -> Array:
-    """M + J^T D J over the rows that are not clipped, shape (num_dofs, num_dofs): symmetric, positive definite."""
+    """M + J^T D J over the unclipped rows, shape (num_dofs, num_dofs): symmetric, positive definite."""
     return _curvature(mass, rows, _side(rows, _dot(rows.jacobian, qacc) - rows.target))
 
 
@@ -68,8 +66,8 @@ def solve_accelerations(
       force: generalized forces without those of the constraints, shape (num_dofs,).
       rows: the constraints.
       start: first guess, shape (num_dofs,); only the number of iterations depends on it.
-      max_iterations: bound on Newton's steps.
-      num_bounded: so many of the first rows can have a finite upper bound.
+      max_iterations: largest number of Newton steps.
+      num_bounded: number of leading rows that can have a finite upper bound.
 
     Gradient: none; see ``implicit_correction``.
     """
@@ -103,16 +101,16 @@ def solve_accelerations(
 def implicit_correction(matrix: Array, residual: Array, *, symmetric: bool = True) -> Array:
     """Returns zero. Its derivative is that of ``solve(matrix, residual)``.
 
-    The residual has to be zero: that of a solver that has converged. ``a - implicit_correction(curvature, M a - force
-    - J^T f(a))``, with a and the matrix held fixed, has the value of a. Its derivative is that of the solution, by the
-    implicit function theorem.
+    The residual must be zero, that of a converged solver. ``a - implicit_correction(curvature, M a - force - J^T
+    f(a))``, with a and the matrix held fixed, has the value of a. By the implicit function theorem its derivative is
+    that of the solution.
 
     Args:
-      matrix: positive definite, shape (n, n); no derivative is taken of it.
+      matrix: positive definite, shape (n, n); it gets no derivative.
       residual: shape (n,).
       symmetric: whether the matrix is.
 
-    Gradient: forward and reverse, with respect to the residual.
+    Gradient: with respect to the residual, forward (JVP) and reverse (VJP).
     """
     return _implicit_correction(symmetric, jax.lax.stop_gradient(matrix), residual)
 
@@ -140,17 +138,17 @@ def _implicit_correction_jvp(
 
 @jax.custom_batching.custom_vmap
 def solve_spd(matrix: Array, vector: Array) -> Array:
-    """x with matrix x = vector, for a positive definite matrix, shape (n,).
+    """Solves ``matrix x = vector`` for a positive definite matrix; x has shape (n,).
 
-    Gauss-Jordan elimination, which needs no pivots here, in one small loop: batches of LAPACK's Cholesky can wait for
-    each other for ever on a CPU (jaxlib 0.10). Gradient: none.
+    Gauss-Jordan elimination without pivots, in one small loop. Batches of LAPACK's Cholesky can deadlock on a CPU
+    (jaxlib 0.10). Gradient: none.
     """
     return _eliminate(matrix[..., None], vector[..., None])[..., 0]
 
 
 @solve_spd.def_vmap
 def _solve_batch(axis_size: int, batched: list[bool], matrix: Array, vector: Array) -> tuple[Array, bool]:
-    """The batch becomes the innermost axis, along which processors work on many numbers at once."""
+    """Makes the batch the innermost axis, along which processors vectorise."""
     matrix, vector = (
         jnp.moveaxis(a, 0, -1) if b else jnp.broadcast_to(a[..., None], (*a.shape, axis_size))
         for a, b in zip((matrix, vector), batched, strict=True)
@@ -179,8 +177,8 @@ def _elimination(static: None, residuals: Arrays, linear: Arrays, *, unroll: boo
     return (jax.lax.fori_loop(0, num, eliminate, table, unroll=True if unroll else None)[..., -1, :],)
 
 
-def _elimination_by_numbers(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
-    """Eliminate from the last unknown to the first: a tree's mass matrix keeps its zeros, which cost nothing.
+def _elimination_in_scalars(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Elimination from the last unknown to the first: a tree's mass matrix keeps its structural zeros.
 
     Source: Featherstone 2008, Rigid Body Dynamics Algorithms, section 6.5.
     """
@@ -198,11 +196,11 @@ def _elimination_by_numbers(static: None, residuals: Arrays, linear: Arrays) -> 
     return (solution,)
 
 
-# On a GPU each turn of a loop would be kernels and copies of its own.
+# On a GPU each iteration of a loop would launch kernels and copies of its own.
 _ELIMINATION = ByPlatform(
     cpu=functools.partial(_elimination, unroll=False),
     other=functools.partial(_elimination, unroll=True),
-    numbers=_elimination_by_numbers,
+    scalar=_elimination_in_scalars,
 )
 
 
@@ -211,7 +209,7 @@ def _forces(rows: Rows, missed: Array) -> Array:
 
 
 def _side(rows: Rows, missed: Array) -> Array:
-    """0 for rows whose force is not clipped, -1 and 1 for those at their lower and upper bound."""
+    """0 for rows with unclipped force, -1 and 1 for rows at their lower and upper bound."""
     force = -rows.stiffness * missed
     return jnp.where(force <= rows.lower, -1, jnp.where(force >= rows.upper, 1, 0))
 
@@ -225,14 +223,14 @@ def _exact_line_search(rows: Rows, missed: Array, change: Array, slope: Array, c
 
     Args:
       rows: the constraints.
-      missed: J a - a_ref, and its change per unit of length, shape (num_rows,).
-      change: J times the direction.
+      missed: J a - a_ref, shape (num_rows,).
+      change: J times the direction, the change of ``missed`` per unit of length, shape (num_rows,).
       slope: derivative of the whole cost at length 0, negative.
-      curve: curvature of its quadratic part without the constraints.
-      num_bounded: so many of the first rows can have a finite upper bound.
+      curve: curvature of the cost without the constraints.
+      num_bounded: number of leading rows that can have a finite upper bound.
 
-    The derivative grows piecewise linearly, with kinks where a row begins or ceases to be clipped. It is evaluated at
-    all kinks; between the last where it is negative and the first where it is not it is a line.
+    The derivative is piecewise linear and increasing, with kinks where a row begins or ceases to be clipped. It is
+    evaluated at all kinks. Between the last kink with a negative value and the next one it is linear.
     """
     begin = _forces(rows, missed)
 

@@ -10,6 +10,7 @@ from rewax import struct
 from rewax.physics.contact.penalty import PenaltyContact, penalty_force
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers, numbers_of
 from rewax.physics.numerics.components import join_vector, split_vector
+from rewax.physics.rigid.argument_checks import check_instance, check_plain
 from rewax.physics.rigid.kinematics import Kinematics, moving_points
 from rewax.types import Array, Scalar
 
@@ -20,24 +21,24 @@ _UNIT = "see Penalty for its unit"
 class Penalty(struct.Replaceable):
     """Contact and joint limits as springs and dampers, explicit in time.
 
-    Friction coefficients are the geoms' own. Explicit integration bounds stiffness and damping: roughly
+    Friction coefficients are those of the geoms. Explicit integration bounds stiffness and damping: roughly
     stiffness dt^2 < mass and damping dt < mass.
 
     Attributes:
       stiffness: normal force per penetration [N/m].
       damping: normal force per approaching speed [N s/m].
       friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m].
-      onset: depth over which both dampings rise to their full value [m]; 0: at once, a step in time that no gradient
-        sees.
-      depth_damping: normal force per depth and approaching speed, in addition [N s/m^2].
-      limit_stiffness, limit_damping: of joint limits, per angle or distance beyond them and per rate [N m/rad,
+      onset: depth over which both dampings rise to their full value [m]. 0: at once, a jump in time that gradients do
+        not see.
+      depth_damping: additional normal force per depth and approaching speed [N s/m^2].
+      limit_stiffness, limit_damping: torque of a joint limit per angle or distance beyond it, and per rate [N m/rad,
         N m s/rad].
-      among: the law of contacts between two bodies of one tree; its limits do not count. None: this law.
+      among: contact law between bodies of one tree; its ``limit_*`` are ignored. None: this law.
       at_surfaces: where a contact acts (static). False: halfway between the two surfaces. True: on each body at its own
-        surface, the deepest point of its shape, as in NVIDIA Warp. Friction between two bodies then has a torque of
-        depth times force that nothing balances.
-      boxes_touch_once: how the boxes of an explicit pair touch (static). False: at up to four points, those of MJX.
-        True: at one, which takes less time; see ``box_box``.
+        surface, the deepest point of its shape, as in NVIDIA Warp. Friction between two bodies then exerts an
+        unbalanced torque of depth times force.
+      boxes_touch_once: contact of explicit box-box pairs (static). False: at up to four points, found by MJX. True: at
+        one point, which takes less time; see ``box_box``.
     """
 
     stiffness: Scalar = struct.number(NOT_NEGATIVE, _UNIT)
@@ -52,7 +53,7 @@ class Penalty(struct.Replaceable):
     boxes_touch_once: bool = struct.static_field(default=False)
 
     def contact(self) -> PenaltyContact:
-        """The law of a contact's force. Gradient: exact."""
+        """The contact law without the joint limits. Gradient: exact."""
         return PenaltyContact(**{name: getattr(self, name) for name in _CONTACT})
 
 
@@ -60,24 +61,30 @@ _CONTACT = ("stiffness", "damping", "friction_damping", "onset", "depth_damping"
 
 
 def penalty_numbers(penalty: Penalty) -> list[Number]:
-    """The numbers of the law, and what they may be."""
+    """Parameters of the law with their legal values."""
     laws = (penalty, *([] if penalty.among is None else [penalty.among]))
     return [number for law in laws for number in numbers_of(law, "the penalty's ")]
 
 
 def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
-    """Raise a ValueError for numbers that cannot be, or that are unstable whatever touches.
+    """Raises a ValueError for illegal parameters, and for parameters that are unstable for any contact.
 
     Args:
       penalty: the law.
-      mass: of the heaviest tree of bodies [kg].
+      mass: mass of the heaviest tree of bodies [kg].
       dt: duration of a substep [s].
     """
-    if not isinstance(penalty, Penalty):
-        raise ValueError(f"penalty is {penalty!r}: give a Penalty(stiffness=...)")
-    check_numbers(penalty_numbers(penalty))
+    check_instance("penalty", penalty, Penalty, "give a Penalty(stiffness=...)")
     if penalty.among is not None:
+        check_instance("the penalty's among", penalty.among, Penalty, "give a Penalty(stiffness=...), or None")
         check_penalty(penalty.among, mass, dt)
+    for number in penalty_numbers(penalty):
+        check_plain(number.name, number.value, number.remedy)
+        check_numbers([number])
+        if jnp.ndim(number.value):
+            raise ValueError(f"{number.name} has shape {jnp.shape(number.value)}: give one number")
+    for name in ("at_surfaces", "boxes_touch_once"):
+        check_instance(f"the penalty's {name}", getattr(penalty, name), bool, "give True or False")
     for name, unit, bound in (("stiffness", "N/m", 4.0 * mass / dt**2), ("damping", "N s/m", 2.0 * mass / dt)):
         value = getattr(penalty, name)
         if not isinstance(value, jax.core.Tracer) and np.max(value) > bound:
@@ -100,18 +107,19 @@ def contact_wrenches(
     half_gap: Array | None = None,
     of_one_tree: Array | None = None,
 ) -> Array:
-    """Wrenches of contacts on all bodies, as ``kinematics.generalized_forces`` takes them, shape (num_bodies, 6).
+    """Wrenches of contacts on all bodies, for ``kinematics.generalized_forces``, shape (num_bodies, 6).
 
     Args:
       penalty: the law.
-      kin, velocities: where the bodies are, and their spatial velocities, shape (num_bodies, 6).
-      distance: between the surfaces [m], negative inside, shape (n,).
-      point, normal: of contact, in the world; the normal points from the first body to the second, shape (n, 3).
+      kin: kinematics of the tree.
+      velocities: spatial velocities of the bodies, shape (num_bodies, 6).
+      distance: distance between the surfaces [m], negative inside, shape (n,).
+      point: contact points in the world [m], shape (n, 3).
+      normal: unit normals from the first body to the second, world axes, shape (n, 3).
       friction: Coulomb coefficients [-], shape (n,).
       bodies: first and second body of each contact, shape (n, 2), int.
-      half_gap: half the distance between the surfaces [m], negative inside, shape (n,): read where contacts act at the
-        bodies' surfaces.
-      of_one_tree: whether both bodies hang on one tree, shape (n,), bool: read where these have a law of their own.
+      half_gap: half the distance between the surfaces [m], negative inside, shape (n,); read if ``at_surfaces``.
+      of_one_tree: whether both bodies belong to one tree, shape (n,), bool; read if the law has ``among``.
 
     Gradient: exact; see ``penalty.penalty_force``.
     """
@@ -120,8 +128,8 @@ def contact_wrenches(
     if penalty.at_surfaces and half_gap is not None:
         shift = half_gap[:, None] * normal
         on_first, on_second = point - shift, point + shift
-    body, place = jnp.concatenate([second, first]), jnp.concatenate([on_second, on_first])
-    speed, wrenches = moving_points(kin, velocities, body, place)
+    body, acts_at = jnp.concatenate([second, first]), jnp.concatenate([on_second, on_first])
+    speed, wrenches = moving_points(kin, velocities, body, acts_at)
     sliding = speed[: len(distance)] - speed[len(distance) :]
     law = penalty.contact()
     if penalty.among is not None and of_one_tree is not None:
@@ -131,14 +139,14 @@ def contact_wrenches(
 
 
 def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) -> Array:
-    """Forces of joints' limits [N m, or N for slides], shape (n,).
+    """Forces of joint limits [N m, or N for slides], shape (n,).
 
     Args:
       penalty: the law.
-      limits: lower and upper, shape (n, 2).
-      position, rate: of each joint, shape (n,).
+      limits: lower and upper limits, shape (n, 2).
+      position, rate: position and rate of each joint, shape (n,).
 
-    Gradient: exact; the damping sets in at the limit, a step that no derivative sees.
+    Gradient: exact, except for the jump of the damping at the limit.
     """
     beyond = jnp.minimum(position - limits[:, 0], 0.0) + jnp.maximum(position - limits[:, 1], 0.0)
     return jnp.where(beyond != 0, -penalty.limit_stiffness * beyond - penalty.limit_damping * rate, 0.0)

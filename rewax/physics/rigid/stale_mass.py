@@ -2,11 +2,11 @@
 
 Warp's integrator can compute the mass matrix at the first of several substeps and keep it for the others
 (``update_mass_matrix_every``). The velocity of its free joint is a twist about the world's origin: the angular
-velocity, and the velocity of the body's point at the origin. A mass matrix kept in these coordinates belongs to a body
-that stands still in the world. Once the body has moved by r, a force f on it also has the effect of a torque r x f that
-does not exist. The effect grows with the speed and with the number of substeps.
+velocity, and the velocity of the body's point at the origin. A mass matrix kept in these coordinates describes a body
+at its old position. Once the body has moved by r, a force f on it also acts like a torque r x f that does not exist.
+The error grows with the speed and the number of substeps.
 
-This is for comparisons with that simulator. ``stepping.step`` renews the mass matrix at every substep.
+This module serves comparisons with that simulator. ``stepping.step`` renews the mass matrix at every substep.
 """
 
 import jax
@@ -19,7 +19,7 @@ from rewax.physics.rigid import solver as constraint_solver
 from rewax.physics.rigid.forces import applied_forces, kinematics, mjx_data, tree_parameters
 from rewax.physics.rigid.kinematic_tree import JointType
 from rewax.physics.rigid.kinematics import integrate
-from rewax.physics.rigid.model import RigidModel, RigidState
+from rewax.physics.rigid.model import RigidModel, RigidState, check_state
 from rewax.physics.rigid.small_products import cross, dot, rotate
 from rewax.physics.rigid.stepping import checked_inputs
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix
@@ -33,21 +33,22 @@ def step_with_stale_mass(
 
     Args:
       model: one tree on a free joint under a penalty law, without damping of joints and without activations.
-      state: before.
-      ctrl: controls, held meanwhile, shape (num_actuators,); None: zero.
-      num_substeps: at least 1.
+      state: initial state.
+      ctrl: constant controls, shape (num_actuators,); None: zero.
+      num_substeps: number of substeps, at least 1.
 
     Returns:
-      The state after them. With one substep it differs from that of ``stepping.step`` by the order dt^2 alone: the
-      twist is kept while the body moves on.
+      The final state. For one substep it differs from that of ``stepping.step`` by the order dt^2, because the twist is
+      constant while the body moves.
 
     Gradient: exact for the discrete map, forward and reverse. Zero through ``qacc``.
-    Source: Warp's ``FeatherstoneIntegrator``. Any point at rest gives the same motion as the world's origin; here it is
-      where the free body starts, which keeps rounding small far from the origin.
+    Source: Warp's ``FeatherstoneIntegrator``. Any fixed point gives the same motion as the world's origin. Here it is
+      the initial position of the free body, which keeps rounding errors small.
 
     Raises:
-      ValueError: the model has something else, or a shape does not fit.
+      ValueError: the model is not such a tree, or an argument is illegal.
     """
+    check_state(model, state)
     check_can_keep_mass(model)
     ctrl, _ = checked_inputs(model, ctrl, None, num_substeps, state.qpos.dtype)
     origin, mass = state.qpos[:3], _mass_of_twists(model, state.qpos)
@@ -70,7 +71,7 @@ def check_can_keep_mass(model: RigidModel) -> None:
 
 
 def _mass(model: RigidModel, qpos: Array) -> Array:
-    """Mass matrix in the coordinates of ``_twist``, about the place of the free body, shape (num_dofs, num_dofs)."""
+    """Mass matrix in the coordinates of ``_twist``, about the free body's position, shape (num_dofs, num_dofs)."""
     with jax.default_matmul_precision("highest"):
         mass = mass_matrix(model.static.topology, tree_parameters(model), kinematics(model, qpos))
         turn = _rotation(qpos).T
@@ -99,7 +100,7 @@ def _velocities(qpos: Array, twist: Array, origin: Array) -> Array:
 
 
 def _balance(model: RigidModel, origin: Array, state: RigidState, ctrl: Array) -> tuple[Array, Array]:
-    """Forces on the coordinates of the twist that are left for its change, and the twist, shape (num_dofs,) each."""
+    """Generalized force that changes the twist (applied minus bias forces), and the twist, shape (num_dofs,) each."""
     topology, parameters = model.static.topology, tree_parameters(model)
     kin = kinematics(model, state.qpos)
     m, d = mjx_data(model, kin, state, ctrl)
@@ -113,7 +114,7 @@ def _balance(model: RigidModel, origin: Array, state: RigidState, ctrl: Array) -
 
 
 def _move(model: RigidModel, origin: Array, state: RigidState, twist: Array) -> RigidState:
-    """Move with a twist for a substep, which then belongs to the new place."""
+    """The state after a substep with a constant twist."""
     qpos = integrate(model.static.topology, state.qpos, _velocities(state.qpos, twist, origin), model.dt)
     return state.replace(qpos=qpos, qvel=_velocities(qpos, twist, origin))
 
@@ -128,7 +129,7 @@ def _advance(model: RigidModel, mass: Array, origin: Array, state: RigidState, c
 def _advance_derivative(
     known: RigidState, model: RigidModel, mass: Array, origin: Array, state: RigidState, ctrl: Array
 ) -> RigidState:
-    """What ``_advance`` returned, with its derivative: forces balance at the change found, by the given mass matrix."""
+    """``known``, the result of ``_advance``, with its derivative from the balance ``mass change = force``."""
     with jax.default_matmul_precision("highest"):
         force, twist = _balance(model, origin, state, ctrl)
         change = jax.lax.stop_gradient(known.qacc)

@@ -1,11 +1,12 @@
-"""Articulated rigid bodies: a state moved forward in time.
+"""Time stepping of articulated rigid bodies.
 
-MJX builds the constraint rows, and finds contacts of kinds that rewax has no function for (``mjx_access``).
-Kinematics, dynamics and the solver (``kinematics``, ``tree_dynamics``, ``solver``) are ours. Their derivative comes
-from the implicit function theorem: the backward pass neither repeats nor differentiates the solver.
+MJX builds the constraint rows, computes the forces of actuators and tendons, and finds contacts of kinds of geoms for
+which rewax has no function (``forces``, ``collide``). Kinematics, dynamics and the solver (``kinematics``,
+``tree_dynamics``, ``solver``) are rewax's own. The derivative of the solver comes from the implicit function theorem:
+the reverse derivative neither repeats nor differentiates the solver.
 
 Contact follows one of two laws: MuJoCo's soft constraints, or springs and dampers with regularised Coulomb friction
-(``Penalty``). The second is the law of the simulators that first-order reinforcement learning began with.
+(``Penalty``). Early simulators for first-order reinforcement learning use the second law.
 """
 
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
@@ -18,6 +19,7 @@ import numpy as np
 
 from rewax.lowering.machine import interpreted
 from rewax.physics.rigid import solver as constraint_solver
+from rewax.physics.rigid.argument_checks import check_instance, check_integer, real_array
 from rewax.physics.rigid.forces import (
     applied_forces,
     constraint_rows,
@@ -28,7 +30,7 @@ from rewax.physics.rigid.forces import (
 )
 from rewax.physics.rigid.kinematics import Kinematics, integrate
 from rewax.physics.rigid.mjx_access import mjx, mujoco
-from rewax.physics.rigid.model import RigidModel, RigidState, check_shape
+from rewax.physics.rigid.model import RigidModel, RigidState, check_shape, check_state
 from rewax.physics.rigid.parameter_checks import has_invalid_parameters
 from rewax.physics.rigid.small_products import dot
 from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spin_slopes
@@ -36,25 +38,34 @@ from rewax.status import Status, flag
 from rewax.types import Array
 
 _MIN_ITERATIONS = 4
-"""Of the solver, whatever the model says: the derivative is that of a balance that has been reached."""
+"""Smallest number of solver iterations: the derivative is exact only for a converged solution."""
 
 
 def initial_state(
     model: RigidModel, qpos: Array | np.ndarray | None = None, qvel: Array | np.ndarray | None = None
 ) -> RigidState:
-    """A state in given positions and velocities, by default the model's home, at rest; activations are zero.
+    """A state with given positions and velocities; by default the model's home at rest. Activations are zero.
 
     Raises:
-      ValueError: a shape does not fit, or a number is not finite.
+      ValueError: a shape differs from the model's, or a value is no finite number.
     """
+    check_instance("model", model, RigidModel, "give a model that rigid.load returned")
     dtype = model.parameters["qpos0"].dtype
-    # Copies: MuJoCo writes into its own arrays, which asarray may share.
-    qpos = model.home if qpos is None else jnp.array(qpos, dtype)
-    qvel = jnp.zeros(model.num_dofs, dtype) if qvel is None else jnp.array(qvel, dtype)
+    positions = "give joint positions, such as model.home"
+    # array, not asarray: MuJoCo may overwrite its own arrays.
+    qpos = model.home if qpos is None else jnp.array(real_array("qpos", qpos, positions), dtype)
+    qvel = (
+        jnp.zeros(model.num_dofs, dtype)
+        if qvel is None
+        else jnp.array(real_array("qvel", qvel, "give joint velocities"), dtype)
+    )
     for name, value, size in (("qpos", qpos, model.num_positions), ("qvel", qvel, model.num_dofs)):
         check_shape(name, value, (size,))
         if not isinstance(value, jax.core.Tracer) and not bool(jnp.all(jnp.isfinite(value))):
             raise ValueError(f"{name} holds a number that is not finite ({value}): give a finite start")
+    for start, _ in model.static.topology.quaternions:
+        if not isinstance(qpos, jax.core.Tracer) and not np.any(np.asarray(qpos)[start : start + 4]):
+            raise ValueError(f"qpos[{start}:{start + 4}] is a quaternion of zeros: give (1, 0, 0, 0) for no rotation")
     act = jnp.zeros(model.static.mj.na, qpos.dtype)
     return RigidState(qpos=qpos, qvel=qvel, act=act, qacc=jnp.zeros(model.num_dofs, qpos.dtype))
 
@@ -67,23 +78,24 @@ def step(
     wrenches: Array | None = None,
     num_substeps: int = 1,
 ) -> RigidState:
-    """The state ``num_substeps`` substeps of ``model.dt`` later (semi-implicit Euler, MuJoCo's).
+    """The state ``num_substeps`` substeps of ``model.dt`` later, with MuJoCo's semi-implicit Euler.
 
     Args:
       model: bodies, actuators, contact law.
-      state: before.
-      ctrl: controls, held meanwhile, shape (num_actuators,); None: zero.
-      wrenches: force [N] and torque [N m] at each body's centre of mass, world axes, held meanwhile, shape
-        (num_bodies, 6); None: none.
-      num_substeps: at least 1.
+      state: initial state.
+      ctrl: constant controls, shape (num_actuators,); None: zero.
+      wrenches: constant force [N] and torque [N m] at each body's center of mass, world axes, shape (num_bodies, 6);
+        None: zero.
+      num_substeps: number of substeps, at least 1.
 
-    Gradient: exact for the discrete map, forward and reverse, with respect to state, controls, wrenches and parameters;
-      the backward pass keeps a state per substep. Zero through ``qacc`` and saturated controls. The solver takes the
-      model's ``iterations``, but at least 4: forces that do not balance yet have another derivative.
+    Gradient: exact for the discrete map, forward (JVP) and reverse (VJP), with respect to state, controls, wrenches and
+      parameters. The reverse derivative stores one state per substep. Zero through ``qacc`` and saturated controls. The
+      solver takes the model's ``iterations``, but at least 4, because the derivative assumes that it has converged.
 
     Raises:
-      ValueError: a shape does not fit.
+      ValueError: a shape differs from the model's, or an argument is no number.
     """
+    check_state(model, state)
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, state.qpos.dtype)
 
     def substep(state: RigidState, _: None) -> tuple[RigidState, None]:
@@ -95,31 +107,36 @@ def step(
 def checked_inputs(
     model: RigidModel, ctrl: Array | None, wrenches: Array | None, num_substeps: int, dtype: Any
 ) -> tuple[Array, Array]:
-    """Controls and wrenches of ``step``, zero where none are given.
+    """Controls and wrenches of ``step`` as arrays, zero by default.
 
     Raises:
-      ValueError: a shape does not fit, or the number of substeps is none.
+      ValueError: a shape differs from the model's, or an argument is no number.
     """
-    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else jnp.asarray(ctrl, dtype)
-    wrenches = jnp.zeros((model.num_bodies, 6), dtype) if wrenches is None else jnp.asarray(wrenches, dtype)
+    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else real_array("ctrl", ctrl, "give an array")
+    wrenches = (
+        jnp.zeros((model.num_bodies, 6), dtype)
+        if wrenches is None
+        else real_array("wrenches", wrenches, "give an array")
+    )
+    ctrl, wrenches = jnp.asarray(ctrl, dtype), jnp.asarray(wrenches, dtype)
     check_shape("ctrl", ctrl, (model.num_actuators,), " (one number per actuator of the model)")
     check_shape("wrenches", wrenches, (model.num_bodies, 6), " (force and torque per body, the world included)")
-    if not isinstance(num_substeps, (int, np.integer)) or num_substeps < 1:
-        raise ValueError(f"num_substeps is {num_substeps}: give a whole number, at least 1")
+    check_integer("num_substeps", num_substeps, 1)
     return ctrl, wrenches
 
 
 def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
-    """Status bits of a state and of the model that led to it.
+    """Status bits of a state and of its model.
 
     Args:
-      state: bodies. A number that is not finite, or beyond a million (it soon will be), sets ``NAN``.
-      model: its numbers that cannot be (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None:
-        they are not looked at.
+      state: the bodies. A value that is not finite, or whose size is a million or more, sets ``NAN``.
+      model: illegal parameters (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None: do not
+        check parameters.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
+    check_instance("state", state, RigidState, "give a state that rigid.initial_state returned")
     largest = jnp.max(jnp.abs(jnp.concatenate([state.qpos, state.qvel])), initial=0.0)
     status = flag(~(largest < 1e6), Status.NAN)
     if model is None:
@@ -129,15 +146,15 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
 
 
 def rates(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) -> tuple[Array, RigidState]:
-    """How a substep changes the velocity.
+    """The change of velocity in a substep.
 
     Args:
       model, state: as for ``step``.
-      ctrl, wrenches: as for ``step``; none may be missing.
+      ctrl, wrenches: as for ``step``, but not None.
 
     Returns:
-      The acceleration that the velocity would change with [m/s^2, rad/s^2], shape (num_dofs,); the state after the
-      substep, whose activations and ``qacc`` hold also where something else changes the velocity. Gradient: exact.
+      The change of velocity per time [m/s^2, rad/s^2], shape (num_dofs,); the state after the substep. Its activations
+      and ``qacc`` stay valid if a caller changes the velocity otherwise. Gradient: exact.
     """
     after, rate = _substep(model, state, ctrl, wrenches)
     return rate, after
@@ -147,7 +164,7 @@ def rates(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) ->
 
 
 def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) -> tuple[RigidState, Array]:
-    """One substep; the state after it, and the acceleration that its velocity changed with, shape (num_dofs,)."""
+    """The state after one substep, and its change of velocity per time, shape (num_dofs,)."""
     with jax.default_matmul_precision("highest"):
         topology, parameters = model.static.topology, tree_parameters(model)
         kin = kinematics(model, state.qpos)
@@ -175,7 +192,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
 def _acceleration_derivative(
     known: tuple[RigidState, Array], model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array
 ) -> tuple[RigidState, Array]:
-    """What ``_accelerate`` returned, with its derivative: all forces balance at the accelerations found."""
+    """``known``, the result of ``_accelerate``, with its derivative from the balance of forces."""
     with jax.default_matmul_precision("highest"):
         topology, parameters = model.static.topology, tree_parameters(model)
         qacc, rate = jax.lax.stop_gradient((known[0].qacc, known[1]))
@@ -209,10 +226,10 @@ _substep = interpreted(_accelerate, derivative_of=_acceleration_derivative)
 def _damped(
     model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data, mass: Array, rate: Array
 ) -> tuple[Array, Array]:
-    """The matrix of a step implicit in velocity, and what velocity takes from the forces at an acceleration.
+    """Matrix of a step that is implicit in velocity, and the damping force at an acceleration.
 
-    In MuJoCo's Euler step by the damping of joints. In its implicitfast by all damping, and by inertia of bodies that
-    fly alone.
+    MuJoCo's Euler step includes the damping of joints. Its implicitfast includes all damping, and for single free
+    bodies the gyroscopic terms.
     """
     if not model.static.is_implicit:
         damping = model.dt * model.parameters["dof_damping"]

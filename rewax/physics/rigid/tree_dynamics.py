@@ -1,4 +1,4 @@
-"""Inertia and inverse dynamics of a tree of rigid bodies.
+"""Mass matrix (CRBA) and inverse dynamics (RNEA) of a tree of rigid bodies.
 
 Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5 and 6.
 """
@@ -16,23 +16,23 @@ from rewax.types import Array
 
 
 def mass_matrix(topology: TreeTopology, parameters: TreeParameters, kin: Kinematics) -> Array:
-    """Mass matrix, the joint-space inertia, symmetric and positive definite, shape (num_dofs, num_dofs).
+    """Mass matrix (joint-space inertia), symmetric and positive definite, shape (num_dofs, num_dofs).
 
-    Composite rigid body algorithm (CRBA), with sums over subtrees for its recursion. Gradient: exact.
-    Source: Featherstone 2008, "Rigid Body Dynamics Algorithms", section 6.2.
+    Composite rigid body algorithm (CRBA). Gradient: exact.
+    Source: Featherstone 2008, "Rigid Body Dynamics Algorithms", section 6.2, with sums over subtrees for its recursion.
     """
     num_bodies, num_dofs = topology.moves.shape
     mass, arm = parameters.body_mass[:, None], kin.com - kin.tree_com
     turned = skew(arm)
     inertia = _rotational_inertia(parameters, kin) - mass[:, :, None] * compose(turned, turned)
-    # Inertia about the tree's centre of mass, first moment and mass of all that a degree of freedom carries.
+    # Inertia about the tree's center of mass, first moment and mass of the bodies that a degree of freedom moves.
     moments = jnp.concatenate([inertia.reshape(num_bodies, 9), mass * arm, mass], axis=-1)
     carried = dot(topology.subtree[topology.dof_body], moments)
     inertia, moment, mass = carried[:, :9].reshape(num_dofs, 3, 3), carried[:, 9:12], carried[:, 12:]
     angular, linear = kin.axes[:, :3], kin.axes[:, 3:]
     torque = rotate(inertia, angular) + cross(moment, linear)
     force = jnp.concatenate([torque, mass * linear - cross(moment, angular)], axis=-1)
-    carries = topology.moves[topology.dof_body] * np.tri(num_dofs, k=-1)  # earlier dofs that move another's body
+    carries = topology.moves[topology.dof_body] * np.tri(num_dofs, k=-1)  # earlier dofs that move the body of dof i
     lower = dot(force, kin.axes.T) * structural_zeros(jnp.asarray(carries, force.dtype))
     return lower + lower.T + jnp.diag(jnp.sum(force * kin.axes, axis=-1) + parameters.dof_armature)
 
@@ -45,15 +45,17 @@ def inverse_dynamics(
     qacc: Array,
     gravity: Array,
 ) -> Array:
-    """Inverse dynamics (RNEA): generalized forces that make the tree accelerate so, shape (num_dofs,).
+    """Inverse dynamics (RNEA): generalized forces that cause given accelerations, shape (num_dofs,).
 
     Args:
-      topology, parameters, kin: the tree and where it is.
+      topology, parameters, kin: the tree and its kinematics.
       qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
-      qacc: joint accelerations [m/s^2, rad/s^2], shape (num_dofs,). The result is affine in them, with the mass matrix.
-      gravity: [m/s^2], shape (3,).
+      qacc: joint accelerations [m/s^2, rad/s^2], shape (num_dofs,). The result is affine in them; its slope is the mass
+        matrix.
+      gravity: gravitational acceleration [m/s^2], shape (3,).
 
-    Source: recursive Newton-Euler, Featherstone 2008, table 5.1, with sums over chains for its recursions.
+    Gradient: exact.
+    Source: recursive Newton-Euler algorithm (RNEA), Featherstone 2008, table 5.1, with sums over chains for recursions.
     """
     velocity = body_velocities(topology, kin, qvel)
     change = axis_drifts(topology, kin, qvel) + kin.axes * structural_zeros(qacc)[:, None]
@@ -73,12 +75,12 @@ def inverse_dynamics(
 def spin_slopes(
     topology: TreeTopology, parameters: TreeParameters, kin: Kinematics, qvel: Array, free_dofs: np.ndarray
 ) -> Array:
-    """Derivative by velocity of the forces that inertia takes, of free bodies alone, shape (num_dofs, num_dofs).
+    """Derivative of the bias forces of single free bodies with respect to velocity, shape (num_dofs, num_dofs).
 
-    Not symmetric: gyroscopic torques turn.
+    The gyroscopic torques make it asymmetric.
 
     Args:
-      topology, parameters, kin: the tree and where it is.
+      topology, parameters, kin: the tree and its kinematics.
       qvel: joint velocities [m/s, rad/s], shape (num_dofs,).
       free_dofs: degrees of freedom of free joints that share no tree with another joint, shape (n, 6).
 
@@ -90,7 +92,7 @@ def spin_slopes(
     def bias(velocity: Array) -> Array:
         return inverse_dynamics(topology, parameters, kin, velocity, still, weightless)
 
-    # No force on one body depends on the velocity of another: six directions serve all bodies at once.
+    # The bodies are independent, so six tangent directions serve all of them at once.
     number, coordinate = np.full(num_dofs, -1), np.full(num_dofs, -1)
     number[free_dofs] = np.arange(len(free_dofs))[:, None]
     coordinate[free_dofs] = np.arange(6)
@@ -101,7 +103,7 @@ def spin_slopes(
 
 
 def _rotational_inertia(parameters: TreeParameters, kin: Kinematics) -> Array:
-    """About each body's centre of mass, in world axes [kg m^2], shape (num_bodies, 3, 3)."""
+    """Inertia about each body's center of mass, in world axes [kg m^2], shape (num_bodies, 3, 3)."""
     axes = kin.inertia_rotation
     return compose(axes * parameters.body_inertia[:, None, :], jnp.swapaxes(axes, -1, -2))
 

@@ -1,4 +1,4 @@
-"""What MJX leaves out of the rows of weld equalities."""
+"""The velocity-product term of weld equalities, which MJX omits."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -25,23 +25,23 @@ def weld_drifts(
     site_quaternion: Array,
     site_position: Array | None,
 ) -> Array:
-    """Accelerations at constant joint rates of what weld equalities hold at zero.
+    """Accelerations of the errors of weld equalities at constant joint rates.
 
-    MuJoCo 4 subtracts them from the targets of the rows, MJX 3.17 does not.
+    MuJoCo 4 subtracts them from the targets of the rows. MJX 3.17 does not.
 
     Args:
       mj: the model.
-      topology, kin: its tree and where it is.
+      topology, kin: the tree and its kinematics.
       qvel: joint velocities, shape (num_dofs,).
-      eq_data, eq_active: numbers of all equalities and whether each holds, shapes (num_equalities, 11) and
+      eq_data, eq_active: data of all equalities and whether each is active, shapes (num_equalities, 11) and
         (num_equalities,).
-      body_quaternion: of all bodies, those of which MJX makes the rows, shape (num_bodies, 4).
-      site_quaternion: of all sites in their bodies' frames, shape (num_sites, 4).
-      site_position: of all sites [m], shape (num_sites, 3), or None if there are none.
+      body_quaternion: orientations of all bodies as MJX uses them in the rows, shape (num_bodies, 4).
+      site_quaternion: orientations of all sites in their bodies' frames, shape (num_sites, 4).
+      site_position: positions of all sites [m], shape (num_sites, 3), or None if there are none.
 
     Returns:
-      Six numbers for each of these equalities, of the gap between two points and of half the sine of the angle between
-      two frames, in their order, which follows that of connect equalities, shape (6 num_welds,).
+      Six drifts per weld equality, shape (6 num_welds,): three of the gap between two points, three of the vector part
+      of the relative quaternion. Their rows follow those of connect equalities.
 
     Gradient: exact.
     """

@@ -23,7 +23,7 @@ def one(*boxes):
 
 @pytest.fixture(scope="module")
 def boxes():
-    """Places and quaternions of pairs that overlap or nearly do; a third of them almost aligned."""
+    """Positions and quaternions of pairs that overlap or nearly do; a third of them almost aligned."""
     rng = np.random.default_rng(1)
     turn = rng.standard_normal((2, NUM, 4))
     turn[:, : NUM // 3] = [1.0, 0, 0, 0] + 0.03 * rng.standard_normal((2, NUM // 3, 4))
@@ -90,7 +90,7 @@ def test_edges_that_cross_touch_once(x64):
 
 @pytest.mark.slow
 def test_derivatives_are_those_of_finite_differences(x64, boxes, derivatives, central_difference, random_like, inner):
-    """Of distances, points and normals that touch, by places, frames and sizes; not where the kind of contact changes."""
+    """Of distances, points and normals that touch, with respect to positions, frames and sizes; not where the kind of contact changes."""
     place, _, rotation = boxes
     x = jax.tree.map(jnp.asarray, (place[0], rotation[0], SIZES[0], place[1], rotation[1], SIZES[1]))
 

@@ -65,7 +65,7 @@ def test_contacts_of_spheres_are_mujocos(x64, capsules):
 
 
 def test_capsules_that_are_almost_parallel_touch_where_they_are_nearest(x64):
-    """At angles of a hundredth, without the margin for derivatives: against all pairs of places on their axes."""
+    """At angles of a hundredth, without the margin for derivatives: against all pairs of points on their axes."""
     axis = np.array([[0.01, 0.0, 1.0], [0.0, -0.02, 1.0], [-0.01, 0.01, 1.0]])
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     up, size = np.tile([0.0, 0.0, 1.0], (3, 1)), np.tile(SIZES[0], (3, 1))

@@ -56,7 +56,7 @@ def test_numbers_of_that_law_are_checked():
 
 
 def test_a_changed_law_compiles_nothing(x64):
-    """Both laws' numbers are leaves."""
+    """The numbers of both laws are parameters."""
     model = rigid.load(SLIDING_BALL, dt=1e-4, penalty=LAW.replace(among=LAW, at_surfaces=True))
     assert len(jax.tree.leaves(model.penalty)) == 2 * len(jax.tree.leaves(LAW))
     step = jax.jit(rigid.step)

@@ -23,7 +23,7 @@ def loaded(name: str, penalty: Penalty | None = None):
         return mujoco.MjModel.from_xml_string(text), rigid.load(text, penalty=penalty)
 
 
-def spread(name: str, near: bool, seed: int = 0):
+def random_states(name: str, near: bool, seed: int = 0):
     """Positions, velocities and controls of many states, in contact (or about to be) or far from the ground."""
     mj, _ = loaded(name)
     rng = np.random.default_rng(seed)
@@ -86,10 +86,10 @@ def cached_program(name, derivatives, penalty, everything):
 def with_everything(name: str, inputs, penalty: Penalty | None = None):
     """The same with a model and wrenches for each state."""
     mj, model = loaded(name, penalty)
-    leaves = (model.parameters, model.gravity, model.penalty)
-    leaves = jax.tree.map(lambda a: jnp.tile(a, (NUM, *(1 for _ in jnp.shape(a)))), leaves)
+    parameters = (model.parameters, model.gravity, model.penalty)
+    parameters = jax.tree.map(lambda a: jnp.tile(a, (NUM, *(1 for _ in jnp.shape(a)))), parameters)
     wrenches = 0.3 * np.random.default_rng(5).standard_normal((NUM, mj.nbody, 6))
-    return (*inputs, leaves, jnp.asarray(wrenches))
+    return (*inputs, parameters, jnp.asarray(wrenches))
 
 
 def direction(name: str, leaf, rng) -> jax.Array:
@@ -150,7 +150,7 @@ def test_reverse_forward_and_finite_difference_agree(x64, derivatives, name):
     """With respect to positions, velocities and controls, over eight substeps, at 64 states."""
     run = program(name, derivatives)
     for near, tolerance in ((False, 1e-6), (True, 1e-4)):
-        inputs = spread(name, near)
+        inputs = random_states(name, near)
         assert (share_in_contact(name, inputs) > 0.9) == near
         assert_agree(f"{name} {'contact' if near else 'smooth'}", *compared(run, inputs), tolerance)
 
@@ -167,7 +167,7 @@ def test_with_respect_to_everything(x64, derivatives, name, penalty):
     """Also to all parameters, gravity, the law of contact and wrenches, each state with its own."""
     run = program(name, derivatives, penalty, everything=True)
     for near, tolerance in ((False, 1e-6), (True, 1e-4)):
-        inputs = with_everything(name, spread(name, near), penalty)
+        inputs = with_everything(name, random_states(name, near), penalty)
         assert (share_in_contact(name, inputs[:3]) > 0.9) == near
         for rest in (False, True):
             what = f"{name} {'contact' if near else 'smooth'} {'parameters' if rest else 'states'}"
@@ -175,7 +175,7 @@ def test_with_respect_to_everything(x64, derivatives, name, penalty):
 
 
 def test_saturated_controls_have_no_gradient(x64, derivatives):
-    qpos, qvel, ctrl = spread("hopper", near=True)
+    qpos, qvel, ctrl = random_states("hopper", near=True)
     inputs = with_everything("hopper", (qpos, qvel, ctrl.at[:, 0].set(1.5).at[:, 1].set(-1.01)))
     *_, gradient = program("hopper", derivatives, None, everything=True)(inputs, inputs, weights=weights)
     np.testing.assert_array_equal(gradient[2][:, :2], 0.0)
@@ -184,7 +184,7 @@ def test_saturated_controls_have_no_gradient(x64, derivatives):
 
 def test_orientation_depends_on_an_angular_velocity_of_zero(x64, derivatives):
     """Half an angle per unit of it, as for every other; a norm that is guarded at zero would give none."""
-    qpos, qvel, ctrl = (0.0 * a for a in spread("ball", near=False))
+    qpos, qvel, ctrl = (0.0 * a for a in random_states("ball", near=False))
     inputs = (qpos.at[:, 2].set(5.0).at[:, 3].set(1.0), qvel, ctrl)
     turn = jnp.asarray(np.random.default_rng(0).standard_normal((NUM, 3)))
     run, dt = program("ball", derivatives), loaded("ball")[1].dt
@@ -200,7 +200,7 @@ def test_derivatives_are_finite_wherever_it_is(x64, derivatives, name):
     """At rest, upright, just touching, deep inside, flying, turned at random."""
     everything = name == "hopper"
     run, rng = program(name, derivatives, None, everything=everything), np.random.default_rng(0)
-    qpos, qvel, ctrl = (np.array(a) for a in spread(name, near=True))
+    qpos, qvel, ctrl = (np.array(a) for a in random_states(name, near=True))
     home = loaded(name)[0].qpos0
     qpos[:8], qvel[:8], ctrl[:8] = home, 0.0, 0.0
     qpos[1, 2 if name != "hopper" else 1] = {"ball": 0.1, "box_on_box": 0.2, "hopper": -0.05}[name]
@@ -219,7 +219,7 @@ def test_derivatives_are_finite_wherever_it_is(x64, derivatives, name):
 
 def test_derivatives_of_environments_do_not_see_each_other(x64, derivatives):
     """They do not depend, by a bit, on what is NaN in another; nor, but for rounding, on the place in the batch."""
-    run, inputs = program("ball", derivatives), spread("ball", near=True)
+    run, inputs = program("ball", derivatives), random_states("ball", near=True)
     moves = jax.tree.map(lambda a: 0.0 * a + 1.0, inputs)
     fine = run(inputs, moves, weights=weights)
     poisoned = run((inputs[0].at[3, 2].set(jnp.nan), *inputs[1:]), moves, weights=weights)

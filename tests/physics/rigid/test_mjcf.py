@@ -44,7 +44,7 @@ REFUSED = {
     ),
     "fast_in_air": (
         tiny(option='integrator="implicitfast" density="1.2"'),
-        "the model's integrator is IMPLICITFAST in a medium that drags, which is not supported: load(..., "
+        "the model's integrator is IMPLICITFAST in a medium with drag, which is not supported: load(..., "
         'integrator="Euler"), or density=0.0, viscosity=0.0',
     ),
     "elliptic": (
@@ -131,7 +131,7 @@ REFUSED = {
     ),
     "mjx": (
         tiny(flag='override="enable"'),
-        "MJX does not support this model (mjtEnableBit.mjENBL_OVERRIDE): remove that, or let such geoms not touch",
+        "MJX does not support this model (mjtEnableBit.mjENBL_OVERRIDE): remove that, or set contype and conaffinity of such geoms to 0",
     ),
     "colliding": (
         rigid_models.mjcf(
@@ -139,7 +139,7 @@ REFUSED = {
             extra=rigid_models.touching(("can", "box")),
         ),
         "MJX does not support this model ((mjtGeom.mjGEOM_CYLINDER, mjtGeom.mjGEOM_BOX) collisions not implemented.): "
-        "remove that, or let such geoms not touch, or give contact_pairs one of these kinds",
+        "remove that, or set contype and conaffinity of such geoms to 0, or give contact_pairs one of these kinds",
     ),
 }  # fmt: skip
 
@@ -159,25 +159,25 @@ def test_the_tiny_model_itself_is_fine():
 
 
 CANNOT_HOLD = (
-    "the model has equality constraints, dry friction or tendon limits, which a Penalty cannot hold: remove them, or load "
+    "the model has equality constraints, dry friction or tendon limits, which a Penalty does not support: remove them, or load "
     "it without a Penalty"
 )
 REFUSED_WITH_PENALTY = {
     "uneven": (
         tiny(extra='<contact><pair name="skate" geom1="floor" geom2="rod" friction=".1 .9"/></contact>'),
-        "pair 'skate' has two coefficients of sliding friction, of which a Penalty knows one: make them equal",
+        "pair 'skate' has two coefficients of sliding friction, but a Penalty has one: make them equal",
     ),
     "rolling_pair": (
         tiny(extra='<contact><pair name="skate" geom1="floor" geom2="rod" condim="6"/></contact>'),
-        "pair 'skate' has a condim above 3, but a Penalty knows no torsional or rolling friction: give that pair condim 3",
+        "pair 'skate' has a condim above 3, but a Penalty has no torsional or rolling friction: give that pair condim 3",
     ),
     "rolling_geom": (
         tiny(geom='condim="4"'),
-        "geom 'rod' has a condim above 3, but a Penalty knows no torsional or rolling friction: give that geom condim 3",
+        "geom 'rod' has a condim above 3, but a Penalty has no torsional or rolling friction: give that geom condim 3",
     ),
     "ball": (
         rigid_models.mjcf('<body><joint name="neck" type="ball" range="0 1"/><geom size=".1"/></body>'),
-        "joint 'neck' is a ball with a limit, which a Penalty cannot hold: remove the limit",
+        "joint 'neck' is a ball joint with a limit, which a Penalty does not support: remove the limit",
     ),
     "equality": (tiny(extra='<equality><joint joint1="swing"/></equality>'), CANNOT_HOLD),
     "friction": (tiny(joint='frictionloss=".1"'), CANNOT_HOLD),
@@ -185,8 +185,7 @@ REFUSED_WITH_PENALTY = {
     "cord_friction": (tiny(tendon='frictionloss=".1"'), CANNOT_HOLD),
     "flag": (
         tiny(flag='limit="disable"'),
-        "the model disables limits or all constraints, which a Penalty does not: remove the flag, and ranges and contacts "
-        "that are not wanted",
+        "the model disables limits or all constraints, which a Penalty does not: remove the flag and unwanted ranges and contacts",
     ),
 }
 

@@ -28,7 +28,7 @@ ADDED = {
 
 
 def changed(mj, name: str) -> np.ndarray:
-    """Other numbers for a parameter: all factors a few per cent different, places a centimetre, turns a degree."""
+    """Other values of a parameter: factors differ by a few per cent, positions by a centimetre, angles by a degree."""
     value, rng = np.array(getattr(mj, name)), np.random.default_rng(len(name))
     new = (
         value + 0.02 * rng.standard_normal(value.shape)

@@ -57,13 +57,13 @@ def test_flags_are_those_of_mjcf():
         ({"timestep": 0.1}, "load has no override 'timestep': known are cone, density, flags, gravity, impratio, "),
         ({"gravity": 9.81}, "gravity has shape (): give an array of shape (3,)"),
         ({"density": -1.0}, "density is -1.0, but must be 0 or more: give it in kg/m^3"),
-        ({"iterations": 2.5}, "iterations is 2.5: give a whole number"),
+        ({"iterations": 2.5}, "iterations is 2.5: give an integer"),
         ({"flags": {"gravy": True}}, "MuJoCo has no flag 'gravy': known are actuation, "),
         (
             {"max_geom_pairs": 4},
             "the model has no max_geom_pairs to change: write <custom><numeric name='max_geom_pairs' ",
         ),
-        ({"max_contact_points": 0}, "max_contact_points is 0: give a whole number, at least 1, or None for no limit"),
+        ({"max_contact_points": 0}, "max_contact_points is 0: give an integer, at least 1, or None for no limit"),
     ],
 )
 def test_wrong_overrides_are_named(overrides, sentence):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as hs
 
 from rewax.physics.rigid import small_products
-from rewax.physics.rigid.small_products import compose, cross, dot, rotate, select, spread
+from rewax.physics.rigid.small_products import compose, cross, dot, rotate, scatter, select
 
 
 @given(seed=hs.integers(0, 10_000))
@@ -91,10 +91,10 @@ def test_products_with_constant_matrices_have_both_derivatives_twice(x64):
 def test_values_are_spread_to_their_places_and_picked_from_them(x64):
     index, values = np.array([4, 0, 3]), jnp.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     expected = np.array([[2.0, 0.0, 0.0, 3.0, 1.0], [5.0, 0.0, 0.0, 6.0, 4.0]])
-    np.testing.assert_array_equal(jax.vmap(lambda v: spread(index, v, 5))(values), expected)
-    places = small_products._Places((4, 0, 3), 5)
-    for one in (small_products._SPREAD.cpu, small_products._SPREAD.other):
-        np.testing.assert_array_equal(one(places, (), (values,))[0], expected)
+    np.testing.assert_array_equal(jax.vmap(lambda v: scatter(index, v, 5))(values), expected)
+    target = small_products._Target((4, 0, 3), 5)
+    for one in (small_products._SCATTER.cpu, small_products._SCATTER.other):
+        np.testing.assert_array_equal(one(target, (), (values,))[0], expected)
     weights = jnp.arange(10.0).reshape(2, 5)
-    found = jax.grad(lambda v: jnp.vdot(weights, jax.vmap(lambda v: spread(index, v, 5))(v)))(values)
+    found = jax.grad(lambda v: jnp.vdot(weights, jax.vmap(lambda v: scatter(index, v, 5))(v)))(values)
     np.testing.assert_array_equal(found, weights[:, index])

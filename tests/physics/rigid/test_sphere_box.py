@@ -25,7 +25,7 @@ LAW = Penalty(stiffness=3e3, damping=20.0, friction_damping=15.0, onset=1e-2)
 
 
 @pytest.fixture(scope="module")
-def places(rotations):
+def poses(rotations):
     """Centres of spheres around and inside boxes, and the boxes' poses: every kind of nearest feature, several times."""
     rng = np.random.default_rng(0)
     local = rng.uniform(-1.2, 1.2, (400, 3)) * HALF
@@ -44,8 +44,8 @@ def contacts(center, box, rotation, half=HALF, radius=RADIUS):
     )
 
 
-def test_contacts_are_mujocos(x64, places):
-    _, center, box, rotation = places
+def test_contacts_are_mujocos(x64, poses):
+    _, center, box, rotation = poses
     distance, point, normal = (np.asarray(a) for a in contacts(center, box, rotation))
     model = mujoco.MjModel.from_xml_string(PAIRED.replace("0.004", "9"))
     data, quaternion = mujoco.MjData(model), np.zeros(4)
@@ -61,8 +61,8 @@ def test_contacts_are_mujocos(x64, places):
         np.testing.assert_allclose(point[i], theirs.pos, atol=1e-8)
 
 
-def test_distances_and_normals_are_the_signed_distances(x64, places):
-    local, center, box, rotation = places
+def test_distances_and_normals_are_the_signed_distances(x64, poses):
+    local, center, box, rotation = poses
     distance, point, normal = contacts(center, box, rotation)
     expected, outward = signed_distance(Box(half_size=jnp.asarray(HALF)), jnp.asarray(local))
     assert 50 < np.sum(np.all(np.abs(local) < HALF, axis=1)) < 350  # inside and outside
@@ -100,9 +100,9 @@ def test_derivatives_are_finite_and_normals_of_unit_length_everywhere(precision)
         np.testing.assert_allclose(-by_center, sphere_box(center, *rest)[2], atol=1e-5)
 
 
-def test_derivatives_are_those_of_finite_differences(x64, places, derivatives, central_difference, random_like, inner):
+def test_derivatives_are_those_of_finite_differences(x64, poses, derivatives, central_difference, random_like, inner):
     """Where nothing jumps: away from where two faces are equally near."""
-    local, center, box, rotation = places
+    local, center, box, rotation = poses
     gap = np.sort(HALF - np.abs(local), axis=1)
     smooth = (gap[:, 1] - gap[:, 0] > 1e-3) & (np.abs(gap).min(axis=1) > 1e-3)
     assert smooth.sum() > 300

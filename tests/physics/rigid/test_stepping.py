@@ -158,7 +158,7 @@ def test_wrong_arguments_are_named():
             lambda: rigid.step(model, state, wrenches=np.zeros((6, 5))),
             "wrenches has shape (6, 5): give shape (5, 6) (force and torque per body, the world included)",
         ),
-        (lambda: rigid.step(model, state, num_substeps=0), "num_substeps is 0: give a whole number, at least 1"),
+        (lambda: rigid.step(model, state, num_substeps=0), "num_substeps is 0: give an integer, at least 1"),
         (
             lambda: model.with_parameters(body_mass=np.ones(3)),
             "body_mass has shape (3,): give shape (5,), as in the model",
@@ -169,7 +169,7 @@ def test_wrong_arguments_are_named():
         ),
         (
             lambda: model.with_parameters(dof_frictionloss=np.ones(6)),
-            "the model was loaded without dof_frictionloss, so it takes none: give its MJCF a little of it",
+            "the model was loaded without dof_frictionloss, so it cannot change: give it a positive value in the MJCF",
         ),
     ):
         with pytest.raises(ValueError, match="^" + re.escape(sentence)):

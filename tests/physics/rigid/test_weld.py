@@ -42,7 +42,7 @@ def guided(model, state, position, quaternion):
 
 
 def paths(num: int, steps: int = 60):
-    """Places and quaternions, not of length 1, of mocap bodies along curves."""
+    """Positions and quaternions, not of length 1, of mocap bodies along curves."""
     time = np.linspace(0.0, 2.0, steps)[:, None, None] + np.arange(num)[:, None]
     place = np.concatenate([np.sin(time), np.cos(2 * time), np.sin(3 * time)], axis=-1)
     turn = np.concatenate([1.0 + 0 * time, 0.3 * np.sin(time), 0.2 * np.cos(time), 0.4 * np.sin(2 * time)], axis=-1)
