@@ -173,7 +173,7 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
         return type(tree)((*tree[:i], changed, *tree[i + 1 :]))
     old = tree[key] if isinstance(tree, dict) else getattr(tree, key)
     changed = replace_leaf(old, rest, value) if rest else value
-    return {**tree, key: changed} if isinstance(tree, dict) else dataclasses.replace(tree, **{key: changed})
+    return {**tree, key: changed} if isinstance(tree, dict) else dataclasses.replace(tree, **{key: changed})  # pyright: ignore[reportArgumentType]
 
 
 class Replaceable:

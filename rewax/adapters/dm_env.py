@@ -47,10 +47,10 @@ class DmEnvironment(dm_env.Environment):
             return dm_env.termination(reward, obs)
         return dm_env.truncation(reward, obs) if bool(state.truncated) else dm_env.transition(reward, obs)
 
-    def observation_spec(self) -> dict[str, specs.Array]:
+    def observation_spec(self) -> dict[str, specs.Array]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return {name: bounded(spec, name) for name, spec in self.env.observation_spec.items()}
 
-    def action_spec(self) -> specs.BoundedArray:
+    def action_spec(self) -> specs.BoundedArray:  # pyright: ignore[reportIncompatibleMethodOverride]
         return bounded(self.env.action_spec, "action")
 
 

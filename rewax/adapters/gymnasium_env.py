@@ -100,7 +100,7 @@ class GymnasiumVectorEnv(VectorEnv):
       num_envs: number of environments.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(self, env: Env, num_envs: int) -> None:
         self.env, self.num_envs = env, checked_num_envs(num_envs)

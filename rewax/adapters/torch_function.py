@@ -23,7 +23,7 @@ from rewax.adapters.conversion import missing
 from rewax.types import Array, PyTree
 
 try:
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 except ImportError as error:
     raise missing("PyTorch", "torch") from error
 

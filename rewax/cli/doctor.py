@@ -108,7 +108,7 @@ def _device_problems() -> Iterator[tuple[str, str]]:
         return
     kinds = sorted({f"{device.platform} ({device.device_kind})" for device in devices})
     print(f"JAX computes on {len(devices)} x {', '.join(kinds)}")
-    if jax.config.jax_enable_x64:
+    if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         yield "double precision is on (JAX_ENABLE_X64): training takes about twice as long", "unset it for training"
     if devices[0].platform == "cpu" and shutil.which("nvidia-smi") and "cpu" not in os.environ.get("JAX_PLATFORMS", ""):
         yield "there is an NVIDIA driver, but JAX computes on the CPU", "pip install 'rewax[cuda]'"

@@ -35,7 +35,7 @@ def where_it_runs(env: Env) -> list[Decision]:
         return [a for a in jax.tree.leaves(after) if jnp.issubdtype(a.dtype, jnp.floating)]
 
     def forward(*args: Any) -> Any:
-        return jax.jvp(lambda action: floats(*args[:2], action), args[2:], args[2:])
+        return jax.jvp(lambda action: floats(*args[:2], action), args[2:], args[2:])  # pyright: ignore[reportCallIssue]
 
     def reverse(*args: Any) -> Any:
         def total(*args: Any) -> Array:

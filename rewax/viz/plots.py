@@ -165,7 +165,7 @@ def particle_strip(
             panels[1, i].set_xlabel("x [m]")
         panels[0, 0].set_ylabel("side: y [m]")
         panels[1, 0].set_ylabel("top: z [m]")
-        figure.colorbar(drawn, ax=panels, label="height y [m]", fraction=0.03, pad=0.01, aspect=30)
+        figure.colorbar(drawn, ax=panels, label="height y [m]", fraction=0.03, pad=0.01, aspect=30)  # pyright: ignore[reportPossiblyUnboundVariable]
         if title:
             figure.suptitle(title, fontsize=10)
         figure.savefig(out_png)

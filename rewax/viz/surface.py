@@ -60,7 +60,7 @@ def surfaces(recording: Recording, frame: int) -> list[Surface]:
 
 def _surface(cloud: np.ndarray, members: np.ndarray, diameter: float) -> Surface:
     from scipy.ndimage import gaussian_filter
-    from scipy.spatial import cKDTree
+    from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
     points = cloud[members]
     extent = np.ptp(points, axis=0)

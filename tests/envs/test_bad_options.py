@@ -81,5 +81,7 @@ def test_a_bad_name_or_scale_is_refused_with_what_is_near(name, scale, sentence)
 
 def test_a_factory_must_return_an_environment(monkeypatch):
     monkeypatch.setattr(registry, "_FACTORIES", {"Number": lambda scale: 3.0})
-    with pytest.raises(ValueError, match=r"^the factory of 'Number' returned .*, which has no method reset: return an environment"):
+    with pytest.raises(
+        ValueError, match=r"^the factory of 'Number' returned .*, which has no method reset: return an environment"
+    ):
         rewax.make("Number", scale="small")

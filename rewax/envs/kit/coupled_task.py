@@ -99,7 +99,7 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
 
         def move(carry: tuple[Soft, RigidState], _: None) -> tuple[tuple[Soft, RigidState], tuple[Wrench, Array]]:
             before, bodies = carry
-            soft, bodies, touch = articulated.step(self.scene, self.model, before, bodies, control, num_substeps=every)
+            soft, bodies, touch = articulated.step(self.scene, self.model, before, bodies, control, num_substeps=every)  # pyright: ignore[reportArgumentType]
             return (soft, bodies), (touch, soft_status(self.scene, soft, start=before))
 
         start = (physics.soft, physics.rigid)

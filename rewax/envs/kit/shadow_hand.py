@@ -38,7 +38,7 @@ class HandTask(SoftTask):
 
 def load_hand(*, scale: float, position: tuple[float, float, float]) -> RigidModel:
     """The hand with lengths multiplied by ``scale``, base at ``position`` [m], palm up (y) and fingers along z."""
-    spec = mujoco.MjSpec.from_file(str(ASSETS / "shadow_hand.xml"))
+    spec = mujoco.MjSpec.from_file(str(ASSETS / "shadow_hand.xml"))  # pyright: ignore[reportAttributeAccessIssue]
     for body in spec.bodies:
         body.pos = scale * np.asarray(body.pos)
     for geom in spec.geoms:

@@ -136,6 +136,6 @@ class Task(struct.Replaceable):
 
 def against(gravity: Array, default: tuple[float, float, float]) -> np.ndarray:
     """Unit vector opposite to gravity, shape (3,); ``default`` if gravity is zero."""
-    gravity = np.asarray(gravity, float)
-    strength = np.linalg.norm(gravity)
-    return -gravity / strength if strength > 0.0 else np.asarray(default)
+    pull = np.asarray(gravity, float)
+    strength = np.linalg.norm(pull)
+    return -pull / strength if strength > 0.0 else np.asarray(default)

@@ -114,7 +114,7 @@ class _Part(NamedTuple):
 
     leaf: int
     """Index of the array among the leaves of the environment."""
-    index: tuple[int | None, ...]
+    index: tuple[int | None, ...]  # pyright: ignore[reportIncompatibleMethodOverride]
     """Indices of the first axes of the array; None stands for a whole axis."""
 
 

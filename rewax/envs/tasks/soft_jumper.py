@@ -67,11 +67,11 @@ class SoftJumper(SoftTask):
 
     @property
     def num_actions(self) -> int:
-        return -(-len(self.scene.tets) // 2)
+        return -(-len(self.scene.tets) // 2)  # pyright: ignore[reportAttributeAccessIssue]
 
     def actuated(self, action: Array) -> TetScene:
-        each = np.arange(len(self.scene.tets)) // 2
-        return self.scene.replace(activation=self.strength * action[each])
+        each = np.arange(len(self.scene.tets)) // 2  # pyright: ignore[reportAttributeAccessIssue]
+        return self.scene.replace(activation=self.strength * action[each])  # pyright: ignore[reportReturnType]
 
     def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
         return self.observation_scale * physics.soft.x, self.observation_scale * physics.soft.v

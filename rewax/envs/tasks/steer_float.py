@@ -119,6 +119,7 @@ def _steer_float(
         np.full(len(solid), np.prod(FLOAT_SIZE) / len(solid)),
         np.full(len(pool), np.prod(size) / np.prod(counts)),
     ]
+    width, height, depth = (round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4))
     scene = mpm.make_scene(
         grid=Grid(shape=tuple(round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4)), spacing=spacing),
         dt=steps.dt,
@@ -130,7 +131,7 @@ def _steer_float(
             water(2.5e4),
         ),
         particle_counts=(len(solid), len(pool)),
-        particle_volume=np.concatenate(volumes),
+        particle_volume=np.concatenate(volumes),  # pyright: ignore[reportArgumentType]
         gravity=(0.0, -9.81, 0.0),
         colliders=(
             Collider(

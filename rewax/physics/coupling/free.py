@@ -119,7 +119,7 @@ def _motions(bodies: FreeBodies) -> list[Motion]:
 
 def _prescribed(interval: tuple[Pose, Pose], dt: float) -> list[Motion]:
     """Velocity field of each body with prescribed motion."""
-    return [chord_motion(*(body_pose(p, b) for p in interval), dt) for b in range(interval[0].position.shape[0])]
+    return [chord_motion(*(body_pose(p, b) for p in interval), dt) for b in range(interval[0].position.shape[0])]  # pyright: ignore[reportCallIssue]
 
 
 def _predict(contact: SoftContact, bodies: FreeBodies, inertia: Inertia) -> FreeBodies:

@@ -78,7 +78,7 @@ class VertexContact(NamedTuple):
         assert scene.contact is not None or not scene.colliders
 
         def one(c: Collider) -> VertexTouch:
-            return _touch(c, scene.contact, scene.dt, x, v, body_pose(poses, c.body), now[c.body], were[c.body])
+            return _touch(c, scene.contact, scene.dt, x, v, body_pose(poses, c.body), now[c.body], were[c.body])  # pyright: ignore[reportArgumentType]
 
         return self._replace(touches=tuple(one(c) for c in scene.colliders))
 

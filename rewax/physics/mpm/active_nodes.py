@@ -24,7 +24,7 @@ class ActiveNodes(NamedTuple):
 
     offset: Array
     """List index minus index along z, for each column, shape (num_columns,), int32."""
-    index: tuple[Array, Array, Array]
+    index: tuple[Array, Array, Array]  # pyright: ignore[reportIncompatibleMethodOverride]
     """Index of each node along x, y, z, arrays (num_active,), int32; meaningless in unused slots."""
     position: Vec3
     """Position of each node [m], components of shape (num_active,)."""

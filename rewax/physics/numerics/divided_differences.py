@@ -114,7 +114,7 @@ def multiply(p: Principal, q: Principal) -> Principal:
     def difference(i: int, j: int, k: int) -> Array:
         return 0.5 * ((a[i] + a[j]) * db[k] + (b[i] + b[j]) * da[k])
 
-    return Principal(values, cp.vector(lambda k: difference(*PAIRS[k], k)))
+    return Principal(values, cp.vector(lambda k: difference(*PAIRS[k], k)))  # pyright: ignore[reportCallIssue]
 
 
 def reciprocal(p: Principal) -> Principal:

@@ -166,7 +166,7 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
             continue
 
         def entry(i: int, j: int, differences=f.differences, n=n) -> Array:
-            return differences[3 - i - j] * rotated[i][j] if i != j else slope(n, i)
+            return differences[3 - i - j] * rotated[i][j] if i != j else slope(n, i)  # pyright: ignore[reportOptionalSubscript]
 
         half = materialize(cp.matmul(materialize(cp.matrix(entry)), cp.transpose(u)))
         out.append(_recompose(u, f.values))

@@ -59,7 +59,7 @@ def _square_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         away = cp.vector(lambda i, o=offset, t=along, e=edge: o[i] - t * e[i])
         square = np.minimum(square, cp.dot(away, away))
         above = above & (cp.dot(offset, cp.cross(normal, edge)) >= 0)
-    height = cp.dot(offset, normal)
+    height = cp.dot(offset, normal)  # pyright: ignore[reportPossiblyUnboundVariable]
     return np.where(above, height * height, square)
 
 

@@ -65,7 +65,7 @@ class Programs:
     def _compile(self, train_state: Any, key: Key) -> None:
         try:
             with contextlib.suppress(Exception):
-                self._evaluate.lower((train_state, 0), key).compile()
+                self._evaluate.lower((train_state, 0), key).compile()  # pyright: ignore[reportFunctionMemberAccess]
         finally:
             self._evaluates.set()
         if self._config.plots and can_record(getattr(self._env, "unwrapped", self._env)):

@@ -14,7 +14,7 @@ from rewax.agents.base import Agent
 from rewax.training.loop.devices import ONE_DEVICE, Placement
 from rewax.training.loop.progress import say
 
-_QUICK = {"xla_cpu_use_fusion_emitters": False}
+_QUICK: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False}
 """Selects XLA's older CPU code generator, which XLA of jax 0.12 no longer has."""
 
 
@@ -47,7 +47,7 @@ def compile_train_step(
     return compiled
 
 
-def compiler_options(agent: Agent) -> dict[str, bool]:
+def compiler_options(agent: Agent) -> dict[str, bool | str]:
     """XLA's compiler options for the agent's programs."""
     return _QUICK if _wants_quick(agent) and _has_older_generator() else {}
 

@@ -88,7 +88,7 @@ def placement(num_envs: int | None, wanted: int) -> Placement:
     if wanted > 1 and (num_envs is None or num_envs % wanted):
         raise ValueError(f"devices is {wanted}, which does not divide num_envs {num_envs}: give a divisor of it, or 1")
     most = 1 if num_envs is None else len(devices)
-    count = wanted or max(n for n in range(1, most + 1) if n == 1 or num_envs % n == 0)
+    count = wanted or max(n for n in range(1, most + 1) if n == 1 or (num_envs or 0) % n == 0)
     if jax.process_count() > 1 and count != len(devices):
         raise ValueError(
             f"{jax.process_count()} processes have {len(devices)} devices, which do not divide num_envs {num_envs} or "

@@ -60,7 +60,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
     described = _description(run, actor)
     files = {name: out / name for name in ("policy.stablehlo", "weights.npz", "numpy_policy.py", "policy.json")}
     files["policy.stablehlo"].write_bytes(exported.serialize())
-    np.savez(files["weights.npz"], describes=json.dumps(described), **_weights(actor, params, statistics))
+    np.savez(files["weights.npz"], describes=json.dumps(described), **_weights(actor, params, statistics))  # pyright: ignore[reportArgumentType]
     shutil.copyfile(numpy_policy.__file__, files["numpy_policy.py"])
     files["policy.json"].write_text(json.dumps(described, indent=1) + "\n")
     return list(files.values())

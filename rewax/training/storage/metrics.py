@@ -116,7 +116,7 @@ class WandbWriter:
 
     def __init__(self, project: str, run_dir: Path, config: Mapping[str, Any]) -> None:
         need_wandb()
-        import wandb  # slow to import, and only needed here
+        import wandb  # slow to import, and only needed here  # pyright: ignore[reportMissingImports]
 
         path = run_dir / "wandb_id"
         if not path.is_file():

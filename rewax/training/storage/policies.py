@@ -138,7 +138,7 @@ def save_policy(run: SavedRun, folder: str | Path, card: Mapping[str, Any]) -> P
     read = {*_leaves_read(run), *_COUNTERS}
     stem.parent.mkdir(parents=True, exist_ok=True)
     path = stem.with_name(f"{stem.name}.npz")
-    np.savez(path, **{key: to_numpy(leaf) for key, leaf in named_leaves(run.train_state) if key in read})
+    np.savez(path, **{key: to_numpy(leaf) for key, leaf in named_leaves(run.train_state) if key in read})  # pyright: ignore[reportArgumentType]
     made = {name: run.config[name] for name in ("env", "scale", "agent", agent)}
     made |= {"env_kwargs": run.config.get("env_kwargs", {})}
     described = {**made, "task": _task(run.env), "crc32": zlib.crc32(path.read_bytes()), **card}

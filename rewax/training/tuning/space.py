@@ -31,8 +31,9 @@ class Range(NamedTuple):
         """Whether a value is in the range."""
         if self.choices:
             return value in self.choices
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and self.low <= value <= self.high and (not self.integers or isinstance(value, int))
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            return False
+        return self.low <= value <= self.high and (not self.integers or isinstance(value, int))
 
     def stored(self, value: Value) -> Any:
         """The number that a study stores for a value; for a choice its index."""

@@ -222,7 +222,7 @@ def stretches(eigenvalues: Principal, sign: Array) -> Principal:
         differ = jnp.where(near, 0.0, (s[i] - s[j]) * dd.inverse_gap(eigenvalues.values, i, j))
         return jnp.where(signs[i] == signs[j], signs[i] * alike[k], differ)
 
-    return Principal(s, cp.vector(lambda k: difference(*dd.PAIRS[k], k)))
+    return Principal(s, cp.vector(lambda k: difference(*dd.PAIRS[k], k)))  # pyright: ignore[reportCallIssue]
 
 
 # --- Functions for ``linalg3.spectral`` -------------------------------------------------------------------------------
