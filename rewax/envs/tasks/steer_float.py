@@ -121,7 +121,7 @@ def _steer_float(
     ]
     width, height, depth = (round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4))
     scene = mpm.make_scene(
-        grid=Grid(shape=tuple(round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4)), spacing=spacing),
+        grid=Grid(shape=(width, height, depth), spacing=spacing),
         dt=steps.dt,
         material=(
             Material(
