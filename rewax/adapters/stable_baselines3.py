@@ -16,7 +16,7 @@ from rewax.envs.base import Env
 
 try:
     from gymnasium import spaces
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
 except ImportError as error:
     raise missing("stable_baselines3", "stable-baselines3") from error
 

@@ -99,7 +99,7 @@ def to_jax(tensor: Any) -> Array:
     Raises:
       ValueError: the tensor is float64 and JAX computes in float32, which would round it.
     """
-    if tensor.dtype == torch.float64 and not jax.config.jax_enable_x64:
+    if tensor.dtype == torch.float64 and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise ValueError(
             "a tensor is float64, but JAX computes in float32: give tensor.float(), or let JAX compute in float64 with "
             'jax.config.update("jax_enable_x64", True) before anything else'

@@ -43,6 +43,7 @@ def substeps(dt: float | None, num_substeps: int | None, default: Substeps) -> S
     """
     if dt is None and num_substeps is None:
         return default
+    num = default.num
     if num_substeps is not None:
         num = integer_option("num_substeps", num_substeps, "give the number of substeps in a control step")
         if num == default.num and dt is None:

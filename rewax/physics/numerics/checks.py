@@ -136,6 +136,7 @@ def static_number(name: str, value: Any, legal: Legal, remedy: str) -> float:
 
 def static_integer(name: str, value: Any, least: int, remedy: str) -> int:
     """An integer, checked, as a Python int. Booleans are no integers."""
+    number = 0
     try:
         number = int(value)
         legal = number == value and least <= number < 2**31 and not isinstance(value, (bool, np.bool_))

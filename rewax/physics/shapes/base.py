@@ -148,7 +148,7 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
     given = points if isinstance(points, jax.Array) else as_array(points)
     if given.shape[-1:] != (3,) or not jnp.issubdtype(given.dtype, jnp.number):
         raise ValueError(f"points is {shown(points)}: give points of shape (..., 3) in metres")
-    d, n = require_shape(shape).distance(cp.split_vector(given))
+    d, n = require_shape(shape).distance(cp.split_vector(given))  # pyright: ignore[reportArgumentType]
     return d, cp.join_vector(n)
 
 

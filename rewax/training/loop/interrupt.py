@@ -25,7 +25,7 @@ class Stop:
 
     signum: int = 0
     at_once: str = ""
-    before_exit: Callable[[], None] = staticmethod(lambda: None)
+    before_exit: Callable[[], object] = staticmethod(lambda: None)
     notice: str = "stopping after this iteration; once more to leave at once"
 
     @property

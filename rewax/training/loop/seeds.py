@@ -53,7 +53,7 @@ def train_seeds(
                 Path(configs[0].run_dir).parent, lambda: "the newest checkpoint of each run is kept"
             )
         )
-        stop.before_exit = lambda: [leave_nothing() for leave_nothing in made] and None
+        stop.before_exit = lambda: [leave_nothing() for leave_nothing in made]
         stop.at_once = "stopped before the first iteration: nothing was trained"
         ready = [prepared(agent, env, config, describe, console) for config in configs]
         done = sorted({int(state.iteration) for state, _ in ready})

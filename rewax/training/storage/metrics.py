@@ -85,7 +85,7 @@ class TensorBoardWriter:
 
         self._writer = SummaryWriter(str(folder), purge_step=resume_at + 1 if resume_at else None)
         # Its thread and its exit handler would print tracebacks of a full disk, of which the CSV files tell already.
-        events = self._writer.file_writer.event_writer._ev_writer
+        events = self._writer.file_writer.event_writer._ev_writer  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
         for name in ("write_event", "flush", "close"):
             setattr(events, name, _without_os_errors(getattr(events, name)))
 

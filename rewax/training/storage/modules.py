@@ -133,7 +133,8 @@ def _home(name: str) -> str:
     top = sys.modules[name.partition(".")[0]]
     if top.__spec__ is not None and top.__spec__.submodule_search_locations:
         return str(Path(next(iter(top.__spec__.submodule_search_locations))).resolve().parent)
-    return str(Path(top.__file__).resolve().parent) if getattr(top, "__file__", None) else ""
+    file = getattr(top, "__file__", None)
+    return str(Path(file).resolve().parent) if file else ""
 
 
 __all__ = ["import_modules", "import_recorded", "user_error"]
