@@ -280,9 +280,9 @@ def transfers_agree() -> bool:
     where = tuple(np.float32(draw.uniform(0.06, 0.1 * (n - 1.6), 50)) for n in grid.shape)
     given = tuple(np.float32(draw.standard_normal((13, 50))))
     layout = transfer_xla_cpu.Layout(grid, None)
-    spread = [jax.jit(lambda m=m: m.spread(layout, where, given))() for m in (transfer_cpp, transfer_xla_cpu)]
+    scatter = [jax.jit(lambda m=m: m.scatter(layout, where, given))() for m in (transfer_cpp, transfer_xla_cpu)]
     used = transfer_cpp.is_used()
-    return used and all(np.allclose(a, b, rtol=1e-4, atol=1e-4) for a, b in zip(*spread, strict=True))
+    return used and all(np.allclose(a, b, rtol=1e-4, atol=1e-4) for a, b in zip(*scatter, strict=True))
 
 
 def main() -> int:

@@ -45,7 +45,7 @@ def strip(runs: list[Any], path: Path, args: Args) -> None:
     """Moments of an episode of the first run, side by side."""
     saved = runs[0]
     env = getattr(saved.env, "unwrapped", saved.env)
-    recording = record(env, saved.agent.policy, saved.train_state, jax.random.key(args.seed)).spread(FRAMES)
+    recording = record(env, saved.agent.policy, saved.train_state, jax.random.key(args.seed)).subsample(FRAMES)
     surface = has_surfaces(recording) and saved.config["env"] not in THIN
     frames = list(pictures(recording, size=SIZE, renderer="software", surface=surface))
     Image.fromarray(np.concatenate(frames, axis=1)).save(path, quality=88, optimize=True)

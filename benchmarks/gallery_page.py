@@ -20,23 +20,23 @@ from rewax.training.storage.policies import list_policies, read_card
 
 HEAD = """# Gallery
 
-Each task at scale `small`, and the trained policy of it that comes with rewax. One command records an episode and
-writes a page that a browser opens without a network:
+This page shows each task at scale `small`, and the trained policy that comes with rewax. One command records an episode
+and writes a page that a browser opens without a network:
 
 ```bash
 rewax play HandFlip        # writes player.html; several tasks side by side: rewax play HandFlip SteerFloat
 rewax eval HandFlip        # returns of 64 episodes, and a video
 ```
 
-With empty caches `rewax play HandFlip` takes 12 s on two cores of an EPYC, building the C++ included (one run):
+With empty caches this takes 12 s on two cores of an EPYC, building the C++ included (one run):
 
     time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
 
 The numbers are mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
-Each policy is the best of one or two seeds; [the suite](small_suite.md) has all algorithms. Scale `paper` is named
-where there is a policy at it: `rewax play AntRun --scale paper`.
-Pictures and curves are those of the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds.
-In code: `rewax.load_policy("HandFlip")` ([trained policies](adapters.md#trained-policies)).
+Each policy is the best of one or two seeds; [the suite](measured/small_suite.md) has all algorithms. Some tasks
+also have a policy at scale `paper`: `rewax play AntRun --scale paper`.
+Pictures and curves come from the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds.
+In code, `rewax.load_policy("HandFlip")` loads a policy ([trained policies](adapters.md#trained-policies)).
 
     python benchmarks/ship_policies.py RUNS     # the best run of each task, checked, into rewax/policies
     python benchmarks/gallery_page.py

@@ -1,7 +1,7 @@
 """A worker for the MLS-MPM comparison with Warp and Taichi: the same scene through rewax.
 
-It speaks the protocol of that comparison's ``bench_common.py``, which must be importable; ``docs/benchmarks.md`` gives
-the command line of a whole run.
+It speaks the protocol of that comparison's ``bench_common.py``, which must be importable;
+``docs/measured/benchmarks.md`` gives the command line of a whole run.
 
     python mpm_worker.py SCENE        # a: 2500 particles, 48^3; b: 8 of them side by side; c: 30000 particles, 64^3
 """

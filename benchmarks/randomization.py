@@ -25,15 +25,12 @@ from rewax.agents.sapo import make_sapo
 from rewax.training import enable_compilation_cache
 
 FACTORS = (0.5, 0.707, 1.0, 1.414, 2.0)
-CONTROL_DT, NUM_SUBSTEPS = (
-    7e-3,
-    15,
-)  # shorter substeps than the task's: dough of twice the stiffness is stable with them
+NUM_SUBSTEPS = 15  # shorter substeps than the task's: dough of twice the stiffness is stable with them
 
 
 def environment(scaled: str):
     """RollingFlat `small`, and a function that makes its dough stiffer by a factor."""
-    env = rewax.make("RollingFlat", scale="small", dt=CONTROL_DT / NUM_SUBSTEPS).replace(num_substeps=NUM_SUBSTEPS)
+    env = rewax.make("RollingFlat", scale="small", num_substeps=NUM_SUBSTEPS)
 
     def stiffer(env, factor):
         for path in scaled.split(","):

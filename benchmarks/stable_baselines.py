@@ -46,7 +46,7 @@ from torch import nn
 
 import rewax
 from rewax import struct
-from rewax.adapters.gymnasium_env import GymnasiumVectorEnv
+from rewax.adapters.stable_baselines3 import StableBaselinesVecEnv
 from rewax.agents.registry import algorithm
 from rewax.envs.base import Env, State
 from rewax.training.evaluation.episodes import make_evaluate
@@ -99,59 +99,6 @@ class SACLikeOurs(SAC):
     def _update_learning_rate(self, optimizers: Any) -> None:
         super()._update_learning_rate(optimizers)
         update_learning_rate(self.ent_coef_optimizer, self._temperature_rate)
-
-
-class Batched(VecEnv):
-    """Environments of rewax in one compiled program as a ``VecEnv``; an observation is one vector."""
-
-    def __init__(self, env: Any, num_envs: int, seed: int) -> None:
-        self.envs, self._first_seed = GymnasiumVectorEnv(env, num_envs), seed
-        size = sum(int(np.prod(spec.shape)) for spec in env.observation_spec.values())
-        obs_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        super().__init__(num_envs, obs_space, self.envs.single_action_space)
-
-    def reset(self) -> np.ndarray:
-        self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, int)
-        return self._flat(self.envs.reset(seed=self._first_seed)[0])
-
-    def step_async(self, actions: np.ndarray) -> None:
-        self._actions = actions
-
-    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        obs, rewards, terminated, truncated, more = self.envs.step(self._actions)
-        done, infos = terminated | truncated, [{} for _ in range(self.num_envs)]
-        self._returns += rewards
-        self._lengths += 1
-        for i in np.flatnonzero(done):
-            last = {name: value[None] for name, value in more["final_obs"][i].items()}
-            infos[i] = {
-                "terminal_observation": self._flat(last)[0],
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
-                "episode": {"r": self._returns[i], "l": self._lengths[i]},
-            }
-        self._returns[done], self._lengths[done] = 0.0, 0
-        return self._flat(obs), rewards.astype(np.float32), done, infos
-
-    def _flat(self, obs: dict[str, np.ndarray]) -> np.ndarray:
-        return np.concatenate([obs[name].reshape(self.num_envs_of(obs), -1) for name in sorted(obs)], axis=1)
-
-    @staticmethod
-    def num_envs_of(obs: dict[str, np.ndarray]) -> int:
-        return len(next(iter(obs.values())))
-
-    def close(self) -> None: ...
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self.envs, attr_name, None)] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        setattr(self.envs, attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        return [getattr(self.envs, method_name)(*args, **kwargs)] * self.num_envs
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False] * self.num_envs
 
 
 def layers(size: int, widths: Sequence[int], activation: str, *, end: int | None = None) -> nn.Sequential:
@@ -255,7 +202,7 @@ def theirs(
     """Returns of Stable-Baselines3 on ``task`` after each number of control steps on ``trained``."""
     scaled = {"norm_reward": name == "ppo" or config.normalize_rewards, "gamma": config.discount}
     limited = {"norm_obs": config.normalize_observations, "clip_obs": config.observation_clip or np.inf}
-    env = VecNormalize(Batched(trained, config.num_envs, seed), **scaled, **limited)
+    env = VecNormalize(StableBaselinesVecEnv(trained, config.num_envs, seed=seed, flat=True), **scaled, **limited)
     model = learner(name, config, env, seed, like_ours=like_ours)
     for total in steps:
         model.learn(total - model.num_timesteps, reset_num_timesteps=model.num_timesteps == 0)
@@ -264,7 +211,7 @@ def theirs(
 
 def evaluated(model: Any, trained_in: VecNormalize, task: Any, seed: int) -> float:
     """Mean return of each environment's first episode, with sampled actions."""
-    env = Batched(task, NUM_EPISODES, 1000 + seed)
+    env = StableBaselinesVecEnv(task, NUM_EPISODES, seed=1000 + seed, flat=True)
     obs, returns = env.reset(), np.full(NUM_EPISODES, np.nan)
     while np.isnan(returns).any():
         obs, _, done, infos = env.step(model.predict(trained_in.normalize_obs(obs), deterministic=False)[0])

@@ -1,7 +1,7 @@
 """Tables and curves of a suite's results, on a page of the documentation.
 
     rewax bench small --out docs/suites/small --devices 1     # continues where the results end
-    python benchmarks/suite_page.py docs/suites/small docs/small_suite.md
+    python benchmarks/suite_page.py docs/suites/small docs/measured/small_suite.md
 
 Draws nothing anew but what ``results.csv`` and ``curves.csv`` in that folder say. The page keeps its text; what stands
 between the two markers of the suite is replaced.

@@ -1,7 +1,7 @@
 """An environment inside your own jitted code: optimise an open-loop motion of the rolling pin with optax.
 
-The whole episode is one differentiable function of the action sequence; ``jax.grad`` goes through every substep of the
-dough. Nothing here knows of agents or training loops.
+The whole episode is one differentiable function of the action sequence; ``jax.grad`` differentiates every substep of
+the dough. The example needs no agent and no training loop.
 
     python examples/compose_in_jit.py --iterations 30
 """
@@ -32,7 +32,7 @@ class Args:
 
 
 def make_objective(env: rewax.Env, start: rewax.State):
-    """raw actions (steps, action_size) -> mean reward of the motion, squashed by tanh into the action's bounds."""
+    """The mean reward of a motion as a function of raw actions (steps, action_size), which tanh maps to the bounds."""
 
     def step(state: rewax.State, raw: jax.Array):
         state = env.step(state, jnp.tanh(raw))

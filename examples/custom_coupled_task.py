@@ -1,4 +1,4 @@
-"""Your own task on a robot that feels a soft body: an arm on motors flings a soft block. Comments say what to know."""
+"""Your own task on a robot that feels a soft body: an arm on motors flings a soft block. Comments explain it."""
 
 import jax.numpy as jnp
 import tyro
@@ -11,12 +11,12 @@ from rewax.physics import mpm, rigid
 from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
 from rewax.physics.shapes import fill_box
 from rewax.testing import check_env
-from rewax.training import TrainConfig, read_csv, train
+from rewax.training import TrainConfig, train_and_compare
 
 SPACING = 0.025
 FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almost a cell below its position
 
-# Geoms that the particles should feel are at least a cell thick. Joint ranges are the robot's own limits.
+# Geoms in contact with particles are at least one cell thick. Joint ranges are the limits of the robot.
 ARM = f"""<mujoco><option gravity="0 -9.81 0"/><compiler autolimits="true"/><default>
   <geom contype="0" conaffinity="1" type="capsule" size="0.025" friction="0.5"/><joint axis="0 0 1" damping="0.05"/>
 </default><worldbody><body pos="0.3 {FLOOR + 0.35} 0.2">
@@ -32,10 +32,10 @@ ARM = f"""<mujoco><option gravity="0 -9.81 0"/><compiler autolimits="true"/><def
 class Fling(CoupledTask):
     """The reward is the block's velocity along x [m/s]."""
 
-    def observe(self, physics):  # an array (points, numbers) becomes a point cloud, the rest one vector
+    def observe(self, physics):  # arrays of rank 2 are point clouds; all others form one vector
         x, v = physics.soft.x.mean(0), physics.soft.v.mean(0)
         joints = jnp.concatenate([physics.rigid.qpos, 0.1 * physics.rigid.qvel])
-        touch = 0.1 * physics.touch.force[2]  # what the particles do to body 2, the forearm [N]
+        touch = 0.1 * physics.touch.force[2]  # force of the particles on body 2, the forearm [N]
         return {
             "particle_q": self.observed(physics),
             "block": jnp.concatenate([x, v]),
@@ -49,21 +49,21 @@ class Fling(CoupledTask):
 
 
 def make_fling() -> Fling:
-    block = fill_box((0.4, FLOOR + 0.035, 0.2), (0.09, 0.07, 0.09), 0.5 * SPACING)  # two particles a cell and axis
-    model = rigid.load(ARM, dt=2e-3)  # its substep is a multiple of the particles'
+    block = fill_box((0.4, FLOOR + 0.035, 0.2), (0.09, 0.07, 0.09), 0.5 * SPACING)  # two particles per cell and axis
+    model = rigid.load(ARM, dt=2e-3)  # a multiple of the substep of the particles
     sides = Wall(position=2 * SPACING), Wall(position=0.4 - 2 * SPACING)
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 17, 17), spacing=SPACING),
         dt=1e-3,
         material=Material(density=500.0, elasticity=NeoHookean(youngs_modulus=2e4, poissons_ratio=0.3)),
         particle_volume=0.09 * 0.07 * 0.09 / len(block),
-        gravity=(0.0, -9.81, 0.0),  # the model's own
-        colliders=rigid.colliders(model),  # of its geoms with conaffinity
+        gravity=(0.0, -9.81, 0.0),  # that of the model
+        colliders=rigid.colliders(model),  # its geoms with conaffinity
         walls=Walls(
             lower=(None, Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.2), sides[0]),
             upper=(Wall(position=1.15), None, sides[1]),
         ),
-        max_active_nodes=1024,  # nodes near particles; Status.INACTIVE_NODES says when they are too few
+        max_active_nodes=1024,  # nodes near particles; Status.INACTIVE_NODES reports when there are more
     )
     return Fling(
         model=model,
@@ -72,7 +72,7 @@ def make_fling() -> Fling:
         noise=reset_noise((-0.005, 0.0, 0.0), (0.02, 0.0, 0.0)),
         cloud=PointCloud(num_points=32, stride=len(block) // 32),
         num_substeps=10,
-        list_every=5,  # a list of active nodes serves for so many substeps: less than a cell's way of the fastest
+        list_every=5,  # substeps per list of active nodes: the fastest particle moves less than one cell
         max_steps=40,
     )
 
@@ -82,10 +82,7 @@ def main(iterations: int = 60, seed: int = 0, check: bool = True) -> tuple[float
     if check:
         check_env(env, check_full_episode=False)
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/fling-{seed}", seed=seed, eval_every=iterations)
-    train(make_sapo(env, SMALL), env, config)
-    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
-    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
-    return before, after
+    return train_and_compare(make_sapo(env, SMALL), env, config)
 
 
 if __name__ == "__main__":

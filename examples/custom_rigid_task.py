@@ -1,4 +1,4 @@
-"""Your own robot as a task: a model in MJCF, a reward, SAPO. `--mjcf` takes any with a free or slide joint first."""
+"""Your own robot as a task: a model in MJCF, a reward, SAPO. The first joint of `--mjcf` is free or a slide joint."""
 
 import jax.numpy as jnp
 import tyro
@@ -9,7 +9,7 @@ from rewax.envs.kit.rigid_task import RigidTask, uniform
 from rewax.physics import rigid
 from rewax.physics.rigid import Penalty
 from rewax.testing import check_env
-from rewax.training import TrainConfig, read_csv, train
+from rewax.training import TrainConfig, train_and_compare
 
 CRAWLER = """<mujoco><option timestep="0.004"/><default><geom type="capsule" size="0.03"/><motor gear="12"/>
 <joint axis="0 1 0"/><default class="leg"><joint range="-60 60" stiffness="12" damping="0.6" armature="0.02"/></default>
@@ -22,7 +22,7 @@ CRAWLER = """<mujoco><option timestep="0.004"/><default><geom type="capsule" siz
 
 @struct.dataclass
 class Run(RigidTask):
-    """Move along x: the reward is that velocity less 0.01 |action|^2; where it is along x is not observed."""
+    """Run along x: the reward is the velocity along x - 0.01 |action|^2. The position along x is not observed."""
 
     def start(self, key):
         return rigid.initial_state(self.model, qvel=uniform(key, self.model.num_dofs, 0.1)), None
@@ -36,7 +36,10 @@ class Run(RigidTask):
 
 
 def main(mjcf: str = CRAWLER, substeps: int = 5, iterations: int = 150, seed: int = 0) -> tuple[float, float]:
-    limits = {"limit_stiffness": 50.0, "limit_damping": 0.5}  # soft: within a substep no damper may stop a limb
+    limits = {
+        "limit_stiffness": 50.0,
+        "limit_damping": 0.5,
+    }  # soft: a damper that stops a limb within a substep is unstable
     model = rigid.load(mjcf, penalty=Penalty(stiffness=1e4, damping=50.0, friction_damping=50.0, onset=0.005, **limits))
     assert model.static.mj.jnt_type[0] in (0, 2), "the first joint is not free or a slide: write another reward for it"
     env = Run(model=model, num_substeps=substeps, max_steps=200)
@@ -44,10 +47,7 @@ def main(mjcf: str = CRAWLER, substeps: int = 5, iterations: int = 150, seed: in
     networks = {"actor_widths": (64, 64), "critic_widths": (64, 64), "vector_features": 64, "differentiate": "full"}
     agent = make_sapo(env, SAPOConfig(num_envs=32, num_iterations=iterations, initial_temperature=0.1, **networks))
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/custom-{seed}", seed=seed, eval_every=iterations)
-    train(agent, env, config)
-    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
-    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
-    return before, after
+    return train_and_compare(agent, env, config)
 
 
 if __name__ == "__main__":

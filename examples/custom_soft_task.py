@@ -1,4 +1,4 @@
-"""Your own task on particles: a paddle pushes sand onto a mark. Comments say what one has to know."""
+"""Your own task on particles: a paddle pushes sand onto a mark. Comments explain what you need to know."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +14,7 @@ from rewax.physics.mpm import DruckerPrager, Grid, Hencky, Material, Wall, WallK
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box, fill_box
 from rewax.testing import check_env
-from rewax.training import TrainConfig, read_csv, train
+from rewax.training import TrainConfig, train_and_compare
 from rewax.types import Array
 
 SPACING = 0.025
@@ -23,7 +23,7 @@ FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almos
 
 @struct.dataclass
 class PushSand(SoftTask):
-    """The reward is minus the mean distance of the sand from the mark along x and z, in units of its first one."""
+    """The reward is 1 - distance / 0.2 m, with the mean horizontal distance of the sand from the mark."""
 
     mark: Array
 
@@ -32,25 +32,27 @@ class PushSand(SoftTask):
         position = jnp.stack([x, jnp.full_like(x, FLOOR + 0.05), z], axis=-1)
         return Pose(position[:, None], jnp.broadcast_to(jnp.eye(3, dtype=x.dtype), (len(x), 1, 3, 3)))
 
-    def observe(self, physics):  # an array (points, numbers) becomes a point cloud, the rest one vector
+    def observe(self, physics):  # arrays of rank 2 are point clouds; all others form one vector
         return {**super().observe(physics), "joint_qd": physics.joint_qd}
 
     def reward(self, physics):
         away = (physics.soft.x - self.mark)[:, jnp.array([0, 2])]
-        distance = jnp.mean(jnp.sqrt(jnp.sum(away**2, axis=-1) + 1e-6))  # smooth: a square root has no slope at 0
+        distance = jnp.mean(
+            jnp.sqrt(jnp.sum(away**2, axis=-1) + 1e-6)
+        )  # smooth: the derivative of a square root is infinite at 0
         return 1.0 - distance / 0.2, {"distance": distance}
 
-    def render_shapes(self, physics):  # any list of drawings, see rewax.viz.shapes: tools, and markers for targets
+    def render_shapes(self, physics):  # a list of drawings, see rewax.viz.shapes: tools, and a marker for the target
         return [*super().render_shapes(physics), {"kind": "sphere", "center": self.mark, "radius": 0.015}]
 
 
 def make_push_sand() -> PushSand:
-    sand = fill_box((0.25, FLOOR + 0.025, 0.3), (0.1, 0.07, 0.1), 0.5 * SPACING)  # two particles a cell and axis
+    sand = fill_box((0.25, FLOOR + 0.025, 0.3), (0.1, 0.07, 0.1), 0.5 * SPACING)  # two particles per cell and axis
     sides = Wall(position=2 * SPACING), Wall(position=0.6 - 2 * SPACING)
     floor = Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.5)
     scene = mpm.make_scene(
         grid=Grid(shape=(25, 13, 25), spacing=SPACING),
-        dt=1.5e-3,  # refused, with the largest stable one, if it is too long
+        dt=1.5e-3,  # an error names the largest stable dt if this one is too long
         material=Material(
             density=1500.0,
             elasticity=Hencky(youngs_modulus=5e4, poissons_ratio=0.2),
@@ -64,13 +66,13 @@ def make_push_sand() -> PushSand:
             ),
         ),
         walls=Walls(lower=(sides[0], floor, sides[0]), upper=(sides[1], None, sides[1])),
-        max_active_nodes=2048,  # nodes near particles; Status.INACTIVE_NODES says when they are too few
+        max_active_nodes=2048,  # nodes near particles; Status.INACTIVE_NODES reports when there are more
     )
     return PushSand(
         scene=scene,
         rest_positions=sand,
         noise=reset_noise((0.0, 0.0, -0.05), (0.0, 0.0, 0.05)),
-        joint_start=(0.165, 0.3),  # it touches the sand: a tool far from it has no gradient
+        joint_start=(0.165, 0.3),  # the paddle touches the sand: far from it, the gradient would be zero
         joint_lower=(0.08, 0.15),
         joint_upper=(0.5, 0.45),
         joint_step=(0.01, 0.01),
@@ -86,10 +88,7 @@ def main(iterations: int = 60, seed: int = 0, check: bool = True) -> tuple[float
     if check:
         check_env(env, check_full_episode=False)
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/sand-{seed}", seed=seed, eval_every=iterations)
-    train(make_sapo(env, SMALL), env, config)
-    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
-    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
-    return before, after
+    return train_and_compare(make_sapo(env, SMALL), env, config)
 
 
 if __name__ == "__main__":

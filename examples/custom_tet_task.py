@@ -1,4 +1,4 @@
-"""Your own task on tetrahedra: a soft bar bends by its muscles and moves forwards. Comments say what to know."""
+"""Your own task on tetrahedra: a soft bar bends by its muscles and moves forwards. Comments explain it."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +12,7 @@ from rewax.physics import tets
 from rewax.physics.contact import Ground, PenaltyContact
 from rewax.physics.tets import tetmesh
 from rewax.testing import check_env
-from rewax.training import TrainConfig, read_csv, train
+from rewax.training import TrainConfig, train_and_compare
 from rewax.types import Array
 
 MUSCLES = 4  # along the bar, above and below
@@ -22,20 +22,18 @@ MUSCLES = 4  # along the bar, above and below
 class Crawl(SoftTask):
     """The reward is the bar's velocity along x [m/s], less 0.01 times the mean square of the actions."""
 
-    muscles: (
-        Array  # what each action does to each tet, (num_tets, num_actions); arrays are leaves: differentiate by them
-    )
+    muscles: Array  # effect of each action on each tet, (num_tets, num_actions); a parameter, like every array
 
     @property
-    def num_actions(self):  # beyond one for each joint of a tool; there are no tools here
+    def num_actions(self):  # by default one for each joint of the tools; there are no tools here
         return 2 * MUSCLES
 
-    def actuated(self, action):  # the scene of a control step: here with other activations
+    def actuated(self, action):  # the scene of a control step: the action sets the activations
         return self.scene.replace(activation=self.muscles @ action)
 
-    def observe(self, physics):  # an array (points, numbers) becomes a point cloud, the rest one vector
+    def observe(self, physics):  # arrays of rank 2 are point clouds; all others form one vector
         x, v = physics.soft.x, physics.soft.v
-        shape = (x - x.mean(0))[:: len(x) // 12]  # without where it is along x: the reward does not depend on it
+        shape = (x - x.mean(0))[:: len(x) // 12]  # without the position along x, on which the reward does not depend
         return {"shape": shape.reshape(-1), "height": x[:, 1].mean(), "velocity": v.mean(0), "action": physics.action}
 
     def reward(self, physics):
@@ -55,9 +53,9 @@ def make_crawl() -> Crawl:
         mu=moduli.mu,
         lam=moduli.lam,
         damping=20.0,
-        dt=1e-3,  # refused, with the largest stable one, if it is too long
+        dt=1e-3,  # an error names the largest stable dt if this one is too long
         ground=Ground(normal=(0.0, 1.0, 0.0)),
-        contact=PenaltyContact(  # of each vertex: forces per metre of depth, and per metre a second
+        contact=PenaltyContact(  # for each vertex: forces per metre of depth, and per metre per second
             stiffness=500.0,
             damping=1.0,
             friction_damping=5.0,
@@ -65,7 +63,9 @@ def make_crawl() -> Crawl:
             radius=0.01,
         ),
     )
-    rest = mesh.vertices - mesh.vertices.min(0) + np.array([0.0, 0.005, 0.0])  # it touches: no derivative in the air
+    rest = (
+        mesh.vertices - mesh.vertices.min(0) + np.array([0.0, 0.005, 0.0])
+    )  # it touches the ground: in the air the gradient would be zero
     return Crawl(
         scene=scene,
         rest_positions=rest,
@@ -82,10 +82,7 @@ def main(iterations: int = 100, seed: int = 0, check: bool = True) -> tuple[floa
     if check:
         check_env(env, check_full_episode=False)
     config = TrainConfig(num_iterations=iterations, run_dir=f"runs/crawl-{seed}", seed=seed, eval_every=iterations)
-    train(make_sapo(env, SMALL), env, config)
-    before, *_, after = read_csv(f"{config.run_dir}/eval.csv")["deterministic_mean"]
-    print(f"return per episode: {before:.1f} before, {after:.1f} after; see {config.run_dir}/episode.png")
-    return before, after
+    return train_and_compare(make_sapo(env, SMALL), env, config)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import GetAttrKey, register_pytree_with_keys
 
+from rewax.short_repr import short_repr
 from rewax.types import Scalar
 
 T = TypeVar("T")
@@ -35,7 +36,7 @@ def static_field(**kwargs: Any) -> Any:
 
 
 def number(
-    legal: Any, remedy: str, *, shape: tuple[int, ...] | None = None, vector: bool = False, **kwargs: Any
+    legal: Any, remedy: str, *, shape: tuple[int | str, ...] | None = None, vector: bool = False, **kwargs: Any
 ) -> Any:
     """A field that holds a number or an array of numbers, with its legal values.
 
@@ -45,7 +46,7 @@ def number(
     Args:
       legal: a ``rewax.physics.numerics.checks.Legal``, for example ``POSITIVE``.
       remedy: advice in error messages, "give a length in metres".
-      shape: required shape of the value; None: any.
+      shape: required shape of the value, with a name for each axis of any length; None: any shape.
       vector: whether the value is one vector, shape (3,), or one per particle, shape (num_particles, 3).
       kwargs: arguments of ``dataclasses.field``, such as ``default``. A field with default None may be None.
     """
@@ -58,14 +59,16 @@ def dataclass(cls: type[T]) -> type[T]:
 
     The constructor converts numbers, tuples and lists of numbers, and NumPy arrays of floats to JAX arrays. A single
     number becomes weakly typed, so it does not promote other types. ``__post_init__`` runs in the constructor, but not
-    when JAX rebuilds a tree.
+    when JAX rebuilds a tree. ``repr`` prints long arrays by type and shape.
 
     It does not use ``jax.tree_util.register_dataclass`` (nor flax's, which calls it): in jaxlib 0.10.1 the tree
     structures of two classes compare equal if their fields have the same names, and ``jit`` sometimes runs the program
     of a capsule for a cylinder.
     """
     _convert_first(cls)
-    made: Any = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+    made: Any = dataclasses.dataclass(frozen=True, kw_only=True, repr=False)(cls)
+    if made.__repr__ is object.__repr__:
+        made.__repr__ = short_repr
     fields = dataclasses.fields(made)
     leaves = tuple(f.name for f in fields if f.metadata.get("pytree_node", True))
     static = tuple(f.name for f in fields if not f.metadata.get("pytree_node", True))
@@ -170,7 +173,7 @@ def replace_leaf(tree: Any, path: str, value: Any) -> Any:
         return type(tree)((*tree[:i], changed, *tree[i + 1 :]))
     old = tree[key] if isinstance(tree, dict) else getattr(tree, key)
     changed = replace_leaf(old, rest, value) if rest else value
-    return {**tree, key: changed} if isinstance(tree, dict) else dataclasses.replace(tree, **{key: changed})
+    return {**tree, key: changed} if isinstance(tree, dict) else dataclasses.replace(tree, **{key: changed})  # pyright: ignore[reportArgumentType]
 
 
 class Replaceable:

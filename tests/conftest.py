@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import jax
@@ -14,13 +15,16 @@ import numpy as np
 import pytest
 from rigid_models import QUICK_TO_COMPILE
 
-_QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false"
-"""XLA's older code generator for a CPU: a third less to compile, programs up to 1.4 times as slow."""
+_QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+"""XLA's older code generator for a CPU, and LLVM without optimisation: half to compile, slower programs.
+
+Tests compile long and compute little; what computes long is C++ of rewax, which the flags do not reach.
+"""
 
 
-def _knows(flag: str) -> bool:
-    """Whether this XLA has the flag: one that has not ends the process."""
-    environment = {**os.environ, "XLA_FLAGS": flag, "JAX_PLATFORMS": "cpu"}
+def _knows(flags: str) -> bool:
+    """Whether this XLA has the flags: one that lacks one ends the process."""
+    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     command = [sys.executable, "-c", "import jax; jax.devices()"]
     return subprocess.run(command, env=environment, capture_output=True).returncode == 0
 
@@ -31,7 +35,7 @@ if "XLA_FLAGS" not in os.environ and _knows(_QUICK_TO_COMPILE):
 
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rewax" / "jax-tests"
 jax.config.update("jax_compilation_cache_dir", str(_CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # the workers share even the smallest programs
 
 hypothesis.settings.register_profile(
     "rewax",
@@ -44,17 +48,40 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("rewax")
 
 
-_MANY_MAPS = 20_000
-"""Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes."""
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With ``pytest -n`` each worker begins with half of the files, so that tests of a file share what they compile.
+
+    Pytest without xdist has no such hook and no option ``--dist``.
+    """
+    if config.getvalue("dist") != "load":
+        return None  # asked for something else
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
+
+
+_MANY_MAPS, _MUCH_MEMORY = 20_000, 1.5e9
+"""Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes. [1, bytes]"""
 
 
 @pytest.fixture(scope="module", autouse=True)
 def few_programs() -> Iterator[None]:
-    """Compiled programs of earlier modules go before they are too many; the cache on disk keeps them."""
+    """Compiled programs of earlier modules go before they are too many or too large; the cache on disk keeps them."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.is_file() and maps.read_bytes().count(b"\n") > _MANY_MAPS:
+    process = Path("/proc/self")
+    if not process.is_dir():
+        return
+    resident = int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if resident > _MUCH_MEMORY or (process / "maps").read_bytes().count(b"\n") > _MANY_MAPS:
         jax.clear_caches()
+
+
+@pytest.fixture(scope="session")
+def sharing_programs() -> dict[str, str]:
+    """The environment of another Python that keeps compiled programs where the tests do."""
+    cache = {"JAX_COMPILATION_CACHE_DIR": str(_CACHE), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    return {**os.environ, **cache}
 
 
 @pytest.fixture

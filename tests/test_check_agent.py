@@ -179,7 +179,8 @@ BROKEN = {
 def test_a_sound_agent_passes():
     lines = []
     check_agent(SOUND, ENV, notify=lines.append)
-    assert lines[0] == "check_agent, 0 s: compiling init and train_step" and lines[-1].endswith(" s: passed")
+    assert lines[0].startswith("check_agent, ") and lines[0].endswith(" s: compiling init and train_step")
+    assert lines[-1].endswith(" s: passed")
 
 
 def test_a_metric_that_an_iteration_may_lack_is_named_by_the_user():

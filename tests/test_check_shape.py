@@ -129,7 +129,7 @@ BROKEN = {
     "a constant": (bent(lambda self, p, d, n: (d, (n[0], 0.0, n[2]))), "distance of Broken returns arrays of shapes"),
     "a Python number": (
         bent(lambda self, p, d, n: (d + 0.0 * float(self.tube), n)),
-        "distance of Broken cannot be compiled with traced leaves (",
+        "distance of Broken cannot be compiled with traced parameters (",
     ),
     "single precision": (
         bent(lambda self, p, d, n: (d.astype(jnp.float32), n)),
@@ -165,7 +165,7 @@ BROKEN = {
     "a box upside down": (box(-1.0), "the bounding box of Broken reaches from (0.4, 0.1, 0.4) to (-0.4, -0.1, -0.4): its"),
     "a box of numpy": (
         torus(bounding_box=lambda self: (-np.array([self.ring + self.tube] * 3), np.full(3, 0.4))),
-        "bounding_radius of Broken cannot be compiled with traced leaves (",
+        "bounding_radius of Broken cannot be compiled with traced parameters (",
     ),
 }  # fmt: skip
 

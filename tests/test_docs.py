@@ -15,6 +15,7 @@ from matplotlib.image import imread
 from native_cases import NEEDS_COMPILER
 
 import rewax
+from rewax.cli.main import COMMANDS
 from rewax.physics.mpm import transfer_cpp
 from rewax.testing import check_agent
 from rewax.training.suites.suite import read_suite
@@ -99,7 +100,7 @@ def test_viz_page_runs_and_does_what_it_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = run_page("docs/viz.md")
     assert names["recording"].num_frames <= 61 and len(names["recording"].rewards) == names["recording"].steps[-1]
-    assert names["said"] == "in real time" and b"ftyp" in (tmp_path / "episode.mp4").read_bytes()[:16]
+    assert names["speed"] == "in real time" and b"ftyp" in (tmp_path / "episode.mp4").read_bytes()[:16]
     assert names["page"].stat().st_size > 20_000
 
 
@@ -145,9 +146,40 @@ def test_the_lowering_page_says_what_runs_in_cpp():
 
 
 def test_every_page_with_code_is_run_here():
-    pages = [path for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")] if "```python" in path.read_text()]
+    pages = [path for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")] if "```python" in path.read_text()]
     here = Path(__file__).read_text()
     assert not [page.name for page in pages if f'"{page.relative_to(ROOT)}"' not in here]
+
+
+def test_the_page_of_commands_has_a_section_for_each():
+    sections = re.findall(r"^## ([a-z]+)$", (ROOT / "docs/command_line.md").read_text(), re.MULTILINE)
+    assert sorted(sections) == sorted(COMMANDS)
+
+
+def test_links_of_the_top_level_lead_somewhere():
+    """Those within ``docs/`` are checked by ``mkdocs build --strict``."""
+    for page in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
+        links = re.findall(r"\]\(([^)#]+)(?:#([^)]+))?\)", (ROOT / page).read_text())
+        assert len(links) > 5, page
+        for path, anchor in links:
+            target = ROOT / path
+            assert path.startswith("http") or target.is_file(), (page, path)
+            if anchor and not path.startswith("http"):
+                titles = re.findall(r"^#+ (.*)$", target.read_text(), re.MULTILINE)
+                assert anchor in [re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles], anchor
+
+
+def test_pages_that_code_names_are_there():
+    named = set()
+    for folder in ("rewax", "benchmarks", "tests", "examples"):
+        for path in (ROOT / folder).rglob("*.py"):
+            named |= set(re.findall(r"\bdocs/[\w/]+\.md\b", path.read_text()))
+    assert len(named) > 10 and not [page for page in named if not (ROOT / page).is_file()]
+
+
+def test_the_page_of_a_task_on_a_robot_runs():
+    names = run_page("docs/your_own_rigid_task.md")
+    assert "MyTask" in rewax.list_envs() and names["env"].num_actions == 1
 
 
 @pytest.mark.slow
@@ -163,8 +195,8 @@ def test_the_example_of_a_rigid_task_trains(tmp_path, monkeypatch):
         main(mjcf=arm)
 
 
-def test_soft_tasks_page_runs_and_does_what_it_says():
-    names = run_page("docs/soft_tasks.md")
+def test_the_page_of_clouds_and_tools_runs_and_does_what_it_says():
+    names = run_page("docs/clouds_and_tools.md")
     assert names["seen"].shape == (32, 6)
     assert [collider.body for collider in names["tools"]] == [1]
     np.testing.assert_allclose(names["poses"].position[:, 1, 0], np.linspace(0.0, 0.1, 11), atol=1e-7)
@@ -331,7 +363,7 @@ def test_notebooks_run(name, shorter, tmp_path, monkeypatch):
 def test_the_page_of_a_suite_shows_its_results(suite, page):
     """Fill it with ``benchmarks/suite_page.py`` after ``rewax bench``."""
     names = runpy.run_path(str(ROOT / "benchmarks" / "suite_page.py"))
-    folder, page = ROOT / "docs" / "suites" / suite, ROOT / "docs" / f"{page}.md"
+    folder, page = ROOT / "docs" / "suites" / suite, ROOT / "docs" / "measured" / f"{page}.md"
     text = page.read_text()
     assert (
         names["filled"](text, read_suite(suite), folder, page) == text and f"| {read_suite(suite).tasks[0]} |" in text

@@ -47,7 +47,7 @@ def test_a_part_that_is_cut_off_leaves_what_it_wrote(tmp_path):
     )
     python.chmod(0o755)
     environment = {
-        "PATH": "/usr/bin:/bin", "QUICK": "1", "PYTHON": str(python), "BUDGET": "14", "PARTS": "agreement step",
+        "PATH": "/usr/bin:/bin", "QUICK": "1", "PYTHON": str(python), "BUDGET": "10", "PARTS": "agreement step",
     }  # fmt: skip
     done = subprocess.run(
         [str(BASH), str(SCRIPT), str(tmp_path / "out")], env=environment, capture_output=True, text=True, timeout=60

@@ -3,11 +3,15 @@
 import ast
 import importlib
 import re
+import shutil
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+
+import rewax
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -15,7 +19,9 @@ DISTRIBUTIONS = {
     "orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx", "imageio_ffmpeg": "imageio-ffmpeg", "OpenGL": "pyopengl",
 }  # fmt: skip
 """Where a distribution has another name than its top module."""
-EXTRA_MODULES = {"scikit-image": "skimage", "dm-env": "dm_env", "stable-baselines3": "stable_baselines3"}
+EXTRA_MODULES = {
+    "scikit-image": "skimage", "dm-env": "dm_env", "stable-baselines3": "stable_baselines3", "pytest-xdist": "xdist",
+}  # fmt: skip
 """The same of extras."""
 
 
@@ -50,7 +56,9 @@ def extras(*names: str) -> set[str]:
 
 def test_every_dependency_is_imported_and_every_import_declared():
     used, core = third_party(ROOT / "rewax"), declared(PROJECT["dependencies"])
-    optional = extras("meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch", "tune")
+    optional = extras(
+        "meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch", "stable-baselines3", "tune"
+    )
     assert core <= used, f"declared but not imported by rewax: {sorted(core - used)}"
     assert used - core == optional, f"imported by rewax but not declared: {sorted(used - core - optional)}"
 
@@ -83,6 +91,31 @@ def test_what_is_not_python_is_not_ignored_by_git_and_so_goes_into_the_wheel():
         path.name for path in assets
     }
     assert not [path for path in assets if path.suffix in ignored or set(path.relative_to(ROOT).parts) & set(ignored)]
+
+
+def version_script(root: Path, *arguments: str) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, root / ".ci/version", *arguments], capture_output=True, text=True)
+
+
+@pytest.mark.skipif(not (ROOT / ".ci").is_dir(), reason="not in the sdist")
+def test_there_is_one_version(tmp_path):
+    done = version_script(ROOT)
+    assert done.returncode == 0 and done.stdout.strip() == rewax.__version__, done.stderr
+    files = ("rewax/__init__.py", "CITATION.cff", "CHANGELOG.md", ".ci/version")
+    for name in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    changes = (tmp_path / "CHANGELOG.md").read_text()
+    heading = re.search(r"^## .*$", changes, re.M)[0]
+    assert "before a release" in version_script(tmp_path, rewax.__version__).stderr
+    (tmp_path / "CHANGELOG.md").write_text(changes.replace(heading, f"## {rewax.__version__}, 2026-01-31"))
+    assert version_script(tmp_path, rewax.__version__).returncode == 0
+    assert "the tag is of version 9.9.9" in version_script(tmp_path, "9.9.9").stderr
+    assert version_script(tmp_path, "--notes").stdout.startswith("- ")
+    (tmp_path / "CHANGELOG.md").write_text(changes.replace(heading, "## 9.9.9, 2026-01-31"))
+    assert "the first heading of CHANGELOG.md" in version_script(tmp_path).stderr
+    (tmp_path / "CITATION.cff").write_text("version: 9.9.9\n")
+    assert "CITATION.cff has 9.9.9" in version_script(tmp_path).stderr
 
 
 @pytest.mark.parametrize("name", PROJECT["scripts"])

@@ -1,4 +1,4 @@
-"""What the transfers' passes can be given, and how each form of them is compared with ``transfer_xla_cpu``."""
+"""Inputs of the transfers' kernels, and the comparison of each form of them with ``transfer_xla_cpu``."""
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +14,8 @@ GRID = Grid(shape=(9, 8, 7), spacing=0.1, origin=(-0.1, 0.2, 0.0))
 NUM = 20
 
 
-def places(batch, listed):
-    """Layout and places of particles, some of them midway between nodes."""
+def locations(batch, listed):
+    """Layout and locations, some of them midway between nodes."""
     draw = np.random.default_rng(0)
     x = [draw.uniform(GRID.origin[a] + 0.15, GRID.origin[a] + 0.45, (*batch, NUM)) for a in range(3)]
     x[0][..., 0] = GRID.origin[0] + 0.25
@@ -35,10 +35,10 @@ def inputs(name, where, batch, nodes, num=NUM, dtype=float):
         return tuple(jnp.asarray(draw.standard_normal((*batch, length)), dtype) for _ in range(count))
 
     return {
-        "spread": [(where, arrays(13, num)), (where, arrays(12, num))],
+        "scatter": [(where, arrays(13, num)), (where, arrays(12, num))],
         "gather_values": [(where, arrays(4, nodes)), (where, arrays(3, nodes))],
         "gather_slopes": [((*where, *arrays(3, nodes)), ())],
-        "spread_tangent_transpose": [((*where, *arrays(13, num)), arrays(4, nodes))],
+        "scatter_tangent_transpose": [((*where, *arrays(13, num)), arrays(4, nodes))],
         "gather_tangent": [((*where, *arrays(3, nodes), *arrays(3, num)), (*arrays(3, num), *arrays(3, nodes)))],
         "gather_tangent_transpose": [((*where, *arrays(3, nodes), *arrays(3, num)), arrays(12, num))],
     }[name]
@@ -53,8 +53,8 @@ def run(module, name, layout, given):
 
 
 def assert_as_transfer_cpu(module, names, batch, listed):
-    """All passes of these names agree with ``transfer_xla_cpu``'s, and are other programs."""
-    layout, where = places(batch, listed)
+    """All kernels of these names agree with ``transfer_xla_cpu``'s, and are other programs."""
+    layout, where = locations(batch, listed)
     for name in names:
         for given in inputs(name, where, batch, layout.num_nodes):
             this, other = program(module, name, layout, given), program(transfer_xla_cpu, name, layout, given)

@@ -1,7 +1,7 @@
-"""Files outside ``docs/`` that belong to the site, links to them, and a check that no public name is left out.
+"""Files outside ``docs/`` that belong to the site, links to them, order of search results, and checks of the site.
 
-A link such as ``../examples/train_sapo.py`` works where the repository is browsed. In the site the same files lie
-beside the pages, so ``../`` goes.
+A link such as ``../examples/train_sapo.py`` works where the repository is browsed. In the site the folder ``examples``
+lies beside the pages, one level higher.
 """
 
 import ast
@@ -14,6 +14,8 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PAGES = ("CHANGELOG.md", "CONTRIBUTING.md")
+MEASURED = ("measured/", "tasks/")
+"""A search finds the manual before these."""
 log = logging.getLogger("mkdocs.hooks.rewax")
 
 
@@ -27,17 +29,22 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Links as they are in the site, and fences without what the tests read in them."""
+    if page.file.src_uri.startswith(MEASURED):
+        page.meta.setdefault("search", {})["boost"] = 0.5
     if page.file.src_uri in PAGES:
         return markdown.replace("](docs/", "](")
-    if "/" not in page.file.src_uri:
-        markdown = markdown.replace("](../", "](")
+    up = "../" * page.file.src_uri.count("/")
+    markdown = markdown.replace(f"]({up}../examples/", f"]({up}examples/")
     return re.sub(r"^(```\w+) \w+$", r"\1", markdown, flags=re.MULTILINE)
 
 
 def on_post_build(config: Any) -> None:
-    """Warn, which ``--strict`` makes an error, of a public name of an API page's package that the page lacks."""
+    """Warn, which ``--strict`` makes an error, of public names that an API page lacks, and of remote scripts."""
+    loaded = r'<script[^>]+src="https?:[^"]*"|<link rel="stylesheet" href="https?:[^"]*"'
+    for element in re.findall(loaded, _built(config, "index.html")):
+        log.warning(f"the site is read from disk, but {element} needs a network")
     for page in sorted((ROOT / "docs" / "api").glob("*.md")):
-        shown = (Path(config.site_dir) / "api" / f"{page.stem}.html").read_text()
+        shown = _built(config, f"api/{page.stem}.html")
         source = page.read_text()
         package = source.splitlines()[0].removeprefix("# ").split(",")[0]
         for name in _public(ROOT.joinpath(*package.split("."), "__init__.py")):
@@ -45,6 +52,10 @@ def on_post_build(config: Any) -> None:
                 rf"^(:::|##) .*\.{name}$", source, flags=re.MULTILINE
             ):
                 log.warning(f"{package}.{name} is public, but docs/api/{page.name} does not show it")
+
+
+def _built(config: Any, page: str) -> str:
+    return (Path(config.site_dir) / page).read_text()
 
 
 def _public(init: Path) -> list[str]:

@@ -1,5 +1,5 @@
-"""Environments as other libraries want them: ``gymnasium_env``, ``dm_env``, ``torch_function``.
+"""Environments for other libraries: ``gymnasium_env``, ``stable_baselines3``, ``dm_env``, ``torch_function``.
 
-Each needs the library it is named after, which an extra of the same name brings: ``pip install 'rewax[gymnasium]'``.
-Gradients pass through ``torch_function`` alone; the others hand out NumPy arrays.
+Each module needs the library in its name; an extra installs it: ``pip install 'rewax[gymnasium]'``. Gradients pass
+through ``torch_function`` only. The other modules return NumPy arrays.
 """

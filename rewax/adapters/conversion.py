@@ -1,4 +1,4 @@
-"""What the adapters share: NumPy arrays out of states, checks of what comes in."""
+"""Functions that the adapters share: states to NumPy arrays, checks of actions."""
 
 from typing import Any
 
@@ -15,17 +15,17 @@ def missing(library: str, extra: str) -> ImportError:
 
 
 def numpy_observation(state: State) -> dict[str, np.ndarray]:
-    """Observation as NumPy arrays of their own, with a leading axis where the state has one."""
+    """The observation as new NumPy arrays, with a leading axis if the state has one."""
     return {name: np.array(value) for name, value in state.obs.items()}
 
 
 def numpy_metrics(state: State) -> dict[str, np.ndarray]:
-    """The task's metrics and the status bits as NumPy arrays."""
+    """The metrics of the task and the status bits, as NumPy arrays."""
     return {**{name: np.asarray(value) for name, value in state.metrics.items()}, "status": np.asarray(state.status)}
 
 
 def state_info(state: State) -> dict[str, Any]:
-    """What gymnasium calls info: metrics as numbers, status in words."""
+    """The ``info`` of gymnasium: metrics as numbers, status in words."""
     numbers = {name: value.item() for name, value in numpy_metrics(state).items() if value.ndim == 0}
     return {**numbers, "status": describe(int(state.status))}
 
@@ -36,10 +36,10 @@ def key_from(generator: np.random.Generator) -> jax.Array:
 
 
 def check_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """An action as a float array.
+    """An action as a float32 array.
 
     Raises:
-      ValueError: it has another shape, or a number that is not finite.
+      ValueError: it has another shape, or holds a number that is not finite.
     """
     array = np.asarray(action, np.float32)
     if array.shape != shape:
@@ -47,6 +47,17 @@ def check_action(action: Any, shape: tuple[int, ...]) -> np.ndarray:
     if not np.isfinite(array).all():
         raise ValueError("the action holds a number that is not finite: check the policy that made it")
     return array
+
+
+def checked_num_envs(num_envs: Any) -> int:
+    """A number of environments.
+
+    Raises:
+      ValueError: it is no integer, or below 1.
+    """
+    if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
+        raise ValueError(f"num_envs is {num_envs!r}: give an integer of at least 1")
+    return int(num_envs)
 
 
 def compiled(env: Env) -> tuple[Any, Any]:

@@ -1,4 +1,4 @@
-"""Environments for dm_env and what builds on it (Acme, dm_control's suite of agents).
+"""Environments for dm_env and the libraries that use it: Acme, for example.
 
     env = DmEnvironment(rewax.make("RollingFlat"), seed=0)
 
@@ -24,7 +24,7 @@ class DmEnvironment(dm_env.Environment):
 
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
-      seed: of the beginnings of all episodes.
+      seed: seed of the first states of all episodes.
     """
 
     def __init__(self, env: Env, *, seed: int = 0) -> None:
@@ -38,7 +38,7 @@ class DmEnvironment(dm_env.Environment):
         return dm_env.restart(numpy_observation(state))
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """One control step; the first call, and that after the end of an episode, begins a new one."""
+        """One control step. The first call, and the call after the end of an episode, begin a new episode instead."""
         if self._state is None or bool(self._state.done):
             return self.reset()
         self._state = state = self._step(self._state, check_action(action, self.env.action_spec.shape))
@@ -47,13 +47,13 @@ class DmEnvironment(dm_env.Environment):
             return dm_env.termination(reward, obs)
         return dm_env.truncation(reward, obs) if bool(state.truncated) else dm_env.transition(reward, obs)
 
-    def observation_spec(self) -> dict[str, specs.Array]:
+    def observation_spec(self) -> dict[str, specs.Array]:  # pyright: ignore[reportIncompatibleMethodOverride]
         return {name: bounded(spec, name) for name, spec in self.env.observation_spec.items()}
 
-    def action_spec(self) -> specs.BoundedArray:
+    def action_spec(self) -> specs.BoundedArray:  # pyright: ignore[reportIncompatibleMethodOverride]
         return bounded(self.env.action_spec, "action")
 
 
 def bounded(spec: ArraySpec, name: str) -> specs.BoundedArray:
-    """The arrays of a spec, float32."""
+    """A spec as a ``BoundedArray`` of float32."""
     return specs.BoundedArray(shape=spec.shape, dtype=np.float32, minimum=spec.low, maximum=spec.high, name=name)

@@ -1,10 +1,11 @@
-"""Environments for gymnasium and all that builds on it, one or many at once.
+"""Environments for gymnasium and the libraries that use it, single or in a batch.
 
+    env = gymnasium.make("rewax/RollingFlat-small-v0")      # or 'paper'; options of rewax.make as keyword arguments
     env = GymnasiumEnv(rewax.make("RollingFlat"))
     envs = GymnasiumVectorEnv(rewax.make("RollingFlat"), num_envs=16)
 
-Observations are ``Dict`` spaces of float32, point clouds with shape (num_points, 3): ``gymnasium.wrappers`` flattens
-them for those who want one vector. No gradient passes through.
+Observations are ``Dict`` spaces of float32; a point cloud has shape (num_points, 3). The wrappers of gymnasium flatten
+them into one vector. No gradient passes through. Importing this module registers the names of ``gymnasium_ids``.
 """
 
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ import numpy as np
 
 from rewax.adapters.conversion import (
     check_action,
+    checked_num_envs,
     compiled,
     key_from,
     missing,
@@ -21,7 +23,9 @@ from rewax.adapters.conversion import (
     numpy_observation,
     state_info,
 )
+from rewax.adapters.gymnasium_ids import register_envs
 from rewax.envs.base import ArraySpec, Env, State
+from rewax.envs.registry import make
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.training.evaluation.recording import snapshots
 from rewax.viz.render import pictures
@@ -34,11 +38,13 @@ try:
 except ImportError as error:
     raise missing("gymnasium", "gymnasium") from error
 
+register_envs()
+
 
 class GymnasiumEnv(gymnasium.Env):
-    """One environment; it needs ``reset`` after the end of an episode.
+    """One environment. Call ``reset`` after the end of an episode.
 
-    ``info`` holds the task's metrics, and ``status``: "OK", or the names of what failed.
+    ``info`` holds the metrics of the task, and ``status``: "OK", or the names of the status bits.
 
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
@@ -73,7 +79,7 @@ class GymnasiumEnv(gymnasium.Env):
         return numpy_observation(state), float(state.reward), *ends, state_info(state)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """A picture of the present state; its frame holds the beginning of the episode too."""
+        """A picture of the present state. The camera also shows the first state of the episode."""
         if self._record is None:
             return None
         if self._state is None:
@@ -83,7 +89,7 @@ class GymnasiumEnv(gymnasium.Env):
 
 
 class GymnasiumVectorEnv(VectorEnv):
-    """Many environments in one compiled program; each begins anew in the step that ends its episode.
+    """Many environments in one compiled program. Each begins a new episode in the step that ends one.
 
     In that step ``infos["final_obs"]`` and ``infos["final_info"]`` hold the end of the old episode, as in gymnasium's
     mode ``SAME_STEP``. All other entries of ``infos`` are arrays over the environments; ``status`` holds bits of
@@ -91,15 +97,13 @@ class GymnasiumVectorEnv(VectorEnv):
 
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
-      num_envs: how many.
+      num_envs: number of environments.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(self, env: Env, num_envs: int) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}: give 1 or more")
-        self.env, self.num_envs = env, num_envs
+        self.env, self.num_envs = env, checked_num_envs(num_envs)
         self.single_observation_space = observation_space(env)
         self.single_action_space = box(env.action_spec)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -108,7 +112,7 @@ class GymnasiumVectorEnv(VectorEnv):
         self._state: State | None = None
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """seed: one number, or one per environment."""
+        """First states. ``seed`` is one number, or one for each environment."""
         if seed is None or isinstance(seed, (int, np.integer)):
             super().reset(seed=None if seed is None else int(seed))
             keys = jax.random.split(key_from(self.np_random), self.num_envs)
@@ -141,11 +145,23 @@ class GymnasiumVectorEnv(VectorEnv):
         return {**metrics, **{f"_{name}": np.ones(self.num_envs, bool) for name in metrics}}
 
 
+def make_gymnasium_env(
+    *, task: str, scale: str, render_mode: str | None = None, size: tuple[int, int] = (360, 480), **options: Any
+) -> GymnasiumEnv:
+    """What ``gymnasium.make("rewax/RollingFlat-small-v0", ...)`` calls; options are those of ``rewax.make``."""
+    return GymnasiumEnv(make(task, scale=scale, **options), render_mode=render_mode, size=size)
+
+
+def make_gymnasium_vector_env(*, task: str, scale: str, num_envs: int = 1, **options: Any) -> GymnasiumVectorEnv:
+    """What ``gymnasium.make_vec("rewax/RollingFlat-small-v0", num_envs=16)`` calls."""
+    return GymnasiumVectorEnv(make(task, scale=scale, **options), num_envs)
+
+
 def observation_space(env: Env) -> spaces.Dict:
-    """The observation's arrays, each a ``Box`` of float32."""
+    """The observation as a ``Dict`` with a ``Box`` of float32 for each array."""
     return spaces.Dict({name: box(spec) for name, spec in env.observation_spec.items()})
 
 
 def box(spec: ArraySpec) -> spaces.Box:
-    """The arrays of a spec, float32."""
+    """A spec as a ``Box`` of float32."""
     return spaces.Box(low=spec.low, high=spec.high, shape=spec.shape, dtype=np.float32)

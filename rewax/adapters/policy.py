@@ -3,8 +3,8 @@
     act = numpy_policy(rewax.load_policy("HandFlip"))
     obs, reward, terminated, truncated, info = env.step(act(obs))
 
-It needs no library but rewax's own; no gradient passes through. For tensors with gradients put ``SavedRun.act`` into
-``torch_function``.
+It needs no library beyond those of rewax. No gradient passes through; for tensors with gradients pass ``SavedRun.act``
+to ``torch_function``.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,16 +19,17 @@ from rewax.training.storage.saved import SavedRun
 def numpy_policy(
     run: SavedRun, *, deterministic: bool = True, seed: int = 0
 ) -> Callable[[Mapping[str, Any]], np.ndarray]:
-    """The policy of a run, compiled for one observation or for a batch, whichever it is called with.
+    """The policy of a run as a function of one observation or of a batch of observations.
 
     Args:
       run: from ``load_policy`` or ``load_run``.
-      deterministic: the most likely action; else one that is drawn.
-      seed: of the draws.
+      deterministic: whether the action is the most likely one; else it is drawn.
+      seed: seed of the draws.
 
     Returns:
-      ``act(obs)``: ``obs`` is a dict of arrays by name, as ``GymnasiumEnv``, ``GymnasiumVectorEnv`` and
-      ``DmEnvironment`` give it; the action has its leading axis. ValueError: an array is missing or has another shape.
+      ``act(obs)``. ``obs`` is a dict of arrays by name, as ``GymnasiumEnv``, ``GymnasiumVectorEnv`` and
+      ``DmEnvironment`` return it. The action has the leading axis of the observation. ``act`` raises ValueError if an
+      array is missing or has another shape.
     """
     shapes = {name: tuple(spec.shape) for name, spec in run.env.observation_spec.items()}
     generator = np.random.default_rng(seed)

@@ -9,7 +9,7 @@
     loss = -torch_function(rewards)(policy(observation)).sum()
     loss.backward()                                # through env.step into the policy
 
-Tensors are handed over by DLPack, on one device without a copy.
+DLPack passes tensors between the libraries, without a copy if both use the same device.
 """
 
 import functools
@@ -23,21 +23,25 @@ from rewax.adapters.conversion import missing
 from rewax.types import Array, PyTree
 
 try:
-    import torch
+    import torch  # pyright: ignore[reportMissingImports]
 except ImportError as error:
     raise missing("PyTorch", "torch") from error
 
 
 def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
-    """A function of JAX arrays as one of torch tensors.
+    """A function of torch tensors that calls a function of JAX arrays.
 
     Args:
-      function: pure; arguments and results are trees (dicts, lists, tuples) of arrays.
+      function: a pure function. Its arguments and results are trees (dicts, lists, tuples) of arrays.
 
     Returns:
-      The same of tensors, compiled once for each set of shapes; change none of its results in place. Gradient: reverse
-      mode, once, from all results that hold floats to all such arguments. Calls that are not differentiated store
-      nothing for it.
+      The function of tensors. It is compiled once for each set of shapes. Do not change its results in place.
+
+    Gradient: in reverse mode, once, from all floating-point results to all floating-point arguments. A call that needs
+      no gradient stores nothing for one.
+
+    Raises:
+      ValueError: an argument is float64, but JAX computes in float32.
     """
 
     @functools.partial(jax.jit, static_argnums=0)
@@ -90,7 +94,16 @@ def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
 
 def to_jax(tensor: Any) -> Array:
-    """A torch tensor as a JAX array on the same device. Gradient: none."""
+    """A torch tensor as a JAX array on the same device. Gradient: none.
+
+    Raises:
+      ValueError: the tensor is float64 and JAX computes in float32, which would round it.
+    """
+    if tensor.dtype == torch.float64 and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise ValueError(
+            "a tensor is float64, but JAX computes in float32: give tensor.float(), or let JAX compute in float64 with "
+            'jax.config.update("jax_enable_x64", True) before anything else'
+        )
     return jnp.from_dlpack(tensor.detach().contiguous())
 
 

@@ -28,9 +28,9 @@ import jax.numpy as jnp
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Positive, Share
 from rewax.agents.first_order import Rollout, combined, rollout_loss
 from rewax.agents.ivw import IVWState, check_entropy_of_steps, discounts, measured_actor_update, start
+from rewax.agents.legal import Positive, Share
 from rewax.agents.returns import segment_ends
 from rewax.agents.rollout import rollout
 from rewax.agents.sapo import SAPOConfig

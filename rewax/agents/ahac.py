@@ -22,9 +22,10 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Activation, Combination, Count, FirstOrderConfig, Optimizer, Positive
+from rewax.agents.config import Activation, Combination, FirstOrderConfig, Optimizer
 from rewax.agents.first_order import Rollout, actor_step, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import per_env_gradients
+from rewax.agents.legal import Count, Positive
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
@@ -55,7 +56,7 @@ class AHACConfig(FirstOrderConfig):
     actor_value: Combination = "min"
     horizon: int = 64
     min_horizon: Count = 8
-    initial_horizon: int = 32
+    initial_horizon: Count = 32
     max_growth: Positive = 1.1
     horizon_rate: Positive = 1.0
     critic_passes: int = 64

@@ -6,12 +6,21 @@ subclasses one of these and adds options and defaults of its own. The type of an
 """
 
 import dataclasses
-import functools
-import inspect
-import math
-from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal, NamedTuple, TypeAlias, TypedDict, get_args, get_origin
+from typing import Annotated, ClassVar, Literal, TypeAlias, TypedDict
 
+from rewax.agents.legal import (
+    COUNT,
+    POSITIVE,
+    Count,
+    Decay,
+    Interval,
+    Natural,
+    NonNegative,
+    Positive,
+    Share,
+    Widths,
+    check_fields,
+)
 from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
 
@@ -22,34 +31,6 @@ Combination = Literal["mean", "min"]
 Activation = Literal["silu", "elu", "relu", "tanh"]
 
 
-class Legal(NamedTuple):
-    """Legal values of an option, as metadata of its type: ``Annotated[int, Legal(...)]``.
-
-    Attributes:
-      remedy: what the error message tells the user to do.
-      holds: predicate that is True for legal values.
-    """
-
-    remedy: str
-    holds: Callable[[object], bool]
-
-    def check(self, name: str, value: object) -> None:
-        """Raises ValueError unless the value is legal."""
-        if not self.holds(value):
-            raise ValueError(f"{name} is {value!r}: {self.remedy}")
-
-    def or_none(self, remedy: str) -> "Legal":
-        """The same, with None as another legal value."""
-        return Legal(remedy, lambda value: value is None or self.holds(value))
-
-
-COUNT = Legal("give a whole number of at least 1", lambda v: isinstance(v, int) and v >= 1)
-SHARE = Legal("give a number between 0 and 1", lambda v: isinstance(v, (int, float)) and 0.0 <= v <= 1.0)
-POSITIVE = Legal("give a positive number", lambda v: isinstance(v, (int, float)) and v > 0.0 and math.isfinite(v))
-
-Count = Annotated[int, COUNT]
-Share = Annotated[float, SHARE]
-Positive = Annotated[float, POSITIVE]
 Gain = Annotated[float | None, POSITIVE.or_none("give a positive number, or None for initial_gain")]
 Limit = Annotated[float | None, POSITIVE.or_none("give a positive number, or None for no limit")]
 
@@ -75,12 +56,7 @@ class RunConfig:
     quick_compile: bool = False
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):  # lists become tuples, because configurations are hashed
-            value = getattr(self, field.name)
-            if isinstance(value, list):
-                object.__setattr__(self, field.name, tuple(value))
-        for name, legal in legal_values(type(self)).items():
-            legal.check(name, getattr(self, name))
+        check_fields(self)
         if self.horizon != 0 or self.least_horizon > 0:
             COUNT.check("horizon", self.horizon)
 
@@ -124,23 +100,23 @@ class PolicyOptions:
     observe: tuple[str, ...] = ()
     discount: Share = 0.99
     actor_learning_rate: Positive = 2e-3
-    final_learning_rate: float = 1e-5
+    final_learning_rate: NonNegative = 1e-5
     optimizer: Optimizer = "adamw"
-    adam_b1: float = 0.7
-    adam_b2: float = 0.95
-    weight_decay: float = 0.01
+    adam_b1: Decay = 0.7
+    adam_b2: Decay = 0.95
+    weight_decay: NonNegative = 0.01
     max_grad_norm: Positive = 0.5
-    actor_widths: tuple[int, ...] = (512, 256)
-    point_widths: tuple[int, ...] = (64, 128, 256)
-    point_features: int = 64
-    vector_features: int = 128
-    picture_widths: tuple[int, ...] = (16, 32, 32)
-    picture_features: int = 64
+    actor_widths: Widths = (512, 256)
+    point_widths: Widths = (64, 128, 256)
+    point_features: Count = 64
+    vector_features: Natural = 128
+    picture_widths: Widths = (16, 32, 32)
+    picture_features: Count = 64
     activation: Activation = "silu"
     initial_gain: Positive = 1.0
     action_gain: Gain = None
     state_dependent_std: bool = True
-    log_std_range: tuple[float, float] = (-5.0, 2.0)
+    log_std_range: Interval = (-5.0, 2.0)
     initial_log_std: float = 0.0
     normalize_observations: bool = True
     observation_clip: Limit = 100.0
@@ -162,7 +138,7 @@ class CriticOptions:
     critic_observe: tuple[str, ...] = ()
     critic_learning_rate: Positive = 5e-4
     num_critics: Count = 2
-    critic_widths: tuple[int, ...] = (256, 256)
+    critic_widths: Widths = (256, 256)
     value_gain: Gain = None
 
 
@@ -258,27 +234,3 @@ class FirstOrderConfig(FittingOptions, GradientOptions, CriticOptions, PolicyOpt
 
 AnyPolicyConfig: TypeAlias = PolicyConfig | ActorCriticConfig | FirstOrderConfig
 AnyCriticConfig: TypeAlias = ActorCriticConfig | FirstOrderConfig
-
-
-@functools.cache
-def legal_values(config_type: type) -> dict[str, Legal]:
-    """The restrictions in the types of options. A subclass that changes a default keeps the restriction."""
-    found = {}
-    for part in reversed(config_type.__mro__):
-        try:
-            hints = inspect.get_annotations(part, eval_str=True)
-        except NameError:  # an annotation that only a type checker can resolve
-            hints = inspect.get_annotations(part)
-        found |= {name: legal for name, hint in hints.items() if (legal := _legal(hint)) is not None}
-    return found
-
-
-def _legal(hint: object) -> Legal | None:
-    if get_origin(hint) is Literal:
-        choices = get_args(hint)
-        return Legal(f"use {', '.join(choices[:-1])} or {choices[-1]}", lambda value: value in choices)
-    if get_origin(hint) is Annotated:
-        return next((extra for extra in get_args(hint)[1:] if isinstance(extra, Legal)), None)
-    parts = [_legal(part) for part in get_args(hint) if part is not type(None)]
-    one = parts[0] if len(parts) == 1 else None
-    return one.or_none(one.remedy) if one is not None and type(None) in get_args(hint) else None

@@ -26,9 +26,9 @@ from rewax import struct
 from rewax.agents import sapo, trajopt
 from rewax.agents.actor_critic import actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Count, Positive, Share
 from rewax.agents.first_order import Rollout, critic_update, start_actor_critic
 from rewax.agents.gradients import mean_gradient, per_env_gradients
+from rewax.agents.legal import Count, Positive, Share
 from rewax.agents.optimizers import apply, finite_or_zero
 from rewax.agents.rollout import Transition, masked
 from rewax.agents.run_state import staggered

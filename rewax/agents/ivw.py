@@ -29,9 +29,9 @@ from rewax import struct
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Positive, Share
 from rewax.agents.first_order import Rollout, actor_step, rollout_loss, start_actor_critic
 from rewax.agents.gradients import Loss, per_env_gradients
+from rewax.agents.legal import Positive, Share
 from rewax.agents.rollout import rollout, scale_gradient
 from rewax.agents.sapo import SAPOConfig
 from rewax.agents.temperature import SoftState, start_temperature

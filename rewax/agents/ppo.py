@@ -25,8 +25,9 @@ import optax
 from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import POSITIVE, ActorCriticConfig, Count, Positive, Share
+from rewax.agents.config import ActorCriticConfig
 from rewax.agents.distributions import TanhNormal
+from rewax.agents.legal import INTERVAL, POSITIVE, Count, Legal, NonNegative, Positive, Share
 from rewax.agents.normalization import RunningStatistics, init_statistics, update_statistics
 from rewax.agents.returns import td_lambda
 from rewax.agents.rollout import Transition, masked, rollout
@@ -37,6 +38,7 @@ from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
 
+_RATES = Legal("give two positive numbers in ascending order", lambda v: INTERVAL.holds(v) and v[0] > 0.0)
 _FIXED_RATE = "give a positive number, or None for a fixed learning rate"
 
 
@@ -71,9 +73,9 @@ class PPOConfig(ActorCriticConfig):
     epochs: Count = 5
     minibatches: Count = 1
     value_coefficient: Positive = 4.0
-    entropy_coefficient: float = 0.0
+    entropy_coefficient: NonNegative = 0.0
     target_kl: Annotated[float | None, POSITIVE.or_none(_FIXED_RATE)] = 0.008
-    learning_rate_range: tuple[float, float] = (1e-6, 1e-2)
+    learning_rate_range: Annotated[tuple[float, float], _RATES] = (1e-6, 1e-2)
     normalize_values: bool = True
 
     def __post_init__(self) -> None:

@@ -127,7 +127,7 @@ _FAST_CRITICS: dict[str, dict[str, Value]] = {
 _LARGE_RETURNS: dict[str, dict[str, Value]] = {
     "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
 }
-"""Tasks with discounted returns of thousands: without normalised rewards SAC starts slowly (docs/algorithms.md)."""
+"""Tasks with discounted returns of thousands. Without normalised rewards SAC starts slowly on them."""
 _LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
 """Tasks with chaotic episodes: a sequence of actions needs a small learning rate."""
 

@@ -118,6 +118,18 @@ def algorithm(name: str) -> Algorithm:
     return _ALGORITHMS[name]()
 
 
+def build_agent(name: str, env: Env, config: RunConfig) -> Agent:
+    """An agent of a registered algorithm.
+
+    Raises:
+      ValueError: there is no such algorithm, or its ``make`` returned something else than an agent.
+    """
+    agent = algorithm(name).make(env, config)
+    if not isinstance(agent, Agent):
+        raise ValueError(f"make of the algorithm {name!r} returned {agent!r}: return a rewax.agents.base.Agent")
+    return agent
+
+
 def make_agent(name: str, env: Env, config: RunConfig | None = None, **options: object) -> Agent:
     """An agent of a registered algorithm. ``config`` None: the defaults of ``config_type``."""
     known = algorithm(name)

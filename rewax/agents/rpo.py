@@ -23,10 +23,11 @@ import optax
 
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Count, FirstOrderConfig
+from rewax.agents.config import FirstOrderConfig
 from rewax.agents.distributions import TanhNormal
 from rewax.agents.first_order import Rollout, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import clip_per_env, per_env_gradients
+from rewax.agents.legal import Count, NonNegative
 from rewax.agents.optimizers import apply, finite_or_zero
 from rewax.agents.rollout import rollout
 from rewax.agents.run_state import ActorCriticState
@@ -56,8 +57,8 @@ class RPOConfig(FirstOrderConfig):
     epochs: Count = 5
     lowest_ratio: float = 0.2
     highest_ratio: float = 2.0
-    kl_coefficient: float = 0.2
-    entropy_coefficient: float = 0.0
+    kl_coefficient: NonNegative = 0.2
+    entropy_coefficient: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

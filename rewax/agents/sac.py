@@ -21,7 +21,8 @@ from rewax import struct
 from rewax.agents import replay as replays
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import ActorCriticConfig, Count, Positive, Share
+from rewax.agents.config import ActorCriticConfig
+from rewax.agents.legal import Count, Natural, Positive, Share
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.replay import Replay, Sample, Step
 from rewax.agents.rollout import Transition, rollout
@@ -50,7 +51,7 @@ class SACConfig(ActorCriticConfig):
       target_rate: weight of the new parameters in each update of the target network.
       normalize_rewards: divide rewards by the root mean square of the discounted returns in the buffer. Critics then
         learn values of size 1 for any task, and the temperature has the same unit. Without it, critics need many
-        updates to reach values of hundreds, and the policy does not learn until then (docs/algorithms.md).
+        updates to reach values of hundreds, and the policy does not learn until then (docs/measured/algorithms.md).
       initial_temperature, temperature_learning_rate, target_entropy_scale: see ``SAPOConfig``.
     """
 
@@ -63,7 +64,7 @@ class SACConfig(ActorCriticConfig):
     replay_size: Count = 1_000_000
     batch_size: Count = 1024
     updates: Count = 8
-    warmup_steps: int = 32
+    warmup_steps: Natural = 32
     num_steps: Count = 3
     target_rate: Share = 0.005
     normalize_rewards: bool = False

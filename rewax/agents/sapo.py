@@ -23,8 +23,9 @@ import jax.numpy as jnp
 
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import POSITIVE, FirstOrderConfig, Positive
+from rewax.agents.config import FirstOrderConfig
 from rewax.agents.first_order import Rollout, actor_update, critic_update, rollout_loss, start_actor_critic
+from rewax.agents.legal import POSITIVE, Positive
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.rollout import Policy, rollout
 from rewax.agents.temperature import SoftState, normalized_entropy, start_temperature, update_temperature

@@ -17,8 +17,9 @@ import optax
 
 from rewax import struct
 from rewax.agents.base import Agent, Metrics, bind
-from rewax.agents.config import GradientOptions, Positive, RunConfig
+from rewax.agents.config import GradientOptions, RunConfig
 from rewax.agents.gradients import mean_gradient, per_env_gradients
+from rewax.agents.legal import Decay, Positive
 from rewax.agents.optimizers import apply
 from rewax.agents.rollout import Transition, rollout
 from rewax.agents.run_state import RunState, partition, run_keys, start_environments
@@ -42,8 +43,8 @@ class TrajOptConfig(GradientOptions, RunConfig):
     horizon: int = 0
     num_iterations: int = 50
     learning_rate: Positive = 1e-2
-    adam_b1: float = 0.9
-    adam_b2: float = 0.999
+    adam_b1: Decay = 0.9
+    adam_b2: Decay = 0.999
 
     def __post_init__(self) -> None:
         super().__post_init__()

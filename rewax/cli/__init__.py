@@ -1,1 +1,1 @@
-"""The command line, ``rewax train | eval | bench | landscape | envs``. A command imports what it needs when it runs."""
+"""The command line, ``rewax COMMAND``: one module per command, imported when the command runs."""

@@ -1,4 +1,4 @@
-"""``rewax bench``: tasks, algorithms and seeds of a suite, one table."""
+"""``rewax bench``: run a suite of tasks, algorithms and seeds, and write one table."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import tyro
 from rich.console import Console
 
+from rewax.agents.legal import Natural
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import cores_as_devices, quiet
 
@@ -17,12 +18,13 @@ class Options:
     Attributes:
       suite: smoke, small, paper, paper_stale_mass, ablations, ablations_paper, or the path of a TOML file.
       imports: module or .py file that registers environments or algorithms.
-      out: directory of the results; bench/<suite> by default. An interrupted benchmark continues there.
+      out: directory of the results, by default bench/<suite>; an interrupted benchmark continues there.
       tasks: only these of the suite's tasks.
       algorithms: only these of the suite's algorithms.
       seeds: only these of the suite's seeds.
-      devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
-        Several benchmarks of one core each, side by side, do more in an hour than one on all cores.
+      devices: number of devices (on a CPU: cores) that the environments are sharded over; 0: the largest number that
+        divides the number of environments. Several benchmarks of one core each, run at the same time, do more in
+        an hour than one on all cores.
     """
 
     suite: tyro.conf.Positional[str]
@@ -31,17 +33,17 @@ class Options:
     tasks: tuple[str, ...] = ()
     algorithms: tuple[str, ...] = ()
     seeds: tuple[int, ...] = ()
-    devices: int = 0
+    devices: Natural = 0
 
 
 def run(argv: Sequence[str]) -> int:
-    """Run what is left of a suite and write its results.
+    """Do the remaining runs of a suite and write its results.
 
     Returns:
       Exit code: 0, or 128 + signal after an interruption.
 
     Raises:
-      ValueError: the suite cannot be; one sentence.
+      ValueError: the suite has a wrong entry; one sentence.
     """
     from rewax.training.storage.cache import enable_compilation_cache
     from rewax.training.suites.runs import run_suite
@@ -49,8 +51,6 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(Options, argv, prog="rewax bench", description="Compare algorithms on tasks.")
-    if options.devices < 0:
-        raise ValueError(f"devices is {options.devices}: use 0 for all, or 1 or more")
     cores_as_devices(options.devices)
     enable_compilation_cache()
     import_modules(options.imports)

@@ -4,7 +4,8 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.agents.legal import Seed
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 
 _PROBLEM_FOUND = 1
@@ -19,17 +20,17 @@ class Options:
       scale: ``small`` or ``paper``.
       algo: name of an algorithm: check its agent, with its preset, instead of the environment.
       imports: module or .py file that registers environments or algorithms.
-      seed: of initial states and actions.
+      seed: draws initial states and actions.
       may_be_nan: with ``algo``: metrics that may be NaN.
-      whole_episode: also run to the end of an episode, which may take long.
-      in_cpp: also demand that all laws, contacts and bodies run in C++ on a CPU, in both derivatives too.
+      whole_episode: also run one episode to its end, which may take long.
+      in_cpp: also require that all laws, contacts and bodies run in C++ on a CPU, with both derivatives.
     """
 
     env: str
     scale: str = "small"
     algo: str = ""
     imports: Imports = ()
-    seed: int = 0
+    seed: Seed = 0
     may_be_nan: tuple[str, ...] = ("return",)
     whole_episode: bool = True
     in_cpp: bool = False
@@ -39,13 +40,12 @@ def run(argv: Sequence[str]) -> int:
     """Check an environment, or an algorithm on it, part by part.
 
     Returns:
-      Exit code: 0 if it keeps the protocol; 1 after a sentence about what is wrong.
+      Exit code: 0 if it conforms to the protocol; 1 after a sentence about a problem.
 
     Raises:
       ValueError: there is no such environment, scale or algorithm.
     """
     from rewax.agents.registry import algorithm
-    from rewax.envs import registry
     from rewax.testing import check_agent, check_env, where_it_runs
     from rewax.training.storage.cache import enable_compilation_cache
 
@@ -53,7 +53,7 @@ def run(argv: Sequence[str]) -> int:
     options = parse(Options, argv, prog="rewax check", description="Check an environment or an algorithm.")
     enable_compilation_cache()
     import_modules(options.imports)
-    env = registry.make(options.env, scale=options.scale)
+    env = build_env(options.env, options.scale)
     known = algorithm(options.algo) if options.algo else None
     try:
         if known is not None:

@@ -1,4 +1,4 @@
-"""``rewax completion``: a script that teaches a shell the commands, their options, environments and algorithms."""
+"""``rewax completion``: a script for a shell that completes commands, options, environments and algorithms."""
 
 import contextlib
 import dataclasses
@@ -60,7 +60,7 @@ def run(argv: Sequence[str]) -> int:
     """Print the script.
 
     Raises:
-      ValueError: there is none for this shell; one sentence.
+      ValueError: there is no script for this shell; one sentence.
     """
     from rewax.cli.main import COMMANDS
 
@@ -83,23 +83,23 @@ def run(argv: Sequence[str]) -> int:
 
 
 def option_names(command: str, home: str) -> list[str]:
-    """Options of a command, as its help lists them; those of ``train`` for every algorithm."""
+    """Options of a command as its help lists them; for ``train`` those of every algorithm."""
     calls = [["--algo", name, "--help"] for name in list_algorithms()] if command == "train" else [["--help"]]
     module = importlib.import_module(home)
     return sorted({name for argv in calls for name in _listed(module, argv)})
 
 
 def _listed(module: object, argv: list[str]) -> Iterator[str]:
-    said, width = io.StringIO(), os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = "500"  # so that no option is broken
+    text, width = io.StringIO(), os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "500"  # no line break within an option
     try:
-        with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+        with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
             module.run(argv)  # type: ignore[attr-defined]
     finally:
         os.environ.pop("COLUMNS")
         if width is not None:
             os.environ["COLUMNS"] = width
-    for line in re.sub(r"\x1b\[[0-9;]*m", "", said.getvalue()).splitlines():
+    for line in re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue()).splitlines():
         first = re.match(r"[│ ]*((?:-h, )?--[\w.-]+(?: \S+)*(?:, --[\w.-]+)*)", line)
         if first:
             yield from re.findall(r"--[a-z][\w.-]*", re.split(r"  ", first[1])[0])

@@ -1,4 +1,4 @@
-"""``rewax doctor``: versions, devices, cache, and what is known to go wrong with them."""
+"""``rewax doctor``: versions, devices and caches, and known problems with them."""
 
 import dataclasses
 import importlib.metadata
@@ -24,8 +24,8 @@ class Options:
     """Options.
 
     Attributes:
-      env: name of an environment, see ``rewax envs``: say also which of its functions run in C++.
-      scale: of that environment, ``small`` or ``paper``.
+      env: name of an environment, see ``rewax envs``: also print which of its functions run in C++.
+      scale: ``small`` or ``paper``, of that environment.
       imports: module or .py file that registers environments.
     """
 
@@ -35,12 +35,12 @@ class Options:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Print what there is, then each problem with its remedy.
+    """Print versions, devices and caches, then each problem with its remedy.
 
     Returns:
       Exit code: 0 without problems, else 1.
     """
-    options = parse(Options, argv, prog="rewax doctor", description="Say what is installed and what is wrong with it.")
+    options = parse(Options, argv, prog="rewax doctor", description="Print versions, devices and problems.")
     versions = {name: _version(name) for name in _PACKAGES}
     print(f"Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} cores")
     print(*(f"{name} {version or 'is not installed'}" for name, version in versions.items()), sep=", ")
@@ -62,10 +62,10 @@ def run(argv: Sequence[str]) -> int:
 
 
 def version_problems(versions: Mapping[str, str | None]) -> Iterator[tuple[str, str]]:
-    """Packages that are missing, or that do not go with each other, each with its remedy.
+    """Missing and incompatible packages, each with its remedy.
 
     Args:
-      versions: of packages by name, None for one that is not installed.
+      versions: versions of packages by name; None: not installed.
     """
     for name, version in versions.items():
         if version is None and name != "rewax":
@@ -86,10 +86,10 @@ def version_problems(versions: Mapping[str, str | None]) -> Iterator[tuple[str, 
 
 
 def version_notes(versions: Mapping[str, str | None]) -> Iterator[str]:
-    """Packages that should work, but that rewax is not tested with.
+    """Notes on packages that should work, but that rewax is not tested with.
 
     Args:
-      versions: as ``version_problems`` has them.
+      versions: as for ``version_problems``.
     """
     jax = versions.get("jax")
     sentence = jax_versions.untested(jax) if jax else None
@@ -103,19 +103,19 @@ def _device_problems() -> Iterator[tuple[str, str]]:
     try:
         devices = jax.devices()
     except RuntimeError as error:
-        said = str(error).strip().splitlines()[0]
-        yield f"JAX finds no device ({said})", "unset JAX_PLATFORMS, or set it to cpu"
+        reason = str(error).strip().splitlines()[0]
+        yield f"JAX finds no device ({reason})", "unset JAX_PLATFORMS, or set it to cpu"
         return
     kinds = sorted({f"{device.platform} ({device.device_kind})" for device in devices})
     print(f"JAX computes on {len(devices)} x {', '.join(kinds)}")
-    if jax.config.jax_enable_x64:
+    if jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         yield "double precision is on (JAX_ENABLE_X64): training takes about twice as long", "unset it for training"
     if devices[0].platform == "cpu" and shutil.which("nvidia-smi") and "cpu" not in os.environ.get("JAX_PLATFORMS", ""):
         yield "there is an NVIDIA driver, but JAX computes on the CPU", "pip install 'rewax[cuda]'"
 
 
 def native_problems() -> Iterator[tuple[str, str]]:
-    """Whether physics is computed in C++, where a CPU is what JAX computes on, and where its libraries come from."""
+    """Print whether physics runs in C++ on a CPU and where its libraries come from; yield problems with it."""
     import jax
 
     from rewax.fixed_sources import fixed_sources
@@ -124,11 +124,11 @@ def native_problems() -> Iterator[tuple[str, str]]:
     if build.is_off():
         print("physics on a CPU: with JAX, for REWAX_NATIVE=0 is set")
         return
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         print(_compiler_line(), _cache_line(), sep="\n")
         found = [build.load(source) for source in fixed_sources()]
-    for sentence in dict.fromkeys(str(warning.message) for warning in said):
+    for sentence in dict.fromkeys(str(warning.message) for warning in caught):
         yield sentence, "C++ is built again where need be"
     missing = next((reason for library, reason in found if library is None), None)
     if missing is None:
@@ -143,7 +143,7 @@ def native_problems() -> Iterator[tuple[str, str]]:
 
 
 def print_lowering(name: str, scale: str) -> None:
-    """Say where each function of an environment's step and its derivatives runs on a CPU.
+    """Print whether each function of an environment's step and its derivatives runs in C++ or in XLA on a CPU.
 
     Args:
       name: of the environment.
@@ -158,7 +158,7 @@ def print_lowering(name: str, scale: str) -> None:
 
     env = registry.make(name, scale=scale)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", LoweringWarning)  # the list says it
+        warnings.simplefilter("ignore", LoweringWarning)  # the list below has these
         decisions = where_it_runs(env)
     left = [decision for decision in decisions if decision.reason]
     print(f"{name} at scale {scale}: {len(decisions) - len(left)} rules run in C++, {len(left)} in XLA")
@@ -185,17 +185,17 @@ def _cache_line() -> str:
 
 
 def _origin(paths: Sequence[Path]) -> str:
-    """Where libraries come from."""
+    """A phrase about the origin of libraries."""
     from rewax.lowering import shipped
 
-    came = [path.parent for path in paths if shipped.FOLDER in path.parents]
-    built = len(paths) - len(came)
-    parts = [f"{len(came)} libraries that came with rewax ({came[0]})"] if came else []
+    packaged = [path.parent for path in paths if shipped.FOLDER in path.parents]
+    built = len(paths) - len(packaged)
+    parts = [f"{len(packaged)} libraries that came with rewax ({packaged[0]})"] if packaged else []
     return ", ".join(parts + ([f"{built} libraries that were built here"] if built else []))
 
 
 def cache_problems() -> Iterator[tuple[str, str]]:
-    """Whether compiled programs can be kept."""
+    """Print the size of the cache of compiled programs; yield a problem if it cannot be written."""
     from rewax.training.storage.cache import enable_compilation_cache
 
     folder = enable_compilation_cache()
@@ -214,10 +214,10 @@ def cache_problems() -> Iterator[tuple[str, str]]:
 
 
 def flag_problems(flags: str) -> Iterator[tuple[str, str]]:
-    """Flags of XLA that are known to do harm here.
+    """XLA flags that make rewax slow.
 
     Args:
-      flags: what the environment variable XLA_FLAGS holds.
+      flags: value of the environment variable XLA_FLAGS.
     """
     if "--xla_gpu_deterministic_ops=true" in flags:
         yield (

@@ -1,4 +1,4 @@
-"""``rewax export``: a trained policy for programs without rewax."""
+"""``rewax export``: write a trained policy for programs without rewax."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import tyro
 
+from rewax.agents.legal import Natural
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
@@ -15,8 +16,9 @@ class Options:
     """Options.
 
     Attributes:
-      run_dir: directory of the run, or name of a task whose trained policy the package brings.
-      out: folder to write to; by default ``policy`` in the run's directory, or ``<task>-policy`` here.
+      run_dir: directory of the run, or name of a task with a packaged policy.
+      out: folder to write to; by default ``policy`` in the run's directory, or ``<task>-policy`` in the working
+        directory.
       scale: of a task given by name; by default what suits the device.
       imports: module or .py file that registers environments or algorithms.
       step: iteration of the checkpoint, the newest by default.
@@ -26,14 +28,14 @@ class Options:
     out: str | None = None
     scale: str | None = None
     imports: Imports = ()
-    step: int | None = None
+    step: Natural | None = None
 
 
 def run(argv: Sequence[str]) -> int:
-    """Export a run's policy and name the files.
+    """Export the policy of a run and print the paths of the files.
 
     Raises:
-      ValueError: there is no such run or checkpoint, or nothing to export; one sentence.
+      ValueError: there is no such run or checkpoint, or the run has no policy network; one sentence.
     """
     from rewax.training.storage.export import export_policy
     from rewax.training.storage.policies import is_policy, open_run

@@ -1,9 +1,10 @@
-"""``rewax landscape``: a picture of the return around a trained policy."""
+"""``rewax landscape``: draw the returns in the neighbourhood of a trained policy."""
 
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
+from rewax.agents.legal import Count, Natural, Positive, Seed
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
@@ -15,21 +16,21 @@ class Options:
     Attributes:
       run_dir: directory of the run.
       imports: module or .py file that registers environments or algorithms.
-      size: points along either direction, an odd number.
-      span: largest offset, in units of the parameters' own size.
-      episodes: per point, all from the same starts.
-      seed: draws directions and starts.
+      size: number of points along either direction, odd.
+      span: largest offset, in units of the norm of the parameters.
+      episodes: number of episodes per point; all points have the same initial states.
+      seed: draws directions and initial states.
       step: iteration of the checkpoint, the newest by default.
-      out: picture to write; landscape.png in the run's directory by default. The numbers stand beside it as .npz.
+      out: picture to write; by default landscape.png in the run's directory. The numbers go to an .npz file beside it.
     """
 
     run_dir: str
     imports: Imports = ()
-    size: int = 21
-    span: float = 1.0
-    episodes: int = 8
-    seed: int = 0
-    step: int | None = None
+    size: Count = 21
+    span: Positive = 1.0
+    episodes: Count = 8
+    seed: Seed = 0
+    step: Natural | None = None
     out: str | None = None
 
 
@@ -37,7 +38,7 @@ def run(argv: Sequence[str]) -> int:
     """Compute and draw the returns around a policy.
 
     Raises:
-      ValueError: there is no such run, or an option cannot be; one sentence.
+      ValueError: there is no such run, or an option is illegal; one sentence.
     """
     import jax
     import numpy as np

@@ -1,12 +1,13 @@
-"""Commands by name, and what a wrong one costs: a sentence and an exit code."""
+"""The commands by name; an error in the input becomes one sentence and an exit code."""
 
+import difflib
 import importlib
 import os
 import signal
 import sys
 from collections.abc import Sequence
 
-_WHAT = {
+_SUMMARIES = {
     "train": "train a policy on an environment",
     "eval": "evaluate what a run has learnt",
     "bench": "compare algorithms on tasks, one table",
@@ -14,11 +15,11 @@ _WHAT = {
     "play": "show what runs have learnt, in a browser",
     "plot": "compare learning curves of runs",
     "export": "write a trained policy for programs without rewax",
-    "landscape": "draw the return around a trained policy",
-    "envs": "list the environments",
-    "check": "check an environment of one's own",
-    "doctor": "say what is installed and what is wrong with it",
-    "completion": "print what teaches a shell these commands",
+    "landscape": "draw the returns around a trained policy",
+    "envs": "list or describe the environments",
+    "check": "check your own environment against the protocol",
+    "doctor": "print what is installed, and problems with remedies",
+    "completion": "print a script that completes commands in a shell",
 }
 COMMANDS = {
     "train": "rewax.cli.train",
@@ -35,19 +36,20 @@ COMMANDS = {
     "completion": "rewax.cli.completion",
 }
 """Modules of the commands by name."""
-_CLEAN_EXIT, _BAD_INPUT = 0, 2
+_CLEAN_EXIT, _CANNOT_GO_ON, _BAD_INPUT = 0, 1, 2
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Args:
-      argv: name of the command and its arguments, those of the process by default.
+      argv: name of the command and its arguments; by default those of the process.
 
     Returns:
-      Exit code: 0; 2 after a sentence about an input that cannot be; 128 + signal after an interruption.
+      Exit code: 0; 1 after a run that failed; 2 after a sentence about an error in the input; 128 + signal after an
+      interruption.
     """
-    # jax 0.10 prints an "error" for every program found in its cache, unless told so before jax is imported.
+    # Set before jax is imported: jax 0.10 prints an "error" for every program that it finds in its cache.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     argv = sys.argv[1:] if argv is None else list(argv)
     try:
@@ -57,11 +59,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return _BAD_INPUT
-    except KeyboardInterrupt:  # before the training loop listens for it
+    except KeyboardInterrupt:  # before the training loop handles it
         return 128 + signal.SIGINT
-    except BrokenPipeError:  # whoever read the output, `head` for example, has read enough
+    except BrokenPipeError:  # the reader of the output has ended, such as `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
+    except OSError as error:
+        if type(error).__name__ != "CannotWrite":  # rewax.training.storage.run_directory, slow to import
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        return _CANNOT_GO_ON
 
 
 def _run(argv: list[str]) -> int:
@@ -69,13 +76,15 @@ def _run(argv: list[str]) -> int:
         print(_help())
         return _CLEAN_EXIT if argv else _BAD_INPUT
     if argv[0] not in COMMANDS:
-        raise ValueError(f"there is no command {argv[0]!r}: use one of {', '.join(COMMANDS)}, or --help")
+        close = difflib.get_close_matches(argv[0], COMMANDS, n=1)
+        near = f"did you mean {close[0]!r}? " if close else ""
+        raise ValueError(f"there is no command {argv[0]!r}: {near}use one of {', '.join(COMMANDS)}, or --help")
     command = importlib.import_module(COMMANDS[argv[0]])
     return command.run(argv[1:])
 
 
 def _help() -> str:
-    lines = [f"  rewax {name:10s} {what}" for name, what in _WHAT.items()]
+    lines = [f"  rewax {name:10s} {what}" for name, what in _SUMMARIES.items()]
     return "\n".join(["usage: rewax COMMAND [OPTIONS]", "", *lines, "", "rewax COMMAND --help lists the options."])
 
 

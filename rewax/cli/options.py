@@ -1,19 +1,21 @@
-"""From arguments to dataclasses, and users' own modules."""
+"""Command-line arguments: parsed into dataclasses; every mistake is one sentence."""
 
 import contextlib
 import dataclasses
-import importlib
-import importlib.util
+import difflib
 import io
 import re
-import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
 
 import tyro
 
+from rewax.agents.legal import check_fields
+from rewax.agents.registry import list_algorithms
+from rewax.envs import registry
+from rewax.envs.base import Env
 from rewax.envs.registry import did_you_mean
+from rewax.training.storage.modules import import_modules, user_error
 
 T = TypeVar("T")
 Imports: TypeAlias = tyro.conf.UseAppendAction[
@@ -28,99 +30,101 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
     Args:
       options: dataclass with a default for every optional field.
       argv: arguments.
-      prog, description: of the help text.
+      prog, description: name and description in the help text.
 
     Raises:
-      ValueError: an option is unknown or its value cannot be read.
+      ValueError: an option is unknown, or its value cannot be read or is not legal for the field's type.
       SystemExit: with code 0, after ``--help``.
     """
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(output):
             filled, unknown = tyro.cli(
                 options, args=list(argv), prog=prog, description=description, return_unknown_args=True
             )
     except SystemExit as leaving:
         if not leaving.code:
             raise
-        problem = _first_paragraph(said.getvalue())
+        problem = _first_paragraph(output.getvalue())
         needed = re.match(r"Missing from .*?(--[\w.-]+)", problem)
-        problem = f"{prog} needs the option {needed[1]}" if needed else problem
+        problem = f"{prog} needs the option {needed[1]}" if needed else _readable(problem)
         raise ValueError(f"{problem}; {prog} --help lists the options") from None
     if unknown:
         name = unknown[0].split("=")[0]
+        if not name.startswith("-"):
+            raise ValueError(_stray(unknown[0], list(argv), list(_names(options, filled, kind=bool)), prog))
         near = did_you_mean(name, [f"--{known}" for known in _names(options, filled)])
         raise ValueError(f"there is no option {name}: {near}{prog} --help lists them")
+    check_fields(filled)
     return filled
 
 
-def import_modules(names: Sequence[str]) -> None:
-    """Import modules that register environments or algorithms.
-
-    Args:
-      names: dotted names, found from the working directory too, or paths of ``.py`` files.
+def build_env(name: str, scale: str) -> Env:
+    """A registered environment.
 
     Raises:
-      ValueError: there is no such module or file. What a module itself raises is passed on.
+      ValueError: in one sentence: there is none of this name or scale, or its factory raised an exception.
     """
-    for name in names:
-        if name.endswith(".py"):
-            _import_file(Path(name))
-        else:
-            _import_name(name)
-
-
-def _import_file(path: Path) -> None:
-    if not path.is_file():
-        raise ValueError(f"there is no file {str(path)!r} to import: check the path")
-    path = path.resolve()
-    if "." in path.stem or not _is_free(path.stem, path):
-        raise ValueError(f"{str(path)!r} cannot be imported as {path.stem!r}, a name that is taken: rename the file")
-    _search(path.parent)
-    importlib.import_module(path.stem)
-
-
-def _is_free(name: str, path: Path) -> bool:
-    """No other file is or would be imported by this name."""
-    found = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
-    return found is None or found.origin == str(path)
-
-
-def _import_name(name: str) -> None:
-    _search(Path.cwd())
     try:
-        importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+        return registry.make(name, scale=scale)
+    except ValueError:
+        raise
+    except Exception as error:
+        known = user_error(error, f"building {name} at scale {scale}")
+        if " failed at " not in str(known):  # not in a user's code
             raise
-        raise ValueError(
-            f"there is no module {name!r} to import: check the name, or give the path of a .py file"
-        ) from None
+        raise known from error
 
 
-def _search(folder: Path) -> None:
-    """Find modules in a folder, after all other places."""
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))
-        importlib.invalidate_caches()
+def _stray(word: str, argv: list[str], flags: list[str], prog: str) -> str:
+    """A sentence about a word that belongs to no option; ``flags`` are the names of options without a value."""
+    for before, after in zip(["", *argv], argv, strict=False):
+        given, _, value = (f"{before}={after}" if after == word else after).partition("=")
+        *group, name = given.removeprefix("--").split(".")
+        plain = ".".join([*group, name.removeprefix("no-")])
+        if value == word and plain in flags:
+            opposite = ".".join([*group, f"no-{name}"]) if name == name.removeprefix("no-") else plain
+            return f"{given} takes no value, but {word!r} was given: write {given}, or --{opposite} for the opposite"
+    near = ""
+    for option, known in (("--env", registry.list_envs()), ("--algo", list_algorithms())):
+        close = difflib.get_close_matches(word, known, n=1, cutoff=0.7)
+        if close and not near:
+            near = f"did you mean {option} {close[0]}? "
+    return f"{prog} takes no argument {word!r}: {near}{prog} --help lists the options"
 
 
-def _names(options: Any, filled: Any, prefix: str = "") -> Iterator[str]:
-    """Long names of the options of nested dataclasses."""
+def _readable(problem: str) -> str:
+    """The parser's sentence about a value, in the form of rewax's own: the option, the value, the remedy."""
+    if found := re.match(r"invalid choice (.*) for argument '(--.*)'. Expected one of \((.*?),?\)$", problem):
+        choices = re.findall("'([^']*)'", found[3])
+        return f"{found[2]} is {found[1]}: use {' or '.join(choices)}"
+    if found := re.match(r"Missing value for argument '(--.*)'. Expected (\d+) values", problem):
+        return f"{found[1]} lacks a value: give {found[2]} after it"
+    if found := re.match(r"Error parsing (--[\w.-]+): (.*)$", problem):
+        option, why = found.groups()
+        value = next(iter(re.findall(r"\['(.*?)'\]|: '(.*)'$", why)), ("", ""))
+        kinds = {"base 10": "a whole number", "to float": "a number", "valid parse": "numbers, each after a space"}
+        remedy = next((kind for sign, kind in kinds.items() if sign in why), "")
+        return f"{option} is {''.join(value)!r}: give {remedy}{', or None' * ('{None}' in why)}" if remedy else problem
+    return re.sub(r"^Error parsing [\w.-]+: ", "", problem)  # the dataclass's own sentence
+
+
+def _names(options: Any, filled: Any, prefix: str = "", kind: type = object) -> Iterator[str]:
+    """Long names of the options of nested dataclasses with values of this type."""
     for field in dataclasses.fields(options):
         value, name = getattr(filled, field.name), prefix + field.name.replace("_", "-")
         if dataclasses.is_dataclass(value):
-            yield from _names(value, value, f"{name}.")
-        else:
-            yield "import" if name == "imports" else name
+            yield from _names(value, value, f"{name}.", kind)
+        elif isinstance(value, kind):
+            yield {"imports": "import", "settings": "set"}.get(name, name)
 
 
 def _first_paragraph(box: str) -> str:
-    """What the parser's box says between its title and its next rule, as one line."""
+    """The first paragraph in the parser's box of text, below its title, as one line."""
     _, *lines = re.sub(r"\x1b\[[0-9;]*m", "", box).strip().splitlines()
-    said = "\n".join(line.strip("│ ") for line in lines)
-    paragraphs = [part for part in re.split(r"^[╭╰─-]*[─-]{3,}[╯]?$", said, flags=re.MULTILINE) if part.strip()]
+    text = "\n".join(line.strip("│ ") for line in lines)
+    paragraphs = [part for part in re.split(r"^[╭╰─-]*[─-]{3,}[╯]?$", text, flags=re.MULTILINE) if part.strip()]
     return re.sub(r"\s+", " ", paragraphs[0]).strip().rstrip(".")
 
 
-__all__ = ["Imports", "import_modules", "parse"]
+__all__ = ["Imports", "build_env", "import_modules", "parse"]

@@ -1,18 +1,21 @@
-"""``rewax play``: what runs have learnt, side by side in one page that a browser opens without a network, or live."""
+"""``rewax play``: episodes of trained policies side by side on one page for a browser, offline or live."""
 
 import dataclasses
 import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
+from rewax.agents.legal import AT_LEAST_2, Legal, Natural, Seed, is_whole
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
+_PORT = Legal("give a whole number from 0 (any free port) to 65535", lambda v: is_whole(v) and 0 <= v <= 65535)
 _POLL = 1.0
-"""Between looks for a new checkpoint of a live run [s]."""
+"""Interval at which a live run is checked for a new checkpoint [s]."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -20,16 +23,16 @@ class Options:
     """Options.
 
     Attributes:
-      runs: directories of runs, or names of tasks whose trained policy the package brings; one to eight.
+      runs: directories of runs, or names of tasks with a packaged policy; one to eight.
       scale: of the tasks given by name; by default what suits the device.
-      out: page to write, an .html file.
+      out: page to write, a file with the ending .html.
       imports: module or .py file that registers environments or algorithms.
-      seed: draws the start of the episode; the same one for runs of one environment.
-      sampled: draw the actions as in training, instead of taking the most likely ones.
+      seed: draws the initial state; runs of one environment have the same.
+      sampled: sample the actions as in training; by default they are deterministic.
       step: iteration of the checkpoints, the newest by default.
-      frames: moments that are kept of an episode, at most.
+      frames: largest number of recorded frames of an episode.
       live: instead of writing a page, serve one that shows each new checkpoint of one run, while it trains.
-      host: where the live page is served; 127.0.0.1 is seen by this machine alone.
+      host: address of the live page; 127.0.0.1 is reachable from this machine only.
       port: of the live page.
     """
 
@@ -37,13 +40,13 @@ class Options:
     scale: str | None = None
     out: str = "player.html"
     imports: Imports = ()
-    seed: int = 0
+    seed: Seed = 0
     sampled: tyro.conf.FlagCreatePairsOff[bool] = False
-    step: int | None = None
-    frames: int = 301
+    step: Natural | None = None
+    frames: Annotated[int, AT_LEAST_2] = 301
     live: tyro.conf.FlagCreatePairsOff[bool] = False
     host: str = "127.0.0.1"
-    port: int = 8080
+    port: Annotated[int, _PORT] = 8080
 
 
 def run(argv: Sequence[str]) -> int:
@@ -53,7 +56,7 @@ def run(argv: Sequence[str]) -> int:
       Exit code: 0; 128 + signal after a live view that was interrupted.
 
     Raises:
-      ValueError: no runs or too many, a run that cannot be read, an environment that shows nothing; one sentence.
+      ValueError: no runs or too many, a run that cannot be read, an environment without anything to draw; one sentence.
     """
     import jax
 
@@ -64,14 +67,12 @@ def run(argv: Sequence[str]) -> int:
     from rewax.viz.player import MAX_RUNS, write_player
 
     quiet()
-    options = parse(Options, argv, prog="rewax play", description="Show what runs have learnt in a browser.")
+    options = parse(Options, argv, prog="rewax play", description="Show trained policies in a browser.")
     if not 1 <= len(options.runs) <= MAX_RUNS:
         raise ValueError(f"rewax play needs 1 to {MAX_RUNS} run directories or tasks: rewax play HandFlip")
     out = Path(options.out)
     if out.suffix not in (".html", ".htm") or not out.parent.is_dir():
         raise ValueError(f"out is {out}: give an .html file in a folder that exists")
-    if options.frames < 2:
-        raise ValueError(f"frames is {options.frames}: use 2 or more")
     enable_compilation_cache()
     import_modules(options.imports)
     build_ahead()
@@ -99,7 +100,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _live(options: Options) -> int:
-    """Show the newest checkpoint of a run, and each that follows, until interrupted."""
+    """Show the newest checkpoint of a run and each later one, until interrupted."""
     import jax
 
     from rewax.training.evaluation.recording import make_record
@@ -123,12 +124,12 @@ def _live(options: Options) -> int:
         while True:
             iteration = int(train_state.iteration)
             recording = record(train_state, jax.random.key(options.seed), name)
-            said = f"iteration {iteration}: {int(recording.steps[-1])} steps, return {recording.totals[-1]:.4g}"
-            print(said, flush=True)
-            viewer.show(recording, f"**{name}**, {said}")
+            caption = f"iteration {iteration}: {int(recording.steps[-1])} steps, return {recording.totals[-1]:.4g}"
+            print(caption, flush=True)
+            viewer.show(recording, f"**{name}**, {caption}")
             while checkpoint.latest_step(directory) in (None, newest):
                 time.sleep(_POLL)
-            newest = checkpoint.latest_step(directory)  # one that is damaged is passed over, and not tried again
+            newest = checkpoint.latest_step(directory)  # a damaged one is skipped and not tried again
             train_state = checkpoint.restore(directory, train_state)
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
@@ -137,7 +138,7 @@ def _live(options: Options) -> int:
 
 
 def _names(directories: Sequence[str]) -> list[str]:
-    """The last part of each path, or the whole of those whose last parts are the same."""
+    """The last part of each path; the whole path if several have the same last part."""
     last = [Path(directory).resolve().name for directory in directories]
     return [
         name if last.count(name) == 1 else str(directory) for name, directory in zip(last, directories, strict=True)

@@ -17,10 +17,10 @@ class Options:
     """Options.
 
     Attributes:
-      runs: directories of runs; those of one algorithm, environment and scale are seeds of one curve.
-      out: picture to write; its ending, .png, .svg or .pdf, says which kind.
-      by: what makes a curve: the configuration (algorithm, environment and scale), or the run itself.
-      title: above the picture.
+      runs: directories of runs; runs with the same algorithm, environment and scale are seeds of one curve.
+      out: picture to write; its ending, .png, .svg or .pdf, chooses the format.
+      by: config: one curve per algorithm, environment and scale; run: one curve per run.
+      title: title of the picture.
     """
 
     runs: tyro.conf.Positional[tuple[str, ...]]
@@ -30,10 +30,10 @@ class Options:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Draw the curves and say where.
+    """Draw the curves and print the path of the picture.
 
     Raises:
-      ValueError: no runs, a directory without ``metrics.csv``, an ending that is no picture's; one sentence.
+      ValueError: no runs, a directory without ``metrics.csv``, an unknown ending; one sentence.
     """
     from rewax.viz.curves import curves_with_intervals
 
@@ -55,7 +55,7 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _curve(directory: Path, by: str) -> tuple[str, Curve]:
-    """A run's curve and its name."""
+    """Name and curve of a run."""
     from rewax.training.storage.description import read_config
     from rewax.training.storage.metrics import read_csv
 
@@ -66,7 +66,7 @@ def _curve(directory: Path, by: str) -> tuple[str, Curve]:
         )
     columns = read_csv(path)
     if missing := [name for name in ("env_steps", "return") if name not in columns]:
-        raise ValueError(f"{path} has no column {missing[0]}: it is not that of a training run")
+        raise ValueError(f"{path} has no column {missing[0]}: it was not written by a training run")
     if by == "run":
         return directory.name, learning_curve(columns)
     config = read_config(directory)

@@ -1,4 +1,4 @@
-"""``rewax train``: environment, scale, algorithm and every hyper-parameter, defaults from the presets."""
+"""``rewax train``: train an algorithm on an environment; defaults of all options come from the presets."""
 
 import argparse
 import contextlib
@@ -12,8 +12,10 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from rewax.agents.registry import Algorithm, algorithm
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.agents.legal import NATURAL, Count, Natural, Seed
+from rewax.agents.registry import Algorithm, algorithm, build_agent
+from rewax.cli.documented import option_group, with_options
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.envs import registry
 
 _PROG = "rewax train"
@@ -21,7 +23,7 @@ _FAILED_RUN = 1
 
 
 def run(argv: Sequence[str]) -> int:
-    """Train an agent as the arguments say.
+    """Train an agent.
 
     Args:
       argv: arguments after ``train``.
@@ -30,11 +32,10 @@ def run(argv: Sequence[str]) -> int:
       Exit code: 0; 1 after a run that failed; 128 + signal after an interruption.
 
     Raises:
-      ValueError: an input that cannot be; one sentence.
+      ValueError: an error in the input; one sentence.
     """
     from rewax.fixed_sources import build_ahead
-    from rewax.training.config import ReportConfig, TrainConfig
-    from rewax.training.loop.hosts import connect, leads, num_processes
+    from rewax.training.loop.estimate import cost_sentence
     from rewax.training.loop.progress import say
     from rewax.training.loop.seeds import train_seeds
     from rewax.training.loop.train import train
@@ -44,27 +45,61 @@ def run(argv: Sequence[str]) -> int:
     console = Console(highlight=False)
     enable_compilation_cache()
     first = _look_ahead(argv)
+    _set_devices(first, console)
+    modules = import_modules(first.imports) or _recorded_modules(first)
+    chosen = algorithm(first.algo)
+    scale = first.scale or registry.default_scale()
+    env = build_env(first.env, scale)
+    preset = _preset(first, scale, chosen)
+    options = _options(first, scale, preset)
+    args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
+    if args.num_seeds > 1 and args.distributed:
+        raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
+
+    agent_config, num_iterations, num_steps = _length(with_options(preset, getattr(args, first.algo)), env, args.steps)
+    say(console, _scale_sentence(scale, first.scale))
+    if scale == "paper" and (cost := cost_sentence(env, agent_config, num_steps)):
+        say(console, cost)
+    configs = _configs(args, first, scale, num_iterations, num_steps)
+    for config in configs:
+        say(
+            console,
+            f"{first.algo} on {first.env}, seed {config.seed}, {num_iterations} iterations, in {config.run_dir}",
+        )
+    describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
+    if modules:
+        describe["imports"] = modules
+    build_ahead(transfers=hasattr(env, "particles"))
+    agent = build_agent(first.algo, env, agent_config)
+    if args.num_seeds == 1:
+        results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]
+    else:
+        results = train_seeds(agent, env, configs, describe=describe, console=console)
+    if any(result.failure for result in results):  # the run has printed it
+        return _FAILED_RUN
+    signum = max(result.signum for result in results)
+    return 128 + signum if signum else 0
+
+
+def _set_devices(first: Any, console: Console) -> None:
+    """Make CPU cores devices, and join the other processes of a distributed run."""
+    from rewax.training.loop.hosts import connect, leads, num_processes
+
+    NATURAL.check("devices", first.devices)
     if first.distributed:
         cores_as_devices(first.devices // (num_processes() or 1))
         connect()
         console.quiet = not leads()
     else:
         cores_as_devices(first.devices)
-    import_modules(first.imports)
-    chosen = algorithm(first.algo)
-    scale = first.scale or registry.default_scale()
-    env = registry.make(first.env, scale=scale)
-    options = _options(first, scale, chosen, ReportConfig())
-    args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
-    if args.num_seeds < 1:
-        raise ValueError(f"num-seeds is {args.num_seeds}: use 1 or more")
-    if args.num_seeds > 1 and args.distributed:
-        raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
-    agent_config, num_iterations, num_steps = _length(getattr(args, first.algo), env, args.steps)
-    say(console, _scale_sentence(scale, first.scale))
+
+def _configs(args: Any, first: Any, scale: str, num_iterations: int, num_steps: int) -> list[Any]:
+    """The configuration of each seed's run."""
+    from rewax.training.config import TrainConfig
+
     report = {field.name: getattr(args.train, field.name) for field in dataclasses.fields(args.train)}
-    configs = [
+    return [
         TrainConfig(
             **report,
             num_iterations=num_iterations,
@@ -77,26 +112,10 @@ def run(argv: Sequence[str]) -> int:
         )
         for seed in range(args.seed, args.seed + args.num_seeds)
     ]
-    for config in configs:
-        say(
-            console,
-            f"{first.algo} on {first.env}, seed {config.seed}, {num_iterations} iterations, in {config.run_dir}",
-        )
-    describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
-    build_ahead(transfers=hasattr(env, "particles"))
-    agent = chosen.make(env, agent_config)
-    if args.num_seeds == 1:
-        results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]
-    else:
-        results = train_seeds(agent, env, configs, describe=describe, console=console)
-    if any(result.failure for result in results):  # said by the run
-        return _FAILED_RUN
-    signum = max(result.signum for result in results)
-    return 128 + signum if signum else 0
 
 
 def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
-    """Where a seed's run goes: the algorithm is in the name unless it is SAPO."""
+    """Directory of a seed's run; its name has the algorithm unless that is SAPO."""
     if args.run_dir:
         return args.run_dir if args.num_seeds == 1 else f"{args.run_dir}/{seed}"
     algorithm_name = "" if first.algo == "sapo" else f"-{first.algo}"
@@ -104,12 +123,12 @@ def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
 
 
 def cores_as_devices(num_devices: int = 0) -> None:
-    """Let JAX see the cores of a CPU as devices, each of which computes a few environments.
+    """Make the cores of a CPU devices of JAX, each of which computes a few environments.
 
-    It has an effect only before JAX computes anything, and none on an accelerator.
+    This has an effect only before JAX computes anything, and none on an accelerator.
 
     Args:
-      num_devices: how many; 0: all cores.
+      num_devices: number of devices; 0: all cores.
     """
     import jax
 
@@ -118,13 +137,13 @@ def cores_as_devices(num_devices: int = 0) -> None:
 
 
 def quiet() -> None:
-    """Silence what libraries say on success, and warnings that users cannot act upon."""
+    """Silence libraries' messages of success, and warnings without a remedy for users."""
     for noisy in ("absl", "orbax", "jax._src.xla_bridge"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
 
 
 def _look_ahead(argv: Sequence[str]) -> Any:
-    """What the other defaults depend on: ``env``, ``scale``, ``algo`` and ``imports``; ``--env X`` and ``--env=X``."""
+    """Options that the defaults of the others depend on: ``env``, ``scale``, ``algo``, ``imports`` and so on."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--env", default="RollingFlat")
     parser.add_argument("--scale", default=None)
@@ -132,6 +151,8 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--devices", type=int, default=0)
     parser.add_argument("--distributed", action="store_true")
     parser.add_argument("--import", dest="imports", action="append", default=[])
+    parser.add_argument("--run-dir", default=None)
+    parser.add_argument("--resume", action="store_true")
     try:
         known, _ = parser.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
@@ -139,13 +160,36 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     return known
 
 
-def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
-    """The dataclass that the command line fills, its defaults those of this environment, scale and algorithm."""
+def _preset(first: Any, scale: str, chosen: Algorithm) -> Any:
+    """The algorithm's configuration for this environment and scale."""
+    config = chosen.preset(first.env, scale)
+    if not isinstance(config, chosen.config_type):
+        raise ValueError(f"the preset of {first.algo} returned {config!r}: return a {chosen.config_type.__name__}")
+    return config
+
+
+def _recorded_modules(first: Any) -> list[dict[str, str]]:
+    """The modules that the run to be resumed was started with; they are imported."""
+    from rewax.training.storage.description import read_config
+    from rewax.training.storage.modules import import_recorded
+
+    if not (first.resume and first.run_dir):
+        return []
+    if not os.path.isdir(first.run_dir):
+        raise ValueError(f"there is no run directory {first.run_dir}: check the path, or start a new run there")
+    stored = read_config(first.run_dir)
+    import_recorded(stored, first.run_dir)
+    return stored.get("imports", [])
+
+
+def _options(first: Any, scale: str, agent_config: Any) -> type:
+    """The dataclass that the command line fills; its defaults are those of this environment, scale and algorithm."""
+    from rewax.training.config import ReportConfig
 
     def nested(value: Any) -> Any:
         return dataclasses.field(default_factory=lambda: value)
 
-    agent_config = chosen.preset(first.env, scale)
+    group, report = option_group(agent_config), option_group(ReportConfig(eval_at_start=not _is_slow(scale)))
     options = dataclasses.make_dataclass(
         "Options",
         [
@@ -153,15 +197,15 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
             ("scale", str, scale),
             ("algo", str, first.algo),
             ("imports", Imports, ()),
-            ("seed", int, 0),
-            ("num_seeds", int, 1),
-            ("steps", int | None, None),
+            ("seed", Seed, 0),
+            ("num_seeds", Count, 1),
+            ("steps", Count | None, None),
             ("run_dir", str | None, None),
             ("resume", tyro.conf.FlagCreatePairsOff[bool], False),
             ("init_from", str, ""),
-            ("devices", int, 0),
+            ("devices", Natural, 0),
             ("distributed", tyro.conf.FlagCreatePairsOff[bool], False),
-            (first.algo, type(agent_config), nested(agent_config)),
+            (first.algo, type(group), nested(group)),
             ("train", type(report), nested(report)),
         ],
         frozen=True,
@@ -174,17 +218,25 @@ def _options(first: Any, scale: str, chosen: Algorithm, report: Any) -> type:
       scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
-      seed: everything random follows from it.
-      num_seeds: seeds side by side in one program, from --seed on, a run directory for each.
-      steps: environment steps in all, rounded up to whole iterations; by default what the preset says.
-      run_dir: directory of the run; runs/<env>-<scale>[-<algo>]-<seed> by default.
+      seed: of all random numbers of the run.
+      num_seeds: number of seeds, from --seed on, batched in one program, with a run directory for each.
+      steps: total number of control steps, rounded up to whole iterations; by default that of the preset.
+      run_dir: directory of the run, by default runs/<env>-<scale>[-<algo>]-<seed>.
       resume: continue the run in run-dir from its newest checkpoint.
-      init_from: directory of a run of the same algorithm: begin with its networks, temperature and statistics.
-      devices: over how many the environments are divided, on a CPU cores; 0: as many of the devices as divide them.
-      distributed: several processes train this run, on one machine or many, each started with this command and
+      init_from: directory of a run of the same algorithm: start with its networks, temperature and statistics.
+      devices: number of devices (on a CPU: cores) that the environments are sharded over; 0: the largest number that
+        divides the number of environments.
+      distributed: train with several processes, on one machine or many; each is started with this command and
         JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID, or by Slurm or MPI.
     """
     return options
+
+
+def _is_slow(scale: str) -> bool:
+    """Whether an evaluation takes many minutes, so that the first one waits for some training."""
+    import jax
+
+    return scale == "paper" and jax.default_backend() == "cpu"
 
 
 def _description(name: str, env_name: str, scale: str) -> str:
@@ -192,13 +244,11 @@ def _description(name: str, env_name: str, scale: str) -> str:
 
 
 def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int, int]:
-    """The agent's configuration, number of iterations and of control steps for so many environment steps."""
+    """The agent's configuration, the number of iterations and of control steps; ``steps`` overrides the preset."""
     in_one = agent_config.steps_in(env) if hasattr(agent_config, "steps_in") else agent_config.horizon
     per_iteration = agent_config.num_envs * in_one
     if steps is None:
         return agent_config, agent_config.num_iterations, agent_config.num_iterations * per_iteration
-    if steps < 1:
-        raise ValueError(f"steps is {steps}: use 1 or more")
     num_iterations = math.ceil(steps / per_iteration)
     return dataclasses.replace(agent_config, num_iterations=num_iterations), num_iterations, steps
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.agents.legal import Count
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 from rewax.envs import registry
 
@@ -22,38 +23,38 @@ class Options:
       scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
-      trials: of the whole search, those of other processes and of earlier calls among them.
-      seeds: every trial trains each of these; other seeds than those of tables.
-      steps: environment steps of each seed; by default what the preset says.
-      episodes: of each evaluation of each seed, with sampled actions.
-      reports: evaluations of a trial, the last one at its end; a trial that is worse than the median of the others at
-        one of them is pruned.
-      space: TOML file with what is searched; by default the table of the algorithm that rewax has.
-      out: directory of the search; tune/<env>-<scale>-<algo> by default. The same command continues it, and several
-        processes share it.
+      trials: total number of trials of the search, including those of other processes and earlier calls.
+      seeds: each trial trains with each of these; take other seeds than for final results.
+      steps: control steps of each seed; by default those of the preset.
+      episodes: number of episodes in each evaluation of each seed, with sampled actions.
+      reports: number of evaluations of a trial, the last one at its end; a trial that is worse than the median of the
+        others at one of them is pruned.
+      space: TOML file with the search space; by default the one of the package for this algorithm.
+      out: directory of the search, by default tune/<env>-<scale>-<algo>. The same command continues it, and several
+        processes can share it.
     """
 
     env: str = "RollingFlat"
     scale: str | None = None
     algo: str = "sapo"
     imports: Imports = ()
-    trials: int = 30
+    trials: Count = 30
     seeds: tuple[int, ...] = (1000, 1001)
-    steps: int | None = None
-    episodes: int = 64
-    reports: int = 4
+    steps: Count | None = None
+    episodes: Count = 64
+    reports: Count = 4
     space: str | None = None
     out: str | None = None
 
 
 def run(argv: Sequence[str]) -> int:
-    """Do what is left of a search, and print the best options.
+    """Do the remaining trials of a search, and print the best options.
 
     Returns:
-      Exit code: 0; 1 if no trial could be trained to its end; 128 + signal after an interruption.
+      Exit code: 0; 1 if no trial was completed; 128 + signal after an interruption.
 
     Raises:
-      ValueError: an input that cannot be, or optuna is missing; one sentence.
+      ValueError: an error in the input, or optuna is missing; one sentence.
     """
     from rewax.training.storage.cache import enable_compilation_cache
     from rewax.training.tuning.report import as_command, as_toml, best_trial
@@ -64,12 +65,10 @@ def run(argv: Sequence[str]) -> int:
     quiet()
     options = parse(Options, argv, prog=_PROG, description="Search for hyper-parameters, with optuna.")
     need_optuna()
-    if options.trials < 1:
-        raise ValueError(f"trials is {options.trials}: use 1 or more")
     enable_compilation_cache()
     import_modules(options.imports)
     scale, console = options.scale or registry.default_scale(), Console(highlight=False, soft_wrap=True)
-    space, env = read_space(options.algo, options.space), registry.make(options.env, scale=scale)
+    space, env = read_space(options.algo, options.space), build_env(options.env, scale)
     names = ("seeds", "steps", "episodes", "reports")
     shared = {name: getattr(options, name) for name in names}
     task = Task(env=options.env, scale=scale, algo=options.algo, **shared)
@@ -82,7 +81,7 @@ def run(argv: Sequence[str]) -> int:
         console.print(f"best of the trials in {out_dir}: trial {best.number}, mean return {best.mean:.6g}\n")
         console.print(f"{as_command(task, best.values)}\n\n{table}", markup=False, end="")
     elif not signum:
-        console.print(f"no trial was trained to its end: {out_dir / 'trials.csv'} says why")
+        console.print(f"no trial was completed: {out_dir / 'trials.csv'} says why")
     return 128 + signum if signum else int(best is None)
 
 

@@ -1,4 +1,4 @@
-"""Tasks and what tasks are made of. One task, one file; a task's file is imported when the task is first made."""
+"""Tasks and the parts that tasks share. Each task has a file of its own, imported when the task is first made."""
 
 from rewax.envs.base import ArraySpec, Env, State, failed_leaf_name, first_state, next_state
 from rewax.envs.leaves import EnvLeaves, stack

@@ -1,4 +1,4 @@
-"""What an environment is: a pytree with ``reset`` and ``step``, pure functions of one episode."""
+"""The environment protocol: a pytree with ``reset`` and ``step``, pure functions of one unbatched episode."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ from rewax.status import FATAL, Status, all_finite, flag
 from rewax.types import Array, Key, Observation, PyTree
 
 NO_LEAF = -1
-"""``State.failed_leaf`` of a step that did not fail."""
+"""The value of ``State.failed_leaf`` after a step that did not fail."""
 
 
 @struct.dataclass
@@ -20,21 +20,22 @@ class State(struct.Replaceable):
     """One environment between two control steps.
 
     Attributes:
-      physics: whatever the environment simulates (pytree).
+      physics: state of the simulation (pytree).
       obs: named observations of this state.
-      reward: reward of the step that led here, shape (); 0 after a reset.
-      terminated: the episode ended for good (value 0 from here), shape (), bool.
-      truncated: the episode ended by its time limit (value continues), shape (), bool; never set with terminated.
+      reward: reward of the step that led to this state, shape (); 0 after a reset.
+      terminated: the episode ended, and the value of this state is 0, shape (), bool.
+      truncated: the episode reached its time limit, and the value of this state is not 0, shape (), bool. It is never
+        set together with terminated.
       metrics: named scalars to log, the same keys after every step.
       step_count: control steps since the reset, shape (), int32.
       status: bits of ``rewax.status.Status``, shape (), int32.
       key: this environment's source of randomness.
-      final_obs: None, except behind the auto-reset wrapper: observation before the reset at the end of an episode,
-        equal to ``obs`` elsewhere.
-      drawn: leaves of the environment that belong to this episode, by name; None where nothing is randomised (see
-        ``rewax.envs.Randomized``).
-      failed_leaf: which array of the last step held a non-finite number, see ``failed_leaf_name``; -1: none, shape (),
-        int32.
+      final_obs: the observation before the reset that ``AutoReset`` made at the end of an episode, equal to ``obs`` at
+        other steps; None without ``AutoReset``.
+      drawn: parameters of the environment that were drawn for this episode, by name; None where nothing is randomised
+        (see ``rewax.envs.Randomized``).
+      failed_leaf: index of the first array that held a non-finite number in the last step, -1 for none, shape (),
+        int32. ``failed_leaf_name`` gives its name.
     """
 
     physics: PyTree
@@ -52,17 +53,17 @@ class State(struct.Replaceable):
 
     @property
     def done(self) -> Array:
-        """The episode ended, one way or the other, shape (), bool."""
+        """Whether the episode terminated or was truncated, shape (), bool."""
         return self.terminated | self.truncated
 
 
 @dataclasses.dataclass(frozen=True)
 class ArraySpec:
-    """Arrays of one shape with bounds, the same for all components.
+    """Shape and bounds of an array. All components have the same bounds.
 
     Attributes:
-      shape: of one environment's array.
-      low, high: bounds, both inclusive; infinite by default.
+      shape: shape of the array of one environment.
+      low, high: inclusive bounds; infinite by default.
     """
 
     shape: tuple[int, ...]
@@ -74,7 +75,7 @@ Spec: TypeAlias = ArraySpec | dict[str, ArraySpec]
 
 
 class Env(Protocol):
-    """An environment: a pytree whose leaves are physical parameters, with pure, unbatched methods.
+    """An environment: a pytree of physical parameters with pure, unbatched methods.
 
     Batch with ``jax.vmap``, differentiate with ``jax.grad`` (also with respect to the environment itself), compile
     with ``jax.jit``. ``rewax.testing.check_env`` checks an implementation against this protocol.
@@ -87,7 +88,7 @@ class Env(Protocol):
 
     @property
     def action_spec(self) -> ArraySpec:
-        """Shape and bounds of an action: by convention within [-1, 1]; ``step`` clips."""
+        """Shape and bounds of an action, by convention [-1, 1]. ``step`` clips actions to the bounds."""
         ...
 
     @property
@@ -96,16 +97,16 @@ class Env(Protocol):
         ...
 
     def reset(self, key: Key) -> State:
-        """The beginning of an episode. Gradient: exact with respect to the environment's leaves."""
+        """The first state of an episode. Gradient: exact with respect to the parameters of the environment."""
         ...
 
     def step(self, state: State, action: Array) -> State:
-        """One control step, without reset at the end of an episode. Gradient: exact, through the physics."""
+        """The state after one control step; ``step`` never resets. Gradient: exact, through the physics."""
         ...
 
 
 def first_state(*, physics: PyTree, obs: Observation, metrics: dict[str, Array], key: Key) -> State:
-    """A ``State`` for the beginning of an episode."""
+    """The ``State`` at the beginning of an episode: reward 0, step 0, status ``OK``."""
     return State(
         physics=physics,
         obs=obs,
@@ -130,20 +131,21 @@ def next_state(
     terminated: Array | bool = False,
     status: Array | int = 0,
 ) -> State:
-    """The ``State`` after a control step, with time limit and numerical failures taken care of.
+    """The ``State`` after a control step. Truncates at the time limit and ends episodes that fail numerically.
 
-    If physics, observation or reward hold a non-finite number, the bit ``Status.NAN`` is set, the episode is terminated
-    with reward 0, and physics, observation and metrics keep their previous, finite values; no gradient flows.
+    A step fails if physics, observation or reward hold a non-finite number, or if ``status`` has a fatal bit. Then
+    ``Status.NAN`` is set, the episode terminates with reward 0, and physics, observation and metrics keep their
+    previous, finite values; no gradient flows.
 
     Args:
-      state: before the step.
-      physics, obs, reward, metrics: after it.
-      episode_length: step at which the episode is truncated, unless it terminates there.
-      terminated: the task's own end of the episode, shape (), bool.
-      status: bits found by the physics.
+      state: the state before the step.
+      physics, obs, reward, metrics: their values after the step.
+      episode_length: the step at which the episode is truncated, unless it terminates there.
+      terminated: whether the task ends the episode, shape (), bool.
+      status: bits that the physics set.
 
-    Gradient: passes through unchanged, cut in a failed step. (A NaN in the derivative of a failed step itself cannot be
-      removed here; agents drop such an environment's gradient and count it.)
+    Gradient: passes through unchanged; cut in a failed step. The derivative of a failed step may itself hold a NaN,
+      which cannot be removed here: agents drop the gradient of such an environment and count it.
     """
     broken = [~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)]
     # A fatal status without a non-finite number has the index after the last array's.
@@ -170,11 +172,11 @@ def next_state(
 
 
 def failed_leaf_name(env: "Env", leaf: int) -> str:
-    """What ``State.failed_leaf`` stands for: ``"physics.rigid.qpos"``, ``"obs['state']"``, ``"reward"``.
+    """The name of the array with index ``State.failed_leaf``: ``"physics.rigid.qpos"``, ``"obs['state']"``.
 
     Args:
       env: the environment, unbatched.
-      leaf: the index; after the last array it stands for a fatal bit of ``status``, below 0 for nothing.
+      leaf: the index. A negative one gives ``"nothing"``, one beyond the last array ``"status"``: a fatal bit.
     """
     state = jax.eval_shape(env.reset, jax.random.key(0))
     parts = {"physics": state.physics, "obs": dict(state.obs), "reward": state.reward}
@@ -188,6 +190,6 @@ def failed_leaf_name(env: "Env", leaf: int) -> str:
 
 
 def _checked_leaves(physics: PyTree, obs: Observation, reward: Array) -> list[Array]:
-    """Arrays that must be finite, in the order that ``failed_leaf_name`` names."""
+    """The arrays that must be finite, in the order of the names in ``failed_leaf_name``."""
     leaves = [*jax.tree.leaves(physics), *jax.tree.leaves(dict(obs)), reward]
     return [leaf for leaf in leaves if jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)]

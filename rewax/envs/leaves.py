@@ -1,7 +1,7 @@
-"""Environments as data: the arrays of an environment apart from what shapes the program.
+"""Environments as data: the arrays of an environment, separate from its static structure.
 
-A compiled program takes an environment's arrays as arguments, so that other values compile nothing. Objects of a
-``struct.dataclass`` hold no other leaves. Python numbers in other objects stay in the program.
+A compiled program takes the arrays of an environment as arguments, so that new values need no compilation. Objects of
+a ``struct.dataclass`` hold arrays only. Python numbers that other objects hold are constants of the program.
 """
 
 import dataclasses
@@ -19,12 +19,12 @@ from rewax.types import Array, PyTree
 
 @dataclasses.dataclass(frozen=True)
 class _Form:
-    """What is fixed about an environment; hashable.
+    """The static part of an environment; hashable.
 
     Attributes:
       treedef: structure of the environment.
-      names: of its leaves, in order.
-      numbers: leaves that are Python numbers; None where a leaf is an array.
+      names: names of its leaves, in order.
+      numbers: for each leaf its value if it is a Python number, None if it is an array.
     """
 
     treedef: Any
@@ -34,12 +34,12 @@ class _Form:
 
 @struct.dataclass
 class EnvLeaves(struct.Replaceable):
-    """An environment, or a batch of them, taken apart; a part of every agent's training state.
+    """The arrays and the static structure of an environment or a batch; a part of every agent's training state.
 
     Attributes:
-      arrays: the leaves that are arrays, by name (``".scene.material.density"``).
+      arrays: the parameters of the environment, by name (``".scene.material.density"``).
       form: everything else (static).
-      axis: of the arrays along which environments lie; None: one environment (static).
+      axis: the axis of the arrays that enumerates environments; None: there is one environment (static).
     """
 
     arrays: dict[str, Array]
@@ -48,7 +48,7 @@ class EnvLeaves(struct.Replaceable):
 
     @classmethod
     def of(cls, env: Any) -> "EnvLeaves":
-        """Take an environment apart; a batch is given as ``Vmap(env=..., env_axis=0)``, see ``stack``."""
+        """Partition an environment, or a batch: ``Vmap(env=..., env_axis=0)``, see ``stack``."""
         axis = getattr(env, "env_axis", None)
         env = env.env if axis is not None else env
         named, treedef = jax.tree.flatten_with_path(env)
@@ -78,42 +78,43 @@ class EnvLeaves(struct.Replaceable):
         for name, a in self.arrays.items():
             if self.axis is not None and (jnp.ndim(a) == 0 or a.shape[0] != num_envs):
                 raise ValueError(
-                    f"num_envs is {num_envs}, but the batch's leaf {name} has shape {jnp.shape(a)}: give every array "
-                    f"leaf a first axis of {num_envs} (rewax.envs.stack makes one), or another num_envs"
+                    f"num_envs is {num_envs}, but {name} of the batch has shape {jnp.shape(a)}: give every array a "
+                    f"first axis of {num_envs} (rewax.envs.stack makes one), or another num_envs"
                 )
 
 
 def stack(envs: Sequence[Any]) -> Vmap:
-    """Environments of one kind side by side, each with leaves of its own.
+    """A batch of environments of one kind, each with parameters of its own.
 
     Args:
-      envs: at least one; they must agree in their static fields and in the shapes of their leaves.
+      envs: at least one environment. Their static fields and the shapes of their arrays must agree.
 
     Returns:
-      ``Vmap(env=..., env_axis=0)``: every array leaf has a first axis of ``len(envs)``. Leaves that are one Python
-      number in all of them stay that number.
+      ``Vmap(env=..., env_axis=0)``: every array has a first axis of ``len(envs)``. A Python number that is the same in
+      all environments stays a Python number.
 
     Raises:
-      ValueError: no environments, or they differ in more than the values of leaves.
+      ValueError: there are no environments, or they differ in more than the values of parameters.
     """
     if not envs:
         raise ValueError("envs is empty: give at least one environment")
     if len({jax.tree.structure(env) for env in envs}) > 1:
         raise ValueError(
-            "the environments differ in a static field or in their kind: stack those that differ in leaves only"
+            "the environments differ in a static field or in their kind: stack those that differ in parameters only"
         )
 
     def join(*leaves: Any) -> PyTree:
         if all(is_number(leaf) and leaf == leaves[0] for leaf in leaves):
             return leaves[0]
         if len({np.shape(leaf) for leaf in leaves}) > 1:
-            raise ValueError(f"a leaf has shapes {[np.shape(leaf) for leaf in leaves]}: give all the same")
+            shapes = [np.shape(leaf) for leaf in leaves]
+            raise ValueError(f"a parameter has shapes {shapes}: give it the same shape in all environments")
         return jnp.stack([jnp.asarray(leaf) for leaf in leaves])
 
     return Vmap(env=jax.tree.map(join, *envs), env_axis=0)
 
 
 def strongly_typed(leaf: Any) -> Array:
-    """Python scalars leave weak types behind, with which a program would be compiled anew for its own output."""
+    """An array without a weak type. A weakly typed input would recompile the program for its own, strong output."""
     a = jnp.asarray(leaf)
     return jax.lax.convert_element_type(a, a.dtype) if jnp.issubdtype(a.dtype, jnp.number) else a

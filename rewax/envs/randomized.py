@@ -1,4 +1,4 @@
-"""Domain randomisation: leaves of an environment drawn anew at every reset."""
+"""Domain randomisation: parameters of an environment that are drawn at every reset."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,22 +12,22 @@ from rewax.envs.wrappers import _Wrapper, is_number
 from rewax.types import Array, Key
 
 Randomize = Callable[[Key, Any], Any]
-"""``(key, env) -> env`` with some leaves drawn anew; shapes and static fields stay. ``rewax.envs.randomize`` makes
-them from names and distributions."""
+"""A hook ``(key, env) -> env`` that draws parameters and keeps shapes and static fields. ``rewax.envs.randomize.hook``
+makes one from names and distributions."""
 
 
 @struct.dataclass
 class Randomized(_Wrapper):
-    """An environment whose leaves are drawn at each reset and kept until the next one.
+    """An environment whose parameters are drawn at each reset and kept until the next one.
 
-    The drawn leaves travel in ``State.drawn``. Only those that the hook changed are kept there.
+    ``State.drawn`` holds the parameters that the hook changed, by name.
 
     Attributes:
-      env: what the hook starts from; the same at every reset.
+      env: the environment that the hook gets at every reset.
       randomize: the hook (static): ``lambda key, env: env.replace(...)``.
 
-    Gradient: through the step as ever, also to ``env``; none through the hook's draw of the leaves in an episode that
-    a wrapper started by itself (``AutoReset``).
+    Gradient: exact through the step, also with respect to ``env``. No gradient flows through the draw for an episode
+      that ``AutoReset`` began.
     """
 
     randomize: Randomize = struct.static_field()
@@ -38,18 +38,18 @@ class Randomized(_Wrapper):
         return env.reset(key).replace(drawn=_changed(self.env, env))
 
     def step(self, state: State, action: Array) -> State:
-        return _with_leaves(self.env, state.drawn or {}).step(state, action)
+        return _with_parameters(self.env, state.drawn or {}).step(state, action)
 
 
 def check_hook(env: Any, randomize: Randomize) -> None:
-    """Raises ValueError, without computing anything, for a hook that cannot draw leaves of this environment."""
+    """Raises ValueError for a hook that cannot draw parameters of this environment. Traces the hook only."""
     jax.eval_shape(lambda key: _changed(env, randomize(key, env)), jax.random.key(0))
 
 
 def _changed(old: Any, new: Any) -> dict[str, Array]:
-    """Leaves of ``new``, by name, that are not the very leaves of ``old``."""
+    """The arrays of ``new``, by name, that are other objects than those of ``old``."""
     if jax.tree.structure(old) != jax.tree.structure(new):
-        raise ValueError("randomize changed a static field or the kind of the environment: draw leaves only")
+        raise ValueError("randomize changed a static field or the kind of the environment: draw parameters only")
     before, after = jax.tree.leaves(old), jax.tree.leaves_with_path(new)
     found = {}
     for a, (path, b) in zip(before, after, strict=True):
@@ -62,6 +62,6 @@ def _changed(old: Any, new: Any) -> dict[str, Array]:
     return found
 
 
-def _with_leaves(env: Any, leaves: dict[str, Array]) -> Any:
-    """The environment with some leaves, by name, replaced."""
-    return jax.tree.map_with_path(lambda path, leaf: leaves.get(jax.tree_util.keystr(path), leaf), env)
+def _with_parameters(env: Any, parameters: dict[str, Array]) -> Any:
+    """The environment with some parameters replaced, by name."""
+    return jax.tree.map_with_path(lambda path, leaf: parameters.get(jax.tree_util.keystr(path), leaf), env)

@@ -14,10 +14,10 @@ from rewax.envs.base import Env
 
 Scale = str
 SCALES: tuple[Scale, ...] = ("paper", "small")
-"""``paper``: the reference's constants, for an accelerator. ``small``: made to learn within minutes on two cores."""
+"""``paper`` has the constants of the paper and is for an accelerator. ``small`` learns within minutes on two cores."""
 
 Factory: TypeAlias = Callable[..., Env] | str
-"""A function that builds an environment, or where to find one: ``"package.module:function"``."""
+"""A function that builds an environment, or its name: ``"package.module:function"``."""
 
 _FACTORIES: dict[str, Factory | Mapping[Scale, Factory]] = {}
 
@@ -26,7 +26,7 @@ def register(name: str, factory: Factory | Mapping[Scale, Factory]) -> None:
     """Make an environment available to ``make`` and to the command line.
 
     Args:
-      name: what users call it.
+      name: the name that users pass to ``make``.
       factory: called as ``factory(scale=..., **kwargs)``. A string ``"package.module:function"`` is imported when the
         environment is first made. A mapping gives each scale a factory of its own, called as ``factory(**kwargs)``.
 
@@ -42,48 +42,66 @@ def register(name: str, factory: Factory | Mapping[Scale, Factory]) -> None:
 
 
 def list_envs() -> list[str]:
-    """Names that ``make`` knows, sorted."""
+    """The names of all registered environments, sorted."""
     return sorted(_FACTORIES)
 
 
 def default_scale() -> Scale:
-    """``paper`` where JAX found an accelerator, ``small`` on a CPU."""
+    """``"paper"`` where JAX found an accelerator, ``"small"`` on a CPU."""
     return "small" if jax.default_backend() == "cpu" else "paper"
 
 
 def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     """Build a registered environment.
 
-    The environment remembers its recipe in the attribute ``made_by``, a dict with the keys ``env``, ``scale`` and
-    ``kwargs``. It belongs to this one object: copies by ``replace``, ``jit``, ``vmap`` or ``jax.tree.map`` have other
-    leaves than the recipe says, and no such attribute. The first call warns if JAX is newer than the tested versions.
+    The attribute ``made_by`` of the environment is a dict with the keys ``env``, ``scale`` and ``kwargs``: the
+    arguments of this call. Environments that ``replace``, ``jit``, ``vmap`` or ``jax.tree.map`` return have no such
+    attribute, because their parameters may differ. The first call warns if JAX is newer than the tested versions.
 
     Args:
       name: one of ``list_envs()``.
-      scale: ``"paper"``, ``"small"``, or None for what suits the device (``default_scale``).
-      **kwargs: passed on to the environment's factory, e.g. physical parameters.
+      scale: ``"paper"``, ``"small"``, or None for the one that suits the device (``default_scale``).
+      **kwargs: options of the environment. Every task of rewax takes ``dt``, a substep [s], and ``num_substeps``, which
+        keep the control step: a shorter substep takes more of them. Both together change the control step.
 
     Raises:
-      ValueError: unknown name, scale or keyword; the message lists what there is.
+      ValueError: a name, a scale or an option is unknown, or an option has an illegal value.
     """
     jax_versions.warn_if_untested()
-    check_name(name)
     scale = default_scale() if scale is None else scale
-    factory = _FACTORIES[name]
-    scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
-    if scale not in scales:
-        raise ValueError(f"scale is {scale!r}: use one of {', '.join(map(repr, scales))}, or none to follow the device")
-    chosen = _imported(name, factory[scale] if isinstance(factory, Mapping) else factory)
-    given = kwargs if isinstance(factory, Mapping) else {"scale": scale, **kwargs}
+    chosen = factory_of(name, scale)
+    given = kwargs if isinstance(_FACTORIES[name], Mapping) else {"scale": scale, **kwargs}
     _check_keywords(name, chosen, given)
     env = _call(name, chosen, given)
+    if missing := [method for method in ("reset", "step") if not callable(getattr(env, method, None))]:
+        raise ValueError(
+            f"the factory of {name!r} returned {str(env)[:80]!r}, which has no method {missing[0]}: return an "
+            "environment, see rewax.envs.base.Env"
+        )
     _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
     return env
 
 
+def factory_of(name: str, scale: Scale | None = None) -> Callable[..., Env]:
+    """The function that builds an environment; a scale of None stands for any.
+
+    Raises:
+      ValueError: unknown name or scale, or the factory cannot be imported.
+    """
+    check_name(name)
+    factory = _FACTORIES[name]
+    scales = tuple(factory) if isinstance(factory, Mapping) else SCALES
+    if scale is not None and (not isinstance(scale, str) or scale not in scales):
+        raise ValueError(
+            f"scale is {scale!r}: {did_you_mean(scale, scales)}use one of {', '.join(map(repr, scales))}, or none to "
+            "follow the device"
+        )
+    return _imported(name, factory[scale or scales[0]] if isinstance(factory, Mapping) else factory)
+
+
 def check_name(name: str) -> None:
     """Raise a ValueError unless ``make`` knows the name."""
-    if name not in _FACTORIES:
+    if not isinstance(name, str) or name not in _FACTORIES:
         raise ValueError(
             f"there is no environment named {name!r}: {did_you_mean(name, _FACTORIES)}known are "
             f"{', '.join(list_envs())}; register others first, on the command line with --import MODULE"
@@ -91,8 +109,11 @@ def check_name(name: str) -> None:
 
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
-    """``"did you mean 'x'? "`` for the known name that is nearest, or nothing where none is near."""
-    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    """``"did you mean 'x'? "`` with the known name that is most similar, ``""`` if none is similar."""
+    by_lower_case = {other.lower(): other for other in known}
+    if str(name).lower() in by_lower_case:
+        return f"did you mean {by_lower_case[str(name).lower()]!r}? "
+    close = difflib.get_close_matches(str(name), list(by_lower_case.values()), n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}? " if close else ""
 
 
@@ -109,7 +130,7 @@ def _imported(name: str, factory: Factory) -> Callable[..., Env]:
 
 
 def _check_keywords(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> None:
-    """Raise a ValueError where a factory does not take these keywords; one with ``**kwargs`` takes any."""
+    """Raises ValueError unless the factory takes these keywords. A factory with ``**kwargs`` takes any."""
     try:
         parameters = inspect.signature(factory).parameters.values()
     except (TypeError, ValueError):  # some callables written in C have none
@@ -132,7 +153,7 @@ def _no_option(name: str, keyword: str, legal: list[str]) -> str:
 
 
 def _call(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> Env:
-    """Call a factory; one that passes ``**kwargs`` on finds a misspelt keyword only in there."""
+    """Call a factory. One that passes ``**kwargs`` on may refuse a misspelt keyword only inside."""
     try:
         return factory(**given)
     except TypeError as error:
@@ -143,7 +164,7 @@ def _call(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> E
 
 
 def _attach(env: Env, recipe: dict[str, Any]) -> None:
-    """Set ``made_by`` on an environment, frozen or not; one that takes no attributes goes without."""
+    """Set ``made_by`` on an environment, also on a frozen one. Objects that take no attributes get none."""
     try:
         object.__setattr__(env, "made_by", recipe)
     except AttributeError:

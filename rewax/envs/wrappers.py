@@ -1,4 +1,4 @@
-"""Environments made of environments: batched, and restarted when an episode ends."""
+"""Wrappers of environments: ``Vmap`` for a batch, ``AutoReset`` to begin an episode when one ends."""
 
 from typing import Any
 
@@ -11,7 +11,12 @@ from rewax.types import Array, Key, PyTree
 
 
 def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
-    """``where`` over trees that may hold PRNG keys. condition: shape (). Gradient: flows to the chosen tree only."""
+    """``jnp.where`` over trees that may hold PRNG keys. Gradient: flows to the chosen tree only.
+
+    Args:
+      condition: shape ().
+      on_true, on_false: trees of one structure.
+    """
 
     def choose(a: Array, b: Array) -> Array:
         if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
@@ -23,13 +28,13 @@ def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
 
 
 def is_number(leaf: Any) -> bool:
-    """A plain Python number: a leaf that belongs to the program and that environments of a batch share."""
+    """Whether a leaf is a Python number: a constant of the program that all environments of a batch share."""
     return isinstance(leaf, (bool, int, float))
 
 
 @struct.dataclass
 class _Wrapper:
-    """Forwards everything that a wrapper does not change."""
+    """Base of wrappers: forwards every property and method to ``env``."""
 
     env: Any
 
@@ -59,12 +64,14 @@ class _Wrapper:
 
 @struct.dataclass
 class AutoReset(_Wrapper):
-    """Starts a fresh episode in the step that ends one.
+    """Begins a new episode in the step that ends one.
 
-    The returned state carries reward, terminated, truncated, metrics and status of the step that was taken, and obs,
-    physics and step_count of the new episode's beginning; ``final_obs`` is the observation before the reset. Every
-    reset draws a new initial state. Gradient: through the step as ever; from the new episode back to the old one it is
-    cut, for this environment alone.
+    After such a step, reward, terminated, truncated, metrics and status belong to the old episode; obs, physics and
+    step_count belong to the new one. ``final_obs`` is the last observation of the old episode. Every reset draws a new
+    initial state.
+
+    Gradient: exact through the step. No gradient flows from a new episode to the old one of the same environment;
+      other environments of a batch are not affected.
     """
 
     def reset(self, key: Key) -> State:
@@ -88,11 +95,12 @@ class AutoReset(_Wrapper):
 
 @struct.dataclass
 class Vmap(_Wrapper):
-    """Many environments side by side: every argument and result has a leading axis of environments.
+    """A batch of environments: every argument and result has a leading axis of environments.
 
     Attributes:
-      env: one environment that all share, or a batch: an environment whose array leaves have an axis of environments.
-      env_axis: 0 for a batch, None for one environment that all share (static).
+      env: one environment that serves for the whole batch, or a batch of parameters: an environment whose arrays have
+        a leading axis of environments, see ``stack``.
+      env_axis: 0 for a batch of parameters, None for one environment (static).
     """
 
     env_axis: int | None = struct.static_field(default=None)
@@ -123,7 +131,7 @@ class Vmap(_Wrapper):
 
     @property
     def _axes(self) -> Any:
-        """Of the environment's leaves; Python numbers are shared."""
+        """``in_axes`` of ``jax.vmap`` for the environment. Python numbers have no axis."""
         if self.env_axis is None:
             return None
         return jax.tree.map(lambda a: None if is_number(a) else 0, self.env)

@@ -127,7 +127,7 @@ def _candidates(name: str, operands: tuple[tuple[str, str], ...], lanes: bool) -
     def found(parts: tuple[Expression, ...]) -> bool:
         return any(all(map(fits, parts, order)) for order in _orders(name, operands))
 
-    return tuple(number for number in BY_NAME[name] if found(INSTRUCTIONS[number].expression[1:]))
+    return tuple(number for number in BY_NAME[name] if found(INSTRUCTIONS[number].expression[1:]))  # pyright: ignore[reportArgumentType]
 
 
 def _is(kind: str, given: str, lanes: bool) -> bool:
@@ -171,7 +171,7 @@ class _Cover:
         given = tuple((self.kinds[o], self.operations[o].name if o in self.inner else "") for o in operands)
         found = []
         for number in _candidates(name, given, self.lanes):
-            leaves = self.matched(INSTRUCTIONS[number].expression, i)
+            leaves = self.matched(INSTRUCTIONS[number].expression, i)  # pyright: ignore[reportArgumentType]
             if leaves is not None:
                 cost = 2 + len(leaves) + sum(self.best[o][0] for o in leaves if o in self.inner)
                 found.append((cost, number, leaves))

@@ -9,7 +9,7 @@ from rewax.envs.base import Env
 from rewax.testing.agent_states import compiled
 from rewax.testing.functions import check_same
 from rewax.testing.traced import traced_reset
-from rewax.types import Array, Key
+from rewax.types import Array, Key, Observation
 
 _NUM_OBSERVATIONS = 4
 
@@ -23,7 +23,7 @@ def check_policy(agent: Agent, env: Env, state: TrainState, key: Key, tolerance:
     for deterministic in (False, True):
         how = f"policy(..., deterministic={deterministic})"
 
-        def policy(obs: dict[str, Array], key: Key, deterministic: bool = deterministic) -> Array:
+        def policy(obs: Observation, key: Key, deterministic: bool = deterministic) -> Array:
             return agent.policy(state, obs, key, deterministic=deterministic)
 
         actions = [policy(obs, k) for obs, k in zip(observations, keys, strict=True)]

@@ -13,26 +13,31 @@ from rewax.testing.touching_geoms import Touching, distance_to, stacked, touchin
 from rewax.types import Array
 
 _DEPTH, _FAR = 1e-3, 0.5
-"""By how much geoms of 0.1 m overlap or are apart, and how far those are that do not touch at all [m]."""
+"""Overlap or gap of geoms of 0.1 m, and the distance of geoms that are far apart [m]."""
 _STEP = 1e-6
-"""Of central differences [m]."""
+"""Step of central differences [m]."""
 
 
 def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64, tolerance: float = 1e-3) -> None:
-    """Check what ``ContactPair`` says of a pair's function.
+    """Check the function of a contact pair against the protocol of ``rewax.physics.rigid.ContactPair``.
 
-    In double precision, for geoms of about 0.1 m with random sizes and poses that overlap by 1 mm, are 1 mm apart or
-    are far away, and for such that stand or lie exactly on each other. The function returns arrays of the right shapes.
-    Distances are negative where geoms overlap, and there alone; the smallest is as deep as they overlap. Its normal is
-    the derivative of the distance with respect to the second geom's position, which ``jax.grad`` finds as well; its
-    point lies within half the distance of both surfaces. Frames are orthonormal. All derivatives with respect to
-    positions, rotations and sizes are finite. Slots without contact are left out.
+    The check runs in float64. It draws geoms of about 0.1 m with random sizes and poses, which overlap by 1 mm, are
+    1 mm apart or are far apart. Further geoms stand or lie exactly on each other. It checks that
+
+    - the function returns arrays of the right shapes, and frames are orthonormal;
+    - a distance is negative if and only if the geoms overlap, and the smallest is minus the depth of the overlap;
+    - the normal of the deepest contact is the derivative of the distance with respect to the position of the second
+      geom, both by finite differences and by ``jax.grad``;
+    - its point is at most half the distance away from both surfaces;
+    - derivatives with respect to positions, rotations and sizes are finite.
+
+    Slots without contact are not checked, except for finite numbers.
 
     Args:
       pair: the contact pair.
-      seed: of the geoms.
-      num_states: how many pairs of geoms are drawn for each distance.
-      tolerance: of lengths, relative to 1 mm, and of normals. Iterative functions need more.
+      seed: seed of the random geoms.
+      num_states: number of pairs of geoms for each distance.
+      tolerance: of lengths, relative to 1 mm, and of normals. Iterative functions need a larger one.
 
     Raises:
       AssertionError: a sentence that names what is wrong, and what helps.
@@ -60,39 +65,39 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """For each of many arguments; programs that run once need no optimisation."""
+    """``jit`` of ``vmap`` of a function, without optimisation: the program runs once."""
     return jax.jit(jax.vmap(function), compiler_options={"xla_backend_optimization_level": 0})
 
 
-def _met(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
+def _contacts(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
     """Contacts of two geoms: distances, points and frames."""
     return find(pair, *jax.tree.map(lambda a: a[None], (first, second)))
 
 
 class _Measured(NamedTuple):
-    """Of pairs of geoms with k slots for contacts."""
+    """Results for a pair of geoms with k slots for contacts; arrays may have a leading axis of pairs."""
 
     distance: np.ndarray
-    """Shape (k,)."""
+    """Distances of the contacts [m], shape (k,)."""
     frame: np.ndarray
-    """Shape (k, 3, 3)."""
+    """Frames of the contacts, shape (k, 3, 3)."""
     off: np.ndarray
-    """Of the points from both surfaces, shape (2, k)."""
+    """Distances of the contact points from both surfaces [m], shape (2, k)."""
     slope: np.ndarray
-    """Of the smallest distance by the second geom's position, a central difference, shape (3,)."""
+    """Derivative of the smallest distance with respect to the second geom's position by central differences, (3,)."""
     gradient: np.ndarray
-    """The same, of ``jax.grad``."""
+    """The same derivative by ``jax.grad``, shape (3,)."""
 
 
 def _measured(pair: ContactPair, states: Touching) -> _Measured:
     def one(state: Touching) -> tuple[Array, ...]:
-        distance, point, frame = _met(pair, state.first, state.second)
+        distance, point, frame = _contacts(pair, state.first, state.second)
         geoms = zip(pair.kinds, (state.first, state.second), strict=True)
         off = [jax.vmap(lambda p, kind=kind, geom=geom: distance_to(kind, geom, p))(point) for kind, geom in geoms]
 
         def moved(shift: Array) -> Array:
             second = state.second._replace(position=state.second.position + shift)
-            return jnp.min(_met(pair, state.first, second)[0])
+            return jnp.min(_contacts(pair, state.first, second)[0])
 
         ends = jax.vmap(moved)(_STEP * jnp.concatenate([jnp.eye(3), -jnp.eye(3)]))
         slope = (ends[:3] - ends[3:]) / (2.0 * _STEP)
@@ -127,7 +132,7 @@ def _check_signs(pair: ContactPair, found: _Measured, gaps: np.ndarray, toleranc
 
 
 def _check_deepest(pair: ContactPair, found: _Measured, tolerance: float) -> None:
-    """Normals and points of the deepest contacts of geoms that overlap."""
+    """Checks normal and point of the deepest contact of each pair that overlaps."""
     rows, deepest = np.arange(len(found.distance)), np.argmin(found.distance, axis=1)
     normal = found.frame[rows, deepest, 0]
     for slope, name in ((found.slope, "a central difference"), (found.gradient, "jax.grad")):
@@ -148,10 +153,10 @@ def _check_deepest(pair: ContactPair, found: _Measured, tolerance: float) -> Non
 
 
 def _check_derivatives(pair: ContactPair, states: Touching) -> None:
-    """Numbers and derivatives are finite."""
+    """Checks that values and derivatives are finite."""
 
     def values(first: Geom, second: Geom) -> dict[str, Array]:
-        return dict(zip(("distance", "point", "frame"), _met(pair, first, second), strict=True))
+        return dict(zip(("distance", "point", "frame"), _contacts(pair, first, second), strict=True))
 
     def one(state: Touching) -> tuple[dict[str, Array], dict[str, tuple[Geom, Geom]]]:
         geoms = state.first, state.second

@@ -1,4 +1,4 @@
-"""The check of an environment: what is checked, in which order."""
+"""``check_env``: the list of checks of an environment and their order."""
 
 from collections.abc import Callable
 
@@ -10,8 +10,8 @@ from rewax.testing.progress import Progress
 from rewax.testing.traced import random_action, traced_reset, traced_step
 
 _JIT_TOLERANCE = 1e-3
-"""Relative. A compiled program may fuse and reorder sums in single precision, and stiff material amplifies what that
-changes: to 2e-4 in a step of HandLift."""
+"""Relative tolerance. A compiled program may fuse and reorder sums in float32, and stiff material amplifies the
+difference: to 2e-4 in a step of HandLift."""
 
 
 def check_env(
@@ -25,20 +25,25 @@ def check_env(
 ) -> None:
     """Check an environment against the protocol of ``rewax.envs.base.Env``.
 
-    The environment is a pytree that agents can take apart. Observations match their spec; states keep their structure,
-    so that ``lax.scan`` can carry them; ``reset`` depends on its key, ``step`` on state and action alone; ``jit`` and
-    ``vmap`` change nothing beyond rounding; no step from the start sets a bit of ``status``; ``step`` clips actions,
-    never resets, truncates exactly at ``episode_length`` and never together with terminating; the reward has a
-    finite, not identically zero gradient with respect to the actions; what ``particles`` and ``render_shapes`` give can
-    be drawn.
+    It checks that
+
+    - the environment is a pytree of arrays and numbers;
+    - observations match their spec, and states keep their structure, so that ``lax.scan`` can carry them;
+    - ``reset`` depends on its key only, and ``step`` on state and action only;
+    - ``jit`` and ``vmap`` change results by rounding only;
+    - the first steps set no bit of ``status``;
+    - ``step`` clips actions, never resets, truncates exactly at ``episode_length``, and never truncates a state that
+      terminates;
+    - the gradient of the reward with respect to the actions is finite and not zero;
+    - the results of ``particles`` and ``render_shapes`` can be drawn.
 
     Args:
       env: unbatched environment, without ``AutoReset``.
-      seed: of initial states and actions.
-      tolerance: relative difference that rounding may make within one step.
-      check_full_episode: also run to ``episode_length``; the one check that may take long.
-      gradient_steps: steps after a reset within which some action must change some reward.
-      notify: gets a line before each part, as compiling takes a while; None: silence.
+      seed: seed of initial states and actions.
+      tolerance: largest relative difference by rounding within one step.
+      check_full_episode: also run to ``episode_length``, which may take long.
+      gradient_steps: number of steps after a reset within which some action must change some reward.
+      notify: called with a line before each part, because compiling takes a while; None: silence.
 
     Raises:
       AssertionError: a sentence that names what is wrong, and what helps.

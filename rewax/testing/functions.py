@@ -1,4 +1,4 @@
-"""What ``reset`` and ``step`` do: pure functions, alike under every transformation, that gradients flow through."""
+"""Checks of ``reset`` and ``step``: purity, equal results under ``jit`` and ``vmap``, gradients, time limit."""
 
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,7 @@ _Step = Callable[[State, Array], State]
 
 
 def check_reset_key(reset: _Reset, state: State, key: Key) -> None:
-    """One key gives one state, other keys give others."""
+    """Checks that equal keys give equal states and different keys give different ones."""
     pure = "let reset depend on its key alone"
     check_same(reset(key), state, 0.0, "two resets with one key", pure)
     other = reset(jax.random.fold_in(key, 2))
@@ -30,7 +30,7 @@ def check_reset_key(reset: _Reset, state: State, key: Key) -> None:
 
 
 def check_purity(env: Env, step: _Step, state: State, action: Array, new: State, tolerance: float) -> None:
-    """A step depends on state and action alone."""
+    """Checks that a step depends on state and action only."""
     pure = (
         "let step depend on state and action alone: no Python state, no numpy random numbers, no callbacks that count"
     )
@@ -39,7 +39,7 @@ def check_purity(env: Env, step: _Step, state: State, action: Array, new: State,
 
 
 def check_vmap(env: Env, reset: _Reset, step: _Step, key: Key, tolerance: float) -> None:
-    """Each of three environments side by side is as it would be alone."""
+    """Checks that each of three environments in a batch gives the results that it gives alone."""
     keys, actions = jax.random.split(key, 3), jax.vmap(lambda k: random_action(env, k))(jax.random.split(key, 3))
     leaves = EnvLeaves.of(env)
 
@@ -56,7 +56,7 @@ def check_vmap(env: Env, reset: _Reset, step: _Step, key: Key, tolerance: float)
 
 
 def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -> None:
-    """An action beyond its bounds acts like that at the bound."""
+    """Checks that an action beyond its bounds has the effect of the action at the bound."""
     spec = env.action_spec
     for bound, direction in ((spec.low, -1.0), (spec.high, 1.0)):
         beyond = step(state, jnp.full(spec.shape, bound + direction * 10.0 * (spec.high - spec.low)))
@@ -66,7 +66,7 @@ def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -
 
 
 def check_gradient(env: Env, state: State, key: Key, num_steps: int) -> None:
-    """Reward after a few steps with respect to their actions; an action may act late, so zeros in some are fine."""
+    """Checks the gradient of the reward of a few steps with respect to their actions. Some of its entries may be 0."""
     actions = 0.9 * jax.vmap(lambda k: random_action(env, k))(jax.random.split(key, num_steps))
     leaves = EnvLeaves.of(env)
 
@@ -99,7 +99,7 @@ def check_gradient(env: Env, state: State, key: Key, num_steps: int) -> None:
 
 
 def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, num_steps: int) -> str:
-    """The sentence about a reward without a gradient: do the actions move anything?"""
+    """The error message for a zero gradient. It says whether the actions change the state."""
 
     def end(actions: Array) -> dict[str, Array]:
         _, (_, last) = total(actions, leaves)
@@ -108,7 +108,7 @@ def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, n
         pairs = zip(names, (leaf for _, leaf in named), strict=True)
         return {name: leaf for name, leaf in pairs if jnp.issubdtype(leaf.dtype, jnp.floating)}
 
-    # Forward, along one direction of the actions: which arrays of the last state change?
+    # Forward derivative along one direction of the actions: it shows which arrays of the last state change.
     _, changes = jax.jit(lambda a: jax.jvp(end, (a,), (jnp.ones_like(a),)))(actions)
     moved = [name for name, change in changes.items() if bool(jnp.any(change != 0))]
     what = f"the reward of {num_steps} steps has a zero gradient with respect to their actions"
@@ -125,7 +125,7 @@ def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, n
 
 
 def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
-    """Run to the end of the episode, and one step beyond."""
+    """Runs to the end of the episode, and one step beyond."""
     length = env.episode_length
     for count in range(1, length + 1):
         state = step(state, random_action(env, jax.random.fold_in(key, count)))

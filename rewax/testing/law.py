@@ -1,4 +1,4 @@
-"""The check of a material's laws: what any law must obey, and what its derivatives must be."""
+"""``check_law``: the properties that every law of a material must have, and its derivatives."""
 
 import functools
 from collections.abc import Callable
@@ -23,22 +23,27 @@ from rewax.types import Array
 def check_law(
     material: Material, *, strain: float = 0.1, seed: int = 0, notify: Callable[[str], None] | None = print
 ) -> None:
-    """Check the laws of a material, one's own or those of rewax.
+    """Check the laws of a material, your own or those of rewax.
 
-    Numbers are legal. Elastic stress is objective and isotropic, zero at rest, there Hooke's with the law's ``moduli``
-    (a fluid's: with its ``sound_speed``), and everywhere the derivative of its energy. Flow depends on the frame in no
-    way, leaves what does not flow as it was to the bit, and its elongation belongs to its stretches; stiffness is at
-    most ``largest_stiffness``. Viscous stress is symmetric, does not feel spin, and takes energy; active stress is
-    symmetric and turns with the body. Derivatives by deformation and by every number: reverse
-    equals forward equals finite difference in float64; float32 is close to that; they are finite for flattened and
-    inverted particles too. A block of particles at ``mpm.largest_stable_dt`` is stable. All programs run in C++, where
-    there is a compiler.
+    It checks that
+
+    - all numbers are legal;
+    - elastic stress is objective and isotropic, zero at rest, and the derivative of its energy; for small strains it is
+      Hooke's law with the law's ``moduli``, or, for a fluid, with its ``sound_speed``;
+    - flow is objective, changes particles that do not flow by not one bit, and returns the elongation that belongs to
+      its stretches; stiffness is at most ``largest_stiffness``;
+    - viscous stress is symmetric, independent of spin, and dissipates energy;
+    - active stress is symmetric and rotates with the body;
+    - derivatives with respect to deformation and every parameter agree in reverse mode, forward mode and by finite
+      differences in float64, nearly agree in float32, and are finite for flattened and inverted particles;
+    - a block of particles is stable at ``mpm.largest_stable_dt``;
+    - all programs run in C++, if there is a compiler.
 
     Args:
-      material: with one number for each parameter.
+      material: a material with one number for each parameter.
       strain: largest logarithmic strain of the random deformations [-].
-      seed: of the deformations.
-      notify: gets a line for each part; None: silence.
+      seed: seed of the deformations.
+      notify: called with a line for each part; None: silence.
 
     Raises:
       AssertionError: a sentence that names what is wrong, and what helps.

@@ -1,4 +1,4 @@
-"""The check of a law's derivatives: exact, in both precisions, and finite for any deformation."""
+"""Checks of a law's derivatives: exact in float64, close in float32, finite for any deformation."""
 
 from collections.abc import Iterator
 
@@ -13,11 +13,11 @@ from rewax.types import Array, PyTree
 
 _SPECIAL = [[1, 1, 1], [1.2, 1.2, 0.9], [1.2, 0.9, 0.9], [1.1, 1.1, 1.1], [1.2, 0.9, 0], [1, 0, 0], [0, 0, 0],
             [1.1, 0.9, -0.5], [1, 1, -1], [1, 1 + 1e-9, 1 - 1e-9]]  # fmt: skip
-"""Stretches of bodies at rest, with repeated stretches, flattened and inverted."""
+"""Stretches of particles at rest, with equal stretches, flattened and inverted."""
 
 
 def check_derivatives(m: Material, F: Array, seed: int) -> None:
-    """Derivatives by deformation, by every number and by memory: reverse, forward, difference, float32."""
+    """Checks derivatives by deformation, every number and memory: reverse, forward, difference, float32."""
     rng = np.random.default_rng(seed + 4)
     args = (m, F, jnp.asarray(rng.normal(size=F.shape)), at_start(m, F))
     move = jax.tree.map(lambda a: jnp.asarray(rng.normal(size=a.shape)) * jnp.maximum(jnp.abs(a), 0.1), args)
@@ -51,7 +51,7 @@ _ADVICE = "no stop_gradient, integer or jnp.where that hides a branch; divide an
 
 
 def _parts(args: tuple, move: tuple) -> list[tuple[str, tuple]]:
-    """A move of one argument at a time, numbers of the material by their paths."""
+    """Tangents that move one argument at a time, with its name: a path in the material, or the argument."""
     still = jax.tree.map(jnp.zeros_like, args)
     leaves, treedef = jax.tree.flatten(move[0])
     parts = []
@@ -66,7 +66,7 @@ def _parts(args: tuple, move: tuple) -> list[tuple[str, tuple]]:
 
 
 def check_finite(material: Material, seed: int) -> None:
-    """Values and derivatives of flattened, inverted and undeformed particles, in float32."""
+    """Checks that values and derivatives of flattened, inverted and undeformed particles are finite in float32."""
     single = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), material)
     F = deformations(np.random.default_rng(seed), 0.0, np.array(_SPECIAL, float)).astype(jnp.float32)
     energy = elastic_energy_density(

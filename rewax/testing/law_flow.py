@@ -1,4 +1,4 @@
-"""The check of what is not elastic: plastic flow and memory, viscous and active stress."""
+"""Checks of plastic flow and memory, viscous and active stress."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +11,7 @@ from rewax.types import Array
 
 
 def check_flow(m: Material, F: Array, seed: int) -> None:
-    """Flow turns with the body, keeps what does not flow, and agrees with the stress that it returns."""
+    """Checks that flow is objective, keeps particles that do not flow, and agrees with the stress that it returns."""
     zeros, memory = jnp.zeros_like(F), at_start(m, F)
     m = m.replace(viscosity=None, muscle=None)
     new, tau, after = response(m, F, zeros, memory)
@@ -29,7 +29,7 @@ def check_flow(m: Material, F: Array, seed: int) -> None:
     elastic = kirchhoff_stress(m, new) if factor is None else expand(factor) * kirchhoff_stress(m, new)
     what = "the deformation after flow is not that of the stretches after flow"
     near(elastic, tau, size_of(tau), what, "return elongation_of(trial, new): new over trial stretch, minus one", 1e-7)
-    _check_what_does_not_flow(m, seed)
+    _check_without_flow(m, seed)
     if factor is not None:
         far = response(m, F @ F @ F, zeros, memory)[2]
         most = max(float(jnp.max(m.plasticity.stiffness(a))) for a in (memory, after, far))  # type: ignore[arg-type]
@@ -39,7 +39,7 @@ def check_flow(m: Material, F: Array, seed: int) -> None:
         )
 
 
-def _check_what_does_not_flow(m: Material, seed: int) -> None:
+def _check_without_flow(m: Material, seed: int) -> None:
     tiny = jnp.asarray(rotations(np.random.default_rng(seed + 3), NUM)) @ (jnp.eye(3) * (1.0 - 1e-7))
     memory = at_start(m, tiny)
     new, _, after = response(m, tiny, jnp.zeros_like(tiny), memory)
@@ -53,7 +53,7 @@ def _check_what_does_not_flow(m: Material, seed: int) -> None:
 
 
 def check_added(m: Material, F: Array, seed: int) -> None:
-    """Viscous stress is symmetric, feels no spin and takes energy; active stress is symmetric and objective."""
+    """Checks that viscous stress is symmetric, ignores spin and dissipates; that active stress is objective."""
     rng, Fc = np.random.default_rng(seed + 5), cp.split_matrix(F)
     rate, Q = jnp.asarray(rng.normal(size=F.shape)), jnp.asarray(rotations(rng, NUM))
     if m.viscosity is not None:

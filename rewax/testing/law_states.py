@@ -1,4 +1,4 @@
-"""Deformations of all kinds, and what a material makes of them, for the check of laws."""
+"""Random deformations and the response of a material to them, for the checks of laws."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from rewax.physics.numerics import components as cp
 from rewax.types import Array, PyTree
 
 NUM = 64
-"""Deformations at a time."""
+"""Number of deformations."""
 
 
 def deformations(rng: np.random.Generator, strain: float, stretches: np.ndarray | None = None) -> Array:
@@ -30,30 +30,30 @@ def rotations(rng: np.random.Generator, num: int) -> np.ndarray:
 
 @jax.jit
 def response(material: Material, F: Array, C: Array, memory: tuple[Array, ...]) -> tuple[Array, Array, tuple]:
-    """Deformation after flow, stress and memory, of deformations and velocity gradients (NUM, 3, 3)."""
+    """Deformation after flow, stress and memory, for deformations and velocity gradients of shape (NUM, 3, 3)."""
     r = respond(material, cp.split_matrix(F), velocity_gradient=cp.split_matrix(C), memory=memory)
     return cp.join_matrix(r.F), cp.join_matrix(r.stress), r.memory
 
 
 def at_start(material: Material, F: Array) -> tuple[Array, ...]:
-    """Memory of particles with these deformations at the start."""
+    """Initial memory of particles with these deformations."""
     return tuple(jnp.full(F.shape[0], a, F.dtype) for a in material.initial_memory)
 
 
 def near(a: PyTree, b: PyTree, size: Any, what: str, remedy: str, tolerance: float = 1e-9) -> None:
-    """Raises AssertionError unless both are equal up to ``tolerance`` times ``size``."""
+    """Raises AssertionError unless the trees agree within ``tolerance`` times ``size``."""
     for one, other in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         error = float(jnp.max(jnp.abs(one - other)) / size)
         assert error < tolerance, f"{what} (relative difference {error:.1e}): {remedy}"
 
 
 def size_of(a: Array) -> Array:
-    """The largest number of an array, for relative differences."""
+    """The largest absolute value in an array, for relative differences."""
     return jnp.maximum(jnp.max(jnp.abs(a)), 1e-30)
 
 
 def expand(a: Array) -> Array:
-    """Numbers of particles beside their matrices."""
+    """Numbers of particles, (n,) -> (n, 1, 1), to multiply matrices."""
     return a[:, None, None]
 
 

@@ -1,4 +1,4 @@
-"""Where the programs of an environment run on a CPU: in C++, or in XLA and why."""
+"""Which programs of an environment run in C++ on a CPU, and why others run in XLA."""
 
 from typing import Any
 
@@ -12,15 +12,16 @@ from rewax.types import Array
 
 
 def where_it_runs(env: Env) -> list[Decision]:
-    """Lower a step of an environment and its derivatives, and say where each rule of each function runs.
+    """Lower a step of an environment and its derivatives, and list where each program of each function runs.
 
-    Nothing is compiled or run. The derivatives are those of all that a step returns by state, action and parameters.
+    Nothing is compiled or run. The derivatives are those of the returned state with respect to state, action and
+    parameters.
 
     Args:
       env: unbatched environment.
 
     Returns:
-      One decision for each function, rule and reason, sorted. ``reason`` is None for what runs in C++.
+      One decision for each function, program (value, jvp, vjp) and reason, sorted. ``reason`` is None in C++.
 
     Example:
       >>> assert not [decision for decision in where_it_runs(env) if decision.reason]
@@ -34,7 +35,7 @@ def where_it_runs(env: Env) -> list[Decision]:
         return [a for a in jax.tree.leaves(after) if jnp.issubdtype(a.dtype, jnp.floating)]
 
     def forward(*args: Any) -> Any:
-        return jax.jvp(lambda action: floats(*args[:2], action), args[2:], args[2:])
+        return jax.jvp(lambda action: floats(*args[:2], action), args[2:], args[2:])  # pyright: ignore[reportCallIssue]
 
     def reverse(*args: Any) -> Any:
         def total(*args: Any) -> Array:

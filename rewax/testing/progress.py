@@ -1,11 +1,11 @@
-"""Lines about what a check is doing."""
+"""Progress messages of a check."""
 
 import time
 from collections.abc import Callable
 
 
 class Progress:
-    """Says what is under way, and after how many seconds; nothing where ``notify`` is None."""
+    """Passes lines with the name of the check and the elapsed time [s] to ``notify``, unless that is None."""
 
     def __init__(self, what: str, notify: Callable[[str], None] | None) -> None:
         self._what, self._notify, self._began = what, notify, time.perf_counter()

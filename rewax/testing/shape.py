@@ -1,4 +1,4 @@
-"""The check of a shape: what is checked, in which order."""
+"""``check_shape``: the list of checks of a shape and their order."""
 
 from collections.abc import Callable, Sequence
 
@@ -21,20 +21,27 @@ def check_shape(
 ) -> None:
     """Check a shape against the protocol of ``rewax.physics.shapes.Shape``.
 
-    The shape is a pytree whose sizes say what they may be. In float64, at points near and far, inside and outside: the
-    normal is the unit gradient of the distance and points out; the distance changes by one per metre, and point minus
-    distance times normal lies on the surface (where ``is_exact`` is False: near the surface the distance changes by at
-    most one). Derivatives are those of finite differences, finite everywhere, also at the centre, on axes and at
-    corners; each size has one. The bounding box and radius hold the solid, the box tightly; volume and inertia are
-    those of random points; pictures have the extents of the box. ``jit``, ``vmap`` and C++ give the same numbers.
+    It checks, in float64 and at points near and far, inside and outside, that
+
+    - the shape is a pytree, and each of its sizes declares its legal range;
+    - the normal is the unit gradient of the distance and points outwards;
+    - the gradient of the distance has length 1, and point - distance * normal lies on the surface; if ``is_exact`` is
+      False, the length is at most 1 near the surface;
+    - derivatives agree with finite differences and are finite, also at the center, on axes and at corners, and the
+      distance depends on each size;
+    - bounding box and radius contain the solid, and the box is tight;
+    - volume and inertia agree with those of random points;
+    - pictures have the extent of the bounding box;
+    - ``jit``, ``vmap`` and C++ give the same numbers.
 
     Args:
-      shape: with known sizes.
-      key: of the points; None: ``jax.random.key(0)``.
+      shape: a shape with known sizes.
+      key: random key of the points; None: ``jax.random.key(0)``.
       region: lower and upper corner of the box in which points are drawn [m], shape (3,) each; None: the bounding box,
         or from -1 to 1 m for shapes without bounds.
-      tolerance: by how much gradient and normal may be off near the surface where ``is_exact`` is False [-].
-      notify: gets a line before each part, and one if the shape runs in XLA, slower than in C++; None: silence.
+      tolerance: largest error of gradient and normal near the surface if ``is_exact`` is False [-].
+      notify: called with a line before each part, and with one if the shape runs in XLA, slower than in C++; None:
+        silence.
 
     Raises:
       AssertionError: a sentence that names what is wrong, and what helps.

@@ -13,7 +13,7 @@ from rewax.types import Array
 
 
 def check_derivatives(sample: Sample) -> None:
-    """Finite at all points, those of finite differences at random ones; each size has an effect."""
+    """Checks that derivatives are finite, agree with finite differences, and that the distance depends on each size."""
     points = np.concatenate([sample.random, sample.special, sample.surface])
     by_points, of_both, by_sizes = _reverse(sample, points)
     still, moves = jax.tree.map(np.zeros_like, sample.exact), np.zeros_like(sample.random)
@@ -40,7 +40,7 @@ def check_derivatives(sample: Sample) -> None:
 
 
 def _check_along(sample: Sample, name: str, grows: Any, moves: np.ndarray, step: float) -> None:
-    """Forward derivatives of distance and normal along a direction of sizes and points, against central differences."""
+    """Checks forward derivatives of distance and normal along a direction of sizes and points."""
     with jax.enable_x64(True):
         shapes = [jax.tree.map(lambda a, t, s=s: a + s * t, sample.exact, grows) for s in (step, -step)]
     after, before = (
@@ -56,7 +56,7 @@ def _check_along(sample: Sample, name: str, grows: Any, moves: np.ndarray, step:
 
 
 def _check_most(sample: Sample, off: np.ndarray, points: np.ndarray, what: str) -> None:
-    """Almost all: a finite difference across a kink is none."""
+    """Checks all points but 2 %: a finite difference across a kink is not the derivative."""
     wrong = off > 10.0 * OFF
     assert wrong.mean() < 0.02, (
         f"{what} at {at(points[wrong][0])} differs from a finite difference by {off[wrong][0]:.2g}, relative: let no "
@@ -65,7 +65,7 @@ def _check_most(sample: Sample, off: np.ndarray, points: np.ndarray, what: str) 
 
 
 def _reverse(sample: Sample, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Reverse derivatives: of distances by points, of distances and normals by points, and by sizes."""
+    """Reverse derivatives: distances by points; distances and normals by points, and by sizes."""
     with jax.enable_x64(True):
         return jax.tree.map(np.asarray, _pulled(sample.exact, jnp.asarray(points)))
 

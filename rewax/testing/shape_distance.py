@@ -1,20 +1,20 @@
-"""Checks of what a shape's ``distance`` returns: finite numbers, and the normal as the gradient of the distance."""
+"""Checks of ``distance`` of a shape: its values are finite, and the normal is the gradient of the distance."""
 
 import numpy as np
 
 from rewax.testing.shape_points import Sample, at
 
 STEP = 1e-6
-"""Of finite differences, in sizes of the shape."""
+"""Step of finite differences, relative to the size of the shape."""
 OFF = 1e-4
-"""What finite differences in float64 may be off, relative."""
+"""Largest relative error of finite differences in float64."""
 _FEWEST = 100
-"""Points on the surface."""
+"""Smallest number of points on the surface."""
 KINKS = "use jnp.where, and safe_sqrt, safe_rsqrt and unit of rewax.physics.numerics.components for roots"
 
 
 def check_values(sample: Sample) -> None:
-    """Finite everywhere, in the precision of the points; normals have unit length, or are zero where there is none."""
+    """Checks that values are finite, in float64, and that normals have length 1, or 0 where there is no normal."""
     points = np.concatenate([sample.random, sample.special, sample.surface])
     d, n = sample.distance(points)
     assert d.dtype == n.dtype == np.float64, (
@@ -37,7 +37,7 @@ def check_values(sample: Sample) -> None:
 
 
 def check_normals(sample: Sample, tolerance: float) -> None:
-    """The normal is the gradient of the distance, which is one per metre."""
+    """Checks that the normal is the gradient of the distance, and that the gradient has length 1."""
     exact = sample.shape.is_exact
     points = sample.random
     gradient, is_smooth = gradient_by_differences(sample, points)
@@ -89,7 +89,7 @@ def _check_feet(sample: Sample) -> None:
 
 
 def gradient_by_differences(sample: Sample, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Central differences of the distance, shape (num, 3), and where those of both sides agree, shape (num,)."""
+    """Central differences of the distance, shape (num, 3), and whether one-sided differences agree, shape (num,)."""
     step = STEP * sample.size
     middle = sample.distance(points)[0]
     sides = [(sample.distance(points + step * e)[0], sample.distance(points - step * e)[0]) for e in np.eye(3)]

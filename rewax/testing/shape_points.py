@@ -1,4 +1,4 @@
-"""Points at which a shape is checked, and its numbers there in float64."""
+"""The points at which a shape is checked, and its distances and normals there in float64."""
 
 import functools
 import itertools
@@ -14,15 +14,15 @@ from rewax.types import Key
 
 NUM = 1024
 _CHUNK = 4096
-"""Points that are evaluated at once, always as many: each operation is compiled once."""
+"""Number of points that are evaluated at once. It is constant, so that each operation is compiled once."""
 
 
 class Sample:
     """A shape in float64 with points around it.
 
     Attributes:
-      shape: as given.
-      exact: the same in float64.
+      shape: the given shape.
+      exact: the same shape in float64.
       lower, upper: corners of the bounding box, or of the region of a shape without bounds [m], shape (3,).
       size: longest edge of that box [m].
       random: points in and around the box, and far away [m], shape (num, 3).
@@ -52,7 +52,7 @@ class Sample:
             for first in range(0, len(points), _CHUNK):
                 part = points[first : first + _CHUNK]
                 padded = jnp.asarray(np.pad(part, ((0, _CHUNK - len(part)), (0, 0))))
-                # Operation by operation: fused copies of one comparison may round differently at edges.
+                # Not compiled: two fused copies of one comparison may round differently at edges.
                 d, n = signed_distance(self.exact if shape is None else shape, padded)
                 found.append((np.asarray(d)[: len(part)], np.asarray(n)[: len(part)]))
         return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))  # type: ignore[return-value]
@@ -82,7 +82,7 @@ class Sample:
         return np.array(list(itertools.product(*choices)))
 
     def _surface(self) -> np.ndarray:
-        """Points pulled onto the surface: in one step where the distance is exact."""
+        """Points that are moved onto the surface along the normal: in one step if the distance is exact, else in 20."""
         points = self.random
         for _ in range(1 if self.shape.is_exact else 20):
             d, n = self.distance(points)
@@ -92,7 +92,7 @@ class Sample:
 
 
 def at(point: Any) -> str:
-    """A point or a vector in a sentence."""
+    """A point or a vector in a message."""
     return "(" + ", ".join(f"{x:.4g}" for x in np.asarray(point)) + ")"
 
 

@@ -1,4 +1,4 @@
-"""Checks that every way to compile a shape gives the same numbers."""
+"""Checks that ``jit``, ``vmap`` and lowering to C++ give the same numbers."""
 
 import warnings
 from typing import Any
@@ -14,14 +14,14 @@ from rewax.testing.shape_points import NUM, Sample
 from rewax.types import Array
 
 _OFF = 1e-4
-"""What rounding in float32 may change, relative to the largest number of an array."""
+"""Largest change by rounding in float32, relative to the largest number of an array."""
 
 
 def check_programs(sample: Sample) -> list[str]:
-    """The same distances, normals and derivatives under ``jit``, ``vmap`` and in C++.
+    """Checks that distances, normals and derivatives are the same under ``jit``, ``vmap`` and in C++.
 
     Returns:
-      Sentences about what runs in XLA, slower than in C++.
+      A message for each reason why a program runs in XLA, slower than in C++.
     """
     points = jnp.asarray(sample.random[:NUM], jnp.float32)
     eager = signed_distance(sample.shape, points)
@@ -45,7 +45,7 @@ def _distance(shape: Shape, p: cp.Vec3) -> tuple[Array, cp.Vec3]:
 
 
 def _derivatives(function: Any) -> Any:
-    """Value, forward and reverse derivative of a function of shape and points."""
+    """A function that returns value, forward and reverse derivative of a function of shape and points."""
 
     def all_of_them(shape: Shape, p: cp.Vec3) -> tuple[Any, Any, Any]:
         value, back = jax.vjp(function, shape, p)
@@ -57,7 +57,7 @@ def _derivatives(function: Any) -> Any:
 
 
 def _check_same(sample: Sample, what: str, found: Any, expected: Any) -> None:
-    """Almost all numbers agree: at a kink rounding decides which side's normal is taken."""
+    """Checks all numbers but 1 %: at a kink, rounding decides which of two normals is taken."""
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
         off = np.abs(a - b) > _OFF * np.max(np.abs(b), initial=1e-30)

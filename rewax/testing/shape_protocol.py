@@ -1,4 +1,4 @@
-"""Checks of what a shape is made of: a pytree whose sizes are declared, a distance of the right form."""
+"""Checks of the form of a shape: a pytree with declared sizes, and a distance of the right shape."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from rewax.testing.traced import named
 
 
 def check_protocol(shape: Any) -> None:
-    """A decorated ``Shape`` whose sizes are declared and legal, and whose distance has the form that is asked for."""
+    """Checks that a ``Shape`` is decorated, its sizes are declared and legal, and its distance has the right form."""
     kind = type(shape).__name__
     try:
         require_shape(shape)

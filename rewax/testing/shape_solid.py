@@ -12,12 +12,12 @@ from rewax.viz import shapes
 _TIGHT = 0.1
 """Share of the longest edge by which a bounding box may exceed the solid."""
 _VOLUME = 4e-3
-"""What random points and quadrature may be off together, in volumes of the bounding box."""
+"""Largest joint error of random points and quadrature, relative to the volume of the bounding box."""
 _AXES = "xyz"
 
 
 def check_bounds(sample: Sample) -> None:
-    """The box holds all that is inside, tightly; the ball of the radius holds it, too."""
+    """Checks that bounding box and bounding ball contain the solid, and that the box is tight."""
     middle, half = 0.5 * (sample.lower + sample.upper), 0.5 * (sample.upper - sample.lower)
     around = middle + half * sample.rng.uniform(-2.0, 2.0, (20_000, 3))
     points = np.concatenate([around, sample.random, sample.special])
@@ -44,7 +44,7 @@ def check_bounds(sample: Sample) -> None:
 
 
 def check_volume(sample: Sample) -> None:
-    """The volume is that of random points; its derivative that of a finite difference."""
+    """Checks the volume by random points, and its derivative by a finite difference."""
     inside, whole = sample.inside[1], float(np.prod(sample.upper - sample.lower))
     expected, found = inside.mean() * whole, float(sample.shape.volume())
     assert abs(found - expected) <= _VOLUME * whole, (
@@ -63,7 +63,7 @@ def check_volume(sample: Sample) -> None:
 
 
 def check_inertia(sample: Sample) -> None:
-    """Mass and moments are those of random points, where the centre of mass is the origin."""
+    """Checks mass and moments by random points, if the centre of mass is the origin."""
     points = sample.inside[0][sample.inside[1]]
     if np.abs(points.mean(axis=0)).max() > 5e-3 * sample.size:
         return
@@ -85,7 +85,7 @@ def check_inertia(sample: Sample) -> None:
 
 
 def check_drawings(sample: Sample) -> None:
-    """What ``draw`` returns can be drawn, and has the extents of the bounding box."""
+    """Checks that the result of ``draw`` can be drawn and has the extent of the bounding box."""
     still = Pose(jnp.zeros((1, 3)), jnp.eye(3)[None])
     try:
         found = drawings([Collider(shape=sample.shape, friction=0.0)], still)

@@ -1,4 +1,4 @@
-"""What is fixed about an environment, and what its states look like."""
+"""Checks of specs, of the pytree of an environment, and of its states."""
 
 import math
 from typing import Any
@@ -14,7 +14,7 @@ from rewax.viz import shapes
 
 
 def check_specs(env: Env) -> None:
-    """Observations and actions have specs, and an episode a length."""
+    """Checks the specs of observations and actions, and the length of an episode."""
     specs, action, length = env.observation_spec, env.action_spec, env.episode_length
     assert isinstance(specs, dict) and specs, f"observation_spec is {specs!r}: use a non-empty dict of ArraySpec"
     for name, spec in [*specs.items(), ("action_spec", action)]:
@@ -26,18 +26,18 @@ def check_specs(env: Env) -> None:
 
 
 def check_leaves(env: Env) -> None:
-    """The environment is a pytree of arrays and numbers: agents take it apart."""
+    """Checks that the environment is a pytree of arrays and numbers, as agents need it."""
     kind = type(env).__name__
     for path, leaf in jax.tree.leaves_with_path(env):
         name = jax.tree_util.keystr(path)
         known = is_number(leaf) or isinstance(leaf, jax.Array) or hasattr(leaf, "__array__")
         remedy = f"decorate {kind} with rewax.struct.dataclass" if leaf is env else "make its field a static_field()"
-        what = f"{kind} is no pytree" if leaf is env else f"the leaf {name} of {kind} is a {type(leaf).__name__}"
+        what = f"{kind} is no pytree" if leaf is env else f"{name} of {kind} is a {type(leaf).__name__}"
         assert known, f"{what}: an environment's leaves are arrays and numbers; {remedy}"
 
 
 def check_first_state(env: Env, state: Any) -> None:
-    """What ``reset`` returns is the beginning of an episode."""
+    """Checks the state that ``reset`` returns."""
     assert isinstance(state, State), f"reset returned a {type(state).__name__}: return a rewax.envs.base.State"
     check_values(env, state, "reset")
     assert not bool(state.done), "reset returned a state that has terminated or been truncated: begin with both false"
@@ -47,7 +47,7 @@ def check_first_state(env: Env, state: Any) -> None:
 
 
 def check_values(env: Env, state: State, source: str) -> None:
-    """Shapes, dtypes, bounds and finiteness of what a user sees."""
+    """Checks shapes, dtypes, bounds and finiteness of observation, reward, flags and metrics."""
     missing = set(env.observation_spec) ^ set(state.obs)
     assert not missing, f"obs of {source} and observation_spec differ in {sorted(missing)}: give both the same names"
     for name, spec in env.observation_spec.items():
@@ -73,7 +73,7 @@ def check_values(env: Env, state: State, source: str) -> None:
 
 
 def check_next_state(env: Env, old: State, new: State) -> None:
-    """One step keeps the structure and counts."""
+    """Checks that a step keeps the structure of the state and counts steps."""
     changed = set(old.metrics) ^ set(new.metrics)
     assert not changed, f"metrics of reset and step differ in {sorted(changed)}: give both the same keys"
     before, after = jax.tree.structure(old), jax.tree.structure(new)
@@ -90,7 +90,7 @@ def check_next_state(env: Env, old: State, new: State) -> None:
 
 
 def check_pictures(env: Any, state: State, source: str) -> None:
-    """What the environment offers to pictures after a reset or a step can be drawn."""
+    """Checks that ``particles`` and ``render_shapes`` of a state can be drawn."""
     particles, render_shapes = getattr(env, "particles", None), getattr(env, "render_shapes", None)
     name = "particles"
     try:
@@ -102,7 +102,7 @@ def check_pictures(env: Any, state: State, source: str) -> None:
             shapes.check_drawing(drawing)
     except ValueError as error:
         raise AssertionError(f"{name} after {source} cannot be drawn: {error}") from error
-    except Exception as error:  # whatever the environment's own method raises
+    except Exception as error:  # the method of a user may raise anything
         kind = type(error).__name__
         raise AssertionError(f"{name} raises {kind} after {source}: {error}; see the traceback above") from error
     alone = render_shapes is not None and particles is None

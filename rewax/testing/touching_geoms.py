@@ -1,4 +1,4 @@
-"""Pairs of geoms that touch or nearly do, drawn with a key, and distances of points from geoms."""
+"""Random pairs of geoms that touch or nearly touch, and distances of points from geoms."""
 
 from typing import NamedTuple
 
@@ -11,20 +11,20 @@ from rewax.physics.shapes import Box, Capsule, Cylinder, Ellipsoid, Plane, Shape
 from rewax.types import Array, Key
 
 _SMALL, _LARGE = 0.05, 0.15
-"""Sizes [m]."""
+"""Smallest and largest size of a geom [m]."""
 _INSIDE = 0.8
-"""Share of a face or an edge, around its middle, where geoms touch."""
+"""Geoms touch within this share of a face or an edge, around its center."""
 _CLEAR = 0.3
-"""Sine of the least angle between two edges, and between their common normal and those of faces."""
+"""Sine of the smallest angle between two edges, and between their common normal and the normals of faces."""
 _WITH_EDGES = ("capsule", "cylinder", "box")
 
 
 class Touching(NamedTuple):
-    """Two geoms that come nearest at one point.
+    """Two geoms and the direction in which they are nearest.
 
     Attributes:
       first, second: the geoms.
-      normal: unit, from first to second, shape (3,).
+      normal: unit vector from first to second, shape (3,).
     """
 
     first: Geom
@@ -33,16 +33,16 @@ class Touching(NamedTuple):
 
 
 def touching(key: Key, kinds: tuple[str, str], gap: Array) -> Touching:
-    """Two geoms with random sizes and rotations, ``gap`` [m] apart, or overlapping by that much where it is negative.
+    """Two geoms with random sizes and rotations at distance ``gap`` [m]; they overlap if it is negative.
 
-    One of them touches with a face or a curved surface, the other with what of it comes first: a corner, an end. Of
-    capsules, cylinders and boxes also two edges touch, or sides, that cross.
+    One touches with a face or a curved surface, the other with its extreme point: a corner or an end, for example.
+    Capsules, cylinders and boxes also touch with two edges, or sides, that cross.
     """
     keys = jax.random.split(key, 6)
     first, second = (_geom(k, kind) for k, kind in zip(keys[:2], kinds, strict=True))
-    place, normal = _on_surface(keys[2], kinds[0], first)
+    point, normal = _on_surface(keys[2], kinds[0], first)
     other = _furthest(kinds[1], second, -normal)
-    found = [(place, other, normal)]
+    found = [(point, other, normal)]
     if kinds[0] != "plane":
         other, normal = _on_surface(keys[3], kinds[1], second)
         found.append((_furthest(kinds[0], first, -normal), other, -normal))
@@ -50,13 +50,13 @@ def touching(key: Key, kinds: tuple[str, str], gap: Array) -> Touching:
             crossing, is_clear = _crossing(keys[4], kinds, first, second)
             found.append(jax.tree.map(lambda a, b: jnp.where(is_clear, a, b), crossing, found[0]))
     choice = jax.random.randint(keys[5], (), 0, len(found))
-    place, other, normal = (jnp.stack(parts)[choice] for parts in zip(*found, strict=True))
-    position = first.position + place + gap * normal - other
+    point, other, normal = (jnp.stack(parts)[choice] for parts in zip(*found, strict=True))
+    position = first.position + point + gap * normal - other
     return Touching(first, second._replace(position=position), normal)
 
 
 def stacked(kinds: tuple[str, str], lies: tuple[bool, bool], gap: float) -> Touching:
-    """Two geoms of fixed sizes, the second upright above the first, each perhaps turned onto its side."""
+    """Two geoms of fixed sizes, the second above the first. ``lies`` says which of them lie on their side."""
     size, up = jnp.array([0.1, 0.12, 0.14]), jnp.array([0.0, 0.0, 1.0])
     turns = [jnp.eye(3), jnp.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])]
     first, second = (
@@ -71,7 +71,7 @@ def distance_to(kind: str, geom: Geom, point: Array) -> Array:
     """Signed distance of a point from a geom's surface [m], shape ()."""
     p = jnp.sum(geom.rotation * (point - geom.position)[:, None], axis=0)
     if kind in ("plane", "capsule", "cylinder"):
-        p = jnp.stack([p[0], p[2], -p[1]])  # shapes have along y what geoms have along z
+        p = jnp.stack([p[0], p[2], -p[1]])  # the axis of a shape is y, that of a geom is z
     return signed_distance(_shape(kind, geom.size), p)[0]
 
 
@@ -91,7 +91,7 @@ def _shape(kind: str, size: Array) -> Shape:
 
 
 def _used(kind: str) -> Array:
-    """Which of a geom's three sizes its kind has."""
+    """Which of the three sizes of a geom its kind uses."""
     return jnp.arange(3) < {"plane": 0, "sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)
 
 
@@ -104,7 +104,7 @@ def _geom(key: Key, kind: str) -> Geom:
 
 
 def _furthest(kind: str, geom: Geom, direction: Array) -> Array:
-    """From a geom's center to the point of it that is furthest in a direction, shape (3,)."""
+    """Vector from the center of a geom to its extreme point in a direction, shape (3,)."""
     n, size = geom.rotation.T @ direction, geom.size
     side, up = jnp.array([1.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
     across = n * side / jnp.maximum(jnp.linalg.norm(n * side), 1e-12)
@@ -120,7 +120,7 @@ def _furthest(kind: str, geom: Geom, direction: Array) -> Array:
 
 
 def _on_surface(key: Key, kind: str, geom: Geom) -> tuple[Array, Array]:
-    """From a geom's center to a point of its surface away from edges; the normal there. Shape (3,) each."""
+    """Vector from the center of a geom to a random point of its surface away from edges, and the normal there."""
     keys, size = jax.random.split(key, 3), geom.size
     up = jnp.array([0.0, 0.0, 1.0])
     n = jax.random.normal(keys[0], (3,))
@@ -138,18 +138,19 @@ def _on_surface(key: Key, kind: str, geom: Geom) -> tuple[Array, Array]:
     side = size[0] * radial + size[1] * within * up
     if kind == "capsule":
         end = size[0] * n + size[1] * jnp.sign(n) * up
-        normal, place = jnp.where(choice % 2 == 0, jnp.stack([radial, side]), jnp.stack([n, end]))
+        normal, point = jnp.where(choice % 2 == 0, jnp.stack([radial, side]), jnp.stack([n, end]))
     else:
         cap = jnp.where(choice < 4, 1.0, -1.0) * up
         on_cap = size[0] * within[2] * radial + size[1] * cap
-        normal, place = jnp.where(choice % 2 == 0, jnp.stack([radial, side]), jnp.stack([cap, on_cap]))
-    return geom.rotation @ place, geom.rotation @ normal
+        normal, point = jnp.where(choice % 2 == 0, jnp.stack([radial, side]), jnp.stack([cap, on_cap]))
+    return geom.rotation @ point, geom.rotation @ normal
 
 
 def _crossing(key: Key, kinds: tuple[str, str], first: Geom, second: Geom) -> tuple[tuple[Array, Array, Array], Array]:
-    """Points on two edges, from each geom's center, and their common normal, from first to second.
+    """Vectors from the centers of two geoms to points on an edge of each, and the common normal of the edges.
 
-    And whether the edges are far from parallel to each other and to all faces: otherwise a face may touch first.
+    Also returns whether the edges are far from parallel to each other and to all faces: otherwise a face may touch
+    first.
     """
     keys = jax.random.split(key, 4)
     numbers = [

@@ -1,4 +1,4 @@
-"""Compiled functions of an environment whose leaves are data, as agents compile them."""
+"""Compiled ``reset`` and ``step``. The parameters of the environment are arguments, as agents compile them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +17,7 @@ UNTRACEABLE = (
 )
 _REMEDY = (
     "jnp.where or lax.cond instead of if, jnp instead of numpy, .at[].set instead of assignment, and static_field() "
-    "for what shapes the program"
+    "for values that shape the program"
 )
 
 
@@ -35,12 +35,12 @@ def traced_step(env: Env) -> Callable[[State, Array], State]:
 
 
 def named(what: str, function: Callable[..., Any], *args: Any) -> Any:
-    """``function(*args)``; raises AssertionError, with what helps, where it cannot be traced."""
+    """``function(*args)``. Raises AssertionError with a remedy if the function cannot be traced."""
     try:
         return function(*args)
     except UNTRACEABLE as error:
         first = str(error).splitlines()[0].rstrip(".")
-        raise AssertionError(f"{what} cannot be compiled with traced leaves ({first}): use {_REMEDY}") from error
+        raise AssertionError(f"{what} cannot be compiled with traced parameters ({first}): use {_REMEDY}") from error
 
 
 def random_action(env: Env, key: Key) -> Array:

@@ -1,7 +1,4 @@
-"""Training: the loop, what it stores, evaluations and pictures, suites of runs.
-
-Names are imported when they are first used.
-"""
+"""Training: the loop, storage, evaluations, pictures and suites of runs. Names are imported when first used."""
 
 from typing import TYPE_CHECKING
 
@@ -11,6 +8,7 @@ if TYPE_CHECKING:
     from rewax.training.config import TrainConfig
     from rewax.training.evaluation.episodes import constant_policy, evaluate_actions, make_evaluate, uniform_policy
     from rewax.training.evaluation.recording import record
+    from rewax.training.loop.compare import train_and_compare
     from rewax.training.loop.compilation import compile_train_step
     from rewax.training.loop.train import train
     from rewax.training.storage.cache import enable_compilation_cache
@@ -21,6 +19,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "TrainConfig": "rewax.training.config",
     "train": "rewax.training.loop.train",
+    "train_and_compare": "rewax.training.loop.compare",
     "compile_train_step": "rewax.training.loop.compilation",
     "enable_compilation_cache": "rewax.training.storage.cache",
     "load_run": "rewax.training.storage.saved",
@@ -36,5 +35,5 @@ __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 __all__ = [
     "Suite", "TrainConfig", "compile_train_step", "constant_policy", "enable_compilation_cache", "evaluate_actions",
-    "load_run", "make_evaluate", "read_csv", "read_suite", "record", "train", "uniform_policy",
+    "load_run", "make_evaluate", "read_csv", "read_suite", "record", "train", "train_and_compare", "uniform_policy",
 ]  # fmt: skip

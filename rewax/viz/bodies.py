@@ -35,7 +35,7 @@ def body_strip(
       title: of the picture.
 
     Returns:
-      The path written. What is nearer is darker; all panels have one scale, marks on the ground are 0.5 m apart.
+      The path written. Nearer shapes are darker. All panels have one scale. Marks on the ground are 0.5 m apart.
 
     Raises:
       ValueError: kind or keys of a drawing are wrong, or a frame has nothing but planes.
@@ -68,7 +68,7 @@ def body_strip(
 
 
 def _draw(axes: Axes, shapes: Sequence[Drawing], view: View, middle: np.ndarray, reach: float) -> None:
-    """One panel: planes that are seen edge on, then the other shapes, what is nearer to the eye later and darker."""
+    """One panel: first the planes seen edge on, then the other shapes from far (light) to near (dark)."""
     for shape in shapes:
         if shape["kind"] == "plane":
             _draw_plane(axes, shape, view, middle, reach)
@@ -83,7 +83,7 @@ def _draw(axes: Axes, shapes: Sequence[Drawing], view: View, middle: np.ndarray,
 
 
 def _draw_plane(axes: Axes, plane: Drawing, view: View, middle: np.ndarray, reach: float) -> None:
-    """What a plane bounds, out to ``reach`` from the panel's middle; nothing for a plane that faces the eye."""
+    """The ground under a plane, up to ``reach`` from the panel's middle. A plane that faces the eye is not drawn."""
     normal = view.project(_unit(plane["direction"]))
     if np.linalg.norm(normal) < 0.99:
         return

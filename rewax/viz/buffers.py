@@ -53,7 +53,7 @@ class NearestBuffer:
                 self._add_squares(some, corners[some], low[some], int(edge))
 
     def _add_squares(self, index: np.ndarray, corners: np.ndarray, low: np.ndarray, edge: int) -> None:
-        """Triangles that lie in squares of so many pixels, whose first pixels are given."""
+        """Add triangles that lie in squares of ``edge`` pixels, whose first pixels are ``low``."""
         dy, dx = (part.reshape(-1) for part in np.mgrid[:edge, :edge].astype(np.int32))
         x, y = low[:, :1].astype(np.int32) + dx, low[:, 1:].astype(np.int32) + dy
         px, py = (part.astype(np.float32) + np.float32(0.5) for part in (x, y))
@@ -76,14 +76,14 @@ class NearestBuffer:
         np.minimum.at(self._keys, pixels, keys)
 
     def result(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixels that show something, what, and at which depth, shape (num_pixels_shown,) each."""
+        """Covered pixels, the index of the nearest item in each, and its depth, shape (num_covered,) each."""
         pixels = np.flatnonzero(self._keys != _NOTHING)
         keys = self._keys[pixels]
         return pixels, (keys & _LOW).astype(np.int64), (keys >> np.uint64(32)).astype(np.uint32).view(np.float32)
 
 
 def _pack(depths: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Numbers in the order of the depths; floats above 0 have the order of their bits."""
+    """Keys that sort by depth, then by index: positive floats sort like their bits."""
     return (depths.astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)) | index.astype(np.uint64)
 
 

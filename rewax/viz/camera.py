@@ -1,4 +1,4 @@
-"""Where a picture is taken from: a perspective camera that looks at what happens."""
+"""The perspective camera of a picture, and how it is placed to show a whole recording."""
 
 import dataclasses
 from typing import Any
@@ -9,9 +9,9 @@ from rewax.viz.recording import Recording, diameters
 from rewax.viz.shapes import bounds, side_view
 
 FIELD_OF_VIEW = 35.0
-"""Of the picture's height [degrees]."""
+"""Vertical field of view [degrees]."""
 _FILLED = 0.86
-"""Share of the picture, along either edge, that what is shown may fill."""
+"""Largest share of the picture's width or height that the scene may fill."""
 _DEFAULTS: dict[str, Any] = {"azimuth": 25.0, "elevation": 22.0, "zoom": 1.0, "follow": None}
 
 
@@ -20,9 +20,9 @@ class Camera:
     """A camera.
 
     Attributes:
-      eye: where it is [m], shape (3,).
-      right, up, forward: unit vectors; forward is where it looks, shape (3,) each.
-      distance: from the eye to what it looks at [m].
+      eye: its position [m], shape (3,).
+      right, up, forward: unit vectors; ``forward`` is the direction of view, shape (3,) each.
+      distance: from the eye to the target [m].
     """
 
     eye: np.ndarray
@@ -40,7 +40,7 @@ class Camera:
 
 
 def focal_length(height: int) -> float:
-    """Pixels of a length that is as far away as it is long, for a picture of so many rows."""
+    """Focal length in pixels: the size of an object of 1 m at a distance of 1 m, for a picture of ``height`` rows."""
     return 0.5 * height / np.tan(np.radians(0.5 * FIELD_OF_VIEW))
 
 
@@ -71,13 +71,13 @@ def look(target: np.ndarray, *, up: np.ndarray, azimuth: float, elevation: float
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Framing:
-    """What the camera shows of a recording.
+    """Placement of the camera for a recording.
 
     Attributes:
-      targets: what it looks at in each frame [m], shape (num_frames, 3).
-      distance: of the eye from there [m].
+      targets: point that the camera looks at in each frame [m], shape (num_frames, 3).
+      distance: of the eye from the target [m].
       azimuth, elevation: of the eye [degrees].
-      radius: of a ball about the target that holds all that is followed [m].
+      radius: of a ball about the target that holds the scene [m].
       floor: height of the floor along ``up`` [m].
       follow: whether the target moves.
     """
@@ -99,23 +99,50 @@ def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
     """Choose a camera that shows everything that happens.
 
     Args:
-      recording: what happens. Its ``camera`` may hold ``azimuth`` and ``elevation`` [degrees], ``zoom`` (above 1 is
-        nearer) and ``follow``: whether the camera goes with what moves. By default it does where things travel
-        further than twice their own size.
+      recording: its ``camera`` may hold ``azimuth`` and ``elevation`` [degrees], ``zoom`` (above 1 is nearer) and
+        ``follow``: whether the camera goes with what moves. By default it does where things travel further than twice
+        their own size.
       aspect: width of the picture divided by its height.
 
     Raises:
       ValueError: ``camera`` has an unknown key.
     """
+    boxes = _boxes(recording)
+    return _frame(recording, boxes, aspect, follow=_follows(recording, boxes))
+
+
+def frame_both(recording: Recording, *, aspect: float = 4 / 3) -> tuple[Framing, Framing, bool]:
+    """The camera that follows, the one that stands still, and whether ``frame_recording`` chooses the first."""
+    boxes = _boxes(recording)
+    followed, still = (_frame(recording, boxes, aspect, follow=follow) for follow in (True, False))
+    return followed, still, _follows(recording, boxes)
+
+
+def _options(recording: Recording) -> dict[str, Any]:
     options = {**_DEFAULTS, **recording.camera}
     if unknown := sorted(set(options) - set(_DEFAULTS)):
         raise ValueError(f"camera has an unknown key {unknown[0]!r}: use {', '.join(_DEFAULTS)}")
+    return options
+
+
+def _boxes(recording: Recording) -> np.ndarray:
+    """Lower and upper corners of what each frame shows [m], shape (num_frames, 2, 3)."""
     margin = 0.0 if recording.particles is None else 0.5 * float(diameters(recording).max())
-    boxes = np.stack([np.stack(_box(recording, i, margin)) for i in range(recording.num_frames)])
+    return np.stack([np.stack(_box(recording, i, margin)) for i in range(recording.num_frames)])
+
+
+def _follows(recording: Recording, boxes: np.ndarray) -> bool:
+    """Whether the camera goes with what moves."""
+    follow = _options(recording)["follow"]
+    if follow is not None:
+        return bool(follow)
+    size = float(np.median(np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1)))
+    return float(np.linalg.norm(np.ptp(boxes.mean(axis=1), axis=0))) > 2.0 * size
+
+
+def _frame(recording: Recording, boxes: np.ndarray, aspect: float, *, follow: bool) -> Framing:
+    options = _options(recording)
     middles, sizes = boxes.mean(axis=1), boxes[:, 1] - boxes[:, 0]
-    size = float(np.median(np.linalg.norm(sizes, axis=1)))
-    travel = float(np.linalg.norm(np.ptp(middles, axis=0)))
-    follow = travel > 2.0 * size if options["follow"] is None else bool(options["follow"])
     if follow:
         targets, radius = _smooth(middles), 0.6 * float(np.linalg.norm(sizes, axis=1).max())
     else:
@@ -123,8 +150,8 @@ def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
         targets = np.broadcast_to(0.5 * (low + high), middles.shape)
         radius = 0.5 * float(np.linalg.norm(high - low))
     azimuth, elevation = float(options["azimuth"]), float(options["elevation"])
-    seen_from = look(np.zeros(3), up=recording.up, azimuth=azimuth, elevation=elevation, distance=1.0)
-    distance = _fitting_distance(boxes - targets[:, None], seen_from, aspect) / float(options["zoom"])
+    direction = look(np.zeros(3), up=recording.up, azimuth=azimuth, elevation=elevation, distance=1.0)
+    distance = _fitting_distance(boxes - targets[:, None], direction, aspect) / float(options["zoom"])
     return Framing(
         targets=targets,
         distance=distance,
@@ -137,11 +164,11 @@ def frame_recording(recording: Recording, *, aspect: float = 4 / 3) -> Framing:
 
 
 def _fitting_distance(boxes: np.ndarray, camera: Camera, aspect: float) -> float:
-    """How far away the eye must be for boxes to lie in the picture.
+    """Smallest distance of the eye at which all boxes lie in the picture.
 
     Args:
-      boxes: lower and upper corners, from what the camera looks at [m], shape (num_frames, 2, 3).
-      camera: with the directions.
+      boxes: lower and upper corners relative to the target [m], shape (num_frames, 2, 3).
+      camera: gives the directions.
       aspect: width of the picture divided by its height.
     """
     low, high = boxes[:, 0], boxes[:, 1]
@@ -155,7 +182,7 @@ def _fitting_distance(boxes: np.ndarray, camera: Camera, aspect: float) -> float
 
 
 def _box(recording: Recording, frame: int, margin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of a frame's particles, with a margin, and shapes, planes apart [m]."""
+    """Lower and upper corner around a frame's particles, with a margin, and its shapes without planes [m]."""
     low, high = bounds(recording.shapes(frame))
     if recording.particles is not None:
         cloud = recording.particles[frame]
@@ -164,7 +191,7 @@ def _box(recording: Recording, frame: int, margin: float) -> tuple[np.ndarray, n
 
 
 def _floor(recording: Recording, corners: np.ndarray) -> float:
-    """Height of the floor: the recording's own, that of a level plane, or just below everything."""
+    """Height of the floor: the recording's own, that of the highest level plane, or the lowest point."""
     if recording.floor is not None:
         return float(recording.floor)
     up = np.asarray(recording.up, float)
@@ -179,11 +206,11 @@ def _floor(recording: Recording, corners: np.ndarray) -> float:
 
 
 def _smooth(path: np.ndarray) -> np.ndarray:
-    """A path without its shaking: the mean over a window of about a tenth of it."""
+    """A smoothed path: the mean over a window of about a tenth of its length."""
     width = max(1, len(path) // 20)
     padded = np.concatenate([np.repeat(path[:1], width, 0), path, np.repeat(path[-1:], width, 0)])
     sums = np.cumsum(np.concatenate([np.zeros((1, 3)), padded]), axis=0)
     return (sums[2 * width + 1 :] - sums[: -2 * width - 1]) / (2 * width + 1)
 
 
-__all__ = ["FIELD_OF_VIEW", "Camera", "Framing", "focal_length", "frame_recording", "look"]
+__all__ = ["FIELD_OF_VIEW", "Camera", "Framing", "focal_length", "frame_both", "frame_recording", "look"]

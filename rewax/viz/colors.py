@@ -1,5 +1,6 @@
 """Colours of particles and shapes: by material, or by a number."""
 
+import colorsys
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -15,20 +16,29 @@ MATERIALS: Mapping[str, tuple[float, float, float]] = {
     "elastic": (0.86, 0.40, 0.42),
     "muscle": (0.80, 0.33, 0.38),
 }
-"""Colour of a material by its name, between 0 and 1."""
+"""Red, green and blue of a material by its name, between 0 and 1."""
 OTHER = (0.45, 0.66, 0.42)
 SOLID = (0.62, 0.66, 0.72)
-"""Colour of a shape that does not say."""
+"""Colour of a shape without ``color``."""
 SCALE = np.array(
     [[0.19, 0.07, 0.23], [0.27, 0.42, 0.90], [0.16, 0.73, 0.92], [0.20, 0.94, 0.60], [0.71, 0.97, 0.22],
      [0.98, 0.73, 0.22], [0.93, 0.36, 0.08], [0.70, 0.10, 0.01]]
 )  # fmt: skip
-"""Turbo, at equal distances (Mikhailov 2019)."""
+"""The Turbo colour map (Mikhailov 2019), sampled at equal distances."""
 
 
 def material_colors(names: Sequence[str]) -> np.ndarray:
-    """Colour of each material, shape (num_materials, 3)."""
-    return np.array([MATERIALS.get(name, OTHER) for name in names] or [OTHER], np.float32)
+    """Colour of each material, shape (num_materials, 3); ``water_2`` and ``water_3`` are shades of ``water``."""
+    return np.array([_material_color(name) for name in names] or [OTHER], np.float32)
+
+
+def _material_color(name: str) -> tuple[float, float, float]:
+    base, _, number = name.rpartition("_")
+    if not (base and number.isdecimal()):
+        return MATERIALS.get(name, OTHER)
+    hue, lightness, saturation = colorsys.rgb_to_hls(*MATERIALS.get(base, OTHER))
+    step = int(number) - 1
+    return colorsys.hls_to_rgb((hue + 0.11 * step) % 1.0, lightness * 0.8**step, saturation)
 
 
 def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -48,7 +58,7 @@ def particle_colors(recording: Recording, by: str = "material") -> np.ndarray:
     """Colours of particles, shape (num_particles, 3) for the material, else (num_frames, num_particles, 3).
 
     Raises:
-      ValueError: there is nothing of this name.
+      ValueError: there is no value of this name.
     """
     assert recording.particles is not None
     count = recording.particles.shape[1]
@@ -63,7 +73,7 @@ def particle_colors(recording: Recording, by: str = "material") -> np.ndarray:
 
 
 def value_range(values: np.ndarray) -> tuple[float, float]:
-    """What the ends of the scale stand for: the 1st and the 99th percentile of all frames."""
+    """Values at the ends of the colour scale: the 1st and the 99th percentile over all frames."""
     low, high = np.percentile(values, (1.0, 99.0))
     return float(low), float(max(high, low + 1e-9))
 

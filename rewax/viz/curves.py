@@ -60,7 +60,7 @@ def curves_with_intervals(
 def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | Path, *, title: str = "") -> Path:
     """Draw returns on a square of two directions; the policy is the cross in the middle.
 
-    Colours begin at the tenth percentile: what is worse looks alike.
+    The colour scale begins at the tenth percentile; lower returns have one colour.
 
     Args:
       offsets: along either direction, shape (size,).

@@ -1,4 +1,4 @@
-"""The floor of a picture: a grid that fades into the distance, and the shadow of what stands above it."""
+"""The floor of a picture: a grid that fades into the distance, and the shadows of the objects above it."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ FLOOR = np.array([0.80, 0.82, 0.85], np.float32)
 _SHADOW = 0.5
 _TEXELS = 192
 _HORIZON = 3.2
-"""Where the floor has faded, in radii of what is shown."""
+"""Distance at which the floor has faded, in radii of the scene."""
 
 
 def sky(height: int, width: int) -> np.ndarray:
@@ -25,13 +25,13 @@ def sky(height: int, width: int) -> np.ndarray:
 
 
 def grid_spacing(radius: float) -> float:
-    """Distance of lines [m]: 1, 2 or 5 times a power of ten, some eight of them across what is shown."""
+    """Spacing of the lines [m]: 1, 2 or 5 times a power of ten, so that about eight lines cross the scene."""
     wanted = radius / 4.0
     power = 10.0 ** np.floor(np.log10(wanted))
     return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= wanted * 1.0001))
 
 
-class _Seen(NamedTuple):
+class _Background(NamedTuple):
     """The floor as a camera sees it.
 
     Attributes:
@@ -84,7 +84,7 @@ class Ground:
         right /= np.linalg.norm(right)
         self._light = View(right, np.cross(towards_light, right))
         self._reach = 1.3 * radius
-        self._seen: tuple[bytes, _Seen] | None = None
+        self._cached: tuple[bytes, _Background] | None = None
 
     def draw(
         self,
@@ -95,31 +95,31 @@ class Ground:
         radii: np.ndarray | None,
         triangles: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Colours of all pixels without anything on the floor but shadows, and depths of the floor.
+        """Colours of the sky and the floor with the shadows on it, and depths of the floor.
 
         Args:
-          camera: that looks.
-          target: middle of what is shown [m], shape (3,).
-          shapes: that cast a shadow, each with its opacity.
-          cloud, radii: particles that do [m], or None.
-          triangles: of the particles, or None.
+          camera: the camera of the frame.
+          target: middle of the scene [m], shape (3,).
+          shapes: shapes that cast shadows, each with its opacity.
+          cloud, radii: particles that cast shadows [m], or None.
+          triangles: of particles that are the vertices of a mesh, or None.
 
         Returns:
-          Shapes (num_pixels, 3) and (num_pixels,); depths are infinite where there is no floor.
+          Colours, shape (num_pixels, 3), and depths, shape (num_pixels,), infinite where there is no floor.
         """
-        seen = self._floor(camera, target)
-        colors = seen.colors.copy()
-        shadow = self._shadow(seen.corner, shapes, cloud, radii, triangles).reshape(-1)
-        dark = shadow[seen.texels]
+        background = self._floor(camera, target)
+        colors = background.colors.copy()
+        shadow = self._shadow(background.corner, shapes, cloud, radii, triangles).reshape(-1)
+        dark = shadow[background.texels]
         touched = np.flatnonzero(dark > 0.003)
-        colors[seen.pixels[touched]] -= _SHADOW * dark[touched, None] * seen.floor[touched]
-        return colors, seen.depth
+        colors[background.pixels[touched]] -= _SHADOW * dark[touched, None] * background.floor[touched]
+        return colors, background.depth
 
-    def _floor(self, camera: Camera, target: np.ndarray) -> _Seen:
-        """What does not change while the camera rests."""
+    def _floor(self, camera: Camera, target: np.ndarray) -> _Background:
+        """The parts of the floor that stay the same while the camera rests."""
         key = camera.eye.tobytes()
-        if self._seen is not None and self._seen[0] == key:
-            return self._seen[1]
+        if self._cached is not None and self._cached[0] == key:
+            return self._cached[1]
         above = float(camera.eye @ self._up - self._height)
         with np.errstate(divide="ignore"):
             depth = np.where(self._slope * above < 0.0, -above / self._slope, np.inf).astype(np.float32)
@@ -138,12 +138,12 @@ class Ground:
         place = (turned(points, axes) - corner) * np.float32(_TEXELS / (2.0 * self._reach))
         texels = place.astype(np.int32)
         texels = np.clip(texels, 0, _TEXELS - 1) @ np.array([1, _TEXELS], np.int32)
-        seen = _Seen(depth, pixels, floor.astype(np.float32), colors, corner, texels)
-        self._seen = (key, seen)
-        return seen
+        background = _Background(depth, pixels, floor.astype(np.float32), colors, corner, texels)
+        self._cached = (key, background)
+        return background
 
     def _lines(self, points: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-        """How much of a pixel lies on a line of the grid, between 0 and 1."""
+        """Share of each pixel that a grid line covers, between 0 and 1."""
         found = np.zeros(len(points), np.float32)
         width = np.maximum(np.float32(0.012 * self._spacing), np.float32(0.6) * footprint)
         for axis in self._axes:
@@ -161,7 +161,7 @@ class Ground:
         radii: np.ndarray | None,
         triangles: np.ndarray | None,
     ) -> np.ndarray:
-        """How dark the floor is, as a picture along the light, shape (_TEXELS, _TEXELS)."""
+        """Darkness of the floor as a shadow map seen along the light, shape (_TEXELS, _TEXELS)."""
         texel = 2.0 * self._reach / _TEXELS
         dark = np.zeros((_TEXELS, _TEXELS), np.float32)
         if cloud is not None and radii is not None:
@@ -179,12 +179,12 @@ class Ground:
                 _fill_triangles(place, np.asarray(shape["triangles"], int), dark, opacity)
             else:
                 _fill((outline(shape, self._light, num_points=24) - corner) / texel, dark, opacity)
-        dark[[0, -1]] = dark[:, [0, -1]] = 0.0  # beyond the picture there is no shadow
+        dark[[0, -1]] = dark[:, [0, -1]] = 0.0  # no shadow beyond the map
         return _blur(_blur(dark))
 
 
 def _fill_triangles(place: np.ndarray, triangles: np.ndarray, dark: np.ndarray, value: float) -> None:
-    """Darken the inside of triangles with corners at places in the picture, shape (num_vertices, 2) [texels]."""
+    """Darken the inside of triangles; their vertices are [texels], shape (num_vertices, 2)."""
     buffer = NearestBuffer(_TEXELS, _TEXELS)
     buffer.add_triangles(np.concatenate([place, np.ones((len(place), 1))], axis=1)[triangles])
     inside = buffer.result()[0]
@@ -193,7 +193,7 @@ def _fill_triangles(place: np.ndarray, triangles: np.ndarray, dark: np.ndarray, 
 
 
 def _fill(polygon: np.ndarray, dark: np.ndarray, value: float) -> None:
-    """Darken the inside of a convex polygon that goes around counter-clockwise, [texels]."""
+    """Darken the inside of a convex polygon whose corners [texels] are counter-clockwise."""
     low = np.clip(np.floor(polygon.min(axis=0)).astype(int), 0, _TEXELS)
     high = np.clip(np.ceil(polygon.max(axis=0)).astype(int) + 1, 0, _TEXELS)
     if np.any(high <= low):
@@ -210,7 +210,7 @@ def _fill(polygon: np.ndarray, dark: np.ndarray, value: float) -> None:
 
 
 def _blur(picture: np.ndarray) -> np.ndarray:
-    """Mean over three neighbours along either axis, twice."""
+    """Blur: the mean over three neighbours along each axis, twice."""
     for _ in range(2):
         picture = (picture + np.roll(picture, 1, 0) + np.roll(picture, -1, 0)) / 3.0
         picture = (picture + np.roll(picture, 1, 1) + np.roll(picture, -1, 1)) / 3.0

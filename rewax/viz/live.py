@@ -1,4 +1,4 @@
-"""A viewer in the browser that shows another episode while the page stays open; viser serves it."""
+"""A page that shows one episode after the other while it stays open in the browser; viser serves it."""
 
 import contextlib
 import io
@@ -13,23 +13,26 @@ import numpy as np
 from rewax.viz.camera import FIELD_OF_VIEW, Framing, frame_recording
 from rewax.viz.colors import color_by, particle_colors, shape_color
 from rewax.viz.ground import grid_spacing
+from rewax.viz.live_guard import guarded
 from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, diameters, playback
 
 _TICK = 1.0 / 30.0
-"""Between frames on the page [s]."""
+"""Time between frames on the page [s]."""
 _GAMMA = 2.2
-"""The page takes colours of many equal bodies as they are before a screen's."""
+"""viser takes the colours of batched meshes in linear space: sRGB to this power."""
 
 
 class LiveViewer:
-    """A page that shows recordings, one after the other, over and over.
+    """A page that plays a recording again and again until another one replaces it.
+
+    Pages of other sites cannot connect to it (``rewax.viz.live_guard``).
 
     Args:
-      host, port: where the page is served; 127.0.0.1 is seen by this machine alone. Port 0 takes a free one.
+      host, port: address of the page. Only this machine can open 127.0.0.1. Port 0 chooses a free port.
 
     Attributes:
-      url: of the page.
+      url: address of the page.
 
     Raises:
       ValueError: viser is not installed, or the port is taken.
@@ -40,8 +43,8 @@ class LiveViewer:
             import viser
         except ImportError:
             raise ValueError("a live view needs viser: pip install 'rewax[live]'") from None
-        port = _free(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):  # the address is the caller's to print
+        port = _free_port(host, port)
+        with contextlib.redirect_stdout(io.StringIO()), guarded(host):  # the caller prints the address
             self._server: Any = viser.ViserServer(host=host, port=port, label="rewax", verbose=False)
         self.url = f"http://{host}:{port}"
         self._lock, self._closed = threading.RLock(), threading.Event()
@@ -61,19 +64,19 @@ class LiveViewer:
         self._by.on_update(lambda _: self._recolor())
         threading.Thread(target=self._animate, daemon=True).start()
 
-    def show(self, recording: Recording, said: str = "") -> None:
-        """Show an episode from its beginning, instead of the one before.
+    def show(self, recording: Recording, caption: str = "") -> None:
+        """Replace the episode on the page and play the new one from its beginning.
 
         Args:
           recording: the episode.
-          said: what stands beside it, in Markdown.
+          caption: text beside it, in Markdown.
         """
         with self._lock:
             self._server.scene.reset()
-            first = self._recording is None  # later ones keep the camera as the user has turned it
+            first = self._recording is None  # later episodes keep the user's camera
             self._recording, self._framing = recording, frame_recording(recording)
             self._duration, self._speed = float(recording.times[-1]), playback(recording)[2]
-            self._time, self._shown, self._text.content = 0.0, -1, said
+            self._time, self._shown, self._text.content = 0.0, -1, caption
             self._build(recording, self._framing)
             self._draw(0)
             if first:
@@ -81,7 +84,7 @@ class LiveViewer:
                     self._place(camera)
 
     def seek(self, part: float) -> int:
-        """Go to a part of the episode, 0 its beginning and 1 its end; returns the frame that is shown."""
+        """Go to a fraction of the episode, from 0 to 1; returns the frame that the page then shows."""
         with self._lock:
             if self._recording is None:
                 return 0
@@ -91,7 +94,7 @@ class LiveViewer:
             return frame
 
     def positions(self) -> np.ndarray:
-        """Where the particles are that the page shows [m], shape (num_particles, 3); none without particles."""
+        """Positions of the particles on the page [m], shape (num_particles, 3); (0, 3) without particles."""
         with self._lock:
             if self._cloud is None:
                 return np.zeros((0, 3), np.float32)
@@ -105,7 +108,7 @@ class LiveViewer:
             self._server.stop()
 
     def _build(self, recording: Recording, framing: Framing) -> None:
-        """What the page shows of an episode, as in its first frame."""
+        """Create the floor, the solids and the particles of an episode, in its first frame."""
         scene, up = self._server.scene, np.asarray(recording.up, float)
         scene.set_up_direction(tuple(float(x) for x in up))
         scene.configure_environment_map("city", environment_intensity=0.25)
@@ -155,7 +158,7 @@ class LiveViewer:
             )
 
     def _draw(self, frame: int) -> None:
-        """Move everything to where it is in a frame."""
+        """Move solids and particles to their poses in a frame."""
         recording = self._recording
         if recording is None or frame == self._shown:
             return
@@ -187,12 +190,12 @@ class LiveViewer:
             self._cloud.batched_colors = self._frame_colors(max(self._shown, 0))
 
     def _place(self, camera: Any) -> None:
-        """Put a camera of the page where pictures of the recording are taken from."""
+        """Give a camera of the page the view that pictures of the recording have."""
         assert self._recording is not None and self._framing is not None
         up = np.asarray(self._recording.up, float)
-        seen = self._framing.camera(0, up)
+        camera_0 = self._framing.camera(0, up)
         setattr(camera, "up" if hasattr(camera, "up") else "up_direction", tuple(up))
-        camera.position, camera.look_at = tuple(seen.eye), tuple(self._framing.targets[0])
+        camera.position, camera.look_at = tuple(camera_0.eye), tuple(self._framing.targets[0])
         camera.fov = float(np.radians(FIELD_OF_VIEW))
 
     def _animate(self) -> None:
@@ -210,7 +213,7 @@ class LiveViewer:
 
 
 def _ball() -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of a sphere of radius 1: an icosahedron whose faces are divided into four."""
+    """Vertices and triangles of a unit sphere: an icosahedron with each face split into four."""
     golden = 0.5 * (1.0 + 5.0**0.5)
     corners = [np.roll([0.0, a, b * golden], shift) for shift in range(3) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
     vertices = np.stack(corners) / np.hypot(1.0, golden)
@@ -224,19 +227,19 @@ def _ball() -> tuple[np.ndarray, np.ndarray]:
                 b, c = c, b
             ab, bc, ca = (m / np.linalg.norm(m) for m in (a + b, b + c, c + a))
             triangles += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    found, index = np.unique(np.round(np.reshape(triangles, (-1, 3)), 6), axis=0, return_inverse=True)
-    return found.astype(np.float32), index.reshape(-1, 3).astype(np.uint32)
+    vertices, index = np.unique(np.round(np.reshape(triangles, (-1, 3)), 6), axis=0, return_inverse=True)
+    return vertices.astype(np.float32), index.reshape(-1, 3).astype(np.uint32)
 
 
-def _free(host: str, port: int) -> int:
-    """A port that can be served, the one asked for or, for 0, any."""
-    with socket.socket() as tried:
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+def _free_port(host: str, port: int) -> int:
+    """The port, checked to be free; for 0 any free port."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            tried.bind((host, port))
+            probe.bind((host, port))
         except OSError as error:
             raise ValueError(f"{host}:{port} cannot be served ({error.strerror}): choose another port") from None
-        return int(tried.getsockname()[1])
+        return int(probe.getsockname()[1])
 
 
 __all__ = ["LiveViewer"]

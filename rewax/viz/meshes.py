@@ -1,4 +1,4 @@
-"""Triangles of rigid shapes, in the shape's own frame, and the frame's pose: what the player draws."""
+"""Rigid shapes as triangle meshes in their own frame, and the pose of that frame, for the player and the live view."""
 
 from typing import NamedTuple
 
@@ -7,9 +7,9 @@ import numpy as np
 from rewax.viz.shapes import KEYS, Drawing
 
 _AROUND, _ALONG = 28, 14
-"""Corners around a round shape, and rows of them from pole to pole (an even number)."""
+"""Vertices around a round shape, and rings of vertices from pole to pole (an even number)."""
 _CREASE = 40.0
-"""Faces of a mesh that meet at a larger angle than this keep their edge [degrees]."""
+"""Faces of a mesh that meet at a larger angle than this have a sharp edge between them [degrees]."""
 
 
 class Mesh(NamedTuple):
@@ -43,7 +43,7 @@ def mesh(drawing: Drawing) -> Mesh:
 
 
 def pose(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
-    """Place [m], shape (3,), and orientation, a unit quaternion (x, y, z, w), of a shape's own frame."""
+    """Position [m], shape (3,), and orientation of a shape's own frame, a unit quaternion (x, y, z, w)."""
     center = np.asarray(drawing["center"], float)
     if "rotation" in KEYS[drawing["kind"]]:
         return center, _quaternion(np.asarray(drawing["rotation"], float))
@@ -74,7 +74,7 @@ def _box(half_size: np.ndarray) -> Mesh:
 def _capsule(radius: float, half_length: float) -> Mesh:
     """A sphere whose halves are moved apart along y."""
     polar = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _ALONG + 1)
-    polar = np.concatenate([polar[: _ALONG // 2 + 1], polar[_ALONG // 2 :]])  # the equator belongs to either half
+    polar = np.concatenate([polar[: _ALONG // 2 + 1], polar[_ALONG // 2 :]])  # both halves have the equator
     end = np.repeat([-half_length, half_length], len(polar) // 2)
     around = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False)
     directions = np.stack(
@@ -111,10 +111,10 @@ def _cylinder(radius: float, half_length: float, top: float) -> Mesh:
 
 def _creased(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
     """A mesh with normals: round where its faces meet at small angles, with a vertex for each side of an edge."""
-    vertices, index = np.unique(vertices, axis=0, return_inverse=True)  # files may repeat them for every face
+    vertices, index = np.unique(vertices, axis=0, return_inverse=True)  # files may repeat vertices for every face
     triangles = index.reshape(-1)[triangles]
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    areas = np.cross(b - a, c - a)  # twice them, along the faces' normals
+    areas = np.cross(b - a, c - a)  # twice the area, along the face's normal
     triangles, areas = triangles[areas.any(axis=1)], areas[areas.any(axis=1)]
     faces = _unit(areas)
     corners = triangles.reshape(-1)
@@ -133,7 +133,7 @@ def _creased(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors of length 1, shape (n, 3); zero stays zero."""
+    """Normalise vectors of shape (n, 3); zero vectors stay zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 

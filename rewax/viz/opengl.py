@@ -1,4 +1,4 @@
-"""Pictures by MuJoCo's renderer, in a process of its own: a graphics driver that crashes ends that process alone."""
+"""Pictures by MuJoCo's renderer in a process of its own, so that a crashing graphics driver ends only that process."""
 
 import functools
 import os
@@ -15,15 +15,15 @@ from rewax.viz.recording import Recording
 _BACKENDS = ("egl", "osmesa")
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software", "unknown")
 _PATIENCE = 60.0
-"""How long a driver may take to draw one small picture [s]."""
+"""Longest time for a driver to draw one small picture [s]."""
 
 
 class OpenGL(NamedTuple):
-    """How OpenGL draws without a screen.
+    """An OpenGL backend that draws without a screen.
 
     Attributes:
       name: ``egl`` or ``osmesa``.
-      renderer: what the driver calls itself.
+      renderer: the driver's name of its renderer.
     """
 
     name: str
@@ -31,13 +31,13 @@ class OpenGL(NamedTuple):
 
     @property
     def hardware(self) -> bool:
-        """A graphics card draws, not the processor."""
+        """Whether a graphics card draws, rather than the processor."""
         return self.name == "egl" and not any(word in self.renderer.lower() for word in _SOFTWARE)
 
 
 @functools.cache
 def find_opengl() -> OpenGL | None:
-    """The first of EGL and OSMesa with which MuJoCo draws here, found by drawing; None without any.
+    """The first of EGL and OSMesa that draws a test picture on this machine; None if neither does.
 
     The environment variable MUJOCO_GL, if it is set, says which one is tried, and ``disabled`` that none is.
     """
@@ -49,9 +49,9 @@ def find_opengl() -> OpenGL | None:
             )
         except (OSError, subprocess.SubprocessError):
             continue
-        said = done.stdout.decode(errors="replace").strip()
-        if done.returncode == 0 and said:
-            return OpenGL(name, said.splitlines()[-1])
+        output = done.stdout.decode(errors="replace").strip()
+        if done.returncode == 0 and output:
+            return OpenGL(name, output.splitlines()[-1])
     return None
 
 
@@ -68,7 +68,7 @@ def mujoco_pictures(recording: Recording, size: tuple[int, int], color_by: str, 
       Pictures, uint8 of shape (height, width, 3).
 
     Raises:
-      OSError: the process that draws failed; the message has the last line that it said.
+      OSError: the drawing process failed; the message has the last line of its error output.
     """
     pipe = subprocess.PIPE
     process = subprocess.Popen(
@@ -79,7 +79,7 @@ def mujoco_pictures(recording: Recording, size: tuple[int, int], color_by: str, 
         try:
             pickle.dump((recording, size, color_by), process.stdin)
             process.stdin.close()
-        except OSError:  # it ended before it had read everything; what it said follows
+        except OSError:  # it died before it had read everything; its error output follows
             pass
         for _ in range(recording.num_frames):
             yield _read_picture(process.stdout, process.stderr, size)
@@ -94,8 +94,8 @@ def _read_picture(out: IO[bytes], error: IO[bytes], size: tuple[int, int]) -> np
     count = size[0] * size[1] * 3
     content = out.read(count)
     if len(content) < count:
-        said = error.read().decode(errors="replace").strip().splitlines() or ["nothing"]
-        raise OSError(f"the process that draws with OpenGL ended early; it said: {said[-1]}")
+        lines = error.read().decode(errors="replace").strip().splitlines() or ["nothing"]
+        raise OSError(f"the process that draws with OpenGL ended early; it said: {lines[-1]}")
     return np.frombuffer(content, np.uint8).reshape(*size, 3)
 
 

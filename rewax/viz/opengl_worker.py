@@ -42,7 +42,7 @@ _SCENE = """
 
 
 _AS_MESHES = ("cone", "mesh")
-"""Kinds of shapes for which the model of the scene has a mesh."""
+"""Kinds of shapes that the MuJoCo model of the scene holds as meshes."""
 _LIGHT = np.array([-0.3, 0.3, -0.9])
 """Direction in which the lamp shines."""
 
@@ -85,7 +85,7 @@ class _Painter:
         self._colors = None if recording.particles is None else particle_colors(recording, color_by)
 
     def driver(self) -> str:
-        """What the driver calls itself."""
+        """The driver's name of its renderer."""
         from OpenGL import GL
 
         context = getattr(self._renderer, "_gl_context", None)
@@ -115,15 +115,15 @@ class _Painter:
         return self._renderer.render()
 
     def _with_meshes(self, scene: Any) -> Any:
-        """The scene with the surfaces of cones and meshes; what has no area is not drawn."""
+        """The scene's model with the meshes of cones and mesh shapes. Meshes without area are left out."""
         surfaces = {i: mesh(s) for i, s in enumerate(self._recording.shapes(0)) if s["kind"] in _AS_MESHES}
         for i, (vertices, normals, triangles) in surfaces.items():
             a, b, c = (vertices[triangles[:, k]] for k in range(3))
             if np.abs(np.cross(b - a, c - a)).sum() < 1e-12:
                 continue
             self._meshes[i], added = len(self._meshes), scene.add_mesh(name=f"mesh {i}")
-            added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # needs no closed surface
-            rows = (np.concatenate([part, part[:1]]) for part in (vertices, normals))  # four vertices are the fewest
+            added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # also defined for open meshes
+            rows = (np.concatenate([part, part[:1]]) for part in (vertices, normals))  # MuJoCo needs four vertices
             added.uservert, added.usernormal = (part.reshape(-1) for part in rows)
             added.userface = added.userfacenormal = triangles.reshape(-1)
         return scene
@@ -159,7 +159,7 @@ class _Painter:
         self._add(geom, np.array([radius, length, 0.0]), center, _along(axis), color, opacity)
 
     def _add_mesh(self, shape: Drawing, number: int) -> None:
-        """A shape that is a mesh of the scene's model, which has moved it to its own middle and axes of inertia."""
+        """Add a mesh shape. MuJoCo has moved the mesh to its centre of mass and its axes of inertia."""
         (color, opacity), (center, quaternion), model = shape_color(shape), pose(shape), self._renderer.model
         rotation = self._turn @ _rotation(quaternion[[3, 0, 1, 2]])
         center = self._turn @ center + rotation @ model.mesh_pos[number]
@@ -202,7 +202,7 @@ def _probe() -> Recording:
 
 
 def main(what: str) -> int:
-    """Draw the recording that comes in, or a small one and say who drew it."""
+    """Draw the recording on the standard input, or a small one to find out which driver draws."""
     if what == "probe":
         painter = _Painter(_probe(), (48, 64), "material")
         picture = painter.paint(0)

@@ -3,6 +3,7 @@
 import base64
 import html
 import json
+import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rewax.status import Status
-from rewax.viz.camera import frame_recording
+from rewax.viz.camera import frame_both
 from rewax.viz.colors import SCALE, color_by, material_colors, shape_color, value_range
 from rewax.viz.ground import grid_spacing
 from rewax.viz.meshes import mesh, pose
@@ -19,9 +20,14 @@ from rewax.viz.recording import Recording, diameters, playback
 from rewax.viz.shapes import side_view
 
 MAX_RUNS = 8
-"""Browsers draw no more scenes at once reliably."""
+"""Browsers draw no more WebGL canvases at once reliably."""
 _ASPECT = 4 / 3
 _ASSETS = Path(__file__).parent
+SCRIPTS = (
+    "player_gl.js", "player_shaders.js", "player_surface.js", "player_cloud.js", "player_scene.js", "player_curves.js",
+    "player_camera.js", "player_capture.js", "player_controls.js", "player.js",
+)  # fmt: skip
+"""Scripts of the page, in the order in which they are read."""
 
 
 def write_player(recordings: Sequence[Recording], out_html: str | Path, *, title: str = "rewax") -> Path:
@@ -29,34 +35,31 @@ def write_player(recordings: Sequence[Recording], out_html: str | Path, *, title
 
     Args:
       recordings: one to eight.
-      out_html: page to write. It needs nothing but a browser with WebGL 2.
+      out_html: page to write. It needs a browser with WebGL 2 and no network.
       title: of the page.
 
     Returns:
-      The path written. Positions are kept in steps of 1/65535 of the box that a recording's particles move in, colours
-      and values in steps of 1/255.
+      The path written. The page keeps positions in steps of 1/65535 of the box that a recording's particles move in,
+      and colours and values in steps of 1/255. The browser computes surfaces of particles (``player_surface.js``).
 
     Raises:
       ValueError: no recordings, or too many.
     """
     if not 1 <= len(recordings) <= MAX_RUNS:
         raise ValueError(f"a page plays 1 to {MAX_RUNS} recordings, not {len(recordings)}: give fewer of them")
-    named = {by: None for recording in recordings if recording.particles is not None for by in color_by(recording)}
     data = {
         "runs": [_run(recording) for recording in recordings],
         "speed": min(playback(recording)[2] for recording in recordings),
-        "colors": list(named),
+        "colors": list(dict.fromkeys(by for r in recordings if r.particles is not None for by in color_by(r))),
         "status": [[bit.name, int(bit)] for bit in Status if bit],
     }
-    script = "\n".join(_asset(f"player{part}.js") for part in ("_shaders", "_scene", ""))
-    page = _asset("player.html")
-    for name, text in (
-        ("title", html.escape(title)),
-        ("style", _asset("player.css")),
-        ("script", script),
-        ("data", json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")),
-    ):
-        page = page.replace("{{" + name + "}}", text, 1)
+    parts = {
+        "title": html.escape(title),
+        "style": _asset("player.css"),
+        "script": "\n".join(map(_asset, SCRIPTS)),
+        "data": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+    }
+    page = re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _asset("player.html"))
     out = Path(out_html)
     out.write_text(page, encoding="utf-8")
     return out
@@ -64,23 +67,28 @@ def write_player(recordings: Sequence[Recording], out_html: str | Path, *, title
 
 def _run(recording: Recording) -> dict[str, Any]:
     """A recording as the page's scripts read it."""
-    framing = frame_recording(recording, aspect=_ASPECT)
-    side = side_view(recording.up)
+    followed, still, follow = frame_both(recording, aspect=_ASPECT)
+    chosen, side = followed if follow else still, side_view(recording.up)
+    actions = np.zeros((0, 0)) if recording.actions is None else np.asarray(recording.actions)
     return {
         "name": recording.name,
         "times": _rounded(recording.times),
         "dt": recording.step_dt,
         "rewards": _rounded(recording.rewards),
+        "actions": _packed(actions, np.float32),
+        "num_actions": actions.shape[1],
+        "metrics": {name: _packed(values, np.float32) for name, values in recording.metrics.items()},
         "status": np.asarray(recording.status, int).tolist(),
         "axes": [side.right.tolist(), side.towards.tolist(), np.asarray(side.up).tolist()],
-        "targets": _rounded(framing.targets.reshape(-1)),
-        "distance": framing.distance,
+        "follow": follow,
+        "followed": {"targets": _rounded(followed.targets), "distance": followed.distance},
+        "still": {"targets": _rounded(still.targets[0]), "distance": still.distance},
         "aspect": _ASPECT,
-        "azimuth": float(np.radians(framing.azimuth)),
-        "elevation": float(np.radians(framing.elevation)),
-        "radius": framing.radius,
-        "spacing": grid_spacing(framing.radius),
-        "floor": framing.floor,
+        "azimuth": float(np.radians(chosen.azimuth)),
+        "elevation": float(np.radians(chosen.elevation)),
+        "radius": chosen.radius,
+        "spacing": grid_spacing(chosen.radius),
+        "floor": chosen.floor,
         "palette": np.round(SCALE, 3).tolist(),
         "solids": _solids(recording),
         "particles": None if recording.particles is None else _particles(recording),
@@ -92,14 +100,19 @@ def _particles(recording: Recording) -> dict[str, Any]:
     low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
     size = np.maximum(high - low, 1e-9)
     materials = np.zeros(cloud.shape[1], int) if recording.materials is None else np.asarray(recording.materials)
-    colors = material_colors(recording.material_names)[materials]
+    colors, sizes = material_colors(recording.material_names), diameters(recording)
+    members = {int(material): np.flatnonzero(materials == material) for material in np.unique(materials)}
     return {
         "count": cloud.shape[1],
         "low": low.tolist(),
         "size": size.tolist(),
         "positions": _moving(np.round(65535.0 * (cloud - low) / size).astype(np.uint16)),
-        "radii": _packed(0.5 * diameters(recording), np.float32),
-        "colors": _packed(np.round(255.0 * colors), np.uint8),
+        "radii": _packed(0.5 * sizes, np.float32),
+        "colors": _packed(np.round(255.0 * colors[materials]), np.uint8),
+        "parts": [
+            {"members": _packed(some, np.uint32), "diameter": float(sizes[some].mean()), "color": _rounded(colors[i])}
+            for i, some in members.items()
+        ],
         "heights": list(value_range(cloud @ np.asarray(recording.up, float))),
         "values": {name: _value(value) for name, value in recording.values.items()},
         "triangles": None if recording.triangles is None else _packed(recording.triangles, np.uint32),
@@ -107,21 +120,21 @@ def _particles(recording: Recording) -> dict[str, Any]:
 
 
 def _value(values: np.ndarray) -> dict[str, Any]:
-    """A number of each particle, between the ends of its scale."""
+    """A value of each particle in each frame, as a fraction of the range from ``low`` to ``high``."""
     low, high = value_range(values)
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     return {"low": low, "high": high, "data": _moving(np.round(255.0 * part).astype(np.uint8))}
 
 
 def _solids(recording: Recording) -> list[dict[str, Any]]:
-    """Surfaces of the rigid shapes, as they are in the first frame, and where they are in every frame."""
-    found = []
+    """Meshes of the rigid shapes in their own frames, and their poses in every frame of the recording."""
+    solids = []
     for i, first in enumerate(recording.shapes(0)):
         if first["kind"] == "plane":
             continue
         surface, (color, opacity) = mesh(first), shape_color(first)
         poses = [np.concatenate(pose(recording.shapes(frame)[i])) for frame in range(recording.num_frames)]
-        found.append(
+        solids.append(
             {
                 "vertices": _packed(surface.vertices, np.float32),
                 "normals": _packed(surface.normals, np.float32),
@@ -131,11 +144,11 @@ def _solids(recording: Recording) -> list[dict[str, Any]]:
                 "opacity": opacity,
             }
         )
-    return found
+    return solids
 
 
 def _moving(frames: np.ndarray) -> dict[str, Any]:
-    """Whole numbers of every frame as differences from the frame before, which deflate well; low bytes come first."""
+    """Integers of every frame as differences from the frame before, which deflate well; all low bytes come first."""
     flat = frames.reshape(len(frames), -1)
     change = flat.copy()
     change[1:] -= flat[:-1]  # wraps around
@@ -154,7 +167,7 @@ def _text(array: np.ndarray) -> str:
 
 
 def _rounded(values: np.ndarray) -> list[float]:
-    """Numbers with six digits."""
+    """Numbers rounded to six digits."""
     return [float(f"{value:.6g}") for value in np.asarray(values, float).reshape(-1)]
 
 
@@ -162,4 +175,4 @@ def _asset(name: str) -> str:
     return (_ASSETS / name).read_text(encoding="utf-8")
 
 
-__all__ = ["MAX_RUNS", "write_player"]
+__all__ = ["MAX_RUNS", "SCRIPTS", "write_player"]

@@ -1,5 +1,6 @@
 "use strict";
-// Shaders (GLSL ES 3.00). All positions are the world's; eye coordinates have the viewer at the origin, looking at -z.
+// Shaders (GLSL ES 3.00). Positions are in world coordinates; in eye coordinates the camera is at the
+// origin and looks along -z.
 
 const SHADE = `
   uniform vec3 lamp, above;  // unit vectors towards the lamp and up, in eye coordinates
@@ -16,6 +17,22 @@ const CAST = `
   uniform float ground;
   vec3 shadowed(vec3 p) { return shadow ? p - light * (dot(p, up) - ground) / dot(light, up) : p; }`;
 
+// Colours: `scaled` of a number between 0 and 1, `tint` of a point by what `by` chooses.
+const TINT = `
+  uniform vec3 palette[8];
+  uniform int by;          // 0: own colour, 1: value, 2: height
+  uniform vec2 heights, range;  // ends of the height's scale; slope and offset from a stored value to the scale
+  vec3 scaled(float x) {
+    float place = clamp(x, 0.0, 1.0) * 7.0;
+    int i = int(min(floor(place), 6.0));
+    return mix(palette[i], palette[i + 1], place - float(i));
+  }
+  vec3 tint(vec3 p, vec3 own, float value) {
+    if (by == 1) return scaled(range.x * value + range.y);
+    if (by == 2) return scaled((dot(p, up) - heights.x) / max(heights.y - heights.x, 1e-9));
+    return own;
+  }`;
+
 // Vertices of particles: two frames, quantised within a box, and where between them.
 const CLOUD = `
   layout(location = 0) in vec3 first;
@@ -25,33 +42,22 @@ const CLOUD = `
   layout(location = 4) in float secondValue;
   layout(location = 5) in float radius;
   uniform mat4 view, projection;
-  uniform vec3 low, size, palette[8];
+  uniform vec3 low, size;
   uniform float part;
-  uniform int by;          // 0: own colour, 1: value, 2: height
-  uniform vec2 heights;
   vec3 position() { return low + size * mix(first, second, part); }
-  vec3 scaled(float x) {
-    float place = clamp(x, 0.0, 1.0) * 7.0;
-    int i = int(min(floor(place), 6.0));
-    return mix(palette[i], palette[i + 1], place - float(i));
-  }
-  vec3 tint(vec3 p) {
-    if (by == 1) return scaled(mix(firstValue, secondValue, part));
-    if (by == 2) return scaled((dot(p, up) - heights.x) / max(heights.y - heights.x, 1e-9));
-    return own;
-  }`;
+  float value() { return mix(firstValue, secondValue, part); }`;
 
 const SHADERS = {
   spheres: [`#version 300 es
     precision highp float;
-    ${CAST} ${CLOUD}
+    ${CAST} ${TINT} ${CLOUD}
     uniform float focal;  // pixels of a length as far away as it is long
     out vec3 color, center;
     out float r;
     void main() {
       vec3 p = position();
       vec4 eye = view * vec4(shadowed(p), 1.0);
-      color = tint(p); center = eye.xyz; r = radius;
+      color = tint(p, own, value()); center = eye.xyz; r = radius;
       gl_Position = projection * eye;
       gl_PointSize = 2.0 * radius * focal / max(-eye.z, 1e-6);
     }`, `#version 300 es
@@ -81,12 +87,12 @@ const SHADERS = {
     }`],
   surface: [`#version 300 es
     precision highp float;
-    ${CAST} ${CLOUD}
+    ${CAST} ${TINT} ${CLOUD}
     out vec3 color, at;
     void main() {
       vec3 p = position();
       vec4 eye = view * vec4(shadowed(p), 1.0);
-      color = tint(p) + 0.0 * radius; at = eye.xyz;
+      color = tint(p, own, value()) + 0.0 * radius; at = eye.xyz;
       gl_Position = projection * eye;
     }`, `#version 300 es
     precision highp float;
@@ -99,6 +105,26 @@ const SHADERS = {
       vec3 n = normalize(cross(dFdx(at), dFdy(at)));
       result = shadow ? vec4(0.0, 0.0, 0.0, darkness) : vec4(shade(n, color), 1.0);
     }`],
+  skin: [`#version 300 es
+    precision highp float;
+    layout(location = 0) in vec3 vertex;
+    layout(location = 1) in vec3 normal;
+    layout(location = 2) in float shown;
+    uniform vec3 paint;
+    uniform mat4 view, projection;
+    ${CAST} ${TINT}
+    out vec3 color, n;
+    void main() {
+      color = tint(vertex, paint, shown); n = mat3(view) * normal;
+      gl_Position = projection * view * vec4(shadowed(vertex), 1.0);
+    }`, `#version 300 es
+    precision highp float;
+    ${SHADE}
+    uniform bool shadow;
+    uniform float darkness;
+    in vec3 color, n;
+    out vec4 result;
+    void main() { result = shadow ? vec4(0.0, 0.0, 0.0, darkness) : vec4(shade(normalize(n), color), 1.0); }`],
   solid: [`#version 300 es
     precision highp float;
     layout(location = 0) in vec3 vertex;

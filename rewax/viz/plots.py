@@ -1,4 +1,4 @@
-"""Pictures of a run: how it learned, and what it learned to do."""
+"""Pictures of a run: its learning curve, and moments of an episode."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -165,7 +165,7 @@ def particle_strip(
             panels[1, i].set_xlabel("x [m]")
         panels[0, 0].set_ylabel("side: y [m]")
         panels[1, 0].set_ylabel("top: z [m]")
-        figure.colorbar(drawn, ax=panels, label="height y [m]", fraction=0.03, pad=0.01, aspect=30)
+        figure.colorbar(drawn, ax=panels, label="height y [m]", fraction=0.03, pad=0.01, aspect=30)  # pyright: ignore[reportPossiblyUnboundVariable]
         if title:
             figure.suptitle(title, fontsize=10)
         figure.savefig(out_png)
@@ -175,7 +175,7 @@ def particle_strip(
 def _draw_cloud(
     axes: Axes, cloud: np.ndarray, shapes: Sequence[Drawing], up: int, diameter: float, normalize: Normalize
 ) -> EllipseCollection:
-    """One panel: axis 0 to the right, axis ``up`` upwards, what is nearer to the eye drawn later."""
+    """One panel: axis 0 points right, axis ``up`` points up, nearer particles are drawn later."""
     depth = np.argsort(-cloud[:, 2] if up == 1 else cloud[:, 1])
     cloud = cloud[depth]
     sizes = np.full(len(cloud), diameter)
@@ -192,7 +192,7 @@ def _draw_cloud(
 
 
 def _bounds(clouds: Sequence[np.ndarray], shapes: Sequence[Sequence[Drawing]]) -> tuple[np.ndarray, np.ndarray]:
-    """A box around everything drawn, with a margin."""
+    """Bounding box of everything in the panels, with a margin."""
     points, drawn = np.concatenate(clouds), bounds([shape for frame in shapes for shape in frame])
     low, high = np.minimum(points.min(axis=0), drawn[0]), np.maximum(points.max(axis=0), drawn[1])
     margin = 0.04 * (high - low).max() + 1e-9
@@ -200,6 +200,6 @@ def _bounds(clouds: Sequence[np.ndarray], shapes: Sequence[Sequence[Drawing]]) -
 
 
 def _spacing(cloud: np.ndarray) -> float:
-    """Edge of the cube that belongs to each particle if they fill their bounding box evenly."""
+    """Edge of the cube that each particle occupies if all of them fill their bounding box evenly."""
     extent = np.maximum(np.ptp(cloud, axis=0), 1e-3)
     return float((np.prod(extent) / len(cloud)) ** (1 / 3))

@@ -1,4 +1,4 @@
-"""Where rays meet shapes that are not meshes: exact depths and normals for the software renderer."""
+"""Ray casting: exact depths and normals of the shapes that are not meshes, for the software renderer."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ _FAR = np.float32(np.inf)
 
 
 def hit(drawing: Drawing, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays meet a shape first.
+    """The first intersection of rays with a shape.
 
     Args:
       drawing: of a shape that is neither a plane nor a mesh, checked.
@@ -48,7 +48,7 @@ def hit(drawing: Drawing, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
 
 
 def turned(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """``vectors @ matrix``, shapes (n, 3) and (3, m). A product this narrow costs BLAS's threads more than it saves."""
+    """``vectors @ matrix``, shapes (n, 3) and (3, m). BLAS would spend more on threads than it saves."""
     return np.einsum("ni,ij->nj", vectors, matrix)
 
 
@@ -61,7 +61,7 @@ def _nearest(hits: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.
 
 
 def _roots(a: np.ndarray, b: np.ndarray, c: np.ndarray | np.float32) -> np.ndarray:
-    """The smaller root of a t^2 + 2 b t + c where it is positive, else infinite."""
+    """The smaller root of a t^2 + 2 b t + c = 0 where it is positive, otherwise infinity."""
     square = b * b - a * c
     with np.errstate(invalid="ignore", divide="ignore"):
         root = (-b - np.sqrt(square)) / a
@@ -101,7 +101,7 @@ def _cap(
 
 
 def _ellipsoid(semi_axes: np.ndarray, start: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """In its own axes, where it is a ball of radius 1 once lengths are divided by the semi-axes."""
+    """An ellipsoid is a unit ball in its own axes, with lengths in units of the semi-axes."""
     start, rays = start / semi_axes, rays / semi_axes
     depth = _roots(np.einsum("ni,ni->n", rays, rays), rays @ start, start @ start - 1.0)
     normal = _point(start, rays, depth) / semi_axes
@@ -111,7 +111,7 @@ def _ellipsoid(semi_axes: np.ndarray, start: np.ndarray, rays: np.ndarray) -> tu
 def _slant(
     radius: np.float32, half: np.float32, axis: np.ndarray, start: np.ndarray, rays: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The curved side of a cone, met up to twice: the distance from the axis is ``slope`` times that below the tip."""
+    """The curved side of a cone: its radius is ``slope`` times the distance below the tip. A ray may meet it twice."""
     height = max(2.0 * float(half), 1e-6)
     slope, axis = float(radius) / height, axis.astype(float)
     begin = start - float(half) * axis  # from the tip
@@ -135,7 +135,7 @@ def _slant(
 
 
 def _box(half_size: np.ndarray, start: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """In the box's own axes."""
+    """A box in its own axes, by slabs."""
     slope = np.where(np.abs(rays) < 1e-9, np.float32(1e-9), rays)
     first, second = (-half_size - start) / slope, (half_size - start) / slope
     near, far = np.minimum(first, second), np.maximum(first, second)

@@ -1,4 +1,4 @@
-"""What pictures, videos and the player are made of: an episode as arrays of numpy, nothing of physics or of JAX."""
+"""An episode as NumPy arrays, without physics and without JAX: the input of pictures, videos and the player."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -9,11 +9,11 @@ import numpy as np
 from rewax.viz.shapes import Drawing, check_cloud, check_drawing
 
 FRAMES_PER_SECOND = 30.0
-"""What a video shows at most."""
+"""Highest frame rate of a video [1/s]."""
 _SHORT = 3.0
-"""Episodes that last less are slowed down [s]."""
+"""Shorter episodes are slowed down [s]."""
 _STEPS_PER_SECOND = 25.0
-"""Speed of an environment that does not say how long its steps last."""
+"""Control steps per second on screen where an environment has no ``control_dt``."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -21,26 +21,30 @@ class Recording:
     """An episode.
 
     Attributes:
-      steps: control steps since the beginning of each frame, shape (num_frames,).
+      steps: number of control steps before each frame, shape (num_frames,).
       rewards: of every control step, shape (num_steps,).
       status: bits of ``rewax.status.Status`` after every control step, shape (num_steps,).
+      actions: of every control step, shape (num_steps, num_actions); None where they are not kept.
+      metrics: named numbers of every control step, shape (num_steps,) each.
       particles: positions [m], shape (num_frames, num_particles, 3); None without particles.
       values: named numbers of each particle (``speed``, ``strain``), shape (num_frames, num_particles) each.
       drawings: rigid shapes of each frame (``rewax.viz.shapes``): the same kinds, meshes with the same triangles.
-      control_dt: duration of a control step [s]; None where the environment does not say.
+      control_dt: duration of a control step [s]; None if the environment does not have it.
       up: unit vector that points up, shape (3,).
-      triangles: surface of the particles where they are vertices of a mesh, shape (num_triangles, 3).
+      triangles: of particles that are the vertices of a mesh, shape (num_triangles, 3); None for loose particles.
       materials: index of each particle's material in ``material_names``, shape (num_particles,).
       material_names: ``dough``, ``water``, ``sand``, ``snow``, ``elastic``, ``muscle``, ...
-      floor: height of the floor along ``up`` [m]; None: that of the highest level plane among the drawings below
-        everything else, or just below the lowest point.
+      floor: height of the floor along ``up`` [m]. None: the highest level plane among the drawings, or, without one,
+        the lowest point.
       camera: ``azimuth`` and ``elevation`` [degrees], ``zoom``, ``follow``; see ``rewax.viz.camera``.
-      name: of what is shown.
+      name: title of the recording.
     """
 
     steps: np.ndarray
     rewards: np.ndarray
     status: np.ndarray
+    actions: np.ndarray | None = None
+    metrics: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     particles: np.ndarray | None = None
     values: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     drawings: Sequence[Sequence[Drawing]] = ()
@@ -74,7 +78,7 @@ class Recording:
 
     @property
     def step_dt(self) -> float:
-        """Duration of a control step on screen [s], before any slowing down."""
+        """Duration of a control step on screen at normal speed [s]."""
         return 1.0 / _STEPS_PER_SECOND if self.control_dt is None else float(self.control_dt)
 
     @property
@@ -92,7 +96,7 @@ class Recording:
         return self.drawings[frame] if len(self.drawings) else ()
 
     def take(self, frames: Sequence[int] | np.ndarray) -> "Recording":
-        """Some of the frames; rewards and status stay whole."""
+        """A recording of some of the frames. Rewards, actions, metrics and status stay complete."""
         frames = np.asarray(frames, int)
         return dataclasses.replace(
             self,
@@ -102,8 +106,8 @@ class Recording:
             drawings=[self.drawings[i] for i in frames] if len(self.drawings) else (),
         )
 
-    def spread(self, num_frames: int) -> "Recording":
-        """At most so many frames, equally spaced from first to last."""
+    def subsample(self, num_frames: int) -> "Recording":
+        """At most ``num_frames`` frames, equally spaced from the first to the last."""
         return self.take(np.unique(np.linspace(0, self.num_frames - 1, num_frames).round().astype(int)))
 
 
@@ -113,17 +117,17 @@ def _same_mesh(first: Drawing, later: Drawing) -> bool:
 
 
 def playback(recording: Recording) -> tuple[Recording, float, float]:
-    """Frames to show, how many a second, and how fast that is.
+    """Choose the frames of a video, their rate and the playback speed.
 
     Returns:
-      The recording, subsampled to at most 30 frames a second; frames per second; speed: 1 is real time, 0.25 four
-      times as slow. Episodes shorter than three seconds are slowed down, as far as their frames last.
+      The recording with at most 30 frames a second; the frames per second; the speed: 1 is real time, 0.25 is four
+      times slower. Episodes shorter than three seconds are slowed down, but not below ten frames a second.
     """
     times = recording.times
     duration = float(times[-1] - times[0])
     if recording.num_frames < 2 or duration <= 0.0:
         return recording, 1.0, 1.0
-    slowest = recording.num_frames / 10.0 / duration  # ten frames a second are the fewest that look like motion
+    slowest = recording.num_frames / 10.0 / duration  # below ten frames a second motion looks jerky
     wanted = max(1, int(np.ceil(_SHORT / duration))) if duration < _SHORT else 1
     slow = max(1, min(wanted, int(slowest)))
     rate = (recording.num_frames - 1) / (duration * slow)
@@ -133,14 +137,14 @@ def playback(recording: Recording) -> tuple[Recording, float, float]:
 
 
 def describe_speed(recording: Recording, speed: float) -> str:
-    """``in real time``, ``4 times slower than real time``; for steps without a duration how many are shown a second."""
+    """The speed in words: ``in real time``, ``4 times slower than real time``, or the steps per second."""
     if recording.control_dt is None:
         return f"{_STEPS_PER_SECOND * speed:.3g} steps per second"
     return "in real time" if speed == 1.0 else f"{1.0 / speed:.3g} times slower than real time"
 
 
 def diameters(recording: Recording) -> np.ndarray:
-    """Diameter of each particle's sphere [m], shape (num_particles,), so that those of a material fill their volume."""
+    """Diameter of each particle's ball [m], shape (num_particles,): the balls of a material fill its volume."""
     assert recording.particles is not None
     cloud = np.asarray(recording.particles[0], np.float64)
     materials = np.zeros(len(cloud), int) if recording.materials is None else np.asarray(recording.materials)
@@ -154,7 +158,7 @@ def diameters(recording: Recording) -> np.ndarray:
 
 
 def _neighbour_distance(points: np.ndarray, default: float) -> float:
-    """Median distance of some points to the nearest other one."""
+    """Median distance to the nearest neighbour, over at most 256 of the points."""
     if len(points) < 2:
         return default
     some = np.random.default_rng(0).permutation(len(points))[:256]

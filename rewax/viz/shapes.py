@@ -77,7 +77,7 @@ class View:
         return np.cross(self.right, self.up)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Places in the picture of points (..., 3), shape (..., 2)."""
+        """Picture coordinates of points (..., 3), shape (..., 2)."""
         return np.stack([points @ self.right, points @ self.up], axis=-1)
 
 
@@ -119,7 +119,7 @@ def check_drawing(drawing: Drawing) -> None:
 
 
 def _check_numbers(kind: str, key: str, value: Any) -> None:
-    """Shape, finiteness and sign of one entry."""
+    """Check the shape, finiteness and sign of one entry."""
     try:
         numbers = np.asarray(value, float)
     except (TypeError, ValueError):
@@ -127,8 +127,8 @@ def _check_numbers(kind: str, key: str, value: Any) -> None:
     name = f"{key} of the drawing of {_a(kind)}"
     _check_shape(name, numbers.shape, _SHAPES[key])
     if not np.isfinite(numbers).all():
-        said = f"is {numbers.tolist()}" if numbers.size <= 9 else "holds a number that is not finite"
-        raise ValueError(f"{name} {said}: give finite numbers")
+        problem = f"is {numbers.tolist()}" if numbers.size <= 9 else "holds a number that is not finite"
+        raise ValueError(f"{name} {problem}: give finite numbers")
     if key in ("radius", "half_length", "half_size") and not (numbers >= 0.0).all():
         raise ValueError(f"{name} is {numbers.tolist()}: give 0 or more")
     if key == "semi_axes" and not (numbers > 0.0).all():
@@ -144,19 +144,19 @@ def _a(kind: str) -> str:
 
 
 def _check_shape(name: str, shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> None:
-    """The shape of one entry; None stands for any number above 0."""
+    """Check the shape of one entry; None stands for any size above 0."""
     if len(shape) != len(wanted) or any(
         n != m if m is not None else n == 0 for n, m in zip(shape, wanted, strict=True)
     ):
-        said = ", ".join("n" if n is None else str(n) for n in wanted) + ("," if len(wanted) == 1 else "")
-        raise ValueError(f"{name} has shape {shape}: give ({said})" + (" with n > 0" if None in wanted else ""))
+        expected = ", ".join("n" if n is None else str(n) for n in wanted) + ("," if len(wanted) == 1 else "")
+        raise ValueError(f"{name} has shape {shape}: give ({expected})" + (" with n > 0" if None in wanted else ""))
 
 
 def _check_triangles(triangles: np.ndarray, num_vertices: int) -> None:
     wrong = triangles[(triangles < 0) | (triangles >= num_vertices) | (triangles != np.floor(triangles))]
     if len(wrong):
         raise ValueError(
-            f"triangles of the drawing of a mesh holds {wrong[0]:g}: give whole numbers from 0 to {num_vertices - 1}, "
+            f"triangles of the drawing of a mesh holds {wrong[0]:g}: give integers from 0 to {num_vertices - 1}, "
             "indices of its vertices"
         )
 

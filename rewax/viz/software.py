@@ -1,4 +1,4 @@
-"""A renderer that needs nothing but numpy: lit spheres for particles, exact rigid shapes, a floor with shadows."""
+"""A renderer in NumPy: particles as surfaces or lit balls, exact rigid shapes, a floor with shadows."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from rewax.viz.shapes import Drawing, placed, support
 from rewax.viz.surface import has_surfaces, surfaces
 
 _SAMPLES = 2
-"""Samples along either edge of a pixel; colours are their mean."""
+"""Samples along each edge of a pixel; its colour is their mean."""
 
 
 class SoftwareRenderer:
@@ -94,9 +94,9 @@ class SoftwareRenderer:
             self._draw_triangles(camera, corners, faces, colors[triangles].mean(axis=1), depth, picture)
         elif self._surface:
             for part in surfaces(self._recording, frame):
-                normals = part.normals[part.triangles].mean(axis=1)
+                corners, normals = part.vertices[part.triangles], part.normals[part.triangles]
                 color = colors[part.nearest][part.triangles].mean(axis=1)
-                self._draw_triangles(camera, part.vertices[part.triangles], normals, color, depth, picture)
+                self._draw_triangles(camera, corners, normals, color, depth, picture)
                 self._draw_spheres(camera, cloud, part.loose, colors, depth, picture)
         else:
             self._draw_spheres(camera, cloud, np.arange(len(cloud)), colors, depth, picture)
@@ -110,14 +110,17 @@ class SoftwareRenderer:
         depth: np.ndarray,
         picture: np.ndarray,
     ) -> None:
-        """Triangles with corners of shape (n, 3, 3) and a normal and a colour each."""
+        """Triangles with corners of shape (n, 3, 3), a colour each, and a normal each, (n, 3), or for each corner."""
         buffer = NearestBuffer(self._rows, self._columns)
         buffer.add_triangles(np.stack(camera.project(corners, self._rows, self._columns), axis=-1).astype(np.float32))
         pixels, which, at = buffer.result()
         shown = at < depth[pixels]
         pixels, which, at = pixels[shown], which[shown], at[shown]
         depth[pixels] = at
-        picture[pixels] = self._shade(normals[which].astype(np.float32), colors[which])
+        normal = normals[which]
+        if normals.ndim == 3:
+            normal = _interpolated(camera.eye + at[:, None] * self._rays[pixels], corners[which], normal)
+        picture[pixels] = self._shade(normal.astype(np.float32), colors[which])
 
     def _draw_spheres(
         self,
@@ -153,7 +156,7 @@ class SoftwareRenderer:
     def _draw_shape(
         self, camera: Camera, shape: Drawing, surface: Mesh | None, depth: np.ndarray, picture: np.ndarray
     ) -> None:
-        """A rigid shape, or the mesh that it is, where it is nearer than what is there."""
+        """Draw a rigid shape in the pixels where it is nearest."""
         seen = self._see_shape(camera, shape) if surface is None else self._see_mesh(camera, shape, surface)
         pixels, at, normal = seen
         shown = np.flatnonzero(at < depth[pixels])
@@ -180,13 +183,9 @@ class SoftwareRenderer:
         buffer.add_triangles(projected[surface.triangles].astype(np.float32))
         pixels, which, at = buffer.result()
         points = camera.eye + at[:, None] * self._rays[pixels]
-        corners = vertices[surface.triangles[which]]
-        opposite = [np.cross(corners[:, i - 2] - points, corners[:, i - 1] - points) for i in range(3)]
-        face = sum(opposite)
-        share = np.stack([np.einsum("ni,ni->n", part, face) for part in opposite], axis=1)
-        normals = np.einsum("nc,nci->ni", np.maximum(share, 0.0), surface.normals[surface.triangles[which]])
-        normals = turned(normals, np.asarray(shape["rotation"], float).T)
-        return pixels, at, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        corners = surface.triangles[which]
+        normals = _interpolated(points, vertices[corners], surface.normals[corners])
+        return pixels, at, turned(normals, np.asarray(shape["rotation"], float).T)
 
     def _rectangle(self, camera: Camera, shape: Drawing) -> tuple[np.ndarray, np.ndarray]:
         """First and last column and row that may show a shape; all of them for one that reaches behind the eye."""
@@ -204,7 +203,7 @@ class SoftwareRenderer:
         return np.clip(first, 0, whole), np.clip(last, 0, whole)
 
     def _shade(self, normal: np.ndarray, color: np.ndarray) -> np.ndarray:
-        """Light from the sky, from the eye and from a lamp, with a small gleam."""
+        """Colours under light from the sky, from the eye and from a lamp, with a small highlight."""
         lamp = np.maximum(normal @ self._light, 0.0)
         from_sky = 0.5 + 0.5 * (normal @ self._up.astype(np.float32))
         halfway = self._light + self._axes[2]
@@ -214,11 +213,25 @@ class SoftwareRenderer:
         return (light[:, None] * color + 0.14 * gleam[:, None]).astype(np.float32)
 
     def _enlarge(self, pixels: np.ndarray) -> np.ndarray:
-        """Pixels as their samples, shape (num_samples, ...)."""
+        """Repeat each pixel for its samples, shape (num_samples, ...)."""
         height, width = self._size
         large = np.empty((height, _SAMPLES, width, _SAMPLES, *pixels.shape[1:]), np.float32)
         large[:] = pixels.reshape(height, 1, width, 1, *pixels.shape[1:])
         return large.reshape(self._rows * self._columns, *pixels.shape[1:])
+
+
+def _interpolated(points: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Unit normals at points of triangles, weighted by the areas opposite to their corners.
+
+    Args:
+      points: shape (n, 3).
+      corners, normals: of each point's triangle, shape (n, 3, 3).
+    """
+    opposite = [np.cross(corners[:, i - 2] - points, corners[:, i - 1] - points) for i in range(3)]
+    face = sum(opposite)
+    share = np.stack([np.einsum("ni,ni->n", part, face) for part in opposite], axis=1)
+    normal = np.einsum("nc,nci->ni", np.maximum(share, 0.0), normals)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
 
 def _rays(camera: Camera, rows: int, columns: int) -> np.ndarray:

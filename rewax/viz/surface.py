@@ -1,21 +1,25 @@
-"""Surfaces of particles: marching cubes over a smoothed density, one surface for each material."""
+"""Surfaces of particles: where a smoothed density falls to half, one surface for each material.
+
+The player computes the same surfaces in the browser (``player_surface.js``).
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from rewax.viz.recording import Recording, diameters
+from rewax.viz.surface_nets import surface_nets
 
-_CELLS_PER_DIAMETER = 2.5
+CELLS_PER_DIAMETER = 2.0
 """Cells of the density's grid along a particle's diameter."""
-_SMOOTHING = 0.75
-"""Standard deviation of the Gaussian that spreads a particle, in diameters."""
-_LEVEL = 0.5
-"""Of the density where the surface lies; 1 is that in the interior of material at rest."""
-_MARGIN = 4
-"""Cells around the particles, so that every surface is closed."""
+SMOOTHING = 1.0
+"""Standard deviation of the Gaussian around a particle, in diameters."""
+LEVEL = 0.5
+"""Density on the surface; 1 is the median over the particles, thus that of the interior."""
+MARGIN = 4
+"""Cells between the particles and the end of the grid, so that every surface is closed."""
 _MAX_CELLS = 2_000_000
-"""Of one grid. Far splashes make cells longer rather than the picture slow."""
+"""Largest grid. Where splashes fly far, cells become longer instead."""
 
 
 class Surface(NamedTuple):
@@ -24,9 +28,9 @@ class Surface(NamedTuple):
     Attributes:
       vertices: [m], shape (num_vertices, 3).
       normals: outward, of unit length, shape (num_vertices, 3).
-      triangles: shape (num_triangles, 3).
+      triangles: counter-clockwise seen from outside, shape (num_triangles, 3).
       nearest: index of the particle nearest to each vertex, shape (num_vertices,).
-      loose: indices of particles outside it, which fly alone, shape (num_loose,).
+      loose: indices of the particles that fly alone, outside the surface, shape (num_loose,).
     """
 
     vertices: np.ndarray
@@ -37,33 +41,16 @@ class Surface(NamedTuple):
 
 
 def has_surfaces(recording: Recording) -> bool:
-    """Whether a recording shows particles, and not the vertices of a mesh, which have a surface already."""
+    """Whether the recording has particles that are not vertices of a mesh: a mesh has a surface already."""
     return recording.particles is not None and recording.triangles is None
 
 
-def need_marching_cubes() -> None:
-    """Check that the packages are there.
-
-    Raises:
-      ValueError: scikit-image is not installed.
-    """
-    try:
-        import scipy.spatial  # noqa: F401
-        import skimage.measure  # noqa: F401
-    except ImportError:
-        raise ValueError("surfaces need scikit-image: pip install 'rewax[surfaces]'") from None
-
-
 def surfaces(recording: Recording, frame: int) -> list[Surface]:
-    """The surface of each material's particles in a frame; none for a material without particles.
+    """The surface of each material's particles in a frame, in the order of the materials; absent materials have none.
 
-    A particle is spread by a Gaussian over the nodes of a grid. The surface (Lorensen and Cline 1987) lies where the
-    density is half that of the interior. Particles outside, further than a diameter from it, are loose.
-
-    Raises:
-      ValueError: scikit-image is not installed.
+    Each particle adds a Gaussian to a density on a grid. The surface lies where the density is half of the median over
+    the particles. Particles outside it, further than a diameter away, are loose.
     """
-    need_marching_cubes()
     assert recording.particles is not None
     cloud, sizes = np.asarray(recording.particles[frame], np.float64), diameters(recording)
     materials = np.zeros(len(cloud), int) if recording.materials is None else np.asarray(recording.materials)
@@ -73,34 +60,35 @@ def surfaces(recording: Recording, frame: int) -> list[Surface]:
 
 def _surface(cloud: np.ndarray, members: np.ndarray, diameter: float) -> Surface:
     from scipy.ndimage import gaussian_filter
-    from scipy.spatial import cKDTree
-    from skimage.measure import marching_cubes
+    from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
     points = cloud[members]
     extent = np.ptp(points, axis=0)
-    cell = max(diameter / _CELLS_PER_DIAMETER, float(np.prod(extent + diameter) / _MAX_CELLS) ** (1 / 3))
-    low = points.min(axis=0) - _MARGIN * cell
-    where = (points - low) / cell
-    density = _spread(where, np.ceil(extent / cell).astype(int) + 2 * _MARGIN + 1)
-    density = gaussian_filter(density, _SMOOTHING * diameter / cell, mode="constant", truncate=3.0)
-    at_particles = density[tuple(np.rint(where).astype(int).T)]
-    level = _LEVEL * float(np.median(at_particles))
-    vertices, triangles, normals, _ = marching_cubes(density, level, spacing=(cell,) * 3, gradient_direction="descent")
-    vertices = vertices + low
+    cell = max(diameter / CELLS_PER_DIAMETER, float(np.prod(extent + diameter) / _MAX_CELLS) ** (1 / 3))
+    low = points.min(axis=0) - MARGIN * cell
+    place = (points - low) / cell
+    density = _counts(place, np.ceil(extent / cell).astype(int) + 2 * MARGIN + 1)
+    density = gaussian_filter(density, SMOOTHING * diameter / cell, mode="constant", truncate=3.0)
+    for axis in range(3):  # a closed surface even where many particles share a place
+        np.moveaxis(density, axis, 0)[[0, 1, -2, -1]] = 0.0
+    at_particles = density[tuple(np.rint(place).astype(int).T)]
+    level = LEVEL * float(np.median(at_particles))
+    vertices, normals, triangles = surface_nets(density, level)
+    vertices = low + cell * vertices
     nearest = members[cKDTree(points).query(vertices)[1]]
     away = cKDTree(vertices).query(points)[0] > diameter
-    # scikit-image lists corners clockwise seen from outside.
-    return Surface(vertices, normals, triangles[:, ::-1], nearest, members[(at_particles < level) & away])
+    return Surface(vertices, normals, triangles, nearest, members[(at_particles < level) & away])
 
 
-def _spread(where: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """How many particles the nodes of a grid hold, each shared among the eight corners of its cell."""
-    base, part = np.floor(where).astype(int), where - np.floor(where)
-    density = np.zeros(tuple(shape))
+def _counts(place: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Number of particles at each node of a grid; a particle is shared among the eight corners of its cell."""
+    base, part = np.floor(place).astype(int), place - np.floor(place)
+    counts = np.zeros(int(np.prod(shape)))
     for corner in np.ndindex(2, 2, 2):
         weight = np.prod(np.where(corner, part, 1.0 - part), axis=1)
-        np.add.at(density, tuple((base + corner).T), weight)
-    return density
+        flat = np.ravel_multi_index(tuple((base + corner).T), tuple(shape))
+        counts += np.bincount(flat, weights=weight, minlength=len(counts))
+    return counts.reshape(tuple(shape))
 
 
-__all__ = ["Surface", "has_surfaces", "need_marching_cubes", "surfaces"]
+__all__ = ["CELLS_PER_DIAMETER", "LEVEL", "MARGIN", "SMOOTHING", "Surface", "has_surfaces", "surfaces"]

@@ -1,4 +1,4 @@
-"""Videos of recordings: MP4 through ffmpeg, which comes with imageio-ffmpeg."""
+"""Videos of recordings: MP4, encoded by the ffmpeg of imageio-ffmpeg."""
 
 import subprocess
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ import numpy as np
 from rewax.viz.recording import Recording, describe_speed, playback
 
 SIZE = (360, 480)
-"""Height and width of a video in pixels."""
+"""Default height and width of a video [pixels]."""
 
 
 def record_video(
@@ -19,7 +19,7 @@ def record_video(
     size: tuple[int, int] = SIZE,
     renderer: str = "auto",
     color_by: str = "material",
-    surface: bool = False,
+    surface: bool | None = None,
 ) -> str:
     """Draw a recording as a video.
 
@@ -30,11 +30,11 @@ def record_video(
       renderer, color_by, surface: as for ``rewax.viz.render.pictures``.
 
     Returns:
-      How fast it plays: ``in real time``, ``4 times slower than real time``.
+      The playback speed in words: ``in real time``, ``4 times slower than real time``.
 
     Raises:
-      ValueError: an odd size, or what ``pictures`` refuses.
-      OSError: ffmpeg or the file fails.
+      ValueError: the size is odd, or ``pictures`` raises.
+      OSError: ffmpeg fails, or the file cannot be written.
     """
     from rewax.viz.render import pictures
 
@@ -49,13 +49,13 @@ def write_video(frames: Iterable[np.ndarray], out_mp4: str | Path, *, rate: floa
 
     Args:
       frames: uint8, shape (height, width, 3) each.
-      out_mp4: video to write; it appears when it is complete.
+      out_mp4: video to write. The file appears once it is complete.
       rate: frames per second, > 0.
       size: height and width in pixels, even numbers.
 
     Raises:
-      ValueError: an odd size or a rate that is not positive.
-      OSError: ffmpeg or the file fails.
+      ValueError: the size is odd or the rate is not positive.
+      OSError: ffmpeg fails, or the file cannot be written.
     """
     height, width = size
     if height % 2 or width % 2 or min(size) < 2:
@@ -70,7 +70,7 @@ def write_video(frames: Iterable[np.ndarray], out_mp4: str | Path, *, rate: floa
         "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "veryfast", "-movflags", "+faststart",
         str(unfinished),
     ]  # fmt: skip
-    # A session of its own: Ctrl-C does not reach it, and the file is complete.
+    # In its own session ffmpeg does not receive Ctrl-C, so the file is completed.
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
     try:
         _feed(process, frames)
@@ -87,16 +87,16 @@ def _feed(process: "subprocess.Popen[bytes]", frames: Iterable[np.ndarray]) -> N
     try:
         for frame in frames:
             process.stdin.write(np.ascontiguousarray(frame).tobytes())
-    except BrokenPipeError:  # it ended early; what it said follows
+    except BrokenPipeError:  # ffmpeg died early; its error output follows
         pass
-    _, said = process.communicate()
+    _, output = process.communicate()
     if process.returncode:
-        lines = said.decode(errors="replace").strip().splitlines() or ["nothing"]
+        lines = output.decode(errors="replace").strip().splitlines() or ["nothing"]
         raise OSError(f"ffmpeg failed; it said: {lines[-1]}")
 
 
 def _ffmpeg() -> str:
-    """The program, the one that comes with imageio-ffmpeg or another one that it finds."""
+    """Path of ffmpeg: that of imageio-ffmpeg, or one that imageio-ffmpeg finds on the system."""
     import imageio_ffmpeg
 
     try:

@@ -1,15 +1,23 @@
 """gymnasium's own checker, and the same numbers as the environment itself."""
 
+import importlib
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from toys import PointMass, point_mass
+from toys import PointMass, point_mass, subprocess_environment
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'rewax[gymnasium]'")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
+import rewax  # noqa: E402
+from rewax.adapters import gymnasium_ids  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv  # noqa: E402
 
 
@@ -105,8 +113,9 @@ def test_gymnasiums_wrappers_and_vector_wrappers_work():
 
 
 def test_wrong_numbers_of_environments_and_seeds():
-    with pytest.raises(ValueError, match="num_envs is 0"):
-        GymnasiumVectorEnv(point_mass(), 0)
+    for num_envs in (0, "3", True):
+        with pytest.raises(ValueError, match=r"num_envs is .*: give an integer of at least 1"):
+            GymnasiumVectorEnv(point_mass(), num_envs)
     with pytest.raises(ValueError, match="2 seeds for 3 environments"):
         GymnasiumVectorEnv(point_mass(), 3).reset(seed=[0, 1])
 
@@ -132,3 +141,36 @@ def test_pictures_change_with_the_state():
     assert GymnasiumEnv(point_mass()).render() is None
     with pytest.raises(ValueError, match="render_mode is 'human': give 'rgb_array' or None"):
         GymnasiumEnv(point_mass(), render_mode="human")
+
+
+def test_every_task_has_a_name_for_gymnasium():
+    assert list(gymnasium_ids.TASKS) == [name for name in rewax.list_envs() if name in gymnasium_ids.TASKS]
+    shipped = [line.split('"')[1] for line in Path(rewax.envs.__file__).read_text().splitlines() if "register(" in line]
+    assert sorted(shipped) == list(gymnasium_ids.TASKS)
+    for name in shipped:
+        for scale in gymnasium_ids.SCALES:
+            assert f"rewax/{name}-{scale}-v0" in gymnasium.registry
+
+
+def test_gymnasium_makes_a_task_by_its_name():
+    env = gymnasium.make("rewax/CartpoleSwingUp-small-v0", num_substeps=8)
+    assert env.unwrapped.env.num_substeps == 8 and env.unwrapped.env.made_by["scale"] == "small"
+    assert env.observation_space["state"].shape == (5,)
+    envs = gymnasium.make_vec("rewax/CartpoleSwingUp-small-v0", num_envs=2)
+    assert isinstance(envs.unwrapped, GymnasiumVectorEnv) and envs.num_envs == 2
+
+
+def test_the_entry_point_imports_no_jax():
+    code = "import sys, gymnasium\nfrom rewax.adapters.gymnasium_ids import register_envs\nregister_envs()\nregister_envs()\n"
+    code += "print('jax' in sys.modules, 'rewax/RollingFlat-paper-v0' in gymnasium.registry)"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        env=subprocess_environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["False", "True"]
+    entry = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]["entry-points"]
+    module, function = entry["gymnasium.envs"]["rewax"].split(":")
+    assert getattr(importlib.import_module(module), function) is gymnasium_ids.register_envs

@@ -10,6 +10,7 @@ stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install
 import rewax  # noqa: E402
 from benchmarks import stable_baselines as comparison  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv  # noqa: E402
+from rewax.adapters.stable_baselines3 import StableBaselinesVecEnv  # noqa: E402
 from rewax.agents.registry import algorithm  # noqa: E402
 
 
@@ -39,7 +40,7 @@ def test_the_benchmark_gives_it_the_layers_of_rewax(name):
     )
     changes = ["minibatches=1", "epochs=1"] if name == "ppo" else ["batch_size=16", "updates=2", "warmup_steps=4"]
     config, task = comparison.changed(config, changes), toys.point_mass()
-    env = comparison.Batched(task, config.num_envs, 0)
+    env = StableBaselinesVecEnv(task, config.num_envs, flat=True)
     policy = comparison.learner(name, config, env, 0, like_ours=False).policy
     theirs = sum(p.numel() for n, p in policy.named_parameters() if "target" not in n)
     state = algorithm(name).make(task, config).init(jax.random.key(0))
@@ -52,14 +53,15 @@ def test_the_benchmark_gives_it_the_layers_of_rewax(name):
 def test_its_sac_trains_like_ours():
     changes = ["num_envs=4", "horizon=4", "batch_size=16", "updates=2", "warmup_steps=4", "max_grad_norm=1e-6"]
     config = comparison.changed(algorithm("sac").preset("Mine", "small"), changes)
-    env = comparison.Batched(toys.point_mass(), config.num_envs, 0)
+    env = StableBaselinesVecEnv(toys.point_mass(), config.num_envs, flat=True)
     learner = comparison.learner("sac", config, env, 0, like_ours=True)
     weight = learner.critic.q_networks[0][-1].weight
     np.testing.assert_allclose(weight.norm().item(), config.initial_gain, rtol=1e-5)  # one orthogonal row
     target = learner.critic_target.q_networks[0][-1].weight
     np.testing.assert_array_equal(target.detach().numpy(), weight.detach().numpy())
     learner.learn(64)
-    norm = sum(float((p.grad**2).sum()) for p in learner.critic.parameters()) ** 0.5
+    # The actor's: that of the critics has the actor's loss added after their update.
+    norm = sum(float((p.grad**2).sum()) for p in learner.actor.parameters()) ** 0.5
     np.testing.assert_allclose(norm, 1e-6, rtol=1e-2)
     assert learner.ent_coef_optimizer.param_groups[0]["lr"] == config.temperature_learning_rate
 
@@ -73,14 +75,29 @@ def test_a_shifted_reward_is_the_reward_and_a_number():
     assert shifted.episode_length == task.episode_length
 
 
-def test_returns_there_are_those_of_whole_episodes():
-    env = comparison.Batched(toys.point_mass(), 3, 0)
-    start, total = env.reset(), np.zeros(3)
-    for _ in range(5):
-        env.step_async(np.zeros((3, 1), np.float32))
-        obs, rewards, done, infos = env.step_wait()
-        total += rewards
-    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
-    np.testing.assert_allclose([info["episode"]["r"] for info in infos], -5 * start[:, 0] ** 2, rtol=1e-5)
-    np.testing.assert_allclose([info["terminal_observation"] for info in infos], start)
-    assert (obs != start).all()  # the next episode's
+@pytest.mark.parametrize("flat", [False, True])
+def test_its_ppo_runs_on_a_batch_and_logs_returns(flat):
+    envs = StableBaselinesVecEnv(toys.point_mass(), 4, flat=flat)
+    learner = stable_baselines3.PPO(
+        "MlpPolicy" if flat else "MultiInputPolicy", envs, n_steps=16, batch_size=32, n_epochs=1, seed=0
+    )
+    learner.learn(total_timesteps=128)
+    assert learner.num_timesteps == 128 and len(learner.ep_info_buffer) == 4 * (128 // 4 // 5)
+    assert np.isfinite([episode["r"] for episode in learner.ep_info_buffer]).all()
+
+
+def test_a_seed_gives_the_same_episodes():
+    envs = StableBaselinesVecEnv(toys.point_mass(), 3, seed=7)
+    first, second = envs.reset()["x"], envs.reset()["x"]
+    envs.seed(7)
+    assert (first != second).all()
+    np.testing.assert_array_equal(envs.reset()["x"], first)
+
+
+def test_it_answers_what_stable_baselines3_asks():
+    env = toys.point_mass()
+    envs = StableBaselinesVecEnv(env, 3)
+    assert envs.get_attr("episode_length", [0, 2]) == [5, 5] and envs.env_is_wrapped(object) == [False] * 3
+    assert envs.render_mode is None and not envs.has_attr("nothing")
+    with pytest.raises(AttributeError, match="environments of rewax are immutable"):
+        envs.set_attr("length", 3)

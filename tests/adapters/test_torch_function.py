@@ -49,6 +49,16 @@ def test_without_gradient_nothing_is_recorded():
     np.testing.assert_allclose(out, np.sin(np.ones(2)), rtol=1e-6)
 
 
+def test_a_float64_tensor_is_not_rounded_in_silence():
+    for argument in (torch.ones(2, dtype=torch.float64), np.ones(2)):
+        with pytest.raises(
+            ValueError, match=r"a tensor is float64, but JAX computes in float32: give tensor\.float\(\)"
+        ):
+            torch_function(jnp.sin)(argument)
+    with jax.enable_x64(True):
+        assert torch_function(jnp.sin)(torch.ones(2, dtype=torch.float64)).dtype == torch.float64
+
+
 def test_torchs_own_check_of_gradients():
     with jax.enable_x64(True):
         x = torch.linspace(0.1, 1.0, 4, dtype=torch.float64, requires_grad=True)

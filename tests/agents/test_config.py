@@ -3,13 +3,16 @@
 import dataclasses
 import inspect
 
+import numpy as np
 import pytest
 
 from rewax.agents.config import FirstOrderConfig
+from rewax.agents.legal import legal_values
 from rewax.agents.ppo import PPOConfig
 from rewax.agents.registry import algorithm, list_algorithms
 from rewax.agents.sac import SACConfig
 from rewax.agents.shac import SHACConfig
+from rewax.training.config import TrainConfig
 
 
 @pytest.mark.parametrize(
@@ -17,7 +20,7 @@ from rewax.agents.shac import SHACConfig
     [
         ({"num_envs": 0}, "num_envs is 0: give a whole number of at least 1"),
         ({"horizon": -3}, "horizon is -3: give a whole number of at least 1"),
-        ({"horizon": 2.5}, "horizon is 2.5: give a whole number of at least 1"),
+        ({"horizon": 2.5}, "horizon is 2.5: give a whole number"),
         ({"num_critics": 0}, "num_critics is 0: give a whole number of at least 1"),
         ({"discount": 1.01}, "discount is 1.01: give a number between 0 and 1"),
         ({"td_lambda": -0.1}, "td_lambda is -0.1: give a number between 0 and 1"),
@@ -91,3 +94,46 @@ def test_defaults_are_the_papers():
     assert (c.actor_widths, c.critic_widths) == ((512, 256), (256, 256))
     assert (c.point_widths, c.point_features, c.vector_features) == ((64, 128, 256), 64, 128)
     assert c.activation == "silu" and c.log_std_range == (-5.0, 2.0)
+
+
+VALUES = (True, -3, 0, 2.5, float("nan"), float("inf"), None, "a", "", [], [1, "a"], [-1, -2], {}, b"a", object())
+"""Most of these are legal for no option; none may be accepted for an option of another type, or raise another error."""
+
+
+@pytest.mark.parametrize("name", ["report", *list_algorithms()])
+def test_every_option_has_legal_values_and_refuses_others_in_one_sentence(name):
+    config = TrainConfig(num_iterations=1, run_dir="a") if name == "report" else algorithm(name).config_type()
+    legal = legal_values(type(config))
+    for field in dataclasses.fields(config):
+        for value in VALUES:
+            try:
+                changed = dataclasses.replace(config, **{field.name: value})
+            except ValueError as error:
+                message = str(error)
+                assert field.name in message and ": " in message and "\n" not in message
+                continue
+            now, default = getattr(changed, field.name), getattr(config, field.name)
+            assert legal[field.name].holds(now), field.name
+            assert now is None or default is None or isinstance(now, bool) == isinstance(default, bool), field.name
+
+
+def test_numpys_numbers_become_pythons():
+    config = FirstOrderConfig(num_envs=np.int64(8), discount=np.float32(0.5))
+    assert type(config.num_envs) is int and type(config.discount) is float
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"adam_b1": -3}, "adam_b1 is -3: give a number of at least 0 and below 1"),
+        ({"quick_compile": -3}, "quick_compile is -3: give True or False"),
+        ({"num_envs": True}, "num_envs is True: give a whole number of at least 1"),
+        ({"actor_widths": ["a"]}, r"actor_widths is \('a',\): give whole numbers of at least 1"),
+        ({"log_std_range": (2.0, -5.0)}, r"log_std_range is \(2.0, -5.0\): give two numbers in ascending order"),
+        ({"initial_log_std": float("nan")}, "initial_log_std is nan: give a number"),
+        ({"critic_chunk": "a"}, "critic_chunk is 'a': give a whole number, or None"),
+    ],
+)
+def test_types_and_ranges_are_checked(changes, sentence):
+    with pytest.raises(ValueError, match=f"^{sentence}$"):
+        FirstOrderConfig(**changes)

@@ -110,12 +110,14 @@ def test_each_episode_draws_parameters_of_its_own():
 
 
 def test_a_batch_of_another_size_is_refused_before_anything_compiles():
-    with pytest.raises(ValueError, match=r"^num_envs is 3, but the batch's leaf .gain has shape \(2,\): give every"):
+    with pytest.raises(ValueError, match=r"^num_envs is 3, but .gain of the batch has shape \(2,\): give every"):
         make_sapo(stack(ENVS[:2]), CONFIG)
 
 
 def test_a_hook_that_the_environment_refuses_is_refused_before_anything_compiles():
-    sentence = r"^PointMass has no leaf 'gian': near are gain; rewax.envs.randomize.leaves\(env\) has all 1 by name"
+    sentence = (
+        r"^PointMass has no parameter 'gian': near are gain; rewax.envs.randomize.leaves\(env\) has all 1 by name"
+    )
     for env in (ENVS[0], stack(ENVS)):
         with pytest.raises(ValueError, match=sentence):
             make_sapo(env, CONFIG, randomize=hook({"gian": Uniform(0.5, 2.0)}))

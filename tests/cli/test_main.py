@@ -41,9 +41,9 @@ def test_without_a_command_the_help_names_all(capsys):
 @pytest.mark.parametrize(
     ("argv", "sentence"),
     [
-        (["trian"], "there is no command 'trian': use one of train, eval, bench, tune, play, plot, export, landscape, envs, check, doctor, completion, or --help"),
+        (["trian"], "there is no command 'trian': did you mean 'train'? use one of train, eval, bench, tune, play, plot, export, landscape, envs, check, doctor, completion, or --help"),
         (["eval"], "rewax eval needs one run directory or task: rewax eval HandFlip"),
-        (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: use 1 or more"),
+        (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: give a whole number of at least 1"),
         (["eval", "--run-dir=a", "--episode=9"], "there is no option --episode: did you mean '--episodes'? rewax eval --help lists them"),
         (["eval", "--run-dir=."], ". holds no complete checkpoint: check the path"),
         (["envs", "--import=no.such.module"], "there is no module 'no.such.module' to import: check the name, or give the path of a .py file"),
@@ -55,9 +55,29 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, c
     assert capsys.readouterr() == ("", f"error: {sentence}\n")
 
 
-def test_envs_prints_every_name(capsys):
-    assert main(["envs"]) == 0
-    assert capsys.readouterr().out.split() == registry.list_envs()
+def test_envs_prints_names_alone_where_a_program_reads_them(capsys):
+    for argv in (["envs"], ["envs", "--names"]):
+        assert main(argv) == 0
+        assert capsys.readouterr().out.split() == registry.list_envs()
+
+
+def test_envs_says_what_they_are_and_what_make_takes(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["envs", "--table"]) == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
+    assert set(registry.list_envs()) <= set(rows)
+    assert "flatten a piece of dough with a rolling pin." in rows["RollingFlat"]
+    assert "youngs_modulus, yield_stress, dt" in rows["RollingFlat"] and "onset, stale_mass_matrix" in rows["AntRun"]
+
+
+def test_envs_describes_those_that_are_named(capsys):
+    assert main(["envs", "RollingFlat", "--scale=small"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("RollingFlat at scale small: flatten a piece of dough with a rolling pin.\n")
+    for words in ("particle_q (64, 3)", "(3,), from -1 to 1", "60 control steps of 0.007 s", "youngs_modulus=750.0"):
+        assert words in text
+    assert main(["envs", "RolingFlat"]) == 2
+    assert "did you mean 'RollingFlat'?" in capsys.readouterr().err
 
 
 def test_a_reader_that_leaves_early_is_no_error(tmp_path):
@@ -83,11 +103,12 @@ def test_an_environment_of_ones_own_is_trained_and_evaluated(tmp_path):
     evaluated = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2", "--import=tasks")
     assert evaluated.returncode == 0, evaluated.stderr
     assert evaluated.stdout.startswith("sapo on Mine, iteration 1\n") and "0 of 2 failed" in evaluated.stdout
+    evaluated = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2", "--no-video")
+    assert evaluated.returncode == 0, evaluated.stderr
+    (tmp_path / "tasks.py").unlink()
     unknown = rewax(tmp_path, "eval", "--run-dir=a", "--episodes=2")
     assert unknown.returncode == 2 and unknown.stderr.count("\n") == 1
-    assert (
-        "no environment named 'Mine'" in unknown.stderr and "on the command line with --import MODULE" in unknown.stderr
-    )
+    assert "--import of the module 'tasks' in" in unknown.stderr and "which is gone: put it back" in unknown.stderr
 
 
 def test_the_examples_are_these_commands(tmp_path):

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import io
 import sys
+from typing import Literal
 
 import pytest
 
@@ -13,6 +14,9 @@ from rewax.cli.options import Imports, import_modules, parse
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Inner:
     num_envs: int = 3
+    limit: float | None = None
+    kind: Literal["a", "b"] = "a"
+    flag: bool = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,8 +51,13 @@ def test_options_are_read():
     [
         (["--inner.num-env=5"], "there is no option --inner.num-env: did you mean '--inner.num-envs'? tool --help lists them"),
         (["--imports=a"], "there is no option --imports: did you mean '--import'? tool --help lists them"),
-        (["stray"], "there is no option stray: tool --help lists them"),
-        (["--inner.num-envs=many"], "Error parsing --inner.num-envs: invalid literal for int() with base 10: 'many'; tool --help lists the options"),
+        (["stray"], "tool takes no argument 'stray': tool --help lists the options"),
+        (["RollingFlat"], "tool takes no argument 'RollingFlat': did you mean --env RollingFlat? tool --help lists the options"),
+        (["--inner.num-envs=many"], "--inner.num-envs is 'many': give a whole number; tool --help lists the options"),
+        (["--inner.limit=abc"], "--inner.limit is 'abc': give a number, or None; tool --help lists the options"),
+        (["--inner.limit"], "--inner.limit lacks a value: give 1 after it; tool --help lists the options"),
+        (["--inner.kind=c"], "--inner.kind is 'c': use a or b; tool --help lists the options"),
+        (["--inner.flag=3"], "--inner.flag takes no value, but '3' was given: write --inner.flag, or --inner.no-flag for the opposite"),
     ],
 )  # fmt: skip
 def test_an_option_that_cannot_be_is_one_sentence(argv, sentence, capfd):
@@ -78,10 +87,20 @@ def test_a_file_with_the_name_of_another_module_is_refused(folder):
             import_modules([name])
 
 
-def test_errors_inside_a_module_are_its_own(folder):
+def test_an_exception_inside_a_module_is_a_sentence_with_its_line(folder):
     (folder / "broken.py").write_text("import package_that_is_missing\n")
-    for name in ("broken", "broken.py"):
-        with pytest.raises(ModuleNotFoundError, match="package_that_is_missing"):
+    (folder / "wrong.py").write_text("import rewax\nrewax.register('A', 'nothing')\n")
+    (folder / "unreadable.py").write_text("def f(:\n")
+    (folder / "leaves.py").write_text("import sys\nsys.exit(3)\n")
+    for name, words in {
+        "broken": r"broken failed at .*broken\.py:1 \(import package_that_is_missing\): ModuleNotFoundError: No module",
+        "broken.py": r"broken\.py:1 ",
+        "wrong.py": r"wrong\.py:2 \(rewax\.register\('A', 'nothing'\)\): ValueError: the factory of 'A'",
+        "unreadable": r"unreadable\.py:1: SyntaxError: ",
+        "leaves": r"leaves\.py:2 \(sys\.exit\(3\)\): SystemExit: 3",
+    }.items():
+        with pytest.raises(ValueError, match=words):
             import_modules([name])
-    with pytest.raises(ValueError, match=r"there is no module 'broken\.part'|there is no module 'absent\.part'"):
-        import_modules(["absent.part"])
+    for name in ("absent.part", "..", "a..b"):
+        with pytest.raises(ValueError, match=f"there is no module '{name}'"):
+            import_modules([name])

@@ -99,10 +99,12 @@ def test_steps_are_rounded_up_to_iterations_and_resume_continues(main, tmp_path)
         (["--env", "PointMas"], "there is no environment named 'PointMas': did you mean 'PointMass'?"),
         (["--scale=medium"], "scale is 'medium': use one of 'paper', 'small'"),
         (["--toy.noise=-1"], "noise is -1.0: use 0 or more"),
-        (["--train.log-every=0"], "log_every is 0: use 1 or more"),
-        (["--steps=0"], "steps is 0: use 1 or more"),
-        (["--seed=-1"], "seed is -1: use 0 or more"),
-        (["--toy.noise=loud"], "could not convert string to float: 'loud'"),
+        (["--train.log-every=0"], "log_every is 0: give a whole number of at least 1"),
+        (["--steps=0"], "steps is 0: give a whole number of at least 1"),
+        (["--seed=-1"], "seed is -1: give a whole number from 0 to 4294967295"),
+        (["--toy.noise=loud"], "--toy.noise is 'loud': give a number"),
+        (["--steps", "abc"], "--steps is 'abc': give a whole number, or None"),
+        (["PointMass"], "rewax train takes no argument 'PointMass': did you mean --env PointMass?"),
         (["--quux=3"], "there is no option --quux: rewax train --help lists them"),
         (
             ["--toy.nois=0.1"],
@@ -119,7 +121,7 @@ def test_impossible_input_is_one_sentence_and_exit_code_2(main, tmp_path, argv, 
     assert code == 2
     *_, last = text.splitlines()
     assert last.startswith("error: ") and sentence in last and "Traceback" not in text
-    assert not list(tmp_path.rglob("metrics.csv"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_unreadable_checkpoint_is_exit_code_2(main, tmp_path):
@@ -146,6 +148,50 @@ def test_an_imported_module_registers_a_randomised_environment(main, tmp_path, m
     assert code == 0 and "toy on Varied" in text
     gains = load_run(tmp_path / "a").train_state.envs.drawn[".gain"]
     assert len(set(gains.tolist())) == 4 and gains.min() >= 0.2 and gains.max() < 0.4
+
+
+def test_a_run_remembers_what_was_imported(main, tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_FACTORIES", dict(registry._FACTORIES))
+    (tmp_path / "remembered.py").write_text(
+        "import rewax, toys\nrewax.register('Own', lambda scale: toys.point_mass())\n"
+    )
+    assert main("--env=Own", "--import=remembered.py", "--run-dir=a")[0] == 0
+
+    def forget():
+        registry._FACTORIES.pop("Own")
+        sys.modules.pop("remembered", None)
+
+    forget()
+    monkeypatch.chdir("/")
+    assert int(load_run(tmp_path / "a").train_state.iteration) == 2
+    forget()
+    code, text = main("--env=Own", f"--run-dir={tmp_path / 'a'}", "--resume", "--steps=36")
+    assert code == 0 and "resuming" in text
+    assert json.loads((tmp_path / "a" / "config.json").read_text())["imports"] == [
+        {"name": "remembered", "folder": str(tmp_path)}
+    ]
+    forget()
+    (tmp_path / "remembered.py").unlink()
+    with pytest.raises(ValueError, match=r"with --import of the module 'remembered' in .*, which is gone: put it back"):
+        load_run(tmp_path / "a")
+
+
+def test_what_a_factory_returns_is_checked(main, tmp_path, monkeypatch):
+    monkeypatch.setitem(registry._FACTORIES, "Number", lambda scale: 5)
+    code, text = main("--env=Number")
+    assert code == 2 and "the factory of 'Number' returned '5', which has no method reset: return an env" in text
+    monkeypatch.setitem(registry._FACTORIES, "Breaks", lambda scale: [][0])
+    code, text = main("--env=Breaks")
+    assert code == 2 and "building Breaks at scale small failed at " in text and "IndexError" in text
+    for change, sentence in (
+        ({"make": lambda env, config: 5}, "make of the algorithm 'toy' returned 5: return a rewax.agents.base.Agent"),
+        ({"preset": lambda env, scale: 5}, "the preset of toy returned 5: return a ToyConfig"),
+    ):
+        changed = Algorithm(make, ToyConfig, preset)._replace(**change)
+        monkeypatch.setitem(agents._ALGORITHMS, "toy", lambda changed=changed: changed)
+        code, text = main()
+        assert code == 2 and sentence in text and "Traceback" not in text
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_that_fails_is_exit_code_1(main, monkeypatch):

@@ -52,7 +52,7 @@ def test_a_batch_is_a_loop():
     leaves = EnvLeaves.of(batch)
     assert leaves.axis == 0 and leaves.first().gain == jnp.float32(0.1)
     leaves.check_size(3)
-    with pytest.raises(ValueError, match=r"^num_envs is 4, but the batch's leaf .gain has shape \(3,\): give every"):
+    with pytest.raises(ValueError, match=r"^num_envs is 4, but .gain of the batch has shape \(3,\): give every"):
         leaves.check_size(4)
 
 
@@ -73,7 +73,9 @@ def test_what_cannot_be_stacked_says_so():
         stack([])
     with pytest.raises(ValueError, match="differ in a static field"):
         stack([toys.point_mass(5), toys.point_mass(6)])
-    with pytest.raises(ValueError, match=r"a leaf has shapes \[\(\), \(2,\)\]: give all the same"):
+    with pytest.raises(
+        ValueError, match=r"a parameter has shapes \[\(\), \(2,\)\]: give it the same shape in all environments"
+    ):
         stack([toys.point_mass(), toys.point_mass().replace(gain=jnp.ones(2))])
     with pytest.raises(ValueError, match=r"^env_axis is 1: give 0 for a batch"):
         Vmap(env=toys.point_mass(), env_axis=1)

@@ -47,9 +47,9 @@ def known(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "kwargs", "sentence"),
     [
-        ("RollingFlat", {"youngs_modulu": 5.0}, "RollingFlat has no option 'youngs_modulu': did you mean 'youngs_modulus'? use youngs_modulus, yield_stress, dt"),
-        ("AntRun", {"onsett": 0.1}, "AntRun has no option 'onsett': did you mean 'onset'? use onset, stale_mass_matrix"),
-        ("Ant", {"onset": 0.1}, "Ant has no option 'onset': it has none"),
+        ("RollingFlat", {"youngs_modulu": 5.0}, "RollingFlat has no option 'youngs_modulu': did you mean 'youngs_modulus'? use youngs_modulus, yield_stress, dt, num_substeps"),
+        ("AntRun", {"onsett": 0.1}, "AntRun has no option 'onsett': did you mean 'onset'? use onset, stale_mass_matrix, dt, num_substeps"),
+        ("Ant", {"onset": 0.1}, "Ant has no option 'onset': use dt, num_substeps"),
     ],
 )  # fmt: skip
 def test_a_misspelt_option_is_one_sentence(name, kwargs, sentence):
@@ -74,7 +74,7 @@ def test_a_misspelt_option_is_one_sentence(name, kwargs, sentence):
             "there is no environment named 'Toi': did you mean 'Toy'? known are ByName, ByScale, PassedOn, Picky",
         ),
         (7, {}, "there is no environment named 7: known are"),
-        ("Toy", {"scale": ["small"]}, "scale is ['small']: use one of 'paper', 'small'"),
+        ("Toy", {"scale": ["small"]}, "scale is ['small']: did you mean 'small'? use one of 'paper', 'small'"),
     ],
 )
 def test_what_cannot_be_made_is_said(known, name, kwargs, sentence):

@@ -227,7 +227,7 @@ def uniform() -> mpm.MPMScene:
 def test_more_nodes_than_int32_counts_are_refused_when_traced():
     big = uniform().replace(grid=Grid(shape=(64, 64, 64), spacing=0.1))
     sentence = (
-        "2048 environments of 262144 nodes are stepped at once, but places among them are counted in int32, which holds "
+        "2048 environments of 262144 nodes are stepped at once, but int32 indices hold "
         "2047 environments of that size: step fewer at once, with jax.lax.map over groups of them, or give"
     )
     assert lowered(big, 2047, 1)

@@ -31,19 +31,19 @@ SHAPES = [
 
 @pytest.fixture
 def assembled(monkeypatch):
-    """Which passes were assembled; none may fail to be."""
-    passes = set()
+    """Which of value, jvp and vjp were assembled; all must succeed."""
+    names = set()
 
     def assemble(which, program, avals, varies, precision):
         bytecode, dtype, outputs = kernels.bytecode_of(which, program, avals, varies)
         assert len(bytecode.code) and dtype == np.float32 and outputs
-        passes.add(which)
+        names.add(which)
         return "it is only written"
 
     monkeypatch.setattr(kernels, "_target", assemble)
     monkeypatch.setattr(build, "compiler", lambda: "c++")
     monkeypatch.setattr(build, "is_off", lambda: False)
-    return passes
+    return names
 
 
 def assert_assembled(assembled, function, *args):

@@ -94,7 +94,7 @@ IMPOSSIBLE = {
     ),
     "cohesion": (
         {"material": {**SAND, "cohesion": -0.01}},
-        "plasticity.cohesion is -0.01, but must be 0 or more: give the strain",
+        "plasticity.cohesion is -0.01, but must be 0 or more: give the largest tensile strain",
     ),
     "no yield stress": (
         {"material": {**SOLID, "plasticity": VonMises, "yield_stress": inf}},
@@ -119,11 +119,11 @@ def test_positions_must_be_finite_points():
     x = np.full((4, 3), 0.3)
     with pytest.raises(ValueError, match=r"x\[2, 1\] is nan, but must be finite: give positions in metres"):
         mpm.initial_state(np.where(np.arange(12).reshape(4, 3) == 7, nan, x))
-    with pytest.raises(ValueError, match=r"x has shape \(3,\): give positions of shape \(num_particles, 3\)"):
+    with pytest.raises(ValueError, match=r"x has shape \(3,\): give an array of shape \(num_particles, 3\)"):
         mpm.initial_state(x[0])
-    with pytest.raises(ValueError, match=r"x\[0, 0\] is inf, but must be finite: give positions in m"):
+    with pytest.raises(ValueError, match=r"x\[0, 0\] is inf, but must be finite: give positions in metres"):
         tets.initial_state(x * inf)
-    with pytest.raises(ValueError, match=r"x has shape \(3,\): give positions of shape \(num_vertices, 3\)"):
+    with pytest.raises(ValueError, match=r"x has shape \(3,\): give an array of shape \(num_vertices, 3\)"):
         tets.initial_state(x[0])
     with pytest.raises(
         ValueError, match=r"position\[0, 2\] is nan, but must be finite: give centres of mass in metres"
@@ -150,9 +150,9 @@ def test_positions_must_be_finite_points():
         (lambda: Grid(shape=(9, 9, 9), spacing="x"), "Grid.spacing is 'x', which is no real number: give a distance in"),
         (lambda: Grid(shape=(9, 9, 9), spacing=0.0), "Grid.spacing is 0.0, but must be positive: give a distance in metre"),
         (lambda: Grid(shape=(9, 9), spacing=0.1), "Grid.shape is (9, 9): give three numbers of nodes, each at least 4"),
-        (lambda: Grid(shape=(9, 9, 3), spacing=0.1), "Grid.shape is (9, 9, 3): give three numbers of nodes, each at least 4"),
-        (lambda: Grid(shape=(9, 9, 9.5), spacing=0.1), "Grid.shape is (9, 9, 9.5): give three numbers of nodes, each at least 4"),
-        (lambda: Grid(shape=(9, 9, 9), spacing=0.1, origin=(0, nan, 0)), "Grid.origin is nan, but must be finite: give"),
+        (lambda: Grid(shape=(9, 9, 3), spacing=0.1), "Grid.shape[2] is 3: give three numbers of nodes, each at least 4"),
+        (lambda: Grid(shape=(9, 9, 9.5), spacing=0.1), "Grid.shape[2] is 9.5: give three numbers of nodes, each at least 4"),
+        (lambda: Grid(shape=(9, 9, 9), spacing=0.1, origin=(0, nan, 0)), "Grid.origin[1] is nan, but must be finite: give"),
         (lambda: Wall(position="low"), "Wall.position is 'low', which is no real number: give the wall's coordinate in"),
         (lambda: Wall(position=nan), "Wall.position is nan, but must be finite: give the wall's coordinate in metres"),
         (lambda: scene({**SOLID, "density": "heavy"}), "density is 'heavy', which is no real number: give the rest dens"),

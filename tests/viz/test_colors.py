@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import recordings
 
-from rewax.viz.colors import MATERIALS, particle_colors, scale_colors, shape_color, value_range
+from rewax.viz.colors import MATERIALS, material_colors, particle_colors, scale_colors, shape_color, value_range
 
 
 def test_materials_have_their_colours_and_unknown_ones_another():
@@ -13,6 +13,16 @@ def test_materials_have_their_colours_and_unknown_ones_another():
     np.testing.assert_allclose(colors[0], MATERIALS["water"])
     np.testing.assert_array_equal(colors[0], colors[2])
     assert not any(np.allclose(colors[1], known) for known in MATERIALS.values())
+
+
+def test_materials_of_one_kind_have_colours_of_their_own():
+    kinds = [*MATERIALS, "jam"]
+    colors = material_colors([kind + suffix for kind in kinds for suffix in ("", "_2", "_3", "_4")])
+    assert colors.min() >= 0.0 and colors.max() <= 1.0
+    for of_kind in colors.reshape(len(kinds), 4, 3):
+        gaps = np.linalg.norm(of_kind[:, None] - of_kind, axis=-1)
+        assert gaps[~np.eye(4, dtype=bool)].min() > 0.08
+    np.testing.assert_array_equal(colors[0], np.float32(MATERIALS["dough"]))
 
 
 def test_the_scale_goes_from_blue_to_red_and_stops_at_its_ends():

@@ -1,6 +1,7 @@
 """The page holds what was recorded, needs no network, and moves what it shows when the time is moved."""
 
 import base64
+import dataclasses
 import json
 import os
 import re
@@ -14,7 +15,11 @@ import numpy as np
 import pytest
 import recordings
 
-from rewax.viz.player import MAX_RUNS, write_player
+from rewax.viz import player
+from rewax.viz.camera import frame_recording
+from rewax.viz.colors import MATERIALS
+from rewax.viz.player import MAX_RUNS, SCRIPTS, write_player
+from rewax.viz.recording import diameters
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER = next((path for path in map(shutil.which, BROWSERS) if path), None)
@@ -35,8 +40,9 @@ def scene(num_frames=5, travel=0.1):
     drawings = [[{**capsule, "center": np.array([travel * i, 0.8, 0.0])}] for i in range(num_frames)]
     status = np.array([0, 4, 0, 1] * num_frames)[: num_frames - 1]
     return recordings.cloud(
-        num_frames, num_particles=200, travel=travel, drawings=drawings, status=status, camera={"follow": False}
-    )
+        num_frames, num_particles=200, travel=travel, drawings=drawings, status=status, camera={"follow": False},
+        actions=np.arange(2 * num_frames - 2).reshape(-1, 2), metrics={"height": np.arange(num_frames - 1.0, 0.0, -1.0)},
+    )  # fmt: skip
 
 
 def data_of(path):
@@ -71,6 +77,30 @@ def test_positions_values_poses_and_curves_come_back(tmp_path):
     assert run["solids"][0]["opacity"] == 0.5 and decoded(run["solids"][0]["triangles"]).max() < 2000
     assert run["rewards"] == [1.0] * 4 and run["status"] == [0, 4, 0, 1]
     np.testing.assert_allclose(run["times"], recording.times)
+    assert run["num_actions"] == 2 and decoded(run["actions"]).tolist() == [0, 1, 2, 3, 4, 5, 6, 7]
+    assert decoded(run["metrics"]["height"]).tolist() == [4.0, 3.0, 2.0, 1.0]
+
+
+def test_each_material_has_its_particles_diameter_and_colour(tmp_path):
+    recording = scene()
+    (run,) = data_of(write_player([recording], tmp_path / "a.html"))["runs"]
+    water, dough = run["particles"]["parts"]
+    assert decoded(water["members"]).tolist() == list(range(0, 200, 2))
+    assert decoded(dough["members"]).tolist() == list(range(1, 200, 2))
+    for part, name in ((water, "water"), (dough, "dough")):
+        np.testing.assert_allclose(part["color"], MATERIALS[name], atol=1e-5)
+        members = decoded(part["members"])
+        assert part["diameter"] == pytest.approx(diameters(recording)[members].mean())
+
+
+def test_the_page_may_follow_what_moves_or_stand_still(tmp_path):
+    recording = recordings.moving_ball(9, travel=0.4)
+    (run,) = data_of(write_player([recording], tmp_path / "a.html"))["runs"]
+    followed, still = (frame_recording(dataclasses.replace(recording, camera={"follow": on})) for on in (True, False))
+    assert run["follow"] and len(run["still"]["targets"]) == 3
+    np.testing.assert_allclose(np.reshape(run["followed"]["targets"], (9, 3)), followed.targets, atol=1e-5)
+    np.testing.assert_allclose(run["still"]["targets"], still.targets[0], atol=1e-5)
+    assert run["still"]["distance"] == still.distance > run["followed"]["distance"] == followed.distance
 
 
 def test_a_mesh_is_in_the_page_once_and_its_poses_once_a_frame(tmp_path):
@@ -108,19 +138,28 @@ def test_the_page_is_one_file_that_asks_for_nothing_and_is_small(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["a.html"]
 
 
+def test_scripts_set_names_as_text_and_every_script_is_small():
+    folder = player.Path(player.__file__).parent
+    assert sorted(SCRIPTS) == sorted(file.name for file in folder.glob("*.js"))
+    for name in SCRIPTS:
+        text = (folder / name).read_text()
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", text), name
+        assert len(text.splitlines()) < 400
+
+
 def test_too_few_and_too_many_runs_are_refused(tmp_path):
     for some in ([], [recordings.moving_ball()] * (MAX_RUNS + 1)):
         with pytest.raises(ValueError, match=f"a page plays 1 to 8 recordings, not {len(some)}"):
             write_player(some, tmp_path / "a.html")
 
 
-def browse(path, moment, screenshot):
-    """Open the page at a moment: its document when it has settled, and what it said on the console."""
+def browse(path, moment, screenshot, *, more="", size=(1200, 700)):
+    """Open the page at a moment: its document when it has settled, and what it wrote to the console."""
     command = [
         str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu-sandbox", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--hide-scrollbars", "--window-size=1200,700",
+        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--hide-scrollbars", f"--window-size={size[0]},{size[1]}",
         f"--user-data-dir={screenshot.with_suffix('')}", "--enable-logging=stderr", "--virtual-time-budget=4000",
-        f"--screenshot={screenshot}", "--dump-dom", f"file://{path}#t={moment}",
+        f"--screenshot={screenshot}", "--dump-dom", f"file://{path}#t={moment}{more}",
     ]  # fmt: skip
     pipe = subprocess.PIPE
     process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
@@ -130,8 +169,8 @@ def browse(path, moment, screenshot):
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         pytest.skip(f"the browser gave no answer within {_PATIENCE} s")
-    said = [line for line in errors.splitlines() if "CONSOLE" in line]
-    return document, said, matplotlib.image.imread(screenshot)[..., :3]
+    console = [line for line in errors.splitlines() if "CONSOLE" in line]
+    return document, console, matplotlib.image.imread(screenshot)[..., :3]
 
 
 @needs_browser
@@ -139,18 +178,57 @@ def test_a_browser_shows_it_without_errors_and_moving_the_time_moves_it(tmp_path
     path = write_player([scene(travel=0.1), recordings.moving_ball(name="a ball")], tmp_path / "a.html")
     images = []
     for moment in (0.0, 0.08):
-        document, said, image = browse(path, moment, tmp_path / f"{moment}.png")
-        assert not said, said
+        document, console, image = browse(path, moment, tmp_path / f"{moment}.png", more="&balls")
+        assert not console, console
         assert 'data-state="ready"' in document and "a ball" in document
         images.append(image)
     assert "step 4" in document and "NAN" in document  # the status of the last step
-    scenes = [image[60:450, 10:590] for image in images]
+    scenes = [image[100:450, 10:590] for image in images]
     blue = [np.nonzero(image[..., 2] > 1.6 * image[..., 0])[1] for image in scenes]  # water
     assert min(len(columns) for columns in blue) > 100
     assert blue[1].mean() > blue[0].mean() + 20.0  # to the right
     assert scenes[0].std() > 0.05
-    other = [image[60:450, 610:1190] for image in images]
+    other = [image[100:450, 610:1190] for image in images]
     np.testing.assert_allclose(other[0], other[1], atol=0.02)  # the ball rests
+
+
+EVIL = "<img src=x onerror=\"document.title='broken in'\">"
+
+
+@needs_browser
+def test_names_from_recordings_stay_text_and_surfaces_are_smooth(tmp_path):
+    axis = np.arange(-6, 7) * 0.05
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    points = points[np.linalg.norm(points, axis=1) <= 0.3] + [0.0, 0.5, 0.0]
+    values = {EVIL: np.stack([points[:, 0]] * 3)}
+    ball = recordings.made(
+        3, particles=np.stack([points] * 3).astype(np.float32), material_names=("water",), values=values, name=EVIL,
+        floor=0.0, metrics={EVIL: np.arange(2.0)}, camera={"azimuth": 0.0},
+    )  # fmt: skip
+    path = write_player([ball, ball], tmp_path / "a.html", title="safe {{data}}")
+    images = {}
+    for shown in ("", "&balls"):
+        document, console, images[shown] = browse(path, 0.02, tmp_path / f"{len(images)}.png", more=f"&run=1{shown}")
+        assert not console and "<title>safe {{data}}</title>" in document
+        assert document.count("&lt;img src=x") >= 4 and "<img" not in document
+    rough = {}
+    for shown, image in images.items():
+        blue = image[100:500, 300:900]
+        blue = np.where((blue[..., 2] > 1.3 * blue[..., 0])[..., None], blue, np.nan).mean(axis=-1)
+        assert np.isfinite(blue).sum() > 5000
+        rough[shown] = np.nanmean(np.abs(np.diff(blue, axis=1)))
+    assert rough[""] < 0.5 * rough["&balls"]
+
+
+@needs_browser
+def test_a_phone_shows_one_run_at_a_time(tmp_path):
+    path = write_player([scene()] * 4, tmp_path / "a.html")
+    document, console, _ = browse(
+        path, 0.0, tmp_path / "a.png", size=(520, 844)
+    )  # windows of Chromium have 500 pixels or more
+    assert not console
+    sections = re.findall(r"<section([^>]*)>", document.partition('<main id="runs"')[2].partition("</main>")[0])
+    assert len(sections) == 4 and ["hidden" in section for section in sections] == [False, True, True, True]
 
 
 @needs_browser

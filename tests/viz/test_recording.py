@@ -15,7 +15,7 @@ def test_times_and_totals_are_those_of_the_frames():
     np.testing.assert_array_equal(recording.totals, [0.0, 1.0, 6.0, 15.0, 21.0])
     some = recording.take([0, 4])
     np.testing.assert_array_equal(some.totals, [0.0, 21.0])
-    assert recording.spread(3).steps.tolist() == [0, 4, 7] and recording.spread(99).num_frames == 5
+    assert recording.subsample(3).steps.tolist() == [0, 4, 7] and recording.subsample(99).num_frames == 5
 
 
 @pytest.mark.parametrize(

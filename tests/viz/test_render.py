@@ -85,7 +85,7 @@ def test_mujoco_and_numpy_show_the_same():
         recordings.cloud(1, values={}, materials=np.zeros(60, int), material_names=("muscle",)),
     ):
         ours, theirs = (
-            drawn(recording, renderer="software")[0],
+            drawn(recording, renderer="software", surface=False)[0],
             next(opengl.mujoco_pictures(recording, SIZE, "material", found.name)),
         )
         red = [image[..., 0] > 1.5 * image[..., 2].astype(float) for image in (ours, theirs)]

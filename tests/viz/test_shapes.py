@@ -140,13 +140,13 @@ WRONG = {
         **MESH, "vertices": np.full((4, 3), np.nan)
     },
     "triangles of the drawing of a mesh has shape (0, 3): give (n, 3) with n > 0": {**MESH, "triangles": np.zeros((0, 3), int)},
-    "triangles of the drawing of a mesh holds 4: give whole numbers from 0 to 3, indices of its vertices": {
+    "triangles of the drawing of a mesh holds 4: give integers from 0 to 3, indices of its vertices": {
         **MESH, "triangles": [(0, 1, 2), (2, 3, 4)]
     },
-    "triangles of the drawing of a mesh holds -1: give whole numbers from 0 to 3, indices of its vertices": {
+    "triangles of the drawing of a mesh holds -1: give integers from 0 to 3, indices of its vertices": {
         **MESH, "triangles": [(0, 1, -1)]
     },
-    "triangles of the drawing of a mesh holds 0.5: give whole numbers from 0 to 3, indices of its vertices": {
+    "triangles of the drawing of a mesh holds 0.5: give integers from 0 to 3, indices of its vertices": {
         **MESH, "triangles": [(0, 1, 0.5)]
     },
     "direction of the drawing of a capsule is zero: give a vector of any other length": {**CAPSULE, "direction": (0, 0, 0)},

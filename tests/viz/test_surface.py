@@ -1,7 +1,5 @@
 """Surfaces around particles: where they lie, which way they face, what flies alone, and the pictures of them."""
 
-import sys
-
 import numpy as np
 import pytest
 import recordings
@@ -9,7 +7,6 @@ import recordings
 from rewax.viz.render import pictures
 from rewax.viz.surface import has_surfaces, surfaces
 
-pytest.importorskip("skimage")
 SPACING = 0.05
 
 
@@ -49,7 +46,10 @@ def test_a_drop_that_flies_alone_is_loose_and_each_material_has_its_own_surface(
     assert found.loose.tolist() == [len(points) - 1]
     halves = (points[:, 0] > 0.0).astype(int)
     left, right = surfaces(made(points, materials=halves, material_names=("water", "sand")), 0)
-    assert left.vertices[:, 0].max() < 1.2 * SPACING and right.vertices[:, 0].min() > -0.6 * SPACING
+    border = 0.5 * SPACING  # halfway between the last particles of either side
+    assert (
+        abs(left.vertices[:, 0].max() - border) < SPACING and abs(right.vertices[:, 0].min() - border) < 1.5 * SPACING
+    )
     assert set(halves[left.nearest]) == {0} and set(halves[right.nearest]) == {1}
 
 
@@ -82,9 +82,13 @@ def test_a_mesh_keeps_its_own_surface():
     np.testing.assert_array_equal(plain, asked)
 
 
-def test_what_cannot_be_drawn_is_one_sentence(monkeypatch):
+def test_surfaces_are_the_default_where_the_renderer_draws_them():
+    recording = made(ball(), floor=0.0)
+    plain, asked, balls = (next(pictures(recording, size=(60, 80), surface=surface)) for surface in (None, True, False))
+    np.testing.assert_array_equal(plain, asked)
+    assert not np.array_equal(plain, balls)
+
+
+def test_the_renderer_that_draws_no_surfaces_says_so():
     with pytest.raises(ValueError, match="mujoco draws no surfaces of particles: use software or auto"):
         pictures(made(ball()), renderer="mujoco", surface=True)
-    monkeypatch.setitem(sys.modules, "skimage.measure", None)
-    with pytest.raises(ValueError, match=r"pip install 'rewax\[surfaces\]'"):
-        pictures(made(ball()), surface=True)

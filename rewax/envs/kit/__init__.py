@@ -1,4 +1,4 @@
-"""What tasks are made of: what kinds of tasks share, pieces of scenes, rewards, what a policy sees.
+"""The parts of tasks: base classes, parts of scenes, rewards, observations of point clouds.
 
 Names are imported when they are first used.
 """

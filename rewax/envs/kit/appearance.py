@@ -1,5 +1,6 @@
-"""How soft bodies look in pictures: what they are made of, how fast and how strained each particle is, the floor."""
+"""Soft bodies in pictures: names of materials, speed and strain of each particle, height of the floor."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,14 +12,14 @@ from rewax.physics.tets import TetScene, TetState
 from rewax.types import Array
 
 MARKER = (0.90, 0.25, 0.20)
-"""Colour of targets and other signs that nothing touches: red, green and blue."""
+"""Colour of targets and other markers without contact: red, green and blue."""
 
 
 def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any]:
-    """What does not change during an episode; the keys are those of ``rewax.viz.recording.Recording``.
+    """The part of a picture that is constant during an episode, with the keys of ``rewax.viz.recording.Recording``.
 
     Args:
-      scene: the soft bodies and what bounds them.
+      scene: the soft bodies, walls and ground.
       up: unit vector that points up, shape (3,).
     """
     if isinstance(scene, TetScene):
@@ -32,7 +33,7 @@ def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any
             looks["floor"] = float(np.asarray(scene.ground.height))
         return looks
     parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
-    looks = {"material_names": tuple(part.look for part in parts)}
+    looks = {"material_names": unique_names([part.look for part in parts])}
     if scene.particle_counts is not None:
         looks["materials"] = np.repeat(np.arange(len(parts)), scene.particle_counts)
     axis = int(np.argmax(np.abs(up)))
@@ -42,8 +43,16 @@ def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any
     return looks
 
 
+def unique_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names with ``_2``, ``_3``, ... after those that repeat: ``("elastic", "elastic_2", "water")``."""
+    return tuple(name if (n := names[:i].count(name)) == 0 else f"{name}_{n + 1}" for i, name in enumerate(names))
+
+
 def soft_values(soft: MPMState | TetState) -> dict[str, Array]:
-    """Speed [m/s] and, of particles, strain [-] of each, shape (num_particles,): |F^T F - I| / 2 in Frobenius' norm."""
+    """Speed [m/s] of each point and strain [-] of each particle, shape (num_points,).
+
+    The strain is the Frobenius norm of the Green-Lagrange strain (F^T F - I) / 2.
+    """
     values = {"speed": jnp.sqrt(jnp.sum(soft.v**2, axis=-1))}
     if isinstance(soft, MPMState):
         green = 0.5 * (jnp.einsum("nki,nkj->nij", soft.F, soft.F) - jnp.eye(3, dtype=soft.F.dtype))

@@ -1,22 +1,25 @@
-"""What a policy sees of a soft body: some of its points."""
+"""The observation of a soft body: a subset of its points."""
 
 import jax
 import jax.numpy as jnp
 
 from rewax import struct
+from rewax.envs.kit.options import integer_option
 from rewax.types import Array, Key, Observation, Scalar
 
 
 @struct.dataclass
 class PointCloud(struct.Replaceable):
-    """Which points are observed, and how well.
+    """Which points are observed, with or without velocities and noise.
+
+    The fixed points are every ``stride``-th point, at most ``num_points``. Rewards are computed from them.
 
     Attributes:
-      num_points: at most so many (static).
-      stride: every so many, from the first one on (static); rewards are computed from these points.
-      random: the policy sees other points at every step, drawn without replacement, instead of these (static).
-      velocities: it sees the velocity of each point beside its position (static).
-      noise: standard deviation of what it sees of positions [m]; None for exact ones.
+      num_points: largest number of observed points (static).
+      stride: distance between the indices of two fixed points (static).
+      random: observe points that are drawn at every step, without replacement, instead of the fixed ones (static).
+      velocities: observe the velocity of each point beside its position (static).
+      noise: standard deviation of the noise of observed positions [m]; None for exact positions.
     """
 
     num_points: int = struct.static_field()
@@ -26,26 +29,25 @@ class PointCloud(struct.Replaceable):
     noise: Scalar | None = None
 
     def __post_init__(self) -> None:
-        for name in ("num_points", "stride"):
-            if not isinstance(getattr(self, name), int) or getattr(self, name) < 1:
-                raise ValueError(f"{name} of the point cloud is {getattr(self, name)}: give a whole number, at least 1")
+        integer_option("PointCloud.num_points", self.num_points, "give the largest number of observed points")
+        integer_option("PointCloud.stride", self.stride, "give 1 for all points, n for every n-th one")
 
     @property
     def draws(self) -> bool:
-        """Whether what is seen depends on a key."""
+        """Whether the observation depends on a key."""
         return self.random or self.noise is not None
 
     def pick(self, points: Array) -> Array:
-        """The fixed points, of an array with a first axis over all of them. Gradient: exact."""
+        """The entries of the fixed points in an array over all points, shape (num_all, ...). Gradient: exact."""
         return points[:: self.stride][: self.num_points]
 
     def shown(self, obs: Observation, points: tuple[Array, Array], key: Key) -> tuple[Observation, Key]:
-        """Observations with ``particle_q`` as this cloud shows it, and a key that was not used.
+        """The observations with ``particle_q`` replaced by the observation of this cloud, and an unused key.
 
         Args:
-          obs: with the fixed points, if it has ``particle_q``.
+          obs: named observations. ``particle_q``, if present, holds the fixed points.
           points: positions and velocities of all points, shape (num_all, 3) each.
-          key: for the draws.
+          key: draws points and noise.
         """
         if "particle_q" not in obs or not (self.draws or self.velocities):
             return obs, key
@@ -55,11 +57,11 @@ class PointCloud(struct.Replaceable):
         return {**obs, "particle_q": self.see(*points, seen_key)}, key
 
     def see(self, positions: Array, velocities: Array, key: Key | None) -> Array:
-        """What the policy sees, shape (num_points, 3), or (num_points, 6) with velocities.
+        """The observed points, shape (num_points, 3), or (num_points, 6) with velocities.
 
         Args:
           positions, velocities: of all points [m, m/s], shape (num_all, 3) each.
-          key: draws points and noise; needed where ``draws``.
+          key: draws points and noise; may be None unless ``draws``.
 
         Gradient: exact.
         """

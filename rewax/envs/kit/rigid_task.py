@@ -1,7 +1,6 @@
-"""What tasks on articulated rigid bodies share: reset, control step, time limit, pictures.
+"""Base of tasks on articulated rigid bodies: reset, control step, time limit, pictures.
 
-A task is a subclass that says how an episode starts, what is observed, what is rewarded and when it is over; see
-``examples/custom_rigid_task.py``.
+A subclass defines the start of an episode, observation, reward and termination; see ``examples/custom_rigid_task.py``.
 """
 
 from pathlib import Path
@@ -21,17 +20,17 @@ from rewax.sensors.world import World
 from rewax.types import Array, Key, PyTree, Vector
 
 ASSETS = Path(__file__).parent.parent / "assets"
-"""MJCF of the tasks that come with rewax."""
+"""Folder of the MJCF models of the tasks in rewax."""
 
 
 @struct.dataclass
 class RigidPhysics(struct.Replaceable):
-    """What a task on rigid bodies simulates.
+    """State of a simulation of rigid bodies.
 
     Attributes:
       rigid: positions and velocities of the bodies.
-      action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
-      task: what else the task keeps (a goal, say), or None.
+      action: the last action, within [-1, 1]; zero after a reset, shape (num_actions,).
+      task: further state of the task, a goal for example, or None.
     """
 
     rigid: RigidState
@@ -39,31 +38,14 @@ class RigidPhysics(struct.Replaceable):
     task: PyTree = None
 
 
-@struct.dataclass
-class RigidTask(Task):
-    """A task on one model. Subclasses define ``start``, ``observe`` and ``reward``, and what else they need.
-
-    Attributes:
-      model: bodies, actuators and contact law; its numbers are leaves: differentiate or vmap with respect to them.
-      num_substeps: per control step (static).
-      max_steps: control steps per episode (static).
-    """
+class ActuatedTask(Task):
+    """Base of ``RigidTask`` and ``CoupledTask``: an action drives the actuators of a model."""
 
     model: RigidModel
-    num_substeps: int = struct.static_field()
-    max_steps: int = struct.static_field()
-
-    # --- What a task defines ---
-
-    def start(self, key: Key) -> tuple[RigidState, PyTree]:
-        """Bodies at the beginning of an episode, and what else the task keeps (None for nothing)."""
-        raise NotImplementedError(f"{type(self).__name__} has no start(key): define it")
 
     def control(self, action: Array) -> Array:
-        """Controls of the model's actuators for an action within [-1, 1]: from end to end of limited ones' range."""
+        """Controls of the actuators for an action within [-1, 1], which spans the range of each limited actuator."""
         return control_in_range(self.model, action)
-
-    # --- The environment ---
 
     @property
     def num_actions(self) -> int:
@@ -74,9 +56,33 @@ class RigidTask(Task):
         """Duration of a control step [s]."""
         return self.num_substeps * self.model.dt
 
+
+@struct.dataclass
+class RigidTask(ActuatedTask):
+    """A task on one model. Subclasses define ``start``, ``observe`` and ``reward``; other methods have defaults.
+
+    Attributes:
+      model: bodies, actuators and contact law. Its numbers are parameters: differentiate with respect to them, or vmap
+        over them.
+      num_substeps: substeps per control step (static).
+      max_steps: control steps per episode (static).
+    """
+
+    model: RigidModel
+    num_substeps: int = struct.static_field()
+    max_steps: int = struct.static_field()
+
+    # --- Methods that a task defines ---
+
+    def start(self, key: Key) -> tuple[RigidState, PyTree]:
+        """Bodies at the beginning of an episode, and ``physics.task``: further state of the task, or None."""
+        raise NotImplementedError(f"{type(self).__name__} has no start(key): define it")
+
+    # --- The environment ---
+
     def begin(self, key: Key) -> tuple[RigidPhysics, Key]:
         key, start_key = jax.random.split(key)
-        bodies, task = checked_start(self, self.start(start_key), ("the bodies", "what the task keeps"))
+        bodies, task = checked_start(self, self.start(start_key), ("the bodies", "the state of the task"))
         action = jnp.zeros(self.action_spec.shape, bodies.qpos.dtype)
         return RigidPhysics(rigid=bodies, action=action, task=task), key
 
@@ -91,7 +97,7 @@ class RigidTask(Task):
 
     @property
     def up(self) -> np.ndarray:
-        """Unit vector against gravity, for pictures, shape (3,); z without gravity."""
+        """Unit vector opposite to gravity, for pictures, shape (3,); z if gravity is zero."""
         return against(self.model.gravity, (0.0, 0.0, 1.0))
 
     @property
@@ -105,26 +111,26 @@ class RigidTask(Task):
 
 
 def control_in_range(model: RigidModel, action: Array) -> Array:
-    """Controls from end to end of the range of limited actuators, the action itself for others."""
+    """Controls for an action within [-1, 1]: it spans the range of a limited actuator, and is the control of others."""
     limited = model.static.mj.actuator_ctrllimited.astype(bool)
     low, high = jnp.moveaxis(model.parameters["actuator_ctrlrange"], -1, 0)
     return jnp.where(limited, 0.5 * (low + high) + 0.5 * (high - low) * action, action)
 
 
 def load_asset(name: str, *, dt: float, **kwargs: Any) -> RigidModel:
-    """A model of ``assets/`` with another substep [s]; keyword arguments are those of ``rigid.load``."""
+    """The model of a file in ``assets/`` with substep ``dt`` [s]; other arguments are those of ``rigid.load``."""
     return rigid.load(ASSETS / name, dt=dt, **kwargs)
 
 
 def uniform(key: Key, size: int, bound: float) -> Array:
-    """Numbers between -bound and bound, shape (size,)."""
+    """Uniform random numbers within [-bound, bound], shape (size,)."""
     return jax.random.uniform(key, (size,), minval=-bound, maxval=bound)
 
 
 def random_turn(key: Key, bound: float) -> Array:
-    """Unit quaternion (w, x, y, z) of a turn by an angle within [-bound, bound] about a random axis.
+    """Unit quaternion (w, x, y, z) of a rotation by a random angle within [-bound, bound] about a random axis.
 
-    The axis is a point of the cube [-0.5, 0.5]^3, normalised, as in DiffRL.
+    The axis is a uniform point of the cube [-0.5, 0.5]^3, normalised, as in DiffRL.
     """
     angle_key, axis_key = jax.random.split(key)
     half = 0.5 * jax.random.uniform(angle_key, (), minval=-bound, maxval=bound)
@@ -134,5 +140,5 @@ def random_turn(key: Key, bound: float) -> Array:
 
 
 def xyzw(quaternion: Array) -> Array:
-    """MuJoCo's (w, x, y, z) in the order of the reference's observations."""
+    """A quaternion (w, x, y, z), as MuJoCo orders it, in the order of the reference's observations."""
     return quaternion[np.array([1, 2, 3, 0])]

@@ -1,4 +1,4 @@
-"""A Shadow hand whose joints move as prescribed, for tasks in which it handles soft bodies."""
+"""A Shadow hand with prescribed joint motion, for tasks in which it handles soft bodies."""
 
 from typing import Any
 
@@ -19,10 +19,11 @@ NUM_JOINTS = 24
 
 @struct.dataclass
 class HandTask(SoftTask):
-    """A soft body on a hand; its 24 joints are WRJ1, WRJ0, FFJ3 to FFJ0, MF, RF, LFJ4 to LFJ0, THJ4 to THJ0 [rad].
+    """A soft body on a hand. The 24 joints of the hand are WRJ1, WRJ0, FFJ3 to FFJ0, MF, RF, LFJ4 to LFJ0,
+    THJ4 to THJ0 [rad].
 
     Attributes:
-      hand: the model whose geoms are the scene's colliders.
+      hand: the model of the hand. Its geoms are the colliders of the scene.
     """
 
     hand: RigidModel
@@ -36,24 +37,24 @@ class HandTask(SoftTask):
 
 
 def load_hand(*, scale: float, position: tuple[float, float, float]) -> RigidModel:
-    """The hand with all lengths times ``scale``, its base at ``position`` [m], palm up (y) and fingers along z."""
-    spec = mujoco.MjSpec.from_file(str(ASSETS / "shadow_hand.xml"))
+    """The hand with lengths multiplied by ``scale``, base at ``position`` [m], palm up (y) and fingers along z."""
+    spec = mujoco.MjSpec.from_file(str(ASSETS / "shadow_hand.xml"))  # pyright: ignore[reportAttributeAccessIssue]
     for body in spec.bodies:
         body.pos = scale * np.asarray(body.pos)
     for geom in spec.geoms:
         geom.pos, geom.size = scale * np.asarray(geom.pos), scale * np.asarray(geom.size)
     wrist = spec.body("wrist")
-    turn = np.array([-1.0, -1.0, 1.0])  # by 180 degrees about z: as MuJoCo's z up becomes y up in the reference
+    turn = np.array([-1.0, -1.0, 1.0])  # 180 degrees about z, as the reference goes from z up to y up
     wrist.pos, wrist.quat = np.asarray(position) + turn * np.asarray(wrist.pos), [0.0, 0.0, 0.0, 1.0]
     return rigid.load(spec, dt=1e-3)
 
 
 def hand_colliders(hand: RigidModel, *, friction: float, softness: float) -> tuple[Collider, ...]:
-    """All 19 geoms of the hand."""
+    """The 19 geoms of the hand as colliders."""
     return rigid.colliders(hand, friction=friction, softness=softness)
 
 
 def joint_limits(hand: RigidModel) -> tuple[Array, Array]:
-    """Lower and upper limits [rad], shape (24,) each."""
+    """Lower and upper limits of the joints [rad], shape (24,) each."""
     limits = hand.parameters["jnt_range"]
     return limits[:, 0], limits[:, 1]

@@ -1,16 +1,21 @@
-"""Pieces of the scenes of soft tasks: dough, particles that fill a box, walls."""
+"""Parts of the scenes of soft tasks: dough, water, particles that fill a box, walls."""
 
 from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.kit.options import number_option
 from rewax.physics.mpm import Hencky, Material, QuadraticFluid, VonMises, Wall, WallKind, Walls
 from rewax.types import Array
 
+_IN_PA = "give a number of pascals"
+
 
 def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float = 0.2, density: float = 1.0) -> Material:
-    """Plasticine: Hencky's law with a von Mises yield stress [Pa]; by default of density 1 [kg/m^3]."""
+    """Plasticine: Hencky's elasticity with a von Mises yield stress [Pa]; the default density is 1 kg/m^3."""
+    number_option("youngs_modulus", youngs_modulus, remedy=_IN_PA)
+    number_option("yield_stress", yield_stress, remedy=_IN_PA)
     return Material(
         density=density,
         elasticity=Hencky(youngs_modulus=youngs_modulus, poissons_ratio=poissons_ratio),
@@ -19,18 +24,19 @@ def dough(youngs_modulus: float, yield_stress: float, *, poissons_ratio: float =
 
 
 def water(youngs_modulus: float) -> Material:
-    """The reference's water: lambda of this Young's modulus [Pa] and Poisson's ratio 0.3 is its bulk modulus."""
+    """The reference's water. Its bulk modulus is lambda of this Young's modulus [Pa] and Poisson's ratio 0.3."""
+    number_option("youngs_modulus", youngs_modulus, remedy=_IN_PA)
     return Material(density=1000.0, elasticity=QuadraticFluid(youngs_modulus=youngs_modulus, poissons_ratio=0.3))
 
 
 def turn_about_y(angle: Array) -> Array:
-    """Rotation matrices, (n,) [rad] -> (n, 3, 3). Gradient: exact."""
+    """Matrices of rotations about y, (n,) [rad] -> (n, 3, 3). Gradient: exact."""
     zero, one, c, s = jnp.zeros_like(angle), jnp.ones_like(angle), jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([c, zero, s, zero, one, zero, -s, zero, c], axis=-1).reshape(-1, 3, 3)
 
 
 def random_box(center: tuple[float, ...], size: tuple[float, ...], num_particles: int) -> Array:
-    """Uniform points of a box from a fixed seed, the same in every environment, shape (num_particles, 3)."""
+    """Uniform random points of a box, shape (num_particles, 3). The seed is fixed: all environments have the same."""
     points = np.random.Generator(np.random.PCG64(0)).random((num_particles, 3))
     return jnp.asarray((points - 0.5) * np.asarray(size) + np.asarray(center), dtype=jnp.result_type(float))
 
@@ -38,7 +44,7 @@ def random_box(center: tuple[float, ...], size: tuple[float, ...], num_particles
 def lattice_box(
     center: Sequence[float] | np.ndarray, size: Sequence[float] | np.ndarray, counts: tuple[int, ...]
 ) -> Array:
-    """Points of a box, so many along each axis, in the middles of equal cells, shape (prod(counts), 3)."""
+    """A lattice of points in a box: centers of ``counts`` equal cells along each axis, shape (prod(counts), 3)."""
     points = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5 for n in counts], indexing="ij"), axis=-1)
     return jnp.asarray(points.reshape(-1, 3) * np.asarray(size) + np.asarray(center), jnp.result_type(float))
 
@@ -52,8 +58,14 @@ def box_walls(
     floor_kind: WallKind = WallKind.GRIPPING,
     floor_friction: float | None = None,
 ) -> Walls:
-    """A floor (by default one that holds what presses on it), frictionless sides at (x, z) = lower and upper, and a
-    ceiling or none.
+    """Walls of a box: a floor, frictionless sides and perhaps a ceiling.
+
+    Args:
+      floor: height of the floor [m].
+      lower, upper: x and z of the sides [m].
+      ceiling: height of the ceiling [m], or None for none.
+      floor_kind: by default particles on the floor do not move along it.
+      floor_friction: Coulomb coefficient of the floor [-], or None.
     """
     bottom = Wall(position=floor, kind=floor_kind, friction=floor_friction)
     return Walls(

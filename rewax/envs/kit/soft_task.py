@@ -1,44 +1,41 @@
-"""What tasks on soft bodies share, particles or tetrahedra: reset, moving tools, control step, time limit, pictures.
+"""Base of tasks on particles or tetrahedra: reset, moving tools, control step, time limit, pictures.
 
-A task is a subclass that says what is observed and rewarded; see ``examples/custom_soft_task.py``. Tools are colliders
-of the scene whose joints move linearly within a control step and stop at their limits.
+A subclass defines observation and reward; see ``examples/custom_soft_task.py``. Tools are colliders of the scene. Their
+joints move linearly within a control step and stop at their limits.
 """
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.kit.appearance import soft_appearance, soft_values
-from rewax.envs.kit.checks import checked_observation, checked_poses, checked_start
+from rewax.envs.kit.checks import checked_poses, checked_start
+from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.soft_body import Scene, Soft, SoftBodyTask, check_list_every, soft_at_rest, soft_status
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
-from rewax.envs.kit.task import Task, against
 from rewax.envs.kit.worlds import soft_world, with_tools
 from rewax.physics import mpm, tets
 from rewax.physics.contact import drawings
-from rewax.physics.mpm import MPMScene, MPMState
+from rewax.physics.mpm import MPMState
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import TetScene, TetState
 from rewax.sensors.world import World
 from rewax.types import Array, Key, Observation, PyTree, Vector
 
-Scene: TypeAlias = MPMScene | TetScene
-Soft: TypeAlias = MPMState | TetState
-
 
 @struct.dataclass
 class SoftPhysics(struct.Replaceable):
-    """What a task on soft bodies simulates.
+    """State of a simulation of soft bodies and tools.
 
     Attributes:
       soft: the particles, or the vertices.
-      joint_q: where the tools' joints are [m, rad], shape (num_joints,).
-      joint_qd: how they moved in the last control step, in units of ``joint_step``, shape (num_joints,).
-      action: the last one, within [-1, 1]; zero after a reset, shape (num_actions,).
-      task: what else the task keeps (a goal, say), or None.
+      joint_q: positions of the tools' joints [m, rad], shape (num_joints,).
+      joint_qd: motion of the joints in the last control step, in units of ``joint_step``, shape (num_joints,).
+      action: the last action, within [-1, 1]; zero after a reset, shape (num_actions,).
+      task: further state of the task, a goal for example, or None.
     """
 
     soft: Soft
@@ -49,24 +46,24 @@ class SoftPhysics(struct.Replaceable):
 
 
 @struct.dataclass
-class SoftTask(Task):
-    """A task on one scene. Subclasses define ``reward``, with tools ``poses``, and what else differs from the defaults.
+class SoftTask(SoftBodyTask):
+    """A task on one scene. Subclasses define ``reward``, and ``poses`` if there are tools; other methods have defaults.
 
-    Every array is a leaf: differentiate with respect to it or vmap over it.
+    Every array is a parameter: differentiate with respect to it or vmap over it.
 
     Attributes:
-      scene: the soft bodies, the tools as its colliders, and what bounds them.
+      scene: the soft bodies, the tools as its colliders, walls and ground.
       rest_positions: points before the noise of a reset [m], shape (num_points, 3).
-      noise: of a reset.
+      noise: random shift and stretch of the points at a reset.
       joint_start, joint_lower, joint_upper: first joint_q and its limits [m, rad], shape (num_joints,).
       joint_step: change of joint_q per control step for action 1 [m, rad], shape (num_joints,).
-      cloud: what a policy sees of the points.
-      num_substeps: per control step (static).
+      cloud: the observed points.
+      num_substeps: substeps per control step (static).
       max_steps: control steps per episode (static).
-      exact_limits: a joint that a limit stops has no derivative by its place before; else limits are frozen, as in
-        the reference, and its place keeps a derivative of 1 (static).
-      list_every: particles only: substeps for which one list of active nodes serves, a divisor of num_substeps; None: a
-        whole control step (static).
+      exact_limits: whether a joint that a limit stops has derivative 0 with respect to its previous position, which is
+        exact. If False, limits are frozen, as in the reference: that derivative is 1 (static).
+      list_every: for particles, the substeps for which one list of active nodes serves, a divisor of num_substeps;
+        None: a whole control step (static).
       store_every: substeps between stored states in the backward pass, see ``mpm.step`` (static).
     """
 
@@ -87,47 +84,44 @@ class SoftTask(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_list_every(self.list_every, self.num_substeps)
+        integer_option("store_every", self.store_every, "give a divisor of num_substeps, 1 to store every state")
         for name in ("joint_lower", "joint_upper", "joint_step"):
             shape, wanted = jnp.shape(getattr(self, name)), jnp.shape(self.joint_start)
             if shape != wanted:
                 raise ValueError(f"{name} has shape {shape}, but joint_start {wanted}: give one number for each joint")
 
-    # --- What a task defines ---
+    # --- Methods that a task defines ---
 
     def poses(self, joint_q: Array) -> Pose:
-        """Poses of the bodies that carry the colliders, for joint_q of shape (n, num_joints): (n, num_bodies, ...)."""
+        """Poses of the bodies that the colliders belong to, shape (n, num_bodies, ...), for joint_q (n, num_joints)."""
         if self.scene.colliders:
             raise NotImplementedError(f"{type(self).__name__} has colliders but no poses(joint_q): define it")
         return tets.static_poses(len(joint_q) - 1, dtype=joint_q.dtype)
 
     def observe(self, physics: SoftPhysics) -> Observation:
-        """Named observations of a state; by default some of the points, their mean, and the joints if there are any."""
+        """Named observations of a state; by default the observed points, their mean, and the joints of the tools."""
         seen = self.observed(physics)
         obs = {"particle_q": seen, "com_q": seen.mean(0)}
         return {**obs, "joint_q": physics.joint_q} if self.num_joints else obs
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
-        """Soft bodies at the beginning of an episode, and what else the task keeps (None for nothing).
+        """Soft bodies at the beginning of an episode, and ``physics.task``: further state of the task, or None.
 
         Args:
           positions: ``rest_positions`` with the noise of a reset [m].
-          key: for other draws.
+          key: for further draws.
         """
         del key
         return self.at_rest(positions), None
 
     def actuated(self, action: Array) -> Scene:
-        """The scene of a control step: what components of the action beyond the joints' change in it."""
+        """The scene of a control step. Components of the action beyond the joints' may change it (muscles)."""
         del action
         return self.scene
 
-    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
-        """Positions and velocities of all points as a policy sees them, shape (num_points, 3) each."""
-        return physics.soft.x, physics.soft.v
-
     @property
     def num_actions(self) -> int:
-        """By default one for each joint; the first ones are the joints', see ``actuated`` for others."""
+        """Number of components of an action. The first ones move the joints; ``actuated`` uses others."""
         return self.num_joints
 
     # --- The environment ---
@@ -144,7 +138,7 @@ class SoftTask(Task):
     def begin(self, key: Key) -> tuple[SoftPhysics, Key]:
         key, shift_key, stretch_key, start_key = jax.random.split(key, 4)
         positions = self.noise.apply(self.rest_positions, shift_key, stretch_key)
-        soft, task = checked_start(self, self.start(positions, start_key), ("the soft bodies", "what the task keeps"))
+        soft, task = checked_start(self, self.start(positions, start_key), ("the soft bodies", "the state of the task"))
         physics = SoftPhysics(
             soft=soft,
             joint_q=self.joint_start,
@@ -155,10 +149,10 @@ class SoftTask(Task):
         return physics, key
 
     def advance(self, physics: SoftPhysics, action: Array) -> tuple[SoftPhysics, Array]:
-        """Joints move by ``joint_step * action``, as far as their limits allow.
+        """Moves joints by ``joint_step * action``, clipped to their limits, and the soft bodies with them.
 
-        Gradient: exact through the soft bodies; at limits see ``exact_limits``. A joint that is held by a limit passes
-        no gradient to the action that pushes against it.
+        Gradient: exact through the soft bodies; ``exact_limits`` says what it is at limits. An action that pushes a
+          joint against its limit has gradient zero.
         """
         q = physics.joint_q
         before = q if self.exact_limits else jax.lax.stop_gradient(q)
@@ -170,29 +164,9 @@ class SoftTask(Task):
         moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=motion / self.joint_step, action=action)
         return moved, status
 
-    def seen(self, physics: SoftPhysics, key: Key) -> tuple[Observation, Key]:
-        return self.cloud.shown(checked_observation(self, self.observe(physics)), self.points(physics), key)
-
     def at_rest(self, positions: Array) -> Soft:
-        """The state of undeformed particles, or of vertices, that do not move [m]."""
+        """The state of undeformed particles, or of vertices, at these positions [m] with velocity zero."""
         return soft_at_rest(self.scene, positions)
-
-    def observed(self, physics: SoftPhysics) -> Array:
-        """The fixed points of the cloud, shape (num_points, 3); rewards are computed from them."""
-        return self.cloud.pick(self.points(physics)[0])
-
-    def particles(self, physics: SoftPhysics) -> Array:
-        """Positions for pictures [m], shape (num_points, 3)."""
-        return physics.soft.x
-
-    def particle_values(self, physics: SoftPhysics) -> dict[str, Array]:
-        """Numbers that colour the points in pictures, shape (num_points,) each: ``speed`` [m/s], ``strain`` [-]."""
-        return soft_values(physics.soft)
-
-    @property
-    def appearance(self) -> dict[str, Any]:
-        """How pictures show the soft body, its floor and the camera; see ``rewax.viz.recording``."""
-        return {**soft_appearance(self.scene, self.up), "camera": self.camera}
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         """Drawings of the tools, see ``rewax.viz.shapes``."""
@@ -209,16 +183,11 @@ class SoftTask(Task):
         bodies = jax.tree.map(lambda a: a[0], self.poses(physics.joint_q[None]))
         return with_tools(soft_world(self.scene, physics.soft, up), self.scene.colliders, bodies)
 
-    @property
-    def up(self) -> np.ndarray:
-        """Unit vector against gravity, for pictures, shape (3,); y without gravity."""
-        return against(self.scene.gravity, (0.0, 1.0, 0.0))
-
     def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Array]:
         """Soft bodies after the substeps between poses, and their status bits.
 
-        Each ``list_every`` substeps have a list of active nodes of their own, because fast particles leave one that is
-        older. Every list is checked.
+        Each ``list_every`` substeps have their own list of active nodes, because fast particles leave the nodes of an
+        older list. The status checks every list.
         """
         if isinstance(scene, TetScene):
             assert isinstance(soft, TetState)
@@ -236,29 +205,3 @@ class SoftTask(Task):
         boundaries = np.arange(0, self.num_substeps, every)[:, None] + np.arange(every + 1)
         particles, status = jax.lax.scan(move, soft, jax.tree.map(lambda a: a[boundaries], poses))
         return particles, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
-
-
-def soft_at_rest(scene: Scene, positions: Array) -> Soft:
-    """The state of undeformed particles, or of vertices, that do not move [m]."""
-    if isinstance(scene, TetScene):
-        return tets.initial_state(positions)
-    materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
-    return mpm.initial_state(positions, scene if any(m.initial_memory for m in materials) else None)
-
-
-def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:
-    """Status bits of particles or vertices that began a step at ``start``; see ``mpm`` and ``tets.check_status``."""
-    if isinstance(scene, TetScene):
-        assert isinstance(soft, TetState)
-        return tets.check_status(scene, soft, poses=poses)
-    assert isinstance(soft, MPMState) and isinstance(start, MPMState)
-    return mpm.check_status(scene, soft, start=start, poses=poses)
-
-
-def check_list_every(list_every: int | None, num_substeps: int) -> None:
-    """Raises ValueError unless lists of active nodes divide a control step."""
-    if list_every is not None and (list_every < 1 or num_substeps % list_every):
-        raise ValueError(
-            f"list_every is {list_every}, which does not divide num_substeps = {num_substeps}: choose a divisor, or "
-            "None"
-        )

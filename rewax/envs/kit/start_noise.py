@@ -1,4 +1,4 @@
-"""Where a soft body begins an episode."""
+"""Random position and size of a soft body at the beginning of an episode."""
 
 import jax
 import jax.numpy as jnp
@@ -9,11 +9,11 @@ from rewax.types import Array, Key, Scalar, Vector
 
 @struct.dataclass
 class ResetNoise(struct.Replaceable):
-    """A shift of all points, then a stretch of their coordinates about the origin; uniform between bounds.
+    """A uniform random shift of all points, then a uniform random stretch about the origin.
 
     Attributes:
       shift_lower, shift_upper: range of the shift [m], shape (3,).
-      stretch: coordinates are multiplied by a number within 1 - stretch and 1 + stretch [-].
+      stretch: the factor of the coordinates lies within [1 - stretch, 1 + stretch] [-].
     """
 
     shift_lower: Vector
@@ -21,10 +21,10 @@ class ResetNoise(struct.Replaceable):
     stretch: Scalar
 
     def apply(self, positions: Array, shift_key: Key, stretch_key: Key) -> Array:
-        """Positions of an episode's start [m], shape (num_points, 3).
+        """Positions at the beginning of an episode [m], shape (num_points, 3).
 
-        Gradient: exact with respect to positions; with respect to the bounds as if the draws were not rounded.
-        Source: the unit draws are rounded to thousandths, as in Rewarped.
+        Gradient: exact with respect to positions; with respect to the bounds as if draws were not rounded.
+        Source: Rewarped, which rounds draws to thousandths of their bound.
         """
         shift = jax.random.uniform(shift_key, (3,), minval=self.shift_lower, maxval=self.shift_upper)
         shift = round_unit(shift, jnp.maximum(jnp.abs(self.shift_lower), jnp.abs(self.shift_upper)))
@@ -34,18 +34,18 @@ class ResetNoise(struct.Replaceable):
 
 
 def no_noise() -> ResetNoise:
-    """Every episode begins alike."""
+    """No noise: every episode begins with the same positions."""
     return reset_noise((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 
 
 def reset_noise(
     lower: tuple[float, float, float], upper: tuple[float, float, float], stretch: float = 0.0
 ) -> ResetNoise:
-    """From plain numbers; see ``ResetNoise``."""
+    """A ``ResetNoise`` from Python numbers."""
     return ResetNoise(shift_lower=lower, shift_upper=upper, stretch=stretch)
 
 
 def round_unit(value: Array, bound: Array) -> Array:
-    """``value`` rounded to thousandths of ``bound``, as the reference draws noise. Gradient: as if it did not round."""
+    """``value`` rounded to thousandths of ``bound``, as in the reference. Gradient: as if it were not rounded."""
     unit = value / jnp.where(bound > 0.0, bound, 1.0)
     return value + jax.lax.stop_gradient(jnp.round(unit * 1000.0) / 1000.0 * bound - value)

@@ -1,4 +1,4 @@
-"""What all tasks share: reset and control step in terms of what a kind of physics, and then a task, define."""
+"""Base of all tasks: reset and control step, composed of methods that a kind of physics and a task define."""
 
 from typing import Any
 
@@ -9,7 +9,14 @@ import numpy as np
 from rewax import struct
 from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.envs.kit.checks import check_action, check_key, checked_observation, checked_reward
+from rewax.envs.kit.options import integer_option
+from rewax.envs.kit.task_repr import task_repr
 from rewax.types import Array, Key, Observation, PyTree
+
+_COUNTS = {
+    "num_substeps": "give the number of substeps in a control step",
+    "max_steps": "give the number of control steps in an episode",
+}
 
 
 class Task(struct.Replaceable):
@@ -23,52 +30,50 @@ class Task(struct.Replaceable):
 
     def __post_init__(self) -> None:
         for name in ("num_substeps", "max_steps"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or value < 1:
-                raise ValueError(f"{name} is {value}: give a whole number, at least 1")
+            integer_option(name, getattr(self, name), _COUNTS[name])
 
-    # --- What a task defines ---
+    # --- Methods that a task defines ---
 
     def observe(self, physics: Any) -> Observation:
         """Named observations of a state."""
         raise NotImplementedError(f"{type(self).__name__} has no observe(physics): define it")
 
     def reward(self, physics: Any) -> tuple[Array, dict[str, Array]]:
-        """Reward of the step that led to a state, shape (), and named scalars to log."""
+        """Reward of the step that led to a state, shape (), and scalars to log, by name."""
         raise NotImplementedError(f"{type(self).__name__} has no reward(physics): define it")
 
     def terminated(self, physics: Any) -> Array:
-        """Whether the episode ends for good, shape (), bool."""
+        """Whether the episode ends with value 0 in a state, shape (), bool."""
         del physics
         return jnp.zeros((), bool)
 
     def next_task(self, physics: Any, key: Key) -> PyTree:
-        """What the task keeps, after a step."""
+        """The value of ``physics.task`` after a step: a goal that changes, for example."""
         del key
         return physics.task
 
     @property
     def camera(self) -> dict[str, Any]:
-        """How pictures look at the task; ``rewax.viz.camera.frame_recording`` has the keys, all optional."""
+        """Camera of pictures; ``rewax.viz.camera.frame_recording`` lists the keys, all optional."""
         return {}
 
-    # --- What a kind of physics defines ---
+    # --- Methods that a kind of physics defines ---
 
     @property
     def num_actions(self) -> int:
-        """Components of an action."""
+        """Number of components of an action."""
         raise NotImplementedError(f"{type(self).__name__} has no num_actions: define it")
 
     def begin(self, key: Key) -> tuple[Any, Key]:
-        """Physics at the beginning of an episode, and a key that was not used."""
+        """Physics at the beginning of an episode, and an unused key."""
         raise NotImplementedError(f"{type(self).__name__} has no begin(key): define it")
 
     def advance(self, physics: Any, action: Array) -> tuple[Any, Array]:
-        """Physics a control step later, and status bits; the action lies within [-1, 1]."""
+        """Physics after a control step, and status bits. The action lies within [-1, 1]."""
         raise NotImplementedError(f"{type(self).__name__} has no advance(physics, action): define it")
 
     def seen(self, physics: Any, key: Key) -> tuple[Observation, Key]:
-        """What a policy sees, and a key that was not used."""
+        """The observation of a state, and an unused key."""
         return checked_observation(self, self.observe(physics)), key
 
     # --- The environment ---
@@ -86,11 +91,14 @@ class Task(struct.Replaceable):
     def episode_length(self) -> int:
         return self.max_steps
 
+    def __repr__(self) -> str:
+        return task_repr(self)
+
     def reset(self, key: Key) -> State:
-        """The beginning of an episode.
+        """The first state of an episode.
 
         Raises:
-          ValueError: the key is no random key, or several.
+          ValueError: the argument is no random key, or an array of keys.
         """
         check_key(key)
         physics, key = self.begin(key)
@@ -98,7 +106,9 @@ class Task(struct.Replaceable):
         return first_state(physics=physics, obs=obs, metrics=checked_reward(self, self.reward(physics))[1], key=key)
 
     def step(self, state: State, action: Array) -> State:
-        """One control step. Gradient: exact, through contacts; zero by components of the action beyond [-1, 1].
+        """The state after one control step.
+
+        Gradient: exact, through contacts; zero with respect to components of the action beyond [-1, 1].
 
         Raises:
           ValueError: the action has another shape than ``action_spec``.
@@ -125,7 +135,7 @@ class Task(struct.Replaceable):
 
 
 def against(gravity: Array, default: tuple[float, float, float]) -> np.ndarray:
-    """Unit vector against gravity, shape (3,); the default without gravity."""
-    gravity = np.asarray(gravity, float)
-    strength = np.linalg.norm(gravity)
-    return -gravity / strength if strength > 0.0 else np.asarray(default)
+    """Unit vector opposite to gravity, shape (3,); ``default`` if gravity is zero."""
+    pull = np.asarray(gravity, float)
+    strength = np.linalg.norm(pull)
+    return -pull / strength if strength > 0.0 else np.asarray(default)

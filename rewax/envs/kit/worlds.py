@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.kit.appearance import unique_names
 from rewax.physics import tets
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics.pose import Pose
@@ -32,10 +33,7 @@ def soft_world(scene: MPMScene | TetScene, soft: MPMState | TetState, up: np.nda
         return World(solids=floor, triangles=(Triangles(vertices=soft.x, faces=faces, name="soft"),))
     parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
     counts = scene.particle_counts or (soft.x.shape[0],)
-    looks = [part.look for part in parts]
-    names = tuple(
-        look if looks.count(look) == 1 else f"{look}_{looks[:i].count(look) + 1}" for i, look in enumerate(looks)
-    )
+    names = unique_names([part.look for part in parts])
     balls = Balls(center=soft.x, radius=BALL_RADIUS * scene.grid.spacing, names=names, counts=tuple(counts))
     axis = int(np.argmax(np.abs(up)))
     wall = (scene.walls.lower if up[axis] > 0 else scene.walls.upper)[axis]

@@ -1,4 +1,4 @@
-"""Domain randomisation by name: leaves of an environment drawn from distributions, anew for every episode."""
+"""Domain randomisation by name: every episode draws parameters of the environment from distributions."""
 
 from rewax.envs.randomize.distributions import (
     Choice,

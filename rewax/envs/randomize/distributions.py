@@ -1,4 +1,4 @@
-"""Distributions of one number, and what is done with the number that was drawn.
+"""Distributions of a number, and how the drawn number changes a parameter: as its value, a factor or a shift.
 
 All are frozen and compare by value, so that equal ones share compiled programs.
 """
@@ -15,26 +15,26 @@ import numpy as np
 from rewax.types import Array, Key
 
 _MAX_STDS = 5.0
-"""A truncated normal distribution must reach this near to its mean; beyond, float32 has no numbers for it."""
+"""The bounds of a truncated normal distribution must reach within this many std of its mean, or float32 fails."""
 
 
 class Per(enum.Enum):
-    """What gets a number of its own."""
+    """The parts of a parameter that get a number of their own."""
 
     LEAF = "leaf"
-    """One number for the whole leaf."""
+    """One number for the whole parameter."""
     ROW = "row"
-    """One for each entry of the leaf's first axis: for each body of a model, say."""
+    """One number for each entry of the first axis: for each body of a model, for example."""
     ELEMENT = "element"
-    """One for each element."""
+    """One number for each element."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Distribution:
-    """Base of all.
+    """Base of all distributions.
 
     Attributes:
-      per: what gets a number of its own.
+      per: the parts of a parameter that get a number of their own.
     """
 
     per: Per = dataclasses.field(default=Per.LEAF, kw_only=True)
@@ -47,7 +47,7 @@ class Distribution:
                 object.__setattr__(self, field.name, self._number(field.name, getattr(self, field.name)))
 
     def sample(self, key: Key, shape: tuple[int, ...], dtype: Any) -> Array:
-        """Independent draws. Gradient: none, a distribution's numbers are constants."""
+        """Independent draws. Gradient: none; the numbers of a distribution are constants."""
         raise NotImplementedError
 
     @property
@@ -71,7 +71,7 @@ class Distribution:
 
 @dataclasses.dataclass(frozen=True)
 class Constant(Distribution):
-    """Always ``value``, finite."""
+    """Always ``value``, which must be finite."""
 
     value: float
 
@@ -86,7 +86,7 @@ class Constant(Distribution):
 
 @dataclasses.dataclass(frozen=True)
 class Uniform(Distribution):
-    """Uniform from ``low`` to ``high``: finite, low < high."""
+    """Uniform from ``low`` to ``high``. Both are finite, and low < high."""
 
     low: float
     high: float
@@ -101,7 +101,7 @@ class Uniform(Distribution):
 
 @dataclasses.dataclass(frozen=True)
 class LogUniform(Distribution):
-    """Its logarithm is uniform from log ``low`` to log ``high``: finite, 0 < low < high. The median is their root."""
+    """The logarithm is uniform from log(low) to log(high), 0 < low < high. The median is sqrt(low * high)."""
 
     low: float
     high: float
@@ -120,7 +120,7 @@ class LogUniform(Distribution):
 class Normal(Distribution):
     """Normal with ``mean`` and standard deviation ``std`` > 0; given ``low`` or ``high``, cut off there.
 
-    What is beyond the bounds is drawn anew, so the mean moves where they are not symmetric.
+    Numbers beyond the bounds are drawn again, so the mean moves if the bounds are not symmetric.
     """
 
     mean: float
@@ -150,7 +150,7 @@ class Normal(Distribution):
 
 @dataclasses.dataclass(frozen=True)
 class Choice(Distribution):
-    """One of ``values``, all equally likely, or as ``weights`` say (positive, one per value)."""
+    """One of ``values``. All are equally likely unless ``weights`` are given: positive numbers, one per value."""
 
     values: tuple[float, ...]
     weights: tuple[float, ...] | None = None
@@ -179,9 +179,9 @@ class Choice(Distribution):
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """The present value times what is drawn: ``Scale(LogUniform(0.5, 2.0))``.
+    """Multiplies the present value by the drawn number: ``Scale(LogUniform(0.5, 2.0))``.
 
-    Gradient: the drawn value's derivative by the present one is the factor.
+    Gradient: the derivative of the new value with respect to the present one is the factor.
     """
 
     by: Distribution
@@ -192,9 +192,9 @@ class Scale:
 
 @dataclasses.dataclass(frozen=True)
 class Shift:
-    """The present value plus what is drawn: ``Shift(Normal(0.0, 0.01))``.
+    """Adds the drawn number to the present value: ``Shift(Normal(0.0, 0.01))``.
 
-    Gradient: the drawn value's derivative by the present one is 1.
+    Gradient: the derivative of the new value with respect to the present one is 1.
     """
 
     by: Distribution

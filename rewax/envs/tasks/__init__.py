@@ -1,1 +1,1 @@
-"""Tasks, one a file. ``rewax.make`` makes them; a task's file is imported when it is first made."""
+"""One file for each task. ``rewax.make`` builds a task and imports its file when it is first made."""

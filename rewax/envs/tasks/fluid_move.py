@@ -1,8 +1,8 @@
 """FluidMove: carry water in an open container to a target, without spilling it.
 
 At scale ``paper`` this is the task of the SAPO paper (SoftGym's transport as Rewarped simulates it): a container of
-five boxes moves along x, y and z, no faster than half a metre per second. At scale ``small`` there is less water and a
-coarser grid, and distance and spilling count by functions whose derivatives say what to do.
+five boxes moves along x, y and z, at most at half a metre per second. Scale ``small`` has less water and a coarser
+grid, and its terms for distance and spilling have derivatives that are useful for learning.
 """
 
 from typing import Any
@@ -13,14 +13,17 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.appearance import MARKER
+from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_parts import box_walls, lattice_box, random_box, water
-from rewax.envs.kit.soft_task import Soft, SoftPhysics, SoftTask
+from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.envs.kit.start_noise import round_unit
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid, MPMScene, WallKind
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.checks import Legal
 from rewax.physics.shapes import Box
 from rewax.types import Array, Key, Observation, PyTree, Scalar, Vector
 
@@ -53,18 +56,18 @@ REFERENCE = {
 
 @struct.dataclass
 class FluidMove(SoftTask):
-    """The environment; build it with ``rewax.make("FluidMove", scale=...)``.
+    """The task; ``rewax.make("FluidMove", scale=...)`` builds it.
 
-    The joints are the container's place [m]. The task keeps its target [m], shape (3,).
+    The joints are the position of the container [m]. ``physics.task`` is the target [m], shape (3,).
 
     Attributes:
-      target_lower, target_upper: range of the target, from the container's start [m], shape (3,).
-      outer: half the edges of the box around container and water beyond which water is spilt [m], shape (3,).
-      spill_width: how far beyond it the share of a spilt particle grows from a half to 0.73 [m]. The reference has
-        1e-5, whose derivative is zero almost everywhere.
-      distance_scale: distance from the target that counts as 1 [m]; the reference has 1, in which the reward is flat.
-      relative: whether water and target are observed from the container instead of from the world's origin, and the
-        container's own place and the water's middle are not (static).
+      target_lower, target_upper: range of the target relative to the start of the container [m], shape (3,).
+      outer: half edges of the box, centered at the container, outside of which water is spilt [m], shape (3,).
+      spill_width: width of the sigmoid of the distance outside this box [m]. The reference has 1e-5: the derivative is
+        then zero almost everywhere.
+      distance_scale: unit of the distance to the target [m]. The reference has 1, for which the reward is nearly flat.
+      relative: whether water and target are observed relative to the container. Then the position of the container and
+        the mean of the water are not observed (static).
     """
 
     target_lower: Vector
@@ -85,8 +88,8 @@ class FluidMove(SoftTask):
     def observe(self, physics: SoftPhysics) -> Observation:
         obs = {**super().observe(physics), "target_q": physics.task - self._origin(physics)}
         if self.relative:
-            # Normalised, the small motions of the water's middle would be a loud signal, and answering it feeds back
-            # on them. Where the container is says where it came from, and a policy would learn to go on from there.
+            # Omitted: the centre of mass oscillates and destabilises the policy; the absolute position reveals the
+            # start.
             del obs["com_q"], obs["joint_q"]
         return obs
 
@@ -99,8 +102,8 @@ class FluidMove(SoftTask):
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
         """0.1 (1 / (1 + (d / distance_scale)^2))^2 (2 if d <= 0.02 else 1) - spill.
 
-        d is the distance of container and target [m]; spill the mean over the observed particles of the largest over
-        the axes of sigmoid((|x - container| - outer) / spill_width).
+        d is the distance between container and target [m]. The spill of a particle is the largest component of
+        sigmoid((|x - container| - outer) / spill_width); the reward has its mean over the observed particles.
         """
         square = jnp.sum((physics.joint_q - physics.task) ** 2)
         far = jnp.abs(self.cloud.pick(physics.soft.x) - physics.joint_q) - self.outer
@@ -123,7 +126,7 @@ class FluidMove(SoftTask):
 def container(
     inner: tuple[float, float, float], thickness: float, *, friction: float, softness: float
 ) -> tuple[Collider, ...]:
-    """Bottom and four walls of a box that is open upwards, about the middle of its inside."""
+    """Bottom and four walls of a box that is open at the top. The origin is the center of its inside."""
     (x, y, z), t = inner, thickness
     bottom = ((0.0, -(y + t) / 2, 0.0), (x / 2 + t, t / 2, z / 2 + t))
     along_x = [((side * (x + t) / 2, -t / 2, 0.0), (t / 2, (y + t) / 2, z / 2 + t)) for side in (-1, 1)]
@@ -140,17 +143,16 @@ def container(
 
 
 def _outer(inner: tuple[float, float, float], thickness: float) -> Array:
-    """Half the edges of the box beyond which water is spilt; upwards half a wall above the rim, as in the reference."""
+    """Half edges of the box outside which water is spilt. As in the reference, its top is half a wall above the rim."""
     length, height, width = inner
     return jnp.asarray([length / 2 + thickness, (height + thickness) / 2, width / 2 + thickness])
 
 
 def _fluid_move(
-    scene: MPMScene, start: tuple[float, ...], rest_positions: Array, thickness: float, **changes: Any
+    scene: MPMScene, steps: Substeps, start: tuple[float, ...], rest_positions: Array, thickness: float, **changes: Any
 ) -> FluidMove:
     r = REFERENCE
     options = {
-        "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         "joint_step": jnp.full(3, r["joint_step"]),
         "spill_width": r["spill_width"],
@@ -166,16 +168,24 @@ def _fluid_move(
         joint_lower=r["joint_lower"],
         joint_upper=r["joint_upper"],
         outer=_outer(r["inner_size"], thickness),
+        num_substeps=steps.num,
+        list_every=steps.list_every,
         **options,
     )
 
 
-def paper(*, youngs_modulus: float = REFERENCE["youngs_modulus"], dt: float = REFERENCE["dt"]) -> FluidMove:
-    """The reference's constants; the container starts below its lowest place, and the first step lifts it there."""
+def paper(
+    *,
+    youngs_modulus: float = REFERENCE["youngs_modulus"],
+    dt: float | None = None,
+    num_substeps: int | None = None,
+) -> FluidMove:
+    """The constants of the reference. The container starts below its lower limit, and the first step lifts it there."""
     r = REFERENCE
+    steps = substeps(dt, num_substeps, Substeps(r["dt"], r["num_substeps"], list_every=5))
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 49, 49), spacing=1.0 / r["grid"]),
-        dt=dt,
+        dt=steps.dt,
         material=water(youngs_modulus),
         particle_volume=float(np.prod(r["water_size"])) / r["num_particles"],
         gravity=(0.0, r["gravity"], 0.0),
@@ -186,22 +196,30 @@ def paper(*, youngs_modulus: float = REFERENCE["youngs_modulus"], dt: float = RE
     )
     return _fluid_move(
         scene,
+        steps,
         r["center"],
         random_box(r["center"], r["water_size"], r["num_particles"]),
         r["thickness"],
         cloud=PointCloud(num_points=r["num_observed"], stride=r["stride"]),
-        list_every=5,
     )
 
 
-def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float = 0.0625) -> FluidMove:
-    """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
+def small(
+    *,
+    youngs_modulus: float = 2.5e4,
+    dt: float | None = None,
+    num_substeps: int | None = None,
+    thickness: float = 0.0625,
+) -> FluidMove:
+    """A task that learns within minutes on two cores; ``docs/soft_tasks.md`` has the reason for each difference."""
     r, spacing, start = REFERENCE, 1.0 / 32, (0.5, 0.25, 0.5)
+    steps = substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=5))
+    thickness = number_option("thickness", thickness, Legal(0.0, 0.2), remedy="give the thickness of the walls in m")
     size, counts = np.asarray(r["water_size"]), (8, 5, 10)
     center = np.asarray(start) - [0.0, 0.5 * (r["inner_size"][1] - size[1]), 0.0]
     scene = mpm.make_scene(
         grid=Grid(shape=(33, 33, 33), spacing=spacing),
-        dt=dt,
+        dt=steps.dt,
         material=water(youngs_modulus),
         particle_volume=float(np.prod(size)) / np.prod(counts),
         gravity=(0.0, r["gravity"], 0.0),
@@ -211,12 +229,11 @@ def small(*, youngs_modulus: float = 2.5e4, dt: float = 2e-3, thickness: float =
     )
     return _fluid_move(
         scene,
+        steps,
         start,
         lattice_box(center, size, counts),
         thickness,
         cloud=PointCloud(num_points=80, stride=5),
-        num_substeps=10,
-        list_every=5,
         max_steps=80,
         joint_step=jnp.full(3, 0.01),
         spill_width=0.005,

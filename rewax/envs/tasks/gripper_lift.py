@@ -1,8 +1,8 @@
-"""GripperLift: two fingers grasp a soft block and lift it; the motors feel its weight and its give.
+"""GripperLift: two fingers grasp a soft block and lift it. The block exerts forces on the fingers, too.
 
-Not a task of the reference: fingers move by forces, not as prescribed, so what they hold pushes back. Friction decides:
-a policy that squeezes too little, or pulls too hard, loses the block. The gradient of the lifted height reaches the
-squeeze through the particles' contact.
+The reference has no such task: here motors move the fingers, and the block pushes back. A policy that squeezes too
+little, or pulls too hard, loses the block. The gradient of the height reaches the squeezing force through the contact
+of the particles.
 """
 
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.coupled_task import CoupledPhysics, CoupledTask
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.rigid_task import load_asset
 from rewax.envs.kit.soft_parts import lattice_box
@@ -19,20 +20,20 @@ from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
 from rewax.types import Array, Observation, Scalar
 
 SIZE = (0.08, 0.08, 0.08)
-"""Of the block [m]."""
+"""Edges of the block [m]."""
 FLOOR = 0.08
-"""Height of the floor [m]; material comes to rest up to a cell below it."""
+"""Height of the floor [m]. Material comes to rest up to one cell below it."""
 
 
 @struct.dataclass
 class GripperLift(CoupledTask):
-    """The environment; build it with ``rewax.make("GripperLift", scale=...)``.
+    """The task; ``rewax.make("GripperLift", scale=...)`` builds it.
 
     Attributes:
-      target: height of the block's middle that is wanted [m].
-      start_height: of its middle at rest [m].
+      target: desired height of the center of the block [m].
+      start_height: height of its center at rest [m].
       reach: weight of the distance between fingers and block in the reward [1/m].
-      effort: price of the sum of squares of the actions.
+      effort: weight of the squared norm of the action in the reward.
     """
 
     target: Scalar
@@ -48,8 +49,8 @@ class GripperLift(CoupledTask):
     def reward(self, physics: CoupledPhysics) -> tuple[Array, dict[str, Array]]:
         """1 - ((target - h) / (target - h0))^2 - reach gap - effort |a|^2.
 
-        h is the mean height of the block, h0 that at rest, gap the mean distance of the fingers from its middle along
-        x beyond half its size [m].
+        h is the mean height of the block [m] and h0 its value at rest. gap is the mean distance along x between the
+        fingers and the faces of the block [m].
         """
         x = physics.soft.x
         height = x[:, 1].mean()
@@ -62,16 +63,18 @@ class GripperLift(CoupledTask):
         return reward, {"height": height, "gap": gap, "success": success}
 
 
-def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **options) -> GripperLift:
-    """A block of so many particles a cell along each axis; the robot's substep lasts ``each`` of the particles'."""
-    model = load_asset("gripper.xml", dt=each * dt)
-    counts = tuple(round(per_cell * edge / spacing) for edge in SIZE)
+def _gripper_lift(
+    steps: Substeps, *, spacing: float, each: int, max_active_nodes: int, cloud: PointCloud, max_steps: int
+) -> GripperLift:
+    """A block of two particles per cell and axis; a substep of the robot is ``each`` substeps of the particles."""
+    model = load_asset("gripper.xml", dt=steps.dt)
+    counts = tuple(round(2 * edge / spacing) for edge in SIZE)
     middle = np.array([0.2, FLOOR + 0.5 * SIZE[1] - 0.5 * spacing, 0.2])
     shape = (round(0.4 / spacing) + 1, round(0.56 / spacing) + 1, round(0.4 / spacing) + 1)
     sides = Wall(position=2 * spacing), Wall(position=0.4 - 2 * spacing)
     scene = mpm.make_scene(
         grid=Grid(shape=shape, spacing=spacing),
-        dt=dt,
+        dt=steps.dt / each,
         material=Material(
             density=1000.0,
             elasticity=NeoHookean(youngs_modulus=2e4, poissons_ratio=0.3),
@@ -83,7 +86,7 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
             lower=(sides[0], Wall(position=FLOOR, kind=WallKind.SEPARATING, friction=0.3), sides[0]),
             upper=(sides[1], None, sides[1]),
         ),
-        **options.pop("scene", {}),
+        max_active_nodes=max_active_nodes,
     )
     return GripperLift(
         model=model,
@@ -94,35 +97,32 @@ def _gripper_lift(*, spacing: float, per_cell: int, dt: float, each: int, **opti
         start_height=middle[1],
         reach=10.0,
         effort=0.01,
-        **options,
+        cloud=cloud,
+        num_substeps=steps.num,
+        list_every=steps.list_every,
+        max_steps=max_steps,
     )
 
 
-def paper() -> GripperLift:
-    """For an accelerator: cells of 1 cm, 4096 particles, six seconds."""
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> GripperLift:
+    """For an accelerator: cells of 1 cm, 4096 particles, six seconds. dt and num_substeps are the robot's."""
     return _gripper_lift(
+        substeps(dt, num_substeps, Substeps(1e-3, 20, list_every=5)),
         spacing=0.01,
-        per_cell=2,
-        dt=2.5e-4,
         each=4,
-        num_substeps=20,
-        list_every=5,
-        max_steps=300,
+        max_active_nodes=8192,
         cloud=PointCloud(num_points=256, stride=16),
-        scene={"max_active_nodes": 8192},
+        max_steps=300,
     )
 
 
-def small() -> GripperLift:
-    """For two cores: cells of 2 cm, 512 particles, 1.2 s."""
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> GripperLift:
+    """For two cores: cells of 2 cm, 512 particles, 1.2 s. dt and num_substeps are the robot's."""
     return _gripper_lift(
+        substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=5)),
         spacing=0.02,
-        per_cell=2,
-        dt=1e-3,
         each=2,
-        num_substeps=10,
-        list_every=5,
-        max_steps=60,
+        max_active_nodes=1536,
         cloud=PointCloud(num_points=64, stride=8),
-        scene={"max_active_nodes": 1536},
+        max_steps=60,
     )

@@ -1,7 +1,7 @@
 """HandFlip: fold a flat piece of dough on a hand, by closing the hand.
 
-At scale ``paper`` this is the task of the SAPO paper (DexDeform's flip as Rewarped simulates it): a Shadow hand, palm
-up, under a thin disc of dough. At scale ``small`` the same hand folds softer and coarser dough in fewer, longer steps.
+Scale ``paper`` is the task of the SAPO paper (DexDeform's flip as Rewarped simulates it): a Shadow hand, palm up, under
+a thin disc of dough. Scale ``small`` has the same hand, softer and coarser dough, and fewer, longer steps.
 """
 
 import jax
@@ -9,10 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, number_option, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.shadow_hand import HandTask, hand_colliders, joint_limits, load_hand
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_parts import box_walls, dough
-from rewax.envs.kit.soft_task import Soft, SoftPhysics
+from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
 from rewax.physics import mpm
 from rewax.physics.mpm import Grid
@@ -42,8 +44,8 @@ REFERENCE = {
     "num_observed": 250,
     "stride": 10,
 }
-"""Xing, Luk and Oh 2025 and Rewarped; lengths in m, times in s, moduli in Pa for dough of density 1. The volume of a
-particle is a squared length there; with a prescribed hand it has no effect on the motion."""
+"""Xing, Luk and Oh 2025 and Rewarped; lengths in m, times in s, moduli in Pa for dough of density 1. The reference
+squares a length for the volume of a particle; with a prescribed hand the volume does not affect the motion."""
 
 START = (
     *(-0.16514339750464327, -0.31973286565062153),
@@ -59,17 +61,17 @@ Gymnasium-Robotics (``DEFAULT_INITIAL_QPOS``), which DexDeform and Rewarped star
 
 @struct.dataclass
 class HandFlip(HandTask):
-    """The environment; build it with ``rewax.make("HandFlip", scale=...)``.
+    """The task; ``rewax.make("HandFlip", scale=...)`` builds it.
 
-    Observed points i and i + n/2 of n are mirror images of each other at rest. The task keeps their mean distance D0 at
-    the first step of the episode [m], shape (); negative before.
+    The observed points i and i + n/2, of n points, are mirror images of each other at rest. ``physics.task`` is D0, the
+    mean distance of these pairs at the first step of the episode [m], shape (); before that step it is negative.
     """
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         return self.at_rest(positions), -jnp.ones((), positions.dtype)
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """clip((D0 - D) / D0, -1, 1), D the mean distance of mirror pairs. D0 has no derivative."""
+        """clip((D0 - D) / D0, -1, 1), with D the mean distance of mirror pairs. D0 has no gradient."""
         distance = self.pair_distance(physics)
         first = self.first_distance(physics)
         closed = (first - distance) / first
@@ -90,7 +92,7 @@ class HandFlip(HandTask):
 
 
 def mirrored_disc(center: tuple[float, ...], radius: float, half_thickness: float, num_particles: int) -> Array:
-    """Uniform points of a disc about y from a fixed seed: one half in z >= 0, then its mirror images in z = 0.
+    """Random points of a disc about y, from a fixed seed: one half with z >= 0, then its mirror images in z = 0.
 
     Each half is sorted by z, then x, then y; shape (num_particles, 3).
     """
@@ -109,13 +111,15 @@ def paper(
     *,
     youngs_modulus: float = REFERENCE["youngs_modulus"],
     yield_stress: float = REFERENCE["yield_stress"],
-    dt: float = REFERENCE["dt"],
+    dt: float | None = None,
+    num_substeps: int | None = None,
 ) -> HandFlip:
-    """The reference's constants."""
+    """The constants of the reference."""
+    steps = substeps(dt, num_substeps, Substeps(REFERENCE["dt"], REFERENCE["num_substeps"], list_every=5))
     r, hand = REFERENCE, load_hand(scale=REFERENCE["hand_scale"], position=REFERENCE["hand_position"])
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 49, 49), spacing=1.0 / r["grid"]),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=r["particle_volume"],
         gravity=(0.0, r["gravity"], 0.0),
@@ -124,15 +128,14 @@ def paper(
         max_active_nodes=10752,
         reach=0.5,
     )
-    return _hand_flip(scene, hand, r["num_particles"], num_observed=r["num_observed"], list_every=5)
+    return _hand_flip(scene, hand, steps, r["num_particles"], num_observed=r["num_observed"])
 
 
-def _hand_flip(scene, hand, num_particles: int, *, num_observed: int, **changes) -> HandFlip:
+def _hand_flip(scene, hand, steps: Substeps, num_particles: int, *, num_observed: int, **changes) -> HandFlip:
     r, (lower, upper) = REFERENCE, joint_limits(hand)
     options = {
         "noise": reset_noise(r["shift_lower"], r["shift_upper"], r["stretch"]),
         "joint_step": jnp.full(len(START), r["joint_step"]),
-        "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         "rest_positions": mirrored_disc(r["center"], r["radius"], r["half_thickness"], num_particles),
         **changes,
@@ -143,6 +146,8 @@ def _hand_flip(scene, hand, num_particles: int, *, num_observed: int, **changes)
         joint_start=START,
         joint_lower=lower,
         joint_upper=upper,
+        num_substeps=steps.num,
+        list_every=steps.list_every,
         cloud=PointCloud(num_points=num_observed, stride=num_particles // num_observed),
         **options,
     )
@@ -152,15 +157,18 @@ def small(
     *,
     youngs_modulus: float = 800.0,
     yield_stress: float = 26.0,
-    dt: float = 4e-4,
+    dt: float | None = None,
+    num_substeps: int | None = None,
     softness: float = 100.0,
 ) -> HandFlip:
-    """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
+    """A task that learns within minutes on two cores; ``docs/soft_tasks.md`` has the reason for each difference."""
+    steps = substeps(dt, num_substeps, Substeps(4e-4, 15, list_every=5))
+    softness = number_option("softness", softness, remedy="give a decay per metre")
     r, hand = REFERENCE, load_hand(scale=REFERENCE["hand_scale"], position=REFERENCE["hand_position"])
     spacing, num_particles = 1.0 / 32, 256
     scene = mpm.make_scene(
         grid=Grid(shape=(20, 17, 20), spacing=spacing, origin=(6 * spacing, 4 * spacing, 9 * spacing)),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=r["particle_volume"] * r["num_particles"] / num_particles,
         gravity=(0.0, r["gravity"], 0.0),
@@ -172,10 +180,9 @@ def small(
     return _hand_flip(
         scene,
         hand,
+        steps,
         num_particles,
         num_observed=64,
-        num_substeps=15,
-        list_every=5,
         max_steps=60,
         joint_step=jnp.full(len(START), 0.06),
         noise=reset_noise((-0.03, -0.04, -0.03), (0.03, -0.04, 0.03)),

@@ -1,13 +1,14 @@
 """HandLift: lift a cube of dough that lies on a hand, by closing the hand.
 
-At scale ``paper`` this is DexDeform's lift as Rewarped simulates it: a smaller Shadow hand than HandFlip's, palm up,
-under a cube of stiff and heavy dough. At scale ``small`` the dough is coarser, and steps are fewer and longer.
+Scale ``paper`` is DexDeform's lift as Rewarped simulates it: a smaller Shadow hand than that of HandFlip, palm up,
+under a cube of stiff and heavy dough. Scale ``small`` has coarser dough, and fewer, longer steps.
 """
 
 import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.shadow_hand import NUM_JOINTS, HandTask, hand_colliders, joint_limits, load_hand
 from rewax.envs.kit.soft_parts import box_walls, dough, lattice_box, random_box
@@ -39,29 +40,29 @@ REFERENCE = {
     "num_observed": 250,
     "stride": 32,
 }
-"""Rewarped's dexdeform.Lift; lengths in m, times in s, moduli in Pa. Substeps, motion per step and observed points,
-which its configuration shares with the flip, are HandFlip's."""
+"""dexdeform.Lift of Rewarped; lengths in m, times in s, moduli in Pa. Substeps, motion per step and observed points are
+those of HandFlip: the two share them in Rewarped's configuration."""
 
 
 @struct.dataclass
 class HandLift(HandTask):
-    """The environment; build it with ``rewax.make("HandLift", scale=...)``.
+    """The task; ``rewax.make("HandLift", scale=...)`` builds it.
 
     Attributes:
-      datum: height that earns nothing [m]; 0 in the reference.
-      unit: height above it that earns 1 [m]; 1 in the reference.
+      datum: height at which the reward is 0 [m]; 0 in the reference.
+      unit: height above the datum at which the reward is 1 [m]; 1 in the reference.
     """
 
     datum: Vector
     unit: Vector
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """(h - datum) / unit, h the mean height of all particles [m]."""
+        """(h - datum) / unit, with h the mean height of all particles [m]."""
         height = physics.soft.x[:, 1].mean()
         return (height - self.datum) / self.unit, {"height": height}
 
 
-def _hand_lift(*, grid: Grid, dt: float, softness: float, walls: dict, scene: dict, **changes) -> HandLift:
+def _hand_lift(*, grid: Grid, steps: Substeps, softness: float, walls: dict, scene: dict, **changes) -> HandLift:
     r = REFERENCE
     hand = load_hand(scale=r["hand_scale"], position=r["hand_position"])
     lower, upper = joint_limits(hand)
@@ -71,7 +72,6 @@ def _hand_lift(*, grid: Grid, dt: float, softness: float, walls: dict, scene: di
         "datum": 0.0,
         "unit": 1.0,
         "joint_step": jnp.full(NUM_JOINTS, r["joint_step"]),
-        "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         **changes,
     }
@@ -79,7 +79,7 @@ def _hand_lift(*, grid: Grid, dt: float, softness: float, walls: dict, scene: di
         hand=hand,
         scene=mpm.make_scene(
             grid=grid,
-            dt=dt,
+            dt=steps.dt,
             material=dough(
                 r["youngs_modulus"],
                 r["yield_stress"],
@@ -96,33 +96,34 @@ def _hand_lift(*, grid: Grid, dt: float, softness: float, walls: dict, scene: di
         joint_start=jnp.zeros(NUM_JOINTS),
         joint_lower=lower,
         joint_upper=upper,
+        num_substeps=steps.num,
+        list_every=steps.list_every,
         **options,
     )
 
 
-def paper() -> HandLift:
-    """The reference's constants."""
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> HandLift:
+    """The constants of the reference."""
     r = REFERENCE
     bound = 3.0 / r["grid"]
     return _hand_lift(
         grid=Grid(shape=(65, 65, 65), spacing=1.0 / r["grid"]),
-        dt=r["dt"],
+        steps=substeps(dt, num_substeps, Substeps(r["dt"], r["num_substeps"], list_every=5)),
         softness=r["softness"],
         walls={"floor": bound, "lower": (bound, bound), "upper": (1.0 - bound, 1.0 - bound), "ceiling": 1.0 - bound},
         scene={"max_active_nodes": 4096},
         rest_positions=random_box(r["center"], (r["edge"],) * 3, r["num_particles"]),
         cloud=PointCloud(num_points=r["num_observed"], stride=r["stride"]),
-        list_every=5,
     )
 
 
-def small() -> HandLift:
-    """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> HandLift:
+    """A task that learns within minutes on two cores; ``docs/soft_tasks.md`` has the reason for each difference."""
     r, spacing = REFERENCE, 1.0 / 48
     center = (0.5, 0.265, 0.5)
     return _hand_lift(
         grid=Grid(shape=(17, 36, 19), spacing=spacing, origin=(16 * spacing, 6 * spacing, 15 * spacing)),
-        dt=2e-4,
+        steps=substeps(dt, num_substeps, Substeps(2e-4, 20, list_every=5)),
         softness=150.0,
         walls={"floor": 0.16, "lower": (0.36, 0.34), "upper": (0.64, 0.66)},
         scene={"max_active_nodes": 768},
@@ -130,8 +131,6 @@ def small() -> HandLift:
         cloud=PointCloud(num_points=72, stride=3),
         noise=reset_noise((-0.015, 0.0, -0.015), (0.015, 0.0, 0.015)),
         joint_step=jnp.full(NUM_JOINTS, 0.06),
-        num_substeps=20,
-        list_every=5,
         max_steps=60,
         exact_limits=True,
         datum=0.24,

@@ -1,7 +1,7 @@
 """HandReorient: an Allegro hand, palm up, catches a cube and turns it to a goal orientation.
 
-The world's z axis points up. Scale ``paper`` has the reference's hand, cube, goal and step; ``small`` has longer
-substeps and shorter episodes.
+The z axis of the world points up. Scale ``paper`` has the hand, cube, goal and control step of the reference. Scale
+``small`` has longer substeps and shorter episodes.
 """
 
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, uniform, xyzw
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_product, quaternion_to_matrix
@@ -24,31 +25,31 @@ REFERENCE_CONTACT = Penalty(
     at_surfaces=True,
     boxes_touch_once=True,
 )
-"""Contacts and joint limits as Rewarped simulates them; there two boxes touch at up to 24 points, here at one."""
+"""Contacts and joint limits as in Rewarped, where two boxes touch at up to 24 points. Here they touch at one."""
 
 _NUM_JOINTS = 16
 _WIDTH = 1e-3
-"""Of the two sigmoids that stand for steps in the bonus: of an angle [rad], and of the first sigmoid [-]."""
+"""Width of the two sigmoids in the bonus, which replace steps: of an angle [rad] and of the first sigmoid [-]."""
 _MAX_SINE = 1.0 - 1e-3
-"""Of half the angle to the goal: its arc sine has an infinite derivative at 1."""
+"""Upper bound of the sine of half the angle to the goal: at 1 the arc sine has an infinite derivative."""
 
 
 @struct.dataclass
 class HandReorient(RigidTask):
-    """The environment; build it with ``rewax.make("HandReorient", scale=...)``.
+    """The task; ``rewax.make("HandReorient", scale=...)`` builds it.
 
     Observation ``state``, 72 numbers: joint angles, -1 and 1 at their limits (16), 0.2 joint rates (16), the cube's
     position (3), orientation x, y, z, w (4), velocity (3) and 0.2 angular velocity (3), the goal's position (3) and
-    orientation (4), the turn from the goal to the cube (4), last action (16). Joints and actions come thumb first, then
-    ring, middle and index finger, each from the palm outwards. An action times 2 N m is the joints' torques.
+    orientation (4), the rotation from the goal to the cube (4), last action (16). Joints and actions are in the order
+    thumb, ring, middle and index finger, each from the palm outwards. The joint torques are 2 N m times the action.
 
-    What the task keeps, ``state.physics.task``, is the goal's orientation (w, x, y, z), shape (4,). It is drawn anew by
-    a reset and whenever the cube comes within ``tolerance`` of it; the observation then shows the new one.
+    ``physics.task`` is the orientation of the goal (w, x, y, z), shape (4,). A reset draws it, and so does a step in
+    which the cube comes within ``tolerance`` of it; the observation after that step shows the new goal.
 
     Attributes:
-      goal_position: where to hold the cube [m], shape (3,).
+      goal_position: desired position of the cube [m], shape (3,).
       tolerance: angle at which a goal is reached [rad].
-      fall_distance: between cube and goal, at which the episode ends [m].
+      fall_distance: distance between cube and goal at which the episode ends [m].
     """
 
     goal_position: Vector
@@ -59,8 +60,8 @@ class HandReorient(RigidTask):
         keys = jax.random.split(key, 4)
         low, high = self._joint_limits()
         joints = 0.2 * jax.random.uniform(keys[0], (_NUM_JOINTS,), minval=low, maxval=high)
-        place = self.model.home[_NUM_JOINTS:][:3] + uniform(keys[1], 3, 0.01)
-        cube = jnp.concatenate([place, random_goal(keys[2])])
+        position = self.model.home[_NUM_JOINTS:][:3] + uniform(keys[1], 3, 0.01)
+        cube = jnp.concatenate([position, random_goal(keys[2])])
         return rigid.initial_state(self.model, jnp.concatenate([joints, cube])), random_goal(keys[3])
 
     def observe(self, physics: RigidPhysics) -> Observation:
@@ -71,15 +72,15 @@ class HandReorient(RigidTask):
         velocity, spin = v[_NUM_JOINTS:][:3], quaternion_to_matrix(orientation) @ v[_NUM_JOINTS:][3:]
         hand = [joints, 0.2 * v[:_NUM_JOINTS]]
         cube = [position, xyzw(orientation), velocity, 0.2 * spin]
-        goals = [self.goal_position, xyzw(goal), xyzw(turn_between(goal, orientation))]
+        goals = [self.goal_position, xyzw(goal), xyzw(rotation_between(goal, orientation))]
         return {"state": jnp.concatenate([*hand, *cube, *goals, physics.action])}
 
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
-        """-10 distance + 1 / (angle + 0.1) - 0.0002 |action|^2 + bonus, the latter at most 125.
+        """-10 distance + 1 / (angle + 0.1) - 0.0002 |action|^2 + bonus, with a bonus of at most 125.
 
-        The bonus is the reference's: 250 times a sigmoid of -|s - 1|, which is 0.5 at most, where s is a sigmoid that
-        tells whether the goal is reached. A flag that would hold s at 1 while a reached goal stays is 0 here as there:
-        by the next reward the goal is another.
+        The bonus is that of the reference: 250 sigmoid(-|s - 1| / width), where s = 1 - sigmoid((angle - tolerance) /
+        width) is near 1 if the goal is reached. The reference has a flag that keeps s at 1 after a goal was reached;
+        it is always 0 there, because the goal has changed by the next reward, and so it is left out here.
         """
         distance, angle = self._distance(physics), self._angle(physics)
         reached = 1.0 - jax.nn.sigmoid((angle - self.tolerance) / _WIDTH)
@@ -101,16 +102,16 @@ class HandReorient(RigidTask):
         return _norm(physics.rigid.qpos[_NUM_JOINTS:][:3] - self.goal_position)
 
     def _angle(self, physics: RigidPhysics) -> Array:
-        """Between cube and goal [rad], at most 3.05, shape ()."""
-        turn = turn_between(physics.task, physics.rigid.qpos[_NUM_JOINTS:][3:])
-        return 2.0 * jnp.arcsin(jnp.minimum(_norm(turn[1:]), _MAX_SINE))
+        """Angle between cube and goal [rad], at most 3.05, shape ()."""
+        rotation = rotation_between(physics.task, physics.rigid.qpos[_NUM_JOINTS:][3:])
+        return 2.0 * jnp.arcsin(jnp.minimum(_norm(rotation[1:]), _MAX_SINE))
 
     def _reached(self, physics: RigidPhysics) -> Array:
         return self._angle(physics) <= self.tolerance
 
 
 def random_goal(key: Key) -> Array:
-    """Unit quaternion (w, x, y, z) of a turn about y and then one about x, by angles between -pi and pi."""
+    """Unit quaternion (w, x, y, z) of a random rotation about y, then one about x, by angles within [-pi, pi]."""
     half_x, half_y = 0.5 * uniform(key, 2, np.pi)
     zero = jnp.zeros(())
     about_x = jnp.stack([jnp.cos(half_x), jnp.sin(half_x), zero, zero])
@@ -118,8 +119,8 @@ def random_goal(key: Key) -> Array:
     return quaternion_product(about_x, about_y)
 
 
-def turn_between(first: Array, second: Array) -> Array:
-    """The turn that takes one orientation to another, all unit quaternions (w, x, y, z). Gradient: exact."""
+def rotation_between(first: Array, second: Array) -> Array:
+    """The rotation from one orientation to another, all unit quaternions (w, x, y, z). Gradient: exact."""
     return quaternion_product(second, first * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
@@ -129,18 +130,24 @@ def _norm(a: Array) -> Array:
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
 
 
-def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReorient:
+def make_hand_reorient(
+    *, scale: str, contact: Penalty | None = None, dt: float | None = None, num_substeps: int | None = None
+) -> HandReorient:
     """Factory for the registry.
 
     Args:
       scale: ``"paper"``: 64 substeps per control step of 1/120 s and 600 steps; ``"small"``: 8 and 150.
-      contact: contacts and joint limits other than the scale's own, ``REFERENCE_CONTACT`` for example.
+      contact: contacts and joint limits, ``REFERENCE_CONTACT`` for example; None: those of the scale.
+      dt, num_substeps: see ``rewax.make``.
     """
-    num_substeps, max_steps, own = _SCALES[scale]
-    model = load_asset("allegro.xml", dt=1.0 / 120 / num_substeps, penalty=own if contact is None else contact)
+    if contact is not None and not isinstance(contact, Penalty):
+        raise ValueError(f"contact is {contact!r}: give a rewax.physics.rigid.Penalty, or None for the scale's own")
+    count, max_steps, penalty = _SCALES[scale]
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 120 / count, count))
+    model = load_asset("allegro.xml", dt=steps.dt, penalty=penalty if contact is None else contact)
     return HandReorient(
         model=model,
-        num_substeps=num_substeps,
+        num_substeps=steps.num,
         max_steps=max_steps,
         goal_position=model.home[_NUM_JOINTS:][:3] - jnp.array([0.0, 0.0, 0.04]),
         tolerance=0.1,
@@ -149,7 +156,7 @@ def make_hand_reorient(*, scale: str, contact: Penalty | None = None) -> HandReo
 
 
 _SELF = Penalty(stiffness=2000.0, damping=100.0, friction_damping=100.0, onset=1e-3)
-"""Of the hand with itself: about four of the reference's points, so that its poses stay near the reference's."""
+"""Contact of the hand with itself. It is as stiff as about four points of the reference: poses stay near its poses."""
 _FIRM = Penalty(
     stiffness=8000.0,
     damping=100.0,
@@ -169,4 +176,4 @@ _SMALL = _FIRM.replace(
     among=_SELF.replace(damping=40.0, friction_damping=60.0),
 )
 _SCALES = {"paper": (64, 600, _FIRM), "small": (8, 150, _SMALL)}
-"""Substeps, steps of an episode, contact."""
+"""For each scale: substeps per control step, control steps per episode, contact."""

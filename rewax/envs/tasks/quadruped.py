@@ -1,10 +1,10 @@
-"""Quadruped: a robot of 30 kg walks at 1 m/s; how a robot of one's own becomes a task.
+"""Quadruped: a robot of 30 kg walks at 1 m/s. It shows how your own robot becomes a task.
 
-What it takes: a model in MJCF (``assets/quadruped.xml``; ``rigid.load`` takes any path or text), a substep that its
-contacts allow, and a subclass of ``RigidTask`` that says how an episode starts, what is observed and what is rewarded.
+A task needs a model in MJCF (``assets/quadruped.xml``; ``rigid.load`` takes any path or text), a substep that its
+contacts allow, and a subclass of ``RigidTask`` with the start of an episode, the observation and the reward.
 
-Rewards are of the kind that such robots are trained with (Hwangbo et al. 2019, Learning agile and dynamic motor skills
-for legged robots; Rudin et al. 2021, Learning to walk in minutes), with own weights.
+The terms of the reward are common for such robots (Hwangbo et al. 2019, Learning agile and dynamic motor skills for
+legged robots; Rudin et al. 2021, Learning to walk in minutes). The weights are chosen for this robot.
 """
 
 import jax
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask, load_asset, random_turn, uniform
 from rewax.physics import rigid
 from rewax.physics.numerics import quaternion_to_matrix
@@ -31,18 +32,18 @@ _WEIGHTS = {
 
 @struct.dataclass
 class Quadruped(RigidTask):
-    """The environment; build it with ``rewax.make("Quadruped", scale=...)``.
+    """The task; ``rewax.make("Quadruped", scale=...)`` builds it.
 
     Observation ``state``, 45 numbers: in the trunk's frame velocity (3), angular velocity (3) and the direction of
     gravity (3); joint angles from the stance (12), 0.1 joint rates (12), last action (12). Per leg (left front, right
-    front, left hind, right hind) the joints spread, swing and knee. An action times ``reach``, added to the stance, is
-    the angles that the joints' controllers aim at, 80 N m/rad and 3 N m s/rad, at most 50 N m.
+    front, left hind, right hind) the joints spread, swing and knee. The target angles of the joints' controllers are
+    stance + reach * action. The controllers have 80 N m/rad and 3 N m s/rad, and exert at most 50 N m.
 
     Attributes:
-      stance: joint angles of action 0 [rad], shape (12,).
-      reach: angle per action [rad].
-      command: velocity to walk with, forward and to the left in the trunk's frame [m/s], shape (2,).
-      fallen_height, fallen_upright: height of the trunk [m] and cosine of its tilt, below which the episode ends.
+      stance: target joint angles for action 0 [rad], shape (12,).
+      reach: change of the target angles per unit of action [rad].
+      command: desired velocity, forward and to the left in the frame of the trunk [m/s], shape (2,).
+      fallen_height, fallen_upright: height of the trunk [m] and cosine of its tilt below which the episode ends.
     """
 
     stance: Vector
@@ -53,9 +54,9 @@ class Quadruped(RigidTask):
 
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         turn_key, joint_key, velocity_key = jax.random.split(key, 3)
-        place = self.model.home[:3] + np.array([0.0, 0.0, 0.01])
+        position = self.model.home[:3] + np.array([0.0, 0.0, 0.01])
         joints = self.stance + uniform(joint_key, 12, 0.1)
-        qpos = jnp.concatenate([place, random_turn(turn_key, np.pi / 36), joints])
+        qpos = jnp.concatenate([position, random_turn(turn_key, np.pi / 36), joints])
         last_action = jnp.zeros(12)
         return rigid.initial_state(self.model, qpos, uniform(velocity_key, self.model.num_dofs, 0.1)), last_action
 
@@ -69,8 +70,11 @@ class Quadruped(RigidTask):
         return {"state": jnp.concatenate([*trunk, q[7:] - self.stance, 0.1 * v[6:], physics.action])}
 
     def reward(self, physics: RigidPhysics) -> tuple[Array, dict[str, Array]]:
-        """Weighted sum of: following the command (velocity) and not turning (yaw), each between 0 and 1; squares of
-        vertical velocity, rocking, tilt, torques and change of the action."""
+        """Weighted sum of the terms in ``_WEIGHTS``.
+
+        ``velocity`` (following the command) and ``yaw`` (not turning) are between 0 and 1. The other terms are squares
+        of vertical velocity, roll and pitch rates, tilt, torques and the change of the action.
+        """
         q, v = physics.rigid.qpos, physics.rigid.qvel
         rotation = quaternion_to_matrix(q[3:7])
         velocity = v[:3] @ rotation
@@ -91,12 +95,12 @@ class Quadruped(RigidTask):
         return (q[2] < self.fallen_height) | (quaternion_to_matrix(q[3:7])[2, 2] < self.fallen_upright)
 
     def next_task(self, physics: RigidPhysics, key: Key) -> PyTree:
-        """The action just taken, for the change of the next one."""
+        """The action of this step, with which the reward of the next step compares its own."""
         del key
         return physics.action
 
     def torques(self, physics: RigidPhysics) -> Array:
-        """What the joints' controllers exert in a state [N m], shape (12,)."""
+        """Torques of the joints' controllers in a state [N m], shape (12,)."""
         parameters = self.model.parameters
         stiffness, damping = parameters["actuator_gainprm"][:, 0], -parameters["actuator_biasprm"][:, 2]
         error = self.control(physics.action) - physics.rigid.qpos[7:]
@@ -108,18 +112,20 @@ def _square(vector: Array) -> Array:
     return jnp.sum(vector**2)
 
 
-def make_quadruped(*, scale: str) -> Quadruped:
+def make_quadruped(*, scale: str, dt: float | None = None, num_substeps: int | None = None) -> Quadruped:
     """Factory for the registry.
 
     Args:
       scale: ``"paper"``: 20 substeps of 1 ms and 1000 steps; ``"small"``: 8 substeps of 2.5 ms and 300 steps.
+      dt, num_substeps: see ``rewax.make``.
     """
-    num_substeps, max_steps = {"paper": (20, 1000), "small": (8, 300)}[scale]
+    own, max_steps = {"paper": (20, 1000), "small": (8, 300)}[scale]
+    steps = substeps(dt, num_substeps, Substeps(0.02 / own, own))
     penalty = Penalty(stiffness=1e4, damping=200.0, friction_damping=200.0, onset=0.01)
-    model = load_asset("quadruped.xml", dt=0.02 / num_substeps, penalty=penalty)
+    model = load_asset("quadruped.xml", dt=steps.dt, penalty=penalty)
     return Quadruped(
         model=model,
-        num_substeps=num_substeps,
+        num_substeps=steps.num,
         max_steps=max_steps,
         stance=model.home[7:],
         reach=0.35,

@@ -1,14 +1,15 @@
 """RollingFlat: flatten a piece of dough with a rolling pin.
 
-At scale ``paper`` this is the task of the SAPO paper (PlasticineLab's rolling pin as Rewarped simulates it). At scale
-``small`` the same task is made for minutes on two cores: softer dough, a thicker pin that starts on the dough, longer
-strokes per control step, shorter episodes; ``docs/rolling_flat.md`` says what differs and why.
+Scale ``paper`` is the task of the SAPO paper (PlasticineLab's rolling pin as Rewarped simulates it). Scale ``small``
+learns within minutes on two cores: it has softer dough, a thicker pin that starts on the dough, longer motions per
+control step and shorter episodes. ``docs/rolling_flat.md`` lists the differences and their reasons.
 """
 
 import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_parts import box_walls, dough, random_box, turn_about_y
 from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
@@ -21,20 +22,20 @@ from rewax.physics.shapes import Capsule
 from rewax.types import Array, Observation, Vector
 
 _Y_TO_Z = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
-"""Turns a capsule, whose axis is y, so that it lies along z."""
+"""Rotation that takes the axis of a capsule from y to z."""
 
 
 @struct.dataclass
 class RollingFlat(SoftTask):
-    """The environment; build it with ``rewax.make("RollingFlat", scale=...)``.
+    """The task; ``rewax.make("RollingFlat", scale=...)`` builds it.
 
-    The pin's joints are x, height y [m] and yaw about y [rad]; actions are fractions of ``joint_step``.
+    The joints of the pin are x, height y [m] and yaw about y [rad]. Actions are fractions of ``joint_step``.
 
     Attributes:
-      pin_pivot: position of the pin's joint for joint_q = 0 [m], shape (3,); yaw turns about it.
-      height_scale: height of the dough that counts as 1 in the reward [m].
-      height_origin: height that counts as 0 in the reward [m].
-      observe_velocity: whether the pin's last motion is observed as joint_qd (static).
+      pin_pivot: position of the pin for joint_q = 0 [m], shape (3,), and the center of its yaw.
+      height_scale: unit of the height in the reward [m].
+      height_origin: height that is 0 in the reward [m].
+      observe_velocity: whether the last motion of the pin is observed, as joint_qd (static).
     """
 
     pin_pivot: Vector
@@ -52,7 +53,7 @@ class RollingFlat(SoftTask):
         return {**obs, "joint_qd": physics.joint_qd} if self.observe_velocity else obs
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """(1 / (1 + d))^2 (2 if d <= 0.33 else 1) - var(y), d the mean height of the observed particles."""
+        """(1 / (1 + d))^2 (2 if d <= 0.33 else 1) - var(y), with d the mean scaled height of the observed particles."""
         y = self.observed(physics)[:, 1]
         d = (y.mean() - self.height_origin) / self.height_scale
         variance = y.var(ddof=1)
@@ -70,17 +71,24 @@ def _pin(radius: float, half_length: float, *, offset: tuple[float, float, float
     )
 
 
-def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: float = 5e-5) -> RollingFlat:
-    """The reference's constants.
+def paper(
+    *,
+    youngs_modulus: float = 5000.0,
+    yield_stress: float = 50.0,
+    dt: float | None = None,
+    num_substeps: int | None = None,
+) -> RollingFlat:
+    """The constants of the reference.
 
-    The reference has 48 nodes along each axis; the 49th lies behind the walls and gives particles the reference's
-    bounds. Only nodes near particles take part: the list holds dough that lies flat on the whole table, and
-    ``Status.INACTIVE_NODES`` tells if something does not fit in (``benchmarks/active_nodes.py`` measures the need).
+    The reference has 48 nodes along each axis. The 49th node lies behind the walls; with it particles have the bounds
+    of the reference. The list of active nodes is long enough for dough that covers the whole table;
+    ``Status.INACTIVE_NODES`` reports when it is too short (``benchmarks/active_nodes.py`` measures what is needed).
     """
     size, count = (0.3, 0.125, 0.3), 2592
+    steps = substeps(dt, num_substeps, Substeps(5e-5, 40, list_every=5))
     scene = mpm.make_scene(
         grid=Grid(shape=(49, 49, 49), spacing=1.0 / 48),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=float(np.prod(size)) / count,
         gravity=(0.0, -90.0, 0.0),
@@ -89,7 +97,7 @@ def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: flo
             _pin(0.012, 0.3, offset=(0.0, 0.0, 0.5), friction=0.9),
         ),
         walls=box_walls(floor=0.0625, lower=(0.0625, 0.0625), upper=(0.9375, 0.9375), ceiling=0.9375),
-        max_active_nodes=10752,  # a sheet over the table, at most a cell thick, needs 46 * 5 * 46
+        max_active_nodes=10752,  # a sheet over the table, at most one cell thick, touches 46 * 5 * 46 nodes
         reach=0.5,
     )
     return RollingFlat(
@@ -103,26 +111,33 @@ def paper(*, youngs_modulus: float = 5000.0, yield_stress: float = 50.0, dt: flo
         noise=reset_noise((-0.1, 0.0, -0.1), (0.1, 0.05, 0.1), 0.1),
         height_scale=0.125,
         height_origin=0.0,
-        num_substeps=40,
+        num_substeps=steps.num,
         max_steps=300,
         cloud=PointCloud(num_points=250, stride=10),
-        list_every=5,
+        list_every=steps.list_every,
     )
 
 
-def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: float = 7e-4) -> RollingFlat:
-    """The same task for minutes on two cores; ``docs/rolling_flat.md`` gives the reason for each difference."""
+def small(
+    *,
+    youngs_modulus: float = 750.0,
+    yield_stress: float = 15.0,
+    dt: float | None = None,
+    num_substeps: int | None = None,
+) -> RollingFlat:
+    """A task that learns within minutes on two cores; ``docs/rolling_flat.md`` has the reason for each difference."""
     size, count, floor, spacing, radius = (0.3, 0.125, 0.3), 256, 0.0625, 1.0 / 24, 0.05
     top = floor + size[1]
+    steps = substeps(dt, num_substeps, Substeps(7e-4, 10))
     scene = mpm.make_scene(
         grid=Grid(shape=(22, 9, 19), spacing=spacing, origin=(1.5 * spacing, 0.0, 3.0 * spacing)),
-        dt=dt,
+        dt=steps.dt,
         material=dough(youngs_modulus, yield_stress),
         particle_volume=float(np.prod(size)) / count,
         gravity=(0.0, -90.0, 0.0),
         colliders=(_pin(radius, 0.25, offset=(0.0, 0.0, 0.0), friction=0.9),),
         walls=box_walls(floor=floor, lower=(0.15, 0.25), upper=(0.85, 0.75)),
-        max_active_nodes=1664,  # the most that any of the actions of benchmarks/active_nodes.py needed is 1416
+        max_active_nodes=1664,  # benchmarks/active_nodes.py needed at most 1416
     )
     return RollingFlat(
         scene=scene,
@@ -135,7 +150,7 @@ def small(*, youngs_modulus: float = 750.0, yield_stress: float = 15.0, dt: floa
         noise=reset_noise((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0)),
         height_scale=size[1],
         height_origin=floor,
-        num_substeps=10,
+        num_substeps=steps.num,
         max_steps=60,
         cloud=PointCloud(num_points=64, stride=4),
         observe_velocity=True,

@@ -1,7 +1,7 @@
-"""SoftJumper: a soft table on four legs learns to leap, by muscles in all its tetrahedra.
+"""SoftJumper: a soft table on four legs learns to leap with muscles in all its tetrahedra.
 
-At scale ``paper`` this is the task of the SAPO paper (gradSim's walker as Rewarped simulates it). Scale ``small`` has
-the same body, longer substeps and shorter episodes.
+Scale ``paper`` is the task of the SAPO paper (gradSim's walker as Rewarped simulates it). Scale ``small`` has the same
+body, longer substeps and shorter episodes.
 """
 
 from typing import Any
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.envs.kit.start_noise import reset_noise
@@ -48,15 +49,15 @@ REFERENCE = {
 
 @struct.dataclass
 class SoftJumper(SoftTask):
-    """The environment; build it with ``rewax.make("SoftJumper", scale=...)``.
+    """The task; ``rewax.make("SoftJumper", scale=...)`` builds it.
 
-    An action is the activation of two tets each, 222 in all; positive contracts.
+    Each of the 222 components of an action activates two tets; a positive one contracts them.
 
     Attributes:
       strength: activation of a tet for action 1 [-].
-      effort: price of the sum of squares of the actions.
+      effort: weight of the squared norm of the action in the reward.
       start_height: mean height of the vertices at rest [m].
-      observation_scale: of positions and velocities.
+      observation_scale: factor of observed positions and velocities (static).
     """
 
     strength: Scalar
@@ -66,11 +67,11 @@ class SoftJumper(SoftTask):
 
     @property
     def num_actions(self) -> int:
-        return -(-len(self.scene.tets) // 2)
+        return -(-len(self.scene.tets) // 2)  # pyright: ignore[reportAttributeAccessIssue]
 
     def actuated(self, action: Array) -> TetScene:
-        each = np.arange(len(self.scene.tets)) // 2
-        return self.scene.replace(activation=self.strength * action[each])
+        each = np.arange(len(self.scene.tets)) // 2  # pyright: ignore[reportAttributeAccessIssue]
+        return self.scene.replace(activation=self.strength * action[each])  # pyright: ignore[reportReturnType]
 
     def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
         return self.observation_scale * physics.soft.x, self.observation_scale * physics.soft.v
@@ -85,14 +86,16 @@ class SoftJumper(SoftTask):
         }
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """v_x + 3 (y - y0) - 0.001 sum(a^2), of the mean of all vertices [m, m/s]; y0 is its height at rest."""
+        """v_x + 3 (y - y0) - 0.001 |a|^2 [m, m/s]. v and y are means over the vertices, y0 is the height at rest."""
         speed, height = physics.soft.v[:, 0].mean(), physics.soft.x[:, 1].mean()
         effort = self.effort * jnp.sum(physics.action**2)
         reward = REFERENCE["forward"] * speed + REFERENCE["upward"] * (height - self.start_height) - effort
         return reward, {"speed": speed, "height": height, "effort": effort}
 
 
-def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_damping"], **changes: Any) -> SoftJumper:
+def _soft_jumper(
+    steps: Substeps, *, friction_damping: float = REFERENCE["friction_damping"], **changes: Any
+) -> SoftJumper:
     r, mesh = REFERENCE, tets.soft_jumper_table()
     scene = tets.make_scene(
         mesh=mesh,
@@ -100,7 +103,7 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
         mu=r["mu"],
         lam=r["lam"],
         damping=r["damping"],
-        dt=dt,
+        dt=steps.dt,
         gravity=(0.0, r["gravity"], 0.0),
         contact=PenaltyContact(
             stiffness=r["contact_stiffness"],
@@ -113,7 +116,6 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
     )
     rest = jnp.asarray(mesh.vertices + np.array([0.0, r["height"], 0.0]), jnp.result_type(float))
     options = {
-        "num_substeps": r["num_substeps"],
         "max_steps": r["max_steps"],
         "noise": reset_noise(r["shift_lower"], r["shift_upper"], r["stretch"]),
         **changes,
@@ -125,21 +127,21 @@ def _soft_jumper(*, dt: float, friction_damping: float = REFERENCE["friction_dam
         strength=r["strength"],
         effort=r["effort"],
         start_height=rest[:, 1].mean(),
+        num_substeps=steps.num,
         **options,
     )
 
 
-def paper(*, dt: float = REFERENCE["dt"]) -> SoftJumper:
-    """The reference's constants."""
-    return _soft_jumper(dt=dt)
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumper:
+    """The constants of the reference."""
+    return _soft_jumper(substeps(dt, num_substeps, Substeps(REFERENCE["dt"], REFERENCE["num_substeps"])))
 
 
-def small(*, dt: float = 1.0 / 60.0 / 16.0) -> SoftJumper:
-    """The same task for minutes on two cores; ``docs/soft_tasks.md`` gives the reason for each difference."""
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumper:
+    """A task that learns within minutes on two cores; ``docs/soft_tasks.md`` has the reason for each difference."""
     return _soft_jumper(
-        dt=dt,
-        friction_damping=2.0,  # the reference's stops the lightest vertices more than twice over in a substep this long
-        num_substeps=16,
+        substeps(dt, num_substeps, Substeps(1.0 / 60.0 / 16.0, 16)),
+        friction_damping=2.0,  # with that of the reference, the lightest vertices are unstable: the substep is too long
         max_steps=90,
         noise=reset_noise((-0.8, 0.0, -0.8), (0.8, 0.1, 0.8), 0.02),
     )

@@ -1,8 +1,12 @@
-"""SoftJumperMPM: the soft table of SoftJumper made of particles, with muscle fibres, so that solvers can be compared.
+"""SoftJumperMPM: the soft table of SoftJumper made of particles with muscle fibres, to compare the two solvers.
 
-Body, actions, observations, reward and reset noise are those of SoftJumper; ``docs/soft_tasks.md`` says what differs.
-The table can run as far as it likes: the grid's box goes with it by whole cells.
+Body, actions, observations, reward and reset noise are those of SoftJumper; ``docs/soft_tasks.md`` lists the
+differences. The grid moves with the table by whole cells, so the table may run any distance.
 """
+
+# Its base class has tetrahedra where this one has particles: types that a checker cannot follow.
+# pyright: reportAttributeAccessIssue=false, reportReturnType=false, reportIncompatibleMethodOverride=false
+# pyright: reportOptionalMemberAccess=false, reportArgumentType=false
 
 import functools
 from typing import Any, NamedTuple
@@ -12,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.start_noise import reset_noise
 from rewax.envs.tasks.soft_jumper import REFERENCE, SoftJumper
@@ -22,29 +27,30 @@ from rewax.physics.tets import tetmesh
 from rewax.types import Array, Key, PyTree
 
 BOX = (5.6, 6.4, 5.6)
-"""Of the grid [m]: the table is 2.5 m wide and 1.8 m high."""
+"""Edges of the grid's box [m]. The table is 2.5 m wide and 1.8 m high."""
 
 SINK = 0.2
-"""How far below y = 0 the nodes lie that stop the table, in cells. They begin to act before particles reach them; with
-this, doing nothing earns about what it earns with tetrahedra."""
+"""Depth below y = 0 of the nodes that stop the table, in cells. They act on particles above them. With this depth, the
+return without actions is about that of SoftJumper."""
 
 
 class Table(NamedTuple):
-    """The table as particles, in the order in which tasks hold them."""
+    """The particles of the table, in the order of the state."""
 
     positions: np.ndarray
-    """Those nearest to the tets' vertices come first, in the vertices' order [m], shape (num_particles, 3)."""
+    """Positions [m], shape (num_particles, 3). First come the nearest to each vertex of the tets, in their order."""
     muscle: np.ndarray
-    """Which action drives each: that of the tet in which it lies, shape (num_particles,)."""
+    """Index of the action component that drives each particle: that of its tet, shape (num_particles,)."""
     fibre: np.ndarray
-    """Upright in the legs, along x in the slab, shape (num_particles, 3)."""
+    """Direction of the fibres, shape (num_particles, 3): upright in the legs, along x in the slab."""
 
 
 @struct.dataclass
 class SoftJumperMPM(SoftJumper):
-    """The environment; build it with ``rewax.make("SoftJumperMPM", scale=...)``.
+    """The task; ``rewax.make("SoftJumperMPM", scale=...)`` builds it.
 
-    An action pulls (positive) or pushes along the fibres of the particles in two tets of SoftJumper's mesh, 222 in all.
+    Each of the 222 components of an action contracts (positive) or extends the fibres of the particles in two tets of
+    SoftJumper's mesh.
 
     Attributes:
       strength: muscle stress for action 1 [Pa].
@@ -64,14 +70,14 @@ class SoftJumperMPM(SoftJumper):
         return self.scene.replace(material=material.replace(muscle=material.muscle.replace(activation=activation)))
 
     def start(self, positions: Array, key: Key) -> tuple[MPMState, PyTree]:
-        """Strained as the noise stretches it, like SoftJumper's tets."""
+        """The stretch of the reset noise strains the body, as it strains the tets of SoftJumper."""
         del key
         soft = self.at_rest(positions)
         extent, rest = (jnp.ptp(x[:, 0]) for x in (positions, self.rest_positions))
         return soft.replace(F=soft.F * (extent / rest)), None
 
     def _move(self, scene: MPMScene, soft: MPMState, poses: Pose) -> tuple[MPMState, Array]:
-        """In a box that has moved by whole cells to where the table is: physics is the same wherever it is."""
+        """The same substeps in a box that is shifted by whole cells to the table, which changes nothing else."""
         away = jax.lax.stop_gradient(soft.x.mean(0)) * jnp.array([1.0, 0.0, 1.0])
         shift = jnp.round(away / scene.grid.spacing) * scene.grid.spacing
         end, status = super()._move(scene, soft.replace(x=soft.x - shift), poses)
@@ -80,7 +86,7 @@ class SoftJumperMPM(SoftJumper):
 
 @functools.cache
 def table(per_cell: int) -> Table:
-    """SoftJumper's table with so many particles along each edge of its cells, each cubed a cell's volume."""
+    """The particles of SoftJumper's table, ``per_cell`` of them along each edge of each of its cells."""
     mesh, h = tets.soft_jumper_table(), tetmesh.TABLE_CELL
     low = mesh.vertices.min(axis=0)
     occupied = np.zeros((7, 5, 7), bool)
@@ -100,14 +106,14 @@ def _tets_around(mesh: tetmesh.TetMesh, points: np.ndarray) -> np.ndarray:
     """The tet in which each point lies, shape (num_points,)."""
     corners = mesh.vertices[mesh.tets]
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
-    # Points of a lattice lie on faces: a little off, each is in one tet.
+    # Points of a lattice lie on faces of tets. A small shift puts each into one tet.
     off = points + 1e-4 * tetmesh.TABLE_CELL * np.array([1.0, 2.3, 3.7])
     weights = np.einsum("tij,ntj->nti", inverse, off[:, None] - corners[:, 0])
     return np.minimum(weights.min(axis=-1), 1.0 - weights.sum(axis=-1)).argmax(axis=1)
 
 
-def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: Any) -> SoftJumperMPM:
-    """A table of so many particles a cell, two for each node along an axis."""
+def _soft_jumper(steps: Substeps, *, per_cell: int, max_active_nodes: int, **changes: Any) -> SoftJumperMPM:
+    """A table with ``per_cell`` particles along each edge of its cells. A cell of the grid has two along each axis."""
     r, body = REFERENCE, table(per_cell)
     elastic = tets.small_strain_moduli(r["mu"], r["lam"])
     spacing = 2.0 * tetmesh.TABLE_CELL / per_cell
@@ -120,7 +126,7 @@ def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: 
             spacing=spacing,
             origin=(-0.5 * counts[0] * spacing, floor - 2.0 * spacing, -0.5 * counts[2] * spacing),
         ),
-        dt=dt,
+        dt=steps.dt,
         material=Material(
             density=r["density"],
             elasticity=NeoHookean(youngs_modulus=elastic.youngs_modulus, poissons_ratio=elastic.poissons_ratio),
@@ -148,22 +154,23 @@ def _soft_jumper(*, per_cell: int, dt: float, max_active_nodes: int, **changes: 
         effort=r["effort"],
         start_height=rest[:, 1].mean(),
         per_cell=per_cell,
+        num_substeps=steps.num,
         **options,
     )
 
 
-def paper() -> SoftJumperMPM:
-    """2970 particles and SoftJumper's control steps and episodes."""
-    return _soft_jumper(per_cell=3, dt=1.0 / 60.0 / 16.0, max_active_nodes=5120, num_substeps=16)
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumperMPM:
+    """2970 particles; control steps and episodes are those of SoftJumper."""
+    steps = substeps(dt, num_substeps, Substeps(1.0 / 60.0 / 16.0, 16))
+    return _soft_jumper(steps, per_cell=3, max_active_nodes=5120)
 
 
-def small() -> SoftJumperMPM:
-    """880 particles, and SoftJumper's shorter episodes and smaller noise at this scale."""
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> SoftJumperMPM:
+    """880 particles; episodes and noise are those of SoftJumper at this scale."""
     return _soft_jumper(
+        substeps(dt, num_substeps, Substeps(1.0 / 60.0 / 8.0, 8)),
         per_cell=2,
-        dt=1.0 / 60.0 / 8.0,
         max_active_nodes=2048,
-        num_substeps=8,
         max_steps=90,
         noise=reset_noise((-0.8, 0.0, -0.8), (0.8, 0.1, 0.8), 0.02),
     )

@@ -1,8 +1,8 @@
 """SteerFloat: a paddle steers a soft float across a basin of water onto a mark.
 
-Not a task of the reference: two materials, water and an elastic solid, move each other. A paddle that does not touch
-the float still moves it through the water, so the gradient says from the first step on where to stir. The paddle cannot
-pull: a float that drifts beyond the mark has to be met from the other side.
+The reference has no such task: two materials, water and an elastic solid, move each other. A paddle that does not
+touch the float still moves it through the water, so the gradient is useful from the first step on. The paddle cannot
+pull: it has to push a float that drifts beyond the mark from the other side.
 """
 
 from typing import Any
@@ -13,9 +13,11 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.appearance import MARKER
+from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_parts import box_walls, lattice_box, turn_about_y, water
-from rewax.envs.kit.soft_task import Soft, SoftPhysics, SoftTask
+from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.physics import mpm
 from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid, Material, NeoHookean, WallKind
@@ -24,28 +26,28 @@ from rewax.physics.shapes import Box
 from rewax.types import Array, Key, Observation, PyTree, Scalar, Vector
 
 BASIN = ((0.05, 0.45), (0.075, 0.3), (0.05, 0.35))
-"""Where its sides, floor and open top are, along x, y and z [m]."""
+"""Range of the basin along x, y and z [m]. It is open at the top."""
 DEPTH = 0.075
-"""Of the water [m]."""
+"""Depth of the water [m]."""
 FLOAT_SIZE = (0.075, 0.05, 0.075)
 """Edges of the float [m]."""
 FLOAT_START = (0.2, 0.15, 0.2)
-"""Its middle before the noise of a reset [m]."""
+"""Center of the float before the noise of a reset [m]."""
 PADDLE = (0.025, 0.06, 0.05)
-"""Half the paddle's edges [m]: two cells of the coarse grid thick, or water would pass through."""
+"""Half edges of the paddle [m]. It is two cells of the coarse grid thick, so that no water passes through."""
 
 
 @struct.dataclass
 class SteerFloat(SoftTask):
-    """The environment; build it with ``rewax.make("SteerFloat", scale=...)``.
+    """The task; ``rewax.make("SteerFloat", scale=...)`` builds it.
 
-    The joints are the paddle's place along x and z [m] and its turn about y [rad]. The first particles are the
-    float's. The task keeps the mark's x and z [m], shape (2,).
+    The joints are x and z of the paddle [m] and its rotation about y [rad]. The first particles are those of the float.
+    ``physics.task`` is x and z of the mark [m], shape (2,).
 
     Attributes:
-      mark_lower, mark_upper: range of the mark, from the float's first place along x and z [m], shape (2,).
-      unit: distance from the mark at which nothing is earned [m].
-      float_count: particles of the float (static).
+      mark_lower, mark_upper: range of the mark relative to the start of the float, along x and z [m], shape (2,).
+      unit: distance between float and mark at which the reward is 0 [m].
+      float_count: number of particles of the float (static).
     """
 
     mark_lower: Vector
@@ -71,7 +73,7 @@ class SteerFloat(SoftTask):
         return {"particle_q": self.observed(physics) - x, "vector": vector}
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """1 - (d / unit)^2, d the distance of the float's middle from the mark along x and z [m]."""
+        """1 - (d / unit)^2, with d the horizontal distance between the center of the float and the mark [m]."""
         middle = physics.soft.x[: self.float_count].mean(0)
         square = jnp.sum((middle[jnp.array([0, 2])] - physics.task) ** 2)
         distance = jnp.sqrt(jax.lax.stop_gradient(square))
@@ -90,15 +92,24 @@ class SteerFloat(SoftTask):
         return {"azimuth": 15.0, "elevation": 38.0}
 
 
-def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: float, dt: float, **changes) -> SteerFloat:
-    """Water of ``counts`` particles in a lattice, and a float with ``per_edge`` metres between particles."""
+def _steer_float(
+    steps: Substeps,
+    *,
+    spacing: float,
+    counts: tuple[int, int, int],
+    per_edge: float,
+    max_active_nodes: int,
+    cloud: PointCloud,
+    max_steps: int,
+) -> SteerFloat:
+    """Water of ``counts`` particles in a lattice, and a float with ``per_edge`` [m] between its particles."""
     (left, right), (floor, _), (back, front) = BASIN
     size = (right - left, DEPTH, front - back)
     start = ((left + right) / 2, floor - spacing / 2 + DEPTH / 2, (back + front) / 2)
     pool = np.asarray(lattice_box(start, size, counts))
     float_counts = tuple(round(edge / per_edge) for edge in FLOAT_SIZE)
     solid = np.asarray(lattice_box(FLOAT_START, FLOAT_SIZE, float_counts))
-    margin = 0.5 * size[0] / counts[0]  # particles stand for cells of the lattice, which reach half a cell further
+    margin = 0.5 * size[0] / counts[0]  # a particle fills a cell of the lattice, which reaches half a cell further
     half, paddle = 0.5 * np.asarray(FLOAT_SIZE) + margin, np.asarray(PADDLE) + margin
     joint_start = (0.1, 0.2, 0.0)
     paddle_at = np.array([joint_start[0], floor + PADDLE[1], joint_start[1]])
@@ -108,9 +119,10 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
         np.full(len(solid), np.prod(FLOAT_SIZE) / len(solid)),
         np.full(len(pool), np.prod(size) / np.prod(counts)),
     ]
+    width, height, depth = (round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4))
     scene = mpm.make_scene(
-        grid=Grid(shape=tuple(round(edge / spacing) + 1 for edge in (0.5, BASIN[1][1], 0.4)), spacing=spacing),
-        dt=dt,
+        grid=Grid(shape=(width, height, depth), spacing=spacing),
+        dt=steps.dt,
         material=(
             Material(
                 density=400.0,
@@ -119,7 +131,7 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
             water(2.5e4),
         ),
         particle_counts=(len(solid), len(pool)),
-        particle_volume=np.concatenate(volumes),
+        particle_volume=np.concatenate(volumes),  # pyright: ignore[reportArgumentType]
         gravity=(0.0, -9.81, 0.0),
         colliders=(
             Collider(
@@ -129,7 +141,7 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
             ),
         ),
         walls=box_walls(floor, (left, back), (right, front), floor_kind=WallKind.SEPARATING),
-        **changes.pop("scene"),
+        max_active_nodes=max_active_nodes,
     )
     return SteerFloat(
         scene=scene,
@@ -141,37 +153,35 @@ def _steer_float(*, spacing: float, counts: tuple[int, int, int], per_edge: floa
         mark_lower=(0.06, -0.05),
         mark_upper=(0.14, 0.05),
         unit=0.1,
-        **changes,
+        joint_step=(0.01, 0.01, 0.1),
+        cloud=cloud,
+        num_substeps=steps.num,
+        list_every=steps.list_every,
+        max_steps=max_steps,
     )
 
 
-def paper() -> SteerFloat:
+def paper(*, dt: float | None = None, num_substeps: int | None = None) -> SteerFloat:
     """For an accelerator: cells of 1.25 cm, some 15,000 particles, six seconds."""
     return _steer_float(
+        substeps(dt, num_substeps, Substeps(1e-3, 20, list_every=5)),
         spacing=0.0125,
         counts=(48, 9, 36),
         per_edge=0.0083,
-        dt=1e-3,
-        scene={"max_active_nodes": 20480},
-        joint_step=(0.01, 0.01, 0.1),
+        max_active_nodes=20480,
         cloud=PointCloud(num_points=250, stride=64),
-        num_substeps=20,
-        list_every=5,
         max_steps=300,
     )
 
 
-def small() -> SteerFloat:
+def small(*, dt: float | None = None, num_substeps: int | None = None) -> SteerFloat:
     """For two cores: cells of 2.5 cm, some 1200 particles, 1.2 s."""
     return _steer_float(
+        substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=5)),
         spacing=0.025,
         counts=(20, 4, 15),
         per_edge=0.0125,
-        dt=2e-3,
-        scene={"max_active_nodes": 3328},
-        joint_step=(0.01, 0.01, 0.1),
+        max_active_nodes=3328,
         cloud=PointCloud(num_points=64, stride=20),
-        num_substeps=10,
-        list_every=5,
         max_steps=60,
     )

@@ -1,4 +1,4 @@
-"""What a moving shape does to whatever it touches."""
+"""Contact of moving shapes with grid nodes (velocity conditions) and with vertices (penalty forces)."""
 
 from rewax.physics.contact.collider_drawings import drawings
 from rewax.physics.contact.colliders import (

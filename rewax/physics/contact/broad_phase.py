@@ -1,10 +1,9 @@
-"""Of many colliders, the few that can touch anything: for hands, whose twenty capsules are mostly in the air.
+"""Broad phase: select the few colliders that can touch anything. Most of a hand's twenty capsules cannot.
 
-Skipping a collider by a condition saves nothing under ``vmap``, where both branches run. So of each run of colliders of
-one kind a fixed number is evaluated, the nearest ones. What is left out would not have changed a node, as long as no
-more than that number are near; ``count_excess`` tells. (Under
-``Overlap.NEAREST`` a stiff collider that is too far to act can be nearer to a node than a softer one that acts: there
-leaving it out makes a difference.)
+Skipping a collider by a condition saves nothing under ``vmap``, where both branches run. So each run of colliders of
+one kind evaluates a fixed number of them, the nearest ones. The omitted colliders change no node while at most that
+number are near; ``count_excess`` checks this. (Exception: under ``Overlap.NEAREST`` a stiff collider that is too far to
+act can be nearer to a node than a softer one that acts. Omitting the stiff one then changes the result.)
 """
 
 import math
@@ -27,13 +26,13 @@ def near_colliders(
     """The colliders to evaluate, in the order given, with their placements.
 
     Args:
-      colliders: all of them. Neighbours in the tuple that are of one kind of shape form a run; a run of at most
-        ``max_near`` is kept as it is.
-      placed: all of them, in a substep, leading axis num_colliders; see ``colliders.place``.
-      lower, upper: corners of a box that holds whatever can be touched [m], shape (3,). Gradient: none.
-      max_near: how many of each run are kept.
+      colliders: all colliders. Neighbours in the tuple with one kind of shape form a run; a run of at most ``max_near``
+        is kept unchanged.
+      placed: their placements in a substep, leading axis num_colliders; see ``colliders.place``.
+      lower, upper: corners of a box around everything that can be touched [m], shape (3,). Gradient: none.
+      max_near: number of colliders kept of each run.
 
-    Gradient: exact with respect to colliders and placements that are kept.
+    Gradient: exact with respect to the kept colliders and placements.
     """
     kept = []
     for where in runs(colliders):
@@ -43,7 +42,7 @@ def near_colliders(
             continue
         _, chosen = jax.lax.top_k(-_gaps(run, of_run.pose.position, lower, upper), max_near)
         chosen = jnp.sort(chosen)
-        # The body's index is static, part of the structure: without it colliders of several bodies can be stacked.
+        # The static body index is part of the structure; one common index lets colliders of several bodies stack.
         bodiless = stacked([c.replace(body=0) for c in run])
         moving = _take((bodiless, of_run), chosen)
         kept += [_take(moving, k) for k in range(max_near)]
@@ -51,11 +50,11 @@ def near_colliders(
 
 
 def count_excess(colliders: tuple[Collider, ...], poses: Pose, lower: Array, upper: Array, max_near: int) -> Array:
-    """By how many more than ``max_near`` colliders of one run are near, at the worst time; 0 or less: all is well.
+    """Largest number of near colliders in a run over time, minus ``max_near``; 0 or less: none was left out.
 
     Args:
       colliders, lower, upper, max_near: as for ``near_colliders``.
-      poses: of all bodies at some times, (num_times, num_bodies, ...).
+      poses: poses of all bodies at some times, (num_times, num_bodies, ...).
 
     Returns:
       Shape (), int32. Gradient: none.
@@ -75,8 +74,9 @@ def _take(tree: T, index: Any) -> T:
 
 
 def _gaps(run: tuple[Collider, ...], centers: Array, lower: Array, upper: Array) -> Array:
-    """How far beyond their reach the colliders of a run, of the given origins (len(run), 3), are from the box [m],
-    (len(run),); negative: they may act.
+    """Distance of each collider of a run from the box, minus its reach [m], shape (len(run),); negative: it may act.
+
+    ``centers`` are the origins of the shapes [m], shape (len(run), 3).
     """
     away = jnp.maximum(jnp.maximum(lower - centers, centers - upper), 0.0)
     reach = jnp.stack(

@@ -5,17 +5,19 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rewax.physics.contact.colliders import Collider, shape_pose
+from rewax.physics.contact.colliders import COLLIDERS, Collider, shape_pose
+from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose, body_pose
 
 
+@checked(colliders=COLLIDERS, bodies=poses("num_bodies"))
 def drawings(colliders: Sequence[Collider], bodies: Pose) -> list[dict[str, Any]]:
     """Drawings of colliders; ``rewax.viz.shapes`` has a table of their keys.
 
     Args:
-      colliders: of any shape, each drawn as its method ``draw`` says. Planes are left out; so are sampled distances,
-        height fields and shapes that do not write ``draw`` where their numbers are traced, and where scikit-image,
-        which makes triangles of distances, is missing.
+      colliders: their shapes' method ``draw`` makes the drawings. Planes are left out. Sampled distances, height fields
+        and shapes without a ``draw`` of their own are left out if their values are traced or scikit-image is missing,
+        which computes triangles from distances.
       bodies: poses of the bodies that carry them, shapes (num_bodies, 3), (num_bodies, 3, 3).
     """
     found = []
@@ -26,7 +28,7 @@ def drawings(colliders: Sequence[Collider], bodies: Pose) -> list[dict[str, Any]
 
 
 def _placed(drawing: dict[str, Any], pose: Pose) -> dict[str, Any]:
-    """A drawing in the shape's frame, in the world."""
+    """A drawing moved from the shape's frame to the world's."""
     turned = {
         key: jnp.matmul(pose.rotation, jnp.asarray(drawing[key], pose.rotation.dtype), precision="highest")
         for key in ("center", "direction", "rotation")

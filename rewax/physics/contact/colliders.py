@@ -1,4 +1,4 @@
-"""Moving rigid shapes, as conditions on grid velocities."""
+"""Moving rigid shapes as conditions on the velocities of grid nodes."""
 
 import enum
 import functools
@@ -17,8 +17,9 @@ from rewax.lowering.kernels import pointwise
 from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.motion import Placed, at_nodes, chord_motion, placed
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, static_integer
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import checked, instance, integer, items, static
 from rewax.physics.numerics.pose import Pose, placed_at
 from rewax.physics.shapes.base import Shape
 from rewax.types import Array, Scalar, Vector
@@ -28,21 +29,20 @@ T = TypeVar("T")
 MIN_INFLUENCE = 0.1
 """A collider acts where its influence exceeds this: within log(10) / softness of its surface."""
 REACH_IN_CELLS = 1.0
-"""Cells of a grid from which a collider acts whose softness is None."""
+"""Reach of a collider whose softness is None [cells of the grid]."""
 
 
 @struct.dataclass
 class Collider(struct.Replaceable):
-    """A rigid shape fixed to a body, which moves as prescribed (``mpm``) or as forces move it (``coupling``).
+    """A rigid shape fixed to a body. The body's motion is prescribed (``mpm``) or follows from forces (``coupling``).
 
     Attributes:
       shape: its signed distance, in its own frame.
       offset: origin of the shape's frame in the body's frame [m], shape (3,); by default zero.
-      rotation: from the shape's frame to the body's, shape (3, 3); by default not turned.
+      rotation: rotation from the shape's frame to the body's, shape (3, 3); by default the identity.
       friction: Coulomb coefficient [-], >= 0.
       softness: decay of the influence with distance [1/m], > 0; influence = min(exp(-softness * distance), 1). None:
-        log(10) / (the grid's spacing), with which it acts from one cell on, see ``with_softness``. The reference's is
-        666. It does not count for tetrahedra.
+        log(10) / spacing, a reach of one cell, see ``with_softness``. The reference uses 666. Tetrahedra ignore it.
       body: index of the body that carries it (static).
     """
 
@@ -51,37 +51,45 @@ class Collider(struct.Replaceable):
         FINITE, "give a position in metres", shape=(3,), default_factory=lambda: jnp.zeros(3)
     )
     rotation: Vector = struct.number(FINITE, "give a rotation matrix", shape=(3, 3), default_factory=lambda: jnp.eye(3))
-    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none")
+    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, 0 for none", shape=())
     softness: Scalar | None = struct.number(
-        POSITIVE, "give a decay per metre, or None for a reach of one cell", default=None
+        POSITIVE, "give a decay per metre, or None for a reach of one cell", shape=(), default=None
     )
     body: int = struct.static_field(default=0)
+
+    def __post_init__(self) -> None:
+        static_integer("Collider.body", self.body, 0, "give the index of a body, counted from 0")
+
+
+COLLIDER = instance(Collider, "give a Collider(shape=..., friction=...)")
+COLLIDERS = items(COLLIDER, "give a tuple of colliders, () for none")
+"""Rules for colliders."""
 
 
 class Overlap(enum.Enum):
     """How several colliders act on one node."""
 
     SEQUENTIAL = "sequential"
-    """One after the other, in the order of the scene: the last one wins where they overlap. The law of Rewarped."""
+    """One after the other, in the order of the scene: where they overlap, the last one wins. Rewarped's law."""
     NEAREST = "nearest"
-    """Only the one whose surface is nearest (inside several: the one in which the node lies deepest): the colliders
-    act like the union of their shapes, in whichever order they are given. With many shapes it is also faster, as the
-    law is evaluated once per node."""
+    """Only the collider with the nearest surface acts (inside several: the one in which the node lies deepest). So
+    colliders act like the union of their shapes, in any order. With many shapes it is faster: the law is evaluated once
+    per node."""
 
 
 class Touch(NamedTuple):
-    """A collider at some nodes, arrays of shape (num_nodes,)."""
+    """Values of a collider at nodes, arrays of shape (num_nodes,)."""
 
     distance: Array
     """Signed distance [m]."""
     influence: Array
-    """How much the node obeys the collider, min(exp(-softness distance), 1) [-]."""
+    """Weight of the collider's velocity at the node, min(exp(-softness distance), 1) [-]."""
     normal: Vec3
-    """Away from the collider, in the world's frame."""
+    """Unit vector pointing away from the collider, in the world's frame."""
     friction: Scalar
     """Coulomb coefficient [-], shape () or (num_nodes,)."""
     velocity: Vec3
-    """Of the body's material point at the node [m/s]."""
+    """Velocity of the body's material point at the node [m/s]."""
 
 
 def apply_colliders(
@@ -95,24 +103,24 @@ def apply_colliders(
 
     Args:
       colliders: the shapes, each with its placement in the substep, see ``place``.
-      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      position: node positions [m], components of shape (num_nodes,). Gradient: none.
       velocity: node velocities [m/s], components of shape (num_nodes,).
       overlap: how they act together (static).
 
-    Gradient: as for ``apply_collider``; with ``NEAREST``, where two are equally near, the mean of theirs.
+    Gradient: as for ``apply_collider``. With ``NEAREST`` two equally near colliders contribute the mean.
     """
     colliders = [(collider.replace(body=0), placed) for collider, placed in colliders]
     if overlap is Overlap.SEQUENTIAL or len(colliders) < 2:
         if len(colliders) < _LONG_RUN:
             return _in_turn(colliders, position, velocity)
-        # XLA for a CPU compiles a kernel for each step of each collider; on a GPU one kernel holds many colliders.
+        # XLA on a CPU compiles a kernel for each step of each collider; on a GPU one kernel holds many colliders.
         return jax.lax.platform_dependent(colliders, position, velocity, cpu=_in_loops, default=_in_turn)
     touches = [_touch_of_kind(collider, position, placed) for collider, placed in colliders]
     return contact_velocity(nearest(touches)[0], velocity)
 
 
 def runs(colliders: Sequence[Collider]) -> list[slice]:
-    """Neighbours that can be stacked: shapes of one kind with parameters of the same form, whatever their bodies."""
+    """Slices of neighbours that can be stacked: one kind of shape, equal parameter shapes, any body."""
 
     def kind(collider: Collider) -> Any:
         leaves, treedef = jax.tree.flatten(collider.replace(body=0))
@@ -122,15 +130,16 @@ def runs(colliders: Sequence[Collider]) -> list[slice]:
     return [slice(*ends) for ends in itertools.pairwise([0, *ends])]
 
 
+@checked(colliders=COLLIDERS, spacing=static(POSITIVE, "give the grid's spacing in metres"))
 def with_softness(colliders: Sequence[Collider], spacing: float) -> tuple[Collider, ...]:
-    """Colliders whose softness is known: those that have none act from one cell on.
+    """The colliders, with a reach of one cell where the softness is None.
 
-    With a shorter reach nodes come into contact one after the other, at influences between 0.1 and 1; no derivative
-    sees these steps (``benchmarks/particle_contact_gradients.py``).
+    With a shorter reach nodes come into contact one after the other, at influences between 0.1 and 1. These are steps
+    that no derivative sees (``benchmarks/particle_contact_gradients.py``).
 
     Args:
-      colliders: of a scene.
-      spacing: of its grid [m].
+      colliders: colliders of a scene.
+      spacing: spacing of its grid [m].
     """
     softness = -math.log(MIN_INFLUENCE) / (REACH_IN_CELLS * spacing)
     return tuple(c.replace(softness=softness) if c.softness is None else c for c in colliders)
@@ -140,7 +149,7 @@ def known_softness(collider: Collider) -> Scalar:
     """Softness of a collider [1/m].
 
     Raises:
-      ValueError: it is None, and no grid is known here.
+      ValueError: it is None. This function has no grid to derive it from.
     """
     if collider.softness is None:
         raise ValueError("softness is None, and no grid is known here: give a decay per metre, or use with_softness")
@@ -156,13 +165,13 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
 
     Args:
       collider: the shape.
-      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
+      position: node positions [m], components of shape (num_nodes,). Gradient: none.
       velocity: node velocities [m/s], components of shape (num_nodes,).
       before, after: pose of the collider's body at the beginning and end of the substep, shapes (3,), (3, 3).
       dt: duration of the substep [s].
 
-    Gradient: exact with respect to velocities, poses, friction, softness and the shape's sizes; the onset of contact
-      at influence 0.1 is a step that no derivative sees.
+    Gradient: exact with respect to velocities, poses, friction, softness and the shape's sizes. The onset of contact at
+      influence 0.1 is a step that no derivative sees.
     Source: Huang et al. 2021, PlasticineLab, appendix; the law used by Rewarped.
     """
     start, end = shape_pose(collider, before), shape_pose(collider, after)
@@ -170,25 +179,25 @@ def apply_collider(collider: Collider, position: Vec3, velocity: Vec3, before: P
 
 
 def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
-    """A collider at the given nodes.
+    """Distance, normal, influence and velocity of a collider at nodes.
 
     Args:
       collider: the shape.
-      position: where the nodes are [m], components of shape (num_nodes,). Gradient: none.
-      placed: the shape, without leading axes.
+      position: node positions [m], components of shape (num_nodes,). Gradient: none.
+      placed: its placement, without leading axes.
 
     Gradient: exact.
     """
-    # Once where shapes compare places in their frame (faces of a box, cells of a grid): all parts of distance and
-    # normal must come from one face or cell.
+    # Shapes with edges compare coordinates (faces of a box, cells of a grid). Computed once, so that distance and
+    # normal come from one face or cell: fused copies may round differently.
     edges = collider.shape.has_edges
     local, body = at_nodes(placed, position)
     (lx, ly, lz), (bx, by, bz) = compute_once(local) if edges else materialize(local), materialize(body)
     distance, local_normal = collider.shape.distance((lx, ly, lz))
-    # Cut before exp: deep inside it would overflow, and its derivative be 0 times infinity.
+    # Clipped before exp: deep inside exp would overflow, and its derivative would be 0 times infinity.
     influence = jnp.exp(-jnp.maximum(known_softness(collider) * distance, 0.0))
-    # Once: each component of the velocity compares the influence with the least one that acts. It is faster too: XLA
-    # would compute the whole chain, forward and backward, anew for every component.
+    # Computed once: each velocity component compares the influence with ``MIN_INFLUENCE``, and all must agree. It is
+    # faster, too: XLA would recompute the chain, forward and backward, for every component.
     if edges:
         influence, local_normal = compute_once((influence, local_normal))
     else:
@@ -198,10 +207,10 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
 
 
 _touch_of_kind = jax.jit(touch)
-"""Traced once for shapes of one kind. (The body's index is static: ``apply_colliders`` leaves it out.)"""
+"""``jit`` traces it once per kind of shape. (``apply_colliders`` sets the static body index to 0.)"""
 
 _LONG_RUN = 4
-"""So many colliders of one kind are worth a loop."""
+"""Shortest run of one kind that is evaluated in a loop."""
 
 
 @pointwise
@@ -216,13 +225,13 @@ _recomputed_velocity_after = recomputed(_velocity_after)
 
 
 def _in_turn(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velocity: Vec3) -> Vec3:
-    for collider, place_of_it in colliders:
-        velocity = _velocity_after((collider, place_of_it), (position, velocity))
+    for moving in colliders:
+        velocity = _velocity_after(moving, (position, velocity))
     return velocity
 
 
 def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velocity: Vec3) -> Vec3:
-    """The same, long runs of one kind of shape in a loop: less to compile, and less to keep for the backward pass."""
+    """``_in_turn`` with loops over long runs: less code to compile, less memory for the backward pass."""
     for where in runs([collider for collider, _ in colliders]):
         run = colliders[where]
         if len(run) < _LONG_RUN:
@@ -235,17 +244,17 @@ def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velo
 
 
 def nearest(touches: list[Touch]) -> tuple[Touch, list[Array]]:
-    """The touch of least distance at each node, and the share that each of the given ones has in it, (num_nodes,).
+    """The touch of least distance at each node, and the share of each given touch in it, (num_nodes,).
 
-    Several that are equally near (boxes side by side) share the node: the result is their mean, whatever their order.
+    Equally near colliders (boxes side by side) share a node: the result is their mean, in any order.
     """
-    # Once: computed anew where they are compared, equal distances could differ by rounding, and no collider be nearest.
+    # Computed once: fused copies may round differently, and then no distance would equal the least.
     distances = compute_once([t.distance for t in touches])
     least = functools.reduce(jnp.minimum, distances)
     equal = [d == least for d in distances]
     one = 1.0 / sum(e.astype(least.dtype) for e in equal)
     shares = materialize([jnp.where(e, one, 0.0) for e in equal])
-    # Once: its influence is compared as that of a single touch.
+    # Computed once, as in ``touch``: the influence is compared.
     return compute_once(
         jax.tree.map(lambda *leaves: sum(s * leaf for s, leaf in zip(shares, leaves, strict=True)), *touches)
     ), shares
@@ -267,8 +276,9 @@ def contact_velocity(touch: Touch, velocity: Vec3) -> Vec3:
     return cp.vector(after_contact)
 
 
+@checked(colliders=COLLIDERS, num_bodies=integer(0, "give the number of bodies"))
 def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
-    """Raises ValueError if a collider belongs to a body that has no pose (an index would be clamped in silence)."""
+    """Raises ValueError if a collider's body has no pose (JAX would clamp the index silently)."""
     for i, collider in enumerate(colliders):
         if not 0 <= collider.body < num_bodies:
             raise ValueError(
@@ -278,17 +288,19 @@ def check_bodies(colliders: tuple[Collider, ...], num_bodies: int) -> None:
 
 
 def shape_pose(collider: Collider, body: Pose) -> Pose:
-    """Pose of a collider's shape, given that of its body. Gradient: exact."""
+    """Pose of a collider's shape, given its body's pose. Gradient: exact."""
     return placed_at(Pose(collider.offset, collider.rotation), body)
 
 
 def stacked(run: Sequence[T]) -> T:
-    """Trees of one structure side by side, leading axis len(run); Python's numbers stay weakly typed."""
+    """Trees of one structure stacked, leading axis len(run). Python numbers stay weakly typed."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *run)
 
 
 def place(colliders: Sequence[Collider], before: Pose, after: Pose, dt: float) -> Placed:
-    """Where shapes are in a substep, or in many, and how they move: for all at once, or programs of hands are long.
+    """Placements and motions of all shapes in one or many substeps.
+
+    They are computed in one batch: a hand has twenty colliders, and its program would be long.
 
     Args:
       colliders: the shapes.
@@ -297,7 +309,7 @@ def place(colliders: Sequence[Collider], before: Pose, after: Pose, dt: float) -
       dt: duration of a substep [s].
 
     Returns:
-      Leading axes (..., num_colliders).
+      Placements with leading axes (..., num_colliders).
 
     Gradient: exact.
     """
@@ -311,18 +323,18 @@ def place(colliders: Sequence[Collider], before: Pose, after: Pose, dt: float) -
 
 
 def _rows(arrays: list[Array], shape: tuple[int, ...]) -> Array:
-    # All numbers in a row first: XLA is slow at putting many small matrices side by side.
+    # Flattened first: XLA is slow at concatenating many small matrices.
     return jnp.concatenate([jnp.zeros(0, jnp.result_type(*arrays, np.float32)), *map(jnp.ravel, arrays)]).reshape(
         -1, *shape
     )
 
 
 def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Array:
-    """What Coulomb friction leaves of the tangential velocity [-]: max(0, |u_t| + mu u_n) / |u_t|; 1 without contact.
+    """Share of the tangential velocity after Coulomb friction [-]: max(0, |u_t| + mu u_n) / |u_t|; 1 without contact.
 
     Args:
-      tangential: u_t, components of shape (n,) [m/s].
-      approach: u_n, velocity along the normal, negative towards the body [m/s], shape (n,).
+      tangential: u_t [m/s], components of shape (n,).
+      approach: u_n, velocity along the normal [m/s], negative towards the body, shape (n,).
       friction: Coulomb coefficient mu [-].
 
     Gradient: exact, zero-safe. Source: Stomakhin et al. 2013, "A material point method for snow simulation", section 8.

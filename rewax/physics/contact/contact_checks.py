@@ -1,24 +1,27 @@
-"""What the numbers of colliders, of the ground and of the penalty law may be."""
+"""Checks of colliders, of the ground and of the penalty law."""
 
 from typing import Any
 
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.contact.colliders import Collider
+from rewax.physics.contact.colliders import COLLIDER, Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, Number, check_numbers, numbers_of
+from rewax.physics.numerics.checks import FINITE, Number, check_numbers, numbers_of, shown
+from rewax.physics.numerics.fields import instance
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.sizes import size_numbers
 
+_LAW = instance(PenaltyContact, "give a PenaltyContact(stiffness=...)")
+_GROUND = instance(Ground, "give a Ground(normal=...)")
+
 
 def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None) -> list[Number]:
-    """The numbers of colliders, and of their bodies' poses if these are given."""
+    """The numbers of colliders, and of their bodies' poses if given, with their legal values."""
     numbers = []
     for i, collider in enumerate(colliders):
         name = f"colliders[{i}]"
-        if not isinstance(collider, Collider):
-            raise ValueError(f"{name} is {collider!r}: give a Collider(shape=..., friction=...)")
+        COLLIDER(name, collider)
         numbers += [*size_numbers(collider.shape, f"{name}.shape"), *numbers_of(collider, f"{name}.")]
     if poses is not None and colliders:
         numbers += [
@@ -29,21 +32,32 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
 
 
 def penalty_numbers(contact: PenaltyContact, name: str = "contact") -> list[Number]:
-    """The numbers of a penalty law."""
-    if not isinstance(contact, PenaltyContact):
-        raise ValueError(f"{name} is {contact!r}: give a PenaltyContact(stiffness=...)")
+    """The numbers of a penalty law, with their legal values."""
+    _LAW(name, contact)
     return numbers_of(contact, f"{name}.")
 
 
 def ground_numbers(ground: Ground) -> list[Number]:
-    """The numbers of the ground."""
+    """The numbers of the ground, with their legal values."""
     return numbers_of(ground, "ground.")
+
+
+def check_rotations(colliders: tuple[Collider, ...]) -> None:
+    """Raises ValueError for a collider whose matrix ``rotation`` is no rotation. Traced matrices are not checked."""
+    for i, collider in enumerate(colliders):
+        if isinstance(collider.rotation, Tracer):
+            continue
+        matrix = np.asarray(collider.rotation, np.float64)
+        if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) and np.linalg.det(matrix) > 0):
+            raise ValueError(
+                f"colliders[{i}].rotation is {shown(matrix.tolist())}: give a rotation matrix, with orthonormal rows "
+                "and determinant 1"
+            )
 
 
 def check_ground(ground: Any) -> None:
     """Raises ValueError for a ground without a unit normal, or with a number that is not finite."""
-    if not isinstance(ground, Ground):
-        raise ValueError(f"ground is {ground!r}: give a Ground(normal=...)")
+    _GROUND("ground", ground)
     check_numbers(ground_numbers(ground))
     if not isinstance(ground.normal, Tracer):
         length = float(np.linalg.norm(np.asarray(ground.normal)))
@@ -51,4 +65,4 @@ def check_ground(ground: Any) -> None:
             raise ValueError(f"ground.normal has length {length:g}: give a unit vector, (0, 1, 0) for y up")
 
 
-__all__ = ["check_ground", "collider_numbers", "ground_numbers", "penalty_numbers"]
+__all__ = ["check_ground", "check_rotations", "collider_numbers", "ground_numbers", "penalty_numbers"]

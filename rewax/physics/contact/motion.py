@@ -1,4 +1,4 @@
-"""How moving shapes are placed among nodes, and the velocity of their points there."""
+"""Positions of nodes in the frames of moving shapes, and velocities of the shapes' points at nodes."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from rewax.types import Array
 
 
 class Motion(NamedTuple):
-    """Velocity of a rigid body's points: that of the point r [m] is ``turn @ r + shift`` [m/s]."""
+    """Velocity field of a rigid body: the point r [m] moves with ``turn @ r + shift`` [m/s]."""
 
     turn: Array
     """Shape (..., 3, 3) [1/s]."""
@@ -22,21 +22,21 @@ class Motion(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """Where a shape is during a substep and how it moves. Leading axes (time, colliders) as the context says.
+    """Placement and motion of a shape during a substep. The context defines the leading axes (time, colliders).
 
-    Both the place of a node in the shape's frame and the body's velocity there are affine in the node's position.
+    The position of a node in the shape's frame and the body's velocity there are affine in the node's position.
     """
 
     pose: Pose
-    """Of the shape at the substep's beginning, shapes (..., 3), (..., 3, 3)."""
+    """Pose of the shape at the substep's beginning, shapes (..., 3), (..., 3, 3)."""
     matrix: Array
-    """Shape (..., 6, 3): first rows for the place [-], last for the velocity [1/s]."""
+    """Shape (..., 6, 3): the first three rows give the position [-], the last three the velocity [1/s]."""
     offset: Array
     """Shape (..., 6) [m], [m/s]."""
 
 
 def placed(pose: Pose, motion: Motion) -> Placed:
-    """A shape, or many, of the given pose (not that of its body) and motion. Gradient: exact."""
+    """Placement of one or many shapes with the given pose (the shape's, not its body's) and motion. Gradient: exact."""
     to_local = jnp.swapaxes(pose.rotation, -1, -2)
     return Placed(
         pose,
@@ -46,26 +46,26 @@ def placed(pose: Pose, motion: Motion) -> Placed:
 
 
 def chord_motion(start: Pose, end: Pose, dt: float) -> Motion:
-    """The motion that takes each point of a body along a straight line from one pose to another. Gradient: exact."""
+    """Motion along straight lines: each point of a body moves from one pose to the other. Gradient: exact."""
     turn = product((end.rotation - start.rotation) / dt, jnp.swapaxes(start.rotation, -1, -2))
     return Motion(turn, (end.position - start.position) / dt - turned(turn, start.position))
 
 
 def at_nodes(placed: Placed, position: Vec3) -> tuple[Vec3, Vec3]:
-    """Where nodes are in a shape's frame [m], and the velocity of its body's points there [m/s].
+    """Positions of nodes in a shape's frame [m], and the velocity of its body's points there [m/s].
 
     Args:
-      placed: the shape, without leading axes.
-      position: where the nodes are [m], components of shape (num_nodes,).
+      placed: placement of the shape, without leading axes.
+      position: node positions [m], components of shape (num_nodes,).
 
-    Gradient: exact with respect to the placement, none to the positions.
+    Gradient: exact with respect to the placement, none with respect to positions.
     """
     lx, ly, lz, vx, vy, vz = linear_call(_affine, _AFFINE_TRANSPOSE, None, position, (placed.matrix, placed.offset))
     return (lx, ly, lz), (vx, vy, vz)
 
 
 def velocity_at(motion: Motion, position: Vec3) -> Vec3:
-    """Velocity of a body's points at the given nodes [m/s]. Gradient: exact with respect to the motion."""
+    """Velocity of a body's points at nodes [m/s]. Gradient: exact with respect to the motion."""
     x, y, z = linear_call(_affine, _AFFINE_TRANSPOSE, None, position, tuple(motion))
     return x, y, z
 
@@ -84,14 +84,14 @@ def _affine(static: None, residuals: Arrays, linear: Arrays) -> Arrays:
 def _affine_transpose(static: None, residuals: Arrays, cotangents: Arrays) -> Arrays:
     """Sums over the nodes of cotangent times (x, y, z, 1)."""
     del static
-    # One product of matrices whose rows are contiguous: many small ones, or sums by component, cost four times as much.
+    # One matrix product over contiguous rows: many small products, or sums by component, cost four times as much.
     rows = materialize(jnp.stack([*residuals, jnp.ones_like(residuals[0])], axis=-2))
     both = jnp.einsum("...kn,...cn->...kc", jnp.stack(cotangents, axis=-2), rows, precision="highest")
     return both[..., :3], both[..., 3]
 
 
 def _sums_over_nodes(static: None, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """The same as one reduction of many arrays: one kernel of a GPU, which reads everything once."""
+    """``_affine_transpose`` as one reduction over many arrays: one GPU kernel that reads everything once."""
     del static
     terms = [term for c in cotangents for term in (c, *(c * x for x in residuals))]
     zeros = [jnp.zeros((), t.dtype) for t in terms]

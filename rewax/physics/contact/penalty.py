@@ -1,4 +1,4 @@
-"""Contact of vertices with the ground and with moving shapes by penalty forces."""
+"""Penalty forces of the ground and of moving shapes on vertices."""
 
 from typing import NamedTuple
 
@@ -16,18 +16,18 @@ from rewax.types import Array, Scalar, Vector
 
 @struct.dataclass
 class PenaltyContact(struct.Replaceable):
-    """How vertices are pushed out. Parameters are numbers, or arrays of shape (num_vertices,).
+    """Penalty law of contact. Parameters are numbers, or arrays of shape (num_vertices,).
 
     Attributes:
       stiffness: normal force per penetration [N/m], > 0.
       damping: normal force per approaching speed [N s/m], >= 0.
-      friction_damping: tangential force per sliding speed while below Coulomb's limit [N s/m], >= 0. Explicit
-        integration follows it up to about one vertex mass per dt; far above, sliding reverses at Coulomb's limit.
-      friction: Coulomb coefficient [-] of the ground, >= 0; colliders bring their own.
+      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m], >= 0. Explicit integration
+        resolves up to about one vertex mass per dt; far above it, sliding reverses at Coulomb's limit.
+      friction: Coulomb coefficient [-] of the ground, >= 0; colliders have their own.
       radius: a vertex touches when its distance is below this [m], >= 0.
-      onset: depth over which both dampings rise to their full value [m]; 0: at once.
-      depth_damping: normal force per depth and approaching speed, in addition [N s/m^2], >= 0 (Hunt and Crossley's
-        law: nothing sets in at a step).
+      onset: depth over which both dampings rise to their full value [m]; 0: immediately.
+      depth_damping: additional normal force per depth and approaching speed [N s/m^2], >= 0 (Hunt and Crossley's law,
+        without a step at the onset).
     """
 
     stiffness: Scalar = struct.number(POSITIVE, "give a force per penetration in N/m")
@@ -41,15 +41,15 @@ class PenaltyContact(struct.Replaceable):
 
 @struct.dataclass
 class Ground(struct.Replaceable):
-    """The half-space normal . x < height, which nothing enters.
+    """The solid half-space normal . x < height.
 
     Attributes:
       normal: unit vector pointing out [-], shape (3,).
       height: distance of its surface from the origin along the normal [m].
     """
 
-    normal: Vector = struct.number(FINITE, "give a unit vector, (0, 1, 0) for y up")
-    height: Scalar = struct.number(FINITE, "give a distance in metres", default=0.0)
+    normal: Vector = struct.number(FINITE, "give a unit vector, (0, 1, 0) for y up", shape=(3,))
+    height: Scalar = struct.number(FINITE, "give a distance in metres", shape=(), default=0.0)
 
 
 def ground_force(ground: Ground, contact: PenaltyContact, x: Vec3, v: Vec3) -> Vec3:
@@ -82,7 +82,7 @@ def collider_force(
       contact: the law.
       x, v: positions [m] and velocities [m/s], components of shape (num_vertices,).
       before, after: pose of its body at the beginning and end of the substep, shapes (3,), (3, 3). Distance and normal
-        are those of the beginning; the velocity of the surface is where its point goes until the end.
+        are those at the beginning. The surface's velocity is the displacement of its point over dt.
       dt: duration of the substep [s].
 
     Gradient: exact with respect to positions, velocities, poses, sizes and parameters; see ``penalty_force``.
@@ -98,7 +98,7 @@ def _collider_force(
     (collider, contact, before, after, dt), (own, x, v) = shared, vertices
     contact = joined(contact, own)
     distance, normal, in_body = surface(collider, x, before)
-    # Differences of poses, not of places: the surface of a body at rest is at rest, to the last digit.
+    # Difference poses first: a resting body's surface velocity is exactly 0.
     turned = cp.matvec(cp.split_matrix((after.rotation - before.rotation) / dt), in_body)
     shift = (after.position - before.position) / dt
     relative = cp.vector(lambda i: v[i] - turned[i] - shift[i])
@@ -106,7 +106,7 @@ def _collider_force(
 
 
 def surface(collider: Collider, x: Vec3, body: Pose) -> tuple[Array, Vec3, Vec3]:
-    """Where vertices are, seen from a shape.
+    """Distance, normal and body coordinates of vertices at a shape.
 
     Args:
       collider: the shape.
@@ -114,11 +114,10 @@ def surface(collider: Collider, x: Vec3, body: Pose) -> tuple[Array, Vec3, Vec3]
       body: pose of its body, shapes (3,), (3, 3).
 
     Returns:
-      Signed distances [m], unit normals away from the shape in the world's frame, and places in the body's frame [m].
-      Gradient: exact with respect to positions, pose and sizes.
+      Signed distances [m], unit normals away from the shape in the world's frame, and positions in the body's frame
+      [m]. Gradient: exact with respect to positions, pose and sizes.
     """
     rotation = cp.split_matrix(body.rotation)
-    # Place relative to the shape, in its body's frame and in its own.
     in_body = cp.matvec(cp.transpose(rotation), cp.vector(lambda i: x[i] - body.position[i]))
     own = cp.split_matrix(collider.rotation)
     local = cp.matvec(cp.transpose(own), cp.vector(lambda i: in_body[i] - collider.offset[i]))
@@ -138,11 +137,11 @@ def penalty_force(contact: PenaltyContact, distance: Array, normal: Vec3, veloci
       contact: the law.
       distance: signed distance from the surface [m].
       normal: unit vectors pointing out of it [-], components.
-      velocity: of vertices relative to the surface [m/s], components.
+      velocity: velocity of vertices relative to the surface [m/s], components.
       friction: Coulomb coefficient [-].
 
-    Gradient: exact, zero-safe at rest. Without an onset, damping and friction set in where the vertex touches: a step
-      of height damping |v_n| that no derivative sees. At Coulomb's limit the derivative is that of sticking.
+    Gradient: exact, finite at rest. Without an onset, damping and friction start with a step where the vertex touches:
+      no derivative sees its height, damping |v_n|. At Coulomb's limit the derivative is that of sticking.
     Source: NVIDIA Warp's contact of particles with the ground; damping by depth as in DiffRL's dflex.
     """
     push, drag, v_t, *_ = penalty_response(contact, distance, normal, velocity, friction)
@@ -161,7 +160,7 @@ class PenaltyResponse(NamedTuple):
     separating: Array
     """Normal velocity relative to the surface, negative while vertices approach [m/s]."""
     gap: Array
-    """How far vertices are from touching, negative for those that touch [m]."""
+    """Distance minus radius [m], negative where vertices touch."""
     damping: Array
     """Normal force per approaching speed [N s/m]."""
 
@@ -169,7 +168,7 @@ class PenaltyResponse(NamedTuple):
 def penalty_response(
     contact: PenaltyContact, distance: Array, normal: Vec3, velocity: Vec3, friction: Scalar
 ) -> PenaltyResponse:
-    """The parts of ``penalty_force``, of the same arguments. Gradient: as there."""
+    """The parts of ``penalty_force``; same arguments, same gradient."""
     c = distance - contact.radius
     v_n = cp.dot(normal, velocity)
     gradual = jnp.asarray(contact.onset) > 0

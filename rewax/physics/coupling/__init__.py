@@ -1,6 +1,6 @@
-"""Rigid bodies and soft ones (particles, tetrahedra) that push each other.
+"""Two-way coupling of rigid bodies with soft ones (particles, tetrahedra).
 
-``articulated``, the coupling with robots, is imported when it is first used: it loads MuJoCo.
+``articulated``, the coupling with robots, is imported on first use, because it loads MuJoCo.
 """
 
 import importlib

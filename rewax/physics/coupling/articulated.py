@@ -1,12 +1,12 @@
-"""Soft bodies and articulated rigid bodies that push each other.
+"""Two-way coupling of soft bodies with articulated rigid bodies.
 
-Colliders of the scene belong to bodies of a model from MJCF. What they take from the soft body acts on the joints
-through the model's mass matrix M. With S_b q' the twist of body b, what touches it adds S_b^T A_b S_b to M where the
-velocity is predicted with which contact acts (``exchange.System`` has A_b). So a light finger in heavy dough is stable
-at the soft body's own substep, whatever its mass.
+Colliders of the scene belong to bodies of an MJCF model. The momentum that they take from the soft body acts on the
+joints through the model's mass matrix M. Contact uses the bodies' velocity after contact. Its prediction adds
+S_b^T A_b S_b to M for each touched body b, where S_b q' is the twist of b and A_b the matrix of ``exchange.System``. So
+a light finger in heavy dough is stable at the soft body's own substep, for any mass.
 
-Forces of the model's own (gravity, actuators, springs, contacts and limits) are evaluated once in a rigid substep. It
-may last several substeps of the soft body; mass matrix, poses and exchange of momentum are new in each of these.
+The model's own forces (gravity, actuators, springs, contacts and limits) are evaluated once per rigid substep. A rigid
+substep may last several substeps of the soft body; each of them updates mass matrix, poses and exchange of momentum.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -38,7 +38,7 @@ class _Carry(NamedTuple):
     qpos: Array
     qvel: Array
     received: Wrench
-    """Impulse and angular impulse on each body so far."""
+    """Accumulated impulse and angular impulse on each body."""
 
 
 def step(
@@ -51,25 +51,26 @@ def step(
     num_substeps: int = 1,
     wrenches: Array | None = None,
 ) -> tuple[Soft, RigidState, Wrench]:
-    """A soft body and a robot, ``num_substeps`` rigid substeps of ``model.dt`` later.
+    """Advance a soft body and a robot together by ``num_substeps`` rigid substeps of ``model.dt``.
 
     Args:
-      scene: particles or tetrahedra; its colliders belong to bodies of the model (``rigid.colliders``), 0 is the world.
-        ``dt`` divides ``model.dt``. Its gravity, walls and ground act on the soft body, the model's gravity on bodies.
+      scene: particles or tetrahedra. Its colliders belong to bodies of the model (``rigid.colliders``); body 0 is the
+        world. ``scene.dt`` divides ``model.dt``. Gravity, walls and ground of the scene act on the soft body, the
+        model's gravity on the robot.
       model: the robot.
       state: particles or vertices.
       bodies: the robot's state.
-      ctrl: controls, held meanwhile, shape (num_actuators,); None: zero.
-      num_substeps: of the robot, at least 1 (static).
+      ctrl: controls, constant in the step, shape (num_actuators,); None: zero.
+      num_substeps: number of rigid substeps, at least 1 (static).
       wrenches: further forces and torques on the bodies, as for ``rigid.step``.
 
     Returns:
-      The soft body, the robot, and the mean force and torque about its frame's origin that every body got from the soft
-      body, shapes (num_bodies, 3). What one loses, the other gets.
+      The soft body, the robot, and the mean force and torque of the soft body on every body, about the origin of the
+      body's frame, shapes (num_bodies, 3). Contact conserves momentum.
 
-    Gradient: exact with respect to everything, forward and reverse, apart from the onset of contact (see
-      ``colliders.apply_collider`` and ``penalty.penalty_force``). The backward pass keeps both at each of the soft
-      body's substeps.
+    Gradient: exact with respect to everything, forward and reverse, except at the onset of contact (see
+      ``colliders.apply_collider`` and ``penalty.penalty_force``). The backward pass stores soft body and robot at each
+      of the soft body's substeps.
 
     Raises:
       ValueError: ``scene.dt`` does not divide ``model.dt``, or a shape does not fit.
@@ -99,22 +100,22 @@ def step(
 
 
 def soft_substeps(scene: Scene, model: RigidModel) -> int:
-    """How many substeps of the soft body fit into one of the robot.
+    """Number of soft substeps in one rigid substep.
 
     Raises:
-      ValueError: their number is not whole.
+      ValueError: the number is no integer.
     """
     each = model.dt / scene.dt
     if abs(each - round(each)) > 1e-6 * each or round(each) < 1:
         raise ValueError(
-            f"the scene's dt {scene.dt:g} s does not divide the model's {model.dt:g} s: choose a model.dt that is "
-            "once, twice, ... as long"
+            f"the scene's dt {scene.dt:g} s does not divide the model's {model.dt:g} s: choose a model.dt that is an "
+            "integer multiple of scene.dt"
         )
     return round(each)
 
 
 def _exchanging_substep(scene: Scene, model: RigidModel, constants: Any, rate: Array, carry: _Carry) -> _Carry:
-    """One substep of the soft body, in which the robot's own forces give it the acceleration ``rate``."""
+    """One soft substep; ``rate`` is the joints' acceleration by the robot's own forces."""
     soft, qpos, before, received = carry
     contact, dt = solver_of(scene).begin(scene, constants, soft), scene.dt
 
@@ -146,14 +147,14 @@ def _motions(model: RigidModel, kin: Kinematics, qvel: Array) -> list[Motion]:
 
 
 def _predicted_change(scene: Scene, model: RigidModel, contact: SoftContact, kin: Kinematics, inertia: Array) -> Array:
-    """Change of the joints' velocities by contact, shape (num_dofs,); see ``exchange.System``."""
+    """Predicted change of joint velocities by contact, shape (num_dofs,); see ``exchange.System``."""
     matrix, right = inertia, jnp.zeros_like(inertia[0])
     moves = model.static.topology.moves
     for body in sorted({collider.body for collider in scene.colliders}):
         if not np.any(moves[body]):
             continue
         system = contact.system(body, kin.tree_com[body])
-        axes = kin.axes.T * moves[body]  # what each joint's rate gives this body, (6, num_dofs), angular first
+        axes = kin.axes.T * moves[body]  # this body's twist per joint rate, (6, num_dofs), angular first
         whole = jnp.block([[system.c, system.b.T], [system.b, system.a]])
         matrix = matrix + axes.T @ whole @ axes
         right = right + axes.T @ jnp.concatenate([system.right[3:], system.right[:3]])

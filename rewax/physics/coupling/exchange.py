@@ -1,11 +1,11 @@
-"""What a soft body and the rigid bodies that touch it give each other: momentum is exchanged, never made.
+"""Exchange of momentum between a soft body and the rigid bodies that touch it.
 
-The contact of light bodies with heavy soft ones is stiff: a body that answered only after it took what contact gives
-would be thrown back and forth. So contact acts with the velocity that the body will have: a linear system of six
-equations, to which everything that touches the body adds.
+Contact of light bodies with heavy soft ones is stiff: an explicit response would throw the body back and forth. So
+contact uses the body's velocity after contact, the solution of six linear equations to which all contact points
+contribute.
 
-A solver of soft bodies takes part as a ``SoftContact`` (particles in ``nodes``, tetrahedra in ``vertices``). What holds
-the rigid bodies is none of its business: nothing in ``free``, joints in ``articulated``.
+Each solver of soft bodies implements ``SoftContact`` (particles in ``nodes``, tetrahedra in ``vertices``). It does not
+depend on the constraints of the rigid bodies: none in ``free``, joints in ``articulated``.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,6 +17,7 @@ from rewax.lowering.fusion import materialize
 from rewax.physics.contact.motion import Motion
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import checked, instance, integer
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
@@ -29,23 +30,27 @@ class Wrench(NamedTuple):
     torque: Array
 
 
+WRENCH = instance(Wrench, "give a Wrench(force, torque), or None")
+
+
+@checked(num_bodies=integer(0, "give the number of bodies"))
 def no_wrench(num_bodies: int, like: Array | None = None) -> Wrench:
     """No force and no torque.
 
     Args:
-      num_bodies: how many there are.
-      like: an array whose type the zeros get, and inside ``shard_map`` the axes along which devices differ; a loop
-        that begins with them needs both. None: floating-point numbers of JAX's default type.
+      num_bodies: number of bodies.
+      like: array that sets the dtype of the zeros, and inside ``shard_map`` the mesh axes along which they vary; the
+        carry of a loop needs both. None: JAX's default float type.
     """
     zeros = jnp.zeros_like(jnp.zeros(()) if like is None else like, shape=(num_bodies, 3))
     return Wrench(zeros, zeros)
 
 
 class System(NamedTuple):
-    """Symmetric 6 x 6 system ((a, b), (b^T, c)) of a body's change of velocity and angular velocity.
+    """Symmetric 6 x 6 system ((a, b), (b^T, c)) for a body's change of velocity and angular velocity.
 
-    A place in touch takes the momentum p - W J dV from a body whose twist changes by dV; W is symmetric, J = (1, -r x),
-    r the place's arm about the body's origin. With the body's inertia M: (M + sum J^T W J) dV = sum J^T p.
+    A contact point gives the momentum p - W J dV to a body whose twist changes by dV. W is symmetric, J = (1, -r x),
+    and r is the point's arm about the body's origin. With the body's inertia M: (M + sum J^T W J) dV = sum J^T p.
     """
 
     a: Array
@@ -55,20 +60,20 @@ class System(NamedTuple):
 
 
 def no_system(dtype) -> System:
-    """Of a body that nothing touches."""
+    """The system of a body without contact."""
     zeros = jnp.zeros((3, 3), dtype)
     return System(zeros, zeros, zeros, jnp.zeros(6, dtype))
 
 
 def add_contact(system: System, arm: Vec3, normal: Vec3, along: Array, whole: Array, lost: Vec3) -> System:
-    """The system with the places that a collider touches.
+    """Add the contact points of a collider to a system.
 
     Args:
-      system: without them.
-      arm: of each place about the body's origin [m], components of shape (num_places,).
+      system: the system without them.
+      arm: arm of each point about the body's origin [m], components of shape (num_points,).
       normal: unit vectors n [-].
       along, whole: W = along n n^T + whole 1 [kg].
-      lost: p [kg m/s], what the place loses if the body's velocity does not change.
+      lost: p [kg m/s], momentum that the point loses at constant velocity of the body.
 
     Gradient: exact.
     """
@@ -95,33 +100,33 @@ class Received(NamedTuple):
     moment: Array
 
     def and_from(self, position: Vec3, lost: Vec3, body: int, origins: Array) -> "Received":
-        """With the momentum [kg m/s] that places lose to a body; moments count about origins [m], (num_bodies, 3)."""
+        """Add the momentum [kg m/s] that points lose to a body; moments are about origins [m], (num_bodies, 3)."""
         arm = cp.vector(lambda i: position[i] - origins[body, i])
         impulse, moment = (jnp.stack([jnp.sum(a) for a in v]) for v in (lost, cp.cross(arm, lost)))
         return Received(self.impulse.at[body].add(impulse), self.moment.at[body].add(moment))
 
 
 class SoftContact(Protocol):
-    """A soft body in the middle of a substep: its own forces are known, what bodies give to it is not.
+    """A soft body in the middle of a substep, after its own forces and before contact with bodies.
 
     Motions are velocity fields, one for each body.
     """
 
     def meet(self, poses: Pose, now: Sequence[Motion], before: Callable[[], Sequence[Motion]]) -> Self:
-        """With the bodies at given poses (num_bodies, ...).
+        """Evaluate contact geometry for bodies at the given poses (num_bodies, ...).
 
-        ``now`` are motions after the bodies' own forces, which act in the whole substep, ``before`` those without.
+        ``now`` are the motions after the bodies' own forces of this substep, ``before`` those before them.
         """
         ...
 
     def system(self, body: int, origin: Array) -> System:
-        """What contact adds to a body's equations of motion; its twist is that at the origin [m], shape (3,)."""
+        """Contribution of contact to a body's equations of motion, for its twist at the origin [m], shape (3,)."""
         ...
 
     def exchange(self, motions: Sequence[Motion | None], origins: Array) -> tuple[Self, Received]:
-        """After contact with bodies of these motions (None: as they were), and what the bodies got.
+        """The soft body after contact with bodies of these motions (None: unchanged), and the bodies' impulses.
 
-        Moments count about origins [m], shape (num_bodies, 3).
+        Moments are about origins [m], shape (num_bodies, 3).
         """
         ...
 

@@ -1,8 +1,8 @@
-"""Soft bodies and free rigid bodies that push each other.
+"""Two-way coupling of soft bodies with free rigid bodies.
 
-What colliders take from the soft body is what their bodies receive. So momentum is exchanged, never made, and a box
-floats in water because the water holds it up. ``mpm.step`` and ``tets.step`` are the one-way case, in which bodies move
-as prescribed; ``articulated`` the one of robots. ``exchange`` says how light bodies stay calm.
+Bodies receive the momentum that their colliders take from the soft body. So contact conserves momentum, and a box
+floats in water because the water supports it. ``mpm.step`` and ``tets.step`` are the one-way case with prescribed
+motion; ``articulated`` couples robots. ``exchange`` describes how the contact of light bodies stays stable.
 """
 
 from typing import Any, NamedTuple
@@ -14,10 +14,12 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion, chord_motion
 from rewax.physics.coupling import free_body
-from rewax.physics.coupling.exchange import SoftContact, System, Wrench, no_wrench
-from rewax.physics.coupling.free_body import FreeBodies, Inertia, inertia_numbers, solve3
-from rewax.physics.coupling.soft import Scene, Soft, solver_of
+from rewax.physics.coupling.exchange import WRENCH, SoftContact, System, Wrench, no_wrench
+from rewax.physics.coupling.free_body import INERTIA, FreeBodies, Inertia, inertia_numbers, solve3
+from rewax.physics.coupling.soft import SCENE, STATE, Scene, Soft, solver_of
 from rewax.physics.numerics.checks import check_numbers
+from rewax.physics.numerics.fields import checked, instance, optional
+from rewax.physics.numerics.fields import poses as poses_of
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.types import Array
@@ -27,9 +29,17 @@ class _Carry(NamedTuple):
     soft: Any
     bodies: FreeBodies
     received: Wrench
-    """Impulse and angular impulse so far."""
+    """Accumulated impulse and angular impulse."""
 
 
+@checked(
+    scene=SCENE,
+    inertia=INERTIA,
+    state=STATE,
+    bodies=instance(FreeBodies, "give FreeBodies, of bodies_at_rest for example"),
+    poses=poses_of("num_substeps + 1", "num_prescribed"),
+    wrench=optional(WRENCH),
+)
 def step(
     scene: Scene,
     inertia: Inertia,
@@ -40,26 +50,25 @@ def step(
     wrench: Wrench | None = None,
     store_every: int | None = 1,
 ) -> tuple[Soft, FreeBodies, Wrench]:
-    """As many substeps as ``poses`` has intervals, of a soft body and rigid ones together.
+    """Advance a soft body and free rigid bodies together by the substeps between ``poses``.
 
     Args:
-      scene: particles or tetrahedra; its colliders belong to the free bodies (``Collider.body`` from 0) and, beyond
-        their number, to bodies that move as prescribed. Its gravity acts on the free bodies too; its walls and ground
-        do not.
+      scene: particles or tetrahedra. ``Collider.body`` counts the free bodies from 0, then the prescribed ones. Gravity
+        acts on the free bodies too; walls and ground do not.
       inertia: mass properties of the free bodies.
       state: particles or vertices.
       bodies: free bodies.
-      poses: of the bodies that move as prescribed, (num_substeps + 1, num_prescribed, ...); if there are none,
+      poses: poses of the bodies with prescribed motion, (num_substeps + 1, num_prescribed, ...); without such bodies
         ``mpm.static_poses(num_substeps)``.
-      wrench: further forces and torques on the free bodies, constant in the step; None: no others.
+      wrench: further forces and torques on the free bodies, constant in the step; None: none.
       store_every: as for ``mpm.step``.
 
     Returns:
-      The soft body, the free bodies, and the mean force and torque that every body (free ones first) got from it.
-      Linear and angular momentum of all together change only by gravity, walls, ground, held vertices, ``wrench`` and
-      bodies that move as prescribed.
+      The soft body, the free bodies, and the mean force and torque of the soft body on every body (free ones first).
+      The total linear and angular momentum changes only by gravity, walls, ground, held vertices, ``wrench`` and
+      prescribed motion.
 
-    Gradient: exact with respect to everything, forward and reverse, apart from the onset of contact (see
+    Gradient: exact with respect to everything, forward and reverse, except at the onset of contact (see
       ``colliders.apply_collider`` and ``penalty.penalty_force``).
     """
     num_substeps, num_free = poses.position.shape[0] - 1, bodies.position.shape[0]
@@ -103,14 +112,14 @@ _recomputed_substep = recomputed(_substep)
 
 
 def _motions(bodies: FreeBodies) -> list[Motion]:
-    """Velocity field of each body."""
+    """Velocity field of each free body."""
     motions = free_body.motions(bodies)
     return [Motion(*(a[b] for a in motions)) for b in range(bodies.position.shape[0])]
 
 
 def _prescribed(interval: tuple[Pose, Pose], dt: float) -> list[Motion]:
-    """Of each body that moves as prescribed."""
-    return [chord_motion(*(body_pose(p, b) for p in interval), dt) for b in range(interval[0].position.shape[0])]
+    """Velocity field of each body with prescribed motion."""
+    return [chord_motion(*(body_pose(p, b) for p in interval), dt) for b in range(interval[0].position.shape[0])]  # pyright: ignore[reportCallIssue]
 
 
 def _predict(contact: SoftContact, bodies: FreeBodies, inertia: Inertia) -> FreeBodies:
@@ -138,9 +147,10 @@ def _solve(system: System) -> tuple[Array, Array]:
 
 
 def _check(scene: Scene, inertia: Inertia, num_free: int, num_bodies: int) -> None:
+    check_numbers(inertia_numbers(inertia))
     if inertia.mass.shape != (num_free,):
         raise ValueError(
-            f"inertia is of {inertia.mass.shape} bodies, but there are {num_free} free ones: make both agree"
+            f"inertia has {len(inertia.mass)} bodies, but there are {num_free} free bodies: give the mass properties "
+            "of each free body"
         )
-    check_numbers(inertia_numbers(inertia))
     check_bodies(scene.colliders, num_bodies)

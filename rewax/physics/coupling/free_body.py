@@ -1,17 +1,18 @@
-"""Rigid bodies that nothing but forces holds: their mass, motion and what they conserve.
+"""Free rigid bodies: mass properties, motion and conserved quantities.
 
-For boxes in water and blocks on dough. Bodies here do not touch each other or the walls; robots and contact between
-rigid bodies are the business of MuJoCo MJX.
+They serve boxes in water and blocks on dough. Free bodies do not touch each other or the walls; for robots and contact
+between rigid bodies use ``rewax.physics.rigid``.
 """
 
 import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics.contact.motion import Motion
-from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_number, check_numbers
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_numbers
+from rewax.physics.numerics.fields import checked, instance, items, real
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix, skew, turn_quaternion
-from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.base import Shape, require_shape
 from rewax.physics.shapes.sizes import size_numbers
 from rewax.types import Array, Scalar
 
@@ -21,7 +22,7 @@ class Inertia(struct.Replaceable):
     """Mass properties of bodies.
 
     Attributes:
-      mass: [kg], shape (num_bodies,), > 0.
+      mass: mass [kg], shape (num_bodies,), > 0.
       moment: moments and products of inertia about the centre of mass, in the body's frame [kg m^2], shape
         (num_bodies, 3, 3), symmetric and positive definite.
     """
@@ -37,8 +38,8 @@ class FreeBodies(struct.Replaceable):
     Attributes:
       position: centre of mass [m], shape (num_bodies, 3).
       orientation: unit quaternion (w, x, y, z) from the body's frame to the world's, shape (num_bodies, 4).
-      velocity: of the centre of mass [m/s], shape (num_bodies, 3).
-      angular_velocity: in the world's frame [rad/s], shape (num_bodies, 3).
+      velocity: velocity of the centre of mass [m/s], shape (num_bodies, 3).
+      angular_velocity: angular velocity in the world's frame [rad/s], shape (num_bodies, 3).
     """
 
     position: Array
@@ -47,25 +48,25 @@ class FreeBodies(struct.Replaceable):
     angular_velocity: Array
 
 
+@checked(position=real(FINITE, "give centres of mass in metres", shape=("num_bodies", 3)))
 def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBodies:
-    """Bodies that do not move.
+    """Bodies with zero velocity.
 
     Args:
       position: centres of mass [m], shape (num_bodies, 3).
-      orientation: unit quaternions (num_bodies, 4); None: not turned.
+      orientation: unit quaternions (num_bodies, 4); None: the identity.
 
     Raises:
-      ValueError: a position that is not of this shape (one body needs its axis too), or a number that is not finite.
+      ValueError: a position of another shape (one body has shape (1, 3)), or a number that is not finite.
     """
     position = jnp.asarray(position)
     position = position.astype(jnp.result_type(float, position))
-    if position.ndim != 2 or position.shape[-1] != 3:
-        raise ValueError(f"position has shape {position.shape}: give (num_bodies, 3), also for one body, [[x, y, z]]")
-    check_number("position", position, FINITE, "give centres of mass in metres")
     zeros = jnp.zeros_like(position)
     if orientation is None:
         orientation = jnp.concatenate([jnp.ones_like(zeros[:, :1]), zeros], axis=-1)
-    check_number("orientation", orientation, FINITE, "give unit quaternions (w, x, y, z)")
+    check_numbers(
+        [Number("orientation", orientation, FINITE, "give unit quaternions (w, x, y, z)", (len(position), 4))]
+    )
     return FreeBodies(
         position=position, orientation=jnp.asarray(orientation, position.dtype), velocity=zeros, angular_velocity=zeros
     )
@@ -75,8 +76,8 @@ def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
     """Mass [kg], shape (), and moments of inertia [kg m^2], shape (3, 3), of a homogeneous body.
 
     Args:
-      shape: one that is bounded and whose centre of mass is the origin of its frame. Exact for balls, capsules, boxes,
-        cylinders and ellipsoids, by quadrature for others, see ``Shape.inertia``.
+      shape: a bounded shape with its centre of mass at the origin. The result is exact for balls, capsules, boxes,
+        cylinders and ellipsoids, and a quadrature for others, see ``Shape.inertia``.
       density: [kg/m^3], > 0.
 
     Raises:
@@ -84,29 +85,35 @@ def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
 
     Gradient: exact.
     """
-    density_number = Number("density", density, POSITIVE, "give the body's density in kg/m^3")
+    density_number = Number("density", density, POSITIVE, "give the body's density in kg/m^3", ())
     check_numbers([density_number, *size_numbers(shape, "shape")])
     return shape.inertia(density)
 
 
 def inertia_numbers(inertia: Inertia) -> list[Number]:
-    """The mass properties of bodies, and what they may be: moments about each axis are positive."""
+    """The mass properties of bodies, with their legal values: masses and moments about each axis are positive."""
+    mass = Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg", ("num_bodies",))
+    remedy = "give moments of inertia in kg m^2"
+    moment = Number("inertia.moment", inertia.moment, FINITE, remedy, ("num_bodies", 3, 3))
+    check_numbers([mass, moment])
     moments = jnp.diagonal(inertia.moment, axis1=-2, axis2=-1)
-    return [
-        Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg"),
-        Number("inertia.moment", inertia.moment, FINITE, "give moments of inertia in kg m^2"),
-        Number("the diagonal of inertia.moment", moments, POSITIVE, "give moments of inertia in kg m^2"),
-    ]
+    return [mass, moment, Number("the diagonal of inertia.moment", moments, POSITIVE, remedy)]
 
 
+INERTIA = instance(Inertia, "give an Inertia(mass=..., moment=...), of inertia_of for example")
+
+
+@checked(shapes=items(lambda name, shape: require_shape(shape, name), "give a tuple of shapes"))
 def inertia_of(shapes: tuple[Shape, ...], density: Scalar) -> Inertia:
-    """``solid`` of several homogeneous bodies, one of each shape."""
+    """Mass properties of several homogeneous bodies, one per shape; see ``solid``."""
+    if len(shapes) == 0:
+        raise ValueError("shapes is empty: give at least one shape")
     masses, moments = zip(*(solid(shape, density) for shape in shapes), strict=True)
     return Inertia(mass=jnp.stack([jnp.asarray(m) for m in masses]), moment=jnp.stack(moments))
 
 
 def poses(bodies: FreeBodies) -> Pose:
-    """Where the bodies are, shapes (num_bodies, 3), (num_bodies, 3, 3). Gradient: exact."""
+    """Poses of the bodies, shapes (num_bodies, 3), (num_bodies, 3, 3). Gradient: exact."""
     return Pose(bodies.position, quaternion_to_matrix(bodies.orientation))
 
 
@@ -126,12 +133,12 @@ def push(bodies: FreeBodies, inertia: Inertia, impulse: Array, angular_impulse: 
     """Bodies after an impulse.
 
     Args:
-      bodies: before.
+      bodies: bodies before the impulse.
       inertia: their mass properties.
-      impulse: [kg m/s], shape (num_bodies, 3).
-      angular_impulse: about the centre of mass [kg m^2/s], shape (num_bodies, 3).
+      impulse: change of linear momentum [kg m/s], shape (num_bodies, 3).
+      angular_impulse: change of angular momentum about the centre of mass [kg m^2/s], shape (num_bodies, 3).
 
-    Linear and angular momentum change by what is given. Gradient: exact.
+    Gradient: exact.
     """
     return bodies.replace(
         velocity=bodies.velocity + impulse / inertia.mass[:, None],
@@ -140,16 +147,16 @@ def push(bodies: FreeBodies, inertia: Inertia, impulse: Array, angular_impulse: 
 
 
 def move(bodies: FreeBodies, inertia: Inertia, dt: Scalar) -> FreeBodies:
-    """Bodies after a time dt [s] without forces; linear and angular momentum stay. Gradient: exact.
+    """Bodies after a time dt [s] without forces, with constant linear and angular momentum. Gradient: exact.
 
-    The angular velocity changes as the moments of inertia turn with the body: I' w' = I w.
+    The moments of inertia rotate with the body, so the angular velocity changes: I' w' = I w.
     """
     moved = bodies.replace(
         position=bodies.position + dt * bodies.velocity,
         orientation=turn_quaternion(bodies.orientation, bodies.angular_velocity, dt),
     )
     moment = world_moment(moved, inertia)
-    # As a change: the spin of a body that hardly turns does not pass through a solution of equations.
+    # Solve for the change: the angular velocity of a body that hardly rotates keeps all its digits.
     lost = _matvec(world_moment(bodies, inertia) - moment, bodies.angular_velocity)
     return moved.replace(angular_velocity=bodies.angular_velocity + solve3(moment, lost))
 
@@ -169,7 +176,7 @@ def angular_momentum(
 
 
 def kinetic_energy(bodies: FreeBodies, inertia: Inertia) -> Array:
-    """[J], shape (). Gradient: exact."""
+    """Kinetic energy of all bodies [J], shape (). Gradient: exact."""
     spin = _matvec(world_moment(bodies, inertia), bodies.angular_velocity)
     linear = jnp.sum(inertia.mass * jnp.sum(bodies.velocity**2, axis=-1))
     return 0.5 * (linear + jnp.sum(bodies.angular_velocity * spin))
@@ -178,7 +185,7 @@ def kinetic_energy(bodies: FreeBodies, inertia: Inertia) -> Array:
 def solve3(a: Array, b: Array) -> Array:
     """a^-1 b for symmetric positive definite matrices (..., 3, 3) and vectors (..., 3) or matrices (..., 3, k).
 
-    L D L^T written out: a batch of LAPACK calls costs more than the arithmetic, and cofactors lose all digits of badly
+    L D L^T, written out. Batched LAPACK calls cost more than the arithmetic, and cofactors lose all digits of badly
     conditioned matrices. Gradient: exact.
     """
     if b.ndim == a.ndim:

@@ -1,8 +1,8 @@
-"""Particles in contact with bodies: nodes of the grid are what touches.
+"""Contact of particles with bodies, through the nodes of the grid.
 
-Colliders change the momentum of nodes; what they take is what their bodies receive. The velocity that nodes are given
-is that which the body will have. It is predicted from all nodes that approach the body now. (Nodes that only the new
-velocity runs into are not in it: a light body squeezed between heavy ones from two sides is the hard case.)
+Colliders change the momentum of nodes, and their bodies receive the opposite change. Contact uses the body's velocity
+after contact, predicted from all nodes that approach the body now. (The prediction ignores nodes that only the new
+velocity approaches. A light body squeezed from two sides between heavy ones is the hard case.)
 """
 
 from collections.abc import Callable, Sequence
@@ -42,11 +42,11 @@ class NodeContact(NamedTuple):
     particles: Deformed
     has_mass: Array
     mass: Array
-    """Of each node [kg], 0 where nothing is, shape (num_nodes,)."""
+    """Mass of each node [kg], 0 for empty nodes, shape (num_nodes,)."""
     velocity: Vec3
-    """Of each node [m/s]."""
+    """Velocity of each node [m/s]."""
     touches: tuple[Touch, ...] = ()
-    """Of each collider."""
+    """Values of each collider at the nodes."""
 
     def meet(self, poses: Pose, now: Sequence[Motion], before: Callable[[], Sequence[Motion]]) -> Self:
         del before
@@ -59,10 +59,11 @@ class NodeContact(NamedTuple):
         )
 
     def system(self, body: int, origin: Array) -> System:
-        """It holds if nodes that approach now go on to, and friction acts as it would now.
+        """Linearization that assumes the present set of approaching nodes and the present friction.
 
-        Of a node of mass m and influence w that slides, W = m w (s n n^T + (1 - s) 1), s what friction leaves of its
-        tangential velocity: sticking nodes take their whole velocity from the body, sliding ones that along the normal.
+        A node of mass m and influence w has W = m w (s n n^T + (1 - s) 1). Here s is the share of its tangential
+        velocity after friction. Sticking nodes (s = 0) take their whole velocity from the body, sliding ones the normal
+        component.
         """
         alone = self.scene.overlap is Overlap.SEQUENTIAL or len(self.touches) < 2
         masses = [self.mass] * len(self.touches)
@@ -95,7 +96,7 @@ class NodeContact(NamedTuple):
         return from_nodes(self.scene, self.nodes, self.particles, where_mass(self.has_mass, velocity))
 
     def _moving(self, motions: Sequence[Motion | None]) -> list[Touch]:
-        """The touches with these motions of their bodies; None: as they were."""
+        """The touches with new motions of their bodies; None: unchanged."""
         moved = [motions[collider.body] for collider in self.scene.colliders]
         return [
             t if motion is None else t._replace(velocity=velocity_at(motion, self.nodes.position))
@@ -104,7 +105,7 @@ class NodeContact(NamedTuple):
 
 
 def begin(scene: MPMScene, nodes: ActiveNodes, packed: Array) -> NodeContact:
-    """First half of a substep: gravity and the particles' own stress act on the nodes. Gradient: exact."""
+    """First half of a substep: gravity and the particles' stress act on the nodes. Gradient: exact."""
     particles, fields = to_nodes(scene, nodes, packed)
     has_mass, velocity = free_velocity(scene, fields)
     mass = jnp.where(has_mass, fields.mass, 0.0)
@@ -124,7 +125,7 @@ def _met(moving: tuple[Collider, Placed], position: Vec3) -> tuple[Array, Array,
 
 
 def _without_friction(t: Touch) -> Touch:
-    """What is there for each node; friction may be one number for all of them."""
+    """The touch without friction, which may be one number instead of an array over nodes."""
     return t._replace(friction=None)  # type: ignore[arg-type]
 
 
@@ -134,7 +135,7 @@ def _with_friction(t: Touch, friction: Scalar | None) -> Touch:
 
 @pointwise
 def _after(friction: Scalar | None, nodes: tuple[Touch, Vec3, Array]) -> tuple[Vec3, Vec3]:
-    """Velocities after contact, and the momentum that nodes of given masses lose."""
+    """Node velocities after contact, and the momentum that nodes lose."""
     t, velocity, mass = nodes
     after = contact_velocity(_with_friction(t, friction), velocity)
     return after, cp.vector(lambda i: mass * (velocity[i] - after[i]))
@@ -142,7 +143,7 @@ def _after(friction: Scalar | None, nodes: tuple[Touch, Vec3, Array]) -> tuple[V
 
 @pointwise
 def _weights(friction: Scalar | None, nodes: tuple[Touch, Vec3, Array]) -> tuple[Array, Array]:
-    """Masses that act along the normal, and in all directions."""
+    """Effective masses along the normal, and in all directions."""
     t, velocity, mass = nodes
     t = _with_friction(t, friction)
     relative = cp.subtract(velocity, t.velocity)

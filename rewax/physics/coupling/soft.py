@@ -1,4 +1,4 @@
-"""Which solvers of soft bodies can be coupled, and what the steps of ``free`` and ``articulated`` need of them."""
+"""The solvers of soft bodies that can be coupled, through the interface that ``free`` and ``articulated`` use."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
@@ -9,6 +9,7 @@ from rewax.physics.mpm.packing import join as join_particles
 from rewax.physics.mpm.packing import split as split_particles
 from rewax.physics.mpm.scene import MPMScene, MPMState
 from rewax.physics.mpm.stepping import nodes_of_step
+from rewax.physics.numerics.fields import instance
 from rewax.physics.tets.scene import TetScene, TetState
 from rewax.physics.tets.stepping import join as join_vertices
 from rewax.physics.tets.stepping import rest
@@ -16,19 +17,21 @@ from rewax.physics.tets.stepping import split as split_vertices
 
 Scene = MPMScene | TetScene
 Soft = TypeVar("Soft", MPMState, TetState)
+SCENE = instance((MPMScene, TetScene), "give a scene of mpm.make_scene or tets.make_scene")
+STATE = instance((MPMState, TetState), "give a state of mpm.initial_state or tets.initial_state")
 
 
 class Solver(NamedTuple):
-    """How a soft body is advanced. ``soft`` is its state by components, as the inner loop wants it."""
+    """Functions that advance a soft body. ``soft`` is its state by components, for the inner loop."""
 
     constants: Callable[[Any, Any], Any]
-    """``(scene, state) -> constants``: what is the same in all substeps of a step."""
+    """``(scene, state) -> constants``: values that all substeps of a step share."""
     split: Callable[[Any], Any]
     """``state -> soft``."""
     join: Callable[[Any], Any]
     """``soft -> state``."""
     begin: Callable[[Any, Any, Any], SoftContact]
-    """``(scene, constants, soft)``: a substep up to where bodies come in."""
+    """``(scene, constants, soft) -> contact``: the part of a substep before contact with bodies."""
 
 
 PARTICLES = Solver(lambda scene, state: nodes_of_step(scene, state.x), split_particles, join_particles, nodes.begin)
@@ -41,11 +44,8 @@ def solver_of(scene: Scene) -> Solver:
     Raises:
       ValueError: it is no scene.
     """
-    if isinstance(scene, MPMScene):
-        return PARTICLES
-    if isinstance(scene, TetScene):
-        return TETRAHEDRA
-    raise ValueError(f"scene is {type(scene).__name__}: give one of mpm.make_scene or tets.make_scene")
+    SCENE("scene", scene)
+    return PARTICLES if isinstance(scene, MPMScene) else TETRAHEDRA
 
 
-__all__ = ["PARTICLES", "TETRAHEDRA", "Scene", "Soft", "Solver", "solver_of"]
+__all__ = ["PARTICLES", "SCENE", "STATE", "TETRAHEDRA", "Scene", "Soft", "Solver", "solver_of"]

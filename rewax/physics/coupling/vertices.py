@@ -1,22 +1,22 @@
-"""Tetrahedra in contact with bodies: vertices are pushed by a penalty force, and push back.
+"""Contact of tetrahedra with bodies: penalty forces between vertices and bodies, implicit in the body's velocity.
 
-A spring of stiffness k against a body of mass M is stiff where k dt^2 > M, however slow the vertices are. So the force
-on a vertex is the one of ``contact.penalty_force`` at the substep's beginning, plus what changes in it by the change of
-the body's velocity within the substep: with s the velocity of the body's surface,
+A spring of stiffness k against a body of mass M is stiff where k dt^2 > M, even if the vertices are slow. So the force
+on a vertex is ``contact.penalty_force`` at the substep's beginning plus its change with the velocity of the body's
+surface within the substep. With s the surface velocity before and s' after contact:
 
-    f = f(x, v - s) + W (s' - s),    W = (dt k + damping) n n^T + drag (1 - n n^T),
+    f = f(x, v - s) + W (s' - s),    W = (dt k + damping) n n^T + drag (1 - n n^T).
 
-where dampings are those that act at the beginning. It is linear in the body's velocity, so that ``exchange.System``
-gives it exactly, and the body receives minus f. At rest it is the penalty force itself. Springs that the body's own
-forces close within the substep act too: else a light body that is pressed on a surface would hop on it.
+Damping and drag are those at the beginning. f is linear in the body's velocity, so ``exchange.System`` is exact. The
+body receives -f. At rest f is the penalty force. Springs that the body's own forces close within the substep act too;
+otherwise a light body pressed on a surface would hop.
 
-Vertices remain explicit. Whatever the bodies' masses, springs are stable at a substep at which they are stable against
-a body that is held. Eliminating s' leaves springs of stiffness S = (1/k + dt^2 J M^-1 J^T)^-1. Let x displace the
-vertices and X the bodies; C x - J X is what it compresses springs by. Then S stores at most the energy that k would
-with X = 0, plus X^T M X / (2 dt^2): it is two springs in series, and pulling them apart at any point stores no less.
+Vertices remain explicit. For any masses of the bodies, springs are stable at a substep at which they are stable against
+a fixed body. Eliminating s' leaves springs of stiffness S = (1/k + dt^2 J M^-1 J^T)^-1. Let x displace the vertices and
+X the bodies, and let C x - J X be the compression of the springs. The energy stored in S is at most that in k with
+X = 0, plus X^T M X / (2 dt^2): S is two springs in series, which minimize their energy over the point between them.
 Symplectic Euler is stable up to 4 x^T m x / (2 dt^2) of the first and 4 X^T M X / (2 dt^2) of the second.
 
-A body that is thrown off may be held by springs in the substep in which it leaves.
+Springs may still act on a separating body during the substep in which it leaves.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,20 +38,20 @@ from rewax.types import Array
 
 
 class VertexTouch(NamedTuple):
-    """A collider at all vertices, arrays of shape (num_vertices,)."""
+    """Values of a collider at all vertices, arrays of shape (num_vertices,)."""
 
     force: Vec3
-    """On the vertices if the body kept its velocity from before the substep [N]."""
+    """Force on the vertices for the body's velocity before the substep [N]."""
     normal: Vec3
-    """Away from the collider."""
+    """Unit vector pointing away from the collider."""
     along: Array
-    """Change of the force along the normal per change of the surface's velocity [N s/m]."""
+    """Derivative of the normal force by the surface's normal velocity [N s/m]."""
     across: Array
-    """The same of the force across it."""
+    """Derivative of the tangential force by the surface's tangential velocity [N s/m]."""
     surface: Vec3
     """Velocity of the body's surface before the substep [m/s]."""
     pushed: Vec3
-    """Its change by the body's own forces [m/s]."""
+    """Change of the surface's velocity by the body's own forces [m/s]."""
 
     def force_at(self, change: Vec3) -> Vec3:
         """Force on the vertices [N] after a change of the surface's velocity [m/s]."""
@@ -68,9 +68,9 @@ class VertexContact(NamedTuple):
     internal: Vec3
     """Forces of the tets on the vertices [N]."""
     contact: Vec3
-    """Forces of the ground on the vertices, then of colliders too [N]."""
+    """Forces of the ground on the vertices [N]; ``exchange`` adds those of colliders."""
     touches: tuple[VertexTouch, ...] = ()
-    """Of each collider."""
+    """Values of each collider at the vertices."""
 
     def meet(self, poses: Pose, now: Sequence[Motion], before: Callable[[], Sequence[Motion]]) -> Self:
         x, v = self.vertices
@@ -78,7 +78,7 @@ class VertexContact(NamedTuple):
         assert scene.contact is not None or not scene.colliders
 
         def one(c: Collider) -> VertexTouch:
-            return _touch(c, scene.contact, scene.dt, x, v, body_pose(poses, c.body), now[c.body], were[c.body])
+            return _touch(c, scene.contact, scene.dt, x, v, body_pose(poses, c.body), now[c.body], were[c.body])  # pyright: ignore[reportArgumentType]
 
         return self._replace(touches=tuple(one(c) for c in scene.colliders))
 
@@ -108,7 +108,7 @@ class VertexContact(NamedTuple):
 
 
 def begin(scene: TetScene, rest: Rest, vertices: Vertices) -> VertexContact:
-    """The forces of tets and ground. Gradient: exact."""
+    """First part of a substep: the forces of tets and ground. Gradient: exact."""
     vertices = materialize(vertices)
     x, v = vertices
     return VertexContact(scene, rest, vertices, vertex_forces(scene, rest, x, v), contact_forces(scene, x, v, None))
@@ -131,7 +131,7 @@ def _touch(
 
 
 def _velocity(motion: Motion, x: Vec3) -> Vec3:
-    """Of a body's points [m/s]. Gradient: exact, with respect to the places too."""
+    """Velocity of a body's points [m/s]. Gradient: exact, also with respect to the positions."""
     turned = cp.matvec(cp.split_matrix(motion.turn), x)
     return cp.vector(lambda i: turned[i] + motion.shift[i])
 

@@ -1,4 +1,4 @@
-"""The moving least squares material point method."""
+"""The moving least squares material point method (MLS-MPM)."""
 
 from rewax.physics.mpm import invariants, laws
 from rewax.physics.mpm.active_nodes import count_nodes

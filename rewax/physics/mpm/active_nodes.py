@@ -1,4 +1,4 @@
-"""The nodes that take part in a step: those that particles can reach, column by column."""
+"""Active nodes of a step: the nodes that particles can reach, listed column by column."""
 
 import functools
 from collections.abc import Callable
@@ -16,16 +16,16 @@ from rewax.physics.numerics.components import Vec3
 from rewax.types import Array
 
 REACHES = (0.5, 1.0)
-"""What ``reach`` can be: cells that a particle may move along an axis while a list of nodes serves."""
+"""Legal values of ``reach``: cells that a particle may move along an axis while a list of nodes is valid."""
 
 
 class ActiveNodes(NamedTuple):
-    """A list of nodes, ordered by column along z; in each column it holds all from the lowest to the highest needed."""
+    """A list of nodes, ordered by column along z. A column holds all nodes from its lowest to its highest."""
 
     offset: Array
-    """Add it to the index along z to have a node's place in the list, for each column, shape (num_columns,), int32."""
-    index: tuple[Array, Array, Array]
-    """Index of each node along x, y, z, arrays (num_active,), int32; meaningless where a place is not used."""
+    """List index minus index along z, for each column, shape (num_columns,), int32."""
+    index: tuple[Array, Array, Array]  # pyright: ignore[reportIncompatibleMethodOverride]
+    """Index of each node along x, y, z, arrays (num_active,), int32; meaningless in unused slots."""
     position: Vec3
     """Position of each node [m], components of shape (num_active,)."""
 
@@ -45,7 +45,7 @@ def list_nodes(grid: Grid, x: Array, num_active: int, *, reach: float = 1.0) -> 
     Args:
       grid: all nodes.
       x: particle positions [m], shape (num_particles, 3). Gradient: none.
-      num_active: how many the list holds, at least 3; further ones are left out (see ``count_nodes``).
+      num_active: length of the list, at least 3; further nodes are left out (see ``count_nodes``).
       reach: in cells, one of ``REACHES``.
     """
     like = [jax.ShapeDtypeStruct((n,), jnp.int32) for n in (grid.num_columns, num_active, num_active)]
@@ -56,14 +56,14 @@ def list_nodes(grid: Grid, x: Array, num_active: int, *, reach: float = 1.0) -> 
 
 
 def count_nodes(grid: Grid, x: Array, *, reach: float = 1.0) -> Array:
-    """How many nodes ``list_nodes`` has to hold, shape (), int32."""
+    """Number of nodes that ``list_nodes`` must hold, shape (), int32."""
     return jnp.sum(_columns(grid, x, reach)[1], dtype=jnp.int32)
 
 
 def _columns(grid: Grid, x: Array, reach: float) -> Arrays:
-    """Lowest node in reach of a particle, and how many nodes from it to the highest, for each column along z.
+    """Lowest active node and number of active nodes, for each column along z.
 
-    A column that no particle reaches has ``grid.shape[2]`` as its lowest node.
+    The lowest node of an empty column is ``grid.shape[2]``.
     """
     like = [jax.ShapeDtypeStruct((grid.num_columns,), jnp.int32)] * 2
     return linear_call(_COLUMNS, no_transpose, (grid, reach), (jax.lax.stop_gradient(x),), (), like=like)
@@ -83,7 +83,7 @@ def _list_on_cpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) ->
 
 
 def _batched(one: Callable[..., Arrays], arrays: Arrays, ndim: int) -> Arrays:
-    """``one`` of arrays of ``ndim`` axes, which may have further ones at the front."""
+    """Apply ``one``, a function of arrays with ``ndim`` axes, to arrays with further leading axes."""
     for _ in range(arrays[0].ndim - ndim):
         one = jax.vmap(one)
     return one(*arrays)
@@ -108,20 +108,20 @@ def _columns_by_axis(grid: Grid, reach: float, x: Array) -> Arrays:
 
 
 def _list_by_search(grid: Grid, num_active: int, lowest: Array, count: Array) -> Arrays:
-    """Offsets of the columns, and the column and the index along z of each node of the list."""
+    """Offset of each column, and the column and index along z of each listed node."""
     end = jnp.cumsum(count, dtype=jnp.int32)
     offset = end - count - lowest
-    place = jnp.arange(num_active, dtype=jnp.int32)
-    column = jnp.searchsorted(end, place, side="right").astype(jnp.int32)
+    slot = jnp.arange(num_active, dtype=jnp.int32)
+    column = jnp.searchsorted(end, slot, side="right").astype(jnp.int32)
     column = jnp.minimum(column, grid.num_columns - 1)
-    return offset, column, jnp.clip(place - offset[column], 0, grid.shape[2] - 1)
+    return offset, column, jnp.clip(slot - offset[column], 0, grid.shape[2] - 1)
 
 
 # --- On a GPU: few kernels --------------------------------------------------------------------------------------------
 
 
 def _columns_on_gpu(static: tuple[Grid, float], residuals: Arrays, linear: Arrays) -> Arrays:
-    """One scatter and one window for both ends of the columns: the highest node, negated, is a lowest one."""
+    """One scatter-min and one window-min for both ends of the columns, with the highest node negated."""
     del linear
     (grid, reach), (x,) = static, residuals
     batch, (nx, ny, nz) = x.shape[:-2], grid.shape
@@ -147,22 +147,22 @@ def _columns_on_gpu(static: tuple[Grid, float], residuals: Arrays, linear: Array
 
 
 def _list_on_gpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) -> Arrays:
-    """As ``_list_by_search``, but every node of the grid writes itself to its place: a search is a loop of kernels."""
+    """``_list_by_search`` as a scatter from all nodes of the grid: a search would be a loop of kernels."""
     del linear
     (grid, num_active), (lowest, count) = static, residuals
     batch, (nx, ny, nz) = lowest.shape[:-1], grid.shape
     lowest, count = (a.reshape(-1, nx * ny) for a in (lowest, count))
     end = _cumulative(count.reshape(-1, nx, ny)).reshape(count.shape)
     offset = end - count - lowest
-    # A search leaves this at places that are not used.
-    place = jnp.arange(num_active, dtype=jnp.int32)
-    nodes = (nx * ny - 1) * nz + jnp.clip(place - offset[:, -1:], 0, nz - 1)
+    # Unused slots hold what the search gives there.
+    slot = jnp.arange(num_active, dtype=jnp.int32)
+    nodes = (nx * ny - 1) * nz + jnp.clip(slot - offset[:, -1:], 0, nz - 1)
     shape = (len(count), nx * ny, nz)
     environment, column, z = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(3))
     to = offset[..., None] + z
     listed = (z >= lowest[..., None]) & (to < jnp.minimum(end, num_active)[..., None])
     node = column * nz + z
-    nowhere = nodes.size + environment * grid.num_nodes + node  # of each node another, so all indices are unique
+    nowhere = nodes.size + environment * grid.num_nodes + node  # out of bounds and different for each node
     to = jnp.where(listed, environment * num_active + to, nowhere).reshape(-1)
     update = {"mode": "drop", "unique_indices": True, "wrap_negative_indices": False}
     nodes = nodes.reshape(-1).at[to].set(node.reshape(-1), **update)
@@ -170,7 +170,7 @@ def _list_on_gpu(static: tuple[Grid, int], residuals: Arrays, linear: Arrays) ->
 
 
 def _cumulative(a: Array) -> Array:
-    """Cumulative sum over the last two axes, in order, int32: two masked sums, where XLA's is a ladder of kernels."""
+    """Cumulative sum over the last two axes, int32, as two masked sums: XLA's is a sequence of many kernels."""
     rows, columns = (jnp.arange(n) for n in a.shape[-2:])
     earlier_rows = jnp.sum(jnp.where((rows < rows[:, None])[..., None], a[..., None, :, :], 0), (-2, -1), jnp.int32)
     within_row = jnp.sum(jnp.where(columns <= columns[:, None], a[..., None, :], 0), -1, jnp.int32)
@@ -184,8 +184,10 @@ _LIST = ByPlatform(cpu=_list_on_cpu, other=_list_on_gpu)
 
 
 def _margins(reach: float) -> tuple[int, int, float]:
-    """How many nodes a list holds below and above a particle's stencil, and how much lower the particle counts, in
-    cells: half a cell to either side is one node more, below, if the particle is put half a cell lower."""
+    """Extra nodes below and above a particle's stencil, and a downward shift of the particle in cells.
+
+    Half a cell of reach shifts the particle down by half a cell and adds one node above.
+    """
     down = int(reach)
     half = reach - down
     return down, down + int(2.0 * half), half

@@ -2,16 +2,24 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 
-from rewax.physics.numerics.checks import FINITE, POSITIVE, static_number, whole_number
+from rewax.physics.numerics.checks import FINITE, POSITIVE
+from rewax.physics.numerics.fields import check_fields, integer, items, static
+
+_NODES = "give three numbers of nodes, each at least 4"
+_ORIGIN = "give the three coordinates of node (0, 0, 0) in metres"
+_RULES = {
+    "shape": items(integer(4, _NODES), _NODES, length=3),
+    "spacing": static(POSITIVE, "give a distance in metres"),
+    "origin": items(static(FINITE, _ORIGIN), _ORIGIN, length=3),
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Grid:
-    """A box of nodes; static (hashable), so shapes are known when a program is traced.
+    """A box of nodes; static (hashable), so that a trace knows its shape.
 
     Node (i, j, k) lies at ``origin + spacing * (i, j, k)``. Particles can be anywhere between ``lower`` and ``upper``.
 
@@ -26,17 +34,10 @@ class Grid:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        remedy = "give three numbers of nodes, each at least 4"
-        shape = _three("Grid.shape", self.shape, remedy)
-        try:
-            counts = tuple(whole_number("Grid.shape", n, 4, remedy) for n in shape)
-        except ValueError:
-            raise ValueError(f"Grid.shape is {shape}: {remedy}") from None
-        origin = _three("Grid.origin", self.origin, "give the three coordinates of node (0, 0, 0) in metres")
-        place = tuple(static_number("Grid.origin", a, FINITE, "give coordinates in metres") for a in origin)
-        spacing = static_number("Grid.spacing", self.spacing, POSITIVE, "give a distance in metres")
-        for name, value in (("shape", counts), ("origin", place), ("spacing", spacing)):
-            object.__setattr__(self, name, value)
+        check_fields(_RULES, vars(self), "Grid.")
+        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
+        object.__setattr__(self, "origin", tuple(float(a) for a in self.origin))
+        object.__setattr__(self, "spacing", float(self.spacing))
 
     @property
     def num_nodes(self) -> int:
@@ -49,7 +50,7 @@ class Grid:
 
     @property
     def strides(self) -> tuple[int, int, int]:
-        """How far the flat index of a node moves per step along x, y, z."""
+        """Change of a node's flat index per step along x, y, z."""
         return (self.shape[1] * self.shape[2], self.shape[2], 1)
 
     @property
@@ -67,9 +68,3 @@ class Grid:
     def axis_nodes(self, axis: int) -> np.ndarray:
         """Coordinate of every node along one axis [m], shape (shape[axis],), float64."""
         return self.origin[axis] + self.spacing * np.arange(self.shape[axis])
-
-
-def _three(name: str, value: Any, remedy: str) -> tuple:
-    if np.shape(value) != (3,):
-        raise ValueError(f"{name} is {value!r}: {remedy}")
-    return tuple(value)

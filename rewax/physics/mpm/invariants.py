@@ -1,8 +1,8 @@
-"""What a simulation conserves: mass, momentum and energy of its particles.
+"""Conserved quantities: mass, momentum and energy of the particles.
 
-For checking a scene or a change to the code, and for logging. Each particle carries an affine velocity field
-v + C d; on quadratic B-splines its second moment is D = dx^2 / 4 I, which is how much angular momentum and kinetic
-energy the field holds.
+They serve checks of a scene, checks of a change to the code, and logging. Each particle carries an affine velocity
+field v + C d (APIC). With quadratic B-splines its second moment is D = dx^2 / 4 I, which determines the angular
+momentum and kinetic energy of the field.
 """
 
 import jax.numpy as jnp
@@ -21,10 +21,10 @@ def total_mass(scene: MPMScene, state: MPMState) -> Array:
 def momentum(scene: MPMScene, state: MPMState) -> Array:
     """Linear momentum of all particles [kg m/s], shape (3,).
 
-    Constant without gravity, colliders and walls.
+    It is constant without gravity, colliders and walls.
 
     Args:
-      scene: the scene; its density and particle volume set the masses.
+      scene: the scene; its density and particle volume give the masses.
       state: particles.
 
     Gradient: exact.
@@ -37,13 +37,13 @@ def angular_momentum(
 ) -> Array:
     """Angular momentum of all particles [kg m^2/s], shape (3,): sum m r x v + m dx^2/4 axial(C).
 
-    Constant without gravity, colliders and walls. axial(C)_i = epsilon_ijk C_kj: twice the angular velocity of a rigid
-    rotation.
+    It is constant without gravity, colliders and walls. axial(C)_i = epsilon_ijk C_kj is twice the angular velocity of
+    a rigid rotation.
 
     Args:
       scene: the scene.
       state: particles.
-      about: point from which r is measured [m], shape (3,).
+      about: origin of r [m], shape (3,).
 
     Gradient: exact.
     Source: Jiang et al. 2015, APIC, eq. 11, with the D of quadratic splines.
@@ -58,7 +58,7 @@ def angular_momentum(
 def kinetic_energy(scene: MPMScene, state: MPMState) -> Array:
     """Kinetic energy of all particles [J], shape (): sum m/2 (|v|^2 + dx^2/4 |C|^2). Gradient: exact.
 
-    The affine part counts: it is what the grid gave the particles besides their mean velocity. The transfers never
+    The affine part counts: C carries the variation of the grid's velocity around a particle. The transfers never
     increase this sum.
     """
     per_mass = jnp.sum(state.v**2, axis=-1) + _second_moment(scene) * jnp.sum(state.C**2, axis=(-2, -1))
@@ -84,8 +84,8 @@ def gravitational_energy(scene: MPMScene, state: MPMState) -> Array:
 def total_energy(scene: MPMScene, state: MPMState) -> Array:
     """Kinetic, elastic and gravitational energy [J], shape (). Gradient: exact.
 
-    Of an elastic body without moving colliders it does not grow, apart from the oscillation of order dt of the
-    symplectic integrator; the transfers dissipate some of it.
+    For an elastic body without moving colliders it does not grow, apart from the symplectic integrator's oscillation of
+    order dt. The transfers dissipate some of it.
     """
     return kinetic_energy(scene, state) + elastic_energy(scene, state) + gravitational_energy(scene, state)
 

@@ -1,25 +1,27 @@
-"""What the parameters of a material may be."""
+"""Checks of the parameters of a material."""
 
 from rewax.physics.mpm.materials import Material
 from rewax.physics.numerics.checks import Number, check_numbers, numbers_of
+from rewax.physics.numerics.fields import instance
+
+MATERIAL = instance(Material, "give a Material(density=..., elasticity=...)")
 
 
 def material_numbers(material: Material, prefix: str = "") -> list[Number]:
-    """The parameters of a material and of its laws, and what they may be.
+    """The parameters of a material and of its laws, with their legal values.
 
     Args:
       material: the material.
-      prefix: what messages write before the names of its parameters.
+      prefix: text before the parameters' names in messages.
     """
     laws = material.laws.items()
     return [*numbers_of(material, prefix), *(n for name, law in laws for n in numbers_of(law, f"{prefix}{name}."))]
 
 
 def check_material(material: Material, prefix: str = "") -> None:
-    """Raises ValueError for parameters that no material can have. The message names field, value and remedy."""
-    if not isinstance(material, Material):
-        raise ValueError(f"{prefix or 'material'} is {material!r}: give a Material(density=..., elasticity=...)")
+    """Raises ValueError for illegal parameters. The message names field, value and remedy."""
+    MATERIAL(prefix.removesuffix(".") or "material", material)
     check_numbers(material_numbers(material, prefix))
 
 
-__all__ = ["check_material", "material_numbers"]
+__all__ = ["MATERIAL", "check_material", "material_numbers"]

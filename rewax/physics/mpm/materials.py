@@ -1,7 +1,7 @@
-"""What particles are made of: elasticity, plasticity, viscosity and muscles, composed freely.
+"""Materials of particles: any combination of elasticity, plasticity, viscosity and active stress.
 
-``laws`` has the laws and says what a law is; here they are put on particles, by components of matrices. Kirchhoff
-stress tau = J sigma. Stretches of an inverted particle (det F < 0) carry a minus sign on the smallest one.
+``laws`` defines the laws; this module evaluates them on particles, by components. Kirchhoff stress tau = J sigma. An
+inverted particle (det F < 0) has a minus sign on its smallest principal stretch.
 """
 
 import dataclasses
@@ -28,27 +28,27 @@ from rewax.physics.mpm.laws.fluids import MIN_FLUID_VOLUME
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Mat3
+from rewax.physics.numerics.fields import check_fields, instance, optional
 from rewax.physics.numerics.linalg3 import spectral
 from rewax.types import Array, Scalar
 
 
 @struct.dataclass
 class Material(struct.Replaceable):
-    """An isotropic material, made of laws.
+    """An isotropic material, composed of laws.
 
-    Numbers of the material and of its laws are one number each, or arrays of shape (num_particles,) that differ per
-    particle.
+    Parameters of the material and of its laws are numbers, or arrays of shape (num_particles,).
 
     Attributes:
       density: rest density [kg/m^3], > 0.
       elasticity: ``Hencky``, ``FixedCorotated``, ``NeoHookean``, ``QuadraticFluid``, ``Tait`` or another
         ``Elasticity``.
-      plasticity: ``VonMises``, ``DruckerPrager``, ``Snow`` or another ``Plasticity``; None: it does not flow.
+      plasticity: ``VonMises``, ``DruckerPrager``, ``Snow`` or another ``Plasticity``; None: no plastic flow.
       viscosity: ``Newtonian`` or another ``Viscosity``; None: no viscous stress.
-      muscle: ``Muscle`` or another ``ActiveStress``; None: it is passive.
+      muscle: ``Muscle`` or another ``ActiveStress``; None: passive.
 
     Raises:
-      ValueError: something that is no such law; a fluid with a plasticity.
+      ValueError: a value that is no such law; a fluid with a plasticity.
 
     Example:
       >>> dough = Material(
@@ -65,12 +65,7 @@ class Material(struct.Replaceable):
     muscle: ActiveStress | None = None
 
     def __post_init__(self) -> None:
-        for name, (kind, example) in _KINDS.items():
-            law = getattr(self, name)
-            if not (isinstance(law, kind) or (law is None and name != "elasticity")):
-                raise ValueError(
-                    f"{name} is {law!r}: give a law, {name}={example}{'' if name == 'elasticity' else ', or None'}"
-                )
+        check_fields(_LAWS, vars(self))
         if isinstance(self.elasticity, Fluid) and self.plasticity is not None:
             raise ValueError(
                 f"plasticity is {type(self.plasticity).__name__} with {type(self.elasticity).__name__}, a fluid, which "
@@ -79,38 +74,38 @@ class Material(struct.Replaceable):
 
     @property
     def laws(self) -> dict[str, Law]:
-        """Its laws by the names of their fields, without absent ones."""
-        return {name: law for name in _KINDS if (law := getattr(self, name)) is not None}
+        """The laws by field name, without absent ones."""
+        return {name: law for name in _LAWS if (law := getattr(self, name)) is not None}
 
     @property
     def initial_memory(self) -> tuple[float, ...]:
-        """What each particle remembers at the start."""
+        """Initial history variables of each particle."""
         return () if self.plasticity is None else self.plasticity.initial_memory
 
     @property
     def look(self) -> str:
-        """How it is drawn: "water", "muscle", "dough", "sand", "snow" or "elastic"."""
+        """How viewers draw it: "water", "muscle", "dough", "sand", "snow" or "elastic"."""
         looks = [law.look for law in self.laws.values() if law.look is not None]
         return "water" if "water" in looks else (looks[-1] if looks else "elastic")
 
 
-_KINDS = {
-    "elasticity": (Elasticity, "Hencky(youngs_modulus=..., poissons_ratio=...)"),
-    "plasticity": (Plasticity, "VonMises(yield_stress=...)"),
-    "viscosity": (Viscosity, "Newtonian(viscosity=...)"),
-    "muscle": (ActiveStress, "Muscle(fibre=..., activation=...)"),
+_LAWS = {
+    "elasticity": instance(Elasticity, "give a law, elasticity=Hencky(youngs_modulus=..., poissons_ratio=...)"),
+    "plasticity": optional(instance(Plasticity, "give a law, plasticity=VonMises(yield_stress=...), or None")),
+    "viscosity": optional(instance(Viscosity, "give a law, viscosity=Newtonian(viscosity=...), or None")),
+    "muscle": optional(instance(ActiveStress, "give a law, muscle=Muscle(fibre=..., activation=...), or None")),
 }
 
 
 class Response(NamedTuple):
-    """What a material makes of a trial state, by components."""
+    """Result of return map and stress law for a trial state, by components."""
 
     F: Mat3
     """Elastic deformation gradient after plastic flow [-]."""
     stress: Mat3
     """Kirchhoff stress [Pa]."""
     memory: tuple[Array, ...]
-    """What particles remember of plastic flow, one array for each of ``Material.initial_memory``."""
+    """History variables of plasticity, one array for each entry of ``Material.initial_memory``."""
 
 
 def sound_speed(material: Material) -> Scalar:
@@ -127,10 +122,10 @@ def respond(
       material: its parameters broadcast against the components of F.
       F: trial deformation gradient [-], components of any shape.
       velocity_gradient: C [1/s], for viscous materials.
-      memory: what particles remember, one array for each of ``Material.initial_memory``.
+      memory: history variables, one array for each entry of ``Material.initial_memory``.
 
-    Gradient: exact with respect to F, C, memory and all parameters, forward and reverse; finite at F = I, at repeated
-      stretches, for flattened and for inverted particles; on yield surfaces that of one side.
+    Gradient: exact with respect to F, C, memory and all parameters, forward and reverse. It is finite at F = I, at
+      repeated stretches, for flattened and for inverted particles; on yield surfaces it is that of one side.
     """
     if isinstance(material.elasticity, Fluid):
         F_new, tau = _fluid(material, material.elasticity, F)
@@ -147,7 +142,7 @@ def respond(
 
 
 class Parameter(NamedTuple):
-    """A number of a material, or of one of its laws."""
+    """A parameter of a material or of one of its laws."""
 
     law: str
     """The law's field in the material; empty: the material's own."""
@@ -157,17 +152,17 @@ class Parameter(NamedTuple):
 
     @property
     def path(self) -> str:
-        """As ``struct.replace_leaf`` takes it: ``"elasticity.youngs_modulus"``."""
+        """Path for ``struct.replace_leaf``: ``"elasticity.youngs_modulus"``."""
         return f"{self.law}.{self.name}" if self.law else self.name
 
     @property
     def per_particle(self) -> bool:
-        """Whether each particle has its own."""
+        """Whether the value is an array with one entry per particle."""
         return self.value is not None and jnp.ndim(self.value) > self.is_vector
 
 
 def parameters_of(material: Material) -> Iterator[Parameter]:
-    """All fields of the material and its laws that ``struct.number`` made."""
+    """All fields of the material and its laws that ``struct.number`` declares."""
     for law, part in {"": material, **material.laws}.items():
         for field in dataclasses.fields(part):  # type: ignore[arg-type]
             if "number" in field.metadata:
@@ -175,13 +170,13 @@ def parameters_of(material: Material) -> Iterator[Parameter]:
 
 
 def split_parameters(material: Material) -> tuple[Material, dict[str, Array]]:
-    """Parameters that all particles share, and those of which each has its own, (num_particles,), vectors (3, ...)."""
+    """The material with shared parameters only, and the parameters per particle: (num_particles,), vectors (3, ...)."""
     own = {p.path: jnp.asarray(p.value).T for p in parameters_of(material) if p.per_particle}
     return _replaced(material, dict.fromkeys(own)), own
 
 
 def joined_parameters(material: Material, own: dict[str, Array]) -> Material:
-    """Inverse of ``split_parameters``, for some of the particles."""
+    """Inverse of ``split_parameters``, also for a subset of the particles."""
     return _replaced(material, {name: value.T for name, value in own.items()})
 
 
@@ -192,16 +187,16 @@ def _replaced(material: Material, values: dict[str, Any]) -> Material:
 
 
 def kirchhoff_stress(material: Material, F: Array) -> Array:
-    """Kirchhoff stress of the elastic law alone.
+    """Kirchhoff stress of the elastic law, without the other laws.
 
     Args:
-      material: its elasticity counts.
+      material: only its elasticity is used.
       F: elastic deformation gradient [-], shape (..., 3, 3).
 
     Returns:
       tau [Pa], shape (..., 3, 3), symmetric.
 
-    Gradient: exact. Source: that of the law.
+    Gradient: exact. Source: see the law.
     """
     alone = material.replace(plasticity=None, viscosity=None, muscle=None)
     return cp.join_matrix(respond(alone, cp.split_matrix(F)).stress)
@@ -211,14 +206,14 @@ def return_map(material: Material, F: Array, memory: tuple[Array, ...] = ()) -> 
     """Elastic deformation gradient after plastic flow.
 
     Args:
-      material: its plasticity counts.
+      material: only its elasticity and plasticity are used.
       F: trial deformation gradient [-], shape (..., 3, 3).
-      memory: what particles remember, shapes (...), one array for each of ``Material.initial_memory``.
+      memory: history variables, arrays of shape (...), one for each entry of ``Material.initial_memory``.
 
     Returns:
       Admissible elastic deformation gradient [-], shape (..., 3, 3); F itself inside the yield surface.
 
-    Gradient: exact; at the yield surface the one of the elastic side. Source: that of the law.
+    Gradient: exact; at the yield surface that of the elastic side. Source: see the law.
     """
     return cp.join_matrix(respond(material.replace(viscosity=None), cp.split_matrix(F), memory=memory).F)
 
@@ -227,9 +222,9 @@ def elastic_energy_density(material: Material, F: Array, memory: tuple[Array, ..
     """Elastic energy per rest volume [J/m^3].
 
     Args:
-      material: its elasticity, and how its plasticity hardens or softens.
+      material: its elasticity and the hardening of its plasticity are used.
       F: elastic deformation gradient [-], shape (..., 3, 3).
-      memory: as for ``return_map``; empty: as at the start.
+      memory: as for ``return_map``; empty: the initial values.
 
     Returns:
       psi, shape (...).
@@ -248,15 +243,15 @@ def elastic_energy_density(material: Material, F: Array, memory: tuple[Array, ..
 def _solid(material: Material, F: Mat3, memory: tuple[Array, ...]) -> tuple[Mat3, Mat3, tuple[Array, ...]]:
     if len(memory) != len(material.initial_memory):
         raise ValueError(
-            f"{type(material.plasticity).__name__} remembers {len(material.initial_memory)} numbers, but memory has "
-            f"{len(memory)}: begin with mpm.initial_state(x, scene)"
+            f"memory has {len(memory)} arrays, but {type(material.plasticity).__name__} needs "
+            f"{len(material.initial_memory)}: begin with mpm.initial_state(x, scene)"
         )
     b, parameters = cp.matmul(F, cp.transpose(F)), _parameters(material, F, memory)
     if material.plasticity is None:
         (tau,) = spectral(elastic_law, b, parameters)
         return F, tau, ()
     elongation, tau, *memory_new = spectral(plastic_law, b, parameters)
-    # Added, it leaves F as it is where nothing flows. Multiplied by a ratio near 1, volume would creep by rounding.
+    # The sum leaves F unchanged where nothing flows. With a product, rounding of ratios near 1 would make volume creep.
     return cp.add_matrices(F, cp.matmul(elongation, F)), tau, tuple(memory_new)
 
 

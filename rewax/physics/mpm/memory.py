@@ -1,20 +1,30 @@
-"""How much memory a gradient through a simulation takes, before it is compiled."""
+"""Prediction of the memory that a gradient through a simulation takes, without compiling it."""
 
 from rewax.physics.mpm import transfer_cpp
-from rewax.physics.mpm.stepping import MPMScene
+from rewax.physics.mpm.scene import SCENE, MPMScene
+from rewax.physics.numerics.fields import checked, integer, one_of
+from rewax.physics.numerics.substeps import check_store_every
 
 _PARTICLE_FLOATS = 24
-"""Position, velocity, affine field and deformation gradient: what is stored of a particle."""
+"""Floats stored per particle: position, velocity, affine field and deformation gradient."""
 _CONTROL_STEP_FLOATS = 27
-"""What a rollout keeps of a particle at the beginning of each control step."""
+"""Floats that a rollout stores per particle at the beginning of each control step."""
 _WORKSPACE_FLOATS = {True: 104, False: 498}
-"""Per particle, while one substep is differentiated, with transfers in C++ and in JAX. JAX stores the 27 nodes' values
-of 4 fields, three times; C++ stores none of them."""
+"""Floats per particle while one substep is differentiated, with transfers in C++ (True) and in JAX (False). JAX stores
+the 27 nodes' values of 4 fields three times; C++ stores none of them."""
 _NODE_FLOATS = 11
 _COLLIDER_FLOATS = {True: 34, False: 42}
-"""Per active node and collider, while contact is differentiated."""
+"""Floats per active node and collider while contact is differentiated."""
 
 
+_COUNT = integer(1, "give an integer of at least 1")
+
+
+@checked(
+    **dict.fromkeys(("num_particles", "num_substeps", "num_envs", "horizon"), _COUNT),
+    scene=SCENE,
+    bytes_per_float=one_of(4, 8),
+)
 def predict_peak_bytes(
     scene: MPMScene,
     *,
@@ -25,31 +35,30 @@ def predict_peak_bytes(
     store_every: int = 1,
     bytes_per_float: int = 4,
 ) -> int:
-    """Peak bytes of the gradient of a rollout whose control steps are checkpointed.
+    """Peak bytes of the gradient of a rollout with checkpointed control steps.
 
-    Particles are stored at the beginning of each of ``horizon`` control steps and, within the one that is being
-    differentiated, every ``store_every`` substeps; everything else is recomputed. So memory grows with particles
-    times (horizon + substeps) and, through the workspace of one substep, with active nodes; the box itself does not
-    count unless ``scene.max_active_nodes`` is None. Networks and the rest of a program come on top.
+    Particles are stored at the beginning of each of ``horizon`` control steps. Within the control step that is being
+    differentiated they are stored every ``store_every`` substeps. Everything else is recomputed. So memory grows with
+    particles times (horizon + substeps), and with active nodes through the workspace of one substep. The size of the
+    box counts only if ``scene.max_active_nodes`` is None. Networks and the rest of a program come on top.
 
     Args:
-      scene: grid, active nodes and colliders count.
-      num_particles: of one environment.
-      num_substeps: of one control step.
-      num_envs: environments side by side.
-      horizon: control steps that are differentiated through.
+      scene: its grid, active nodes and colliders are used.
+      num_particles: particles of one environment.
+      num_substeps: substeps of one control step.
+      num_envs: environments in the batch.
+      horizon: differentiated control steps.
       store_every: as for ``mpm.step``.
       bytes_per_float: 4, or 8 in float64.
 
-    The constants are fitted to what XLA allocates on CPUs, with transfers in C++ or in JAX, whichever this process uses
-    (jax 0.10; tests hold it to 15 %).
+    The constants are fitted to XLA's allocations on CPUs, with the transfers that this process uses, C++ or JAX (jax
+    0.10; tests hold the prediction to 15 %).
 
     Example:
       >>> predict_peak_bytes(env.scene, num_particles=2592, num_substeps=40, num_envs=32, horizon=32) / 1e9
       0.748
     """
-    if store_every < 1 or num_substeps % store_every:
-        raise ValueError(f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them")
+    check_store_every(store_every, num_substeps)
     stored = num_substeps // store_every + (store_every if store_every > 1 else 0)
     nodes = scene.grid.num_nodes if scene.max_active_nodes is None else scene.max_active_nodes
     native = transfer_cpp.is_used()

@@ -1,4 +1,4 @@
-"""Particles as the inner loop wants them: all components of all particles in one array, (24 + k, num_particles)."""
+"""Packed particles for the inner loop: all components in one array of shape (24 + k, num_particles)."""
 
 from typing import Any, NamedTuple
 
@@ -20,14 +20,13 @@ class Particles(NamedTuple):
     C: Mat3
     F: Mat3
     memory: tuple[Array, ...]
-    """What particles remember, k arrays."""
+    """History variables, k arrays."""
 
 
 def split(state: MPMState) -> Array:
-    """Packed particles, as the inner loop wants them: rows x, v, C, F, memory.
+    """Packed particles, shape (24 + k, num_particles): rows x, v, C, F, memory.
 
-    All components of all particles in one array, (24 + k, num_particles): one array is what the loop hands on, and
-    what the backward pass keeps. ``unpack`` gives the components.
+    The loop carries and the backward pass stores this one array. ``unpack`` returns the components.
     """
     count = state.x.shape[0]
     numbers = [leaf.reshape(count, -1) for leaf in (state.x, state.v, state.C, state.F)]
@@ -49,7 +48,7 @@ def join(packed: Array) -> MPMState:
 
 
 def pack(components: Any) -> Array:
-    """Components, arrays (num_particles,), as the rows of one array, in order. Gradient: exact."""
+    """Stack components, arrays (num_particles,), as the rows of one array. Gradient: exact."""
     return linear_call(_stack, _unstack, None, (), jax.tree.leaves(components))[0]
 
 

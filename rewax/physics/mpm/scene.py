@@ -1,4 +1,4 @@
-"""What a simulation is made of: particles, and the scene that does not change; checked when they are built."""
+"""Particles (the state) and the scene (everything constant), checked when they are built."""
 
 import functools
 from collections.abc import Callable
@@ -10,9 +10,11 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
-from rewax.physics.contact.colliders import Collider, Overlap, check_bodies, shape_pose, with_softness
+from rewax.physics.contact.colliders import COLLIDERS, Collider, Overlap, check_bodies, shape_pose, with_softness
+from rewax.physics.contact.contact_checks import check_rotations
 from rewax.physics.mpm.active_nodes import REACHES
 from rewax.physics.mpm.grid import Grid
+from rewax.physics.mpm.material_checks import MATERIAL
 from rewax.physics.mpm.materials import Material, sound_speed
 from rewax.physics.mpm.scene_checks import (
     VOLUME,
@@ -23,25 +25,39 @@ from rewax.physics.mpm.scene_checks import (
     part_numbers,
 )
 from rewax.physics.mpm.walls import Walls, check_walls
-from rewax.physics.numerics.checks import (
-    FINITE,
-    GRAVITY,
-    POSITIVE,
-    any_illegal,
-    check_enum,
-    check_number,
-    check_numbers,
-    static_number,
-    whole_number,
+from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, any_illegal, check_numbers
+from rewax.physics.numerics.fields import (
+    check_fields,
+    checked,
+    instance,
+    integer,
+    member,
+    one_of,
+    optional,
+    poses,
+    real,
+    static,
 )
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes import signed_distance
 from rewax.types import Array, Scalar, Vector
 
+OVERLAP = member(Overlap)
+_GRID = instance(Grid, "give a Grid(shape=..., spacing=...)")
+_SCENE = {
+    "grid": _GRID,
+    "dt": static(POSITIVE, "give the duration of a substep in seconds"),
+    "colliders": COLLIDERS,
+    "walls": instance(Walls, "give Walls(lower=..., upper=...)"),
+    "max_active_nodes": optional(integer(27, "give at least the 27 that one particle touches, or None for all")),
+    "reach": one_of(*REACHES),
+    "max_near_colliders": optional(integer(1, "give at least 1, or None for all")),
+    "overlap": OVERLAP,
+}
 STABLE_COURANT_NUMBER = 0.5
-"""Largest tested-stable ratio of substep to the time sound takes through a cell; see ``largest_stable_dt``."""
+"""Largest ratio of dt to the time sound takes through a cell that tests show stable; see ``largest_stable_dt``."""
 STABLE_DIFFUSION_NUMBER = 0.2
-"""Largest tested-stable viscosity dt / (density spacing^2)."""
+"""Largest viscosity dt / (density spacing^2) that tests show stable."""
 
 
 @struct.dataclass
@@ -51,11 +67,10 @@ class MPMState(struct.Replaceable):
     Attributes:
       x: position [m], shape (num_particles, 3).
       v: velocity [m/s], shape (num_particles, 3).
-      C: affine velocity field around each particle [1/s], shape (num_particles, 3, 3).
-      F: trial elastic deformation gradient [-], shape (num_particles, 3, 3): the next substep's return map is still
-        to be applied.
-      memory: what particles remember of plastic flow (``Plasticity.initial_memory``; snow: the volume ratio of all flow
-        so far [-]), shape (num_particles, k), k the most that a material of the scene remembers; None: nothing.
+      C: affine velocity field around each particle [1/s], shape (num_particles, 3, 3), as in APIC.
+      F: trial elastic deformation gradient [-], shape (num_particles, 3, 3), before the next substep's return map.
+      memory: history variables of plasticity (``Plasticity.initial_memory``; snow: the plastic volume ratio [-]), shape
+        (num_particles, k) with k the largest number among the scene's materials; None: no material has any.
     """
 
     x: Array
@@ -67,20 +82,20 @@ class MPMState(struct.Replaceable):
 
 @struct.dataclass
 class MPMScene(struct.Replaceable):
-    """Everything of a simulation that does not change with time; build it with ``make_scene``, which checks it.
+    """The constant part of a simulation; build it with ``make_scene``, which checks it.
 
     Attributes:
       grid: the nodes (static).
       dt: duration of a substep [s] (static).
-      material: what the particles are made of; several, if they are of different kinds.
-      particle_counts: with several materials, how many particles are of each, in their order (static).
+      material: the particles' material, or a tuple of several.
+      particle_counts: with several materials, number of particles of each, in the particles' order (static).
       particle_volume: rest volume of each particle [m^3], shape () or (num_particles,).
       gravity: acceleration [m/s^2], shape (3,).
       colliders: moving shapes.
       overlap: how several colliders act on one node (static).
-      max_near_colliders: how many colliders of each run of one kind are evaluated, None for all (static).
+      max_near_colliders: number of colliders evaluated of each run of one kind, None for all (static).
       walls: the sides of the box.
-      max_active_nodes: how many nodes can have a velocity in a step, None for all (static).
+      max_active_nodes: largest number of nodes with a velocity in a step, None for all (static).
       reach: with ``max_active_nodes``, cells that a particle may move along an axis within a step (static).
     """
 
@@ -98,32 +113,34 @@ class MPMScene(struct.Replaceable):
     max_near_colliders: int | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
-        check_enum("overlap", self.overlap, Overlap)
+        OVERLAP("overlap", self.overlap)
 
     @property
     def sized_colliders(self) -> tuple[Collider, ...]:
-        """The colliders; those without a softness have the one that suits the grid."""
+        """The colliders, with a reach of one cell where the softness is None."""
         return with_softness(self.colliders, self.grid.spacing)
 
 
+SCENE = instance(MPMScene, "give a scene of mpm.make_scene")
+STATE = instance(MPMState, "give a state of mpm.initial_state or mpm.step")
+
+
+@checked(x=real(FINITE, "give positions in metres", shape=("num_particles", 3)), scene=optional(SCENE))
 def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
     """Undeformed particles at rest.
 
     Args:
       x: positions [m], shape (num_particles, 3).
-      scene: what they are made of and where; needed where a material remembers its plastic flow (as snow does).
+      scene: the scene; required if a material has history variables (snow).
 
     Raises:
-      ValueError: positions that are not finite or of another shape, particles outside the scene's box, or another
-        number of them than the scene's ``particle_counts`` and arrays per particle say. Inside ``jit`` (traced values)
-        only shapes are checked; ``check_status`` tells of the rest.
+      ValueError: positions that are not finite or of another shape, particles outside the scene's box, or a number of
+        particles that differs from the scene's ``particle_counts`` and arrays per particle. Inside ``jit`` only shapes
+        are checked; ``check_status`` reports the rest.
     """
     x = jnp.asarray(x)
-    if x.ndim != 2 or x.shape[-1] != 3:
-        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_particles, 3)")
-    if scene is None:
-        check_number("x", x, FINITE, "give positions in metres")
-    else:
+    x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
+    if scene is not None:
         check_box(scene.grid, x)
         _check_count(scene, x.shape[0])
     zeros = jnp.zeros((x.shape[0], 3, 3), x.dtype)
@@ -151,35 +168,30 @@ def make_scene(
     overlap: Overlap = Overlap.SEQUENTIAL,
     max_near_colliders: int | None = None,
 ) -> MPMScene:
-    """A checked ``MPMScene``; arguments are its fields.
+    """A checked ``MPMScene``; the arguments are its fields.
 
-    ``max_active_nodes`` makes memory and grid work of a step grow with the body instead of the box: nodes have a
-    place only where particles can be while none moves by more than ``reach`` cells, 1 or 0.5, within a step (not
-    substep). It pays where a body fills little of its box; ``check_status`` tells when it was chosen too small.
+    With ``max_active_nodes`` the memory and grid work of a step grow with the body instead of the box: only nodes that
+    particles can reach are stored. A particle may then move by at most ``reach`` cells, 1 or 0.5, within a step (not
+    substep). This pays if a body fills little of its box. ``check_status`` reports a number that was too small.
 
-    ``max_near_colliders`` pays with many colliders (20 capsules, 3 of them near: 1.5 times as fast): of neighbours in
-    the tuple with shapes of one kind only so many are evaluated, those nearest to the particles. With
-    the step's poses ``check_status`` tells when more were near. The two-way ``coupling`` evaluates all.
+    With ``max_near_colliders`` only the nearest colliders to the particles are evaluated, so many of each run of
+    neighbours in the tuple with one kind of shape. This pays with many colliders: 1.5 times as fast with 20 capsules, 3
+    of them near. Given the step's poses, ``check_status`` reports a number that was too small. The two-way ``coupling``
+    evaluates all colliders.
 
     Raises:
-      ValueError: a number that cannot be (not finite, a modulus, density, volume, size or softness that is not
-        positive, friction below 0), a wall where no node is, counts or arrays that do not
-        fit together, a dt above ``largest_stable_dt``. The message names field, value and remedy. Inside ``jit`` only
-        static fields and shapes are known; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for the rest.
+      ValueError: an illegal value (not finite; a modulus, density, volume, size or softness that is not positive;
+        friction below 0), a wall beyond all nodes, counts or arrays that do not fit together, a dt above
+        ``largest_stable_dt``. The message names field, value and remedy. Inside ``jit`` only static fields and shapes
+        are checked; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for the rest.
     """
+    check_fields(_SCENE, locals())
     materials = check_materials(material, particle_counts)
     check_numbers(part_numbers(materials, particle_volume, gravity, colliders, walls))
+    check_rotations(colliders)
     check_lengths(materials, particle_counts, particle_volume)
     check_walls(walls, grid)
-    dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
-    if max_active_nodes is not None:
-        touched = "give at least the 27 that one particle touches, or None for all"
-        max_active_nodes = whole_number("max_active_nodes", max_active_nodes, 27, touched)
-    if reach not in REACHES:
-        raise ValueError(f"reach is {reach}: give 1 or 0.5, the cells that a particle may move within a step")
-    if max_near_colliders is not None:
-        remedy = "give at least 1, or None for all"
-        max_near_colliders = whole_number("max_near_colliders", max_near_colliders, 1, remedy)
+    dt = float(dt)
     for one in materials:
         limit = largest_stable_dt(one, grid)
         if not isinstance(limit, Tracer) and dt > float(np.min(limit)):
@@ -195,30 +207,32 @@ def make_scene(
         particle_volume=particle_volume,
         particle_counts=None if particle_counts is None else tuple(int(n) for n in particle_counts),
         gravity=gravity,
-        colliders=colliders,
+        colliders=tuple(colliders),
         walls=walls,
-        max_active_nodes=max_active_nodes,
+        max_active_nodes=None if max_active_nodes is None else int(max_active_nodes),
         reach=float(reach),
         overlap=overlap,
-        max_near_colliders=max_near_colliders,
+        max_near_colliders=None if max_near_colliders is None else int(max_near_colliders),
     )
 
 
+@checked(material=MATERIAL, grid=_GRID, max_speed=real(NOT_NEGATIVE, "give a speed in m/s"))
 def largest_stable_dt(material: Material, grid: Grid, max_speed: Scalar = 0.0) -> Scalar:
     """Largest substep [s] at which the explicit integration stays stable.
 
     The smaller of 0.5 spacing / (sound speed + max_speed) and, if viscous, 0.2 density spacing^2 / viscosity.
-    Both factors are measured, over 2000 substeps of blocks at rest or with random velocities. Elastic ones of two to
-    eight particles per cell, random and regular, blow up between 0.7 of the time that sound takes through a cell (two
-    random particles per cell, nu 0.45, initial velocities of 5 % of the speed of sound) and 1.2 (eight regular ones, nu
-    0.2), nearly whatever the law; viscous ones, fluid or solid, of one to eight particles per cell at up to 0.5 of it,
-    between 0.25 and 0.6 of density spacing^2 / viscosity. What hardens counts as hard as it can become. Strong
-    compression makes sound faster (in Tait's fluid by J^-4): it needs a margin of its own.
+
+    Both factors are measured, over 2000 substeps of blocks at rest or with random velocities, with one to eight
+    particles per cell. Elastic blocks become unstable between 0.7 times the time that sound takes through a cell (two
+    random particles per cell, nu 0.45, initial velocities of 5 % of the speed of sound) and 1.2 times (eight regular
+    particles, nu 0.2), nearly independent of the law. Viscous fluids and solids, at up to 0.5 of that time, become
+    unstable between 0.25 and 0.6 of density spacing^2 / viscosity. Hardening materials count at their largest
+    stiffness. Strong compression makes sound faster (in Tait's fluid by J^-4) and needs an extra margin.
 
     Args:
-      material: its stiffness, viscosity and density.
+      material: stiffness, viscosity and density.
       grid: its spacing.
-      max_speed: largest particle speed expected [m/s].
+      max_speed: largest expected particle speed [m/s].
 
     Gradient: exact.
     """
@@ -239,13 +253,13 @@ def materials_of(scene: MPMScene) -> tuple[Material, ...]:
 
 
 def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], particles: Any, *, axis: int = 0) -> Any:
-    """``function(material, particles)``, for each material with its own part of the particles.
+    """``function(material, particles)`` for each material, applied to its part of the particles.
 
     Args:
       scene: its materials and ``particle_counts``.
-      function: from a material and a pytree of arrays of its particles to a pytree of arrays of these particles.
+      function: maps a material and a pytree of arrays of its particles to a pytree of arrays of these particles.
       particles: pytree of arrays with an axis over all particles.
-      axis: which one it is, in the results too.
+      axis: index of that axis, in the results too.
 
     Returns:
       The results for all particles, in their order.
@@ -267,7 +281,7 @@ def per_material(scene: MPMScene, function: Callable[[Material, Any], Any], part
 
 
 def particle_mass(scene: MPMScene, x: Array) -> Array:
-    """Mass of each of the particles at x [kg], any array with one entry per particle; shape (num_particles,).
+    """Mass of each particle [kg], shape (num_particles,). ``x`` is any array with one entry per particle.
 
     Gradient: exact with respect to volume and densities.
     """
@@ -276,25 +290,32 @@ def particle_mass(scene: MPMScene, x: Array) -> Array:
 
 
 def least_particle_mass(scene: MPMScene, dtype: Any) -> Array:
-    """A mass that no particle falls below [kg], shape (): the least volume times the least density. Gradient: none."""
+    """Lower bound of the particles' masses [kg], shape (): least volume times least density. Gradient: none."""
     least = [jnp.min(jnp.asarray(m.density, dtype)) for m in materials_of(scene)]
     volume = jnp.min(jnp.asarray(scene.particle_volume, dtype))
     return jax.lax.stop_gradient(volume * functools.reduce(jnp.minimum, least))
 
 
+@checked(
+    scene=SCENE,
+    state=STATE,
+    bodies=optional(poses("num_bodies")),
+    tolerance=optional(static(FINITE, "give a depth in metres")),
+)
 def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None, *, tolerance: float | None = None):
-    """Whether particles begin where they can: inside the box, and not inside a collider.
+    """Checks that particles start inside the box and outside the colliders.
 
     Args:
       scene: the scene.
       state: particles at the start.
-      bodies: poses of the bodies that carry the colliders, (num_bodies, 3), (num_bodies, 3, 3); None: all unturned at
-        the origin.
-      tolerance: how deep particles may lie inside a collider [m]; None: half the grid's spacing. (Contact acts on
-        nodes: bodies that touch overlap by a fraction of a cell.)
+      bodies: poses of the bodies that carry the colliders, (num_bodies, 3), (num_bodies, 3, 3); None: all at the origin
+        with identity rotations.
+      tolerance: allowed depth of particles inside a collider [m]; None: half the grid's spacing. (Contact acts on
+        nodes, so touching bodies overlap by a fraction of a cell.)
 
     Raises:
-      ValueError: otherwise, naming the collider and the depth. Not for use inside ``jit``.
+      ValueError: particles lie outside the box or inside a collider; the message names the collider and the depth. Not
+        for use inside ``jit``.
     """
     check_box(scene.grid, state.x)
     _check_count(scene, state.x.shape[0])
@@ -315,11 +336,11 @@ def check_placement(scene: MPMScene, state: MPMState, bodies: Pose | None = None
 
 
 def has_invalid_parameters(scene: MPMScene, poses: Pose | None = None) -> Array:
-    """Whether a scene holds a number that ``make_scene`` refuses, shape (), bool; for traced and replaced numbers.
+    """Whether a scene holds a number that ``make_scene`` rejects, shape (), bool; for traced and replaced numbers.
 
     Args:
       scene: the scene.
-      poses: of its bodies, of any shape; None: they are not looked at.
+      poses: poses of its bodies, of any shape; None: not checked.
 
     Gradient: none.
     """
@@ -327,14 +348,14 @@ def has_invalid_parameters(scene: MPMScene, poses: Pose | None = None) -> Array:
     numbers = part_numbers(materials, scene.particle_volume, scene.gravity, scene.colliders, scene.walls, poses)
     invalid = any_illegal(numbers)
     for material in materials:
-        # A dt at the limit stays legal when the limit is rounded to float32.
+        # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
         limit = (1.0 + 1e-5) * largest_stable_dt(material, scene.grid)
         invalid = invalid | ~jnp.all(scene.dt <= limit)
     return invalid
 
 
 def _initial_memory(scene: MPMScene, x: Array) -> Array | None:
-    """What the particles at x remember at the start, as in ``MPMState.memory``."""
+    """Initial history variables of the particles at x, as in ``MPMState.memory``."""
     most = max(len(m.initial_memory) for m in materials_of(scene))
     if not most:
         return None

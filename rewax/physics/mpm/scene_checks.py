@@ -1,4 +1,4 @@
-"""What the parts of a scene may be, and whether they fit together."""
+"""Checks of the parts of a scene and of their consistency."""
 
 from typing import Any
 
@@ -12,12 +12,12 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.material_checks import check_material, material_numbers
 from rewax.physics.mpm.materials import Material, parameters_of
 from rewax.physics.mpm.walls import Walls, wall_numbers
-from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, whole_number
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, shown, static_integer
 from rewax.physics.numerics.pose import Pose
 from rewax.types import Array
 
 Counts = tuple[int, ...] | None
-"""How many particles are of each of several materials; None with one material."""
+"""Number of particles of each of several materials; None with one material."""
 VOLUME = "give the body's rest volume over its number of particles, in m^3"
 
 
@@ -29,7 +29,7 @@ def part_numbers(
     walls: Walls,
     poses: Pose | None = None,
 ) -> list[Number]:
-    """All numbers of a scene that are data of the compiled program, and what they may be."""
+    """All non-static numbers of a scene, with their legal values."""
     several = len(materials) > 1
     return [
         *(n for i, m in enumerate(materials) for n in material_numbers(m, f"material[{i}]." if several else "")),
@@ -41,7 +41,7 @@ def part_numbers(
 
 
 def check_materials(material: Any, particle_counts: Any) -> tuple[Material, ...]:
-    """The materials as a tuple. Raises ValueError for impossible ones, and for counts that are not one of each."""
+    """The materials as a tuple. Raises ValueError for illegal materials and for counts that do not match them."""
     several = isinstance(material, (tuple, list))
     materials = tuple(material) if several else (material,)
     for i, one in enumerate(materials):
@@ -49,11 +49,11 @@ def check_materials(material: Any, particle_counts: Any) -> tuple[Material, ...]
     counts = particle_counts if isinstance(particle_counts, (tuple, list)) else (0,)
     if (particle_counts is None) == several or len(counts) != len(materials):
         raise ValueError(
-            f"particle_counts is {particle_counts} with {len(materials)} materials: give a tuple of materials and how "
-            "many particles are of each, in their order; or one material and no particle_counts"
+            f"particle_counts is {shown(particle_counts)} with {len(materials)} materials: give a tuple of materials "
+            "and the number of particles of each, in their order; or one material and no particle_counts"
         )
     for i, count in enumerate(counts if several else ()):
-        whole_number(f"particle_counts[{i}]", count, 1, f"give how many particles are of material[{i}], at least 1")
+        static_integer(f"particle_counts[{i}]", count, 1, f"give the number of particles of material[{i}], at least 1")
     return materials
 
 
@@ -63,10 +63,10 @@ def check_lengths(
     """Raises ValueError for arrays per particle that differ in length from each other or from the counts.
 
     Args:
-      materials: their parameters are numbers or arrays with one entry for each of their particles.
-      counts: how many particles are of each material.
-      particle_volume: a number, or one for each particle.
-      num_particles: how many there are; None: not known.
+      materials: materials; their parameters are numbers, or arrays with one entry per particle.
+      counts: number of particles of each material.
+      particle_volume: a number, or an array with one entry per particle.
+      num_particles: number of particles; None: not known.
     """
     total = num_particles if counts is None else sum(counts)
     total = _check_length("particle_volume", particle_volume, total)
@@ -79,17 +79,17 @@ def check_lengths(
 
 
 def check_count(materials: tuple[Material, ...], counts: Counts, particle_volume: Any, num_particles: int) -> None:
-    """Raises ValueError unless a scene is made for this number of particles."""
+    """Raises ValueError unless the scene fits this number of particles."""
     if counts is not None and sum(counts) != num_particles:
         raise ValueError(
-            f"particle_counts is {counts}, in sum {sum(counts)}, but there are {num_particles} particles: "
-            "make both agree"
+            f"particle_counts is {counts}, in sum {sum(counts)}, but there are {num_particles} particles: give the "
+            "number of particles of each material"
         )
     check_lengths(materials, counts, particle_volume, num_particles)
 
 
 def check_box(grid: Grid, x: Array) -> None:
-    """Raises ValueError for particles outside the box. Traced positions pass."""
+    """Raises ValueError for particles outside the box. Traced positions are not checked."""
     if isinstance(x, Tracer):
         return
     positions = np.asarray(x)
@@ -99,9 +99,9 @@ def check_box(grid: Grid, x: Array) -> None:
     if outside.any():
         first = int(np.argmax(outside))
         raise ValueError(
-            f"{int(outside.sum())} particles lie outside the box from {vector(lower)} to {vector(upper)} m that the "
-            f"grid leaves them, the first, number {first}, at {vector(positions[first])}: move them, or give the "
-            "grid another origin or more nodes"
+            f"{int(outside.sum())} particles lie outside the grid's box from {vector(lower)} to {vector(upper)} m; "
+            f"the first is particle {first} at {vector(positions[first])}: move them, or give the grid another origin "
+            "or more nodes"
         )
 
 
@@ -110,11 +110,11 @@ def vector(a: np.ndarray) -> str:
 
 
 def _check_length(name: str, value: Any, length: int | None, vectors: bool = False) -> int | None:
-    """The length of an array per particle, which must be the given one if that is known."""
+    """The length of an array per particle. Raises ValueError if it differs from the given length."""
     shape = jnp.shape(value)
     per_particle = len(shape) == (2 if vectors else 1)
     wanted = "()" if not vectors else "(3,)"
-    if (not per_particle and shape != ((3,) if vectors else ())) or (vectors and shape[-1] != 3):
+    if (not per_particle and shape != ((3,) if vectors else ())) or (vectors and shape[-1] != 3) or 0 in shape:
         raise ValueError(f"{name} has shape {shape}: give shape {wanted}, or one entry for each particle")
     if per_particle and length not in (None, shape[0]):
         raise ValueError(

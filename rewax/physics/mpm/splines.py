@@ -1,4 +1,4 @@
-"""Quadratic B-splines: the weights with which particles and grid nodes exchange mass and momentum."""
+"""Quadratic B-splines: weights for the exchange of mass and momentum between particles and grid nodes."""
 
 from typing import NamedTuple
 
@@ -31,8 +31,8 @@ def quadratic_bspline(x: Array, *, origin: float, spacing: float, num_nodes: int
     """Quadratic B-spline stencil along one axis.
 
     With f the distance to the lowest node in cells, in [0.5, 1.5): w0 = (1.5 - f)^2 / 2, w1 = 3/4 - (f - 1)^2,
-    w2 = (f - 0.5)^2 / 2. A particle outside the nodes keeps a stencil inside them (its weights are then meaningless
-    and ``Status.OUT_OF_DOMAIN`` is set by the step).
+    w2 = (f - 0.5)^2 / 2. A particle outside the grid keeps a stencil inside it; its weights are then meaningless, and
+    ``check_status`` sets ``Status.OUT_OF_DOMAIN``.
 
     Args:
       x: particle coordinate along this axis [m], any shape.
@@ -40,10 +40,10 @@ def quadratic_bspline(x: Array, *, origin: float, spacing: float, num_nodes: int
       spacing: distance of neighbouring nodes [m].
       num_nodes: nodes along this axis.
 
-    Gradient: none here; the transfers have theirs by hand.
+    Gradient: none here; the transfers have hand-written derivatives.
     Source: Jiang et al. 2016, MPM course notes, eq. 123.
     """
-    # Of a particle midway between two nodes the rounding decides: all must see the same lowest node.
+    # Compute floor once; fused copies may round differently.
     base = compute_once(lowest_node(x, origin=origin, spacing=spacing, num_nodes=num_nodes))
     f = (x - origin) * (1.0 / spacing) - base.astype(x.dtype)
     weights = (0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2)

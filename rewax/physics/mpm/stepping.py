@@ -1,8 +1,8 @@
 """The moving least squares material point method: substep, step, status.
 
-One substep: return map and stress, particle to grid, gravity and contact on the grid, grid to particle. A step is a
-``scan`` of substeps in which the backward pass recomputes instead of storing, so memory grows with the number of
-stored substeps and not with their grids.
+One substep: return map and stress, particle to grid (P2G), gravity and contact on the grid, grid to particle (G2P). A
+step is a ``scan`` of substeps. The backward pass recomputes each substep instead of storing its grid, so memory grows
+with the number of stored particle states.
 """
 
 import math
@@ -23,7 +23,9 @@ from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Response, joined_parameters, respond, split_parameters
 from rewax.physics.mpm.packing import Particles, join, pack, rows_of, split, unpack
 from rewax.physics.mpm.scene import (
+    SCENE,
     STABLE_COURANT_NUMBER,
+    STATE,
     MPMScene,
     MPMState,
     check_placement,
@@ -40,15 +42,20 @@ from rewax.physics.mpm.transfer_xla_cpu import as_matrix
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.fields import checked, instance, optional, poses
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
 MIN_NODE_MASS = 2e-11
-"""Nodes with less than this share of a particle's mass [-] have velocity zero."""
+"""Nodes with less than this fraction of a particle's mass [-] have velocity zero."""
 
 
+_POSES = poses("num_substeps + 1", "num_bodies")
+
+
+@checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def substep(
     scene: MPMScene, state: MPMState, before: Pose, after: Pose, *, nodes: ActiveNodes | None = None
 ) -> MPMState:
@@ -58,7 +65,7 @@ def substep(
       scene: the scene.
       state: particles.
       before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
-      nodes: those that take part, if they are known from the step's start (``nodes_of_step``); None: found here.
+      nodes: active nodes, if known from the step's start (``nodes_of_step``); None: computed here.
 
     Gradient: exact with respect to the state, the poses and every leaf of the scene, forward and reverse.
     Source: Hu et al. 2018, "A moving least squares material point method", algorithm 1.
@@ -68,17 +75,18 @@ def substep(
     return join(_recomputed_substep(scene, nodes, split(state), place(scene.colliders, before, after, scene.dt)))
 
 
+@checked(scene=SCENE, state=STATE, poses=_POSES)
 def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | None = 1) -> MPMState:
-    """As many substeps as ``poses`` has intervals.
+    """Advance particles by the substeps between ``poses``.
 
     Args:
       scene: the scene.
       state: particles.
       poses: poses of all bodies at the num_substeps + 1 boundaries of substeps, shapes (num_substeps + 1, num_bodies,
         3) and (num_substeps + 1, num_bodies, 3, 3); see ``static_poses`` for a scene without bodies.
-      store_every: how the backward pass gets its intermediate values. A number k, which must divide the number of
-        substeps: particles are stored every k substeps and everything else is recomputed (k = 1 recomputes each
-        substep once; larger k stores less and recomputes twice). None: everything is stored, fastest and largest.
+      store_every: what the backward pass stores. An integer k that divides the number of substeps: particles every k
+        substeps, and everything else is recomputed (once for k = 1, twice for larger k). None: everything, which is
+        fastest and takes most memory.
 
     Gradient: exact, as for ``substep``.
     """
@@ -93,24 +101,25 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
     return join(scan_substeps(body, split(state), placed, store_every))
 
 
+@checked(scene=SCENE, state=STATE, start=optional(STATE), poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(
     scene: MPMScene, state: MPMState, *, start: MPMState | None = None, poses: Pose | None = None
 ) -> Array:
-    """Status bits of a state: non-finite numbers, particles at the box's border, inverted, or too fast; and of a scene
-    whose numbers cannot be.
+    """Status bits of a state (non-finite numbers, particles at the box's border, inverted or too fast) and of a scene
+    (illegal numbers).
 
     Args:
       scene: the scene.
       state: particles at the end of a step.
-      start: particles at its beginning. A scene with ``max_active_nodes`` needs them, to tell whether these sufficed.
-      poses: of its bodies, as for ``step``, to tell whether they are finite, and whether the scene's
-        ``max_near_colliders`` sufficed; that needs ``start``. Coupled scenes evaluate all colliders: give none there.
+      start: particles at its beginning. Required with ``max_active_nodes``, to check that the nodes sufficed.
+      poses: poses of the bodies, as for ``step``, to check that they are finite and, given ``start``, that
+        ``max_near_colliders`` sufficed. Coupled scenes evaluate all colliders: omit poses there.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
 
     Raises:
-      ValueError: ``start`` is None where it is needed.
+      ValueError: ``start`` is None where it is required.
     """
     if start is None and scene.max_active_nodes is not None:
         raise ValueError(
@@ -134,7 +143,7 @@ def check_status(
         if start is None:
             raise ValueError("start is None: give the particles at the beginning of the step that poses belong to")
         both = jnp.concatenate([state.x, before])
-        # Nodes with mass are at most 1.5 cells away from a particle, which may have been a cell further in between.
+        # Nodes with mass are within 1.5 cells of a particle, and a particle may move by a cell in between.
         lower, upper = (
             jnp.min(both, axis=0) - 2.5 * scene.grid.spacing,
             jnp.max(both, axis=0) + 2.5 * scene.grid.spacing,
@@ -148,6 +157,7 @@ def check_status(
     return status
 
 
+@checked(scene=SCENE, state=STATE)
 def deform(scene: MPMScene, state: MPMState) -> tuple[Array, Array]:
     """Elastic deformation gradient after the pending return map [-] and its Kirchhoff stress [Pa], (N, 3, 3) each."""
     deformed = respond_particles(scene, state)
@@ -162,11 +172,11 @@ class DeformedParticles(NamedTuple):
     stress: Array
     """Kirchhoff stress [Pa], shape (num_particles, 3, 3)."""
     memory: tuple[Array, ...]
-    """What particles remember, k arrays of shape (num_particles,)."""
+    """History variables, k arrays of shape (num_particles,)."""
 
 
 def respond_particles(scene: MPMScene, state: MPMState) -> DeformedParticles:
-    """What the materials make of the particles' trial states. Gradient: exact."""
+    """Return map and stress of all particles. Gradient: exact."""
     response = per_material(scene, _response, unpack(split(state)))
     return DeformedParticles(cp.join_matrix(response.F), cp.join_matrix(response.stress), response.memory)
 
@@ -180,7 +190,7 @@ class Deformed(NamedTuple):
     x: Vec3
     """Positions [m]."""
     memory: Array
-    """Deformation gradients after plastic flow [-], and what particles remember of it, (9 + k, num_particles)."""
+    """Deformation gradients after plastic flow [-], then history variables, (9 + k, num_particles)."""
 
 
 def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, placed: Placed) -> Array:
@@ -191,10 +201,7 @@ def _substep(scene: MPMScene, nodes: ActiveNodes, packed: Array, placed: Placed)
 
 
 def to_nodes(scene: MPMScene, nodes: ActiveNodes, packed: Array) -> tuple[Deformed, GridFields]:
-    """First half of a substep: what the material answers, and mass and momentum on the nodes.
-
-    Gradient: exact.
-    """
+    """First half of a substep: return map, stress, and P2G of mass and momentum. Gradient: exact."""
     mass = particle_mass(scene, packed[0])
     volume = jnp.broadcast_to(scene.particle_volume, mass.shape).astype(mass.dtype)
     factor = -scene.dt * _inertia(scene.grid)
@@ -213,21 +220,21 @@ def to_nodes(scene: MPMScene, nodes: ActiveNodes, packed: Array) -> tuple[Deform
 def stress_and_momentum(
     shared: tuple[Material, Scalar], particles: tuple[dict[str, Array], Array, Array, Array]
 ) -> tuple[Deformed, Mat3, Vec3]:
-    """The law of one material, and what particles send to the nodes.
+    """Response of one material, and the momentum that its particles send to the nodes.
 
     Args:
-      shared: the material without ``own``, and -dt times the inverse of the splines' second moment [s/m^2].
-      particles: parameters of the material of which each particle has its own; packed particles; their masses [kg] and
-        rest volumes [m^3].
+      shared: the material without its parameters per particle; -dt times the inverse of the splines' second moment
+        [s/m^2].
+      particles: the material's parameters per particle; packed particles; their masses [kg] and rest volumes [m^3].
 
     Returns:
-      The particles; the affine field of momentum around each [kg/s]; its momentum [kg m/s].
+      The particles; the affine field of momentum around each [kg/s]; the momentum of each [kg m/s].
 
     Gradient: exact.
     """
     (material, factor), (own, packed, mass, volume) = shared, particles
     material = joined_parameters(material, own)
-    # Stored once: the backward pass slices them out of what the forward pass kept, and would do so in every user.
+    # Materialized: the backward pass would slice the stored array again in every operation that reads it.
     p = materialize(unpack(packed))
     response = materialize(_response(material, p))
     impulse = factor * volume
@@ -237,10 +244,7 @@ def stress_and_momentum(
 
 
 def from_nodes(scene: MPMScene, nodes: ActiveNodes, deformed: Deformed, velocity: Vec3) -> Array:
-    """Second half of a substep: particles moved and deformed by the velocities of the nodes [m/s].
-
-    Gradient: exact.
-    """
+    """Second half of a substep: G2P of node velocities [m/s], then motion and deformation. Gradient: exact."""
     grid = scene.grid
     with jax.named_scope("grid_to_particle"):
         v, moment = grid_to_particle(grid, deformed.x, velocity, active=_active(scene, nodes))
@@ -264,9 +268,8 @@ def _moved(
 def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, placed: Placed) -> Vec3:
     """Velocities of the given nodes [m/s] after gravity, colliders and walls, components of shape (num_nodes,).
 
-    ``placed`` are all of the scene's colliders.
-
-    Gradient: exact with respect to fields, placements and every leaf of the scene.
+    ``placed`` holds the placements of all the scene's colliders. Gradient: exact with respect to fields, placements and
+    every leaf of the scene.
     """
     has_mass, velocity = free_velocity(scene, fields)
     colliders = _colliders(scene, nodes, has_mass, placed)
@@ -275,14 +278,14 @@ def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, place
     return where_mass(has_mass, velocity)
 
 
-@recomputed  # a few operations on each number: XLA, which computes them with their neighbours, is faster than C++
+@recomputed  # a few elementwise operations: XLA fuses them with their neighbours, which is faster than C++
 def where_mass(has_mass: Array, velocity: Vec3) -> Vec3:
     """Velocity zero at nodes without mass. Gradient: exact."""
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
 def _colliders(scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Placed) -> list[tuple[Collider, Placed]]:
-    """The colliders that are evaluated."""
+    """The colliders to evaluate, with their placements."""
     colliders = scene.sized_colliders
     if scene.max_near_colliders is None or len(colliders) <= scene.max_near_colliders:
         return [(c, jax.tree.map(lambda a, i=i: a[i], placed)) for i, c in enumerate(colliders)]
@@ -294,10 +297,10 @@ def _colliders(scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Pla
 
 
 def free_velocity(scene: MPMScene, fields: GridFields) -> tuple[Array, Vec3]:
-    """Which nodes have mass, and the velocity of nodes [m/s] after gravity, before any contact. Gradient: exact."""
+    """Mask of nodes with mass, and node velocities [m/s] after gravity, before contact. Gradient: exact."""
     has_mass = fields.mass > MIN_NODE_MASS * least_particle_mass(scene, fields.mass.dtype)
-    # Masses in a unit near that of a cell: in kg the square of 1 / mass, which the derivative has, overflows float32
-    # for small cells. The unit is a power of two, so nothing is rounded.
+    # Masses in a unit near the mass of a cell: in kg the derivative's 1 / mass^2 overflows float32 for small cells. The
+    # unit is a power of two, so scaling is exact.
     unit = 2.0 ** round(-3.0 * math.log2(scene.grid.spacing))
     return has_mass, _free(unit, scene.dt, scene.gravity, has_mass, fields)
 
@@ -309,7 +312,7 @@ def _free(unit: float, dt: Scalar, gravity: Array, has_mass: Array, fields: Grid
 
 
 def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
-    """The nodes that take part in the step that starts at positions x (num_particles, 3)."""
+    """The active nodes of the step that starts at positions x (num_particles, 3)."""
     if scene.max_active_nodes is None:
         return all_nodes(scene.grid, x.dtype)
     return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)
@@ -318,7 +321,7 @@ def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
 def _response(material: Material, p: Particles) -> Response:
     own = len(material.initial_memory)
     response = respond(material, p.F, velocity_gradient=p.C, memory=p.memory[:own])
-    # Numbers that only other materials of the scene remember pass through.
+    # Materials with fewer history variables pass the others through.
     return response._replace(memory=(*response.memory, *p.memory[own:]))
 
 

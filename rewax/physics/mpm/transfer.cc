@@ -1,9 +1,9 @@
-// The passes of transfer.py for CPUs: one particle at a time, all of its 27 nodes while they are in registers.
+// The kernels of transfer.py for CPUs: one particle at a time, with its 27 nodes in registers.
 //
-// transfer_native.py says what each pass computes, builds this file after threads.h and calls it through XLA's foreign
-// function interface. A node is a vector of four numbers: a vector field along x, y, z, and the mass (or nothing). Weights are computed for
-// a block of particles at once. Every environment's nodes are summed in an order that neither other environments nor
-// the number of threads change, so results are reproducible bit for bit.
+// transfer_cpp.py documents each kernel, builds this file after threads.h and calls it through XLA's foreign function
+// interface (FFI). A node is a vector of four numbers: a vector field along x, y, z, and the mass (or zero). Weights are
+// computed for a block of particles at once. The order of summation on nodes is independent of batch size and thread
+// count, so results are reproducible bit for bit.
 
 #include <algorithm>
 #include <cstdint>
@@ -36,14 +36,14 @@ struct Layout {
   double origin[3];
   double spacing;
   int64_t nodes;      // of one environment
-  bool listed;        // the nodes are a list: offsets of columns say where each column lies
-  int64_t copies;     // environments
+  bool listed;        // node arrays hold active nodes only, located by offsets of columns
+  int64_t num_envs;
   int64_t particles;  // of one environment
   int64_t columns() const { return shape[0] * shape[1]; }
 };
 
 template <typename T>
-struct Places {
+struct Locations {
   const T* x[3];
   const int32_t* offset;
 };
@@ -63,14 +63,14 @@ struct Stencils {
   int32_t rows[9][kBlock];  // the lowest of three nodes along z in each of nine columns
 };
 
-// Not inlined: rounding decides which nodes a particle between two cells meets, and all passes must decide alike.
+// Not inlined: inlined copies may round differently, and all kernels must find the same lowest node.
 template <typename T>
-__attribute__((noinline)) void Weigh(const Layout& layout, const Places<T>& places, int64_t copy, int64_t first,
+__attribute__((noinline)) void Weigh(const Layout& layout, const Locations<T>& locations, int64_t env, int64_t first,
                                      int count, Stencils<T>& st) {
   int32_t lowest[3][kBlock];
   const T spacing = T(layout.spacing), inverse = T(1.0 / layout.spacing);
   for (int a = 0; a < 3; ++a) {
-    const T* source = places.x[a] + copy * layout.particles + first;
+    const T* source = locations.x[a] + env * layout.particles + first;
     const T origin = T(layout.origin[a]), highest = T(layout.shape[a] - 3);
     Axis<T>& axis = st.axis[a];
     T x[kBlock];
@@ -78,7 +78,7 @@ __attribute__((noinline)) void Weigh(const Layout& layout, const Places<T>& plac
     for (int l = 0; l < kBlock; ++l) {
       const T cells = (x[l] - origin) * inverse;
       T low = cells - T(0.5);
-      low = low > T(0) ? low : T(0);  // of NaN, too
+      low = low > T(0) ? low : T(0);  // NaN becomes 0
       low = low < highest ? low : highest;
       const int32_t base = static_cast<int32_t>(low);
       lowest[a][l] = base;
@@ -96,11 +96,11 @@ __attribute__((noinline)) void Weigh(const Layout& layout, const Places<T>& plac
   }
   const int32_t ny = static_cast<int32_t>(layout.shape[1]), nz = static_cast<int32_t>(layout.shape[2]);
   const int32_t last = static_cast<int32_t>(layout.nodes) - 3;
-  const int32_t* offset = layout.listed ? places.offset + copy * layout.columns() : nullptr;
+  const int32_t* offset = layout.listed ? locations.offset + env * layout.columns() : nullptr;
   for (int c = 0; c < 9; ++c) {
     for (int l = 0; l < kBlock; ++l) {
       const int32_t column = (lowest[0][l] + c / 3) * ny + lowest[1][l] + c % 3;
-      // A particle that left the listed nodes reads and writes others; the step's status says so.
+      // A particle that left the active nodes uses other nodes; check_status sets INACTIVE_NODES.
       const int32_t row = (offset ? offset[column] : column * nz) + lowest[2][l];
       st.rows[c][l] = std::min(std::max(row, 0), last);
     }
@@ -134,7 +134,7 @@ void Separate(const V4<T>* nodes, int64_t count, int64_t first, int num_fields, 
   }
 }
 
-// Room that a thread keeps from call to call.
+// Memory that a thread reuses from call to call.
 template <typename T>
 V4<T>* Room(std::vector<char>& bytes, int64_t count) {
   constexpr size_t alignment = 64;
@@ -169,7 +169,7 @@ struct FieldColumns {
 };
 
 template <typename T>
-inline void SpreadOne(const Stencils<T>& st, int l, const Affine<T>& field, V4<T>* nodes) {
+inline void ScatterOne(const Stencils<T>& st, int l, const Affine<T>& field, V4<T>* nodes) {
   const Axis<T>&X = st.axis[0], &Y = st.axis[1], &Z = st.axis[2];
   T lever[3];
   for (int k = 0; k < 3; ++k) lever[k] = Z.w[k][l] * Z.d[k][l];
@@ -216,8 +216,8 @@ inline Moments<T> GatherOne(const Stencils<T>& st, int l, const V4<T>* nodes) {
   return m;
 }
 
-// How sum over nodes of w g . (value + slope . offset) changes with the particle's position, less the change of the
-// offsets, slope^T (sum w g), which `value` is: sum w g.
+// Derivative of sum over nodes of w g . (value + slope . offset) by the particle's position. The offsets contribute
+// -slope^T (sum w g); the argument `value` is sum w g.
 template <typename T>
 inline void WorkOne(const Stencils<T>& st, int l, const Affine<T>& field, const V4<T>* nodes, const V4<T>& value,
                     T work[3]) {
@@ -249,79 +249,79 @@ inline void WorkOne(const Stencils<T>& st, int l, const Affine<T>& field, const 
   }
 }
 
-// --- Passes over all particles -------------------------------------------------------------------------------------
+// --- Loops over all particles --------------------------------------------------------------------------------------
 
 template <typename T, typename One>
-void ForBlocks(const Layout& layout, const Places<T>& places, int64_t copy, int64_t first, int64_t end, const One& one) {
+void ForBlocks(const Layout& layout, const Locations<T>& locations, int64_t env, int64_t first, int64_t end, const One& one) {
   Stencils<T> st;
   for (int64_t start = first; start < end; start += kBlock) {
     const int count = static_cast<int>(std::min<int64_t>(kBlock, end - start));
-    Weigh(layout, places, copy, start, count, st);
-    for (int l = 0; l < count; ++l) one(st, l, copy * layout.particles + start + l);
+    Weigh(layout, locations, env, start, count, st);
+    for (int l = 0; l < count; ++l) one(st, l, env * layout.particles + start + l);
   }
 }
 
 template <typename T>
-void SpreadAll(ffi::ThreadPool& pool, const Layout& layout, const Places<T>& places, const FieldColumns<T>& field,
+void ScatterAll(ffi::ThreadPool& pool, const Layout& layout, const Locations<T>& locations, const FieldColumns<T>& field,
                int num_fields, T* const* out) {
   const int64_t pieces = std::clamp<int64_t>(layout.particles / kPiece, 1, kMostPieces);
   const int64_t size = (layout.particles + pieces - 1) / pieces;
-  auto spread = [&](int64_t copy, int64_t piece, V4<T>* nodes) {
+  auto scatter = [&](int64_t env, int64_t piece, V4<T>* nodes) {
     std::memset(nodes, 0, layout.nodes * sizeof(V4<T>));
-    ForBlocks(layout, places, copy, piece * size, std::min((piece + 1) * size, layout.particles),
-              [&](const Stencils<T>& st, int l, int64_t i) { SpreadOne(st, l, field.At(i), nodes); });
+    ForBlocks(layout, locations, env, piece * size, std::min((piece + 1) * size, layout.particles),
+              [&](const Stencils<T>& st, int l, int64_t i) { ScatterOne(st, l, field.At(i), nodes); });
   };
   if (pieces == 1) {
-    ForEach(pool, layout.copies, [&](int64_t copy) {
+    ForEach(pool, layout.num_envs, [&](int64_t env) {
       V4<T>* nodes = Room<T>(room_of_task, layout.nodes);
-      spread(copy, 0, nodes);
-      Separate<T>(nodes, layout.nodes, copy * layout.nodes, num_fields, out);
+      scatter(env, 0, nodes);
+      Separate<T>(nodes, layout.nodes, env * layout.nodes, num_fields, out);
     });
     return;
   }
   V4<T>* sums = Room<T>(room_of_call, pieces * layout.nodes);
-  for (int64_t copy = 0; copy < layout.copies; ++copy) {
-    ForEach(pool, pieces, [&](int64_t piece) { spread(copy, piece, sums + piece * layout.nodes); });
+  for (int64_t env = 0; env < layout.num_envs; ++env) {
+    ForEach(pool, pieces, [&](int64_t piece) { scatter(env, piece, sums + piece * layout.nodes); });
     const int64_t parts = (layout.nodes + kChunk - 1) / kChunk;
     ForEach(pool, parts, [&](int64_t part) {
       const int64_t first = part * kChunk, count = std::min(kChunk, layout.nodes - first);
       for (int64_t piece = 1; piece < pieces; ++piece) {
         for (int64_t i = first; i < first + count; ++i) sums[i] += sums[piece * layout.nodes + i];
       }
-      Separate<T>(sums + first, count, copy * layout.nodes + first, num_fields, out);
+      Separate<T>(sums + first, count, env * layout.nodes + first, num_fields, out);
     });
   }
 }
 
 // one(stencils, lane, particle, nodes) for all particles, where nodes are those of the particle's environment.
 template <typename T, typename One>
-void GatherAll(ffi::ThreadPool& pool, const Layout& layout, const Places<T>& places, const T* const* fields,
+void GatherAll(ffi::ThreadPool& pool, const Layout& layout, const Locations<T>& locations, const T* const* fields,
                int num_fields, const One& one) {
-  auto gather = [&](int64_t copy, int64_t first, int64_t end, const V4<T>* nodes) {
-    ForBlocks(layout, places, copy, first, end,
+  auto gather = [&](int64_t env, int64_t first, int64_t end, const V4<T>* nodes) {
+    ForBlocks(layout, locations, env, first, end,
               [&](const Stencils<T>& st, int l, int64_t i) { one(st, l, i, nodes); });
   };
   const int64_t chunks = (layout.particles + kChunk - 1) / kChunk;
-  if (layout.copies >= pool.num_threads() || chunks == 1) {
-    ForEach(pool, layout.copies, [&](int64_t copy) {
+  if (layout.num_envs >= pool.num_threads() || chunks == 1) {
+    ForEach(pool, layout.num_envs, [&](int64_t env) {
       V4<T>* nodes = Room<T>(room_of_task, layout.nodes);
-      Interleave<T>(fields, num_fields, copy * layout.nodes, layout.nodes, nodes);
-      gather(copy, 0, layout.particles, nodes);
+      Interleave<T>(fields, num_fields, env * layout.nodes, layout.nodes, nodes);
+      gather(env, 0, layout.particles, nodes);
     });
     return;
   }
   V4<T>* nodes = Room<T>(room_of_call, layout.nodes);
-  for (int64_t copy = 0; copy < layout.copies; ++copy) {
-    Interleave<T>(fields, num_fields, copy * layout.nodes, layout.nodes, nodes);
+  for (int64_t env = 0; env < layout.num_envs; ++env) {
+    Interleave<T>(fields, num_fields, env * layout.nodes, layout.nodes, nodes);
     ForEach(pool, chunks, [&](int64_t chunk) {
-      gather(copy, chunk * kChunk, std::min((chunk + 1) * kChunk, layout.particles), nodes);
+      gather(env, chunk * kChunk, std::min((chunk + 1) * kChunk, layout.particles), nodes);
     });
   }
 }
 
 // --- XLA's interface -----------------------------------------------------------------------------------------------
 
-// Operands and results one after the other.
+// Reads operands and results in order.
 template <typename T>
 struct Reader {
   ffi::RemainingArgs& args;
@@ -336,11 +336,11 @@ struct Reader {
   template <int N>
   void Outs(T* (&out)[N]) { for (auto& a : out) a = Out(); }
 
-  Places<T> ReadPlaces(const Layout& layout) {
-    Places<T> places;
-    Ins(places.x);
-    places.offset = layout.listed ? In<int32_t>() : nullptr;
-    return places;
+  Locations<T> ReadLocations(const Layout& layout) {
+    Locations<T> locations;
+    Ins(locations.x);
+    locations.offset = layout.listed ? In<int32_t>() : nullptr;
+    return locations;
   }
   FieldColumns<T> ReadField(bool has_mass) {
     FieldColumns<T> field;
@@ -360,21 +360,21 @@ Layout ReadLayout(ffi::RemainingArgs& args, ffi::Span<const int64_t> sizes, ffi:
   layout.spacing = box[3];
   const auto dims = args.get<ffi::AnyBuffer>(0)->dimensions();
   layout.particles = dims.back();
-  layout.copies = 1;
-  for (size_t i = 0; i + 1 < dims.size(); ++i) layout.copies *= dims[i];
+  layout.num_envs = 1;
+  for (size_t i = 0; i + 1 < dims.size(); ++i) layout.num_envs *= dims[i];
   return layout;
 }
 
 template <typename T>
-void Spread(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int num_fields) {
-  const Places<T> places = io.ReadPlaces(layout);
+void Scatter(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int num_fields) {
+  const Locations<T> locations = io.ReadLocations(layout);
   const FieldColumns<T> field = io.ReadField(num_fields == 4);
   T* out[4];
   for (int c = 0; c < num_fields; ++c) out[c] = io.Out();
-  SpreadAll(pool, layout, places, field, num_fields, out);
+  ScatterAll(pool, layout, locations, field, num_fields, out);
 }
 
-// Where the moments of a particle go: values of all fields, then the first moments of the vector field, row by row.
+// Output arrays of moments: values of all fields, then the first moments of the vector field, row by row.
 template <typename T>
 struct MomentColumns {
   T *mass, *value[3], *first[3][3];
@@ -394,24 +394,24 @@ struct MomentColumns {
 
 template <typename T>
 void GatherValues(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int num_fields) {
-  const Places<T> places = io.ReadPlaces(layout);
+  const Locations<T> locations = io.ReadLocations(layout);
   const T* fields[4];
   for (int c = 0; c < num_fields; ++c) fields[c] = io.template In<T>();
   const MomentColumns<T> out(io, num_fields == 4);
-  GatherAll(pool, layout, places, fields, num_fields,
+  GatherAll(pool, layout, locations, fields, num_fields,
             [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) { out.Put(i, GatherOne(st, l, nodes)); });
 }
 
 template <typename T>
-void SpreadTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int) {
-  const Places<T> places = io.ReadPlaces(layout);
+void ScatterTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int) {
+  const Locations<T> locations = io.ReadLocations(layout);
   const FieldColumns<T> field = io.ReadField(true);
   const T* fields[4];
   io.Ins(fields);
   T* dx[3];
   io.Outs(dx);
   const MomentColumns<T> out(io, true);
-  GatherAll(pool, layout, places, fields, 4, [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) {
+  GatherAll(pool, layout, locations, fields, 4, [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) {
     const Moments<T> m = GatherOne(st, l, nodes);
     out.Put(i, m);
     T work[3];
@@ -422,7 +422,7 @@ void SpreadTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<
 
 template <typename T>
 void GatherTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<T> io, int) {
-  const Places<T> places = io.ReadPlaces(layout);
+  const Locations<T> locations = io.ReadLocations(layout);
   const T *nodes_of[3], *value_of[3];
   io.Ins(nodes_of);
   io.Ins(value_of);
@@ -430,16 +430,16 @@ void GatherTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<
   T *dx[3], *out[3];
   io.Outs(dx);
   io.Outs(out);
-  GatherAll(pool, layout, places, nodes_of, 3, [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) {
+  GatherAll(pool, layout, locations, nodes_of, 3, [&](const Stencils<T>& st, int l, int64_t i, const V4<T>* nodes) {
     const V4<T> value = {value_of[0][i], value_of[1][i], value_of[2][i], T(0)};
     T work[3];
     WorkOne(st, l, field.At(i), nodes, value, work);
     for (int a = 0; a < 3; ++a) dx[a][i] = work[a];
   });
-  SpreadAll(pool, layout, places, field, 3, out);
+  ScatterAll(pool, layout, locations, field, 3, out);
 }
 
-#define REWAX_PASS(name)                                                                                         \
+#define REWAX_KERNEL(name)                                                                                         \
   ffi::Error Run##name(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets,                   \
                        ffi::Span<const int64_t> sizes, ffi::Span<const double> box) {                            \
     const Layout layout = ReadLayout(args, sizes, box);                                                          \
@@ -452,10 +452,10 @@ void GatherTangentTranspose(ffi::ThreadPool& pool, const Layout& layout, Reader<
     return ffi::Error::Success();                                                                                \
   }
 
-REWAX_PASS(Spread)
-REWAX_PASS(GatherValues)
-REWAX_PASS(SpreadTangentTranspose)
-REWAX_PASS(GatherTangentTranspose)
+REWAX_KERNEL(Scatter)
+REWAX_KERNEL(GatherValues)
+REWAX_KERNEL(ScatterTangentTranspose)
+REWAX_KERNEL(GatherTangentTranspose)
 
 }  // namespace
 
@@ -464,7 +464,7 @@ REWAX_PASS(GatherTangentTranspose)
                                 ffi::Ffi::Bind().Ctx<ffi::ThreadPool>().RemainingArgs().RemainingRets()            \
                                     .Attr<ffi::Span<const int64_t>>("sizes").Attr<ffi::Span<const double>>("box"))
 
-REWAX_EXPORT(rewax_spread, Spread);
+REWAX_EXPORT(rewax_scatter, Scatter);
 REWAX_EXPORT(rewax_gather_values, GatherValues);
-REWAX_EXPORT(rewax_spread_tangent_transpose, SpreadTangentTranspose);
+REWAX_EXPORT(rewax_scatter_tangent_transpose, ScatterTangentTranspose);
 REWAX_EXPORT(rewax_gather_tangent_transpose, GatherTangentTranspose);

@@ -1,16 +1,16 @@
 """Particle-to-grid and grid-to-particle: the hot loop of the material point method.
 
-Both transfers are linear in what they carry, and so is each one's derivative; their transposes are written by hand
-as one pass over the particles. With g a node's cotangent, w its weight, d its offset from the particle and
-s = p + A d what the particle sends there:
+Both transfers, P2G and G2P, are linear in the transferred fields, and so are their derivatives. Their transposes are
+hand-written loops over the particles. With g the cotangent of a node, w its weight, d its offset from the particle and
+s = p + A d the momentum that the particle sends to it:
 
 * reverse of particle-to-grid, one gather:  p' = sum w g,  A' = sum w g d^T,  x' = sum grad w (g . s) - A^T sum w g
 * reverse of grid-to-particle (v, B), one scatter of s = v' + B' d, and one gather:
   x' = sum grad w (g . s) - B'^T sum w g
 
-Arrays come as separate components (see ``components``). The passes are written three times: in C++ for CPUs
-(``transfer_cpp``), and with JAX for CPUs without a compiler (``transfer_xla_cpu``) and for GPUs (``transfer_gpu``);
-which ones a program holds is decided when it is lowered for a platform.
+Arrays come as separate components (see ``components``). The kernels exist three times: in C++ for CPUs
+(``transfer_cpp``), in JAX for CPUs without a compiler (``transfer_xla_cpu``), and in JAX for GPUs (``transfer_gpu``).
+Lowering a program for a platform selects them.
 """
 
 import functools
@@ -27,15 +27,15 @@ from rewax.physics.mpm.transfer_xla_cpu import Layout, as_matrix, as_vector, fla
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.types import Array
 
-_SPREAD = ByPlatform(transfer_cpp.spread, transfer_gpu.spread)
+_SCATTER = ByPlatform(transfer_cpp.scatter, transfer_gpu.scatter)
 _GATHER_VALUES = ByPlatform(transfer_cpp.gather_values, transfer_gpu.gather_values)
-_SPREAD_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.spread_tangent_transpose, transfer_gpu.spread_tangent_transpose)
+_SCATTER_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.scatter_tangent_transpose, transfer_gpu.scatter_tangent_transpose)
 _GATHER_TANGENT = ByPlatform(transfer_xla_cpu.gather_tangent, transfer_gpu.gather_tangent)
 _GATHER_TANGENT_TRANSPOSE = ByPlatform(transfer_cpp.gather_tangent_transpose, transfer_gpu.gather_tangent_transpose)
 
 
 class GridFields(NamedTuple):
-    """What particles leave on the nodes, as components of shape (num_nodes,)."""
+    """Result of P2G, components of shape (num_nodes,)."""
 
     mass: Array
     """Node mass [kg]."""
@@ -48,8 +48,8 @@ def particle_to_grid(
 ) -> GridFields:
     """Particle-to-grid transfer (P2G): mass and momentum of particles, summed on the nodes around them.
 
-    Node i receives w_i mass and w_i (momentum + affine d_i), d_i its offset from the particle. Mass is conserved to
-    rounding, momentum too, whatever the affine part.
+    Node i receives w_i mass and w_i (momentum + affine d_i), with d_i its offset from the particle. Mass and momentum
+    are conserved to rounding, for any affine part.
 
     Args:
       grid: the nodes.
@@ -57,8 +57,7 @@ def particle_to_grid(
       mass: particle masses [kg], shape (num_particles,).
       momentum: particle momenta [kg m/s], components of shape (num_particles,).
       affine: linear field of momentum around each particle [kg/s]; in MLS-MPM -dt vol 4/dx^2 tau + mass C.
-      active: the nodes that are wanted, among them all that particles touch (see ``active_nodes``). None: all, in
-        order.
+      active: the nodes of the result, among them all that particles touch (see ``active_nodes``). None: all, in order.
 
     Returns:
       Mass and momentum of the nodes, components of shape (num_nodes,).
@@ -66,8 +65,8 @@ def particle_to_grid(
     Gradient: exact with respect to all arrays, forward and reverse.
     Source: Hu et al. 2018, MLS-MPM, eq. 29; Jiang et al. 2015, APIC.
     """
-    layout, places = _layout(grid, x, active)
-    m, px, py, pz = _particle_to_grid(layout, *places, mass, *momentum, *flat(affine))
+    layout, locations = _layout(grid, x, active)
+    m, px, py, pz = _particle_to_grid(layout, *locations, mass, *momentum, *flat(affine))
     return GridFields(m, (px, py, pz))
 
 
@@ -78,7 +77,7 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes
       grid: the nodes.
       x: particle positions [m], components of shape (num_particles,).
       velocity: node velocities [m/s], components of shape (num_nodes,).
-      active: which nodes these are, as in ``particle_to_grid``.
+      active: the nodes of ``velocity``, as in ``particle_to_grid``.
 
     Returns:
       velocity: sum w_i v_i [m/s], components of shape (num_particles,).
@@ -87,28 +86,29 @@ def grid_to_particle(grid: Grid, x: Vec3, velocity: Vec3, *, active: ActiveNodes
     Gradient: exact with respect to positions and velocities, forward and reverse.
     Source: Jiang et al. 2015, APIC; Hu et al. 2018, MLS-MPM, eq. 17.
     """
-    layout, places = _layout(grid, x, active)
-    out = _grid_to_particle(layout, *places, *velocity)
+    layout, locations = _layout(grid, x, active)
+    out = _grid_to_particle(layout, *locations, *velocity)
     return as_vector(out[:3]), as_matrix(out[3:])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _particle_to_grid(layout: Layout, *args: Array) -> Arrays:
     like = [jax.ShapeDtypeStruct((layout.num_nodes,), jnp.result_type(*args))] * 4
-    return linear_call(_SPREAD, _GATHER_VALUES, layout, *split(layout, args), like=like)
+    return linear_call(_SCATTER, _GATHER_VALUES, layout, *split(layout, args), like=like)
 
 
 @_particle_to_grid.defjvp
 def _particle_to_grid_jvp(layout: Layout, args: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
     out = _particle_to_grid(layout, *args)
     linear = _without_list(layout, tangents)
-    return out, linear_call(transfer_xla_cpu.spread_tangent, _SPREAD_TANGENT_TRANSPOSE, layout, args, linear, like=out)
+    tangent = transfer_xla_cpu.scatter_tangent
+    return out, linear_call(tangent, _SCATTER_TANGENT_TRANSPOSE, layout, args, linear, like=out)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _grid_to_particle(layout: Layout, *args: Array) -> Arrays:
     like = [jax.ShapeDtypeStruct(args[0].shape, jnp.result_type(*args))] * 12
-    return linear_call(_GATHER_VALUES, _SPREAD, layout, *split(layout, args), like=like)
+    return linear_call(_GATHER_VALUES, _SCATTER, layout, *split(layout, args), like=like)
 
 
 @_grid_to_particle.defjvp
@@ -125,5 +125,5 @@ def _layout(grid: Grid, x: Vec3, active: ActiveNodes | None) -> tuple[Layout, Ar
 
 
 def _without_list(layout: Layout, tangents: Arrays) -> Arrays:
-    """Tangents of everything but the offsets of columns, which have none."""
+    """The tangents without those of column offsets, which are integers."""
     return (*tangents[:3], *split(layout, tangents)[1])

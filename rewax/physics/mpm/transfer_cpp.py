@@ -1,8 +1,8 @@
-"""The passes of ``transfer`` in C++, for CPUs; those of ``transfer_xla_cpu`` where there is no compiler.
+"""The kernels of ``transfer`` in C++, for CPUs; those of ``transfer_xla_cpu`` without a compiler.
 
-One call computes a whole pass: a particle's weights and its 27 nodes stay in registers and in the first-level cache,
-where XLA stores the 27 values of every particle. ``transfer.cc`` has the loops; the numbers are those of
-``transfer_xla_cpu`` up to rounding. Environments are shared out among the threads of the device.
+One call computes a whole transfer: a particle's weights and its 27 nodes stay in registers and in the first-level
+cache, where XLA stores the 27 values of every particle. ``transfer.cc`` has the loops; results equal those of
+``transfer_xla_cpu`` up to rounding. The threads of the device share the environments.
 """
 
 import math
@@ -19,16 +19,16 @@ from rewax.physics.mpm import transfer_xla_cpu
 from rewax.physics.mpm.transfer_xla_cpu import Layout
 
 SOURCE = build.Source("transfer", build.THREADS.read_text() + Path(__file__).with_name("transfer.cc").read_text())
-_TARGETS = ("rewax_spread", "rewax_gather_values", "rewax_spread_tangent_transpose", "rewax_gather_tangent_transpose")
+_TARGETS = ("rewax_scatter", "rewax_gather_values", "rewax_scatter_tangent_transpose", "rewax_gather_tangent_transpose")
 _TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 
 
-def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """As ``transfer_xla_cpu.spread``."""
+def scatter(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """As ``transfer_xla_cpu.scatter``."""
     num_fields = len(linear) - 9
     if not _available(residuals, linear):
-        return transfer_xla_cpu.spread(layout, residuals, linear)
-    return _call("rewax_spread", layout, (*residuals, *linear), [layout.num_nodes] * num_fields, num_fields)
+        return transfer_xla_cpu.scatter(layout, residuals, linear)
+    return _call("rewax_scatter", layout, (*residuals, *linear), [layout.num_nodes] * num_fields, num_fields)
 
 
 def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
@@ -39,12 +39,12 @@ def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
     return _call("rewax_gather_values", layout, (*residuals, *nodes), lengths, len(nodes))
 
 
-def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """As ``transfer_xla_cpu.spread_tangent_transpose``."""
+def scatter_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """As ``transfer_xla_cpu.scatter_tangent_transpose``."""
     if not _available(residuals, cotangents):
-        return transfer_xla_cpu.spread_tangent_transpose(layout, residuals, cotangents)
+        return transfer_xla_cpu.scatter_tangent_transpose(layout, residuals, cotangents)
     lengths = [residuals[0].shape[-1]] * 16
-    return _call("rewax_spread_tangent_transpose", layout, (*residuals, *cotangents), lengths, 4)
+    return _call("rewax_scatter_tangent_transpose", layout, (*residuals, *cotangents), lengths, 4)
 
 
 def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
@@ -56,7 +56,7 @@ def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 
 
 def is_used() -> bool:
-    """Whether programs for CPUs hold these passes: whether they could be built."""
+    """Whether programs for CPUs use these kernels, which requires that they could be built."""
     return not build.is_off() and build.register(SOURCE, _TARGETS)
 
 
@@ -66,7 +66,7 @@ def _available(*arrays: Arrays) -> bool:
 
 
 def _call(target: str, layout: Layout, operands: Arrays, lengths: Sequence[int], num_fields: int) -> Arrays:
-    """One pass over arrays (..., particles) and (..., nodes); all results have the operands' leading axes."""
+    """One kernel over arrays (..., particles) and (..., nodes); all results have the operands' leading axes."""
     grid, first = layout.grid, operands[0]
     transfer_xla_cpu.check_size(layout, math.prod(first.shape[:-1]))
     sizes = (*grid.shape, layout.num_nodes, layout.num_active is not None, num_fields)

@@ -1,8 +1,8 @@
-"""The passes of ``transfer`` as a GPU wants them: few kernels, and nothing stored between them that can be recomputed.
+"""The transfers for GPUs: few kernels, and nothing stored between them that can be recomputed.
 
-Stored are the places of a particle's nodes, a message of 16 numbers per particle, and sums. Weights are computed from
-positions wherever they are used. The scatter sees nodes as rows of four numbers, and adds one by one vector atomic.
-The numbers are those of ``transfer_xla_cpu``, up to rounding.
+The kernels store the indices of a particle's nodes, a message of 16 numbers per particle, and sums. They recompute
+weights from positions. The scatter treats nodes as rows of four numbers and adds a row by one vector atomic. Results
+equal those of ``transfer_xla_cpu`` up to rounding.
 """
 
 import math
@@ -21,8 +21,8 @@ from rewax.physics.mpm.transfer_xla_cpu import (
     Layout,
     as_matrix,
     as_vector,
-    copy_of_particles,
     cotangent_by_slopes,
+    env_of_particles,
     flat,
     lowest_rows,
     split,
@@ -34,7 +34,7 @@ from rewax.types import Array
 
 _IN_BOUNDS = jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
 _WIDTH = 4
-"""Numbers per node, the vector that an atomic adds at once: mass and momentum, or momentum and nothing."""
+"""Numbers per node, added by one vector atomic: mass and momentum, or momentum and a zero."""
 _ADD_ROWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1, 2), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
@@ -42,21 +42,21 @@ _TAKE = jax.lax.GatherDimensionNumbers(offset_dims=(), collapsed_slice_dims=(0,)
 
 
 class _Stencils(NamedTuple):
-    """Where all particles of all copies of the grid meet the nodes; N particles in all."""
+    """Node indices and fractions of all particles of all environments, N in total."""
 
     rows: Array
-    """Place of the lowest of three nodes along z in each of 9 columns, shape (9, N), int32."""
+    """Index of the lowest of three nodes along z in each of 9 columns, shape (9, N), int32."""
     fractions: Array
     """Distance from the lowest node along each axis in cells, in [0.5, 1.5), shape (3, N)."""
     spacing: float
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
     num_nodes: int
-    """Of all copies."""
+    """Number of nodes of all environments."""
 
 
 class _Axis(NamedTuple):
-    """Factors of a node along one axis, arrays that broadcast."""
+    """Factors of a node along one axis, broadcastable arrays."""
 
     w: Array
     """Weight [-]."""
@@ -66,8 +66,8 @@ class _Axis(NamedTuple):
     """Offset of the node [m]."""
 
 
-def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
+def scatter(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Sum w (mass, p + A d) onto nodes. residuals: locations; linear: mass (or none), p, A."""
     st, _ = _stencils(layout, residuals)
     st, message = _apart(st, jnp.stack(_message(linear[:-9], as_matrix(linear[-9:])), axis=-1))
     shape = (3, 3, len(message), 3, _WIDTH)  # columns along x and y, particles, nodes along z, numbers
@@ -82,13 +82,13 @@ def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
 
 
 def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
-    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``spread``; interpolation of velocities."""
+    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``scatter``; interpolation of velocities."""
     st, _ = _stencils(layout, residuals)
     return _values(_sums(st, nodes, VALUE_MOMENTS))
 
 
 def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """All ``SLOPE_MOMENTS`` of the node fields behind x in residuals: 3 x 4 x 3 arrays."""
+    """All ``SLOPE_MOMENTS`` of the node fields that follow x in residuals: 3 x 4 x 3 arrays."""
     del linear
     st, fields = _stencils(layout, residuals)
     names = sum(SLOPE_MOMENTS, ())
@@ -96,8 +96,8 @@ def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     return tuple(column for name in names for column in sums[name])
 
 
-def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """Transpose of ``transfer_xla_cpu.spread_tangent``."""
+def scatter_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+    """Transpose of ``transfer_xla_cpu.scatter_tangent``."""
     st, rest = _stencils(layout, residuals)
     A, moved = as_matrix(rest[4:]), (".sww", ".wsw", ".wws")
     sums = _sums(st, cotangents, (*VALUE_MOMENTS, *moved), _message(rest[:4], A))
@@ -112,30 +112,30 @@ def gather_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
 
 
 def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    return cotangent_by_slopes(gather_slopes, spread, layout, residuals, cotangents)
+    return cotangent_by_slopes(gather_slopes, scatter, layout, residuals, cotangents)
 
 
 # --- Sums over the stencil -------------------------------------------------------------------------------------------
 
 
 def _stencils(layout: Layout, residuals: Arrays) -> tuple[_Stencils, Arrays]:
-    grid, (places, rest) = layout.grid, split(layout, residuals)
-    batch, dtype = places[0].shape, places[0].dtype
+    grid, (locations, rest) = layout.grid, split(layout, residuals)
+    batch, dtype = locations[0].shape, locations[0].dtype
     lowest = [
-        lowest_node(places[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
+        lowest_node(locations[a].reshape(-1), origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
         for a in cp.AXES
     ]
-    rows = lowest_rows(layout, places, lowest, copy_of_particles(layout, batch))
-    # Once: of a particle midway between two nodes the rounding decides, and all must see the same lowest node.
+    rows = lowest_rows(layout, locations, lowest, env_of_particles(layout, batch))
+    # Compute floor once; fused copies may round differently.
     stored = compute_once(jnp.concatenate([rows, jnp.stack(lowest)]))
-    cells = jnp.stack([(places[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES])
+    cells = jnp.stack([(locations[a].reshape(-1) - grid.origin[a]) * (1.0 / grid.spacing) for a in cp.AXES])
     fractions = compute_once(cells - stored[len(rows) :].astype(dtype))
     num_nodes = math.prod(batch[:-1]) * layout.num_nodes
     return _Stencils(stored[: len(rows)], fractions, grid.spacing, batch, num_nodes), rest
 
 
 def _message(value: Sequence[Array], matrix: Mat3) -> list[Array]:
-    """Three or four fields and their slopes along x, y, z, four of four components: 16 arrays (N,)."""
+    """Three or four fields and their slopes along x, y, z, padded to four components each: 16 arrays (N,)."""
     zero = jnp.zeros_like(value[0])
     before = [zero] * (len(value) - 3)  # a mass has no slope
     fields = [value, *([*before, *(row[a] for row in matrix)] for a in cp.AXES)]
@@ -143,7 +143,7 @@ def _message(value: Sequence[Array], matrix: Mat3) -> list[Array]:
 
 
 def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
-    """Both behind one barrier, which keeps XLA from storing what passes could share: the weights of 27 nodes."""
+    """Put both behind one barrier, so that XLA does not store the weights of 27 nodes for several kernels."""
     fractions, stored = compute_once((st.fractions, stored))
     return st._replace(fractions=fractions), stored
 
@@ -151,18 +151,18 @@ def _apart(st: _Stencils, stored: Any) -> tuple[_Stencils, Any]:
 def _sums(
     st: _Stencils, fields: Arrays, names: tuple[str, ...], message: list[Array] | None = None
 ) -> dict[str, Arrays]:
-    """Sums over the 27 nodes of the factors that a name's letters stand for times the node's numbers.
+    """Sums over the 27 nodes of node values times factors; the letters of a name select the factors.
 
-    Axis by axis, as in ``transfer_xla_cpu``, for fewer operations.
+    Summing axis by axis, as in ``transfer_xla_cpu``, takes fewer operations.
 
     Args:
-      st: where particles are.
-      fields: of the nodes.
-      names: see ``SLOPE_MOMENTS``; with a dot before it one multiplies with what the message sends to the node as well.
-      message: from ``_message``.
+      st: the particles' stencils.
+      fields: fields of the nodes.
+      names: see ``SLOPE_MOMENTS``. A leading dot multiplies by the momentum that the message sends to the node.
+      message: result of ``_message``.
 
     Returns:
-      Of each name the sums of all fields, arrays of the particles' shape.
+      For each name the sums of all fields, arrays of the particles' shape.
     """
     stored = [] if message is None else [jnp.stack(message)]
     st, (nodes, stored) = _apart(st, (jnp.concatenate([f.reshape(-1) for f in fields]), stored))
@@ -176,20 +176,20 @@ def _sums(
             y, in_column = _node(st, 1, j), {}
             sent_y = sent_x + sent[2] * y.d if sent else None
             for k in range(3):
-                z, place = _node(st, 2, k), (st.rows[3 * i + j] + k) + first
-                g = {"": jax.lax.gather(nodes, place[..., None], _TAKE, (1,), mode=_IN_BOUNDS)}
+                z, index = _node(st, 2, k), (st.rows[3 * i + j] + k) + first
+                g = {"": jax.lax.gather(nodes, index[..., None], _TAKE, (1,), mode=_IN_BOUNDS)}
                 if sent:
                     g["."] = g[""] * (sent_y + sent[3] * z.d)
                 _add(in_column, names, 2, z, g)
             _add(in_plane, names, 1, y, in_column)
         _add(total, names, 0, x, in_plane)
-    # Once: what follows takes them apart, and would gather anew for every part.
+    # Computed once: XLA would gather again for every component that is sliced out.
     total = compute_once(total)
     return {name: tuple(total[name][c].reshape(st.batch) for c in range(len(fields))) for name in names}
 
 
 def _add(sums: dict[str, Array], names: tuple[str, ...], axis: int, node: _Axis, inner: dict[str, Array]) -> None:
-    """Add, to the sums over this axis and those after it, the part of one node of this axis."""
+    """Add the contribution of one node of this axis to the sums over this axis and the following ones."""
     wanted = dict.fromkeys(name[:-3] + name[-3 + axis :] for name in names)
     for name in wanted:
         mark, letters = name[: axis - 3], name[axis - 3 :]
@@ -209,7 +209,7 @@ def _node(st: _Stencils, axis: int, node: int) -> _Axis:
 
 
 def _any_node(st: _Stencils, axis: int, node: Array) -> _Axis:
-    """The same for an array of numbers 0, 1, 2, without slopes."""
+    """``_node`` for an array of node numbers 0, 1, 2, without slopes."""
     f = st.fractions[axis][:, None, None]
     outer = jnp.where(node == 0, 1.5 - f, f - 0.5)
     w = jnp.where(node == 1, 0.75 - (f - 1.0) ** 2, 0.5 * outer * outer)

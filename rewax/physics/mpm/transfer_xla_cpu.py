@@ -1,7 +1,7 @@
-"""The passes of ``transfer`` as a CPU wants them: long arrays, one number per particle, contracted axis by axis.
+"""The transfers for CPUs in JAX: long arrays with one number per particle, contracted axis by axis.
 
 Every sum over the 27 nodes is separable: w, d w, grad w and d grad w are products of factors along x, y and z. Arrays
-may carry leading batch axes: ``vmap`` flattens environments and particles into one long particle axis over one long
+may have leading batch axes. They are flattened: environments and particles into one particle axis, their nodes into one
 node axis.
 """
 
@@ -26,14 +26,14 @@ _SCATTER_ROWS = jax.lax.ScatterDimensionNumbers(
     update_window_dims=(1,), inserted_window_dims=(), scatter_dims_to_operand_dims=(0,)
 )
 _MAX_FIELDS = 4
-"""Numbers per node that one pass carries: mass and momentum."""
+"""Largest number of fields on the nodes: mass and momentum."""
 _COLUMNS = np.asarray([[i, j] for i in range(3) for j in range(3)], np.int32)
-"""Steps from the lowest node to the 9 columns along z that a particle touches."""
+"""Offsets along x and y of the 9 columns along z that a particle touches."""
 _GATHER_ROWS = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,))
 
 
 class Axis(NamedTuple):
-    """Factors of weights along one axis for its three nodes, arrays (3, particles), by the letters of moments."""
+    """Factors along one axis for its three nodes, arrays (3, particles), named by the letters of moments."""
 
     w: Array
     """Weight [-]."""
@@ -48,7 +48,7 @@ class Axis(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What is known when a program is traced."""
+    """Static sizes of a transfer."""
 
     grid: Grid
     num_active: int | None
@@ -59,23 +59,23 @@ class Layout(NamedTuple):
         return self.grid.num_nodes if self.num_active is None else self.num_active
 
     @property
-    def num_places(self) -> int:
-        """Arrays that say where particles and nodes are: x, y, z and the offsets of columns."""
+    def num_locations(self) -> int:
+        """Number of location arrays: x, y, z and, with active nodes, the offsets of columns."""
         return 3 if self.num_active is None else 4
 
 
 class Stencils(NamedTuple):
-    """Where all particles of all copies of the grid meet the nodes."""
+    """Node indices and weights of all particles of all environments."""
 
     rows: Array
-    """Place of the lowest node of each of the 9 rows of 3 nodes along z that a particle touches, among the nodes of
-    all copies, shape (9, particles), int32."""
+    """Index of the lowest node of each of the 9 rows of 3 nodes along z that a particle touches, among the nodes of all
+    environments, shape (9, particles), int32."""
     axes: tuple[Axis, Axis, Axis]
     batch: tuple[int, ...]
     """Shape of the particle arrays before flattening."""
 
     @property
-    def copies(self) -> int:
+    def num_envs(self) -> int:
         return math.prod(self.batch[:-1])
 
 
@@ -87,40 +87,40 @@ class Affine(NamedTuple):
 
 
 class Term(NamedTuple):
-    """What particles send to a node: the product of three factors, one per axis, times an affine field."""
+    """A contribution of particles to a node: the product of three factors, one per axis, times an affine field."""
 
     factors: tuple[Array, Array, Array]
     field: Affine
 
 
 VALUE_MOMENTS = ("www", "oww", "wow", "wwo")
-"""Sums over the stencil of g, and of g times the offset along x, y, z: a factor of ``Axis`` for each axis."""
+"""Sums over the stencil of w g, and of w g times the offset along x, y, z: one letter of ``Axis`` per axis."""
 SLOPE_MOMENTS = (("sww", "tww", "sow", "swo"), ("wsw", "osw", "wtw", "wso"), ("wws", "ows", "wos", "wwt"))
-"""How those change with the particle's position along x, y, z while its offsets stay."""
+"""Derivatives of ``VALUE_MOMENTS`` by the particle's position along x, y, z at constant offsets."""
 
 
-def spread(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """w (mass, p + A d) summed onto nodes. residuals: places; linear: mass (or none), p, A."""
+def scatter(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Sum w (mass, p + A d) onto nodes. residuals: locations; linear: mass (or none), p, A."""
     st, _ = stencils(layout, residuals)
-    return _scatter(layout, st, [Term(_weights(st), _affine(linear[:-9], as_matrix(linear[-9:])))])
+    return _scatter_terms(layout, st, [Term(_weights(st), _affine(linear[:-9], as_matrix(linear[-9:])))])
 
 
 def gather_values(layout: Layout, residuals: Arrays, nodes: Arrays) -> Arrays:
-    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``spread``; interpolation of velocities."""
+    """(sum w g of all fields, sum w g d^T of the last three): transpose of ``scatter``; interpolation of velocities."""
     st, _ = stencils(layout, residuals)
     return _values(st, _moments(st, nodes, VALUE_MOMENTS))
 
 
 def gather_slopes(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """All ``SLOPE_MOMENTS`` of the node fields behind x in residuals: 3 x 4 x 3 arrays."""
+    """All ``SLOPE_MOMENTS`` of the node fields that follow x in residuals: 3 x 4 x 3 arrays."""
     del linear
     st, rest = stencils(layout, residuals)
     moments = _moments(st, rest, sum(SLOPE_MOMENTS, ()))
     return tuple(a for name in sum(SLOPE_MOMENTS, ()) for a in _unstack(st, moments[name]))
 
 
-def spread_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """Derivative of ``spread`` in the direction (dx, dmass, dp, dA) at (x, mass, p, A)."""
+def scatter_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
+    """Derivative of ``scatter`` in the direction (dx, dmass, dp, dA) at (x, mass, p, A)."""
     st, rest = stencils(layout, residuals)
     mass, p, A = rest[0], rest[1:4], as_matrix(rest[4:])
     dx, dmass, dp, dA = as_vector(linear[:3]), linear[3], as_vector(linear[4:7]), as_matrix(linear[7:])
@@ -129,10 +129,10 @@ def spread_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     for axis in cp.AXES:
         factors = [a.s * dx[axis].reshape(-1) if i == axis else a.w for i, a in enumerate(st.axes)]
         terms.append(Term(as_vector(factors), field))
-    return _scatter(layout, st, terms)
+    return _scatter_terms(layout, st, terms)
 
 
-def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
+def scatter_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
     st, rest = stencils(layout, residuals)
     A = as_matrix(rest[4:])
     field = _affine(rest[:4], A)
@@ -145,23 +145,23 @@ def spread_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arra
 def gather_tangent(layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
     """Derivative of interpolation, ``gather_values`` of three fields, in the direction (dx, dg) at (x, g).
 
-    residuals: places, g, and the values sum w g.
+    residuals: locations, g, and the values sum w g.
     """
     return tangent_by_slopes(gather_slopes, gather_values, layout, residuals, linear)
 
 
 def gather_tangent_transpose(layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    return cotangent_by_slopes(gather_slopes, spread, layout, residuals, cotangents)
+    return cotangent_by_slopes(gather_slopes, scatter, layout, residuals, cotangents)
 
 
 # --- Sums over the stencil -------------------------------------------------------------------------------------------
 
 
 def tangent_by_slopes(slopes_of: Rule, values_of: Rule, layout: Layout, residuals: Arrays, linear: Arrays) -> Arrays:
-    """``gather_tangent``, from the passes ``gather_slopes`` and ``gather_values``."""
-    (places, rest), dx, dg = split(layout, residuals), linear[:3], linear[3:]
-    slopes, value = slopes_of(layout, (*places, *rest[:3]), ()), rest[3:]
-    by_nodes = values_of(layout, places, dg)
+    """``gather_tangent``, composed of ``gather_slopes`` and ``gather_values``."""
+    (locations, rest), dx, dg = split(layout, residuals), linear[:3], linear[3:]
+    slopes, value = slopes_of(layout, (*locations, *rest[:3]), ()), rest[3:]
+    by_nodes = values_of(layout, locations, dg)
 
     def along(moment: int, component: int) -> Array:
         """Change of one moment of one component with the motion dx."""
@@ -172,21 +172,23 @@ def tangent_by_slopes(slopes_of: Rule, values_of: Rule, layout: Layout, residual
     return (*dv, *flat(dB))
 
 
-def cotangent_by_slopes(slopes_of: Rule, spread: Rule, layout: Layout, residuals: Arrays, cotangents: Arrays) -> Arrays:
-    """``gather_tangent_transpose``, from the passes ``gather_slopes`` and ``spread``."""
-    (places, rest), v, B = split(layout, residuals), cotangents[:3], as_matrix(cotangents[3:])
-    slopes, value = slopes_of(layout, (*places, *rest[:3]), ()), rest[3:]
+def cotangent_by_slopes(
+    slopes_of: Rule, scatter: Rule, layout: Layout, residuals: Arrays, cotangents: Arrays
+) -> Arrays:
+    """``gather_tangent_transpose``, composed of ``gather_slopes`` and ``scatter``."""
+    (locations, rest), v, B = split(layout, residuals), cotangents[:3], as_matrix(cotangents[3:])
+    slopes, value = slopes_of(layout, (*locations, *rest[:3]), ()), rest[3:]
 
     def work(a: int) -> Array:
         terms = [slopes[12 * a + c] * v[c] for c in cp.AXES]
         terms += [slopes[12 * a + 3 + 3 * b + c] * B[c][b] for b in cp.AXES for c in cp.AXES]
         return sum(terms[1:], terms[0]) - sum(value[c] * B[c][a] for c in cp.AXES)
 
-    return (*cp.vector(work), *spread(layout, places, cotangents))
+    return (*cp.vector(work), *scatter(layout, locations, cotangents))
 
 
 def split(layout: Layout, args: Arrays) -> tuple[Arrays, Arrays]:
-    return args[: layout.num_places], args[layout.num_places :]
+    return args[: layout.num_locations], args[layout.num_locations :]
 
 
 def as_vector(a: Sequence[Array]) -> Vec3:
@@ -202,62 +204,62 @@ def flat(a: Mat3) -> Arrays:
 
 
 def stencils(layout: Layout, residuals: Arrays) -> tuple[Stencils, Arrays]:
-    """Stencils of all particles, and what of the residuals is not about places.
+    """Stencils of all particles, and the residuals that are no locations.
 
-    Batch axes are flattened away; the nodes of the copies of the grid lie one behind the other.
+    Batch axes are flattened: the nodes of all environments form one axis.
     """
     grid = layout.grid
-    places, rest = split(layout, residuals)
-    batch = places[0].shape
-    copy = copy_of_particles(layout, batch)
+    locations, rest = split(layout, residuals)
+    batch = locations[0].shape
+    env = env_of_particles(layout, batch)
     axes, lowest = [], []
     for a in cp.AXES:
-        x = places[a].reshape(-1)
+        x = locations[a].reshape(-1)
         st = quadratic_bspline(x, origin=grid.origin[a], spacing=grid.spacing, num_nodes=grid.shape[a])
-        st, copy = materialize((st, copy)) if a == 0 and math.prod(batch[:-1]) > 1 else (materialize(st), copy)
+        st, env = materialize((st, env)) if a == 0 and math.prod(batch[:-1]) > 1 else (materialize(st), env)
         w, s, d = jnp.stack(st.weights), jnp.stack(st.slopes), jnp.stack(st.offsets)
         axes.append(Axis(w, w * d, s, s * d, d))
         lowest.append(st.base)
-    rows, axes = materialize((lowest_rows(layout, places, lowest, copy), tuple(axes)))
+    rows, axes = materialize((lowest_rows(layout, locations, lowest, env), tuple(axes)))
     return Stencils(rows, axes, batch), rest
 
 
-def copy_of_particles(layout: Layout, batch: tuple[int, ...]) -> Array:
-    """Which copy of the grid each particle belongs to, shape (particles,), int32.
+def env_of_particles(layout: Layout, batch: tuple[int, ...]) -> Array:
+    """Environment of each particle, shape (particles,), int32.
 
-    It is computed in the program: a constant would be as long as all particles.
+    The program computes it: a constant would be as long as all particles.
 
     Raises:
-      ValueError: places among the nodes of all copies do not fit into int32.
+      ValueError: indices of the nodes of all environments do not fit into int32.
     """
-    copies = math.prod(batch[:-1])
-    check_size(layout, copies)
-    return jax.lax.broadcasted_iota(jnp.int32, (copies, batch[-1]), 0).reshape(-1)
+    num_envs = math.prod(batch[:-1])
+    check_size(layout, num_envs)
+    return jax.lax.broadcasted_iota(jnp.int32, (num_envs, batch[-1]), 0).reshape(-1)
 
 
-def lowest_rows(layout: Layout, places: Arrays, lowest: Sequence[Array], copy: Array) -> Array:
+def lowest_rows(layout: Layout, locations: Arrays, lowest: Sequence[Array], env: Array) -> Array:
     """``Stencils.rows`` of particles with these lowest nodes along x, y and z."""
     grid = layout.grid
     columns = lowest[0] * grid.shape[1] + lowest[1] + (_COLUMNS @ np.asarray([[grid.shape[1]], [1]], np.int32))
     if layout.num_active is None:
         rows = columns * grid.shape[2] + lowest[2]
     else:
-        table = places[3].reshape(-1)
-        columns = materialize(columns + copy * grid.num_columns)
+        table = locations[3].reshape(-1)
+        columns = materialize(columns + env * grid.num_columns)
         rows = table.at[columns].get(mode="promise_in_bounds") + lowest[2]
-        rows = jnp.clip(rows, 0, layout.num_nodes - 3)  # a particle that left the active nodes, see Status
-    return rows + copy * layout.num_nodes
+        rows = jnp.clip(rows, 0, layout.num_nodes - 3)  # particles that left the active nodes: Status.INACTIVE_NODES
+    return rows + env * layout.num_nodes
 
 
-def check_size(layout: Layout, copies: int) -> None:
-    """Raises ValueError if places among the numbers of all nodes do not fit into int32."""
-    largest = copies * max(_MAX_FIELDS * layout.num_nodes, layout.grid.num_columns)
+def check_size(layout: Layout, num_envs: int) -> None:
+    """Raises ValueError if flat indices of the nodes' values do not fit into int32."""
+    largest = num_envs * max(_MAX_FIELDS * layout.num_nodes, layout.grid.num_columns)
     if largest > np.iinfo(np.int32).max:
-        most = np.iinfo(np.int32).max // (largest // copies)
+        most = np.iinfo(np.int32).max // (largest // num_envs)
         raise ValueError(
-            f"{copies} environments of {layout.num_nodes} nodes are stepped at once, but places among them are counted "
-            f"in int32, which holds {most} environments of that size: step fewer at once, with jax.lax.map over groups "
-            "of them, or give the scene max_active_nodes"
+            f"{num_envs} environments of {layout.num_nodes} nodes are stepped at once, but int32 indices hold "
+            f"{most} environments of that size: step fewer at once, with jax.lax.map over groups of them, or give the "
+            "scene max_active_nodes"
         )
 
 
@@ -266,14 +268,14 @@ def _weights(st: Stencils) -> tuple[Array, Array, Array]:
 
 
 def _affine(value: Sequence[Array], matrix: Mat3) -> Affine:
-    """Stack three or four fields; the last three have the matrix's rows as slopes, a mass before them has none."""
+    """Stack three or four fields. The last three have the matrix's rows as slopes; a mass has slope zero."""
     extra = [jnp.zeros_like(matrix[0][0])] * (len(value) - 3)
     slopes = [_stack([*extra, *(row[a] for row in matrix)]) for a in cp.AXES]
     return Affine(_stack(value), (slopes[0], slopes[1], slopes[2]))
 
 
 def _stack(arrays: Sequence[Array]) -> Array:
-    """Shape (len(arrays), particles). The barrier keeps XLA from recomputing the stack in every one of its users."""
+    """Shape (len(arrays), particles). The barrier keeps XLA from recomputing the stack in every user."""
     return materialize(jnp.stack(materialize([a.reshape(-1) for a in arrays])))
 
 
@@ -281,8 +283,8 @@ def _unstack(st: Stencils, a: Array) -> Arrays:
     return tuple(a[c].reshape(st.batch) for c in range(a.shape[0]))
 
 
-def _scatter(layout: Layout, st: Stencils, terms: list[Term]) -> Arrays:
-    """Sum the terms onto the 27 nodes around each particle, as 9 rows of 3 nodes along z."""
+def _scatter_terms(layout: Layout, st: Stencils, terms: list[Term]) -> Arrays:
+    """Scatter-add the terms to the 27 nodes around each particle, as 9 rows of 3 nodes along z."""
     count, num = terms[0].field.value.shape
     d = [axis.offset for axis in st.axes]
     sums = []
@@ -295,14 +297,14 @@ def _scatter(layout: Layout, st: Stencils, terms: list[Term]) -> Arrays:
     rows = materialize(updates.reshape(9, 3 * count, num))
     rows = materialize(rows.transpose(0, 2, 1)).reshape(9 * num, 3 * count)
     start = materialize(st.rows * count).reshape(-1, 1)
-    nodes = jnp.zeros((st.copies * layout.num_nodes * count,), rows.dtype)
+    nodes = jnp.zeros((st.num_envs * layout.num_nodes * count,), rows.dtype)
     nodes = jax.lax.scatter_add(nodes, start, rows, _SCATTER_ROWS, mode=_IN_BOUNDS)
     fields = materialize(nodes.reshape(-1, count)).T.reshape(count, *st.batch[:-1], -1)
     return tuple(fields[c] for c in range(count))
 
 
 def _moments(st: Stencils, fields: Arrays, names: tuple[str, ...]) -> dict[str, Array]:
-    """Sums over the stencil of factor along x * factor along y * factor along z * g, each (num_fields, particles)."""
+    """Sums over the stencil of g times one factor per axis, each (num_fields, particles)."""
     count, num = len(fields), st.rows.shape[1]
     nodes = materialize(jnp.stack(materialize([f.reshape(-1) for f in fields]), axis=-1)).reshape(-1)
     start = materialize(st.rows * count).reshape(-1, 1)

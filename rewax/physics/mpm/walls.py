@@ -1,4 +1,4 @@
-"""The sides of the box, as conditions on grid velocities."""
+"""The sides of the box as conditions on the velocities of grid nodes."""
 
 import enum
 import math
@@ -13,22 +13,23 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import friction_factor
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, check_enum, numbers_of, static_number
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, numbers_of
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import check_fields, instance, items, member, optional, static
 from rewax.types import Array, Scalar
 
 
 class WallKind(enum.Enum):
-    """What a wall does to the velocity of the nodes behind it."""
+    """Effect of a wall on the velocity of the nodes behind it."""
 
     STICKY = "sticky"
     """Velocity is zero."""
     SLIP = "slip"
     """The component along the normal is zero, in both directions."""
     SEPARATING = "separating"
-    """Only motion into the wall is stopped, with Coulomb friction; nodes may leave freely."""
+    """Motion into the wall is stopped, with Coulomb friction; nodes may leave."""
     GRIPPING = "gripping"
-    """Nodes that move into the wall stop altogether, others may leave: separating with unlimited friction."""
+    """Nodes that move into the wall stop completely; nodes may leave. Separating with unlimited friction."""
 
 
 @struct.dataclass
@@ -37,18 +38,25 @@ class Wall:
 
     Attributes:
       position: coordinate of the wall along its axis [m], between the grid's first and last node (static).
-      kind: what it does (static).
-      friction: Coulomb coefficient of a ``SEPARATING`` wall [-], >= 0; None: no friction, which costs nothing.
+      kind: its effect (static).
+      friction: Coulomb coefficient of a ``SEPARATING`` wall [-], >= 0; None: no friction, whose branch is not traced.
     """
 
     position: float = struct.static_field()
     kind: WallKind = struct.static_field(default=WallKind.SEPARATING)
-    friction: Scalar | None = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient, None for none", default=None)
+    friction: Scalar | None = struct.number(
+        NOT_NEGATIVE, "give a Coulomb coefficient, None for none", shape=(), default=None
+    )
 
     def __post_init__(self) -> None:
-        check_enum("Wall.kind", self.kind, WallKind)
-        position = static_number("Wall.position", self.position, FINITE, "give the wall's coordinate in metres")
-        object.__setattr__(self, "position", position)
+        check_fields(_WALL, vars(self), "Wall.")
+        object.__setattr__(self, "position", float(self.position))
+
+
+_WALL = {
+    "position": static(FINITE, "give the wall's coordinate in metres"),
+    "kind": member(WallKind),
+}
 
 
 @struct.dataclass
@@ -58,9 +66,19 @@ class Walls:
     lower: tuple[Wall | None, Wall | None, Wall | None]
     upper: tuple[Wall | None, Wall | None, Wall | None]
 
+    def __post_init__(self) -> None:
+        check_fields(dict.fromkeys(("lower", "upper"), _SIDE), vars(self), "Walls.")
+
+
+_SIDE = items(
+    optional(instance(Wall, "give a Wall(position=...), or None for an open side")),
+    "give three walls along x, y and z, None for an open side",
+    length=3,
+)
+
 
 def wall_numbers(walls: Walls) -> list[Number]:
-    """The numbers of all walls, and what they may be."""
+    """The numbers of all walls, with their legal values."""
     numbers = []
     for side in ("lower", "upper"):
         for axis, wall in enumerate(getattr(walls, side)):
@@ -70,7 +88,7 @@ def wall_numbers(walls: Walls) -> list[Number]:
 
 
 def check_walls(walls: Walls, grid: Grid) -> None:
-    """Raises ValueError for walls that no node of the grid can meet, and for friction where no wall uses it."""
+    """Raises ValueError for walls with all or no nodes behind them, and for friction that the kind does not use."""
     for side, inward in (("lower", 1.0), ("upper", -1.0)):
         for axis, wall in enumerate(getattr(walls, side)):
             if wall is None:
@@ -115,7 +133,7 @@ def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], vel
     return _after_walls(walls, behind, velocity)
 
 
-@recomputed  # a few operations on each number: XLA, which computes them with their neighbours, is faster than C++
+@recomputed  # a few elementwise operations: XLA fuses them with their neighbours, which is faster than C++
 def _after_walls(walls: Walls, behind: list[Array], velocity: Vec3) -> Vec3:
     rest = iter(behind)
     for axis in cp.AXES:
@@ -126,7 +144,7 @@ def _after_walls(walls: Walls, behind: list[Array], velocity: Vec3) -> Vec3:
 
 
 def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Any) -> Any:
-    """Which of the nodes with the given indices along an axis lie strictly beyond the wall."""
+    """Mask of the nodes, given by their index along an axis, that lie strictly beyond the wall."""
     cells = (wall.position - grid.origin[axis]) / grid.spacing
     if inward > 0:
         return index < math.ceil(cells - 1e-6)

@@ -1,7 +1,7 @@
 """Checks of numbers that a user gives.
 
-A ``Number`` says once what a field may hold. ``check_numbers`` raises where a value is known and illegal, when a scene
-is built. ``any_illegal`` answers inside compiled programs, where values are traced, and costs a few comparisons.
+A ``Number`` states the legal values of a field. ``check_numbers`` raises an error for illegal concrete values, when a
+scene is built. ``any_illegal`` tests traced values inside compiled programs and costs a few comparisons.
 """
 
 import dataclasses
@@ -41,12 +41,12 @@ class Legal(NamedTuple):
 
 
 _SMALL = 1024
-"""Arrays of at most so many numbers are compared together."""
+"""Arrays up to this size are concatenated before they are compared."""
 POSITIVE = Legal(low=0.0)
 NOT_NEGATIVE = Legal(low=0.0, closed=True)
 FINITE = Legal()
 GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
-"""What messages advise about gravity."""
+"""The remedy in messages about gravity."""
 
 
 class Number(NamedTuple):
@@ -56,18 +56,18 @@ class Number(NamedTuple):
     value: Any
     legal: Legal
     remedy: str
-    shape: tuple[int, ...] | None = None
-    """The shape that the value must have; None: any."""
+    shape: tuple[int | str, ...] | None = None
+    """The shape that the value must have, with a name for each axis of any length; None: any shape."""
 
 
 def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
-    """The fields of an object that ``struct.number`` made, and what they may be.
+    """The fields of an object that ``struct.number`` declares, with their legal values.
 
-    Fields that are None by default stay out where they are.
+    A field that is None is left out if None is its default.
 
     Args:
       tree: an object of a ``struct.dataclass``.
-      prefix: what messages write before the names of its fields.
+      prefix: text before the field names in messages.
     """
     found = []
     for field in dataclasses.fields(tree):
@@ -80,26 +80,27 @@ def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
 
 
 def check_numbers(numbers: Iterable[Number]) -> None:
-    """Raises ValueError for the first number that is known and illegal. The message names field, value and remedy.
+    """Raises ValueError for the first illegal number. The message names field, value and remedy.
 
-    The values of traced numbers are not known: they pass. Their shapes are.
+    Of traced numbers only the shape is checked.
     """
     for number in numbers:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(number.value)):
             array = jnp.asarray(number.value)
         else:
-            array = _as_array(number)
+            array = _real_array(number)
             holds = number.legal.holds(array)
             if not np.all(holds):
                 raise ValueError(_sentence(number, array, ~holds))
-        if number.shape is not None and array.shape != number.shape:
-            raise ValueError(f"{number.name} has shape {array.shape}: give an array of shape {number.shape}")
+        if number.shape is not None and not fits(array.shape, number.shape):
+            form = f"an array of shape ({_listed(number.shape)})" if number.shape else "one number"
+            raise ValueError(f"{number.name} has shape {array.shape}: give {form}")
 
 
 def any_illegal(numbers: Iterable[Number]) -> Array:
-    """Whether one of the numbers is illegal, shape (), bool. Numbers that are None do not count. Gradient: none.
+    """Whether any of the numbers is illegal, shape (), bool. Numbers that are None are skipped. Gradient: none.
 
-    Known values are compared while tracing and are no part of the program.
+    Concrete values are compared while tracing and add nothing to the program.
     """
     illegal: list[Any] = [jnp.bool_(False)]
     small: dict[tuple[Legal, Any], list[Array]] = {}
@@ -113,7 +114,7 @@ def any_illegal(numbers: Iterable[Number]) -> Array:
             small.setdefault((legal, value.dtype), []).append(value.reshape(-1))
         else:
             illegal.append(~jnp.all(legal.holds(value)))
-    # One reduction for all small arrays of a kind: each costs as much as a thousand comparisons.
+    # One reduction per kind: a reduction costs as much as a thousand comparisons.
     illegal += [~jnp.all(legal.holds(jnp.concatenate(parts))) for (legal, _), parts in small.items()]
     return functools.reduce(jnp.logical_or, illegal)
 
@@ -124,7 +125,7 @@ def check_number(name: str, value: Any, legal: Legal, remedy: str) -> None:
 
 
 def static_number(name: str, value: Any, legal: Legal, remedy: str) -> float:
-    """A number that is part of a program's structure, checked, as a Python float."""
+    """A number that is part of the program, checked, as a Python float."""
     if isinstance(value, Tracer):
         raise ValueError(f"{name} is traced, but is part of the compiled program: give a number known before jit")
     check_number(name, value, legal, remedy)
@@ -133,35 +134,59 @@ def static_number(name: str, value: Any, legal: Legal, remedy: str) -> float:
     return float(value)
 
 
-def whole_number(name: str, value: Any, least: int, remedy: str) -> int:
-    """A count, checked, as a Python int."""
+def static_integer(name: str, value: Any, least: int, remedy: str) -> int:
+    """An integer, checked, as a Python int. Booleans are no integers."""
+    number = 0
     try:
-        whole = int(value)
-        legal = whole == value and whole >= least
+        number = int(value)
+        legal = number == value and least <= number < 2**31 and not isinstance(value, (bool, np.bool_))
     except (TypeError, ValueError, OverflowError):
         legal = False
     if not legal:
-        raise ValueError(f"{name} is {value!r}: {remedy}")
-    return whole
+        raise ValueError(f"{name} is {shown(value)}: {remedy}")
+    return number
 
 
 def check_enum(name: str, value: Any, kind: type[enum.Enum]) -> None:
     """Raises ValueError unless the value is a member of the enum. The message lists the members."""
     if not isinstance(value, kind):
         members = ", ".join(str(member) for member in kind)
-        raise ValueError(f"{name} is {value!r}: give one of {members}")
+        raise ValueError(f"{name} is {shown(value)}: give one of {members}")
 
 
-def _as_array(number: Number) -> np.ndarray:
+def shown(value: Any) -> str:
+    """A value in a message, on one line of at most 100 characters."""
+    if isinstance(value, (np.ndarray, jax.Array)) and value.ndim and value.size > 4:
+        return f"an array of {value.dtype} of shape {value.shape}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 100 else f"{text[:97]}..."
+
+
+def _real_array(number: Number) -> np.ndarray:
     if number.value is None:
         raise ValueError(f"{number.name} is None, but must be {number.legal}: {number.remedy}")
-    try:
-        array = np.asarray(number.value)
-    except (TypeError, ValueError):
-        array = np.asarray(None)
-    if not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool) or np.iscomplexobj(array):
-        raise ValueError(f"{number.name} is {number.value!r}, which is no real number: {number.remedy}")
+    is_empty = isinstance(number.value, (tuple, list)) and len(number.value) == 0
+    array = as_array(None if is_empty else number.value)
+    if not jnp.issubdtype(array.dtype, jnp.number) or np.iscomplexobj(array):
+        raise ValueError(f"{number.name} is {shown(number.value)}, which is no real number: {number.remedy}")
     return array
+
+
+def as_array(value: Any) -> np.ndarray:
+    """The value as a NumPy array; an array of None if it is none."""
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):
+        return np.asarray(None)
+
+
+def fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    """Whether an array has the wanted shape; a named axis has any length."""
+    return len(shape) == len(wanted) and all(isinstance(w, str) or n == w for n, w in zip(shape, wanted, strict=True))
+
+
+def _listed(shape: tuple[int | str, ...]) -> str:
+    return ", ".join(map(str, shape)) + "," * (len(shape) == 1)
 
 
 def _sentence(number: Number, array: np.ndarray, bad: np.ndarray) -> str:

@@ -1,9 +1,9 @@
 """Vectors and 3x3 matrices as tuples of components, one array per component.
 
-XLA on a CPU fuses elementwise arithmetic on separate arrays into single loops, but handles reductions over an axis
-of length three, slices out of stacked matrices and the transposes of such slices poorly (10x and more in a
-substep). So the inner loops of rewax carry ``Vec3 = (x, y, z)`` and ``Mat3 = ((a00, a01, a02), ...)`` and meet the
-users' ``(..., 3)`` and ``(..., 3, 3)`` arrays only at their border, through ``split_*`` and ``join_*``.
+XLA on a CPU fuses elementwise arithmetic on separate arrays into single loops. Reductions over an axis of length three
+and slices of stacked matrices are slow: 10x and more in a substep. So the inner loops of rewax carry
+``Vec3 = (x, y, z)`` and ``Mat3 = ((a00, a01, a02), ...)``. ``split_*`` and ``join_*`` convert from and to the users'
+``(..., 3)`` and ``(..., 3, 3)`` arrays.
 
 All functions broadcast over the components' shape. Gradient: exact, except where a docstring says otherwise.
 """

@@ -1,15 +1,16 @@
 """Functions of eigenvalues together with their divided differences, without cancellation.
 
 The derivative of an isotropic tensor function needs (f_i - f_j) / (lambda_i - lambda_j) for each pair of eigenvalues
-(``linalg3.spectral``). Computed so, it loses digits as eigenvalues meet: in float32 all of them at a gap of 1e-7, where
-dough at rest has it. A limit for small gaps is no way out, for a return map's slope varies over strains as small as its
-yield strain. So the difference goes through the function like a derivative does: each operation here takes and returns
-both, by a chain rule that is exact for any gap. f[a, b] is the divided difference of f at a and b:
+(``linalg3.spectral``). This quotient loses digits as eigenvalues meet: in float32 it loses all of them at a gap of
+1e-7, the gap of dough at rest. The limit for small gaps does not help: a return map's slope varies over strains as
+small as its yield strain. So divided differences are propagated through the function like derivatives: each operation
+here takes and returns values and divided differences, by a chain rule that is exact for any gap. With f[a, b] the
+divided difference of f at a and b:
 (f o g)[a, b] = f[g(a), g(b)] g[a, b], and (f g)[a, b] = (f(a) + f(b)) / 2 g[a, b] + f[a, b] (g(a) + g(b)) / 2.
 
-What depends on all eigenvalues (a trace, a norm, whether a particle flows) is a number here, the same on all axes.
+A quantity that depends on all eigenvalues (a trace, a norm, a yield condition) is one array, the same on all axes.
 
-Gradient: exact for values. Divided differences are made for derivatives and have none of their own.
+Gradient: exact for values. Divided differences serve derivatives and have no derivative of their own.
 """
 
 import dataclasses
@@ -28,11 +29,11 @@ PAIRS = ((1, 2), (0, 2), (0, 1))
 
 @dataclasses.dataclass(frozen=True)
 class Principal:
-    """A number for each eigenvalue, the same function of each; ``+ - * /`` and ``-`` work on each, and by numbers."""
+    """The same function of each eigenvalue. ``+ - * /`` and unary ``-`` act elementwise, also with a scalar."""
 
     values: Vec3
     differences: Vec3 | None = None
-    """Divided differences by eigenvalues: k belongs to the two axes other than k (``PAIRS``). None: not wanted."""
+    """Divided differences by eigenvalues: entry k belongs to the axes other than k (``PAIRS``). None: not computed."""
 
     def __add__(self, other: "Principal | Scalar") -> "Principal":
         return add(self, other) if isinstance(other, Principal) else shift(self, other)
@@ -56,7 +57,7 @@ class Principal:
         return scale(-1.0, self)
 
     __radd__, __rmul__ = __add__, __mul__
-    __array_ufunc__ = None  # NumPy's numbers leave operators to this class
+    __array_ufunc__ = None  # NumPy scalars then defer operators to this class
 
     @property
     def sum(self) -> Array:
@@ -71,7 +72,7 @@ jax.tree_util.register_dataclass(Principal, data_fields=["values", "differences"
 
 
 def eigenvalues(values: Vec3) -> Principal:
-    """Eigenvalues themselves, with their divided differences."""
+    """The identity: eigenvalues with divided differences of one."""
     return Principal(values, cp.vector(lambda k: jnp.ones_like(values[k])))
 
 
@@ -82,7 +83,7 @@ def uniform(a: Array, like: Principal) -> Principal:
 
 
 def chain(p: Principal, values: Vec3, difference: Callable[[int, int], Array]) -> Principal:
-    """f of p: f's values at p's, and its divided difference at p's values on axes i and j."""
+    """f(p), from the values of f and from ``difference(i, j)``, f's divided difference at p's axes i and j."""
     if p.differences is None:
         return Principal(values)
     inner = p.differences
@@ -113,7 +114,7 @@ def multiply(p: Principal, q: Principal) -> Principal:
     def difference(i: int, j: int, k: int) -> Array:
         return 0.5 * ((a[i] + a[j]) * db[k] + (b[i] + b[j]) * da[k])
 
-    return Principal(values, cp.vector(lambda k: difference(*PAIRS[k], k)))
+    return Principal(values, cp.vector(lambda k: difference(*PAIRS[k], k)))  # pyright: ignore[reportCallIssue]
 
 
 def reciprocal(p: Principal) -> Principal:
@@ -172,7 +173,7 @@ def expm1(p: Principal) -> Principal:
 
 @jax.custom_jvp
 def exp_minus_one(x: Array) -> Array:
-    """exp(x) - 1 to a few roundings, for small x a series: vectorised C++ has an exponential and no ``expm1``.
+    """exp(x) - 1 up to a few rounding errors; small x use a series. The vectorised C++ has ``exp`` but no ``expm1``.
 
     Gradient: exact.
     """
@@ -189,7 +190,7 @@ def _exp_minus_one_jvp(primals, tangents):
 
 
 def _log_rise(x: Vec3, log_x: Vec3, i: int, j: int) -> tuple[Array, Array]:
-    """log x_i - log x_j and x_i - x_j, for x_i near x_j both divided by z / 2.
+    """log x_i - log x_j and x_i - x_j. For x_i near x_j both are divided by z / 2.
 
     Source: log(x_i / x_j) = 2 artanh z with z = (x_i - x_j) / (x_i + x_j), whose series is in z^2.
     """
@@ -205,18 +206,18 @@ def _log_rise(x: Vec3, log_x: Vec3, i: int, j: int) -> tuple[Array, Array]:
 
 
 def _of_precision(x: Array, single: int, double: int) -> int:
-    """The last term of a series that the precision of x shows."""
+    """Number of series terms that the precision of x resolves."""
     return single if jnp.finfo(x.dtype).bits <= 32 else double
 
 
 def _slope(x: Vec3, y: Vec3, i: int, j: int) -> Array:
-    """(y_i - y_j) / (x_i - x_j) of clipped numbers: 1 for equal ones that are not clipped."""
+    """(y_i - y_j) / (x_i - x_j) for y = clip(x). For equal x: 1 if unclipped, else 0."""
     equal = x[i] == x[j]
     kept = jnp.where(x[i] == y[i], 1.0, 0.0)
     return jnp.where(equal, kept, (y[i] - y[j]) * inverse_gap(x, i, j))
 
 
 def inverse_gap(x: Vec3, i: int, j: int) -> Array:
-    """1 / (x_i - x_j); 1 for equal ones. Of one expression, that those who need the same gap share it."""
+    """1 / (x_i - x_j); 1 for equal values. One shared expression, so that XLA computes it once."""
     gap = x[i] - x[j]
     return 1.0 / jnp.where(gap == 0.0, 1.0, gap)

@@ -1,10 +1,10 @@
-"""Spectral functions, polar decomposition and SVD of 3x3 matrices, without LAPACK, with finite derivatives.
+"""Spectral functions, polar decomposition and singular value decomposition (SVD) of 3x3 matrices.
 
-LAPACK costs about 1.3 microseconds per matrix, a vectorised Jacobi iteration about twenty times less, and an SVD's
-own derivative is 0/0 at repeated singular values, which is where every particle starts (F = I). Isotropic functions
-of a symmetric matrix do not have that problem: with b = U diag(lambda) U^T the derivative of U diag(f(lambda)) U^T is
-U (K o (U^T db U)) U^T with the divided differences K_ij = (f_i - f_j) / (lambda_i - lambda_j), which tend to a
-derivative where eigenvalues meet (Daleckii and Krein). ``divided_differences`` computes them for any gap.
+LAPACK costs about 1.3 microseconds per matrix, the vectorised Jacobi iteration here about twenty times less. The
+derivative of an SVD is 0/0 at repeated singular values, and every particle starts there (F = I). Isotropic functions
+of a symmetric matrix have finite derivatives: with b = U diag(lambda) U^T the derivative of U diag(f(lambda)) U^T is
+U (K o (U^T db U)) U^T with the divided differences K_ij = (f_i - f_j) / (lambda_i - lambda_j). Where eigenvalues meet,
+K tends to a derivative (Daleckii and Krein). ``divided_differences`` computes K for any gap.
 """
 
 import functools
@@ -24,10 +24,10 @@ from rewax.physics.numerics.divided_differences import Principal
 from rewax.types import Array
 
 SpectralFunction = Callable[[Principal, Any], tuple[Principal | Array, ...]]
-"""``(eigenvalues, parameters) -> principal values of each result``, made of operations of ``divided_differences``.
+"""``(eigenvalues, parameters) -> results``, composed of operations of ``divided_differences``.
 
-A result may also be one number, the same on all axes. The function is equivariant under permutations of the axes, and
-gives divided differences if the eigenvalues have them.
+A result is a ``Principal``, or one array if it is the same on all axes. The function must be equivariant under
+permutations of the axes. It returns divided differences if the eigenvalues have them.
 """
 
 _ROTATIONS = ((0, 1), (0, 2), (1, 2))
@@ -40,7 +40,7 @@ def _num_sweeps(dtype) -> int:
 def eigh_components(a: Mat3) -> tuple[Vec3, Mat3]:
     """Eigenvalues (unordered) and eigenvectors (columns) of symmetric matrices given by components.
 
-    Cyclic Jacobi rotations, four sweeps in float32 and five in float64, enough for rounding accuracy.
+    Cyclic Jacobi rotations: four sweeps in float32 and five in float64 reach rounding accuracy.
     Gradient: cut (use ``spectral`` for functions of the eigenvalues).
     Source: Golub and Van Loan, Matrix Computations, 8.5.
     """
@@ -61,8 +61,8 @@ def _sweeps(static: None, residuals: Arrays, linear: Arrays, *, unroll: bool) ->
     return (s[0][0], s[1][1], s[2][2], *u[0], *u[1], *u[2])
 
 
-# On a CPU a loop: it compiles faster, and XLA cannot recompute one sweep inside the next. On a GPU each turn of a loop
-# would be kernels and copies of its own; unrolled, all sweeps are one kernel.
+# On a CPU a loop compiles faster, and XLA cannot recompute one sweep inside the next. On a GPU each iteration of a loop
+# would launch its own kernels and copies; unrolled sweeps are one kernel.
 _SWEEPS = ByPlatform(cpu=functools.partial(_sweeps, unroll=False), other=functools.partial(_sweeps, unroll=True))
 
 
@@ -74,7 +74,7 @@ def _sweep(a: Mat3, eigenvectors: Mat3) -> tuple[Mat3, Mat3]:
         r = 3 - p - q
         difference = s[q][q] - s[p][p]
         twice = 2.0 * s[p][q]
-        # The maximum is for squares that underflow: without it t explodes and mixes equal eigenvalues.
+        # Squares can underflow: without the maximum t explodes and mixes equal eigenvalues.
         root = jnp.maximum(jnp.sqrt(difference * difference + twice * twice), jnp.abs(twice))
         t = twice * jnp.where(difference >= 0, 1.0, -1.0) / (jnp.abs(difference) + root + tiny)
         cosine = jax.lax.rsqrt(1.0 + t * t)
@@ -96,7 +96,7 @@ def _recompose(u: Mat3, principal: Vec3) -> Mat3:
 
 
 def _symmetric_product(a: Mat3, b: Mat3) -> Mat3:
-    """a b, which is known to be symmetric."""
+    """The product a b, known to be symmetric."""
     upper = {(i, j): sum(a[i][k] * b[k][j] for k in AXES) for i in AXES for j in AXES if i <= j}
     return cp.matrix(lambda i, j: upper[min(i, j), max(i, j)])
 
@@ -106,17 +106,17 @@ def spectral(function: SpectralFunction, b: Mat3, parameters: Any) -> tuple[Any,
     """Isotropic tensor functions U diag(f(lambda)) U^T of symmetric matrices b = U diag(lambda) U^T.
 
     Args:
-      function: ``(eigenvalues, parameters) -> (f, g, ...)``, each a ``Principal`` or an array, one number. f_i may
-        depend on all eigenvalues, but permuting them must permute f the same way, and change no number.
+      function: ``(eigenvalues, parameters) -> (f, g, ...)``, each a ``Principal`` or one array. f_i may depend on all
+        eigenvalues. Permuting the eigenvalues must permute a ``Principal`` the same way and leave an array unchanged.
       b: symmetric matrices by components of any shape.
       parameters: pytree of arrays that broadcast against the components.
 
     Returns:
-      One symmetric matrix, by components, for each ``Principal``; numbers as they are.
+      One symmetric matrix, by components, for each ``Principal``; arrays unchanged.
 
     Gradient: exact with respect to b and parameters, forward and reverse, finite at repeated eigenvalues.
     Source: Daleckii and Krein 1965; Miehe 1998, "Comparison of two algorithms for the computation of fourth-order
-      isotropic tensor functions"; close eigenvalues have no limit of their own: differences obey a chain rule.
+      isotropic tensor functions". Deviation: close eigenvalues use the chain rule of divided differences, no limit.
     """
     eigenvalues, u = eigh_components(b)
     found = function(Principal(eigenvalues), parameters)
@@ -166,7 +166,7 @@ def _spectral_jvp(function: SpectralFunction, primals, tangents):
             continue
 
         def entry(i: int, j: int, differences=f.differences, n=n) -> Array:
-            return differences[3 - i - j] * rotated[i][j] if i != j else slope(n, i)
+            return differences[3 - i - j] * rotated[i][j] if i != j else slope(n, i)  # pyright: ignore[reportOptionalSubscript]
 
         half = materialize(cp.matmul(materialize(cp.matrix(entry)), cp.transpose(u)))
         out.append(_recompose(u, f.values))
@@ -180,8 +180,8 @@ spectral.defjvp(_spectral_jvp, symbolic_zeros=True)
 def polar_components(f: Mat3) -> Mat3:
     """Rotation R of the polar decomposition F = V R, by components: b^(-1/2) F with b = F F^T.
 
-    Singular values below 1e-6 of the largest are treated as that, so the result stays finite (but is no rotation)
-    for flattened matrices; for inverted ones (det F < 0) R is the orthogonal factor with determinant -1.
+    Singular values below 1e-6 of the largest count as 1e-6 of it, so the result stays finite for flattened matrices,
+    where it is no rotation. For inverted ones (det F < 0) R is the orthogonal factor with determinant -1.
     Gradient: exact for regular F, finite everywhere.
     """
 
@@ -206,8 +206,8 @@ def eigh(a: Array) -> tuple[Array, Array]:
     Returns:
       Eigenvalues of shape (..., 3) and eigenvectors as columns of shape (..., 3, 3).
 
-    Gradient: exact, except that it is cut for the part of the eigenvectors that turns within (nearly) repeated
-      eigenvalues, where it does not exist; always finite.
+    Gradient: exact and always finite. The eigenvectors' rotation within (nearly) repeated eigenvalues has no
+      derivative: that part is cut.
     """
     return _eigh(a)
 
@@ -240,9 +240,9 @@ def svd(a: Array) -> tuple[Array, Array, Array]:
       U (..., 3, 3), S (..., 3) descending in magnitude, V^T (..., 3, 3). det U = det V = 1, so the smallest singular
       value carries the sign of det A (inverted elements).
 
-    Gradient: exact for S; for U and V exact where singular values are distinct, with the part that turns within
-      (nearly) repeated ones cut, because it does not exist; always finite. Laws that need only b = F F^T should use
-      ``spectral``, which has no such exception.
+    Gradient: exact for S and always finite. U and V are exact where singular values are distinct; their rotation within
+      (nearly) repeated ones has no derivative, and that part is cut. Laws that need only b = F F^T should use
+      ``spectral``, which is exact everywhere.
     Source: Papadopoulo and Lourakis 2000, "Estimating the Jacobian of the SVD".
     """
     u, s, v = _svd(a)
@@ -293,7 +293,7 @@ def _guarded_inverse(gap: Array, values: Array) -> Array:
 
 
 def _unit(a: Array, fallback: Array, relative_to: Array | None = None) -> tuple[Array, Array]:
-    """a / |a| and |a|; the fallback where a is zero, or lost in rounding relative to a length."""
+    """a / |a| and |a|. Where |a| is zero, or rounding error relative to a length, the direction is the fallback."""
     length = jnp.sqrt(jnp.sum(a * a, -1, keepdims=True))
     reference = 0.0 if relative_to is None else relative_to
     lost = length <= jnp.finfo(a.dtype).eps * reference + jnp.finfo(a.dtype).tiny

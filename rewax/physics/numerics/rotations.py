@@ -9,7 +9,7 @@ from rewax.types import Array, Scalar
 def normalized(a: Array) -> Array:
     """Vectors of length 1, (..., n) -> (..., n). Gradient: exact; not finite for a vector of zeros.
 
-    The sum is written out: each user of a reduction and a quotient would get a kernel of its own on a GPU.
+    The sum is written out: a reduction would be a separate kernel on a GPU.
     """
     square = sum(a[..., i] * a[..., i] for i in range(a.shape[-1]))
     return a / jnp.sqrt(square)[..., None]
@@ -30,7 +30,7 @@ def matrix_to_quaternion(matrix: Array) -> Array:
     """One of the two unit quaternions of a rotation matrix, (..., 3, 3) -> (..., 4). Gradient: exact."""
     xx, yy, zz = (matrix[..., i, i] for i in range(3))
     (zy, yz), (xz, zx), (yx, xy) = ((matrix[..., i, j], matrix[..., j, i]) for i, j in ((2, 1), (0, 2), (1, 0)))
-    # Each row is the quaternion times four of its numbers; that with the largest of them is divided by its length.
+    # Row i is the quaternion times 4 q_i. The row with the largest diagonal entry is normalised.
     rows = (
         (1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
         (zy - yz, 1.0 + xx - yy - zz, xy + yx, xz + zx),
@@ -51,9 +51,9 @@ def quaternion_product(a: Array, b: Array) -> Array:
 
 
 def rotation_vector(q: Array) -> Array:
-    """Axis times angle, the latter within [-pi, pi], of a unit quaternion, (..., 4) -> (..., 3).
+    """Axis times angle of a unit quaternion, with an angle in [-pi, pi], (..., 4) -> (..., 3).
 
-    Gradient: exact, also at no turn at all.
+    Gradient: exact, also at the identity.
     """
     w, v = q[..., :1], q[..., 1:]
     square = jnp.sum(v * v, axis=-1, keepdims=True)
@@ -71,7 +71,7 @@ def turn_quaternion(q: Array, angular_velocity: Array, dt: Scalar) -> Array:
     Args:
       q: unit quaternion, shape (..., 4).
       angular_velocity: in the world's frame [rad/s], shape (..., 3).
-      dt: duration [s]; the angle turned is right to third order in |angular_velocity| dt.
+      dt: duration [s]; the angle is accurate to third order in |angular_velocity| dt.
 
     Returns:
       Unit quaternion, shape (..., 4): q + dt/2 (0, angular_velocity) q, normalised.
@@ -84,7 +84,7 @@ def turn_quaternion(q: Array, angular_velocity: Array, dt: Scalar) -> Array:
 
 
 def skew(a: Array) -> Array:
-    """The matrix that takes b to the cross product of a and b, (..., 3) -> (..., 3, 3)."""
+    """The matrix S with S b = a x b, (..., 3) -> (..., 3, 3)."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     zero = jnp.zeros_like(x)
     rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))

@@ -1,9 +1,11 @@
-"""Loops over the substeps of a control step, and what their backward pass stores."""
+"""Loops over the substeps of a control step, with a choice of what the backward pass stores."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
+
+from rewax.physics.numerics.checks import static_integer
 
 T = TypeVar("T")
 
@@ -13,18 +15,16 @@ def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_e
 
     Args:
       body: one substep, ``recomputed`` unless ``store_every`` is None.
-      carry: what one substep passes to the next.
-      intervals: pytree of arrays with a first axis of num_substeps: what is known of each beforehand.
-      store_every: what the backward pass keeps: the carry every so many substeps, a number that divides theirs; None:
-        everything.
+      carry: state that a substep hands to the next.
+      intervals: pytree of arrays with a first axis of num_substeps: inputs of each substep.
+      store_every: the backward pass stores the carry every ``store_every`` substeps, a divisor of num_substeps; None:
+        it stores everything.
 
     Gradient: exact.
     """
     num_substeps = jax.tree.leaves(intervals)[0].shape[0]
-    if store_every is not None and (store_every < 1 or num_substeps % store_every):
-        raise ValueError(
-            f"store_every is {store_every} with {num_substeps} substeps: give a number that divides them, or None"
-        )
+    if store_every is not None:
+        check_store_every(store_every, num_substeps)
 
     def chunk(carry: T, intervals: Any) -> tuple[T, None]:
         return jax.lax.scan(lambda c, interval: (body(c, interval), None), carry, intervals)
@@ -35,6 +35,13 @@ def scan_substeps(body: Callable[[T, Any], T], carry: T, intervals: Any, store_e
     return jax.lax.scan(jax.checkpoint(chunk), carry, chunks)[0]
 
 
+def check_store_every(store_every: Any, num_substeps: int) -> None:
+    """Raises ValueError unless ``store_every`` is an integer that divides the number of substeps."""
+    remedy = f"give an integer that divides the {num_substeps} substeps, or None"
+    if num_substeps % static_integer("store_every", store_every, 1, remedy):
+        raise ValueError(f"store_every is {store_every}: {remedy}")
+
+
 def both_ends(boundaries: T) -> tuple[T, T]:
-    """What holds at the beginning and at the end of each substep, given (num_substeps + 1, ...) boundaries between."""
+    """Values at the beginning and at the end of each substep, from values (num_substeps + 1, ...) at the boundaries."""
     return jax.tree.map(lambda b: b[:-1], boundaries), jax.tree.map(lambda b: b[1:], boundaries)

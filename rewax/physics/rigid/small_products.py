@@ -84,7 +84,7 @@ def scatter(index: np.ndarray, values: Array, size: int) -> Array:
 class _Target(NamedTuple):
     """Distinct indices into a vector of ``size`` entries."""
 
-    index: tuple[int, ...]
+    index: tuple[int, ...]  # pyright: ignore[reportIncompatibleMethodOverride]
     size: int
 
 

@@ -78,7 +78,7 @@ def solve_accelerations(
         qacc: Array
         missed: Array
         side: Array
-        count: Array
+        count: Array  # pyright: ignore[reportIncompatibleMethodOverride]
         done: Array
 
     def step(at: Iterate) -> Iterate:

@@ -112,8 +112,8 @@ def checked_inputs(
     Raises:
       ValueError: a shape differs from the model's, or an argument is no number.
     """
-    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else real_array("ctrl", ctrl, "give an array")
-    wrenches = (
+    ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else real_array("ctrl", ctrl, "give an array")  # pyright: ignore[reportAssignmentType]
+    wrenches = (  # pyright: ignore[reportAssignmentType]
         jnp.zeros((model.num_bodies, 6), dtype)
         if wrenches is None
         else real_array("wrenches", wrenches, "give an array")

@@ -1,4 +1,4 @@
-"""Shapes by their signed distance: primitives, meshes, sampled fields, your own; volumes and points of them."""
+"""Shapes given by signed distance functions (SDF): primitives, meshes, sampled fields, your own; volumes and points."""
 
 from rewax.physics.shapes.base import Shape, signed_distance
 from rewax.physics.shapes.ellipsoid import Ellipsoid

@@ -1,11 +1,13 @@
-"""The base of all shapes: the methods of a solid, and what follows from its distance for those that it lacks."""
+"""The base of all shapes: the methods of a solid, with defaults derived from its distance."""
 
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import as_array, shown
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes import quadrature
 from rewax.physics.shapes.distance_surface import distance_surface
@@ -17,8 +19,8 @@ from rewax.types import Array, Scalar
 class Shape(struct.Replaceable):
     """A rigid solid in its own frame, given by its signed distance. Derive from it to add a shape.
 
-    Decorate the class with ``rewax.struct.dataclass`` and declare sizes with ``struct.number``, which says what they
-    may be. Write ``distance``, and ``bounding_box`` if the solid is bounded. Everything else has a default.
+    Decorate the class with ``rewax.struct.dataclass`` and declare sizes with ``struct.number``, which states their
+    legal values. Write ``distance``, and ``bounding_box`` if the solid is bounded. Everything else has a default.
     ``rewax.testing.check_shape`` checks the result; docs/your_own_shape.md builds a torus.
 
     Example:
@@ -32,15 +34,15 @@ class Shape(struct.Replaceable):
     """
 
     has_edges: ClassVar[bool] = True
-    """Whether the normal jumps at edges: contact then computes points in the shape's frame once, so that distance and
-    normal belong to one face. True is always right. Write False for a smooth surface: it is faster on a GPU."""
+    """Whether the normal jumps at edges. Contact then computes points in the shape's frame once, so that distance and
+    normal belong to one face. True is always correct; False suits smooth surfaces and is faster on a GPU."""
     is_exact: ClassVar[bool] = True
-    """Whether ``distance`` is the Euclidean distance everywhere. False: only near the surface, to first order."""
+    """Whether ``distance`` is the Euclidean distance everywhere. False: only to first order near the surface."""
     fills_its_box: ClassVar[bool] = False
-    """Whether the shape is its whole bounding box. ``fill`` then cuts its edges into equal intervals."""
+    """Whether the shape equals its bounding box. ``fill`` then cuts the box's edges into equal intervals."""
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """Distance to the surface, and the direction away from it.
+        """Signed distance to the surface, and its gradient.
 
         Args:
           p: points in the shape's frame [m], components of one shape (...).
@@ -51,13 +53,13 @@ class Shape(struct.Replaceable):
         Raises:
           ValueError: the class does not write this method.
 
-        Gradient: to be exact with respect to p and sizes, and finite everywhere. ``components.unit``, ``safe_sqrt`` and
-          ``safe_rsqrt`` are finite where the distance has a kink (at the centre of a ball).
+        Gradient: must be exact with respect to p and sizes, and finite everywhere. ``components.unit``, ``safe_sqrt``
+          and ``safe_rsqrt`` are finite where the distance has a kink (at the centre of a ball).
         """
         raise ValueError(f"{type(self).__name__} has no distance: write its method distance(self, p)")
 
     def bounding_box(self) -> tuple[Array, Array]:
-        """Smallest and largest coordinates [m], shape (3,) each; by default of the ball of ``bounding_radius``.
+        """Smallest and largest coordinates [m], shape (3,) each; by default those of the ball of ``bounding_radius``.
 
         Raises:
           ValueError: the class writes neither this method nor ``bounding_radius``, so it counts as unbounded.
@@ -73,7 +75,7 @@ class Shape(struct.Replaceable):
         return around_origin(*[self.bounding_radius()] * 3)
 
     def bounding_radius(self) -> Scalar:
-        """Radius of a ball around the origin that holds the shape [m]; by default to the corners of ``bounding_box``.
+        """Radius of a ball around the origin that holds the shape [m]; by default through ``bounding_box``'s corners.
 
         Infinite for shapes without bounds. Gradient: exact with respect to sizes.
         """
@@ -91,12 +93,12 @@ class Shape(struct.Replaceable):
     def volume(self) -> Scalar:
         """Volume [m^3]; by default by quadrature on 64^3 cells of the bounding box.
 
-        The default is off by the order of (cell / size)^2: below 0.2 % for the bounded shapes of rewax.
+        The default's error is of order (cell / size)^2: below 0.2 % for the bounded shapes of rewax.
 
         Raises:
           ValueError: the shape has no bounds.
 
-        Gradient: exact with respect to sizes, of the quadrature where it is the default.
+        Gradient: exact with respect to sizes; the default differentiates the quadrature.
         """
         return quadrature.volume(*quadrature.fractions_inside(self))
 
@@ -112,7 +114,7 @@ class Shape(struct.Replaceable):
           Mass [kg], shape (); moments and products of inertia about the origin [kg m^2], shape (3, 3).
 
         Raises:
-          ValueError: the shape has no bounds, or its centre of mass is known not to be the origin.
+          ValueError: the shape has no bounds, or its centre of mass is concrete and not the origin.
 
         Gradient: as for ``volume``.
         """
@@ -135,18 +137,18 @@ class Shape(struct.Replaceable):
     def draw(self) -> list[Drawing]:
         """Drawings in the shape's frame, with the keys that ``rewax.viz.shapes`` lists.
 
-        By default a mesh of the distance (marching cubes), made once for equal sizes. It is an empty list for shapes
-        without bounds, sizes that are traced, and without scikit-image. Gradient: none.
+        The default is a mesh of the distance (marching cubes), cached by sizes. The list is empty for shapes without
+        bounds, for traced sizes, and without scikit-image. Gradient: none.
         """
         return mesh(distance_surface(self) if self.is_bounded else None)
 
 
 def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
-    """Distance to a shape's surface, and the direction away from it.
+    """Signed distance to a shape's surface, and its gradient.
 
     Args:
       shape: the shape, in its own frame.
-      points: where to evaluate, in the shape's frame [m], shape (..., 3).
+      points: points in the shape's frame [m], shape (..., 3).
 
     Returns:
       Signed distance [m], shape (...), negative inside; unit normal, shape (..., 3).
@@ -154,26 +156,31 @@ def signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
     Raises:
       ValueError: shape is no ``Shape``.
 
-    Gradient: exact with respect to points and the shape's sizes, finite everywhere. On the medial axis (the middle of
-      a ball, the axis of a capsule), where the normal is not defined, it is zero or the mean of those around it (on the
-      axis of a cone), except in an ellipsoid, which takes one of the nearest points; edges take one side's.
+    Gradient: exact with respect to points and the shape's sizes, finite everywhere. On the medial axis (the centre of a
+      ball, the axis of a capsule) the normal is not defined: there it is zero, or the mean of the normals around (on
+      the axis of a cone), or that of one nearest point (in an ellipsoid). Edges take the normal of one side.
     """
-    d, n = require_shape(shape).distance(cp.split_vector(points))
+    given = points if isinstance(points, jax.Array) else as_array(points)
+    if given.shape[-1:] != (3,) or not jnp.issubdtype(given.dtype, jnp.number):
+        raise ValueError(f"points is {shown(points)}: give points of shape (..., 3) in metres")
+    d, n = require_shape(shape).distance(cp.split_vector(given))  # pyright: ignore[reportArgumentType]
     return d, cp.join_vector(n)
 
 
 def require_shape(shape: Any, name: str = "shape") -> Shape:
-    """The shape itself.
+    """Returns the shape after checking its type.
 
     Args:
-      shape: what a user gave.
-      name: what the message calls it.
+      shape: a user's value.
+      name: its name in messages.
 
     Raises:
-      ValueError: it is no object of a class that derives from ``Shape`` and is a ``struct.dataclass``.
+      ValueError: its class does not derive from ``Shape`` or is no ``struct.dataclass``.
     """
     if not isinstance(shape, Shape):
-        raise ValueError(f"{name} is {shape!r}: give a shape of rewax.physics.shapes, or of a class derived from Shape")
+        raise ValueError(
+            f"{name} is {shown(shape)}: give a shape of rewax.physics.shapes, or of a class derived from Shape"
+        )
     kind = type(shape)
     if "__dataclass_fields__" not in vars(kind):
         raise ValueError(f"{name} is a {kind.__name__}, which is no pytree: decorate it with rewax.struct.dataclass")
@@ -181,7 +188,7 @@ def require_shape(shape: Any, name: str = "shape") -> Shape:
 
 
 def around_origin(x: Scalar, y: Scalar, z: Scalar) -> tuple[Array, Array]:
-    """Corners of a box around the origin whose half edges are given [m], shape (3,) each. Gradient: exact."""
+    """Corners of a box around the origin with the given half edges [m], shape (3,) each. Gradient: exact."""
     half = jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)])
     return -half, half
 

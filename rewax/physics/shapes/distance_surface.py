@@ -1,4 +1,4 @@
-"""The surface of any shape as triangles, from its distance at the nodes of a grid."""
+"""Triangle mesh of any shape's surface, from its distance at the nodes of a grid."""
 
 import functools
 from typing import Any
@@ -12,20 +12,19 @@ from rewax.physics.shapes.quadrature import Solid
 from rewax.physics.shapes.sampled_surface import MAX_NODES, sampled_surface
 
 _MARGIN = 2
-"""Cells of the grid beyond the bounding box."""
+"""Cells of the grid beyond the bounding box on each side."""
 
 
 def distance_surface(shape: Solid) -> tuple[np.ndarray, np.ndarray] | None:
-    """The surface of a bounded shape (marching cubes, Lorensen and Cline 1987), made once for equal sizes.
+    """The surface of a bounded shape (marching cubes, Lorensen and Cline 1987), cached by sizes.
 
     Args:
-      shape: a pytree; its numbers are known, not traced.
+      shape: a pytree of arrays.
 
     Returns:
       Vertices in the shape's frame [m], float32 of shape (num_vertices, 3), and triangles, indices of shape
-      (num_triangles, 3), counter-clockwise seen from outside. None without scikit-image, for numbers that are traced
-      and for a shape that is nowhere negative. What is thinner than 1/60 of the bounding box's longest edge may be
-      missing.
+      (num_triangles, 3), counter-clockwise seen from outside. None without scikit-image, for traced sizes and for
+      a distance that is nowhere negative. Parts thinner than 1/60 of the bounding box's longest edge may be missing.
 
     Gradient: none.
     """
@@ -39,7 +38,7 @@ def distance_surface(shape: Solid) -> tuple[np.ndarray, np.ndarray] | None:
 @functools.lru_cache(maxsize=64)
 def _surface(structure: Any, leaves: tuple) -> tuple[np.ndarray, np.ndarray] | None:
     numbers = [np.frombuffer(data, dtype).reshape(shape) for data, dtype, shape in leaves]
-    # Pictures may be asked for while a program is traced: without this the distance would be traced, too.
+    # The caller may be tracing a program; the distance must be evaluated at once.
     with jax.ensure_compile_time_eval():
         shape = jax.tree.unflatten(structure, [jnp.asarray(n) for n in numbers])
         lower, upper = (np.asarray(corner, np.float64) for corner in shape.bounding_box())

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 Drawing = dict[str, Any]
-"""A rigid shape in a picture."""
+"""One rigid shape of a picture."""
 ORIGIN, STRAIGHT = np.zeros(3), np.eye(3)
 UPRIGHT = np.array([0.0, 1.0, 0.0])
 """Direction of the axis of shapes that have one."""
 
 
 def mesh(surface: tuple[np.ndarray, np.ndarray] | None) -> list[Drawing]:
-    """The drawing of vertices [m], shape (num_vertices, 3), and triangles, shape (num_triangles, 3); none of None."""
+    """Drawing of vertices [m], shape (num_vertices, 3), and triangles, shape (num_triangles, 3); none for None."""
     if surface is None:
         return []
     vertices, triangles = surface

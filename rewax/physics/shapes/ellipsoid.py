@@ -1,4 +1,4 @@
-"""Exact signed distance of an ellipsoid: the nearest point by a scalar equation, its derivative by hand."""
+"""Exact signed distance of an ellipsoid: Newton steps find the nearest point; its derivative is hand-written."""
 
 import math
 
@@ -16,8 +16,8 @@ from rewax.physics.shapes.rays import ball_entry
 from rewax.types import Array, Scalar, Vector
 
 NUM_ITERATIONS = 16
-"""Newton steps. Half of them reach rounding error, except close to the focal disc deep inside; there the last ones may
-leave a normal wrong by up to 1e-3, the distance by the square of that."""
+"""Newton steps. Half of them reach rounding error, except close to the focal disc deep inside. There the error after
+all of them is up to 1e-3 for the normal and the square of that for the distance."""
 
 
 @struct.dataclass
@@ -65,8 +65,8 @@ def ellipsoid_distance(semi_axes: Vec3, p: Vec3) -> tuple[Array, Vec3]:
       semi_axes: half the extents along x, y, z [m], broadcastable to the points, > 0.
       p: points [m], components of shape (n,).
 
-    Gradient: exact, from the implicit function theorem. Inside, where two points of the surface are nearest (the flat
-      disc between the foci), the value and derivatives are those of one of them, also at the centre.
+    Gradient: exact, from the implicit function theorem. On the focal disc inside, two points of the surface are
+      nearest: value and derivatives are those of one of them, also at the centre.
     Source: Eberly 2013, "Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid", section 3; solved
       by Newton steps on the reciprocal length (More & Sorensen 1983, eq. 3.10) instead of bisection.
     """
@@ -75,19 +75,19 @@ def ellipsoid_distance(semi_axes: Vec3, p: Vec3) -> tuple[Array, Vec3]:
     foot = materialize(_foot(cp.vector(lambda i: semi_axes[i] * side[i] * p[i]), squares))
     _, n = cp.unit(cp.vector(lambda i: side[i] * foot[i] / semi_axes[i]))
     n = materialize(n)
-    # The way from the nearest point is along the normal: no root of a square that vanishes at the surface.
+    # Project onto the normal: the norm of p - foot has a square root with an infinite slope at the surface.
     return cp.dot(n, cp.vector(lambda i: p[i] - side[i] * semi_axes[i] * foot[i])), n
 
 
 @jax.custom_jvp
 def _foot(c: Vec3, squares: Vec3) -> Vec3:
-    """The nearest point over the semi-axes a, a unit vector: w_i = c_i / (t + a_i^2) with c_i = a_i |p_i|, |w| = 1."""
+    """Nearest point divided by the semi-axes a, a unit vector: w_i = c_i / (t + a_i^2), c_i = a_i |p_i|, |w| = 1."""
     return _solve(c, squares)[0]
 
 
 @_foot.defjvp
 def _foot_jvp(primals: tuple[Vec3, Vec3], tangents: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:
-    """w_i (t + a_i^2) = c_i and |w| = 1 differentiated, and solved for dw without cancellation."""
+    """Differentiate w_i (t + a_i^2) = c_i and |w| = 1, and solve for dw without cancellation."""
     w, depth = materialize(_solve(*primals))
     dc, dsquares = tangents
     e = cp.vector(lambda i: dc[i] - w[i] * dsquares[i])
@@ -103,13 +103,13 @@ def _foot_jvp(primals: tuple[Vec3, Vec3], tangents: tuple[Vec3, Vec3]) -> tuple[
 
 
 def _solve(c: Vec3, squares: Vec3) -> tuple[Vec3, Vec3]:
-    """w, and t + a_i^2. The unknown is t + min(a)^2 > 0, which keeps its digits where it is small.
+    """w, and t + a_i^2. The unknown is s = t + min(a)^2 > 0, which keeps its digits where it is small.
 
-    1 / |w| is concave and increasing in it: Newton's steps from below stay below and grow, they need no safeguard.
+    1 / |w| is concave and increasing in s, so Newton steps that start below stay below and need no safeguard.
     """
     smallest = jnp.minimum(jnp.minimum(squares[0], squares[1]), squares[2])
     above = cp.vector(lambda i: squares[i] - smallest)
-    # Coordinates of zero become as small as rounding: one side of the disc of points with two nearest ones.
+    # Zero coordinates become tiny positive ones, which selects one side of the focal disc.
     c = cp.vector(lambda i: jnp.maximum(c[i], jnp.finfo(c[i].dtype).eps * smallest))
     start = jnp.maximum(jnp.maximum(c[0] - above[0], c[1] - above[1]), c[2] - above[2])
 

@@ -20,7 +20,7 @@ class Box(Shape):
     fills_its_box = True
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """Exact. Inside, the normal is that of the nearest face; at edges and corners it is one side's."""
+        """Exact. Inside, the normal is that of the nearest face; at edges and corners that of one side."""
         half = (self.half_size[..., 0], self.half_size[..., 1], self.half_size[..., 2])
         q = cp.vector(lambda i: jnp.abs(p[i]) - half[i])
         deepest = jnp.maximum(jnp.maximum(q[0], q[1]), q[2])

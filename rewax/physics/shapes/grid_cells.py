@@ -1,4 +1,4 @@
-"""Cells of a regular grid: where points lie in them, and the numbers at their corners."""
+"""Cells of a regular grid: coordinates of points in cells, and values at corners."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,9 @@ from rewax.types import Array, Scalar
 
 
 def locate(x: Array, origin: Scalar, spacing: Scalar, num_nodes: int) -> tuple[Array, Array, Array]:
-    """Cell along an axis, the place in it from 0 to 1, and how many cells beyond the grid's end.
+    """Cell index along an axis, coordinate in the cell from 0 to 1, and distance beyond the grid's end in cells.
 
-    Gradient: exact with respect to x, origin and spacing; none of the cell.
+    Gradient: exact with respect to x, origin and spacing; none for the cell index.
     """
     cells = (x - origin) / spacing
     end = num_nodes - 1.0
@@ -21,12 +21,12 @@ def locate(x: Array, origin: Scalar, spacing: Scalar, num_nodes: int) -> tuple[A
 
 
 def take(flat: Array, index: Array) -> Array:
-    """Numbers at indices that are known to be in bounds. Gradient: exact."""
+    """Values at indices that are in bounds. Gradient: exact."""
     return flat.at[index].get(mode="promise_in_bounds")
 
 
 def check_nodes(name: str, shape: Sequence[int], axes: str) -> None:
-    """Raises ValueError unless an array of nodes has the axes that are named, with two nodes along each."""
+    """Raises ValueError unless an array has the named axes, with at least two nodes along each."""
     if len(shape) != len(axes) or min(shape) < 2:
         raise ValueError(f"{name} has shape {tuple(shape)}: give at least two nodes along each of {', '.join(axes)}")
 

@@ -1,4 +1,4 @@
-"""Terrain, given by its height at the nodes of a grid."""
+"""Terrain given by heights at the nodes of a grid."""
 
 import jax.numpy as jnp
 
@@ -18,8 +18,8 @@ from rewax.types import Array, Scalar, Vector
 class HeightField(Shape):
     """Solid ground under a height that is bilinear between the nodes of a regular grid in x and z.
 
-    The distance is the vertical one times the normal's y component: exact for a plane, first order in the distance
-    elsewhere, and of either sign. Beyond the grid the heights of its border continue.
+    The distance is the vertical one times the normal's y component: exact for a plane, to first order elsewhere. Beyond
+    the grid the heights of its border continue.
 
     Attributes:
       heights: y of the surface at the nodes [m], shape (nx, nz), at least 2 along each axis.
@@ -27,19 +27,19 @@ class HeightField(Shape):
       spacing: distance of neighbouring nodes [m].
     """
 
-    heights: Vector = struct.number(FINITE, "give heights in metres")
+    heights: Vector = struct.number(FINITE, "give heights in metres", shape=("nx", "nz"))
     origin: Vector = struct.number(FINITE, "give x and z in metres", shape=(2,))
-    spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
+    spacing: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
     is_exact = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """Height above the surface times the normal's y component, and the surface's normal below or above the point.
+        """Height above the surface times the normal's y component, and the surface's normal at the same x and z.
 
         Raises:
           ValueError: fewer than two nodes along an axis.
 
-        Gradient: exact for what is returned, with respect to points, heights, origin and spacing; one side's at the
-          edges of cells.
+        Gradient: exact for the returned values, with respect to points, heights, origin and spacing; at the edges of
+          cells that of one side.
         """
         heights = jnp.asarray(self.heights)
         check_nodes("HeightField.heights", heights.shape, "xz")
@@ -56,7 +56,7 @@ class HeightField(Shape):
         return (p[1] - (ends[0] + fx * (ends[1] - ends[0]))) * n[1], n
 
     def draw(self) -> list[Drawing]:
-        """A mesh of the surface over its grid, made once for equal heights."""
+        """A mesh of the surface over its grid, cached by heights."""
         return mesh(height_surface(self.heights, self.origin, self.spacing))
 
 

@@ -1,4 +1,4 @@
-"""Distance and winding number of triangles at the nodes of a grid, in numpy."""
+"""Distances to triangles and winding numbers at the nodes of a grid, in numpy."""
 
 import itertools
 from typing import Any
@@ -8,13 +8,13 @@ import numpy as np
 from rewax.physics.numerics import components as cp
 
 BLOCK = 4
-"""Nodes along each side of the blocks that share their candidate faces."""
+"""Nodes along each edge of a block; the nodes of a block share candidate faces."""
 
 
 def distance_on_grid(triangles: np.ndarray, axes: list[np.ndarray]) -> np.ndarray:
     """Distance of each node of a regular grid to the nearest triangle [m].
 
-    A block of nodes looks only at faces whose bounding ball is near enough to hold the nearest point for any of them.
+    A block of nodes tests only faces with a bounding ball near enough to contain the nearest point of any node.
 
     Args:
       triangles: corners [m], shape (num_faces, 3, 3).
@@ -36,7 +36,7 @@ def distance_on_grid(triangles: np.ndarray, axes: list[np.ndarray]) -> np.ndarra
         bound = np.sqrt(_square_distance(center[:, None, None], triangles[nearest : nearest + 1]))[0, 0]
         near = triangles[to_middle - radius <= bound + 2.0 * reach]
         nodes = np.stack(np.meshgrid(*part, indexing="ij")).reshape(3, -1, 1)
-        # Small enough for the processor's cache.
+        # 256 faces fit into the processor's cache.
         squares = [_square_distance(nodes, near[k : k + 256]).min(axis=1) for k in range(0, len(near), 256)]
         block = tuple(slice(s, s + BLOCK) for s in start)
         out[block] = np.sqrt(np.min(squares, axis=0)).reshape([len(a) for a in part])
@@ -44,8 +44,8 @@ def distance_on_grid(triangles: np.ndarray, axes: list[np.ndarray]) -> np.ndarra
 
 
 def _square_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Squares of the distances of points (3, m, 1) to triangles (k, 3, 3), shape (m, k)."""
-    # numpy arrays where the annotations of these functions say jax ones.
+    """Squared distances of points (3, m, 1) to triangles (k, 3, 3), shape (m, k)."""
+    # ``cp`` is annotated for JAX arrays; it works on numpy arrays too.
     corners: list[Any] = [tuple(triangles[:, c, i] for i in range(3)) for c in range(3)]
     p: Any = tuple(points)
     normal = cp.cross(cp.subtract(corners[1], corners[0]), cp.subtract(corners[2], corners[0]))
@@ -59,15 +59,15 @@ def _square_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         away = cp.vector(lambda i, o=offset, t=along, e=edge: o[i] - t * e[i])
         square = np.minimum(square, cp.dot(away, away))
         above = above & (cp.dot(offset, cp.cross(normal, edge)) >= 0)
-    height = cp.dot(offset, normal)
+    height = cp.dot(offset, normal)  # pyright: ignore[reportPossiblyUnboundVariable]
     return np.where(above, height * height, square)
 
 
 def winding_on_grid(triangles: np.ndarray, axes: list[np.ndarray], axis: int) -> np.ndarray:
-    """How often triangles surround each node, counted along lines parallel to one axis.
+    """Winding number of triangles around each node, counted along lines parallel to one axis.
 
-    A line that enters through a face counts one more, one that leaves one less. Lines run beside the nodes by 1e-5 of
-    a cell, so that they meet no edge of a mesh that is aligned with the grid.
+    The count rises by one where a line enters through a face and falls by one where it leaves. Lines are offset from
+    the nodes by 1e-5 of a cell, so that they meet no edge of a mesh that is aligned with the grid.
 
     Args:
       triangles: corners [m], shape (num_faces, 3, 3), counterclockwise seen from outside.
@@ -102,14 +102,14 @@ def _lines_in_bounds(u: np.ndarray, v: np.ndarray, lines: tuple[np.ndarray, np.n
     width = high_j - low_j
     count = (high_i - low_i) * width
     face = np.repeat(np.arange(len(u)), count)
-    place = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    return face, low_i[face] + place // width[face], low_j[face] + place % width[face]
+    rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    return face, low_i[face] + rank // width[face], low_j[face] + rank % width[face]
 
 
 def _crossing(u, v, depth, line_u: np.ndarray, line_v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where lines cross the planes of triangles (n, 3), and whether within them."""
+    """Coordinate at which lines cross the planes of triangles (n, 3), and whether they cross inside the triangles."""
     du, dv = u - line_u[:, None], v - line_v[:, None]
-    # Corner k weighs as the triangle of the line and the other two corners.
+    # Barycentric coordinates: the weight of corner k is the area spanned by the line and the other two corners.
     weights = np.roll(du, -1, 1) * np.roll(dv, -2, 1) - np.roll(du, -2, 1) * np.roll(dv, -1, 1)
     total = weights.sum(axis=1)
     inside = np.all(weights * np.sign(total)[:, None] > 0, axis=1)

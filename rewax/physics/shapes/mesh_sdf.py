@@ -1,4 +1,4 @@
-"""Triangle meshes as signed distances on a grid, so that they collide with particles."""
+"""Signed distances of triangle meshes on a grid, for contact with particles."""
 
 import math
 import os
@@ -7,35 +7,45 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.numerics.checks import FINITE, POSITIVE, shown
+from rewax.physics.numerics.fields import check_fields, check_range, checked, indices, optional, real, static
 from rewax.physics.shapes.mesh_distance import distance_on_grid, winding_on_grid
 from rewax.physics.shapes.sampled import SampledDistance
 
 MAX_VALUES = 2**27
-"""Largest number of grid values that ``bake_mesh`` agrees to make: half a gigabyte in float32."""
+"""Largest number of grid values that ``bake_mesh`` accepts: half a gigabyte in float32."""
+_MESH = {
+    "vertices": real(FINITE, "repair the mesh", shape=("num_vertices", 3)),
+    "faces": indices("give integers of shape (num_faces, 3)", ("num_faces", 3)),
+}
 
 
+@checked(
+    spacing=static(POSITIVE, "give the distance of grid nodes in metres"),
+    margin=optional(static(POSITIVE, "give the extent of the grid beyond the mesh in metres")),
+)
 def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> SampledDistance:
     """The signed distance of a closed triangle mesh at the nodes of a regular grid around it.
 
-    Distances at the nodes are exact. Which of them are inside is told by counting, with their orientation, the faces
-    that lines along each axis cross (the winding number), by majority of the three: parts of the mesh may overlap
-    (there distances are those to the nearest face, also an internal one), and shells that point inwards are cavities.
+    Distances at the nodes are exact. A node is inside if its winding number, counted along lines parallel to x, y and
+    z, is positive for at least two of the three. So parts of the mesh may overlap (distances are then those to the
+    nearest face, also an internal one), and shells that point inwards are cavities.
 
     Args:
       mesh: path of a file that trimesh reads (STL, OBJ, PLY, ...), a ``trimesh.Trimesh``, or anything else with
         ``vertices`` [m], shape (num_vertices, 3), and ``faces``, indices of shape (num_faces, 3), counterclockwise
         seen from outside.
-      spacing: distance of the grid's nodes [m]; edges and features below it are rounded off.
-      margin: how far the grid reaches beyond the mesh on all sides [m], by default two cells. Where particles can be
-        farther than this, distances are only estimated.
+      spacing: distance of the grid's nodes [m]; it rounds off smaller edges and features.
+      margin: extent of the grid beyond the mesh on all sides [m], by default two cells. Farther away distances are only
+        estimated.
 
     Returns:
-      The baked distance in the mesh's own frame, as float (jax's default type). 64^3 nodes of a mesh of 5000 faces
-      take seconds, memory grows with the number of nodes.
+      The baked distance in the mesh's own frame, in JAX's default float type. 64^3 nodes of a mesh of 5000 faces take
+      seconds; memory grows with the number of nodes.
 
     Raises:
-      ValueError: a path without file, a mesh that is empty, open, inconsistently oriented, inside out or has faces
-        without area, a spacing or margin that is not positive, too many nodes. The message names the remedy.
+      ValueError: a path without file; a mesh that is empty, open, inconsistently oriented, inside out or has faces
+        without area; a spacing or margin that is not positive; too many nodes. The message names the remedy.
       ImportError: a path is given and trimesh is not installed.
 
     Gradient: none with respect to the mesh; ``sampled_distance`` is differentiable with respect to the values.
@@ -44,13 +54,7 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
       >>> shape = bake_mesh("bunny.stl", spacing=0.01)  # doctest: +SKIP
       >>> collider = Collider(shape=shape, friction=0.5)  # doctest: +SKIP
     """
-    if not (math.isfinite(spacing) and spacing > 0):
-        raise ValueError(f"spacing is {spacing}, but must be positive: give the distance of grid nodes in metres")
     margin = 2.0 * spacing if margin is None else margin
-    if not (math.isfinite(margin) and margin > 0):
-        raise ValueError(
-            f"margin is {margin}, but must be positive: give how far the grid reaches beyond the mesh in metres"
-        )
     triangles = check_mesh(mesh)
     lower, upper = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     counts = np.ceil((upper - lower + 2.0 * margin) / spacing - 1e-9).astype(int) + 1
@@ -70,7 +74,7 @@ def bake_mesh(mesh: Any, spacing: float, *, margin: float | None = None) -> Samp
 
 
 def check_mesh(mesh: Any) -> np.ndarray:
-    """The triangles of a mesh [m], float64 of shape (num_faces, 3, 3), if it bounds a volume.
+    """The triangles of a mesh that bounds a volume [m], float64 of shape (num_faces, 3, 3).
 
     Args:
       mesh: as for ``bake_mesh``.
@@ -81,13 +85,15 @@ def check_mesh(mesh: Any) -> np.ndarray:
     if isinstance(mesh, (str, os.PathLike)):
         mesh = _load(os.fspath(mesh))
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise ValueError(f"mesh is {mesh!r}: give a path or something with vertices and faces, such as trimesh.Trimesh")
+        raise ValueError(
+            f"mesh is {shown(mesh)}: give a path or something with vertices and faces, such as trimesh.Trimesh"
+        )
+    check_fields(_MESH, {"vertices": mesh.vertices, "faces": mesh.faces}, "mesh.")
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if len(faces) == 0:
         raise ValueError("mesh has no faces: give a closed surface of triangles")
-    if not np.isfinite(vertices).all():
-        raise ValueError("mesh has vertices that are not finite numbers: repair it")
-    # Files such as STL repeat each vertex for every face.
+    check_range("mesh.faces", faces, len(vertices))
+    # Formats such as STL repeat each vertex for every face.
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]
     triangles = vertices[faces]
@@ -102,9 +108,9 @@ def check_mesh(mesh: Any) -> np.ndarray:
 
 
 def signed_volume(triangles: np.ndarray) -> float:
-    """Volume that triangles enclose [m^3], shape (num_faces, 3, 3): positive if they are counterclockwise from outside.
+    """Enclosed volume [m^3] of triangles, shape (num_faces, 3, 3): positive if counterclockwise seen from outside.
 
-    Overlapping parts count as often as they overlap.
+    Overlapping parts count several times.
     """
     a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0

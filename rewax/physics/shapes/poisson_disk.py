@@ -1,4 +1,4 @@
-"""Random points that keep a distance from each other and cover a solid, in numpy."""
+"""Maximal Poisson-disk sampling of a solid: random points that keep a distance and leave no gap, in numpy."""
 
 import itertools
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 NUM_ROUNDS = 6
-"""Darts that each cell gets, at each of the two sizes of cells."""
+"""Darts thrown per cell, at each of the two cell sizes."""
 
 
 def maximal_poisson_disk(
@@ -16,15 +16,15 @@ def maximal_poisson_disk(
     upper: np.ndarray,
     radius: float,
 ) -> np.ndarray:
-    """Points of a solid at least ``radius`` apart, such that each point of it has one within two radii.
+    """Points at least ``radius`` apart, such that each point of the solid has one within two radii.
 
-    Space is cut into cells whose diagonal is the radius, so that each holds one point at most; those that still need
-    one are then halved. A cell is done when it is within the radius of a point. A cell of half size in which a dart
-    failed has a point within 1.5 radii of all of it. Darts that miss the solid are pulled onto it if a cell has met it
-    with none: they move by at most half a radius, which makes it two.
+    Cells with the radius as diagonal hold at most one point each. A cell is done when it lies within the radius of a
+    point; the remaining cells are halved once. In a halved cell that rejected a dart, every point has a neighbour
+    within 1.5 radii. If all darts of a halved cell missed the solid, one is pulled onto the surface. It moves by at
+    most half a radius, hence the bound of two radii.
 
     Args:
-      rng: source of random numbers.
+      rng: random number generator.
       distance: signed distance [m] and unit normal of points (n, 3).
       lower, upper: box around the solid [m], shape (3,).
       radius: smallest distance [m].
@@ -55,7 +55,7 @@ def maximal_poisson_disk(
 
 
 def _pull(distance, points: np.ndarray, tolerance: float) -> np.ndarray:
-    """Points outside moved onto the surface; those that do not reach it left out."""
+    """Move points outside onto the surface; drop points that do not reach it."""
     for _ in range(4):
         d, n = distance(points)
         points = points - (np.maximum(d, 0.0) + np.where(d > 0, 0.5 * tolerance, 0.0))[:, None] * n
@@ -63,13 +63,13 @@ def _pull(distance, points: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 class _Placed:
-    """Points at least a radius apart, found by the cell they are in; cells have the radius as diagonal."""
+    """Points at least a radius apart, stored by cell; the diagonal of a cell is the radius."""
 
     REACH = 2
-    """Cells to look at on each side: two points within the radius are less than sqrt(3) cells apart along an axis."""
+    """Neighbour cells on each side: points within the radius are less than sqrt(3) cells apart along an axis."""
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray, radius: float) -> None:
-        # A little smaller, so that rounding cannot make the diagonal larger.
+        # Shrunk by 1e-9, so that rounding cannot make the diagonal exceed the radius.
         self.side = radius / np.sqrt(3.0) * (1.0 - 1e-9)
         self.radius, self.lower = radius, lower
         self.shape = np.maximum(1, np.ceil((upper - lower) / self.side)).astype(int)
@@ -88,7 +88,7 @@ class _Placed:
         return self.in_cell[np.isfinite(self.in_cell[..., 0])]
 
     def add(self, rng: np.random.Generator, darts: np.ndarray) -> None:
-        """Add darts, in random order, that are not within the radius of a point."""
+        """Add the darts farther than the radius from all points, in random order."""
         darts = darts[~self._is_near(darts, 0.0)]
         darts = darts[rng.permutation(len(darts))]
         for dart, (i, j, k) in zip(darts, self._index(darts), strict=True):
@@ -99,11 +99,11 @@ class _Placed:
                 self.in_cell[i + self.REACH, j + self.REACH, k + self.REACH] = dart
 
     def covers(self, cells: np.ndarray, size: float) -> np.ndarray:
-        """Which cells, by their lowest corner, lie within the radius of one point."""
+        """Mask of the cells, given by their lowest corners, that lie within the radius of one point."""
         return self._is_near(cells + 0.5 * size, 0.5 * size)
 
     def _is_near(self, points: np.ndarray, half_size: float) -> np.ndarray:
-        """Which cubes around points have all corners within the radius of one placed point."""
+        """Mask of the cubes around points that lie within the radius of one placed point."""
         placed = self.in_cell.reshape(-1, 3)
         cell = (self._index(points) + self.REACH) @ self.strides
         near = np.zeros(len(points), bool)

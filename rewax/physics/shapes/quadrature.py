@@ -1,7 +1,7 @@
-"""Volume and inertia of what a distance makes negative, by quadrature on a grid.
+"""Volume and inertia of the region of negative distance, by quadrature on a grid.
 
-Between the corners of a cell the distance is taken as linear in six tetrahedra, of which the part below zero is exact.
-The error is of the order of the square of a cell.
+The distance is interpolated linearly in six tetrahedra per cell. The part of a tetrahedron below zero is exact, so the
+error is of second order in the cell size.
 """
 
 import itertools
@@ -16,14 +16,13 @@ from rewax.physics.numerics.components import Vec3
 from rewax.types import Array, Scalar
 
 NUM_CELLS = 64
-"""Along each axis of a bounding box."""
+"""Cells along each axis of a bounding box."""
 _OFF_CENTER = 1e-3
-"""Centres of mass this near to the origin, in longest edges of the bounding box, count as there; quadrature is off by a
-tenth of it."""
+"""Tolerance for a centre of mass at the origin, in longest edges of the bounding box: ten times quadrature's error."""
 
 
 class Solid(Protocol):
-    """What quadrature asks of a shape."""
+    """The methods of a shape that quadrature calls."""
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]: ...
 
@@ -31,12 +30,12 @@ class Solid(Protocol):
 
 
 def fractions_inside(shape: Solid) -> tuple[Array, Array, Array]:
-    """How much of each cell of the bounding box lies inside.
+    """Fraction of each cell of the bounding box that lies inside.
 
     Returns:
       Fractions from 0 to 1, shape (n, n, n); lower and upper corner of the box [m], shape (3,) each.
 
-    Gradient: exact for what is returned, with respect to the shape's sizes.
+    Gradient: exact for the returned values, with respect to the shape's sizes.
     """
     lower, upper = (jnp.asarray(corner) for corner in shape.bounding_box())
     return _fractions(shape, lower, upper), lower, upper
@@ -51,15 +50,15 @@ def _fractions(shape: Solid, lower: Array, upper: Array) -> Array:
 
 
 def volume(fractions: Array, lower: Array, upper: Array) -> Array:
-    """Volume [m^3] of what ``fractions_inside`` returns. Gradient: exact."""
+    """Volume [m^3] from the result of ``fractions_inside``. Gradient: exact."""
     return jnp.mean(fractions) * jnp.prod(upper - lower)
 
 
 def inertia(name: str, density: Scalar, fractions: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Mass [kg] and moments of inertia about the origin [kg m^2], shape (3, 3), of what ``fractions_inside`` returns.
+    """Mass [kg] and moments of inertia about the origin [kg m^2], shape (3, 3), from ``fractions_inside``.
 
     Raises:
-      ValueError: the centre of mass is known and is not the origin. ``name`` is what the message calls the shape.
+      ValueError: the centre of mass is concrete and not the origin. The message calls the shape ``name``.
 
     Gradient: exact.
     """
@@ -88,26 +87,26 @@ def _check_center(name: str, center: Array, size: Array) -> None:
         x, y, z = np.asarray(center)
         raise ValueError(
             f"the centre of mass of the {name} is ({x:.3g}, {y:.3g}, {z:.3g}), but must be the origin of its frame, as "
-            "that of a free body is: shift the shape, or give Inertia yourself"
+            "for every free body: shift the shape, or give an Inertia(mass=..., moment=...)"
         )
 
 
 @jax.jit
 def fractions_below_zero(values: Array) -> Array:
-    """Parts of the six tetrahedra of each cell in which the interpolant is negative.
+    """Fraction of each of a cell's six tetrahedra in which the interpolant is negative.
 
     Args:
-      values: at the nodes, shape (nx, ny, nz).
+      values: values at the nodes, shape (nx, ny, nz).
 
     Returns:
-      From 0 to 1, shape (6, nx - 1, ny - 1, nz - 1). Gradient: exact.
+      Fractions from 0 to 1, shape (6, nx - 1, ny - 1, nz - 1). Gradient: exact.
     """
     size = [n - 1 for n in values.shape]
     corner: dict[tuple[int, ...], Array] = {
         c: values[c[0] : c[0] + size[0], c[1] : c[1] + size[1], c[2] : c[2] + size[2]]
         for c in itertools.product((0, 1), repeat=3)
     }
-    # Corners of each tetrahedron: from 000 to 111, one axis after the other.
+    # Each tetrahedron's corners are a path from 000 to 111, one axis after the other.
     orders = list(itertools.permutations(range(3)))
     tetrahedra = jnp.stack(
         [jnp.stack([corner[tuple(int(a in o[:k]) for a in range(3))] for o in orders]) for k in range(4)]
@@ -116,14 +115,14 @@ def fractions_below_zero(values: Array) -> Array:
 
 
 def _fraction_below_zero(v: Array) -> Array:
-    """Part of a tetrahedron in which the linear function with these corner values is negative.
+    """Fraction of a tetrahedron in which the linear function with these corner values is negative.
 
     Args:
       v: values at the corners, ascending along the first axis, shape (4, ...).
     """
 
     def cut(i: int, j: int) -> Array:
-        """How far along the edge from a negative corner i to one that is not, j, the zero is."""
+        """Position of the zero along the edge from a negative corner i to a non-negative corner j, from 0 to 1."""
         crosses = (v[i] < 0) & (v[j] >= 0)
         return jnp.where(crosses, v[i] / jnp.where(crosses, v[i] - v[j], 1.0), 0.0)
 

@@ -15,7 +15,7 @@ from rewax.types import Array, Scalar
 
 
 class _Revolved(Shape):
-    """What cylinders and cones have in common."""
+    """Base of cylinders and cones."""
 
     radius: Scalar
     half_length: Scalar
@@ -38,8 +38,8 @@ class _Revolved(Shape):
 class Cylinder(_Revolved):
     """A solid cylinder around y. ``radius`` and ``half_length`` [m]."""
 
-    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
-    half_length: Scalar = struct.number(POSITIVE, "give a length in metres")
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
+    half_length: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact. On the axis the normal's radial part is zero."""
@@ -77,8 +77,8 @@ class Cylinder(_Revolved):
 class Cone(_Revolved):
     """A solid cone around y: base of ``radius`` at y = -half_length, apex at y = +half_length [m]."""
 
-    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
-    half_length: Scalar = struct.number(POSITIVE, "give a length in metres")
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
+    half_length: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact: in the half-plane (r, y) the cone is the triangle of the axis, the base and the slant."""
@@ -92,7 +92,7 @@ class Cone(_Revolved):
         from_edge_r, from_edge_y = r - radius, p[1] + half_length
         slant, base = from_edge_r * slant_r + from_edge_y * slant_y, -from_edge_y
         inside = jnp.maximum(slant, base) <= 0
-        # How far along the slant, from the edge of the base (0) to the apex (1).
+        # Coordinate along the slant, from the edge of the base (0) to the apex (1).
         along = (from_edge_y * slant_r - from_edge_r * slant_y) * shrink
         to_slant = jnp.where(inside, slant >= base, (slant > 0) & (along > 0) & (along < 1))
         to_base = jnp.where(inside, slant < base, (slant <= 0) & (from_edge_r < 0))

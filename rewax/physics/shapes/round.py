@@ -1,4 +1,4 @@
-"""Balls and capsules: all points within a radius of a point or of a segment."""
+"""Balls and capsules: the points within a radius of a point or of a segment."""
 
 import math
 
@@ -19,7 +19,7 @@ from rewax.types import Array, Scalar
 class Sphere(Shape):
     """A ball around the origin. ``radius`` [m]."""
 
-    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
     has_edges = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
@@ -56,8 +56,8 @@ class Sphere(Shape):
 class Capsule(Shape):
     """All points within ``radius`` of the segment from (0, -half_length, 0) to (0, half_length, 0) [m]."""
 
-    radius: Scalar = struct.number(POSITIVE, "give a length in metres")
-    half_length: Scalar = struct.number(NOT_NEGATIVE, "give a length in metres")
+    radius: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
+    half_length: Scalar = struct.number(NOT_NEGATIVE, "give a length in metres", shape=())
     has_edges = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:

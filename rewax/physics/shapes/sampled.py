@@ -1,4 +1,4 @@
-"""Solids of any form, given by their distance at the nodes of a grid."""
+"""Solids of any form, given by distances at the nodes of a grid."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,10 +22,10 @@ from rewax.types import Array, Scalar, Vector
 class SampledDistance(Shape):
     """A solid given by its signed distance at the nodes of a regular grid; ``mesh_sdf.bake_mesh`` makes one of a mesh.
 
-    Between nodes the distance is the trilinear interpolant; the normal is the interpolant's exact gradient, made unit
-    length. Both are off by the order of spacing^2 (distance) and spacing (normal) where the surface is smooth. Beyond
-    the grid's box the distance is the one to the box plus the value where its border is met: never less than the true
-    one, so give the grid the margin in which contact acts.
+    Between nodes the distance is the trilinear interpolant; the normal is the interpolant's exact gradient, normalised.
+    Where the surface is smooth, the distance has an error of order spacing^2 and the normal of order spacing. Beyond
+    the grid the distance is the distance to the grid's box plus the value at the nearest point of the box. This is
+    never less than the true distance, so the grid should contain the margin in which contact acts.
 
     Attributes:
       values: signed distance at the nodes [m], negative inside, shape (nx, ny, nz), at least 2 along each axis.
@@ -33,28 +33,28 @@ class SampledDistance(Shape):
       spacing: distance of neighbouring nodes [m].
     """
 
-    values: Vector = struct.number(FINITE, "give distances in metres")
+    values: Vector = struct.number(FINITE, "give distances in metres", shape=("nx", "ny", "nz"))
     origin: Vector = struct.number(FINITE, "give a position in metres", shape=(3,))
-    spacing: Scalar = struct.number(POSITIVE, "give a length in metres")
+    spacing: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
     is_exact = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """The interpolant, and its gradient made unit length; where it is flat the normal is zero.
+        """The interpolant and its normalised gradient; where the interpolant is flat the normal is zero.
 
         Raises:
           ValueError: fewer than two nodes along an axis.
 
-        Gradient: exact for the interpolant, with respect to points, values, origin and spacing; one side's at the faces
-          of cells.
+        Gradient: exact for the interpolant, with respect to points, values, origin and spacing; at the faces of cells
+          that of one side.
         """
         values = jnp.asarray(self.values)
         check_nodes("SampledDistance.values", values.shape, "xyz")
-        place = [locate(p[i], self.origin[..., i], self.spacing, values.shape[i]) for i in cp.AXES]
-        beyond = cp.vector(lambda i: self.spacing * place[i][2])
-        (ix, fx, _), (iy, fy, _), (iz, fz, _) = place
+        cells = [locate(p[i], self.origin[..., i], self.spacing, values.shape[i]) for i in cp.AXES]
+        beyond = cp.vector(lambda i: self.spacing * cells[i][2])
+        (ix, fx, _), (iy, fy, _), (iz, fz, _) = cells
         _, ny, nz = values.shape
         lowest, flat = (ix * ny + iy) * nz + iz, values.reshape(-1)
-        # Stored: value and gradient take each corner again.
+        # Stored, because value and gradient both read the corners.
         corners = materialize(
             tuple(take(flat, lowest + (a * ny + b) * nz + c) for a in (0, 1) for b in (0, 1) for c in (0, 1))
         )
@@ -74,13 +74,13 @@ class SampledDistance(Shape):
         return value + outside, cp.unit(gradient)[1]
 
     def bounding_box(self) -> tuple[Array, Array]:
-        """Of the cells that have a negative corner, and one more on each side within the grid. Gradient: none.
+        """Bounds of the cells with a negative corner, plus one cell on each side within the grid. Gradient: none.
 
         Raises:
           ValueError: the values are traced, or nowhere negative.
         """
         if any(isinstance(number, Tracer) for number in (self.values, self.origin, self.spacing)):
-            raise ValueError("SampledDistance is traced, so its bounds are not known: ask for them before jit")
+            raise ValueError("SampledDistance is traced, so its bounds are unknown: call bounding_box before jit")
         inside = np.argwhere(np.asarray(self.values) < 0)
         if len(inside) == 0:
             raise ValueError(
@@ -92,13 +92,13 @@ class SampledDistance(Shape):
         return lower, upper
 
     def bounding_radius(self) -> Scalar:
-        """Infinite: it is asked for in compiled programs, where no value is known."""
+        """Infinite: compiled programs call it, where values are traced."""
         return jnp.inf
 
     def volume(self) -> Scalar:
-        """Volume under zero of the interpolant that is linear in six tetrahedra per cell [m^3].
+        """Volume of negative distance [m^3], interpolated linearly in six tetrahedra per cell.
 
-        It is off by the order of spacing^2.
+        The error is of order spacing^2.
         """
         return jnp.sum(fractions_below_zero(jnp.asarray(self.values))) / 6.0 * self.spacing**3
 
@@ -111,7 +111,7 @@ class SampledDistance(Shape):
         return traced_entry(self, origin, direction, common_entry(*slabs))
 
     def draw(self) -> list[Drawing]:
-        """A mesh, made once for equal values."""
+        """A mesh, cached by values."""
         return mesh(sampled_surface(self.values, self.origin, self.spacing))
 
 

@@ -1,4 +1,4 @@
-"""Surfaces of sampled distances and of height fields as triangles, for pictures."""
+"""Triangle meshes of sampled distances and height fields, for pictures."""
 
 import functools
 import warnings
@@ -12,19 +12,19 @@ from rewax.types import Array, Scalar
 
 Numbers = Array | np.ndarray
 MAX_NODES = 64
-"""Along an axis of the grid; finer grids are drawn from every second node, every third, ..."""
+"""Largest number of nodes along an axis; finer grids are drawn from every second node, every third, ..."""
 
 
 def sampled_surface(values: Numbers, origin: Numbers, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
-    """The surface of a sampled distance (marching cubes, Lorensen and Cline 1987), made once for equal numbers.
+    """The surface of a sampled distance (marching cubes, Lorensen and Cline 1987), cached by values.
 
     Args:
       values, origin, spacing: those of a ``SampledDistance``.
 
     Returns:
       Vertices in the shape's frame [m], float32 of shape (num_vertices, 3), and triangles, indices of shape
-      (num_triangles, 3), counter-clockwise seen from outside. None without scikit-image, for numbers that are traced
-      and for a grid that meets no surface.
+      (num_triangles, 3), counter-clockwise seen from outside. None without scikit-image, for traced values and for
+      a grid that contains no surface.
 
     Gradient: none.
     """
@@ -35,14 +35,14 @@ def sampled_surface(values: Numbers, origin: Numbers, spacing: Scalar) -> tuple[
 
 
 def height_surface(heights: Numbers, origin: Numbers, spacing: Scalar) -> tuple[np.ndarray, np.ndarray] | None:
-    """The surface of a height field over its grid, made once for equal numbers.
+    """The surface of a height field over its grid, cached by values.
 
     Args:
       heights, origin, spacing: those of a ``HeightField``.
 
     Returns:
       Vertices in the shape's frame [m], float32 of shape (num_nodes, 3), and triangles, indices of shape
-      (num_triangles, 3), counter-clockwise seen from above. None for numbers that are traced.
+      (num_triangles, 3), counter-clockwise seen from above. None for traced values.
 
     Gradient: none.
     """
@@ -53,9 +53,9 @@ def height_surface(heights: Numbers, origin: Numbers, spacing: Scalar) -> tuple[
 
 
 def _coarse(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """Values at few enough nodes, and the step between them."""
+    """Values at every n-th node, with at most ``MAX_NODES`` per axis, and n."""
     step = -(-(max(values.shape) - 1) // (MAX_NODES - 1))
-    # Where the steps do not end at the last node, its value stands for the one beyond.
+    # If n does not divide the number of cells, the last node's value is used beyond the grid.
     nodes = (np.minimum(np.arange(0, n - 1 + step, step), n - 1) for n in values.shape)
     return np.ascontiguousarray(values[np.ix_(*nodes)]), step
 
@@ -87,7 +87,7 @@ def _surface(
 
 @functools.cache
 def _marching_cubes() -> Callable[..., Any] | None:
-    """scikit-image's, or None, with one warning."""
+    """scikit-image's function; None, with one warning, if it is missing."""
     try:
         from skimage.measure import marching_cubes
     except ImportError:
@@ -101,7 +101,7 @@ def _marching_cubes() -> Callable[..., Any] | None:
 
 
 def _closed(distance: np.ndarray, spacing: float) -> tuple[np.ndarray, int]:
-    """Values on a grid that reaches beyond the solid on all sides, and how many nodes were added on each."""
+    """Values on a grid extended beyond the solid, and the number of nodes added on each side."""
     inner = distance[1:-1, 1:-1, 1:-1]
     deepest = -float(np.where(np.pad(np.zeros(inner.shape, bool), 1, constant_values=True), distance, np.inf).min())
     if deepest < 0.0:

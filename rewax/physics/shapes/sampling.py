@@ -1,7 +1,7 @@
-"""Where particles start: boxes and shapes filled regularly, at random, or at random with a smallest distance.
+"""Initial positions of particles: points in boxes and shapes, regular, random, or random with a smallest distance.
 
-Points of a shape are in its own frame, so turn and shift them as its body is. ``volume(shape) / len(points)`` is the
-volume of each.
+Points of a shape are in the shape's own frame; rotate and shift them with its body. Each point has the volume
+``volume(shape) / len(points)``.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,15 +11,24 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
+from rewax.physics.numerics.fields import checked, integer, key, real, static
 from rewax.physics.shapes.base import Shape, signed_distance
 from rewax.physics.shapes.poisson_disk import maximal_poisson_disk
+from rewax.physics.shapes.sizes import check_sizes
 from rewax.physics.shapes.volumes import bounding_box, volume
 from rewax.types import Array, Key
 
 CHUNK = 8192
-"""Points whose distance is evaluated at once, always as many: one compilation for each kind of shape."""
+"""Points per evaluation of a distance. The constant size means one compilation per kind of shape."""
 
 
+@checked(
+    key=key,
+    center=real(FINITE, "give a position in metres", shape=(3,)),
+    size=real(NOT_NEGATIVE, "give three edges in metres", shape=(3,)),
+    num=integer(1, "give the number of points, at least 1"),
+)
 def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence[float], num: int) -> Array:
     """Uniformly random points in a box.
 
@@ -27,12 +36,12 @@ def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence
       key: PRNG key.
       center: middle of the box [m], shape (3,).
       size: its edges along x, y, z [m], shape (3,).
-      num: number of points; each stands for the volume prod(size) / num.
+      num: number of points, each with the volume prod(size) / num.
 
     Returns:
       Positions [m], shape (num, 3).
 
-    Gradient: exact with respect to center and size, which move and stretch the points.
+    Gradient: exact with respect to center and size, which shift and scale the points.
 
     Example:
       >>> x = sample_box(jax.random.key(0), (0.5, 0.1, 0.5), (0.2, 0.2, 0.2), 1000)
@@ -43,16 +52,22 @@ def sample_box(key: Key, center: Array | Sequence[float], size: Array | Sequence
     return center[None].astype(dtype) + size[None].astype(dtype) * unit
 
 
+@checked(
+    center=real(FINITE, "give a position in metres", shape=(3,)),
+    size=real(POSITIVE, "give the three edges of the box in metres", shape=(3,)),
+    spacing=static(POSITIVE, "give the distance of neighbours in metres"),
+)
 def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> np.ndarray:
     """Points of a regular lattice that fills a box, symmetric about its centre.
 
-    Each edge is cut into the whole number of equal intervals that is closest to edge / spacing (at least one), with
-    a point in the middle of each: every point stands for the same volume, prod(size) / num_points.
+    Each edge is cut into round(edge / spacing) equal intervals (at least one), with a point in the middle of each.
+    Every point has the same volume, prod(size) / num_points.
 
     Args:
       center: middle of the box [m], shape (3,).
       size: its edges along x, y, z [m], shape (3,), > 0.
-      spacing: wished distance of neighbouring points [m], > 0. Half the grid's spacing gives eight particles per cell.
+      spacing: approximate distance of neighbouring points [m], > 0. Half the grid's spacing gives eight particles per
+        cell.
 
     Returns:
       Positions [m], float64 of shape (num_points, 3), z varying fastest.
@@ -64,9 +79,6 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
       >>> fill_box((0.5, 0.1, 0.5), (0.2, 0.2, 0.2), 0.1).shape
       (8, 3)
     """
-    _check_length("spacing", spacing, "distance of neighbours")
-    if not np.all(np.asarray(size) > 0):
-        raise ValueError(f"size is {tuple(size)}, but must be positive: give the three edges of the box in metres")
     counts = [max(1, round(edge / spacing)) for edge in size]
     axes = [
         middle + edge * ((np.arange(n) + 0.5) / n - 0.5) for middle, edge, n in zip(center, size, counts, strict=True)
@@ -74,24 +86,24 @@ def fill_box(center: Sequence[float], size: Sequence[float], spacing: float) -> 
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+@checked(shape=check_sizes, spacing=static(POSITIVE, "give the distance of neighbours in metres"))
 def fill(shape: Shape, spacing: float) -> np.ndarray:
     """Points of a cubic lattice that lie in a shape, symmetric about the middle of its bounding box.
 
     Args:
-      shape: one that is bounded. One that fills its box, as ``Box`` does, is filled by ``fill_box``.
+      shape: a bounded shape. ``fill_box`` fills shapes that fill their bounding box, such as ``Box``.
       spacing: distance of neighbouring points [m], > 0.
 
     Returns:
       Positions in the shape's frame [m], float64 of shape (num_points, 3), z varying fastest.
 
     Raises:
-      ValueError: a spacing that is not positive or leaves no point in the shape, or a shape without bounds.
+      ValueError: a spacing that is not positive or too large for any point, or a shape without bounds.
 
     Example:
       >>> x = fill(Sphere(radius=0.1), 0.02)
       >>> scene = make_scene(particle_volume=volume(Sphere(radius=0.1)) / len(x), ...)  # doctest: +SKIP
     """
-    _check_length("spacing", spacing, "distance of neighbours")
     lower, upper = bounding_box(shape)
     if shape.fills_its_box:
         return fill_box(tuple(0.5 * (lower + upper)), tuple(upper - lower), spacing)
@@ -104,13 +116,14 @@ def fill(shape: Shape, spacing: float) -> np.ndarray:
     return points
 
 
+@checked(key=key, shape=check_sizes, num=integer(1, "give the number of points, at least 1"))
 def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
     """Uniformly random points in a shape.
 
     Args:
       key: PRNG key; not traced.
-      shape: one that is bounded.
-      num: number of points, >= 1; each stands for the volume volume(shape) / num.
+      shape: a bounded shape.
+      num: number of points, >= 1, each with the volume volume(shape) / num.
 
     Returns:
       Positions in the shape's frame [m], float64 of shape (num, 3); the same for the same key.
@@ -120,8 +133,6 @@ def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
 
     Gradient: none; see ``sample_box`` for boxes.
     """
-    if num < 1:
-        raise ValueError(f"num is {num}, but must be positive: give the number of points")
     rng, distance = _generator(key), _distance(shape)
     lower, upper = bounding_box(shape)
     found, num_found, num_drawn = [], 0, 0
@@ -137,15 +148,16 @@ def sample(key: Key, shape: Shape, num: int) -> np.ndarray:
     return np.concatenate(found)[:num]
 
 
+@checked(key=key, shape=check_sizes, radius=static(POSITIVE, "give the smallest distance of two points in metres"))
 def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
-    """Random points in a shape that are nowhere closer than a radius and leave no gap: blue noise.
+    """Random points in a shape, at least a radius apart and without gaps: blue noise.
 
     Every point of the shape has a sample within two radii (nearly always within 1.1). About 0.72 volume / radius^3
     points fit into a large shape.
 
     Args:
       key: PRNG key; not traced.
-      shape: one that is bounded.
+      shape: a bounded shape.
       radius: smallest distance of two points [m], > 0.
 
     Returns:
@@ -155,10 +167,9 @@ def sample_poisson_disk(key: Key, shape: Shape, radius: float) -> np.ndarray:
       ValueError: a radius that is not positive, a shape without bounds, a traced key.
 
     Gradient: none.
-    Source: Ebeida et al. 2012, "A simple algorithm for maximal Poisson-disk sampling in high dimensions", with two
-      levels of cells instead of as many as it takes, and darts beside the shape pulled onto its surface.
+    Source: Ebeida et al. 2012, "A simple algorithm for maximal Poisson-disk sampling in high dimensions". Deviations:
+      two levels of cells, and darts outside the shape are pulled onto its surface.
     """
-    _check_length("radius", radius, "smallest distance of two points")
     return maximal_poisson_disk(_generator(key), _distance(shape), *bounding_box(shape), radius)
 
 
@@ -171,7 +182,7 @@ def _signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
 
 
 def _distance(shape: Shape) -> Distance:
-    """Signed distance and normal of any number of points (n, 3), in float64 whatever jax's default type is."""
+    """Function for signed distances and normals of any number of points (n, 3), always in float64."""
     shape = jax.tree.map(lambda a: np.asarray(a, np.float64), shape)
 
     def distance(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -189,13 +200,8 @@ def _distance(shape: Shape) -> Distance:
 
 def _generator(key: Key) -> np.random.Generator:
     if isinstance(key, Tracer):
-        raise ValueError("key is traced: draw these points before jit, or use sample_box, which can be traced")
+        raise ValueError("key is traced: draw these points before jit, or use sample_box, which works under jit")
     return np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
-
-
-def _check_length(name: str, value: float, meaning: str) -> None:
-    if not value > 0:
-        raise ValueError(f"{name} is {value}, but must be positive: give the {meaning} in metres")
 
 
 __all__ = ["fill", "fill_box", "sample", "sample_box", "sample_poisson_disk", "volume"]

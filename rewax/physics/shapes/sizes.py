@@ -1,18 +1,18 @@
-"""What the sizes of shapes may be."""
+"""Legal values of the sizes of shapes."""
 
 import dataclasses
 from typing import Any
 
-from rewax.physics.numerics.checks import Number, numbers_of
+from rewax.physics.numerics.checks import Number, check_numbers, numbers_of
 from rewax.physics.shapes.base import Shape, require_shape
 
 
 def size_numbers(shape: Any, name: str) -> list[Number]:
-    """The sizes of a shape and of the shapes that it is made of, and what they may be.
+    """The sizes of a shape and of its component shapes, with their legal values.
 
     Args:
       shape: the shape.
-      name: what messages call it.
+      name: its name in messages.
 
     Raises:
       ValueError: it is no ``Shape``.
@@ -29,4 +29,9 @@ def size_numbers(shape: Any, name: str) -> list[Number]:
     return numbers
 
 
-__all__ = ["size_numbers"]
+def check_sizes(name: str, shape: Any) -> None:
+    """Raises ValueError for an object that is no ``Shape``, and for illegal sizes: a rule of ``fields``."""
+    check_numbers(size_numbers(shape, name))
+
+
+__all__ = ["check_sizes", "size_numbers"]

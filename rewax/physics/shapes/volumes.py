@@ -4,25 +4,27 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.shapes.base import Shape, require_shape
+from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.sizes import check_sizes
 from rewax.types import Scalar
 
 
 def volume(shape: Shape) -> Scalar:
-    """Volume of a shape [m^3], ``shape.volume()``; particles that fill it stand for volume / num_particles each.
+    """Volume of a shape [m^3], ``shape.volume()``; particles that fill it have volume / num_particles each.
 
     Raises:
       ValueError: the shape has no bounds, or is no ``Shape``.
 
-    Gradient: exact for what the shape's method computes.
+    Gradient: exact for the value that the shape's method computes.
     """
-    return require_shape(shape).volume()
+    check_sizes("shape", shape)
+    return shape.volume()
 
 
 def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest coordinates of a shape in its own frame [m], float64 of shape (3,) each.
 
-    Inside of compiled programs use ``shape.bounding_box()``, which returns JAX arrays.
+    Inside compiled programs use ``shape.bounding_box()``, which returns JAX arrays.
 
     Raises:
       ValueError: the shape has no bounds, or is no ``Shape``; its sizes are traced; a ``SampledDistance`` is nowhere
@@ -30,9 +32,9 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
 
     Gradient: none.
     """
-    require_shape(shape)
+    check_sizes("shape", shape)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(shape)):
-        raise ValueError("the sizes of shape are traced: ask for its bounding_box before jit, or use its own method")
+        raise ValueError("the sizes of shape are traced: call bounding_box before jit, or use shape.bounding_box()")
     with jax.ensure_compile_time_eval():
         lower, upper = shape.bounding_box()
         return np.asarray(lower, np.float64), np.asarray(upper, np.float64)

@@ -1,4 +1,4 @@
-"""Deformable tetrahedra."""
+"""Deformable bodies of linear tetrahedra: the finite element method (FEM) with lumped masses."""
 
 from rewax.physics.numerics.pose import static_poses
 from rewax.physics.tets import tetmesh

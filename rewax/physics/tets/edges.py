@@ -1,4 +1,4 @@
-"""From vertices to the edges of their tets and back: two linear maps, each the transpose of the other."""
+"""Linear maps from vertices to the edges of tets and back, each the transpose of the other."""
 
 import functools
 
@@ -11,10 +11,10 @@ from rewax.types import Array
 
 
 class TetTopology:
-    """Which vertices the tets have: hashable, so that it can be a static field.
+    """Vertex indices of the tets; hashable, so that it can be a static field.
 
     Attributes:
-      tets: int32 of shape (num_tets, 4); not to be written to.
+      tets: int32 of shape (num_tets, 4), read-only.
       num_vertices: length of arrays over vertices.
     """
 
@@ -42,12 +42,12 @@ class TetTopology:
 
     @functools.cached_property
     def by_vertex(self) -> np.ndarray:
-        """Vertices of all tets, first all the tets' vertex 0, then all vertices 1, ..., shape (4 num_tets,)."""
+        """Vertices of all tets: vertex 0 of each tet, then vertex 1 of each, ..., shape (4 num_tets,)."""
         return np.ascontiguousarray(self.tets.T).reshape(-1)
 
 
 def edges(topology: TetTopology, x: Vec3) -> Mat3:
-    """Matrices whose columns are the edges from each tet's vertex 0 to its vertices 1, 2, 3.
+    """Edge matrix of each tet; its columns are the edges from vertex 0 to vertices 1, 2, 3.
 
     Args:
       topology: the tets.
@@ -61,7 +61,7 @@ def edges(topology: TetTopology, x: Vec3) -> Mat3:
 
 
 def gather_forces(topology: TetTopology, columns: Mat3) -> Vec3:
-    """Sums over each vertex's tets of the tets' columns: column k goes to vertex k + 1, minus their sum to vertex 0.
+    """Sum the columns of tets at vertices: column k goes to vertex k + 1, minus the sum of the columns to vertex 0.
 
     Args:
       topology: the tets.
@@ -79,7 +79,7 @@ def _as_matrix(flat: Arrays) -> Mat3:
 
 
 def _edges(topology: TetTopology, residuals: Arrays, linear: Arrays) -> Arrays:
-    """For each component (..., vertices) its three differences (..., tets)."""
+    """For each component (..., vertices) the three differences (..., tets)."""
     del residuals
     out: list[Array] = []
     for a in linear:

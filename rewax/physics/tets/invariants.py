@@ -1,4 +1,4 @@
-"""What tetrahedra conserve: energy and momentum."""
+"""Conserved quantities of tetrahedra: energy and momentum."""
 
 import jax.numpy as jnp
 
@@ -35,6 +35,7 @@ def angular_momentum(
 ) -> Array:
     """Angular momentum about a point [kg m^2/s], shape (3,): sum m r x v.
 
-    Constant without gravity, contact, held vertices, and damping by ``DampingLaw.VELOCITY_GRADIENT``. Gradient: exact.
+    It is constant without gravity, contact, held vertices and damping by ``DampingLaw.VELOCITY_GRADIENT``. Gradient:
+    exact.
     """
     return jnp.sum(scene.mass[:, None] * jnp.cross(state.x - jnp.asarray(about, state.x.dtype), state.v), axis=0)

@@ -1,4 +1,4 @@
-"""The material of tetrahedra: stable neo-Hookean elasticity with activation and damping, by components."""
+"""The constitutive law of tetrahedra: stable neo-Hookean elasticity, activation and damping, by components."""
 
 import enum
 from typing import NamedTuple
@@ -7,18 +7,20 @@ import jax.numpy as jnp
 
 from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import POSITIVE, Legal
 from rewax.physics.numerics.components import Mat3
 from rewax.physics.numerics.elastic_constants import lame_parameters
+from rewax.physics.numerics.fields import checked, real
 from rewax.types import Array, Scalar
 
 
 class DampingLaw(enum.Enum):
-    """What is damped besides the change of volume."""
+    """The rate that is damped, in addition to the change of volume."""
 
     VELOCITY_GRADIENT = "velocity gradient"
-    """dF/dt, as in the reference: brakes rigid rotation too, by a torque of 2 damping volume times angular velocity."""
+    """dF/dt, as in the reference. It damps rigid rotation too: torque = 2 damping volume angular velocity."""
     STRAIN_RATE = "strain rate"
-    """The rate of the Green strain: nothing that keeps all distances is damped, and angular momentum is conserved."""
+    """The rate of the Green strain. Rigid motion is undamped, and angular momentum is conserved."""
 
 
 class StableParameters(NamedTuple):
@@ -29,7 +31,7 @@ class StableParameters(NamedTuple):
 
 
 class SmallStrainModuli(NamedTuple):
-    """What a law amounts to for small strains."""
+    """Moduli of the law at small strains."""
 
     youngs_modulus: Scalar
     """Young's modulus [Pa]."""
@@ -37,6 +39,10 @@ class SmallStrainModuli(NamedTuple):
     """Poisson's ratio [-]."""
 
 
+@checked(
+    youngs_modulus=real(POSITIVE, "give Young's modulus in Pa"),
+    poissons_ratio=real(Legal(-1.0, 0.5), "take 0.45 for rubber (0.5 is incompressible)"),
+)
 def stable_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> StableParameters:
     """Parameters with which the law has a given Young's modulus and Poisson's ratio at small strains.
 
@@ -52,12 +58,16 @@ def stable_parameters(youngs_modulus: Scalar, poissons_ratio: Scalar) -> StableP
     return StableParameters(4.0 / 3.0 * m, l + 5.0 / 6.0 * m)
 
 
+@checked(
+    mu=real(POSITIVE, "give the law's shear parameter in Pa"),
+    lam=real(POSITIVE, "give the law's volume parameter in Pa"),
+)
 def small_strain_moduli(mu: Scalar, lam: Scalar) -> SmallStrainModuli:
-    """Young's modulus and Poisson's ratio that the law amounts to at small strains; inverse of ``stable_parameters``.
+    """Young's modulus and Poisson's ratio of the law at small strains; inverse of ``stable_parameters``.
 
     The stress of F = I + H is 3/4 mu (H + H^T) + (lam - 5/8 mu) tr(H) I to first order, so Lame's parameters are
-    3/4 mu and lam - 5/8 mu, the bulk modulus is lam - mu/8, and lam > mu/8 is needed for stability. The reference's
-    mu = lam = 1000 Pa are E = 1750 Pa, nu = 1/6.
+    3/4 mu and lam - 5/8 mu. The bulk modulus is lam - mu/8, so stability needs lam > mu/8. The reference's mu = lam =
+    1000 Pa correspond to E = 1750 Pa, nu = 1/6.
 
     Gradient: exact.
     """
@@ -69,15 +79,15 @@ def energy_density(F: Mat3, mu: Scalar, lam: Scalar, activation: Scalar = 0.0) -
     """Elastic energy per rest volume [J/m^3].
 
     With I = |F|^2, J = det F, a the activation and e = J - 1 + a:
-    mu/2 (I - 3) - mu/2 log((I + 1) / 4) + lam/2 e^2 - 3/4 mu e. Zero at rest without activation. A muscle's activation
-    moves the volume at rest, so that with it the energy can be negative.
+    psi = mu/2 (I - 3) - mu/2 log((I + 1) / 4) + lam/2 e^2 - 3/4 mu e. It is zero at rest without activation. Activation
+    changes the volume at rest, so the energy can be negative.
 
     Args:
       F: deformation gradient [-], components of any shape.
-      mu, lam: parameters [Pa], broadcast against them.
+      mu, lam: parameters [Pa], broadcast against the components.
       activation: [-]; positive contracts.
 
-    Gradient: exact, finite for every F, flattened and inverted ones too.
+    Gradient: exact, finite for every F, also flattened and inverted ones.
     Source: Smith et al. 2018, eq. 14, shifted by a constant; activation as in NVIDIA Warp's soft meshes.
     """
     square = sum(cp.dot(row, row) for row in F)
@@ -97,8 +107,8 @@ def first_piola_stress(
 ) -> Mat3:
     """First Piola-Kirchhoff stress [Pa], by components.
 
-    P = mu (1 - 1/(I + 1)) F + (lam (J - 1 + a) - 3/4 mu + k dJ/dt) dJ/dF + k D, where D is dF/dt or F times the rate of
-    the Green strain, as ``damping_law`` says, and k the damping.
+    P = mu (1 - 1/(I + 1)) F + (lam (J - 1 + a) - 3/4 mu + k dJ/dt) dJ/dF + k D. Here k is the damping, and D is dF/dt
+    or F times the rate of the Green strain, depending on ``damping_law``.
 
     Args:
       F: deformation gradient [-].
@@ -106,11 +116,11 @@ def first_piola_stress(
       mu, lam: parameters [Pa].
       activation: [-], see ``energy_density``.
       damping: viscosity [Pa s].
-      damping_law: what is damped.
+      damping_law: the damped rate.
 
     Gradient: exact, finite for every F.
-    Source: Smith et al. 2018, eq. 18; NVIDIA Warp's soft meshes, which damp with the volume rate of three vertices'
-      velocities against a fixed origin, so that mere translation makes a force. Here it is the rate of J.
+    Source: Smith et al. 2018, eq. 18; damping as in NVIDIA Warp's soft meshes. Deviation: the volume rate is dJ/dt.
+      Warp uses three vertices' velocities relative to a fixed origin, where pure translation causes a force.
     """
     square = sum(cp.dot(row, row) for row in F)
     cofactor = materialize(cp.cofactor(F))

@@ -1,4 +1,4 @@
-"""What a simulation of tetrahedra is made of: vertices, and the scene that does not change; checked when built."""
+"""Vertices (the state) and the scene of tetrahedra (everything constant), checked when they are built."""
 
 from typing import Any
 
@@ -7,20 +7,11 @@ import numpy as np
 from jax.core import Tracer
 
 from rewax import struct
-from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.contact_checks import check_ground, penalty_numbers
+from rewax.physics.contact.colliders import COLLIDERS, Collider
+from rewax.physics.contact.contact_checks import check_ground, check_rotations, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import (
-    FINITE,
-    GRAVITY,
-    POSITIVE,
-    Number,
-    any_illegal,
-    check_enum,
-    check_number,
-    check_numbers,
-    static_number,
-)
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, any_illegal, check_numbers
+from rewax.physics.numerics.fields import check_fields, check_range, checked, instance, member, real, static
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.tets.edges import TetTopology
 from rewax.physics.tets.law import DampingLaw, wave_modulus
@@ -35,8 +26,14 @@ from rewax.physics.tets.scene_checks import (
 from rewax.physics.tets.tetmesh import TetMesh, check_tetmesh
 from rewax.types import Array, Scalar, Vector
 
+DAMPING_LAW = member(DampingLaw)
+_SCENE = {
+    "dt": static(POSITIVE, "give the duration of a substep in seconds"),
+    "colliders": COLLIDERS,
+    "damping_law": DAMPING_LAW,
+}
 STABLE_FRACTION = 0.8
-"""Of the bound that ``largest_stable_dt`` derives; see there."""
+"""Fraction of the bound that ``largest_stable_dt`` derives."""
 
 
 @struct.dataclass
@@ -54,27 +51,27 @@ class TetState(struct.Replaceable):
 
 @struct.dataclass
 class TetScene(struct.Replaceable):
-    """Everything of a simulation that does not change with time; build it with ``make_scene``, which checks it.
+    """The constant part of a simulation; build it with ``make_scene``, which checks it.
 
-    Parameters of the material are numbers, or arrays of shape (num_tets,) that differ per tet.
+    Parameters of the material are numbers, or arrays of shape (num_tets,).
 
     Attributes:
       topology: the tets (static).
       dt: duration of a substep [s] (static).
-      inverse_rest_edges: of each tet, the inverse of the matrix whose columns are its edges at rest from vertex 0 to 1,
-        2, 3 [1/m], shape (num_tets, 3, 3).
-      rest_volume: of each tet [m^3], shape (num_tets,).
-      mass: of each vertex [kg], shape (num_vertices,).
-      mu, lam: parameters of the stable neo-Hookean law [Pa]. Small strains see Young's modulus and Poisson's ratio of
-        ``tets.small_strain_moduli(mu, lam)``; ``tets.stable_parameters`` goes the other way.
-      damping: viscosity [Pa s]; None: none, which costs nothing.
+      inverse_rest_edges: inverse of each tet's edge matrix at rest (columns: edges from vertex 0 to 1, 2, 3) [1/m],
+        shape (num_tets, 3, 3).
+      rest_volume: volume of each tet at rest [m^3], shape (num_tets,).
+      mass: mass of each vertex [kg], shape (num_vertices,).
+      mu, lam: parameters of the stable neo-Hookean law [Pa]. ``tets.small_strain_moduli(mu, lam)`` converts them to
+        Young's modulus and Poisson's ratio, ``tets.stable_parameters`` converts back.
+      damping: viscosity [Pa s]; None: no damping, whose terms are not traced.
       activation: shift of the volume ratio at rest [-]; positive contracts.
       gravity: acceleration [m/s^2], shape (3,).
       mobility: 1 for vertices that move, 0 for those that keep their velocity, shape (num_vertices,); None: all move.
-      contact: how the ground and colliders push vertices.
-      ground: the ground, if there is one.
+      contact: penalty law of ground and colliders.
+      ground: the ground, or None.
       colliders: moving shapes.
-      damping_law: what is damped (static).
+      damping_law: the damped rate (static).
     """
 
     topology: TetTopology = struct.static_field()
@@ -94,7 +91,7 @@ class TetScene(struct.Replaceable):
     damping_law: DampingLaw = struct.static_field(default=DampingLaw.VELOCITY_GRADIENT)
 
     def __post_init__(self) -> None:
-        check_enum("damping_law", self.damping_law, DampingLaw)
+        DAMPING_LAW("damping_law", self.damping_law)
 
     @property
     def tets(self) -> np.ndarray:
@@ -102,19 +99,22 @@ class TetScene(struct.Replaceable):
         return self.topology.tets
 
 
+SCENE = instance(TetScene, "give a scene of tets.make_scene")
+STATE = instance(TetState, "give a state of tets.initial_state or tets.step")
+
+
+@checked(x=real(FINITE, "give positions in metres", shape=("num_vertices", 3)))
 def initial_state(x: Any) -> TetState:
     """Vertices at rest.
 
     Args:
-      x: positions [m], shape (num_vertices, 3); ``mesh.vertices``, or moved or strained from there.
+      x: positions [m], shape (num_vertices, 3): ``mesh.vertices``, possibly moved or strained.
 
     Raises:
-      ValueError: another shape, or a position that is not finite. Of traced positions only the shape is known.
+      ValueError: another shape, or a position that is not finite. Of traced positions only the shape is checked.
     """
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
-    if x.ndim != 2 or x.shape[-1] != 3:
-        raise ValueError(f"x has shape {x.shape}: give positions of shape (num_vertices, 3)")
-    check_number("x", x, FINITE, "give positions in m")
+    x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
     return TetState(x=x, v=jnp.zeros_like(x))
 
 
@@ -143,32 +143,32 @@ def make_scene(
       others: the fields of ``TetScene``.
 
     Raises:
-      ValueError: a mesh that ``check_tetmesh`` refuses, a number that cannot be (not finite, a modulus, density or size
-        that is not positive, damping or friction below 0), parameters that leave the material unstable (lam <= mu / 8)
-        or are of a wrong shape, shapes without a contact law, dt above ``largest_stable_dt``. The message names field,
-        value and remedy. Traced values are not known here; ``check_status`` sets ``Status.INVALID_PARAMETERS`` for
-        them.
+      ValueError: a mesh that ``check_tetmesh`` rejects, an illegal value (not finite; a modulus, density or size that
+        is not positive; damping or friction below 0), parameters of an unstable material (lam <= mu / 8) or of a wrong
+        shape, ground or colliders without a contact law, a dt above ``largest_stable_dt``. The message names field,
+        value and remedy. ``check_status`` sets ``Status.INVALID_PARAMETERS`` for illegal traced values.
     """
+    check_fields(_SCENE, locals())
     check_tetmesh(mesh)
     num_tets, num_vertices = len(mesh.tets), len(mesh.vertices)
-    dt = static_number("dt", dt, POSITIVE, "give the duration of a substep in seconds")
+    dt = float(dt)
     if ground is not None:
         check_ground(ground)
     density_number = Number("density", density, POSITIVE, "give the rest density in kg/m^3")
     numbers = material_numbers(mu, lam, damping, activation)
     check_numbers([density_number, *numbers, *contact_numbers(contact, ground, colliders), gravity_number(gravity)])
+    check_rotations(colliders)
     for number in (density_number, *numbers):
         check_length(number, num_tets)
     for number in () if contact is None else penalty_numbers(contact):
         check_length(number, num_vertices)
     check_moduli(mu, lam)
     if contact is None and (ground is not None or colliders):
-        raise ValueError("contact is None although there is something to touch: give a PenaltyContact")
-    held = held_indices(held, num_vertices)
-    if held.size and (held.min() < 0 or held.max() >= num_vertices):
         raise ValueError(
-            f"held has vertices from {held.min()} to {held.max()}, but there are {num_vertices}: count from 0"
+            "contact is None, but the scene has a ground or colliders: give a PenaltyContact(stiffness=...)"
         )
+    held = held_indices(held, num_vertices)
+    check_range("held", held, num_vertices)
     corners = np.asarray(mesh.vertices, np.float64)[mesh.tets]
     rest_edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     share = jnp.asarray(mesh.volumes / 4.0, float) * density
@@ -186,7 +186,7 @@ def make_scene(
         mobility=jnp.ones(num_vertices).at[held].set(0.0) if held.size else None,
         contact=contact,
         ground=ground,
-        colliders=colliders,
+        colliders=tuple(colliders),
         damping_law=damping_law,
     )
     limit = largest_stable_dt(scene)
@@ -201,16 +201,17 @@ def make_scene(
 def largest_stable_dt(scene: TetScene) -> Scalar:
     """Largest substep [s] at which the explicit integration of a body at rest stays stable.
 
-    A vertex of mass m is held by at most K = sum over its tets of volume M sum_k |grad N_k|^2, M the modulus of
-    pressure waves and N_k the tet's linear shape functions, plus the contact's stiffness, and braked by as much with 2
-    damping in the place of M, plus the contact's damping. Symplectic Euler is stable up to
-    4 / (c + sqrt(c^2 + 4 w^2)), w^2 = K / m, c the damping over m; the result is 0.8 of the smallest over all vertices.
+    The stiffness at a vertex of mass m is at most K = sum over its tets of volume M sum_k |grad N_k|^2, plus the
+    contact's stiffness. Here M is the modulus of pressure waves and N_k are the tet's linear shape functions. The
+    damping is at most the same sum with 2 damping instead of M, plus the contact's damping. Symplectic Euler is stable
+    up to 4 / (c + sqrt(c^2 + 4 w^2)) with w^2 = K / m and c the damping over m. The result is 0.8 of the smallest bound
+    of all vertices.
 
-    The factor is measured: boxes of 5 and 6 tets per cell, long and distorted ones and the soft jumper's table, nu 0 to
-    0.45, whose vertices start moved at random by 1 or 10 % of a tet's smallest size, blow up within 2000 substeps
-    between 1.1 (nu 0.45, 10 %) and 1.6 of the smallest without damping, between 1.6 and 2.7 with strong damping; linear
-    theory says 1.3 to 1.6. Stronger compression needs a margin of its own; friction damping does not count here, and
-    contact only once, although several things can push one vertex.
+    The factor is measured over 2000 substeps, on boxes of 5 and 6 tets per cell, long and distorted boxes and the soft
+    jumper's table, with nu from 0 to 0.45 and vertices displaced at random by 1 or 10 % of a tet's smallest size. They
+    become unstable between 1.1 (nu 0.45, 10 %) and 1.6 of the smallest bound without damping, and between 1.6 and 2.7
+    with strong damping. Linear theory predicts 1.3 to 1.6. Stronger compression needs an extra margin. Friction damping
+    is not included, and contact is included once, although several bodies can push one vertex.
 
     Gradient: exact.
     """
@@ -236,11 +237,11 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
 
 
 def has_invalid_parameters(scene: TetScene, poses: Pose | None = None) -> Array:
-    """Whether a scene holds a number that ``make_scene`` refuses, shape (), bool; for traced and replaced numbers.
+    """Whether a scene holds a number that ``make_scene`` rejects, shape (), bool; for traced and replaced numbers.
 
     Args:
       scene: the scene.
-      poses: of its bodies, of any shape; None: they are not looked at.
+      poses: poses of its bodies, of any shape; None: not checked.
 
     Gradient: none.
     """
@@ -252,7 +253,7 @@ def has_invalid_parameters(scene: TetScene, poses: Pose | None = None) -> Array:
         gravity_number(scene.gravity),
     ]
     soft = jnp.any(jnp.asarray(scene.lam) <= jnp.asarray(scene.mu) / 8)
-    # A dt at the limit stays legal when the limit is rounded to float32.
+    # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
     return any_illegal(numbers) | soft | too_long
 

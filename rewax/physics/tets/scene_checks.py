@@ -1,4 +1,4 @@
-"""What the parts of a scene of tetrahedra may be."""
+"""Checks of the parts of a scene of tetrahedra."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from rewax.physics.numerics.pose import Pose
 
 
 def material_numbers(mu: Any, lam: Any, damping: Any, activation: Any) -> list[Number]:
-    """The parameters of the material, and what they may be."""
+    """The parameters of the material, with their legal values."""
     moduli = "take it from tets.law.stable_parameters(youngs_modulus, poissons_ratio)"
     damped = [] if damping is None else [Number("damping", damping, NOT_NEGATIVE, "give a viscosity in Pa s")]
     return [
@@ -28,7 +28,7 @@ def material_numbers(mu: Any, lam: Any, damping: Any, activation: Any) -> list[N
 def contact_numbers(
     contact: PenaltyContact | None, ground: Ground | None, colliders: tuple[Collider, ...], poses: Pose | None = None
 ) -> list[Number]:
-    """The numbers of everything that vertices touch, and what they may be."""
+    """The numbers of contact law, ground and colliders, with their legal values."""
     numbers = [] if contact is None else penalty_numbers(contact)
     return [*numbers, *([] if ground is None else ground_numbers(ground)), *collider_numbers(colliders, poses)]
 
@@ -44,12 +44,15 @@ def check_length(number: Number, length: int) -> None:
 
 
 def held_indices(held: Any, num_vertices: int) -> np.ndarray:
-    held = np.asarray(held)
+    try:
+        held = np.asarray(held)
+    except ValueError:  # rows of several lengths
+        held = np.asarray(None)
     if held.size == 0:
         return np.zeros(0, int)
     if held.dtype == bool and held.shape == (num_vertices,):
         return np.flatnonzero(held)
-    if held.dtype == bool or not np.issubdtype(held.dtype, np.integer):
+    if held.ndim > 1 or not np.issubdtype(held.dtype, np.integer):
         raise ValueError(
             f"held is an array of {held.dtype} of shape {held.shape}: give indices of vertices, or a mask of shape "
             f"({num_vertices},)"

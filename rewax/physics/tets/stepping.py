@@ -1,7 +1,7 @@
-"""Deformable tetrahedra: state, scene, substep, step, largest stable substep, and what they conserve.
+"""Deformable tetrahedra: substep, step, forces, status.
 
-Linear tetrahedra with masses lumped at the vertices. One substep: elastic, active and damping stress of each tet,
-summed over each vertex's tets; gravity; penalty contact with the ground and with moving shapes; symplectic Euler.
+Linear tetrahedra with masses lumped at the vertices. One substep: forces from elastic, active and damping stress of the
+tets, gravity, penalty contact with the ground and with moving shapes, symplectic Euler.
 """
 
 import functools
@@ -18,30 +18,32 @@ from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
+from rewax.physics.numerics.fields import checked, instance, optional, poses
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.tets.edges import edges, gather_forces
 from rewax.physics.tets.law import DampingLaw, first_piola_stress
-from rewax.physics.tets.scene import TetScene, TetState, has_invalid_parameters
+from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState, has_invalid_parameters
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
 
 class Vertices(NamedTuple):
-    """``TetState`` by components, as the inner loop wants it."""
+    """``TetState`` by components, for the inner loop."""
 
     x: Vec3
     v: Vec3
 
 
 class Rest(NamedTuple):
-    """What a substep needs of the scene's arrays, by components, taken apart once per step."""
+    """The scene's arrays that a substep needs, by components, split once per step."""
 
     inverse_edges: Mat3
     volume: Array
     inverse_mass: Array
 
 
+@checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetState:
     """One substep of duration ``scene.dt``: v' = v + dt (f(x, v) / m + g), x' = x + dt v'.
 
@@ -50,24 +52,25 @@ def substep(scene: TetScene, state: TetState, before: Pose, after: Pose) -> TetS
       state: vertices.
       before, after: poses of all bodies at its beginning and end, shapes (num_bodies, 3), (num_bodies, 3, 3).
 
-    Gradient: exact with respect to the state, the poses and every array of the scene, forward and reverse; at the onset
-      of contact and at Coulomb's limit one-sided, see ``penalty.penalty_force``.
-    Source: the soft meshes of NVIDIA Warp's semi-implicit integrator; deviation: damping, see ``law``.
+    Gradient: exact with respect to the state, the poses and every array of the scene, forward and reverse; one-sided at
+      the onset of contact and at Coulomb's limit, see ``penalty.penalty_force``.
+    Source: the soft meshes of NVIDIA Warp's semi-implicit integrator. Deviation: damping, see ``law``.
     """
     check_bodies(scene.colliders, before.position.shape[0])
     return join(_recomputed_substep(scene, rest(scene), split(state), (before, after)))
 
 
+@checked(scene=SCENE, state=STATE, poses=poses("num_substeps + 1", "num_bodies"))
 def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | None = 1) -> TetState:
-    """As many substeps as ``poses`` has intervals.
+    """Advance vertices by the substeps between ``poses``.
 
     Args:
       scene: the scene.
       state: vertices.
       poses: poses of all bodies at the num_substeps + 1 boundaries of substeps, shapes (num_substeps + 1, num_bodies,
         3) and (num_substeps + 1, num_bodies, 3, 3); see ``mpm.static_poses`` for a scene without bodies.
-      store_every: as for ``mpm.step``: vertices are stored every so many substeps for the backward pass and the rest is
-        recomputed; None: everything is stored.
+      store_every: as for ``mpm.step``: the backward pass stores vertices every ``store_every`` substeps and recomputes
+        the rest; None: it stores everything.
 
     Gradient: exact, as for ``substep``.
     """
@@ -81,32 +84,34 @@ def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | No
     return join(scan_substeps(body, split(state), both_ends(poses), store_every))
 
 
+@checked(scene=SCENE, state=STATE)
 def internal_force(scene: TetScene, state: TetState) -> Array:
     """Elastic, active and damping forces on the vertices [N], shape (num_vertices, 3); they sum to zero.
 
-    Gradient: exact. Without damping it is minus the gradient of ``elastic_energy``.
+    Without damping they are minus the gradient of ``elastic_energy``. Gradient: exact.
     """
     return cp.join_vector(vertex_forces(scene, rest(scene), *split(state)))
 
 
+@checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def contact_force(scene: TetScene, state: TetState, before: Pose, after: Pose) -> Array:
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3); poses as for ``substep``."""
     return cp.join_vector(contact_forces(scene, *split(state), (before, after)))
 
 
 def deformation_gradient(scene: TetScene, x: Array) -> Array:
-    """Of each tet [-], shape (num_tets, 3, 3); its determinant is negative where a tet is inverted. Gradient: exact."""
+    """Deformation gradient of each tet [-], shape (num_tets, 3, 3); det F < 0 where inverted. Gradient: exact."""
     return cp.join_matrix(deformation(scene, rest(scene), cp.split_vector(x)))
 
 
+@checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: TetScene, state: TetState, *, poses: Pose | None = None) -> Array:
-    """Status bits of a state: non-finite numbers, tets that are flat or inside out; and of a scene whose numbers cannot
-    be.
+    """Status bits of a state (non-finite numbers, flat or inverted tets) and of a scene (illegal numbers).
 
     Args:
       scene: the scene.
       state: vertices.
-      poses: of its bodies, as for ``step``, to tell whether they are finite.
+      poses: poses of its bodies, as for ``step``, to check that they are finite.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
@@ -137,7 +142,7 @@ _recomputed_substep = recomputed(_substep)
 
 
 def moved(scene: TetScene, rest: Rest, vertices: Vertices, force: Vec3, contact: Vec3) -> Vertices:
-    """Vertices a substep later, of the forces of their tets and of contact [N]. Gradient: exact."""
+    """Vertices a substep later, given the forces of tets and contact [N]. Gradient: exact."""
     with jax.named_scope("update"):
         shared = (scene.gravity, scene.dt)
         return _moved(shared, (vertices, force, contact, rest.inverse_mass, scene.mobility))
@@ -185,20 +190,20 @@ def _columns(damping_law: DampingLaw) -> Callable[[Any, Any], Mat3]:
 
 
 def contact_forces(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose] | None) -> Vec3:
-    """``contact_force`` by components; None: of the ground alone."""
+    """``contact_force`` by components; with ``interval`` None that of the ground alone."""
     nothing = cp.vector(lambda i: jnp.zeros_like(x[i]))
     if scene.contact is None:
         return nothing
     forces = [] if scene.ground is None else [ground_force(scene.ground, scene.contact, x, v)]
     if interval is not None:
         for collider in scene.colliders:
-            start, end = (body_pose(poses, collider.body) for poses in interval)
+            start, end = (body_pose(pose, collider.body) for pose in interval)
             forces.append(collider_force(collider, scene.contact, x, v, start, end, scene.dt))
     return functools.reduce(cp.add, forces) if forces else nothing
 
 
 def rest(scene: TetScene) -> Rest:
-    """What substeps need of the scene."""
+    """The scene's arrays that substeps need."""
     return Rest(cp.split_matrix(scene.inverse_rest_edges), scene.rest_volume, 1.0 / scene.mass)
 
 

@@ -1,6 +1,6 @@
-"""Tetrahedral meshes: boxes and assemblies of cells, files, and what is wrong with a mesh.
+"""Tetrahedral meshes: boxes and assemblies of cells, files, and checks of a mesh.
 
-Everything here is numpy and happens before a simulation starts. A tet (a, b, c, d) is the right way round if
+Everything here is numpy and runs before a simulation starts. A tet (a, b, c, d) has positive orientation if
 (b - a) . ((c - a) x (d - a)) > 0.
 """
 
@@ -8,19 +8,33 @@ import contextlib
 import dataclasses
 import io
 import itertools
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE
+from rewax.physics.numerics.fields import (
+    check_fields,
+    check_range,
+    checked,
+    indices,
+    instance,
+    integer,
+    items,
+    mask,
+    one_of,
+    real,
+    static,
+)
+from rewax.physics.tets.tetmesh_checks import EDGES, FACES, check_connections, check_shapes, signed_volumes
+
 MIN_SHAPE = 1e-5
-"""A tet whose six-fold volume is below this times its longest edge cubed counts as flat; a cube's corner has 0.35."""
+"""Least six-fold volume of a tet over its longest edge cubed; flatter tets are rejected. A cube's corner: 0.35."""
 TABLE_CELL = 0.354428
 """Edge of a cell of the table of the task SoftJumper [m]."""
 _TABLE_CORNER = (-1.160, 0.007, -1.221)
-_FACES = np.asarray([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-"""Vertices of the face opposite to each vertex, counterclockwise seen from outside."""
-_EDGES = np.asarray(list(itertools.combinations(range(4), 2)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,7 +52,7 @@ class TetMesh:
     @property
     def volumes(self) -> np.ndarray:
         """Volume of each tet [m^3], shape (num_tets,), negative where it is inverted."""
-        return _signed_volumes(self.vertices, self.tets)
+        return signed_volumes(self.vertices, self.tets)
 
     @property
     def volume(self) -> float:
@@ -46,9 +60,19 @@ class TetMesh:
         return float(self.volumes.sum())
 
 
+_MESH = instance(TetMesh, "give a TetMesh, of tetmesh.box or load_tetmesh for example")
+_POINT = real(FINITE, "give a position in metres", shape=(3,))
+_COUNTS = "give the numbers of cells along x, y and z, each at least 1"
+
 # --- Boxes and cells --------------------------------------------------------------------------------------------------
 
 
+@checked(
+    size=real(POSITIVE, "give three edges in metres", shape=(3,)),
+    counts=items(integer(1, _COUNTS), _COUNTS, length=3),
+    center=_POINT,
+    tets_per_cell=one_of(5, 6),
+)
 def box(
     size: Sequence[float],
     counts: Sequence[int],
@@ -56,7 +80,7 @@ def box(
     center: Sequence[float] = (0.0, 0.0, 0.0),
     tets_per_cell: int = 6,
 ) -> TetMesh:
-    """A box, cut into equal cells and these into tets.
+    """A box of equal cells, each cut into tets.
 
     Args:
       size: edges along x, y, z [m], > 0.
@@ -69,14 +93,17 @@ def box(
       >>> len(mesh.vertices), len(mesh.tets), mesh.volume
       (45, 96, 2.0)
     """
-    if len(size) != 3 or not np.all(np.asarray(size) > 0):
-        raise ValueError(f"size is {tuple(size)}: give three positive edges in metres")
-    if len(counts) != 3 or not np.all(np.asarray(counts) >= 1):
-        raise ValueError(f"counts is {tuple(counts)}: give how many cells, at least 1, along x, y and z")
+    counts = [int(n) for n in counts]
     lines = [c + s * (np.arange(n + 1) / n - 0.5) for c, s, n in zip(center, size, counts, strict=True)]
     return cells(np.ones(tuple(counts), bool), lines, tets_per_cell=tets_per_cell)
 
 
+@checked(
+    occupied=mask("give a mask of shape (nx, ny, nz)", ("nx", "ny", "nz")),
+    spacing=static(POSITIVE, "give the edge of a cube in metres"),
+    corner=_POINT,
+    tets_per_cell=one_of(5, 6),
+)
 def voxels(
     occupied: np.ndarray,
     spacing: float,
@@ -87,49 +114,51 @@ def voxels(
     """A body of equal cubes.
 
     Args:
-      occupied: which cubes belong to it, bool of shape (nx, ny, nz).
-      spacing: their edge [m], > 0.
+      occupied: mask of the cubes of the body, bool of shape (nx, ny, nz).
+      spacing: edge of a cube [m], > 0.
       corner: lower corner of the cube with index (0, 0, 0) [m].
       tets_per_cell: 5 or 6, see ``cells``.
     """
-    if not spacing > 0:
-        raise ValueError(f"spacing is {spacing}, but must be positive: give the edge of a cube in metres")
     occupied = np.asarray(occupied, bool)
     lines = [c + spacing * np.arange(n + 1) for c, n in zip(corner, occupied.shape, strict=True)]
     return cells(occupied, lines, tets_per_cell=tets_per_cell)
 
 
+_LINE = real(FINITE, "give increasing coordinates in metres", shape=("num_lines",))
+
+
+@checked(
+    occupied=mask("give a mask of shape (nx, ny, nz)", ("nx", "ny", "nz")),
+    lines=items(_LINE, "give three arrays of coordinates in metres", length=3),
+    tets_per_cell=one_of(5, 6),
+)
 def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: int = 6) -> TetMesh:
     """The occupied cells of a rectilinear grid; tets of neighbouring cells share whole faces.
 
-    Six tets per cell run along its diagonal from the lowest to the highest corner (Kuhn), the same in all cells. Five
-    are one in the middle and one at every other corner, mirrored from cell to cell: fewer, but of unequal size.
+    Six tets per cell share its diagonal from the lowest to the highest corner (Kuhn), equally in all cells. Five tets
+    are one in the middle and four at alternate corners, mirrored from cell to cell: fewer, but of unequal size.
 
     Args:
-      occupied: which cells belong to the body, bool of shape (nx, ny, nz).
+      occupied: mask of the cells of the body, bool of shape (nx, ny, nz).
       lines: coordinates of the grid along x, y, z [m], increasing, lengths nx + 1, ny + 1, nz + 1.
       tets_per_cell: 5 or 6.
 
     Returns:
-      The mesh; tets of one cell are neighbours in its order.
+      The mesh; tets of one cell are consecutive.
 
     Raises:
-      ValueError: no cell at all, lines that do not fit or increase, another number of tets.
+      ValueError: no cell, lines of wrong length or not increasing, another number of tets.
     """
     occupied = np.asarray(occupied, bool)
-    if occupied.ndim != 3 or not occupied.any():
-        raise ValueError(
-            f"occupied has shape {occupied.shape} and {occupied.sum()} cells: give (nx, ny, nz), not empty"
-        )
+    if not occupied.any():
+        raise ValueError(f"occupied has shape {occupied.shape} and no cell: give a mask with at least one cell")
     lines = [np.asarray(line, np.float64) for line in lines]
     if [len(line) for line in lines] != [n + 1 for n in occupied.shape]:
         raise ValueError(
             f"lines have {[len(line) for line in lines]} coordinates for {occupied.shape} cells: give one more of each"
         )
     if not all(np.all(np.diff(line) > 0) for line in lines):
-        raise ValueError("lines do not increase: sort the coordinates along each axis, each of them once")
-    if tets_per_cell not in (5, 6):
-        raise ValueError(f"tets_per_cell is {tets_per_cell}: give 5 or 6")
+        raise ValueError("lines do not increase: sort the coordinates along each axis and remove duplicates")
     index = np.argwhere(occupied)
     corners = _kuhn_corners(index) if tets_per_cell == 6 else _alternating_corners(index)
     shape = tuple(len(line) for line in lines)
@@ -143,11 +172,10 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
 def soft_jumper_table() -> TetMesh:
     """The table of the task SoftJumper: 204 vertices, 444 tets, 4.8975 m^3.
 
-    A slab of 7 x 2 x 7 cubes of edge ``TABLE_CELL`` on four legs of one cube each way and three high; y is up. The slab
-    is one layer of bricks two cubes high (six tets each), whose upright edges on the rim are then halved: no vertex
-    lies inside the slab.
+    A slab of 7 x 2 x 7 cubes of edge ``TABLE_CELL`` on four legs of 1 x 3 x 1 cubes; y is up. The slab is one layer of
+    bricks two cubes high with six tets each. The upright edges on its rim are then halved, so no vertex lies inside it.
 
-    Source: the reference's extents, counts and volume; its own decomposition is not published.
+    Source: the reference's extents, counts and volume. Its decomposition is not published.
     """
     h = TABLE_CELL
     occupied = np.zeros((7, 4, 7), bool)
@@ -164,23 +192,24 @@ def soft_jumper_table() -> TetMesh:
     return split_edges(mesh, np.asarray([(v, vertex_at[tuple(offset[v] + [0, 2, 0])]) for v in low]))
 
 
+@checked(mesh=_MESH, edges=indices("give pairs of vertices, integers of shape (num_edges, 2)", ("num_edges", 2)))
 def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
-    """Halve edges: each gets a vertex in its middle, and each tet around it becomes two, neighbours in order.
+    """Halve edges: each gets a vertex in its middle, and each tet around it becomes two consecutive tets.
 
     Args:
       mesh: the mesh.
       edges: vertex indices, shape (num_edges, 2); no two edges of the same tet.
 
     Raises:
-      ValueError: an edge that is none of the mesh, or two of one tet.
+      ValueError: an edge that the mesh does not have, or two edges of one tet.
     """
     first = len(mesh.vertices)
     middle = {frozenset(map(int, edge)): first + i for i, edge in enumerate(np.asarray(edges))}
     unused, tets = set(middle), []
     for tet in mesh.tets:
-        hits = [e for e in _EDGES if frozenset(map(int, tet[e])) in middle]
+        hits = [e for e in EDGES if frozenset(map(int, tet[e])) in middle]
         if len(hits) > 1:
-            raise ValueError(f"two edges of the tet {tet.tolist()} are to be split: split one, then the other")
+            raise ValueError(f"edges has two edges of the tet {tet.tolist()}: call split_edges once for each")
         if not hits:
             tets.append(tet)
             continue
@@ -191,11 +220,14 @@ def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
             half[end] = middle[pair]
             tets.append(half)
     if unused:
-        raise ValueError(f"{sorted(unused.pop())} is no edge of the mesh: give pairs of vertices of one tet")
+        raise ValueError(
+            f"edges has {sorted(unused.pop())}, which is no edge of the mesh: give pairs of vertices of one tet"
+        )
     vertices = np.concatenate([mesh.vertices, mesh.vertices[np.asarray(edges)].mean(axis=1)])
     return TetMesh(vertices, np.asarray(tets, np.int32))
 
 
+@checked(mesh=_MESH)
 def orient(mesh: TetMesh) -> TetMesh:
     """The same mesh with two vertices of every inverted tet swapped."""
     tets = np.array(mesh.tets)
@@ -204,9 +236,10 @@ def orient(mesh: TetMesh) -> TetMesh:
     return TetMesh(mesh.vertices, tets)
 
 
+@checked(mesh=_MESH)
 def boundary_faces(mesh: TetMesh) -> np.ndarray:
     """Triangles of the surface, counterclockwise seen from outside, int32 of shape (num_faces, 3)."""
-    faces = mesh.tets[:, _FACES].reshape(-1, 3)
+    faces = mesh.tets[:, FACES].reshape(-1, 3)
     _, inverse, counts = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
     return faces[counts[inverse.reshape(-1)] == 1]
 
@@ -214,15 +247,19 @@ def boundary_faces(mesh: TetMesh) -> np.ndarray:
 # --- Files ------------------------------------------------------------------------------------------------------------
 
 
+@checked(
+    path=instance((str, os.PathLike), "give the path of a mesh file"),
+    scale=static(POSITIVE, "give metres per unit of length"),
+)
 def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool = False) -> TetMesh:
-    """Tets of a mesh file (.msh, .vtk, .vtu, .mesh and whatever else meshio reads), checked.
+    """Tets of a mesh file (.msh, .vtk, .vtu, .mesh or another format of meshio), checked.
 
-    Points that no tet uses (files keep those of the geometry's description) and surface elements are left out.
+    Surface elements and points that no tet uses (files keep points of the geometry) are left out.
 
     Args:
       path: the file.
       scale: metres per unit of length of the file.
-      fix_orientation: swap vertices of inverted tets, for files that count them the other way round.
+      fix_orientation: swap two vertices of each inverted tet, for files with the opposite orientation.
 
     Raises:
       ImportError: meshio is missing.
@@ -234,9 +271,9 @@ def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool 
         raise ImportError("mesh files are read by meshio, which is missing: pip install 'rewax[meshes]'") from None
     path = Path(path)
     if not path.is_file():
-        raise ValueError(f"path is {str(path)!r}, where no file is: give the path of a mesh file")
+        raise ValueError(f"path is {str(path)!r}, but there is no such file: give the path of a mesh file")
     try:
-        # meshio prints what each of its readers thinks, and ends the program if none can read the file.
+        # meshio prints the errors of all its readers, and exits the program if none can read the file.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             content = meshio.read(path)
     except (Exception, SystemExit) as error:
@@ -261,83 +298,36 @@ def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool 
 # --- Checks -----------------------------------------------------------------------------------------------------------
 
 
-def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
-    """Raise a ValueError of one sentence that says what is wrong with a mesh, where, and what to do.
+_FIELDS = {
+    "vertices": real(FINITE, "give positions in metres", shape=("num_vertices", 3)),
+    "tets": indices("give integers of shape (num_tets, 4)", ("num_tets", 4)),
+}
 
-    Checks shapes and indices, non-finite positions, flat (degenerate) and inverted tets, vertices that no tet uses,
-    faces of more than two tets, and bodies in several parts (tets hold together through common faces).
+
+@checked(mesh=_MESH, min_shape=static(NOT_NEGATIVE, "give a ratio, 1e-5 for example"))
+def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
+    """Raise a ValueError with one sentence: the fault of a mesh, its location and the remedy.
+
+    Faults are wrong shapes and indices, non-finite positions, flat (degenerate) and inverted tets, vertices that no tet
+    uses, faces of more than two tets, and bodies in several parts (tets connect through common faces).
 
     Args:
       mesh: the mesh.
-      min_shape: six-fold volume over longest edge cubed below which a tet counts as flat.
+      min_shape: least six-fold volume over longest edge cubed; a flatter tet is degenerate.
     """
+    check_fields(_FIELDS, vars(mesh))
     vertices, tets = np.asarray(mesh.vertices), np.asarray(mesh.tets)
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise ValueError(f"vertices has shape {vertices.shape}: give positions of shape (num_vertices, 3)")
-    if tets.ndim != 2 or tets.shape[1] != 4 or len(tets) == 0 or not np.issubdtype(tets.dtype, np.integer):
-        raise ValueError(f"tets is {tets.dtype} of shape {tets.shape}: give whole numbers of shape (num_tets, 4)")
-    if tets.min() < 0 or tets.max() >= len(vertices):
-        raise ValueError(
-            f"tets has vertices from {tets.min()} to {tets.max()}, but there are {len(vertices)}: count from 0"
-        )
-    if not np.isfinite(vertices).all():
-        bad = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise ValueError(f"vertices[{bad}] is {vertices[bad]}: give finite positions")
-    _check_shapes(vertices, tets, min_shape)
+    if len(tets) == 0:
+        raise ValueError("tets is empty: give at least one tet")
+    check_range("tets", tets, len(vertices))
+    check_shapes(vertices, tets, min_shape)
     unused = np.setdiff1d(np.arange(len(vertices)), tets)
     if len(unused):
         raise ValueError(
             f"vertices has {len(unused)} that no tet uses (the first is {unused[0]}), which would have no mass: "
             "remove them and renumber tets"
         )
-    _check_connections(tets)
-
-
-def _check_shapes(vertices: np.ndarray, tets: np.ndarray, min_shape: float) -> None:
-    volumes = _signed_volumes(vertices, tets)
-    ends = vertices[tets[:, _EDGES]]
-    longest = np.sqrt(np.sum((ends[:, :, 0] - ends[:, :, 1]) ** 2, axis=-1)).max(axis=1)
-    flat = np.flatnonzero(np.abs(6 * volumes) <= min_shape * longest**3)
-    if len(flat):
-        t = int(flat[0])
-        raise ValueError(
-            f"tets has {len(flat)} degenerate ones (tet {t} with vertices {tets[t].tolist()} has volume "
-            f"{volumes[t]:.3g} m^3 for edges of up to {longest[t]:.3g} m): remesh, or remove them"
-        )
-    inverted = np.flatnonzero(volumes < 0)
-    if len(inverted):
-        t = int(inverted[0])
-        raise ValueError(
-            f"tets has {len(inverted)} of {len(tets)} inverted (tet {t} with vertices {tets[t].tolist()} has volume "
-            f"{volumes[t]:.3g} m^3): swap two vertices of each, as tetmesh.orient does"
-        )
-
-
-def _check_connections(tets: np.ndarray) -> None:
-    faces = np.sort(tets[:, _FACES].reshape(-1, 3), axis=1)
-    _, face, counts = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
-    face = face.reshape(-1, 4)
-    if counts.max() > 2:
-        crowded = faces[int(np.flatnonzero(face.reshape(-1) == counts.argmax())[0])]
-        raise ValueError(
-            f"tets has {counts.max()} around the face {crowded.tolist()}, where two at most can meet: remove overlaps "
-            "and duplicates"
-        )
-    part = np.arange(len(tets))
-    while True:
-        lowest = np.full(len(counts), len(tets))
-        np.minimum.at(lowest, face, part[:, None])
-        new = lowest[face].min(axis=1)
-        new = new[new]  # two steps at once
-        if np.array_equal(new, part):
-            break
-        part = new
-    parts, sizes = np.unique(part, return_counts=True)
-    if len(parts) > 1:
-        raise ValueError(
-            f"tets form {len(parts)} parts without a common face, of {', '.join(map(str, sizes[:5]))}"
-            f"{', ...' if len(parts) > 5 else ''} tets: merge coincident vertices, or simulate each part as a mesh"
-        )
+    check_connections(tets)
 
 
 # --- Decompositions of a cell -----------------------------------------------------------------------------------------
@@ -358,11 +348,6 @@ def _alternating_corners(index: np.ndarray) -> np.ndarray:
     odd = even * [-1, 1, 1] + [1, 0, 0]
     is_odd = (index.sum(axis=1) % 2 == 1)[:, None, None, None]
     return index[:, None, None] + np.where(is_odd, odd, even)
-
-
-def _signed_volumes(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    a, b, c, d = np.moveaxis(np.asarray(vertices, np.float64)[tets], 1, 0)
-    return np.einsum("ti,ti->t", b - a, np.cross(c - a, d - a)) / 6.0
 
 
 __all__ = [

@@ -14,42 +14,61 @@ from rewax.status import FATAL, Status
 from rewax.types import Array, Key, PyTree
 
 Policy: TypeAlias = Callable[..., Array]
-"""``policy(train_state, obs, key, deterministic=False) -> action``, for one environment. One with a parameter ``step``
-is told how many control steps it is since the episode began."""
+"""``policy(train_state, obs, key, deterministic=False) -> action``, for one environment. A parameter ``step`` receives
+the number of control steps since the episode began."""
 _Act: TypeAlias = Callable[[State, Array, Key], Array]
 
 Evaluation: TypeAlias = dict[str, Array]
-"""What episodes brought:
+"""Results of episodes:
 
 ``mean``, ``std``, ``min``, ``max``: over episodes, of the undiscounted returns, shape ().
-``returns``: of every episode, up to its first end, shape (num_episodes,).
-``lengths``: control steps of every episode, shape (num_episodes,), int32.
-``failed``: episodes that ended by a numerical failure, shape (), int32. Their returns are those of the steps before.
-``status/<BIT>``: episodes in which that bit of ``rewax.status.Status`` was set, shape (), int32.
-``success``: share of episodes that ended with the metric ``success`` above 0.5, shape (); of tasks that have one.
+``returns``: of each episode, up to its first end, shape (num_episodes,).
+``lengths``: control steps of each episode, shape (num_episodes,), int32.
+``failed``: number of episodes that ended by a numerical failure, shape (), int32. Their returns end before it.
+``status/<BIT>``: number of episodes in which that bit of ``rewax.status.Status`` was set, shape (), int32.
+``success``: share of episodes that ended with the metric ``success`` above 0.5, shape (); for tasks with that metric.
 """
 
 
 def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
     """Build a jitted ``evaluate(train_state, key, deterministic=False) -> Evaluation``.
 
-    Episodes run side by side from ``num_episodes`` initial states and count up to their first end. The same key gives
-    the same initial states whatever the policy.
+    Episodes are batched over ``num_episodes`` initial states and count up to their first end. The same key gives the
+    same initial states for every policy.
 
     Args:
       env: unbatched environment.
       policy: ``policy(train_state, obs, key, deterministic=...) -> action`` for one environment.
       num_episodes: at least 1.
 
-    Gradient: none needed, none kept.
+    Gradient: none.
     """
     _check_num_episodes(num_episodes)
-    told = told_the_step(policy)
+    policy_at = with_step(policy)
 
     @functools.partial(jax.jit, static_argnames="deterministic")
     def evaluate(train_state: PyTree, key: Key, deterministic: bool = False) -> Evaluation:
         def act(state: State, step: Array, key: Key) -> Array:
-            return told(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)
+            return policy_at(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)
+
+        return _evaluate(env, act, key, num_episodes)
+
+    return evaluate
+
+
+def make_evaluate_in(policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
+    """``make_evaluate`` for environments that differ in parameters alone: compiled once for all of them.
+
+    Returns:
+      A jitted ``evaluate(env, train_state, key, deterministic=False) -> Evaluation``.
+    """
+    _check_num_episodes(num_episodes)
+    policy_at = with_step(policy)
+
+    @functools.partial(jax.jit, static_argnames="deterministic")
+    def evaluate(env: Env, train_state: PyTree, key: Key, deterministic: bool = False) -> Evaluation:
+        def act(state: State, step: Array, key: Key) -> Array:
+            return policy_at(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)
 
         return _evaluate(env, act, key, num_episodes)
 
@@ -57,12 +76,12 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
 
 
 def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> Evaluation:
-    """Evaluate a sequence of actions taken without looking.
+    """Evaluate an open-loop sequence of actions.
 
     Args:
       env: unbatched environment.
       actions: shape (env.episode_length, *action_shape).
-      key: draws initial states, the same as ``make_evaluate`` draws.
+      key: draws initial states, the same ones as in ``make_evaluate``.
       num_episodes: at least 1.
 
     Raises:
@@ -76,7 +95,7 @@ def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> E
 
 
 def constant_policy(action: Array) -> Policy:
-    """A baseline that always takes ``action``, shape as in ``env.action_spec``; zeros are the baseline of no action."""
+    """A baseline that always takes ``action``, shape as in ``env.action_spec``; the baseline "no action" has zeros."""
 
     def policy(train_state: PyTree, obs: PyTree, key: Key, deterministic: bool = False) -> Array:
         del train_state, obs, key, deterministic
@@ -123,7 +142,7 @@ def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
 
 
 def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array, dict[str, Array]]:
-    """Return, length, status bits and last metrics of an episode; nothing after its first end counts, even a NaN."""
+    """Return, length, status bits and last metrics of an episode; steps after its first end are ignored, NaN too."""
     reset_key, act_key = jax.random.split(key)
 
     def body(carry: tuple[State, Array, Array, Array, Array, dict[str, Array]], step: Array) -> tuple[Any, None]:
@@ -140,15 +159,15 @@ def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array, dict[s
     return total, length, status, metrics
 
 
-def told_the_step(policy: Policy) -> Callable[[PyTree, Any, Key, Array, bool], Array]:
-    """``(train_state, obs, key, step, deterministic) -> action``; the step reaches a policy that asks for it."""
+def with_step(policy: Policy) -> Callable[[PyTree, Any, Key, Array, bool], Array]:
+    """``(train_state, obs, key, step, deterministic) -> action``; ``step`` is passed on to a policy that has it."""
     asks = "step" in inspect.signature(policy).parameters
 
-    def told(train_state: PyTree, obs: Any, key: Key, step: Array, deterministic: bool) -> Array:
+    def policy_at(train_state: PyTree, obs: Any, key: Key, step: Array, deterministic: bool) -> Array:
         more = {"step": step} if asks else {}
         return policy(train_state, obs, key, deterministic=deterministic, **more)
 
-    return told
+    return policy_at
 
 
 def _check_num_episodes(num_episodes: int) -> None:

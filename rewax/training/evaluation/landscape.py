@@ -1,4 +1,4 @@
-"""The return around a policy, along two random directions of its parameters."""
+"""Returns in the neighbourhood of a policy, along two random directions of its parameters."""
 
 from typing import Any, NamedTuple
 
@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.envs.base import Env
-from rewax.training.evaluation.episodes import Policy, make_evaluate, told_the_step
+from rewax.training.evaluation.episodes import Policy, make_evaluate, with_step
 from rewax.types import Array, Key, PyTree
 
 
 class Landscape(NamedTuple):
-    """Mean returns on a square around a policy.
+    """Mean returns on a square grid around a policy.
 
     Attributes:
-      offsets: along either direction, in units of the parameters' own size, shape (size,).
-      returns: mean return with deterministic actions, shape (size, size); the first axis is the first direction.
+      offsets: along either direction, in units of the norm of the parameters, shape (size,).
+      returns: mean returns with deterministic actions, shape (size, size); the first axis is the first direction.
     """
 
     offsets: np.ndarray
@@ -26,21 +26,21 @@ class Landscape(NamedTuple):
 def landscape(
     env: Env, policy: Policy, train_state: Any, key: Key, *, size: int = 21, span: float = 1.0, num_episodes: int = 8
 ) -> Landscape:
-    """Evaluate a policy and its neighbours, all from the same initial states.
+    """Evaluate a policy and its neighbours from the same initial states.
 
     Args:
       env: unbatched environment.
-      policy: as of ``Agent.policy``.
-      train_state: of the agent; ``actor_params`` are moved, or TrajOpt's ``actions``.
+      policy: ``Agent.policy``.
+      train_state: of the agent; its ``actor_params`` are shifted, or TrajOpt's ``actions``.
       key: draws the directions and the initial states.
-      size: points along either direction; odd, so that the policy itself is in the middle.
-      span: largest offset: with 1, a direction is as long as the parameters themselves, array by array.
+      size: number of points along either direction; odd, so that the policy itself is in the middle.
+      span: largest offset; 1: the norm of the shift equals that of the parameters, array by array.
       num_episodes: per point.
 
     Raises:
-      ValueError: an argument that cannot be, or the state has no policy's parameters.
-    Source: Li et al. 2018, Visualizing the Loss Landscape of Neural Nets; directions are as long as the parameters,
-      array by array. Xing, Luk and Oh 2025 show the return like this.
+      ValueError: an illegal argument, or the state has no parameters of a policy.
+    Source: Li et al. 2018, Visualizing the Loss Landscape of Neural Nets; directions are normalised array by array.
+      Xing, Luk and Oh 2025 show returns in this way.
     """
     if size < 3 or size % 2 == 0:
         raise ValueError(f"size is {size}: give an odd number from 3 on")
@@ -49,11 +49,12 @@ def landscape(
     name = next((name for name in ("actor_params", "actions") if hasattr(train_state, name)), "")
     if not name:
         raise ValueError(
-            f"the training state, {type(train_state).__name__}, has neither actor_params nor actions: nothing to move"
+            f"the training state, {type(train_state).__name__}, has neither actor_params nor actions: "
+            "there is nothing to shift"
         )
     params, (first_key, second_key, episode_key) = getattr(train_state, name), jax.random.split(key, 3)
     first, second = (direction(k, params) for k in (first_key, second_key))
-    evaluate = make_evaluate(env, _moved(policy, name), num_episodes)
+    evaluate = make_evaluate(env, _shifted(policy, name), num_episodes)
 
     @jax.jit
     def row(a: Array, offsets: Array) -> Array:
@@ -68,7 +69,7 @@ def landscape(
 
 
 def direction(key: Key, params: PyTree) -> PyTree:
-    """A random direction, each array as long as that of the parameters."""
+    """A random direction; each array has the norm of the parameters' array."""
     leaves, structure = jax.tree.flatten(params)
 
     def one(key: Key, leaf: Array) -> Array:
@@ -79,12 +80,12 @@ def direction(key: Key, params: PyTree) -> PyTree:
     return jax.tree.unflatten(structure, [one(k, leaf) for k, leaf in zip(keys, leaves, strict=True)])
 
 
-def _moved(policy: Policy, name: str) -> Policy:
-    """The policy of ``(train_state, params)``: with other parameters than the state's."""
-    told = told_the_step(policy)
+def _shifted(policy: Policy, name: str) -> Policy:
+    """The policy of ``(train_state, params)``, which uses these parameters in place of the state's."""
+    policy_at = with_step(policy)
 
-    def moved(state_and_params: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> Array:
+    def shifted(state_and_params: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> Array:
         train_state, params = state_and_params
-        return told(train_state.replace(**{name: params}), obs, key, step, deterministic)
+        return policy_at(train_state.replace(**{name: params}), obs, key, step, deterministic)
 
-    return moved
+    return shifted

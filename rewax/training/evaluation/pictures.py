@@ -1,7 +1,8 @@
-"""The pictures, the video and the page of an episode; none of them can end a run."""
+"""Pictures, video and page of an episode; an error in one of them does not end a run."""
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,33 +10,33 @@ from rewax.viz.recording import Recording
 
 
 def attempt(path: Path, draw: Callable[[Path], str]) -> str:
-    """Make a file; a run that has trained does not end with an exception over one.
+    """Draw a file; an exception becomes a sentence.
 
     Args:
       path: of the file.
-      draw: makes it, and returns what else there is to say, often nothing.
+      draw: draws it, and returns a remark or an empty string.
 
     Returns:
-      A sentence: where it is, or why it is not.
+      A sentence: the path, or why the file was not drawn.
     """
     try:
         more = draw(path)
-    except Exception as error:  # an environment's own code is called, whole libraries and other programs
+    except Exception as error:  # the environment's code, libraries and other programs
         return f"warning: {path.name} was not drawn ({reason(error)}); nothing else is affected"
     return f"wrote {path}{', ' if more else ''}{more}"
 
 
 def reason(error: Exception) -> str:
-    """What an exception says, on one line."""
-    said = " ".join(str(error).split())[:200]
-    return f"{type(error).__name__}: {said}"
+    """Type and message of an exception on one line."""
+    message = " ".join(str(error).split())[:200]
+    return f"{type(error).__name__}: {message}"
 
 
 def draw_strip(recording: Recording, out_png: Path, *, num_frames: int) -> str:
-    """Some moments of an episode in one picture: particles with what moves among them, or rigid bodies alone."""
+    """Some moments of an episode in one picture: particles and bodies, or rigid bodies alone."""
     from rewax.viz import bodies, plots  # matplotlib is slow to import
 
-    shown = recording.spread(num_frames)
+    shown = recording.subsample(num_frames)
     labels = [
         f"step {step}\nreturn {total:{'.0f' if abs(total) >= 100 else '.3g'}}"
         for step, total in zip(shown.steps, shown.totals, strict=True)
@@ -48,15 +49,15 @@ def draw_strip(recording: Recording, out_png: Path, *, num_frames: int) -> str:
     return ""
 
 
-def draw_video(recording: Recording, out_mp4: Path, *, color_by: str = "material", surface: bool = False) -> str:
-    """An episode as a video; returns how fast it plays."""
+def draw_video(recording: Recording, out_mp4: Path, **options: Any) -> str:
+    """Draw an episode as a video; returns its speed of play. For options see ``rewax.viz.video.record_video``."""
     from rewax.viz.video import record_video
 
-    return record_video(recording, out_mp4, color_by=color_by, surface=surface)
+    return record_video(recording, out_mp4, **options)
 
 
 def draw_page(recording: Recording, out_html: Path) -> str:
-    """An episode as a page for a browser."""
+    """Write an episode as a page for a browser."""
     from rewax.viz.player import write_player
 
     write_player([recording], out_html, title=recording.name or "rewax")

@@ -1,4 +1,4 @@
-"""The programs of a run's evaluations and pictures, compiled while the run's own program is."""
+"""Programs of evaluations and pictures, compiled in a thread beside ``train_step``."""
 
 import contextlib
 import functools
@@ -11,20 +11,20 @@ import jax.numpy as jnp
 
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
-from rewax.training.evaluation.episodes import Policy, make_evaluate, told_the_step, uniform_policy
+from rewax.training.evaluation.episodes import Policy, make_evaluate, uniform_policy, with_step
 from rewax.training.evaluation.recording import can_record, make_record
 from rewax.types import Key
 
 MODES = ("sampled", "deterministic", "no action", "random actions")
-"""Whose returns are reported: the policy's, two ways, and two baselines'."""
+"""Kinds of actions whose returns are reported: two of the policy and two baselines."""
 
 
 class Programs:
-    """What evaluates and what records an episode; each is compiled once, ahead of its first use or at it.
+    """Evaluation and recording of episodes; each program is compiled once, before or at its first use.
 
     Args:
       env: unbatched environment.
-      policy: as of ``Agent.policy``.
+      policy: ``Agent.policy``.
       config: of the run.
     """
 
@@ -35,26 +35,26 @@ class Programs:
         self._evaluates.set()
 
     def evaluate(self, train_state: Any, mode: str, key: Key) -> dict[str, Any]:
-        """Episodes of one of ``MODES``."""
-        self._evaluates.wait()  # else this would compile a second time what the thread compiles
+        """Evaluate one of ``MODES``."""
+        self._evaluates.wait()  # the thread compiles this program
         return self._evaluate((train_state, MODES.index(mode)), key)
 
     def record(self, train_state: Any, key: Key, name: str) -> Any:
-        """A deterministic episode."""
+        """Record a deterministic episode."""
         self.wait()
         return self._recorder(train_state, key, name)
 
     def compile_in_background(self, train_state: Any, key: Key) -> None:
-        """Compile all of it in a thread, the evaluation first, for states like this one.
+        """Compile both programs in a thread, the evaluation first, for states like this one.
 
-        What cannot be compiled is left to its first use, which says why.
+        If a program cannot be compiled, the error is raised at its first use.
         """
         self._evaluates.clear()
         self._thread = threading.Thread(target=self._compile, args=(train_state, key), name="rewax-programs")
         self._thread.start()
 
     def wait(self) -> None:
-        """Until the thread has ended, if there is one."""
+        """Wait until the thread has ended, if there is one."""
         if self._thread is not None:
             self._thread.join()
 
@@ -65,7 +65,7 @@ class Programs:
     def _compile(self, train_state: Any, key: Key) -> None:
         try:
             with contextlib.suppress(Exception):
-                self._evaluate.lower((train_state, 0), key).compile()
+                self._evaluate.lower((train_state, 0), key).compile()  # pyright: ignore[reportFunctionMemberAccess]
         finally:
             self._evaluates.set()
         if self._config.plots and can_record(getattr(self._env, "unwrapped", self._env)):
@@ -76,15 +76,15 @@ class Programs:
 
 
 def any_of(env: Env, policy: Policy) -> Policy:
-    """A policy of ``(train_state, mode)``: one program, compiled once, for the agent's policies and the baselines."""
-    random, told = uniform_policy(env), told_the_step(policy)
+    """A policy of ``(train_state, mode)``: one program for the agent's policies and the baselines."""
+    random, policy_at = uniform_policy(env), with_step(policy)
 
     def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> jax.Array:
         train_state, mode = state_and_mode
         shape, dtype = env.action_spec.shape, jnp.result_type(float)
         branches = (
-            lambda: told(train_state, obs, key, step, False).astype(dtype),
-            lambda: told(train_state, obs, key, step, True).astype(dtype),
+            lambda: policy_at(train_state, obs, key, step, False).astype(dtype),
+            lambda: policy_at(train_state, obs, key, step, True).astype(dtype),
             lambda: jnp.zeros(shape, dtype),
             lambda: random(None, obs, key).astype(dtype),
         )

@@ -1,4 +1,4 @@
-"""Episodes recorded for pictures: what is seen in each frame, and the rewards and status of every step."""
+"""Recordings of episodes for pictures: particles and bodies in each frame, rewards and status of each step."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,16 +8,36 @@ import numpy as np
 
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import select
-from rewax.training.evaluation.episodes import Policy, told_the_step
-from rewax.types import Array, Key, PyTree
+from rewax.training.evaluation.episodes import Policy, with_step
+from rewax.types import Key, PyTree
 from rewax.viz.recording import Recording
 
 _NOTHING = "the environment has neither particles(physics) nor render_shapes(physics): define one of them for pictures"
 
 
 def can_record(env: Any) -> bool:
-    """Whether an environment offers anything to pictures."""
+    """Whether an environment has something to draw."""
     return hasattr(env, "particles") or hasattr(env, "render_shapes")
+
+
+def check_color_by(env: Any, color_by: str) -> None:
+    """Check that particles of an environment can be coloured by this, before an episode is recorded.
+
+    Raises:
+      ValueError: they cannot; the message lists what there is.
+    """
+    if not hasattr(env, "particles"):
+        return
+    values: tuple[str, ...] = ()
+    if hasattr(env, "particle_values"):
+        try:
+            physics = jax.eval_shape(env.reset, jax.random.key(0)).physics
+            values = tuple(jax.eval_shape(lambda physics: dict(env.particle_values(physics)), physics))
+        except Exception:  # the environment's code cannot be traced: the recording reports an error
+            return
+    known = ("material", "height", *values)
+    if color_by not in known:
+        raise ValueError(f"particles cannot be coloured by {color_by!r}: use one of {', '.join(known)}")
 
 
 def record(
@@ -30,22 +50,22 @@ def record(
     deterministic: bool = True,
     name: str = "",
 ) -> Recording:
-    """Run one episode and keep what pictures need.
+    """Run one episode and record what pictures need.
 
     Args:
       env: unbatched environment with ``particles(physics)``, ``render_shapes(physics)`` or both; ``up``,
-        ``control_dt``, ``particle_values(physics)`` and ``appearance`` are used where there are.
+        ``control_dt``, ``particle_values(physics)`` and ``appearance`` are optional.
       policy, train_state: as for ``make_evaluate``.
       key: draws the initial state and the policy's samples.
-      max_frames: at least 2; longer episodes are shown every second step, every third, ...
+      max_frames: at least 2; of longer episodes every second step is recorded, or every third, ...
       deterministic: passed to the policy.
       name: of the recording.
 
     Returns:
-      The episode up to its end. Frames are equally spaced, but for the last one.
+      The episode up to its end. Frames are equally spaced, except for the last one.
 
     Raises:
-      ValueError: too few frames, or nothing to show.
+      ValueError: too few frames, or the environment has nothing to draw.
     """
     made = make_record(env, policy, max_frames=max_frames, deterministic=deterministic)
     return made(train_state, key, name)
@@ -56,10 +76,10 @@ def make_record(
 ) -> Callable[..., Recording]:
     """``record`` for several training states: ``(train_state, key, name) -> recording``, compiled once.
 
-    The function's ``max_steps`` ends an episode early, after the frame that reaches so many steps.
+    The function's ``max_steps`` ends an episode early, after the first frame with that many steps.
 
     Raises:
-      ValueError: too few frames, or nothing to show.
+      ValueError: too few frames, or the environment has nothing to draw.
     """
     if max_frames < 2:
         raise ValueError(f"max_frames is {max_frames}: use 2 or more")
@@ -72,57 +92,57 @@ def make_record(
     def made(train_state: PyTree, key: Key, name: str = "", max_steps: int | None = None) -> Recording:
         reset_key, act_key = jax.random.split(key)
         state = _beside(train_state, reset(reset_key))
-        seen, steps, rewards, status = [see(state.physics)], [0], [], []
+        seen, steps, logged = [see(state.physics)], [0], []
         while not bool(state.done) and steps[-1] < (env.episode_length if max_steps is None else max_steps):
             state, of_steps = advance(train_state, state, act_key)
             count = int(state.step_count) - steps[-1]
-            reward, bits = jax.device_get(of_steps)
-            rewards.append(reward[:count])
-            status.append(bits[:count])
+            logged.append(jax.tree.map(lambda values: values[:count], jax.device_get(of_steps)))  # noqa: B023
             steps.append(int(state.step_count))
             seen.append(see(state.physics))
-        return _recording(env, seen, steps, rewards, status, name)
+        return _recording(env, seen, steps, logged, name)
 
     return made
 
 
 def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
-    """A function that makes a recording of given physics, one frame each, without rewards.
+    """A function from a list of physics states to a recording with one frame for each, without rewards.
 
     Raises:
-      ValueError: the environment has nothing to show.
+      ValueError: the environment has nothing to draw.
     """
     if not can_record(env):
         raise ValueError(_NOTHING)
     see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
 
     def of(frames: list[PyTree]) -> Recording:
-        return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], [], "")
+        return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], "")
 
     return of
 
 
 def _beside(train_state: PyTree, state: State) -> State:
-    """The state on the training state's device: the program then takes the first state as all later ones."""
+    """The state on the training state's device, where all later states are, so that one program takes them all."""
     arrays = [leaf for leaf in jax.tree.leaves(train_state) if isinstance(leaf, jax.Array)]
     devices = {device for array in arrays for device in array.devices()}
     return jax.device_put(state, devices.pop()) if len(devices) == 1 else state
 
 
 def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> Callable[..., Any]:
-    """``(train_state, state, key) -> state, (rewards, status)`` of at most ``every`` steps, none after the episode's
-    end.
+    """``(train_state, state, key) -> state, logged`` of at most ``every`` steps, up to the episode's end.
+
+    ``logged`` has ``rewards``, ``status``, ``actions`` and ``metrics`` of each step.
     """
-    told = told_the_step(policy)
+    policy_at = with_step(policy)
 
     @jax.jit
-    def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, tuple[Array, Array]]:
-        def body(state: State, _: None) -> tuple[State, tuple[Array, Array]]:
+    def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, dict[str, Any]]:
+        def body(state: State, _: None) -> tuple[State, dict[str, Any]]:
             step = state.step_count
-            action = told(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
+            action = policy_at(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
             over = state.done | (step >= env.episode_length)
             new = select(over, state, env.step(state, action))
-            return new, (new.reward, new.status)
+            logged = {"rewards": new.reward, "status": new.status, "actions": action, "metrics": new.metrics}
+            return new, logged
 
         return jax.lax.scan(body, state, None, length=every)
 
@@ -130,7 +150,7 @@ def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> 
 
 
 def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
-    """What is seen of a state, as numpy arrays; compiled unless the environment's own methods cannot be traced."""
+    """A function from physics to what is drawn, as NumPy arrays; compiled if the environment can be traced."""
 
     def see(physics: PyTree) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -145,14 +165,14 @@ def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
     kept: dict[str, Any] = {}
 
     def arrays(physics: PyTree) -> list[Any]:
-        """What changes; the rest, the kinds of drawings and the triangles of meshes, is kept while it is traced."""
+        """Arrays that change; kinds of drawings and triangles of meshes are constant and kept when this is traced."""
         leaves, kept["tree"] = jax.tree.flatten(see(physics))
         kept["rest"] = [leaf if isinstance(leaf, str | np.ndarray) else None for leaf in leaves]
         return [leaf for leaf in leaves if not isinstance(leaf, str | np.ndarray)]
 
     try:
         jax.eval_shape(arrays, physics)
-    except Exception:  # an environment's own code, which may need numbers
+    except Exception:  # the environment's code may need concrete values
         return lambda physics: jax.device_get(see(physics))
     compiled = jax.jit(arrays)
 
@@ -164,15 +184,19 @@ def _make_see(env: Any, physics: PyTree) -> Callable[[PyTree], dict[str, Any]]:
 
 
 def _recording(
-    env: Any, seen: list[dict[str, Any]], steps: list[int], rewards: Any, status: Any, name: str
+    env: Any, seen: list[dict[str, Any]], steps: list[int], logged: list[dict[str, Any]], name: str
 ) -> Recording:
     first = seen[0]
+    nothing = {"rewards": np.zeros(0), "status": np.zeros(0, np.int32), "actions": None, "metrics": {}}
+    whole = jax.tree.map(lambda *parts: np.concatenate(parts), *logged) if logged else nothing
     options = dict(getattr(env, "appearance", {}))
     dt = getattr(env, "control_dt", None)
     return Recording(
         steps=np.asarray(steps),
-        rewards=np.concatenate([*rewards, np.zeros(0)]),
-        status=np.concatenate([*status, np.zeros(0, np.int32)]),
+        rewards=np.asarray(whole["rewards"], float),
+        status=whole["status"],
+        actions=None if whole["actions"] is None else whole["actions"].reshape(len(whole["rewards"]), -1),
+        metrics={metric: values for metric, values in whole["metrics"].items() if values.ndim == 1},
         particles=np.stack([np.asarray(frame["particles"], np.float32) for frame in seen])
         if "particles" in first
         else None,
@@ -188,4 +212,4 @@ def _recording(
     )
 
 
-__all__ = ["can_record", "make_record", "record", "snapshots"]
+__all__ = ["can_record", "check_color_by", "make_record", "record", "snapshots"]

@@ -1,4 +1,4 @@
-"""Evaluations and pictures of a run, and the files that hold them."""
+"""Evaluations and pictures of a run, and their files."""
 
 import json
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ _STATISTICS = ("mean", "std", "min", "max", "failed", *(f"status/{bit.name}" for
 
 
 class Evaluator:
-    """Evaluates a policy, sampled and deterministic, always from the same initial states; appends to ``eval.csv``.
+    """Evaluates a policy with sampled and with deterministic actions from fixed initial states; writes ``eval.csv``.
 
     Args:
       env: unbatched environment.
@@ -39,13 +39,15 @@ class Evaluator:
         self.last: dict[str, Any] = {}
 
     def is_due(self, iteration: int) -> bool:
-        """The schedule asks for an evaluation here, and ``eval.csv`` does not have it yet."""
+        """Whether an evaluation is scheduled after this iteration and missing from ``eval.csv``."""
         every = self._config.eval_every
+        if iteration == 0 and not self._config.eval_at_start:
+            return False
         return every > 0 and iteration % every == 0 and self.csv.last_iteration < iteration
 
     def evaluate(self, iteration: int, env_steps: int, train_state: Any) -> dict[str, Any]:
-        """Evaluate and append a row: ``sampled_mean``, ..., ``sampled_failed``, ``sampled_status/NAN``, ..., and so for
-        ``deterministic``. Counts are episodes.
+        """Evaluate and append a row: ``sampled_mean``, ..., ``sampled_failed``, ``sampled_status/NAN``, ..., and the
+        same for ``deterministic``. Counts are numbers of episodes.
         """
         row: dict[str, Any] = {"env_steps": env_steps}
         for name in ("sampled", "deterministic"):
@@ -59,10 +61,10 @@ class Evaluator:
         return row
 
     def baselines(self, train_state: Any) -> dict[str, float]:
-        """Mean returns of no action and of random actions from the same initial states, kept in ``baselines.json``.
+        """Mean returns of zero actions and of random actions from the same initial states, kept in ``baselines.json``.
 
-        The training state is not used, but the program that was compiled for ``evaluate`` is. A baseline whose episodes
-        failed has that in its name.
+        They use the program that was compiled for ``evaluate``, which takes a training state. The name of a baseline
+        says how many of its episodes failed.
         """
         path = self._run_dir / "baselines.json"
         try:
@@ -78,40 +80,40 @@ class Evaluator:
         return returns
 
     def sentences(self, row: Mapping[str, Any]) -> list[str]:
-        """What a user must know of an evaluation: its returns, how many episodes failed, and the status bits."""
+        """An evaluation in sentences: returns, number of failed episodes, status bits."""
         episodes = self._config.num_eval_episodes
         failed = {mode: int(row[f"{mode}_failed"]) for mode in MODES[:2]}
         returns = [
             f"{row[f'{mode}_mean']:.4g} +- {row[f'{mode}_std']:.2g} {mode}{_failed_of(count, episodes)}"
             for mode, count in failed.items()
         ]
-        said = [f"evaluation after {row['env_steps']:,} steps: return {', '.join(returns)}"]
+        sentences = [f"evaluation after {row['env_steps']:,} steps: return {', '.join(returns)}"]
         if total := sum(failed.values()):
-            said.append(
+            sentences.append(
                 f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns "
                 "are those of the steps before: shorter substeps or softer contacts and materials help"
             )
         bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in MODES[:2]) for bit in Status if bit}
         if any(bits.values()):
             counts = ", ".join(f"{name} in {count}" for name, count in bits.items() if count)
-            said.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status says what each means)")
-        return said
+            sentences.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status says what each means)")
+        return sentences
 
     def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[str]:
-        """Draw the learning curve and, where the environment offers ``particles`` or ``render_shapes``, one
-        deterministic episode: ``episode.png``, and with ``config.video`` also ``episode.mp4`` and ``episode.html``.
+        """Draw the learning curve and, if the environment has ``particles`` or ``render_shapes``, a deterministic
+        episode: ``episode.png``, and with ``config.video`` also ``episode.mp4`` and ``episode.html``.
 
         Returns:
-          A sentence about each file: where it is, or why it could not be drawn. Nothing is raised.
+          A sentence about each file: its path, or why it was not drawn. No exception is raised.
         """
         env: Any = getattr(self._env, "unwrapped", self._env)
-        said = [attempt(self._run_dir / "learning_curve.png", lambda path: self._draw_curve(path, baselines))]
+        sentences = [attempt(self._run_dir / "learning_curve.png", lambda path: self._draw_curve(path, baselines))]
         if not can_record(env):
-            return said
+            return sentences
         try:
             recording = self._programs.record(train_state, self._key, self._run_dir.resolve().name)
-        except Exception as error:  # an environment's own code is called
-            return [*said, f"warning: episode.png was not drawn ({reason(error)}); nothing else is affected"]
+        except Exception as error:  # the environment's code is called
+            return [*sentences, f"warning: episode.png was not drawn ({reason(error)}); nothing else is affected"]
         frames = self._config.num_frames
         files = {"episode.png": lambda path: draw_strip(recording, path, num_frames=frames)}
         if self._config.video:
@@ -119,7 +121,7 @@ class Evaluator:
                 "episode.html": lambda path: draw_page(recording, path),
                 "episode.mp4": lambda path: draw_video(recording, path),
             }
-        return said + [attempt(self._run_dir / name, draw) for name, draw in files.items()]
+        return sentences + [attempt(self._run_dir / name, draw) for name, draw in files.items()]
 
     def _draw_curve(self, path: Path, baselines: Mapping[str, float]) -> str:
         from rewax.viz import plots  # matplotlib is slow to import

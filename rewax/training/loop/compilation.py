@@ -1,4 +1,4 @@
-"""From an algorithm's ``train_step`` to a program of the machine."""
+"""Ahead-of-time compilation of ``train_step``, and its compiler options."""
 
 import contextlib
 import functools
@@ -14,8 +14,8 @@ from rewax.agents.base import Agent
 from rewax.training.loop.devices import ONE_DEVICE, Placement
 from rewax.training.loop.progress import say
 
-_QUICK = {"xla_cpu_use_fusion_emitters": False}
-"""XLA's older generator of code for loops. XLA of jax 0.12 has it no more."""
+_QUICK: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False}
+"""Selects XLA's older CPU code generator, which XLA of jax 0.12 no longer has."""
 
 
 def compile_train_step(
@@ -27,9 +27,9 @@ def compile_train_step(
 ) -> Any:
     """Compile ``agent.train_step`` ahead of the first iteration, telling the user how long it takes.
 
-    On a CPU the agent's ``config.quick_compile`` chooses the generator of code, see ``RunConfig``. ``meanwhile`` is
-    called between tracing, which is Python's work, and compiling, which is XLA's: a thread that it starts has Python
-    to itself.
+    On a CPU the agent's ``config.quick_compile`` chooses the code generator, see ``RunConfig``. ``meanwhile`` is called
+    after tracing and before compiling: while XLA compiles, it does not hold Python's global lock, so a thread that
+    ``meanwhile`` starts can trace other programs.
 
     Returns:
       The compiled function; it never traces again.
@@ -42,13 +42,13 @@ def compile_train_step(
         lowered = where.lowered(agent.train_step, train_state, donate=agent.consumes)
         meanwhile()
         compiled = lowered.compile(compiler_options(agent))
-    divided = f", environments on {where.num_devices} devices" if where.divides(train_state) else ""
-    say(console, f"compiled in {time.perf_counter() - began:.1f} s{divided}")
+    sharded = f", environments on {where.num_devices} devices" if where.shards(train_state) else ""
+    say(console, f"compiled in {time.perf_counter() - began:.1f} s{sharded}")
     return compiled
 
 
-def compiler_options(agent: Agent) -> dict[str, bool]:
-    """What XLA is told about how to compile the agent's programs."""
+def compiler_options(agent: Agent) -> dict[str, bool | str]:
+    """XLA's compiler options for the agent's programs."""
     return _QUICK if _wants_quick(agent) and _has_older_generator() else {}
 
 
@@ -58,7 +58,7 @@ def _wants_quick(agent: Agent) -> bool:
 
 @functools.cache
 def _has_older_generator() -> bool:
-    """Whether this XLA can be asked for it: an option that it does not know is an error."""
+    """Whether this XLA has the older code generator: it raises an error for an unknown option."""
     try:
         jax.jit(lambda x: x + 1.0).lower(0.0).compile(_QUICK)
     except jax.errors.JaxRuntimeError as error:
@@ -70,7 +70,8 @@ def _has_older_generator() -> bool:
 
 @contextlib.contextmanager
 def no_garbage_collection() -> Iterator[None]:
-    """Tracing makes millions of objects that stay: to look for cycles among them is a fifth of its time."""
+    """Switches garbage collection off: tracing allocates millions of objects that stay alive, and searching them for
+    cycles takes a fifth of its time."""
     enabled = gc.isenabled()
     gc.disable()
     try:

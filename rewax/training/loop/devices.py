@@ -1,4 +1,4 @@
-"""Where a run computes: its environments divided over devices."""
+"""Placement of a training state: environments sharded over devices, everything else replicated."""
 
 import dataclasses
 from typing import Any
@@ -12,7 +12,7 @@ from rewax.training.storage.leaves import is_key, to_numpy
 
 @dataclasses.dataclass(frozen=True)
 class Placement:
-    """Devices of a run: environments are divided, all else is the same on each.
+    """Devices of a run: environments are sharded over them, everything else is replicated.
 
     Attributes:
       mesh: None for one device.
@@ -24,13 +24,13 @@ class Placement:
     def num_devices(self) -> int:
         return 1 if self.mesh is None else self.mesh.size
 
-    def divides(self, train_state: Any) -> bool:
-        """Whether it does anything for this state: one of an algorithm of one's own may have no ``environments``."""
+    def shards(self, train_state: Any) -> bool:
+        """Whether this state is sharded: a user's algorithm may have a state without ``environments``."""
         return self.mesh is not None and hasattr(train_state, "environments")
 
     def place(self, train_state: Any) -> Any:
         """The training state on the devices of the mesh."""
-        if not self.divides(train_state):
+        if not self.shards(train_state):
             return train_state
         shardings = self.shardings(train_state)
         if jax.process_count() == 1:
@@ -38,21 +38,21 @@ class Placement:
         return jax.tree.map(_own_part, train_state, shardings)
 
     def shardings(self, train_state: Any) -> Any:
-        """Where each leaf of a training state lies."""
+        """The sharding of each leaf of a training state."""
         assert self.mesh is not None
-        same, split = (NamedSharding(self.mesh, PartitionSpec(*axis)) for axis in ((), (AXIS,)))
+        replicated, sharded = (NamedSharding(self.mesh, PartitionSpec(*axis)) for axis in ((), (AXIS,)))
 
         def all_of(tree: Any, sharding: NamedSharding) -> Any:
             return jax.tree.map(lambda _: sharding, tree)
 
         environments = train_state.environments
-        env = all_of(environments.env, same if environments.env.axis is None else split)
-        own = {"state": all_of(environments.state, split), "episode_return": split, "env": env}
-        return all_of(train_state, same).replace(environments=all_of(environments, same).replace(**own))
+        env = all_of(environments.env, replicated if environments.env.axis is None else sharded)
+        own = {"state": all_of(environments.state, sharded), "episode_return": sharded, "env": env}
+        return all_of(train_state, replicated).replace(environments=all_of(environments, replicated).replace(**own))
 
     def lowered(self, train_step: Any, train_state: Any, *, donate: bool = False) -> jax.stages.Lowered:
-        """``train_step`` for a state that is placed; the state that its program returns is placed too."""
-        if self.mesh is None or not self.divides(train_state):
+        """Lower ``train_step`` for a placed state; the returned state has the same placement."""
+        if self.mesh is None or not self.shards(train_state):
             return (train_step if hasattr(train_step, "lower") else jax.jit(train_step)).lower(train_state)
         out = (self.shardings(train_state), None)
         placed = jax.jit(lambda state: train_step(state), out_shardings=out, donate_argnums=0 if donate else ())
@@ -61,7 +61,7 @@ class Placement:
 
 
 def _own_part(leaf: Any, sharding: NamedSharding) -> Any:
-    """Of an array that all processes have, the part that each of them keeps."""
+    """This process's shard of an array that every process has in full."""
     numbers = to_numpy(leaf)
     array = jax.make_array_from_callback(numbers.shape, sharding, lambda part: numbers[part])
     return jax.random.wrap_key_data(array, impl=str(jax.random.key_impl(leaf))) if is_key(leaf) else array
@@ -71,11 +71,11 @@ ONE_DEVICE = Placement(None)
 
 
 def placement(num_envs: int | None, wanted: int) -> Placement:
-    """Devices for so many environments.
+    """The placement for a number of environments.
 
     Args:
-      num_envs: of the run; None: the algorithm does not say, and one device is used.
-      wanted: how many devices; 0: as many of JAX's as divide the environments.
+      num_envs: number of environments; None: the algorithm does not have one, and one device is used.
+      wanted: number of devices; 0: the largest number of JAX's devices that divides the environments.
 
     Raises:
       ValueError: there are fewer devices, or they do not divide the environments.
@@ -88,7 +88,7 @@ def placement(num_envs: int | None, wanted: int) -> Placement:
     if wanted > 1 and (num_envs is None or num_envs % wanted):
         raise ValueError(f"devices is {wanted}, which does not divide num_envs {num_envs}: give a divisor of it, or 1")
     most = 1 if num_envs is None else len(devices)
-    count = wanted or max(n for n in range(1, most + 1) if n == 1 or num_envs % n == 0)
+    count = wanted or max(n for n in range(1, most + 1) if n == 1 or (num_envs or 0) % n == 0)
     if jax.process_count() > 1 and count != len(devices):
         raise ValueError(
             f"{jax.process_count()} processes have {len(devices)} devices, which do not divide num_envs {num_envs} or "
@@ -98,9 +98,9 @@ def placement(num_envs: int | None, wanted: int) -> Placement:
 
 
 def on_one_device(tree: Any) -> Any:
-    """The arrays on one of the devices that hold them, for programs that are not divided.
+    """The arrays on one of the devices that hold them, for programs that are not sharded.
 
-    Of environments that are divided over several processes it is a part.
+    Of environments that are sharded over several processes it is this process's shard.
     """
     arrays = [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array)]
     if not all(array.is_fully_addressable for array in arrays):

@@ -1,4 +1,4 @@
-"""When a run has failed: too many episodes do, its critics' loss is not finite, or what it learnt is not."""
+"""Failure detection: share of failed episodes, non-finite critic loss or non-finite learnt parameters."""
 
 import math
 from collections import deque
@@ -15,12 +15,15 @@ from rewax.status import all_finite
 from rewax.training.config import ReportConfig
 from rewax.training.loop.devices import on_one_device
 
-_SEEN = (State, Replay)
+_NOT_LEARNT = (State, Replay)
 _REMEDY = "shorter substeps, softer contacts and materials, or smaller learning rates help"
 
 
 class _Iteration(NamedTuple):
-    """Counts of one iteration. ``episodes``: that ended, or would have at their full length, whichever is more."""
+    """Counts of one iteration.
+
+    ``episodes`` is the number that ended, or the number of steps in units of a full episode, whichever is larger.
+    """
 
     failed: int
     episodes: float
@@ -28,14 +31,14 @@ class _Iteration(NamedTuple):
 
 
 class FailureWatch:
-    """Follows the metrics of a run and says when it has failed.
+    """Follows the metrics of a run and detects its failure.
 
-    The share of failed episodes is that over the last ``config.failure_window`` iterations. Failures end episodes
-    early, so a few of them would outweigh the healthy episodes that are still under way. Steps divided by the episode's
-    length count these.
+    The share of failed episodes is computed over the last ``config.failure_window`` iterations. Failures end episodes
+    early, so a few of them would outweigh the healthy episodes that have not ended yet. Steps divided by the length of
+    an episode count these.
 
     Args:
-      env: names the arrays that were not finite.
+      env: gives the names of arrays that were not finite.
       config: ``max_failed_share`` and ``failure_window``.
     """
 
@@ -45,16 +48,16 @@ class FailureWatch:
         self._culprit = ""
 
     def add(self, iteration: int, num_steps: int, metrics: Mapping[str, Any]) -> str:
-        """Take in an iteration.
+        """Add an iteration.
 
         Args:
           iteration: its number.
-          num_steps: environment steps taken in it.
-          metrics: ``failed_episodes``, ``episodes``, ``failed_env``, ``failed_leaf``, ``critic_loss``, as far as the
-            algorithm has them.
+          num_steps: environment steps of this iteration.
+          metrics: ``failed_episodes``, ``episodes``, ``failed_env``, ``failed_leaf``, ``critic_loss``, where
+            the algorithm has them.
 
         Returns:
-          A sentence about the first failure that this process sees; else nothing.
+          A sentence about the first failure that this process sees; else an empty string.
         """
         failed = int(metrics.get("failed_episodes", 0))
         ended = max(int(metrics.get("episodes", 0)), failed)
@@ -68,7 +71,7 @@ class FailureWatch:
 
     @property
     def healthy(self) -> bool:
-        """Neither the last iteration alone nor those seen so far, were they all, give a reason to stop."""
+        """Neither the last iteration by itself nor all iterations so far would be a reason to stop."""
         last = [self._recent[-1]] if self._recent else []
         return not self.reason(final=True) and not any(self._too_many(one.failed, one.episodes) for one in last)
 
@@ -76,7 +79,7 @@ class FailureWatch:
         """Why the run should stop; empty if it should go on.
 
         Args:
-          final: judge what was seen even if it is less than a window.
+          final: judge the iterations so far even if they are fewer than ``failure_window``.
         """
         seen = len(self._recent)
         if not seen or (seen < self._config.failure_window and not final):
@@ -99,13 +102,13 @@ class FailureWatch:
 
 
 class FiniteCheck:
-    """Finds numbers that are not finite in what an agent has learnt: every floating leaf of its training state.
+    """Finds non-finite numbers in what an agent has learnt: in every floating-point leaf of its training state.
 
-    The environments' states are left out, because a reset heals them, and what a replay buffer holds. So are leaves
-    that are not finite at the beginning, such as the returns of episodes whose start was not seen.
+    States of environments are left out, because a reset replaces them, and so are replay buffers. Leaves that are not
+    finite at the beginning are left out too, such as returns of episodes that began before the run.
 
     Args:
-      train_state: at the beginning.
+      train_state: the first one of the run.
     """
 
     def __init__(self, train_state: Any) -> None:
@@ -121,11 +124,11 @@ class FiniteCheck:
 
 
 def _learnt(train_state: Any) -> dict[str, Any]:
-    """Floating leaves outside the environments' states and replay buffers, by name."""
+    """Floating-point leaves outside the states of environments and replay buffers, by name."""
     return {
         jax.tree_util.keystr(path): leaf
-        for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, _SEEN))
-        if not isinstance(leaf, _SEEN) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
+        for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, _NOT_LEARNT))
+        if not isinstance(leaf, _NOT_LEARNT) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
     }
 
 
@@ -134,7 +137,7 @@ def _is_finite(leaf: Any) -> bool:
 
 
 def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:
-    """Which array of which environment was not finite, as far as the metrics say."""
+    """A clause about the array and the environment that were not finite, as far as the metrics tell."""
     index, leaf = int(metrics.get("failed_env", -1)), int(metrics.get("failed_leaf", -1))
     if index < 0 or leaf < 0:
         return "an environment failed because its physics, an observation or the reward was not finite"

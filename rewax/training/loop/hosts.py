@@ -1,7 +1,8 @@
-"""Several processes, on one machine or many, that train one run.
+"""One run trained by several processes, on one machine or many.
 
-All hold the same program and a part of its environments. The first of them leads: it alone reads and writes the run's
-directory, evaluates and speaks. The others do what it says, for a program over all devices runs on all or on none.
+All processes have the same program, and each has a shard of the environments. The first process leads: it alone reads
+and writes the run's directory, evaluates and prints. The others follow its commands, because a program over all devices
+has to be started by every process.
 """
 
 import enum
@@ -20,41 +21,41 @@ _SETTINGS = ("JAX_COORDINATOR_ADDRESS", "JAX_NUM_PROCESSES", "JAX_PROCESS_ID")
 _REMEDY = f"set {', '.join(_SETTINGS[:2])} and {_SETTINGS[2]} for each process, or start them with Slurm or MPI"
 
 
-class Word(enum.IntEnum):
-    """What the leader says to the others."""
+class Command(enum.IntEnum):
+    """A command of the leader to the other processes."""
 
     STEP = 0
-    """Do an iteration."""
+    """Do an iteration of training."""
     GATHER = 1
-    """Hand over your environments."""
+    """Send your shard of the environments."""
     END = 2
-    """Leave."""
+    """End."""
 
 
 def num_processes(environment: Mapping[str, str] = os.environ) -> int | None:
-    """How many train together, as far as ``JAX_NUM_PROCESSES`` says.
+    """Number of processes of the run: the value of ``JAX_NUM_PROCESSES``, None without it.
 
     Raises:
-      ValueError: it is no number.
+      ValueError: it is not a number.
     """
     return _number(environment, _SETTINGS[1])
 
 
 def connect(environment: Mapping[str, str] = os.environ) -> None:
-    """Join the processes that train together; before JAX computes anything.
+    """Join the other processes of the run; call it before JAX computes anything.
 
     Args:
       environment: holds ``JAX_COORDINATOR_ADDRESS`` (host:port of the first process), ``JAX_NUM_PROCESSES`` and
-        ``JAX_PROCESS_ID`` (from 0); what it lacks is asked of Slurm, MPI or the cloud, as JAX knows them. The process's
-        own environment by default.
+        ``JAX_PROCESS_ID`` (from 0); JAX asks Slurm, MPI or the cloud for missing ones. By default the environment
+        variables of this process.
 
     Raises:
-      ValueError: in one sentence: who the others are is not known, or they do not answer.
+      ValueError: in one sentence: the other processes are not known, or they do not answer.
     """
     count, index = (_number(environment, name) for name in _SETTINGS[1:])
     try:
         jax.distributed.initialize(environment.get(_SETTINGS[0]), count, index)
-        # Now, while all are here: on a CPU connections are refused to whoever comes half a minute late.
+        # Connect now: on a CPU a process that comes half a minute later than the others is refused.
         multihost_utils.sync_global_devices("rewax")
     except (ValueError, RuntimeError) as error:
         reason = str(error).strip().split("\n")[0].rstrip(".")
@@ -76,70 +77,70 @@ def leads() -> bool:
 
 
 class Leader:
-    """What the first process says to the others. Alone it says nothing."""
+    """Commands of the first process to the others; a process alone sends none."""
 
     def __init__(self) -> None:
         self._several = jax.process_count() > 1
 
     def hand_out(self, train_state: T) -> T:
-        """Give all processes the state to begin with."""
+        """Send the initial state to all processes."""
         if self._several:
-            _say(Word.STEP)
+            _send(Command.STEP)
             _shared(train_state)
         return train_state
 
     def step(self) -> None:
-        """All processes do an iteration."""
-        self._tell(Word.STEP)
+        """All processes do an iteration of training."""
+        self._tell(Command.STEP)
 
     def gathered(self, train_state: T) -> T:
-        """The whole state, on this process."""
+        """The state with all environments, on this process."""
         if not self._several:
             return train_state
-        _say(Word.GATHER)
+        _send(Command.GATHER)
         return _gathered(train_state)
 
     def end(self) -> None:
-        """The others leave."""
-        self._tell(Word.END)
+        """The other processes end."""
+        self._tell(Command.END)
 
-    def _tell(self, word: Word) -> None:
+    def _tell(self, command: Command) -> None:
         if self._several:
-            _say(word)
+            _send(command)
 
 
 def received(like: T) -> T | None:
-    """The training state that the leader hands out, in place of one of the same shapes; None if there is none."""
-    return None if _heard() is Word.END else _shared(like)
+    """The training state that the leader sends, None if it sends none; ``like`` has the same shapes."""
+    return None if _next_command() is Command.END else _shared(like)
 
 
 def follow(train_step: Any, train_state: T) -> T:
-    """Do what the leader says until it says to leave."""
-    while (word := _heard()) is not Word.END:
-        if word is Word.GATHER:
+    """Follow the leader's commands until it sends ``END``."""
+    while (command := _next_command()) is not Command.END:
+        if command is Command.GATHER:
             _gathered(train_state)
         else:
             train_state, _ = train_step(train_state)
     return train_state
 
 
-def _say(word: Word) -> None:
-    multihost_utils.broadcast_one_to_all(np.int32(word))
+def _send(command: Command) -> None:
+    multihost_utils.broadcast_one_to_all(np.int32(command))
 
 
-def _heard() -> Word:
-    return Word(int(multihost_utils.broadcast_one_to_all(np.int32(0))))
+def _next_command() -> Command:
+    return Command(int(multihost_utils.broadcast_one_to_all(np.int32(0))))
 
 
 def _shared(tree: T) -> T:
-    """The first process's numbers, on each."""
+    """The arrays of the first process, on every process."""
     leaves, treedef = jax.tree.flatten(tree)
     numbers = multihost_utils.broadcast_one_to_all([to_numpy(leaf) for leaf in leaves])
     return jax.tree.unflatten(treedef, [_like(value, leaf) for value, leaf in zip(numbers, leaves, strict=True)])
 
 
 def _gathered(tree: T) -> T:
-    """All environments, on each process; what is the same on all is not sent."""
+    """All environments, on every process; replicated arrays are not sent."""
     leaves, treedef = jax.tree.flatten(tree)
     data = [jax.random.key_data(leaf) if is_key(leaf) else leaf for leaf in leaves]
     numbers = [a if _whole(a) else multihost_utils.process_allgather(a, tiled=True) for a in data]
@@ -155,4 +156,4 @@ def _like(value: Any, leaf: Any) -> Any:
     return from_numpy(value, None, str(jax.random.key_impl(leaf)) if is_key(leaf) else None)
 
 
-__all__ = ["Leader", "Word", "connect", "follow", "leads", "num_processes", "received"]
+__all__ = ["Command", "Leader", "connect", "follow", "leads", "num_processes", "received"]

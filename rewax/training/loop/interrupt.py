@@ -1,14 +1,15 @@
-"""Stopping a run cleanly: the first Ctrl-C asks, the second insists."""
+"""Stopping a run cleanly: the first Ctrl-C asks it to finish its iteration, the second ends it at once."""
 
 import contextlib
 import os
 import signal
+import stat
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _SAME_SECONDS = 0.3  # supervisors such as `timeout` signal a process and its group: twice, but meant once
 
 
@@ -18,11 +19,13 @@ class Stop:
     Attributes:
       signum: the signal that asked, 0 while none has.
       at_once: while not empty, the first signal ends the process at once, with this sentence for the user.
+      before_exit: called before the process ends at once.
       notice: what the user is told at the first signal otherwise.
     """
 
     signum: int = 0
     at_once: str = ""
+    before_exit: Callable[[], object] = staticmethod(lambda: None)
     notice: str = "stopping after this iteration; once more to leave at once"
 
     @property
@@ -33,12 +36,13 @@ class Stop:
 
 @contextlib.contextmanager
 def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
-    """Within the block, SIGINT and SIGTERM set ``Stop.signum``; a second one ends the process at once.
+    """Within the block, SIGINT, SIGTERM and SIGHUP set ``Stop.signum``; a second signal ends the process at once.
 
-    The first one does too while ``Stop.at_once`` is set: nothing is worth waiting for while a program compiles.
+    The first signal does too while ``Stop.at_once`` is set: nothing is worth waiting for while a program compiles.
 
-    A thread listens, because Python runs its own handlers only between bytecodes, and an iteration or a compilation can
-    be minutes of none. Outside the main thread nothing is installed, and the block never hears of a stop.
+    A thread listens for signals, because Python runs its own handlers only between bytecodes, and a compiled iteration
+    or a compilation can take minutes without one. Outside the main thread no handler is installed, and signals keep
+    their usual effect.
 
     Args:
       notify: called with a sentence for the user when the first signal arrives.
@@ -56,12 +60,15 @@ def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
             signum = received[0]
             if signum not in _SIGNALS:
                 continue
+            if signum == getattr(signal, "SIGHUP", 0):
+                _leave_terminal()
             if stop.requested:
                 if time.monotonic() - first < _SAME_SECONDS:
                     continue
                 os._exit(128 + signum)
             if stop.at_once:
                 try:
+                    stop.before_exit()
                     notify(stop.at_once)
                     sys.stdout.flush()
                 finally:
@@ -82,3 +89,11 @@ def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
         os.close(writer)  # ends the listener
         listener.join()
         os.close(reader)
+
+
+def _leave_terminal() -> None:
+    """After SIGHUP the terminal is gone, and writing to it would raise: output to a terminal goes nowhere."""
+    for descriptor in (1, 2):
+        with contextlib.suppress(OSError):
+            if stat.S_ISCHR(os.fstat(descriptor).st_mode):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)

@@ -1,5 +1,6 @@
-"""A run under way: its training state, its open files, and what is done after each iteration."""
+"""A running training: its state, its open files, and what follows each iteration."""
 
+import contextlib
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,14 +29,14 @@ _REMEDY = "smaller learning rates or rewards, or a smaller max_grad_norm help"
 
 
 class TrainResult(NamedTuple):
-    """What a run came to.
+    """Result of a run.
 
     Attributes:
-      train_state: the last one whose numbers are finite, also in the newest checkpoint.
-      evaluation: row of the final evaluation (``sampled_mean``, ``deterministic_mean``, ...); empty if the run stopped
-        early.
-      signum: the signal that stopped the run early, 0 if none did.
-      failure: why the run failed, in a sentence; empty if it did not.
+      train_state: the last one without non-finite numbers; the newest checkpoint has it too.
+      evaluation: row of the final evaluation (``sampled_mean``, ``deterministic_mean``, ...); empty after an early
+        stop.
+      signum: the signal that stopped the run early; 0: none.
+      failure: a sentence that says why the run failed; empty: it did not.
     """
 
     train_state: Any
@@ -49,11 +50,11 @@ class Run:
 
     Args:
       agent, env, config, console: as for ``train``.
-      programs: of evaluations and pictures.
-      run_dir: directory of the run, which exists.
+      programs: compiled programs of evaluations and pictures.
+      run_dir: existing directory of the run.
       key: draws the initial states of evaluations.
-      train_state: to begin with.
-      leader: speaks to the other processes of this run.
+      train_state: initial state of this process.
+      leader: sends commands to the other processes of this run.
     """
 
     def __init__(
@@ -85,8 +86,8 @@ class Run:
         return int(self.train_state.iteration)
 
     @property
-    def seen(self) -> Any:
-        """The training state for programs of this process alone."""
+    def local_state(self) -> Any:
+        """The training state on one device, for programs that are not sharded."""
         return on_one_device(self.train_state)
 
     @property
@@ -94,12 +95,12 @@ class Run:
         return int(self.train_state.env_steps)
 
     def say(self, text: str) -> None:
-        """Print a line; an empty one is left out."""
+        """Print a line, unless it is empty."""
         if text:
             say(self.console, text)
 
     def report_lost_rows(self, schedule: Schedule) -> None:
-        """Say which rows the run that is resumed should have left and did not."""
+        """Print which rows are missing from the files of the resumed run."""
         due = due_rows(schedule, self.iteration)
         for name, writer in (
             ("metrics.csv", self.metrics),
@@ -109,7 +110,7 @@ class Run:
             self.say(lost_rows(name, writer.iterations, due[name]))
 
     def iterate(self, train_step: Any, stop: Stop) -> None:
-        """Train to the last iteration, or until asked to stop or failed; what was trained is kept whatever happens."""
+        """Train until the last iteration, a signal or a failure. The last state is saved, after an exception too."""
         try:
             self.begin(stop)
             while not (self.over or stop.requested):
@@ -126,28 +127,36 @@ class Run:
 
     @property
     def over(self) -> bool:
-        """There is nothing more to train: the run is at its end, or has failed."""
+        """The run has reached its end or has failed."""
         return bool(self.failure) or self.config.over(self.iteration, self.env_steps)
 
     def begin(self, stop: Stop) -> None:
-        """Before the first iteration of this process: the evaluation that is due, and the progress report."""
+        """Evaluate if it is due, and start the progress report; before the first iteration of this process."""
         if self.evaluator.is_due(self.iteration):
             self.save()
             stop.at_once = f"stopped before the first iteration: --resume continues {self.run_dir}"
             self._evaluate()
         elif self._consumes and self._healthy is None:
-            self.save()  # what a failing iteration goes back to
+            self.save()  # a failing iteration goes back to it
         stop.at_once = ""
         self._progress = ProgressReport(self.console, self._last_iteration, self.iteration)
 
     def end(self) -> None:
-        """After the last iteration of this process: everything trained is kept."""
-        if self._progress is not None:
-            self._progress.close()
-        self.save()
+        """Close the progress report and save; after the last iteration of this process."""
+        try:
+            if self._progress is not None:
+                self._progress.close()
+        finally:
+            self.save()
 
     def take(self, new: Any, metrics: Mapping[str, Any], seconds: float) -> None:
-        """Take in the training state and the metrics of an iteration that took so many seconds."""
+        """Process an iteration: write its metrics, check for failure, save and evaluate where that is due.
+
+        Args:
+          new: the training state after the iteration.
+          metrics: of the iteration.
+          seconds: its duration.
+        """
         before = self._env_steps
         iteration, env_steps = int(new.iteration), int(new.env_steps)
         speed = (env_steps - before) / seconds
@@ -179,10 +188,10 @@ class Run:
     def save(self) -> None:
         """Write a checkpoint of this iteration unless there is one.
 
-        The newest from before the last failures stays, however many follow it.
+        The newest checkpoint from before the first failure is kept, however many follow it.
         """
         if any(leaf.is_deleted() for leaf in jax.tree.leaves(self.train_state) if isinstance(leaf, jax.Array)):
-            return  # an iteration was interrupted that had consumed it
+            return  # train_step consumed the state and was interrupted
         if self.iteration not in checkpoint.steps(self.run_dir):
             protect = None if self.watch.healthy else self._healthy
             whole = self._leader.gathered(self.train_state)
@@ -191,7 +200,7 @@ class Run:
             self._healthy = self.iteration
 
     def _evaluate(self) -> dict[str, Any]:
-        row = self.evaluator.evaluate(self.iteration, self.env_steps, self.seen)
+        row = self.evaluator.evaluate(self.iteration, self.env_steps, self.local_state)
         for board in self.boards:
             board.write(self.iteration, row, prefix="eval")
         for sentence in self.evaluator.sentences(row):
@@ -199,7 +208,7 @@ class Run:
         return row
 
     def finish(self, stop: Stop) -> TrainResult:
-        """Final evaluation and plots; after an early stop plots only, and how to go on."""
+        """Evaluate and draw; after an early stop only draw, and print how to continue."""
         row: dict[str, Any] = {}
         baselines: dict[str, float] = {}
         stopped = stop.requested or bool(self.failure)
@@ -207,10 +216,10 @@ class Run:
             self.failure = self.watch.reason(final=True)
             row = self.evaluator.last if self.evaluator.last.get("env_steps") == self.env_steps else self._evaluate()
             if self.config.baselines:
-                baselines = self.evaluator.baselines(self.seen)
+                baselines = self.evaluator.baselines(self.local_state)
                 self.say("baselines: " + ", ".join(f"{name} {value:.4g}" for name, value in baselines.items()))
         if self.config.plots:
-            for sentence in self.evaluator.draw(self.seen, baselines):
+            for sentence in self.evaluator.draw(self.local_state, baselines):
                 self.say(sentence)
         if self.failure:
             self.say(self._how_it_failed())
@@ -229,19 +238,20 @@ class Run:
 
     def close(self) -> None:
         """Close every file."""
-        for writer in (self.metrics, self.timing, *self.boards, self.evaluator):
-            writer.close()
+        with contextlib.ExitStack() as stack:  # an error of one closes the others nevertheless
+            for writer in (self.metrics, self.timing, *self.boards, self.evaluator):
+                stack.callback(writer.close)
 
 
 def _last_iteration(config: TrainConfig, iteration: int, env_steps: int) -> int:
-    """The iteration that ends the run; of a run whose end is a number of steps, going on at its mean rate."""
+    """The last iteration of the run; estimated from the mean number of steps if it ends after ``num_steps``."""
     if not config.num_steps or not env_steps:
         return config.num_iterations
     return max(iteration, -(-iteration * config.num_steps // env_steps))
 
 
 def _boards(config: TrainConfig, run_dir: Path, resume_at: int) -> list[TensorBoardWriter | WandbWriter]:
-    """Where numbers go beside the CSV files."""
+    """Writers of metrics besides the CSV files."""
     found: list[TensorBoardWriter | WandbWriter] = []
     if config.tensorboard:
         found.append(TensorBoardWriter(run_dir / "tensorboard", resume_at=resume_at))

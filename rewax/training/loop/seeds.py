@@ -1,4 +1,4 @@
-"""Several seeds of one run side by side, in one program."""
+"""Several seeds of one run, batched in one program."""
 
 import contextlib
 import functools
@@ -19,7 +19,7 @@ from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import TrainResult
 from rewax.training.loop.train import FINISHING, prepared
-from rewax.training.storage.run_directory import hold
+from rewax.training.storage.run_directory import full_disk_is_one_sentence, hold
 
 
 def train_seeds(
@@ -32,21 +32,28 @@ def train_seeds(
 ) -> list[TrainResult]:
     """Train one agent from several seeds at once: ``vmap(train_step)``, a run directory for each.
 
-    Each seed's result is that of its run alone, up to rounding: a batched program adds in another order. A seed that
-    fails is ended; the others go on.
+    Each seed's result equals that of a run by itself up to rounding, because a batched program adds in another order. A
+    seed that fails ends; the others continue.
 
     Args:
       agent, env, describe, console: as for ``train``.
-      configs: alike but for ``seed`` and ``run_dir``.
+      configs: equal except for ``seed`` and ``run_dir``.
 
     Raises:
-      ValueError: as for ``train``; or runs that are resumed have done different numbers of iterations.
+      ValueError: as for ``train``; or the resumed runs have done different numbers of iterations.
     """
     console = console or Console()
     with contextlib.ExitStack() as stack:
-        for config in configs:
-            stack.enter_context(hold(Path(config.run_dir).absolute(), must_exist=config.resume))
+        made = [
+            stack.enter_context(hold(Path(config.run_dir).absolute(), must_exist=config.resume)) for config in configs
+        ]
         stop = stack.enter_context(graceful_stop(functools.partial(say, console)))
+        stack.enter_context(
+            full_disk_is_one_sentence(
+                Path(configs[0].run_dir).parent, lambda: "the newest checkpoint of each run is kept"
+            )
+        )
+        stop.before_exit = lambda: [leave_nothing() for leave_nothing in made]
         stop.at_once = "stopped before the first iteration: nothing was trained"
         ready = [prepared(agent, env, config, describe, console) for config in configs]
         done = sorted({int(state.iteration) for state, _ in ready})
@@ -68,7 +75,7 @@ def train_seeds(
         del ready
         try:
             for run in runs:
-                run.save()  # all of them have a checkpoint, or a stop would leave a group that cannot be resumed
+                run.save()  # a group of runs can be resumed only if each of them has a checkpoint
             for run in runs:
                 run.begin(stop)
             while not (all(run.over for run in runs) or stop.requested):

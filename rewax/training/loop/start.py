@@ -1,4 +1,4 @@
-"""The training state that a run begins with: a fresh one, or the newest that its directory holds."""
+"""The initial training state of a run: a fresh one, or that of the newest checkpoint."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,19 +21,19 @@ _FLAGS = {"env": "--env", "scale": "--scale", "agent": "--algo"}
 def first_state(
     agent: Agent, config: TrainConfig, run_dir: Path, key: Key, description: Mapping[str, Any], console: Console
 ) -> Any:
-    """The training state to begin with.
+    """The initial training state.
 
     Args:
-      agent: that trains.
+      agent: the algorithm.
       config: of the run.
       run_dir: its directory.
       key: for ``agent.init``.
       description: what will be written into ``config.json``.
-      console: notes what is different from the run that is resumed.
+      console: for notes on differences from the run that is resumed.
 
     Raises:
-      ValueError: the directory holds a run and ``config.resume`` is off, or one that this configuration cannot resume;
-        ``config.init_from`` does not fit.
+      ValueError: the directory holds a run and ``config.resume`` is off, or a run that this configuration cannot
+        resume; or ``config.init_from`` does not fit.
     """
     if not config.resume:
         metrics = run_dir / "metrics.csv"
@@ -45,7 +45,7 @@ def first_state(
         if not config.init_from:
             return fresh
         say(console, f"beginning with what {config.init_from} has learnt")
-        return warm_started(fresh, config.init_from)
+        return warm_started(fresh, config.init_from, agent.name)
     differences = changes(read_config(run_dir), plain(description))
     for name, old, new in differences:
         if name in _FLAGS:
@@ -57,14 +57,14 @@ def first_state(
     except checkpoint.OtherStructure as error:
         raise _other_options(run_dir, differences, error) from None
     for name, old, new in differences:
-        if name == "train.seed" or not name.startswith("train."):  # how to report is free to change
+        if name == "train.seed" or not name.startswith("train."):  # options of reports may change
             say(console, f"note: resuming with {name} {new}, it was {old}")
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
 
 
 def _other_options(run_dir: Path, differences: list[tuple[str, Any, Any]], error: ValueError) -> ValueError:
-    """Names the options that differ; where none does, the leaf that does not fit."""
+    """A sentence with the options that differ; where none does, with the array that does not fit."""
     options = [(name, old, new) for name, old, new in differences if not name.startswith("train.")]
     if not options:
         return error

@@ -1,4 +1,4 @@
-"""Training from beginning to end: start or resume, iterate, finish."""
+"""The training function: start or resume a run, iterate, finish."""
 
 import contextlib
 import functools
@@ -21,6 +21,7 @@ from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import Run, TrainResult
 from rewax.training.loop.start import first_state
+from rewax.training.storage import checkpoint
 from rewax.training.storage.description import (
     append_lowering,
     describe_run,
@@ -29,11 +30,11 @@ from rewax.training.storage.description import (
     write_environment,
 )
 from rewax.training.storage.metrics import need_wandb
-from rewax.training.storage.run_directory import hold
+from rewax.training.storage.run_directory import CannotWrite, full_disk_is_one_sentence, hold
 from rewax.training.storage.schedule import continued
 from rewax.types import Key
 
-_EVALUATION_STREAM = 0x5EED  # folded into the seed, so that evaluation draws other numbers than training
+_EVALUATION_STREAM = 0x5EED  # folded into the seed: evaluation and training draw different random numbers
 _NOTHING_KEPT = "stopped while compiling: nothing was trained, and nothing is kept"
 _NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
 _NOTHING_LOST = (
@@ -52,24 +53,24 @@ def train(
 ) -> TrainResult:
     """Train an agent and leave a run directory: checkpoints, metrics, evaluations, plots.
 
-    A run resumed from a checkpoint continues as if it had never stopped, bit for bit on a CPU: the same final state and
-    the same ``metrics.csv``. The last checkpoint is written before the final evaluation and the pictures: no failure
-    there loses it.
+    On a CPU a run resumed from a checkpoint gives the same bits as one that never stopped: the same final state and the
+    same ``metrics.csv``. The last checkpoint is written before the final evaluation and the pictures, so that a failure
+    there does not lose it.
 
     A run stops early when more than ``config.max_failed_share`` of its episodes fail numerically, or when its critics'
-    loss is not finite as often. It stops at once when a number that it has learnt is not finite. No checkpoint holds
-    such a number, and the newest one from before the failures stays.
+    loss is not finite as often. It stops at once when a learnt parameter is not finite. No checkpoint holds such a
+    parameter, and the newest checkpoint from before the failures is kept.
 
-    Where several processes have joined (``jax.distributed.initialize``), each of them calls this: the first one does
-    all that is said here, and the others compute their share.
+    With several processes (``jax.distributed.initialize``) each of them calls this function: the first one does
+    everything described here, and the others compute their shard of the environments.
 
     Args:
       agent: algorithm bound to ``env``.
       env: unbatched environment to evaluate in.
-      config: length, seed, place and reports of the run.
-      describe: written into ``config.json`` beside ``config`` and what agent and env say of themselves; ``env``,
-        ``scale`` and ``agent`` must not change on resuming.
-      console: where to print; standard output by default.
+      config: length, seed, directory and reports of the run.
+      describe: further entries of ``config.json``, beside ``config`` and the descriptions of agent and env; ``env``,
+        ``scale`` and ``agent`` must be the same on resuming.
+      console: to print to; standard output by default.
 
     Raises:
       ValueError: ``run_dir`` cannot be used, another process uses it, it holds a run already and ``resume`` is off,
@@ -81,9 +82,11 @@ def train(
     leader = Leader()
     with (
         _ended(leader),
-        hold(Path(config.run_dir).absolute(), must_exist=config.resume),
+        hold(Path(config.run_dir).absolute(), must_exist=config.resume) as leave_nothing,
         graceful_stop(functools.partial(say, console)) as stop,
+        full_disk_is_one_sentence(Path(config.run_dir), functools.partial(_kept, config.run_dir)),
     ):
+        stop.before_exit = leave_nothing
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
         programs = Programs(env, agent.policy, config)
@@ -96,7 +99,7 @@ def train(
                 )
                 train_step = compile_train_step(agent, train_state, console, where, begin)
         if agent.consumes:
-            programs.wait()  # the first iteration takes the state away
+            programs.wait()  # the first iteration consumes the state that they are compiled with
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_TRAINED
         run = open_run()
         append_lowering(config.run_dir, decisions)
@@ -109,19 +112,27 @@ def train(
             run.close()
 
 
+def _kept(run_dir: str) -> str:
+    """A clause about the newest checkpoint of a run whose disk is full."""
+    newest = checkpoint.latest_step(run_dir)
+    if newest is None:
+        return "nothing was trained"
+    return f"the checkpoint of iteration {newest} is kept, and the same command with --resume continues from it"
+
+
 @contextlib.contextmanager
 def _ended(leader: Leader) -> Iterator[None]:
-    """At the end, and after an input that is refused, the other processes leave too."""
+    """Ends the other processes at the end, and after an input that is refused."""
     try:
         yield
-    except ValueError:
+    except (ValueError, CannotWrite):
         leader.end()
         raise
     leader.end()
 
 
 def _follow(agent: Agent, config: TrainConfig) -> TrainResult:
-    """What the processes do that do not lead. A signal to stop is for the leader; a second one ends the process."""
+    """Train in a process that does not lead. The leader handles a signal to stop; a second one ends this process."""
     with graceful_stop(lambda _: None):
         train_state = received(jax.jit(agent.init)(jax.random.key(config.seed)))
         if train_state is None:
@@ -143,9 +154,9 @@ def prepared(
     leader: Leader | None = None,
     programs: Programs | None = None,
 ) -> tuple[Any, Callable[[], Run]]:
-    """The training state to begin with, and a function that opens the run's files; before it nothing is written.
+    """The initial training state, and a function that opens the run's files; nothing is written before it is called.
 
-    The directory has to be held.
+    The caller holds the run's directory.
     """
     if config.wandb:
         need_wandb()

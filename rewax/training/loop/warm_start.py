@@ -1,56 +1,85 @@
-"""A new run that begins with what an old one has learnt."""
+"""Initial training state of a new run with the networks of an old one."""
 
-import dataclasses
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from rewax.agents.run_state import RunState
-from rewax.training.storage.saved import load_run
+from rewax.training.storage import checkpoint
+from rewax.training.storage.description import read_config
+from rewax.training.storage.leaves import describe_leaf, from_numpy, named_leaves, to_numpy
 
 _OF_THE_RUN = ("environments", "key", "iteration", "env_steps", "replay", "learning_rate")
-"""Begins anew; and so do the states of optimizers."""
+"""Fields of a training state that are not taken over; states of optimizers are not either."""
+_STATISTICS = ".environments.statistics"
 
 
-def warm_started(fresh: Any, run_dir: str | Path) -> Any:
+def warm_started(fresh: Any, run_dir: str | Path, name: str = "") -> Any:
     """A fresh training state with the networks, temperatures and statistics of an old run's newest checkpoint.
 
-    Environments, randomness, counters, optimizers and replay buffers begin anew.
+    Environments, random keys, counters, optimizers and replay buffers stay those of the fresh state. The checkpoint is
+    read by the names of its arrays, so neither the old run's environment nor its algorithm has to be registered.
 
     Args:
-      fresh: as ``agent.init`` makes it.
+      fresh: the state that ``agent.init`` returns.
       run_dir: directory of the old run, of the same algorithm.
+      name: of the algorithm; empty for one without a name.
 
     Raises:
       ValueError: in one sentence: there is no such run, it is of another algorithm, or its networks have other shapes.
     """
-    old = load_run(run_dir).train_state
-    if type(old) is not type(fresh) or not isinstance(fresh, RunState):
-        raise ValueError(f"{run_dir} is no run of this algorithm: begin with one of the same, or without --init-from")
-    changes = {name: _like(name, getattr(fresh, name), getattr(old, name), run_dir) for name in _learnt(fresh)}
-    statistics = _like("statistics", fresh.environments.statistics, old.environments.statistics, run_dir)
-    return fresh.replace(**changes, environments=fresh.environments.replace(statistics=statistics))
-
-
-def _learnt(state: RunState) -> list[str]:
-    """Fields of a state that hold what was learnt."""
-    names = [field.name for field in dataclasses.fields(state)]  # type: ignore[arg-type]
-    return [name for name in names if name not in _OF_THE_RUN and not name.endswith(("_opt", "opt_state"))]
-
-
-def _like(name: str, fresh: Any, old: Any, run_dir: str | Path) -> Any:
-    """The old value, of the same structure and shapes as the fresh one."""
-    same = jax.tree.structure(fresh) == jax.tree.structure(old) and all(
-        jnp.shape(a) == jnp.shape(b) for a, b in zip(jax.tree.leaves(fresh), jax.tree.leaves(old), strict=True)
-    )
-    if not same:
+    if checkpoint.latest_step(run_dir) is None:
+        raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
+    if not isinstance(fresh, RunState):
         raise ValueError(
-            f"{name} of {run_dir} has other shapes than this run's: give the networks' options that it was trained "
-            f"with ({run_dir}/config.json), and a task with the same observations and actions"
+            f"the training state of {name or 'this algorithm'} is no RunState, so nothing can be taken over from "
+            f"{run_dir}: begin without --init-from"
         )
-    return old
+    old = {key: leaf for key, leaf in checkpoint.stored_leaves(run_dir).items() if _is_learnt(key)}
+    new = {key: leaf for key, leaf in named_leaves(fresh) if _is_learnt(key)}
+    _check_fields(old, new, run_dir, name)
+    for key in {**new, **old}:
+        if key not in old or key not in new or _signature(old[key]) != _signature(new[key]):
+            raise ValueError(
+                f"{_field(key)} of {run_dir} has other shapes than this run's: give the networks' options that it was "
+                f"trained with ({run_dir}/config.json), and a task with the same observations and actions"
+            )
+    leaves = [from_numpy(to_numpy(old[key]), leaf, None) if key in old else leaf for key, leaf in named_leaves(fresh)]
+    return jax.tree.unflatten(jax.tree.structure(fresh), leaves)
+
+
+def _is_learnt(key: str) -> bool:
+    """Whether a leaf of a training state, given by its name, is taken over."""
+    field = _field(key)
+    kept = field not in _OF_THE_RUN and not field.endswith(("_opt", "opt_state"))
+    return kept or key.startswith(_STATISTICS)
+
+
+def _field(key: str) -> str:
+    """The field of the training state that a leaf belongs to."""
+    return "statistics" if key.startswith(_STATISTICS) else re.split(r"[.\[]", key.removeprefix("."))[0]
+
+
+def _signature(leaf: Any) -> tuple[Any, ...]:
+    described = describe_leaf(leaf, to_numpy(leaf))
+    return tuple(described["shape"]), described["dtype"]
+
+
+def _check_fields(old: Mapping[str, Any], new: Mapping[str, Any], run_dir: str | Path, name: str) -> None:
+    """Raises ValueError if the two sets of leaves belong to different algorithms."""
+    there, here = {_field(key) for key in old}, {_field(key) for key in new}
+    if there != here:
+        algorithm = read_config(run_dir).get("agent") or "another algorithm"
+        odd = sorted(there ^ here)[0]
+        whose = f"it has learnt {odd}, which" if odd in there else f"it has not learnt {odd}, which"
+        verb = "does not have" if odd in there else "needs"
+        raise ValueError(
+            f"{run_dir} was trained with {algorithm}: {whose} {name or 'this algorithm'} {verb}: begin with a run of "
+            "the same algorithm, or without --init-from"
+        )
 
 
 __all__ = ["warm_started"]

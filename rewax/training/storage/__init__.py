@@ -1,1 +1,1 @@
-"""What a run leaves on disk: checkpoints, configurations, metrics, exports; and caches."""
+"""Files of runs: checkpoints, configurations, metrics, exports; and caches."""

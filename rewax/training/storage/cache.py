@@ -1,4 +1,4 @@
-"""Compiled programs kept between runs."""
+"""Persistent cache of compiled programs."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,7 @@ import jax
 def enable_compilation_cache() -> Path:
     """Turn on JAX's persistent compilation cache, so that a second run starts without compiling.
 
-    The directory is ``JAX_COMPILATION_CACHE_DIR`` or what ``jax.config`` says, where one of them is set, else
+    The directory is that of ``JAX_COMPILATION_CACHE_DIR`` or ``jax.config`` if one of them is set, else
     ``$XDG_CACHE_HOME/rewax/jax`` (``~/.cache/rewax/jax``). Call it before anything is compiled.
 
     Returns:

@@ -1,14 +1,19 @@
 """Complete training states on disk, bit-exact.
 
-A checkpoint is one directory ``<run>/checkpoints/<iteration>`` holding ``arrays/`` (written by Orbax) and
-``leaves.json`` (name, shape, dtype and checksum of every leaf). It is written under another name and renamed when it is
-complete, so a directory with a number for a name and these contents is whole. Whatever else lies there is left alone.
+A checkpoint is one directory ``<run>/checkpoints/<iteration>`` holding ``arrays/`` (written by Orbax), ``leaves.json``
+(name, shape, dtype and checksum of every array) and ``checksums.json`` (of ``leaves.json``; older ones have none). It
+is written under another name and renamed when it is complete, so a directory with a number for a name and these
+contents is complete. All other files and folders there are left alone.
 """
 
+import contextlib
 import json
+import logging
 import shutil
+import threading
 import warnings
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,16 +40,16 @@ class DamagedCheckpoint(ValueError):
 
 
 def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int | None = None) -> Path:
-    """Write a checkpoint of a whole training state, then remove all but the latest ``keep``.
+    """Write a checkpoint of a training state, then remove all but the newest ``keep``.
 
     Args:
       run_dir: directory of the run, made if missing.
-      train_state: pytree of arrays, typed PRNG keys among them, with a field ``iteration``.
-      keep: number of checkpoints that stay, at least 1.
-      protect: iteration of a checkpoint that stays as well.
+      train_state: pytree of arrays and typed PRNG keys with a field ``iteration``.
+      keep: number of checkpoints that are kept, at least 1.
+      protect: iteration of a checkpoint that is kept as well.
 
     Returns:
-      The checkpoint's directory; it appears complete or not at all, however the process ends.
+      The checkpoint's directory. It appears complete or not at all, even if the process is killed.
     """
     folder = Path(run_dir).absolute() / "checkpoints"
     folder.mkdir(parents=True, exist_ok=True)
@@ -52,14 +57,12 @@ def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int |
         _remove(leftover)
     step = int(train_state.iteration)
     unfinished, final = folder / f".writing-{step}", folder / str(step)
-    unfinished.mkdir()
-    leaves = {name: to_numpy(leaf) for name, leaf in named_leaves(train_state)}
-    described = {name: describe_leaf(leaf, leaves[name]) for name, leaf in named_leaves(train_state)}
-    # Orbax refuses arrays without elements; their description says all there is to know.
-    stored = {name: value for name, value in leaves.items() if value.size}
-    with _checkpointer() as checkpointer:
-        checkpointer.save(unfinished / "arrays", args=ocp.args.StandardSave(stored))
-    (unfinished / "leaves.json").write_text(json.dumps(described, indent=1))
+    try:
+        _write(unfinished, train_state)
+    except BaseException:
+        with contextlib.suppress(OSError):  # a full disk has room again
+            _remove(unfinished)
+        raise
     if _is_checkpoint(final):
         _discard(final)
     elif final.exists():
@@ -71,8 +74,36 @@ def save(run_dir: str | Path, train_state: Any, *, keep: int = 3, protect: int |
     return final
 
 
+def _write(folder: Path, train_state: Any) -> None:
+    """Write the files of a checkpoint."""
+    folder.mkdir()
+    leaves = {name: to_numpy(leaf) for name, leaf in named_leaves(train_state)}
+    described = {name: describe_leaf(leaf, leaves[name]) for name, leaf in named_leaves(train_state)}
+    # Orbax refuses arrays without elements; their description is sufficient.
+    stored = {name: value for name, value in leaves.items() if value.size}
+    with _silent_threads(), _checkpointer() as checkpointer:
+        checkpointer.save(folder / "arrays", args=ocp.args.StandardSave(stored))
+    text = json.dumps(described, indent=1)
+    (folder / "leaves.json").write_text(text)
+    (folder / "checksums.json").write_text(json.dumps({"leaves.json": zlib.crc32(text.encode())}) + "\n")
+
+
+@contextlib.contextmanager
+def _silent_threads() -> Iterator[None]:
+    """An exception in a thread of Orbax is raised by ``save`` too: its traceback is neither printed nor logged."""
+    log, usual = logging.getLogger("absl"), threading.excepthook
+    level = log.level
+    threading.excepthook = lambda _: None
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        threading.excepthook = usual
+        log.setLevel(level)
+
+
 def steps(run_dir: str | Path) -> list[int]:
-    """Iterations of the checkpoints of a run, in order; stray files and folders do not count."""
+    """Iterations of the checkpoints of a run, in order; other files and folders are ignored."""
     folder = Path(run_dir) / "checkpoints"
     found = folder.iterdir() if folder.is_dir() else ()
     return sorted(int(path.name) for path in found if _is_number(path.name) and _is_checkpoint(path))
@@ -102,13 +133,35 @@ def restore(
       run_dir: directory of the run.
       like: a training state of the same structure, or its ``jax.eval_shape``; values are not used.
       step: iteration of the checkpoint; by default the newest that can be read.
-      set_aside: rename the damaged checkpoints that were passed over, so that the run does not meet them again.
-      notify: called with a sentence about each damaged checkpoint that was passed over; a Python warning by default.
+      set_aside: rename the damaged checkpoints that were skipped, so that the run does not find them again.
+      notify: called with a sentence about each damaged checkpoint that was skipped; a Python warning by default.
 
     Raises:
       ValueError: in one sentence: the directory is missing, holds no checkpoint, none can be read
         (``DamagedCheckpoint``), or a field has another shape or type than ``like`` (``OtherStructure``).
     """
+    return _newest(run_dir, lambda path: _read(path, like), step, set_aside, notify)
+
+
+def stored_leaves(run_dir: str | Path) -> dict[str, Any]:
+    """Arrays of the newest readable checkpoint by name, such as ``.actor_params['params']['mean']['bias']``.
+
+    Raises:
+      ValueError: in one sentence: there is no checkpoint that can be read.
+    """
+
+    def read(path: Path) -> dict[str, Any]:
+        described = _read_description(path)
+        arrays = _read_arrays(path, described)
+        return {name: from_numpy(arrays[name], None, entry["impl"]) for name, entry in described.items()}
+
+    return _newest(run_dir, read, None, False, _warn)
+
+
+def _newest(
+    run_dir: str | Path, read: Callable[[Path], T], step: int | None, set_aside: bool, notify: Callable[[str], None]
+) -> T:
+    """The result of ``read`` for the newest checkpoint that is not damaged; arguments as for ``restore``."""
     run_dir = Path(run_dir).absolute()
     if not run_dir.is_dir():
         raise ValueError(f"there is no run directory {run_dir}: check the path, or start a new run there")
@@ -122,7 +175,7 @@ def restore(
     damaged: dict[int, DamagedCheckpoint] = {}
     for candidate in [step] if step is not None else found[::-1]:
         try:
-            restored = _read(run_dir / "checkpoints" / str(candidate), like)
+            restored = read(run_dir / "checkpoints" / str(candidate))
         except DamagedCheckpoint as error:
             damaged[candidate] = error
             continue
@@ -141,12 +194,12 @@ def _is_number(name: str) -> bool:
 
 
 def _is_checkpoint(path: Path) -> bool:
-    """Whole, or what damage has left of one."""
+    """A complete checkpoint, or the remains of one."""
     return (path / "leaves.json").is_file() or (path / "arrays").is_dir()
 
 
 def _discard(path: Path) -> None:
-    """Remove a checkpoint; renamed first, so that a half-removed one does not look complete."""
+    """Remove a checkpoint. It is renamed first, so that an interruption leaves nothing that looks complete."""
     _remove(path.rename(path.with_name(f".removing-{path.name}")))
 
 
@@ -177,7 +230,10 @@ def _read(path: Path, like: T) -> T:
 
 def _read_description(path: Path) -> dict[str, Any]:
     try:
-        described = json.loads((path / "leaves.json").read_text())
+        text, sums = (path / "leaves.json").read_bytes(), path / "checksums.json"
+        if sums.is_file() and json.loads(sums.read_text())["leaves.json"] != zlib.crc32(text):
+            raise ValueError("leaves.json does not have its checksum")
+        described = json.loads(text)
         complete = all(entry.keys() >= ENTRIES for entry in described.values())
     except Exception as error:
         raise _unreadable(path, error) from error
@@ -202,7 +258,7 @@ def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, np.ndarray]
 
 
 def _checkpointer() -> ocp.Checkpointer:
-    """Of this process alone: Orbax's own would wait for the others."""
+    """A checkpointer of this process alone: Orbax's default would wait for the other processes."""
     alone = ocp.options.MultiprocessingOptions(primary_host=jax.process_index(), active_processes={jax.process_index()})
     if jax.process_count() == 1:
         alone = ocp.options.MultiprocessingOptions()
@@ -214,4 +270,4 @@ def _unreadable(path: Path, error: object) -> DamagedCheckpoint:
     return DamagedCheckpoint(f"checkpoint {path} is damaged and cannot be read ({reason})")
 
 
-__all__ = ["DamagedCheckpoint", "OtherStructure", "latest_step", "restore", "save", "steps"]
+__all__ = ["DamagedCheckpoint", "OtherStructure", "latest_step", "restore", "save", "steps", "stored_leaves"]

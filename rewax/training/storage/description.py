@@ -1,4 +1,4 @@
-"""``config.json``: what a run is, in the words of its configuration, and how that differs from another one."""
+"""``config.json``: the description of a run, and the differences between two of them."""
 
 import dataclasses
 import functools
@@ -17,12 +17,12 @@ _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "muj
 
 
 def describe_run(agent: Any, env: Any, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """The entries of ``config.json`` from which ``load_run`` builds environment and agent again.
+    """Entries of ``config.json`` from which ``load_run`` rebuilds environment and agent.
 
     Args:
-      agent: its ``name`` and ``config`` are the entries ``agent`` and ``<name>``.
-      env: what ``rewax.make`` recorded in ``env.made_by`` gives ``env``, ``scale`` and ``env_kwargs``.
-      given: entries that override those, or stand beside them.
+      agent: its ``name`` becomes the entry ``agent``, its ``config`` the entry ``<name>``.
+      env: ``env.made_by``, which ``rewax.make`` sets, becomes the entries ``env``, ``scale`` and ``env_kwargs``.
+      given: further entries; they override those.
     """
     made_by, described = getattr(env, "made_by", None), {}
     if made_by and _is_json(made_by.get("kwargs", {})):
@@ -33,7 +33,7 @@ def describe_run(agent: Any, env: Any, given: Mapping[str, Any] | None = None) -
 
 
 def write_config(run_dir: str | Path, config: Mapping[str, Any]) -> None:
-    """Keep the configuration of a run, and the versions of the packages it rests on, in ``config.json``."""
+    """Write the configuration of a run and the versions of the packages that it depends on to ``config.json``."""
     run_dir = Path(run_dir)
     run_dir.mkdir(parents=True, exist_ok=True)
     unfinished = run_dir / "config.json.writing"
@@ -43,9 +43,9 @@ def write_config(run_dir: str | Path, config: Mapping[str, Any]) -> None:
 
 
 def write_environment(run_dir: str | Path) -> None:
-    """Keep Python, platform, devices and the versions of all installed packages in ``environment.txt``.
+    """Write Python, platform, devices and the versions of all installed packages to ``environment.txt``.
 
-    Also whether C++ was on; ``append_lowering`` adds what of the program ran in it.
+    It also says whether C++ was on; ``append_lowering`` adds which functions ran in C++.
     """
     import jax
 
@@ -59,9 +59,9 @@ def write_environment(run_dir: str | Path) -> None:
 
 
 def provenance() -> dict[str, str]:
-    """What a result was made with: the commit of rewax's checkout, the processor, C++ on or off, jax's version.
+    """Provenance of a result: commit of rewax's checkout, processor, C++ on or off, version of JAX.
 
-    The commit ends in ``+`` where files were changed; it is empty for an installed package.
+    The commit ends in ``+`` if files were changed; it is empty for an installed package.
     """
     import jax
 
@@ -84,7 +84,7 @@ def _commit() -> str:
     folder = Path(__file__).resolve().parent
     try:
         ask = functools.partial(subprocess.run, cwd=folder, capture_output=True, text=True, check=True, timeout=10)
-        ask(["git", "ls-files", "--error-unmatch", Path(__file__).name])  # else it is the commit of something around it
+        ask(["git", "ls-files", "--error-unmatch", Path(__file__).name])  # not an enclosing repository
         commit = ask(["git", "rev-parse", "--short=12", "HEAD"]).stdout.strip()
         return commit + "+" * bool(ask(["git", "status", "--porcelain", "--untracked-files=no", "."]).stdout.strip())
     except (OSError, subprocess.SubprocessError):
@@ -99,10 +99,10 @@ def append_lowering(run_dir: str | Path, decisions: Iterable[Decision]) -> None:
 
 
 def read_config(run_dir: str | Path) -> dict[str, Any]:
-    """The configuration that ``write_config`` kept; empty if there is none.
+    """The configuration that ``write_config`` wrote; empty if there is none.
 
     Raises:
-      ValueError: the file cannot be read, is not JSON, or holds something else than named entries.
+      ValueError: the file cannot be read, is not JSON, or is not an object with named entries.
     """
     path = Path(run_dir) / "config.json"
     if not path.is_file():
@@ -118,7 +118,7 @@ def read_config(run_dir: str | Path) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON stores it: dataclasses and mappings as dicts, tuples as lists, what is left as text."""
+    """``value`` for JSON: dataclasses and mappings as dicts, tuples as lists, unknown types as text."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -129,7 +129,7 @@ def plain(value: Any) -> Any:
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any, Any]]:
-    """Dotted names of entries that both have with other values, and the values."""
+    """Entries that both descriptions have with different values: dotted name, old value, new value."""
     found = []
     for name in [name for name in new if name in old]:
         if isinstance(old[name], Mapping) and isinstance(new[name], Mapping):

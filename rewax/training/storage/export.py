@@ -23,21 +23,22 @@ PLATFORMS = ("cpu", "cuda")
 
 
 def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
-    """Write a policy three times: ``policy.stablehlo``, ``weights.npz`` with ``numpy_policy.py``, ``policy.json``.
+    """Write ``policy.stablehlo``, ``weights.npz`` with ``numpy_policy.py``, and their description ``policy.json``.
 
-    All compute ``action = tanh(mean(obs) + std(obs) * noise)``, with the statistics of the observations built in: noise
-    zero is the deterministic action, standard normal noise the sampled one. ``policy.stablehlo`` is for a batch of any
-    size, on a CPU and on an NVIDIA GPU:
+    Both policies compute ``action = tanh(mean(obs) + std(obs) * noise)`` and include the normalisation of the
+    observations. Zero noise gives the deterministic action, standard normal noise a sampled one. ``policy.stablehlo``
+    takes a batch of any size, on a CPU and on an NVIDIA GPU:
 
+        # pip install jax flatbuffers; rewax is not needed
         exported = jax.export.deserialize(bytearray(Path("policy.stablehlo").read_bytes()))
-        action = exported.call(obs, noise)        # leading axis of environments; JAX alone, without rewax
+        action = exported.call(obs, noise)        # with a leading axis of environments
 
     Args:
       run: from ``load_run``.
       out: folder, made if missing.
 
     Returns:
-      What was written.
+      Paths of the files.
 
     Raises:
       ValueError: the algorithm learns no policy network.
@@ -59,7 +60,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
     described = _description(run, actor)
     files = {name: out / name for name in ("policy.stablehlo", "weights.npz", "numpy_policy.py", "policy.json")}
     files["policy.stablehlo"].write_bytes(exported.serialize())
-    np.savez(files["weights.npz"], describes=json.dumps(described), **_weights(actor, params, statistics))
+    np.savez(files["weights.npz"], describes=json.dumps(described), **_weights(actor, params, statistics))  # pyright: ignore[reportArgumentType]
     shutil.copyfile(numpy_policy.__file__, files["numpy_policy.py"])
     files["policy.json"].write_text(json.dumps(described, indent=1) + "\n")
     return list(files.values())
@@ -91,7 +92,7 @@ def _description(run: SavedRun, actor: Actor) -> dict[str, Any]:
 
 
 def _weights(actor: Actor, params: Any, statistics: Any) -> dict[str, np.ndarray]:
-    """Parameters by path, and of each normalised observation its mean and what it is multiplied by."""
+    """Parameters by path, and the mean and scale of each normalised observation."""
     leaves = jax.tree.leaves_with_path(params["params"])
     weights = {"/".join(str(part.key) for part in path): np.asarray(leaf) for path, leaf in leaves}
     if actor.config.normalize_observations:

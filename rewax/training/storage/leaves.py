@@ -1,4 +1,4 @@
-"""The leaves of a training state: their names, how they are stored and described, and whether two sets agree."""
+"""Leaves of a training state: their names, stored arrays and descriptions, and a comparison with another structure."""
 
 import zlib
 from pathlib import Path
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 ENTRIES = {"shape", "dtype", "stored_shape", "stored_dtype", "crc32", "impl"}
-"""What ``describe_leaf`` says of a leaf."""
+"""Keys of the dict that ``describe_leaf`` returns."""
 
 
 class OtherStructure(ValueError):
@@ -22,12 +22,12 @@ def named_leaves(tree: Any) -> list[tuple[str, Any]]:
 
 
 def to_numpy(leaf: Any) -> np.ndarray:
-    """A leaf as it is stored: a typed key as its data."""
+    """The array that is stored for a leaf; for a typed key its data."""
     return np.asarray(jax.random.key_data(leaf) if is_key(leaf) else leaf)
 
 
 def from_numpy(value: np.ndarray, like: Any, impl: str | None) -> Any:
-    """The leaf that was stored, on the devices of ``like``; ``impl`` names the generator of a key."""
+    """The leaf for a stored array, on the devices of ``like``; ``impl`` names the generator of a key."""
     array = jax.device_put(value) if getattr(like, "sharding", None) is None else jax.device_put(value, like.sharding)
     return array if impl is None else jax.random.wrap_key_data(array, impl=impl)
 
@@ -44,10 +44,10 @@ def checksum(value: np.ndarray) -> int:
 
 
 def check_structure(described: dict[str, Any], wanted: dict[str, Any], path: Path) -> None:
-    """Compare what a checkpoint holds with the leaves of a configuration.
+    """Compare the arrays of a checkpoint with those of a configuration.
 
     Args:
-      described: of every stored leaf, by name, as ``describe_leaf`` gives it.
+      described: description of every stored leaf by name, see ``describe_leaf``.
       wanted: arrays or shapes, by name.
       path: of the checkpoint.
 
@@ -76,6 +76,6 @@ def is_key(leaf: Any) -> bool:
 
 
 def _signature(leaf: Any) -> dict[str, Any]:
-    """What must agree between a checkpoint and a configuration. The dtype of a key names its generator."""
+    """Shape and dtype, which must agree between a checkpoint and a configuration; a key's dtype names its generator."""
     leaf = leaf if hasattr(leaf, "dtype") else np.asarray(leaf)
     return {"shape": list(leaf.shape), "dtype": str(leaf.dtype)}

@@ -1,15 +1,16 @@
-"""Numbers of a run: CSV always, TensorBoard beside it, Weights & Biases where one asks for it.
+"""Writers of metrics: CSV always, TensorBoard by default, Weights & Biases on request.
 
-``metrics.csv`` and ``eval.csv`` hold nothing that depends on the clock, so two runs with one seed write the same bytes
-on a CPU, and so does a resumed run; times are in ``timing.csv``.
+``metrics.csv`` and ``eval.csv`` do not depend on the clock, so on a CPU two runs with one seed write the same bytes,
+and so does a resumed run; times are in ``timing.csv``.
 """
 
+import contextlib
 import csv
 import importlib.util
 import io
 import math
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +18,18 @@ import numpy as np
 
 
 class CsvWriter:
-    """Appends rows of named numbers to a CSV file, each on disk before the next is computed.
+    """Appends rows of named numbers to a CSV file; each row is flushed to disk.
 
-    The header is that of the first row. A file that exists is continued: rows of later iterations than ``resume_at``,
-    and rows cut short, are removed. A file without its header is kept as ``<name>.damaged``.
+    The first row determines the header. An existing file is continued: rows of iterations after ``resume_at``, and
+    incomplete rows, are removed. A file without its header is kept as ``<name>.damaged``.
 
     Args:
       path: of the file.
-      resume_at: iteration that the run continues from; 0 starts the file afresh.
+      resume_at: iteration that the run continues from; 0: start an empty file.
 
     Attributes:
-      iterations: of the rows that were there.
-      last_iteration: of the last row, -1 if there is none.
+      iterations: those of the rows that the file had.
+      last_iteration: that of the last row, -1 without rows.
     """
 
     def __init__(self, path: str | Path, *, resume_at: int = 0) -> None:
@@ -72,17 +73,21 @@ class CsvWriter:
 
 
 class TensorBoardWriter:
-    """Writes scalars for TensorBoard into ``folder``; numbers that are not finite are left out.
+    """Writes scalars for TensorBoard into ``folder``; non-finite numbers are left out.
 
     Args:
       folder: of the event files.
-      resume_at: iteration that the run continues from; TensorBoard hides what was written beyond it.
+      resume_at: iteration that the run continues from; TensorBoard hides values of later iterations.
     """
 
     def __init__(self, folder: str | Path, *, resume_at: int = 0) -> None:
         from tensorboardX import SummaryWriter  # slow to import, and only needed here
 
         self._writer = SummaryWriter(str(folder), purge_step=resume_at + 1 if resume_at else None)
+        # Its thread and its exit handler would print tracebacks of a full disk, of which the CSV files tell already.
+        events = self._writer.file_writer.event_writer._ev_writer  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
+        for name in ("write_event", "flush", "close"):
+            setattr(events, name, _without_os_errors(getattr(events, name)))
 
     def write(self, iteration: int, values: Mapping[str, Any], *, prefix: str = "train") -> None:
         """Write ``<prefix>/<name>`` for every value."""
@@ -91,19 +96,19 @@ class TensorBoardWriter:
                 self._writer.add_scalar(f"{prefix}/{name}", float(value), iteration)
 
     def close(self) -> None:
-        """Write what is buffered and close the file."""
+        """Flush and close the file."""
         self._writer.close()
 
 
 class WandbWriter:
-    """Sends scalars to Weights & Biases, against the iteration; numbers that are not finite are left out.
+    """Sends scalars to Weights & Biases, with the iteration as x-axis; non-finite numbers are left out.
 
-    A resumed run goes on in the same place: its identifier is kept in ``wandb_id`` in the run's directory.
+    A resumed run continues the same page: its identifier is kept in ``wandb_id`` in the run's directory.
 
     Args:
       project: name of the project.
-      run_dir: directory of the run, whose name the run gets; ``wandb``'s own files go there too.
-      config: what the run is, for its page.
+      run_dir: directory of the run; its name becomes that of the page, and ``wandb`` writes its files there.
+      config: description of the run, shown on the page.
 
     Raises:
       ValueError: wandb is not installed.
@@ -111,7 +116,7 @@ class WandbWriter:
 
     def __init__(self, project: str, run_dir: Path, config: Mapping[str, Any]) -> None:
         need_wandb()
-        import wandb  # slow to import, and only needed here
+        import wandb  # slow to import, and only needed here  # pyright: ignore[reportMissingImports]
 
         path = run_dir / "wandb_id"
         if not path.is_file():
@@ -133,12 +138,22 @@ class WandbWriter:
         self._run.log({"iteration": iteration, **finite})
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send the remaining values and end the page."""
         self._run.finish()
 
 
+def _without_os_errors(function: Callable[..., Any]) -> Callable[..., None]:
+    """The function with its OSErrors ignored."""
+
+    def call(*args: Any) -> None:
+        with contextlib.suppress(OSError):
+            function(*args)
+
+    return call
+
+
 def need_wandb() -> None:
-    """Check that the package is there.
+    """Check that wandb is installed.
 
     Raises:
       ValueError: it is not.
@@ -150,7 +165,7 @@ def need_wandb() -> None:
 def read_csv(path: str | Path) -> dict[str, np.ndarray]:
     """Columns of a CSV file by name, float64, shape (num_rows,); empty if the file is missing or has no header.
 
-    What is not a number reads as NaN.
+    Cells that are not numbers become NaN.
     """
     header, rows = _read_rows(Path(path))
     table = np.array([[_number(cell) for cell in row] for row in rows]).reshape(len(rows), len(header))
@@ -182,5 +197,5 @@ def _line(cells: list[str]) -> str:
 
 
 def _text(value: Any) -> str:
-    """The shortest text that reads back as the same number of the same type."""
+    """The shortest text from which the same number of the same type is read back."""
     return str(np.asarray(value)[()])

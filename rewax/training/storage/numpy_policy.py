@@ -1,7 +1,7 @@
-"""A trained policy in NumPy alone: this file and ``weights.npz`` beside it are all it needs.
+"""A trained policy in NumPy alone: it needs this file and the file ``weights.npz`` beside it, and not rewax.
 
 policy = NumpyPolicy("weights.npz")
-action = policy(observation)                    # a dict of arrays, one environment's; deterministic
+action = policy(observation)                    # a dict of arrays of one environment; deterministic
 action = policy(observation, noise)             # noise: standard normal numbers, one per action component
 """
 
@@ -18,7 +18,15 @@ ACTIVATIONS = {
 
 
 class NumpyPolicy:
-    """Observation to action; ``describes`` says what was trained and which observation it expects."""
+    """A function from an observation to an action.
+
+    Args:
+      path: the file ``weights.npz`` that ``rewax export`` wrote.
+
+    Attributes:
+      describes: dict with the task, the algorithm, the iteration, ``observation`` (the shape of each array that the
+        policy needs, by name) and ``action_size``.
+    """
 
     def __init__(self, path):
         with np.load(path) as file:
@@ -27,6 +35,16 @@ class NumpyPolicy:
         self.activation = ACTIVATIONS[self.describes["activation"]]
 
     def __call__(self, observation, noise=0.0):
+        """The action tanh(mean + std * noise), shape (action_size,), within [-1, 1].
+
+        Args:
+          observation: arrays by name, those of one environment; further names are ignored.
+          noise: 0 for the deterministic action, or standard normal numbers of shape (action_size,) for a sampled one.
+
+        Raises:
+          ValueError: an array is missing or has another shape than ``describes["observation"]`` says.
+        """
+        self._check(observation)
         seen, features = self._normalized(observation), []
         clouds = sorted(name for name, a in seen.items() if a.ndim == 2)
         for name in clouds:
@@ -39,6 +57,21 @@ class NumpyPolicy:
         log_std = self.weights["log_std"] if "log_std" in self.weights else self._linear("log_std/", x)
         std = np.exp(np.clip(log_std, *self.describes["log_std_range"]))
         return np.tanh(self._linear("mean/", x) + std * noise)
+
+    def _check(self, observation):
+        expected = {name: tuple(shape) for name, shape in self.describes["observation"].items()}
+        if not isinstance(observation, dict):
+            kind = type(observation).__name__
+            raise ValueError(f"the observation is a {kind}: give a dict of arrays, one for each name of {expected}")
+        for name, shape in expected.items():
+            if name not in observation:
+                given = ", ".join(map(str, observation)) or "nothing"
+                raise ValueError(f"the observation has no array {name!r}, only {given}: give all of {expected}")
+            if np.shape(observation[name]) != shape:
+                found = np.shape(observation[name])
+                raise ValueError(
+                    f"{name!r} of the observation has shape {found}: give {shape}, that of one environment"
+                )
 
     def _normalized(self, observation):
         seen = {name: np.asarray(observation[name], np.float32) for name in self.describes["observation"]}

@@ -1,7 +1,7 @@
-"""Trained policies that the package brings, one for a task and a scale: weights in an .npz file, and a card.
+"""Trained policies in the package, one per task and scale: an .npz file with weights, and a card (JSON).
 
-A policy is what ``Agent.policy`` reads of a training state. ``load_policy`` puts it back where it was, so that whatever
-takes a run takes a shipped policy; optimizers, critics and environments of the run are None.
+The .npz file holds those leaves of a training state that ``Agent.policy`` reads. ``load_policy`` puts them into a
+training state whose other leaves (optimizers, critics, environments) are None, so code for runs takes a policy too.
 """
 
 import json
@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from rewax.agents.registry import algorithm
+from rewax.agents.registry import algorithm, build_agent
 from rewax.envs import registry
 from rewax.envs.base import Env
 from rewax.training.storage.description import plain
@@ -21,27 +21,27 @@ from rewax.training.storage.leaves import from_numpy, named_leaves, to_numpy
 from rewax.training.storage.saved import SavedRun, agent_config, load_run
 
 FOLDER = Path(__file__).resolve().parents[2] / "policies"
-"""Where the package keeps them: ``<env>-<scale>.npz`` and ``<env>-<scale>.json``."""
+"""Folder in the package with ``<env>-<scale>.npz`` and ``<env>-<scale>.json``."""
 _COUNTERS = (".iteration", ".env_steps")
 
 
 def list_policies(folder: str | Path | None = None) -> list[tuple[str, str]]:
-    """Tasks and scales of which there is a trained policy, sorted: ``[("Ant", "small"), ...]``."""
+    """Tasks and scales with a trained policy, sorted: ``[("Ant", "small"), ...]``."""
     return sorted(
         (name, scale) for name, _, scale in (path.stem.rpartition("-") for path in _home(folder).glob("*-*.json"))
     )
 
 
 def read_card(name: str, *, scale: str | None = None, folder: str | Path | None = None) -> dict[str, Any]:
-    """What is known of a policy: the command that trained it, its returns, the machine, the task's specs.
+    """The card of a policy: the command that trained it, its returns, the machine, the specs of the task.
 
     Args:
       name: of the task.
-      scale: None: the one that suits the device, or the only one that there is.
-      folder: where policies lie; None: in the package.
+      scale: None: the one that suits the device, or the only one.
+      folder: of the policies; None: that of the package.
 
     Raises:
-      ValueError: there is none; the message lists what there is.
+      ValueError: there is none; the message lists the policies that exist.
     """
     scales = [known for env, known in list_policies(folder) if env == name]
     if not scales or (scale is not None and scale not in scales):
@@ -54,20 +54,20 @@ def read_card(name: str, *, scale: str | None = None, folder: str | Path | None 
 def load_policy(
     name: str, *, scale: str | None = None, env: Env | None = None, folder: str | Path | None = None
 ) -> SavedRun:
-    """A trained policy of a task, as ``load_run`` gives that of a run.
+    """A trained policy of a task, in the form that ``load_run`` returns for a run.
 
         run = rewax.load_policy("HandFlip")
         state = run.env.reset(jax.random.key(0))
         state = run.env.step(state, run.act(state.obs))
 
     Args:
-      name: of the task; ``list_policies()`` says of which there is one.
-      scale: ``"small"`` or ``"paper"``; None: the one that suits the device, or the only one that there is.
-      env: act in this environment instead of the task as it is made; it must have the task's observations and actions.
-      folder: where policies lie; None: in the package.
+      name: of the task, see ``list_policies()``.
+      scale: ``"small"`` or ``"paper"``; None: the one that suits the device, or the only one.
+      env: environment to act in, by default the task's; it must have the same observations and actions.
+      folder: of the policies; None: that of the package.
 
     Returns:
-      Its ``train_state`` holds what the policy reads; all else in it is None. ``config`` is the policy's card.
+      A run whose ``train_state`` holds the leaves that the policy reads; the others are None. ``config`` is the card.
 
     Raises:
       ValueError: in one sentence: there is none, its file is damaged, or the task has changed since it was trained.
@@ -77,7 +77,7 @@ def load_policy(
     env = registry.make(card["env"], scale=card["scale"], **card["env_kwargs"]) if env is None else env
     _check_task(card, env)
     known = algorithm(card["agent"])
-    agent = known.make(env, agent_config(known.config_type, card[card["agent"]]))
+    agent = build_agent(card["agent"], env, agent_config(known.config_type, card[card["agent"]]))
     like = jax.eval_shape(agent.init, jax.random.key(0))
     named = named_leaves(like)
     shapes = {key: leaf.shape for key, leaf in named}
@@ -89,7 +89,7 @@ def load_policy(
 
 
 def open_run(where: str | Path, *, step: int | None = None, scale: str | None = None) -> SavedRun:
-    """A run from its directory, or the policy that the package brings for a task.
+    """A run from its directory, or the packaged policy of a task.
 
     Args:
       where: directory of a run, or name of a task.
@@ -97,7 +97,7 @@ def open_run(where: str | Path, *, step: int | None = None, scale: str | None = 
       scale: of the task.
 
     Raises:
-      ValueError: neither is there, in one sentence with what there is; or it cannot be loaded.
+      ValueError: there is neither, or it cannot be loaded; one sentence.
     """
     if not is_policy(where):
         if Path(where).is_dir():
@@ -109,7 +109,7 @@ def open_run(where: str | Path, *, step: int | None = None, scale: str | None = 
 
 
 def is_policy(where: str | Path) -> bool:
-    """Whether ``open_run`` takes this for the name of a task; a directory with a checkpoint is a run."""
+    """Whether ``open_run`` treats this as the name of a task; a directory with a checkpoint is a run."""
     if str(where) not in dict(list_policies()):
         return False
     from rewax.training.storage.checkpoint import latest_step  # orbax is slow to import
@@ -118,15 +118,15 @@ def is_policy(where: str | Path) -> bool:
 
 
 def save_policy(run: SavedRun, folder: str | Path, card: Mapping[str, Any]) -> Path:
-    """Write what the policy of a run reads, and its card.
+    """Write the leaves that the policy of a run reads, and its card.
 
     Args:
-      run: of an environment that ``rewax.make`` built.
+      run: its environment must have been built by ``rewax.make``.
       folder: made if missing.
-      card: what else is known of the policy.
+      card: further entries of the card.
 
     Returns:
-      Path of the weights; the card lies beside it.
+      Path of the weights; the card is beside it.
 
     Raises:
       ValueError: the run's algorithm learns no policy of observations, but a sequence of actions.
@@ -138,7 +138,7 @@ def save_policy(run: SavedRun, folder: str | Path, card: Mapping[str, Any]) -> P
     read = {*_leaves_read(run), *_COUNTERS}
     stem.parent.mkdir(parents=True, exist_ok=True)
     path = stem.with_name(f"{stem.name}.npz")
-    np.savez(path, **{key: to_numpy(leaf) for key, leaf in named_leaves(run.train_state) if key in read})
+    np.savez(path, **{key: to_numpy(leaf) for key, leaf in named_leaves(run.train_state) if key in read})  # pyright: ignore[reportArgumentType]
     made = {name: run.config[name] for name in ("env", "scale", "agent", agent)}
     made |= {"env_kwargs": run.config.get("env_kwargs", {})}
     described = {**made, "task": _task(run.env), "crc32": zlib.crc32(path.read_bytes()), **card}
@@ -147,7 +147,7 @@ def save_policy(run: SavedRun, folder: str | Path, card: Mapping[str, Any]) -> P
 
 
 def _leaves_read(run: SavedRun) -> set[str]:
-    """Names of the leaves of the training state that enter the policy's program, sampled or deterministic."""
+    """Names of the leaves of the training state that the policy reads, sampled or deterministic."""
     obs = jax.eval_shape(run.env.reset, jax.random.key(0)).obs
 
     def both(train_state: Any, obs: Any, key: Any) -> Any:
@@ -160,7 +160,7 @@ def _leaves_read(run: SavedRun) -> set[str]:
 
 
 def _task(env: Env) -> dict[str, Any]:
-    """What must be as it was for a policy to mean anything."""
+    """Properties of a task that must be those of the policy's training."""
     return {
         **{f"observation {name}": list(spec.shape) for name, spec in env.observation_spec.items()},
         "action": list(env.action_spec.shape),

@@ -1,4 +1,4 @@
-"""Trained policies from their run directories."""
+"""Runs loaded from their directories."""
 
 import dataclasses
 import inspect
@@ -9,18 +9,19 @@ from typing import Any, NamedTuple
 import jax
 
 from rewax.agents.base import Agent
-from rewax.agents.registry import algorithm, list_algorithms
+from rewax.agents.registry import algorithm, build_agent, list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
 from rewax.training.storage.description import read_config
+from rewax.training.storage.modules import import_recorded
 from rewax.types import Array, Key, Observation
 
 
 class SavedRun(NamedTuple):
-    """What a run directory holds.
+    """Contents of a run directory.
 
     Attributes:
-      env: the environment trained in, unbatched.
+      env: the environment that the run was trained in, unbatched.
       agent: the algorithm, bound to it; ``agent.policy(train_state, obs, key, deterministic=True)`` is the action for
         one environment.
       train_state: of the checkpoint.
@@ -34,11 +35,11 @@ class SavedRun(NamedTuple):
 
     @property
     def looks(self) -> bool:
-        """The policy depends on observations; that of a sequence of actions on the number of the step alone."""
+        """Whether the policy depends on observations; a learnt sequence of actions depends on the step only."""
         return "step" not in inspect.signature(self.agent.policy).parameters
 
     def act(self, obs: Observation, key: Key | None = None) -> Array:
-        """The action for one environment: drawn with ``key``, or the deterministic one without; ``vmap`` for more.
+        """The action for one environment: sampled with ``key``, deterministic without it; ``vmap`` for several.
 
         Raises:
           ValueError: the run learnt a sequence of actions.
@@ -52,7 +53,7 @@ class SavedRun(NamedTuple):
 
 
 def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = None) -> SavedRun:
-    """Build environment and agent as a run had them, and read its training state back.
+    """Build environment and agent of a run, and read its training state.
 
     Args:
       run_dir: directory of the run.
@@ -60,14 +61,15 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
       env: the environment that the run was trained in, unbatched; needed unless ``rewax.make`` built it.
 
     Raises:
-      ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` does not say what to build.
+      ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` has a wrong entry.
     """
     from rewax.training.storage import checkpoint  # orbax is slow to import
 
     if checkpoint.latest_step(run_dir) is None:
         raise ValueError(f"{run_dir} holds no complete checkpoint: check the path")
     config = read_config(run_dir)
-    name = config.get("agent")
+    import_recorded(config if env is None else {**config, "env": None}, run_dir)
+    name, file = config.get("agent"), Path(run_dir) / "config.json"
     if name is not None and name not in list_algorithms():
         raise ValueError(
             f"{run_dir} was trained with {name!r}, which is not registered here: import the module that registers it "
@@ -76,34 +78,61 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
         )
     if name is None or not isinstance(config.get(name), Mapping):
         raise ValueError(
-            f"{run_dir}/config.json names no algorithm and its options: build the agent as for training, "
+            f"{file} names no algorithm and its options: build the agent as for training, "
             "and use checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)))"
         )
-    env = _recorded_env(config, run_dir) if env is None else env
-    known = algorithm(name)
-    agent = known.make(env, agent_config(known.config_type, config[name]))
+    stored = agent_config(algorithm(name).config_type, config[name], f"{file}: {name}")
+    env = _recorded_env(config, file) if env is None else env
+    agent = build_agent(name, env, stored)
     train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
     return SavedRun(env, agent, train_state, config)
 
 
-def _recorded_env(config: Mapping[str, Any], run_dir: str | Path) -> Env:
+def _recorded_env(config: Mapping[str, Any], file: Path) -> Env:
+    """The environment that a ``config.json`` describes."""
     kwargs = config.get("env_kwargs", {})
-    if not isinstance(config.get("env"), str) or "scale" not in config or not isinstance(kwargs, Mapping):
+    if not isinstance(config.get("env"), str) or "scale" not in config:
         raise ValueError(
-            f"{run_dir}/config.json names no environment, because rewax.make did not build it: build it as for "
+            f"{file} names no environment, because rewax.make did not build it: build it as for "
             "training and give it, load_run(run_dir, env=env)"
         )
-    return registry.make(config["env"], scale=config["scale"], **kwargs)
+    if not isinstance(config["scale"], str):
+        raise ValueError(f"{file}: scale is {config['scale']!r}: use one of {', '.join(map(repr, registry.SCALES))}")
+    if not isinstance(kwargs, Mapping):
+        raise ValueError(f"{file}: env_kwargs is {kwargs!r}: give the arguments of rewax.make by name, or {{}}")
+    try:
+        return registry.make(config["env"], scale=config["scale"], **kwargs)
+    except Exception as error:  # wrong types of arguments reach the environment's own code
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise ValueError(
+            f"{file}: env {config['env']!r} with scale {config['scale']!r} and env_kwargs {dict(kwargs)!r} cannot be "
+            f"built: {kind}{' '.join(str(error).split())}"
+        ) from error
 
 
-def agent_config(config_type: type, stored: Mapping[str, Any]) -> Any:
-    """The agent's configuration from JSON; what a newer version has more keeps its default."""
-    known = {field.name for field in dataclasses.fields(config_type)}
+def agent_config(config_type: type, stored: Mapping[str, Any], where: str = "the stored configuration") -> Any:
+    """The agent's configuration from JSON; options that a newer version has added keep their defaults.
+
+    Args:
+      config_type: of the algorithm.
+      stored: options by name.
+      where: begins the sentence about an option that cannot be, with the file and the entry.
+
+    Raises:
+      ValueError: an unknown option, or a value that cannot be; one sentence.
+    """
+    known = [field.name for field in dataclasses.fields(config_type)]
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in stored.items()}
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise ValueError(f"this version has no option {', '.join(unknown)}: use the version that the run was made with")
-    return config_type(**values)
+    for name in values:
+        if name not in known:
+            raise ValueError(
+                f"{where}.{name} is unknown: {registry.did_you_mean(name, known)}this version has no such option: "
+                "correct or remove it, or use the version that the run was made with"
+            )
+    try:
+        return config_type(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}.{error}") from None
 
 
 __all__ = ["SavedRun", "load_run"]

@@ -1,4 +1,4 @@
-"""Which rows the CSV files of a run must hold, also when its options changed from one resume to the next."""
+"""Rows that the CSV files of a run must hold, also if its options changed when it was resumed."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,27 +6,33 @@ from typing import Any
 from rewax.training.config import ReportConfig
 
 Schedule = list[dict[str, int]]
-"""Stretches of a run: each holds ``log_every`` and ``eval_every`` from iteration ``after`` on."""
+"""Segments of a run: each holds ``log_every`` and ``eval_every`` from iteration ``after`` on."""
 
 
 def continued(stored: Mapping[str, Any], iteration: int, config: ReportConfig) -> Schedule:
-    """The schedule of a run that goes on under ``config``.
+    """The schedule of a run that continues with ``config``.
 
     Args:
       stored: contents of its ``config.json``; empty for a new run.
-      iteration: that it continues from.
-      config: of the new stretch.
+      iteration: from which it continues.
+      config: of the new segment.
     """
     new = {"after": iteration, "log_every": config.log_every, "eval_every": config.eval_every}
-    return [stretch for stretch in recorded(stored) if stretch["after"] < iteration] + [new]
+    if iteration == 0 and not config.eval_at_start:
+        new["eval_at_start"] = 0
+    return [segment for segment in recorded(stored) if segment["after"] < iteration] + [new]
 
 
 def recorded(stored: Mapping[str, Any]) -> Schedule:
-    """The schedule in a ``config.json``; one stretch with the options of ``train`` where there is none."""
+    """The schedule in a ``config.json``; one segment with the options of ``train`` where there is none."""
     train = stored.get("train")
     schedule = stored.get("schedule", [{"after": 0, **train}] if isinstance(train, Mapping) else [])
     try:
-        return [{name: int(part[name]) for name in ("after", "log_every", "eval_every")} for part in schedule]
+        return [
+            {name: int(part[name]) for name in ("after", "log_every", "eval_every")}
+            | {"eval_at_start": int(part.get("eval_at_start", 1))}
+            for part in schedule
+        ]
     except (KeyError, TypeError, ValueError):  # written by hand
         return []
 
@@ -44,12 +50,13 @@ def due_rows(schedule: Schedule, until: int) -> dict[str, set[int]]:
         due["metrics.csv"].update(logged)
         due["timing.csv"].update(logged)
         if every := part["eval_every"]:
-            due["eval.csv"].update(i for i in range(part["after"], end) if i % every == 0)
+            first = part["after"] if part["after"] or part.get("eval_at_start", 1) else 1
+            due["eval.csv"].update(i for i in range(first, end) if i % every == 0)
     return due
 
 
 def lost_rows(name: str, there: list[int], due: set[int]) -> str:
-    """A sentence about the rows that a file should hold and does not; empty if it holds all."""
+    """A sentence about the missing rows of a file; empty if none is missing."""
     missing = sorted(due - set(there))
     if not missing:
         return ""

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
-from rewax.agents.registry import algorithm
+from rewax.agents.registry import build_agent
 from rewax.training.config import TrainConfig
 from rewax.training.evaluation.episodes import constant_policy, make_evaluate, uniform_policy
 from rewax.training.loop.progress import say
@@ -46,7 +46,7 @@ class Cell(NamedTuple):
 
 
 def cells(suite: Suite) -> Iterator[Cell]:
-    """All runs, in the order in which they are done: the first seed of everything comes first."""
+    """All runs in their order: the first seed of each task and algorithm comes first."""
     for seed in suite.seeds:
         for task in suite.tasks:
             for name in suite.algorithms:
@@ -58,25 +58,25 @@ def run_suite(
 ) -> int:
     """Do all runs that are not done yet, and write ``results.csv``, ``table.md`` and learning curves after each.
 
-    A run that fails, or stops with an error, is written down as such, and the next one is done. A run is done if its
-    directory says so, or ``results.csv``; one that another process is at is left out.
+    A run that fails or raises an exception is recorded as failed, and the next one begins. A run is done if its
+    directory has a ``result.json``, or ``results.csv`` a row. A run of another process is skipped.
 
     Args:
-      suite: whose results are written.
+      suite: its results are written.
       out_dir: holds the results, and the run directories in ``runs/<task>/<algorithm>/<seed>``. Those of finished runs
         may be removed.
-      console: where to print.
-      part: what to run of it; by default all.
-      devices: over how many environments are divided, see ``TrainConfig``.
+      console: to print to.
+      part: the runs to do; by default the whole suite.
+      devices: number of devices that environments are sharded over, see ``TrainConfig``.
 
     Returns:
       The signal that stopped it, 0 if all runs are done.
 
     Raises:
-      ValueError: the suite cannot be, ``out_dir`` cannot be used, or it holds results of other options.
+      ValueError: the suite has a wrong entry, or ``out_dir`` cannot be used or holds results of other options.
     """
     out_dir, part = Path(out_dir), suite if part is None else part
-    for cell in cells(suite):  # a suite that cannot be is refused before the first run
+    for cell in cells(suite):  # a wrong entry is refused before the first run
         suite.config(cell.task, cell.algorithm)
     _claim(suite, out_dir)
     for task in part.tasks:
@@ -89,7 +89,7 @@ def run_suite(
         try:
             signum = _run(suite, cell, out_dir, console, devices)
         except InUse:  # benchmarks side by side
-            say(console, "another process is at it: left out")
+            say(console, "another process does this run: skipped")
             continue
         if signum:
             say(console, f"stopped: the same command continues {out_dir}")
@@ -101,7 +101,7 @@ def run_suite(
 
 
 def _claim(suite: Suite, out_dir: Path) -> None:
-    """Keep the suite's options in ``suite.json``; results of other options do not belong into one table."""
+    """Write the suite's options to ``suite.json``, or compare with it: results of other options need another table."""
     path, names = out_dir / "suite.json", ("scale", "steps", "options", "env_options", "num_eval_episodes")
     options = plain({name: getattr(suite, name) for name in names})
     try:
@@ -116,7 +116,7 @@ def _claim(suite: Suite, out_dir: Path) -> None:
 
 
 def rows(suite: Suite, out_dir: Path) -> list[dict[str, Any]]:
-    """What is known so far: one row per baseline, and one per finished run."""
+    """Rows so far: one per baseline, and one per finished run."""
     found = []
     for task in suite.tasks:
         for name, mean in _known_baselines(out_dir, task).items():
@@ -125,14 +125,14 @@ def rows(suite: Suite, out_dir: Path) -> list[dict[str, Any]]:
 
 
 def results(suite: Suite, out_dir: Path) -> dict[Cell, dict[str, Any]]:
-    """Rows of the runs that are done: of their directories, and of ``results.csv`` where a directory is gone."""
+    """Rows of finished runs, from their directories, or from ``results.csv`` if a directory was removed."""
     kept = read_results(out_dir)
     found = {cell: read_result(cell.folder(out_dir)) or kept.get(cell, {}) for cell in cells(suite)}
     return {cell: row for cell, row in found.items() if row}
 
 
 def read_result(folder: Path) -> dict[str, Any]:
-    """The row of a run that is done; empty if it is not."""
+    """The row of a finished run; empty if it is not finished."""
     try:
         result = json.loads((folder / "result.json").read_text())
     except (OSError, ValueError):
@@ -143,14 +143,14 @@ def read_result(folder: Path) -> dict[str, Any]:
 
 
 def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int) -> int:
-    """One run, from its newest checkpoint if it has one; the signal that stopped it."""
-    folder, known, env = cell.folder(out_dir), algorithm(cell.algorithm), suite.env(cell.task)
+    """Do one run, from its newest checkpoint if it has one; returns the signal that stopped it."""
+    folder, env = cell.folder(out_dir), suite.env(cell.task)
     config = suite.config(cell.task, cell.algorithm)
     in_one = config.steps_in(env) if hasattr(config, "steps_in") else config.horizon
     per_iteration = config.num_envs * in_one
     if cell.task in suite.steps:
         config = dataclasses.replace(config, num_iterations=math.ceil(suite.steps[cell.task] / per_iteration))
-    agent = known.make(env, config)
+    agent = build_agent(cell.algorithm, env, config)
     options = TrainConfig(
         num_iterations=config.num_iterations,
         num_steps=config.num_iterations * per_iteration,
@@ -206,9 +206,9 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
             "failure": result.failure,
         }
     seconds = read_csv(folder / "timing.csv").get("seconds", np.zeros(0))
-    # Not their sum: compilation, interruptions and other work on the machine stretch a few.
+    # The median, because compilation, interruptions and other processes lengthen a few iterations.
     row["seconds"] = round(len(seconds) * float(np.median(seconds)), 3) if len(seconds) else 0.0
-    # Of a run that was resumed: of its last part alone, hence at least the time of all iterations.
+    # The clock covers only the last part of a resumed run, so the time of all iterations is a lower bound.
     row["wall_seconds"] = round(max(time.perf_counter() - began, row["seconds"]), 1)
     unfinished = folder / "result.json.writing"
     unfinished.write_text(json.dumps(row, indent=1) + "\n")
@@ -217,7 +217,7 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
 
 
 def _known_baselines(out_dir: Path, task: str) -> dict[str, float]:
-    """Those of ``baselines.json``, or of ``results.csv``; empty if one is missing."""
+    """Baselines from ``baselines.json`` or from ``results.csv``; empty if one is missing."""
     try:
         stored = json.loads(_baselines_path(out_dir, task).read_text())
         return {name: float(stored[name]) for name in BASELINES}
@@ -232,7 +232,7 @@ def _baselines_path(out_dir: Path, task: str) -> Path:
 
 
 def _baselines(suite: Suite, task: str, out_dir: Path) -> None:
-    """Mean returns of doing nothing and of random actions, from initial states of their own; computed once."""
+    """Compute the mean returns of zero actions and of random actions, unless they are stored."""
     if _known_baselines(out_dir, task):
         return
     env = suite.env(task)

@@ -1,4 +1,4 @@
-"""Suites: which tasks, algorithms and seeds a benchmark runs, from a TOML file."""
+"""Suites: tasks, algorithms and seeds of a benchmark, from a TOML file."""
 
 import dataclasses
 import tomllib
@@ -19,14 +19,14 @@ class Suite:
     """A grid of runs.
 
     Attributes:
-      name: of the file, without its ending.
+      name: that of the file, without its ending.
       scale: of the tasks, ``small`` or ``paper``.
       tasks, algorithms: registered names.
-      seeds: of each pair.
-      steps: control steps in all, by task; by default what each algorithm's preset says.
-      options: changes of the presets, by algorithm; ``all`` for those of every algorithm that has the option.
+      seeds: for each pair of task and algorithm.
+      steps: total number of control steps, by task; by default that of each algorithm's preset.
+      options: options that differ from the presets, by algorithm; ``all`` applies to every algorithm with the option.
       env_options: keyword arguments of ``rewax.make``, by task.
-      num_eval_episodes: of the final evaluation.
+      num_eval_episodes: number of episodes of the final evaluation.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Suite:
         for table in ("steps", "env_options"):
             if odd := [task for task in getattr(self, table) if task not in self.tasks]:
                 raise ValueError(
-                    f"{table} of the suite {self.name} name {odd[0]!r}, which is none of its tasks: remove it"
+                    f"{table} of the suite {self.name} name {odd[0]!r}, which is not one of its tasks: remove it"
                 )
         for task, options in self.env_options.items():
             if not isinstance(options, Mapping):
@@ -72,8 +72,8 @@ class Suite:
                 raise ValueError(f"options.{name} of the suite {self.name} is no table: write [options.{name}]")
             if name not in (*self.algorithms, "all"):
                 raise ValueError(
-                    f"options of the suite {self.name} name {name!r}, which is none of its algorithms: remove them, or "
-                    "call them all"
+                    f"options of the suite {self.name} name {name!r}, which is not one of its algorithms: remove "
+                    "them, or write [options.all]"
                 )
 
         known = {field.name for name in self.algorithms for field in dataclasses.fields(algorithm(name).config_type)}
@@ -83,7 +83,7 @@ class Suite:
             )
 
     def only(self, *, tasks: tuple[str, ...], algorithms: tuple[str, ...], seeds: tuple[int, ...]) -> "Suite":
-        """A part of the grid."""
+        """The suite with some of its tasks, algorithms and seeds."""
         steps = {task: steps for task, steps in self.steps.items() if task in tasks}
         env_options = {task: options for task, options in self.env_options.items() if task in tasks}
         options = {name: options for name, options in self.options.items() if name in (*algorithms, "all")}
@@ -91,11 +91,11 @@ class Suite:
         return dataclasses.replace(self, tasks=tasks, algorithms=algorithms, seeds=seeds, **changes)
 
     def env(self, task: str) -> Env:
-        """The environment of a task, options included."""
+        """The environment of a task with its options."""
         return registry.make(task, scale=self.scale, **self.env_options.get(task, {}))
 
     def config(self, task: str, name: str) -> Any:
-        """The configuration of an algorithm on a task, options included."""
+        """The configuration of an algorithm for a task with its options."""
         config = algorithm(name).preset(task, self.scale)
         known = {field.name for field in dataclasses.fields(config)}
         shared = {key: value for key, value in self.options.get("all", {}).items() if key in known}
@@ -106,10 +106,10 @@ class Suite:
 
 
 def read_suite(source: str | Path) -> Suite:
-    """A built-in suite by its name, or one's own by the path of its file.
+    """A built-in suite by its name, or another one by the path of its file.
 
     Raises:
-      ValueError: there is none, or it cannot be; one sentence.
+      ValueError: there is none, or it has a wrong entry; one sentence.
     """
     if str(source) in BUILT_IN:
         text, name = resources.files("rewax.suites").joinpath(f"{source}.toml").read_text(), str(source)

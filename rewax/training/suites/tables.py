@@ -33,7 +33,7 @@ COLUMNS: tuple[str, ...] = (
 )
 """``seconds``: iterations times their median; ``wall_seconds``: compilation, evaluation and interruptions too."""
 LATER = ("wall_seconds", "commit", "processor", "cpp", "jax")
-"""Columns that older files do not have."""
+"""Columns that files of earlier versions lack."""
 
 _MEASURED = ("sampled", "deterministic", "success", "seconds", "wall_seconds")
 _CURVE_COLUMNS = ("task", "algorithm", "seed", "env_steps", "return")
@@ -102,9 +102,9 @@ def write_results(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -
     """Write ``results.csv``, ``curves.csv``, ``table.md`` and one ``<task>.png`` per task.
 
     Args:
-      suite: that was run.
-      rows: as ``bench.rows`` gives them.
-      out_dir: where to.
+      suite: the suite that was run.
+      rows: the result of ``runs.rows``.
+      out_dir: folder of the files.
 
     Returns:
       A sentence about each file.
@@ -141,7 +141,7 @@ def _typed(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def results_csv(rows: Sequence[dict[str, Any]]) -> str:
-    """All runs, one row each."""
+    """CSV text with one row per run."""
     return _csv(COLUMNS, rows)
 
 
@@ -154,7 +154,7 @@ def _csv(columns: Sequence[str], rows: Iterable[dict[str, Any]]) -> str:
 
 
 def _curves(rows: Sequence[dict[str, Any]], out_dir: Path) -> dict[Run, Curve]:
-    """Learning curves of the finished runs: of their directories, and of ``curves.csv`` where a directory is gone."""
+    """Learning curves of finished runs, from their directories, or from ``curves.csv`` if a directory was removed."""
     kept, curves = _read_curves(out_dir / "curves.csv"), {}
     for row in rows:
         run = (row["task"], row["algorithm"], row["seed"])
@@ -194,8 +194,10 @@ def _read_curves(path: Path) -> dict[Run, Curve]:
 
 def markdown(suite: Suite, rows: Sequence[dict[str, Any]]) -> str:
     """One line per task, one column per algorithm: mean return with sampled actions, and from three seeds on its 95 %
-    interval by Student's t. Brackets say where seeds have failed, which are left out, or are not done yet. Below it
-    interquartile means, and how long runs took, with compilation and evaluation where that is known.
+    interval by Student's t.
+
+    Parentheses have the number of seeds that failed, which the mean leaves out, and the number that is not done yet.
+    Tables of interquartile means and of durations follow.
     """
     names = [*dict.fromkeys(row["algorithm"] for row in rows if row["algorithm"] not in suite.algorithms)]
     names += suite.algorithms
@@ -240,7 +242,7 @@ def _cell(suite: Suite, rows: Sequence[dict[str, Any]], task: str, name: str) ->
 
 
 def _finite(rows: Sequence[dict[str, Any]]) -> list[float]:
-    """Returns of the runs that did not fail."""
+    """Returns of runs that did not fail."""
     return [row["sampled"] for row in rows if math.isfinite(row["sampled"])]
 
 
@@ -251,14 +253,16 @@ def _number(value: float) -> str:
 def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], curves: Mapping[Run, Curve], out_dir: Path) -> list[str]:
     from rewax.viz.curves import curves_with_intervals  # matplotlib is slow to import
 
-    said = []
+    sentences = []
     for task in suite.tasks:
-        # All algorithms, in the suite's order: each has its color in all pictures.
+        # All algorithms in the order of the suite, so that each has one colour in all pictures.
         drawn: dict[str, list[Curve]] = {name: [] for name in suite.algorithms}
         for (name, algorithm, _), curve in curves.items():
             if name == task and curve.steps.size:
                 drawn[algorithm].append(curve)
         levels = {row["algorithm"]: row["sampled"] for row in rows if row["task"] == task and "env_steps" not in row}
         if any(drawn.values()):
-            said.append(f"wrote {curves_with_intervals(drawn, out_dir / f'{task}.png', title=task, levels=levels)}")
-    return said
+            sentences.append(
+                f"wrote {curves_with_intervals(drawn, out_dir / f'{task}.png', title=task, levels=levels)}"
+            )
+    return sentences

@@ -1,4 +1,4 @@
-"""What a study has found: a table of its trials, and the best one as options for ``rewax train`` and for a suite."""
+"""Results of a study: a table of its trials, and the best one as options of ``rewax train`` and of a suite."""
 
 import csv
 import json
@@ -13,7 +13,7 @@ from rewax.training.tuning.trial import Task
 
 
 class Best(NamedTuple):
-    """The best trial: its number, its mean return, and the values of the options that were searched."""
+    """The best trial: its number, its mean return, and the values of the searched options."""
 
     number: int
     mean: float
@@ -21,7 +21,7 @@ class Best(NamedTuple):
 
 
 def best_trial(study: Any, space: Space) -> Best | None:
-    """Of those that were trained to the end; None if there is none."""
+    """The best completed trial; None if there is none."""
     done = [trial for trial in study.get_trials(deepcopy=False) if trial.state.name == "COMPLETE"]
     if not done:
         return None
@@ -30,7 +30,7 @@ def best_trial(study: Any, space: Space) -> Best | None:
 
 
 def write_trials(study: Any, space: Space, out_dir: Path) -> None:
-    """``trials.csv``: a row for each trial, with its mean return, or the last one before it was pruned."""
+    """Write ``trials.csv``: a row for each trial with its mean return, or the last one before pruning."""
     unfinished = out_dir / "trials.csv.writing"
     with unfinished.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -45,7 +45,7 @@ def write_trials(study: Any, space: Space, out_dir: Path) -> None:
 
 
 def as_command(task: Task, values: Mapping[str, Value]) -> str:
-    """``rewax train`` with these values."""
+    """The command ``rewax train`` with these values."""
     argv = ["rewax", "train", "--env", task.env, "--scale", task.scale, "--algo", task.algo]
     for name, value in values.items():
         flag = f"--{task.algo.replace('_', '-')}.{name.replace('_', '-')}"
@@ -57,7 +57,7 @@ def as_command(task: Task, values: Mapping[str, Value]) -> str:
 
 
 def as_toml(task: Task, values: Mapping[str, Value]) -> str:
-    """The table of a suite with these values."""
+    """The table ``[options.<algorithm>]`` of a suite with these values."""
     lines = [f"{name} = {json.dumps(list(v) if isinstance(v, tuple) else v)}" for name, v in values.items()]
     return "\n".join([f"[options.{task.algo}]", *lines]) + "\n"
 

@@ -1,4 +1,4 @@
-"""Spaces of hyper-parameters, from TOML: which options of an algorithm are searched, and where."""
+"""Search spaces of hyper-parameters from TOML: options of an algorithm and their ranges."""
 
 import dataclasses
 import tomllib
@@ -11,12 +11,12 @@ from rewax.agents.config import RunConfig, Value
 from rewax.agents.registry import algorithm
 
 Space: TypeAlias = Mapping[str, "Range"]
-"""By name of the option."""
+"""Ranges by the name of the option."""
 _FORM = "write {low = ..., high = ...}, with log = true if you like, or {choices = [...]}"
 
 
 class Range(NamedTuple):
-    """Values that an option can take: ``choices``, or the numbers from ``low`` to ``high``, integers if both are."""
+    """Values of an option: ``choices``, or numbers from ``low`` to ``high``, which are integers if both limits are."""
 
     low: int | float = 0
     high: int | float = 0
@@ -28,30 +28,31 @@ class Range(NamedTuple):
         return isinstance(self.low, int) and isinstance(self.high, int)
 
     def holds(self, value: object) -> bool:
-        """Whether the value is one of these."""
+        """Whether a value is in the range."""
         if self.choices:
             return value in self.choices
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and self.low <= value <= self.high and (not self.integers or isinstance(value, int))
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            return False
+        return self.low <= value <= self.high and (not self.integers or isinstance(value, int))
 
     def stored(self, value: Value) -> Any:
-        """How a study stores a value: a choice by its place."""
+        """The number that a study stores for a value; for a choice its index."""
         return self.choices.index(value) if self.choices else value
 
     def value(self, stored: Any) -> Value:
-        """The value that a study stores so."""
+        """The value for a stored number."""
         return self.choices[stored] if self.choices else stored
 
 
 def read_space(name: str, path: str | Path | None = None) -> dict[str, Range]:
-    """The space of an algorithm.
+    """The search space of an algorithm.
 
     Args:
-      name: of the algorithm; its table in the file.
-      path: of a TOML file; None: the one that rewax has.
+      name: of the algorithm, and of its table in the file.
+      path: of a TOML file; None: the one of the package.
 
     Raises:
-      ValueError: there is no such file or table, or it cannot be; one sentence.
+      ValueError: there is no such file or table, or it has a wrong entry; one sentence.
     """
     file = resources.files("rewax.training.tuning") / "spaces.toml" if path is None else Path(path)
     if not file.is_file():
@@ -88,7 +89,7 @@ def _range(name: str, option: str, entry: Any, known: set[str]) -> Range:
 
 
 def preset_values(space: Space, config: RunConfig) -> dict[str, Value]:
-    """Those values of a configuration that lie in the space, as a study stores them."""
+    """The values of a configuration that lie in the space, as a study stores them."""
     values = {name: getattr(config, name) for name in space}
     return {name: where.stored(values[name]) for name, where in space.items() if where.holds(values[name])}
 

@@ -1,4 +1,4 @@
-"""A study: trials of one search, in a journal that several processes share and that any of them continues."""
+"""A study: the trials of a search, in a journal that several processes can share and continue."""
 
 import importlib
 import importlib.util
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import optuna
 
 _STARTUP_TRIALS = 5
-"""Trials before the first one is pruned, and before the sampler follows what it has seen."""
+"""Number of trials before pruning begins and before the sampler uses earlier results."""
 
 
 def need_optuna() -> None:
@@ -39,20 +39,20 @@ def need_optuna() -> None:
 
 
 def run_study(task: Task, space: Space, env: Env, out_dir: str | Path, num_trials: int, console: Console) -> int:
-    """Do trials until the study has so many, those of other processes among them.
+    """Do trials until the study has ``num_trials``, including those of other processes.
 
-    The first trial is the preset. A trial that was interrupted is done anew. One that fails counts as a bad one.
+    The first trial is the preset. An interrupted trial is repeated. A failed trial ranks last.
 
     Args:
-      task: what a trial does.
-      space: what is searched.
+      task: what a trial trains.
+      space: the search space.
       env: of the task.
       out_dir: holds ``journal.log``, ``study.json`` and ``trials.csv``.
-      num_trials: of the whole study.
-      console: where to print.
+      num_trials: total number of trials of the study.
+      console: to print to.
 
     Returns:
-      The signal that stopped it, 0 if there is nothing left to begin.
+      The signal that stopped it, 0 if all trials are done.
 
     Raises:
       ValueError: optuna is missing, or ``out_dir`` cannot be used or holds another search.
@@ -78,7 +78,7 @@ def run_study(task: Task, space: Space, env: Env, out_dir: str | Path, num_trial
 
 
 def open_study(out_dir: Path) -> "optuna.Study":
-    """The study of a directory, made if there is none."""
+    """The study of a directory; created if there is none."""
     need_optuna()
     import optuna
     from optuna.storages import JournalStorage
@@ -97,7 +97,7 @@ def open_study(out_dir: Path) -> "optuna.Study":
 
 @contextmanager
 def _turn(out_dir: Path) -> Iterator[None]:
-    """One process at a time, the others wait."""
+    """Within the block the other processes wait."""
     with ExitStack() as stack:
         while True:
             try:
@@ -109,7 +109,7 @@ def _turn(out_dir: Path) -> Iterator[None]:
 
 
 def _claim(task: Task, space: Space, out_dir: Path) -> None:
-    """Keep in ``study.json`` what the trials do; others do not belong into one study."""
+    """Write task and space to ``study.json``, or compare with it: other trials need another study."""
     path = out_dir / "study.json"
     ours = json.loads(
         json.dumps(plain({"task": task, "space": {name: dict(r._asdict()) for name, r in space.items()}}))
@@ -123,7 +123,7 @@ def _claim(task: Task, space: Space, out_dir: Path) -> None:
 
 
 def _next_trial(study: Any, out_dir: Path, num_trials: int, held: ExitStack) -> Any:
-    """A trial to do, its directory held; None if enough are done or under way."""
+    """The next trial, with its directory held; None if enough trials are done or running."""
     from optuna.trial import TrialState
 
     begun = 0
@@ -153,7 +153,7 @@ def _is_held(out_dir: Path, number: int) -> bool:
 
 
 def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Console, stop: Stop) -> None:
-    """Train one trial and write down what came of it."""
+    """Train one trial and record its result."""
     from optuna.trial import TrialState
 
     values = {name: _suggest(trial, name, where) for name, where in space.items()}
@@ -169,19 +169,19 @@ def _do(study: Any, trial: Any, task: Task, space: Space, env: Env, console: Con
     except Failed as failed:
         _fail(study, trial, str(failed), console)
         return
-    except ValueError:  # of the search: not this trial's failure
+    except ValueError:  # an error of the search, not of this trial
         raise
-    except Exception as error:  # out of memory, for example: the other trials may do better
+    except Exception as error:  # such as out of memory: other trials may succeed
         _fail(study, trial, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}", console)
         return
     if stop.requested:
-        return  # still running in the journal: whoever continues does it anew
+        return  # the trial stays running in the journal, and is repeated by the process that continues the study
     study.tell(trial, mean)
     say(console, f"trial {trial.number}: mean return {mean:.6g}, best {study.best_value:.6g}")
 
 
 def _fail(study: Any, trial: Any, why: str, console: Console) -> None:
-    """A bad trial: the sampler ranks it behind those that were trained to the end."""
+    """Record a failed trial: the sampler ranks it behind completed trials."""
     trial.set_user_attr("failure", why)
     say(console, f"trial {trial.number} failed: {why}")
     study.tell(trial, state=importlib.import_module("optuna.trial").TrialState.PRUNED)

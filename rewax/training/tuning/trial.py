@@ -1,4 +1,4 @@
-"""One trial: an algorithm with given options trains on several seeds, which are evaluated on the way."""
+"""One trial: an algorithm with given options is trained from several seeds and evaluated in between."""
 
 import dataclasses
 import math
@@ -10,32 +10,32 @@ import numpy as np
 from rich.console import Console
 
 from rewax.agents.config import Value
-from rewax.agents.registry import algorithm
+from rewax.agents.registry import algorithm, build_agent
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
 from rewax.training.evaluation.episodes import make_evaluate
 from rewax.training.loop.compilation import compile_train_step
 from rewax.training.loop.failure import FailureWatch, FiniteCheck
 
-_EVALUATION_STREAM = 0x7EED  # folded into the seed, so that evaluation draws other numbers than training
+_EVALUATION_STREAM = 0x7EED  # folded into the seed: evaluation and training draw different random numbers
 
 
 class Failed(Exception):
-    """The trial is a bad one: options that cannot be, or numbers that are not finite. The message says why."""
+    """The trial failed: illegal options or non-finite numbers. The message says why."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Task:
-    """What every trial of a study does.
+    """Description of the training in every trial of a study.
 
     Attributes:
       env: name of the environment.
       scale: ``small`` or ``paper``.
       algo: name of the algorithm.
-      seeds: each is trained; the objective is their mean.
-      steps: control steps of each seed; None: what the preset says.
-      episodes: of each evaluation of each seed.
-      reports: evaluations on the way, the last one at the end.
+      seeds: one training each; the objective is the mean of their returns.
+      steps: control steps of each seed; None: those of the preset.
+      episodes: number of episodes in each evaluation of each seed.
+      reports: number of evaluations, the last one at the end of training.
     """
 
     env: str
@@ -55,10 +55,10 @@ class Task:
                 raise ValueError(f"{name} is {value}: use 1 or more")
 
     def config(self, env: Env, values: Mapping[str, Value]) -> Any:
-        """The preset with other values of some options, as long as every trial.
+        """The preset with these values, and as many iterations as ``steps`` takes.
 
         Raises:
-          ValueError: the options cannot be.
+          ValueError: illegal options.
         """
         preset = algorithm(self.algo).preset(self.env, self.scale)
         config = dataclasses.replace(preset, **values)
@@ -68,7 +68,7 @@ class Task:
 
 
 class Report(NamedTuple):
-    """Mean return of all seeds' episodes, with sampled actions, after a share of the training."""
+    """Mean return over the episodes of all seeds, with sampled actions, after a part of the training."""
 
     number: int
     mean: float
@@ -82,29 +82,28 @@ def run_trial(
     Args:
       task: what to train.
       env: its environment, unbatched.
-      values: of the options that are searched.
-      console: where to print.
-      stopped: whether to end early, without another report.
+      values: of the searched options.
+      console: to print to.
+      stopped: whether to end early, without a further report.
 
     Raises:
-      Failed: see there.
+      Failed: illegal options, too many failed episodes, or non-finite numbers.
     """
     try:
         config = task.config(env, values)
-        agent = algorithm(task.algo).make(env, config)
+        agent = build_agent(task.algo, env, config)
     except ValueError as error:
         raise Failed(str(error)) from None
     seeds = [_Seed(env, agent, seed) for seed in task.seeds]
     train_step = compile_train_step(agent, seeds[0].state, console)
-    evaluate, done = make_evaluate(env, agent.policy, task.episodes), 0
+    evaluate = make_evaluate(env, agent.policy, task.episodes)
+    steps = config.num_iterations * config.num_envs * config.steps_in(env)
     for number in range(1, task.reports + 1):
-        until = round(config.num_iterations * number / task.reports)
-        for _ in range(until - done):
-            for seed in seeds:
+        for seed in seeds:
+            while seed.env_steps < steps * number / task.reports:
                 if stopped():
                     return
                 seed.advance(train_step)
-        done = until
         means = [float(evaluate(seed.state, seed.key)["mean"]) for seed in seeds]
         if not np.all(np.isfinite(means)):
             raise Failed(f"the mean returns are {means}")
@@ -112,24 +111,24 @@ def run_trial(
 
 
 class _Seed:
-    """The run of one seed."""
+    """The training of one seed."""
 
     def __init__(self, env: Env, agent: Any, seed: int) -> None:
         self.state = jax.jit(agent.init)(jax.random.key(seed))
         self.key = jax.random.fold_in(jax.random.key(seed), _EVALUATION_STREAM)
         self._watch, self._finite = FailureWatch(env, ReportConfig()), FiniteCheck(self.state)
-        self._env_steps = 0
+        self.env_steps = 0
 
     def advance(self, train_step: Any) -> None:
         """One iteration.
 
         Raises:
-          Failed: too many episodes failed, or what was learnt is not finite.
+          Failed: too many episodes failed, or a learnt parameter is not finite.
         """
         self.state, metrics = train_step(self.state)
-        metrics, before, self._env_steps = jax.device_get(metrics), self._env_steps, int(self.state.env_steps)
+        metrics, before, self.env_steps = jax.device_get(metrics), self.env_steps, int(self.state.env_steps)
         iteration = int(self.state.iteration)
-        self._watch.add(iteration, self._env_steps - before, metrics)
+        self._watch.add(iteration, self.env_steps - before, metrics)
         if bad := self._finite.first_bad(self.state):
             raise Failed(f"iteration {iteration} made {bad} infinite or NaN")
         if reason := self._watch.reason():

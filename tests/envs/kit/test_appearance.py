@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import rewax
-from rewax.envs.kit.appearance import soft_values
-from rewax.physics.mpm import MPMState
+from rewax.envs.kit.appearance import soft_appearance, soft_values, unique_names
+from rewax.physics.mpm import Grid, Hencky, Material, MPMState, make_scene
 from rewax.viz.camera import frame_recording
 from rewax.viz.colors import particle_colors
 from rewax.viz.recording import Recording
@@ -48,6 +48,21 @@ def test_the_float_comes_before_the_water():
     env = rewax.make("SteerFloat", scale="small")
     materials = env.appearance["materials"]
     assert materials[: env.float_count].max() == 0 and materials[env.float_count :].min() == 1
+
+
+def test_materials_of_one_kind_have_names_of_their_own():
+    assert unique_names(["elastic", "water", "elastic", "elastic"]) == ("elastic", "water", "elastic_2", "elastic_3")
+    soft, hard = (Material(density=1e3, elasticity=Hencky(youngs_modulus=e, poissons_ratio=0.3)) for e in (1e3, 1e4))
+    scene = make_scene(
+        grid=Grid(shape=(8, 8, 8), spacing=0.1),
+        dt=1e-4,
+        material=(soft, hard),
+        particle_counts=(2, 3),
+        particle_volume=1e-4,
+    )
+    appearance = soft_appearance(scene, np.array([0.0, 1.0, 0.0]))
+    assert appearance["material_names"] == ("elastic", "elastic_2")
+    np.testing.assert_array_equal(appearance["materials"], [0, 0, 1, 1, 1])
 
 
 def test_the_surface_of_a_mesh_is_closed():

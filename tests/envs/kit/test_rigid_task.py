@@ -219,9 +219,9 @@ def test_the_second_train_step_compiles_nothing():
 
 
 def test_what_a_task_lacks_is_named():
-    with pytest.raises(ValueError, match=r"num_substeps is 0: give a whole number, at least 1"):
+    with pytest.raises(ValueError, match=r"num_substeps is 0, but must be an integer of at least 1: give"):
         ENV.replace(num_substeps=0)
-    with pytest.raises(ValueError, match=r"max_steps is 2\.5: give a whole number"):
+    with pytest.raises(ValueError, match=r"max_steps is 2\.5, but must be an integer of at least 1"):
         ENV.replace(max_steps=2.5)
     with pytest.raises(NotImplementedError, match=r"RigidTask has no start\(key\): define it"):
         RigidTask(model=ENV.model, num_substeps=1, max_steps=1).reset(jax.random.key(0))

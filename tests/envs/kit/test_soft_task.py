@@ -135,8 +135,14 @@ def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"num_substeps": 0}, "num_substeps is 0: give a whole number, at least 1"),
-        ({"max_steps": 2.5}, r"max_steps is 2\.5: give a whole number, at least 1"),
+        (
+            {"num_substeps": 0},
+            "num_substeps is 0, but must be an integer of at least 1: give the number of substeps in a control step",
+        ),
+        (
+            {"max_steps": 2.5},
+            r"max_steps is 2\.5, but must be an integer of at least 1: give the number of control steps in an episode",
+        ),
         (
             {"joint_step": (0.1, 0.1)},
             r"joint_step has shape \(2,\), but joint_start \(1,\): give one number for each joint",
@@ -151,7 +157,7 @@ def test_impossible_numbers_say_what_to_do(changes, sentence):
 
 @pytest.mark.parametrize("name", ["num_points", "stride"])
 def test_an_impossible_cloud_says_what_to_do(name):
-    with pytest.raises(ValueError, match=f"^{name} of the point cloud is 0: give a whole number, at least 1$"):
+    with pytest.raises(ValueError, match=f"^PointCloud.{name} is 0, but must be an integer of at least 1: give"):
         PointCloud(**{"num_points": 3, name: 0})
 
 

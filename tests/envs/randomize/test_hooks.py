@@ -169,15 +169,19 @@ def test_all_leaves_are_listed():
 
 ONE = Uniform(0.5, 1.0)
 REFUSED = {
-    r"^Things has no leaf 'material.young_modulus': near are material.youngs_modulus; rewax.envs.randomize.leaves\(env\) has all 8 by name$": {
+    r"^Things has no parameter 'material.young_modulus': near are material.youngs_modulus; rewax.envs.randomize.leaves\(env\) has all 8 by name$": {
         "material.young_modulus": ONE
     },
-    r"^Things has no leaf 'youngs_modulus': near are material.youngs_modulus; ": {"youngs_modulus": ONE},
-    r"^Things has no leaf 'material': near are material.yield_stress, material.youngs_modulus; ": {"material": ONE},
-    r"^Things has no leaf 'xyz': rewax.envs.randomize.leaves": {"xyz": ONE},
-    r"^start\[4\] is no part of the leaf start, which has shape \(4, 3\): give indices within it$": {"start[4]": ONE},
-    r"^number\[0\] is no part of the leaf number, which has shape \(\)": {"number[0]": ONE},
-    r"^start.x goes on behind the leaf start: end there, or give indices as in start\[0\]$": {"start.x": ONE},
+    r"^Things has no parameter 'youngs_modulus': near are material.youngs_modulus; ": {"youngs_modulus": ONE},
+    r"^Things has no parameter 'material': near are material.yield_stress, material.youngs_modulus; ": {
+        "material": ONE
+    },
+    r"^Things has no parameter 'xyz': rewax.envs.randomize.leaves": {"xyz": ONE},
+    r"^start\[4\] is no part of the parameter start, which has shape \(4, 3\): give indices within it$": {
+        "start[4]": ONE
+    },
+    r"^number\[0\] is no part of the parameter number, which has shape \(\)": {"number[0]": ONE},
+    r"^start.x continues after the parameter start: end there, or give indices as in start\[0\]$": {"start.x": ONE},
     r"^start is drawn twice: give it one distribution$": {"start": ONE, ".start": Shift(ONE)},
     r"^start\[3\]\[2\] is drawn twice": {"start[3,2]": ONE, "start[-1,-1]": ONE},
     r"^tools\[1\].friction is drawn twice": {"tools[*].friction": ONE, "tools[1].friction": ONE},
@@ -190,7 +194,7 @@ REFUSED = {
     },
     r"^draws is \{\}: give a dict, as in \{'scene.material.density': Uniform": {},
     r"^the draw of start is 0.5: give a distribution, Scale\(...\) or Shift\(...\)$": {"start": 0.5},
-    r"^3 is no name of a leaf: give a string, or a tuple of strings that share a draw$": {3: ONE},
+    r"^3 is no name of a parameter: give a string, or a tuple of strings that share a draw$": {3: ONE},
 }
 
 

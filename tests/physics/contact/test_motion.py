@@ -1,4 +1,4 @@
-"""Shapes among nodes: places and velocities by hand, and their gradient's sums over nodes, in both forms."""
+"""Shapes among nodes: positions and velocities by hand, and their gradient's sums over nodes, in both forms."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Sums over the places in touch with a body, against the same written out."""
+"""Sums over the contact points of a body, against the same written out."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -76,7 +76,7 @@ def test_equations_of_badly_conditioned_matrices(rotations, ratio):
         assert np.abs(many[..., column] - factor * x).max() < 4e-6 * (1.0 + ratio)
 
 
-def test_whole_numbers_become_floats():
+def test_integers_become_floats():
     bodies = free_body.bodies_at_rest([[0, 1, 0]], jnp.array([[1, 0, 0, 0]]))
     assert {leaf.dtype for leaf in jax.tree.leaves(bodies)} == {np.dtype(np.float32)}
 

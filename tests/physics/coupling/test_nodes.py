@@ -28,7 +28,7 @@ def scene_of(friction, overlap=Overlap.SEQUENTIAL):
 
 
 def nodes(n=40, seed=0):
-    """Places about the ball, masses, and velocities of which about half approach it."""
+    """Positions about the ball, masses, and velocities of which about half approach it."""
     rng = np.random.default_rng(seed)
     place = rng.normal(size=(3, n))
     place *= rng.uniform(0.3, 0.6, n) / np.linalg.norm(place, axis=0)
@@ -46,7 +46,7 @@ def still():
 
 
 def contact_of(scene):
-    """Nodes that meet the ball at rest, and their places, masses and velocities."""
+    """Nodes that meet the ball at rest, and their positions, masses and velocities."""
     position, mass, velocity = nodes()
     contact = NodeContact(scene, _Places(position), None, mass > 0, mass, velocity)
     return contact.meet(Pose(jnp.zeros((1, 3)), jnp.eye(3)[None]), [still()], None), position, mass, velocity

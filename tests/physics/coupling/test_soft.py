@@ -46,5 +46,5 @@ def test_a_substep_without_bodies_is_that_of_the_solver(body):
 
 
 def test_what_is_no_scene_is_refused():
-    with pytest.raises(ValueError, match=r"^scene is dict: give one of mpm.make_scene or tets.make_scene"):
+    with pytest.raises(ValueError, match=r"^scene is \{\}: give a scene of mpm\.make_scene or tets\.make_scene"):
         solver_of({})

@@ -120,8 +120,8 @@ def test_active_nodes_are_those_in_reach_and_between_them_along_z(corner, reach)
     np.testing.assert_allclose(
         np.stack(nodes.position, -1)[used], GRID.origin + GRID.spacing * np.asarray(wanted), rtol=1e-5
     )
-    places = [int(nodes.offset[i * GRID.shape[1] + j]) + k for i, j, k in wanted]
-    np.testing.assert_array_equal(places, np.arange(len(wanted)))
+    slots = [int(nodes.offset[i * GRID.shape[1] + j]) + k for i, j, k in wanted]
+    np.testing.assert_array_equal(slots, np.arange(len(wanted)))
 
 
 @pytest.mark.parametrize("num_active", [60, 750])
@@ -179,5 +179,5 @@ def test_a_list_holds_all_nodes_of_particles_that_moved_as_far_as_they_may(reach
 def test_impossible_numbers_are_refused():
     with pytest.raises(ValueError, match="max_active_nodes is 26: give at least the 27 that one particle touches"):
         make(max_active_nodes=26)
-    with pytest.raises(ValueError, match=r"^reach is 0\.7: give 1 or 0\.5, the cells that a particle may move"):
+    with pytest.raises(ValueError, match=r"^reach is 0\.7: give 0\.5 or 1\.0$"):
         make(reach=0.7)

@@ -128,14 +128,14 @@ def test_active_fibres_pull_along_themselves(x64):
 
 
 def test_scenes_that_do_not_fit_together_are_refused():
-    with pytest.raises(ValueError, match="give a tuple of materials and how many particles are of each"):
+    with pytest.raises(ValueError, match="give a tuple of materials and the number of particles of each"):
         make((SOLID, WATER))
     with pytest.raises(ValueError, match="give a tuple of materials"):
         make(SOLID, particle_counts=(8,))
     scene = make((SOLID, WATER), particle_counts=(5, 7))
-    with pytest.raises(ValueError, match=r"in sum 12, but there are \d+ particles: make both agree"):
+    with pytest.raises(ValueError, match=r"in sum 12, but there are \d+ particles: give the number"):
         mpm.step(scene, mpm.initial_state(jnp.asarray(BLOCK)), STILL)
-    with pytest.raises(ValueError, match=r"Snow remembers 1 numbers, but memory has 0: begin with mpm\.initial"):
+    with pytest.raises(ValueError, match=r"memory has 0 arrays, but Snow needs 1: begin with mpm\.initial"):
         mpm.step(make(SNOW), mpm.initial_state(jnp.asarray(BLOCK)), STILL)
     with pytest.raises(
         ValueError, match=r"friction_angle is 25\.0, but must be above 0 and below 1\.571: give an angle in radians"

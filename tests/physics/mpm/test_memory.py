@@ -71,5 +71,5 @@ def test_grows_with_what_it_should():
     assert predict(num_substeps=80) - predict() == 40 * state
     assert predict() - predict(store_every=5) == (40 - 13) * state
     np.testing.assert_allclose(predict(horizon=11) - predict(horizon=1), 10 * state, rtol=0.15)
-    with pytest.raises(ValueError, match="store_every is 7 with 40 substeps"):
+    with pytest.raises(ValueError, match="store_every is 7: give an integer that divides the 40 substeps"):
         predict(store_every=7)

@@ -15,9 +15,9 @@ from rewax.physics.mpm.scene_checks import check_box
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"particle_counts": (5, 0)}, "particle_counts[1] is 0: give how many particles are of material[1], at least 1"),
-        ({"particle_counts": (5, -2)}, "particle_counts[1] is -2: give how many"),
-        ({"particle_counts": (5, 2.5)}, "particle_counts[1] is 2.5: give how many"),
+        ({"particle_counts": (5, 0)}, "particle_counts[1] is 0: give the number of particles of material[1], at least 1"),
+        ({"particle_counts": (5, -2)}, "particle_counts[1] is -2: give the number"),
+        ({"particle_counts": (5, 2.5)}, "particle_counts[1] is 2.5: give the number"),
         ({"particle_counts": 7}, "particle_counts is 7 with 2 materials: give a tuple of materials"),
         ({"particle_counts": (5, 2), "particle_volume": np.full(6, 1e-4)}, "particle_volume has 6 entries, but there are "
          "7 particles: give shape (), or one entry for each particle"),
@@ -47,6 +47,6 @@ def test_particles_must_lie_in_the_box():
     grid = Grid(shape=(8, 9, 10), spacing=0.1)
     check_box(grid, np.array([grid.lower, grid.upper]))
     with pytest.raises(
-        ValueError, match=r"^1 particles lie outside the box from \(0\.05, .* number 1, at \(0\.3, 0\.76"
+        ValueError, match=r"^1 particles lie outside the grid's box from \(0\.05, .* particle 1 at \(0\.3, 0\.76"
     ):
         check_box(grid, np.array([[0.3, 0.3, 0.3], [0.3, 0.76, 0.3]]))

@@ -69,7 +69,7 @@ def test_repeats_are_bit_identical():
 
 def test_store_every_must_divide():
     scene, state = cube()
-    with pytest.raises(ValueError, match="store_every is 3 with 4 substeps"):
+    with pytest.raises(ValueError, match="store_every is 3: give an integer that divides the 4 substeps"):
         mpm.step(scene, state, mpm.static_poses(4), store_every=3)
 
 
@@ -180,7 +180,7 @@ def test_without_a_softness_colliders_reach_one_cell(x64):
 
 @pytest.mark.slow
 def test_derivatives_through_colliders_without_a_softness(x64):
-    """Reverse, forward and central difference, by the ball's path and the particles' places."""
+    """Reverse, forward and central difference, by the ball's path and the particles' positions."""
     end, args = pressed_by(None)
     rng = np.random.default_rng(0)
     weights = jnp.asarray(rng.standard_normal(args[1].shape))

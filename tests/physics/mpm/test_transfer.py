@@ -34,13 +34,13 @@ def dense_weights(x):
     return w.astype(x.dtype), nodes.astype(x.dtype) - x
 
 
-def spread_one(x, mass, p, A):
+def scatter_one(x, mass, p, A):
     w, d = dense_weights(x)
     return w * mass, w[..., None] * (p + d @ A.T)
 
 
 def plain_p2g(x, mass, p, A):
-    masses, momenta = jax.vmap(spread_one)(x, mass, p, A)
+    masses, momenta = jax.vmap(scatter_one)(x, mass, p, A)
     return jnp.sum(masses, 0), jnp.sum(momenta, 0)
 
 

@@ -1,17 +1,17 @@
-"""The passes in C++ give the numbers of those with JAX, alone and in a substep."""
+"""The kernels in C++ give the numbers of those in JAX, alone and in a substep."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
-from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, places, run
+from transfer_cases import NUM, assert_as_transfer_cpu, assert_substep_agrees, inputs, locations, run
 
 from rewax.lowering import build
 from rewax.physics.mpm import transfer_cpp, transfer_xla_cpu
 from rewax.physics.mpm.grid import Grid
 
-PASSES = ("spread", "gather_values", "spread_tangent_transpose", "gather_tangent_transpose")
+KERNELS = ("scatter", "gather_values", "scatter_tangent_transpose", "gather_tangent_transpose")
 pytestmark = NEEDS_COMPILER
 
 
@@ -22,8 +22,8 @@ def test_a_compiler_that_is_there_builds_them():
 
 @pytest.mark.parametrize("listed", [False, True])
 @pytest.mark.parametrize("batch", [pytest.param((), marks=pytest.mark.slow), (2,)])
-def test_the_passes_agree(x64, batch, listed):
-    assert_as_transfer_cpu(transfer_cpp, PASSES, batch, listed)
+def test_the_kernels_agree(x64, batch, listed):
+    assert_as_transfer_cpu(transfer_cpp, KERNELS, batch, listed)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -33,7 +33,7 @@ def test_sums_of_many_particles(x64, dtype):
     draw = np.random.default_rng(2)
     where = tuple(jnp.asarray(draw.uniform(0.06, 0.1 * (n - 1.6), num), dtype) for n in grid.shape)
     layout = transfer_xla_cpu.Layout(grid, None)
-    for name in PASSES:
+    for name in KERNELS:
         given = inputs(name, where, (), grid.num_nodes, num, dtype)[0]
         found, again, expected = (run(m, name, layout, given) for m in (transfer_cpp, transfer_cpp, transfer_xla_cpu))
         for a, b, c in zip(found, again, expected, strict=True):
@@ -45,10 +45,10 @@ def test_sums_of_many_particles(x64, dtype):
 
 def test_environments_are_their_own(x64):
     """One alone has the bits that it has beside others, of which one is not finite and one is outside of the box."""
-    layout, where = places((4,), True)
+    layout, where = locations((4,), True)
     x = where[0].at[1].set(jnp.nan).at[2].set(1e30)
     where = (x, *where[1:])
-    for name in PASSES:
+    for name in KERNELS:
         residuals, linear = inputs(name, where, (4,), layout.num_nodes, NUM)[0]
         together = run(transfer_cpp, name, layout, (residuals, linear))
         for i in (0, 3):

@@ -1,4 +1,4 @@
-"""The passes for GPUs give the numbers of those for CPUs, alone and in a substep; evaluated on a CPU."""
+"""The kernels for GPUs give the numbers of those for CPUs, alone and in a substep; evaluated on a CPU."""
 
 import jax
 import pytest
@@ -7,15 +7,15 @@ from transfer_cases import assert_as_transfer_cpu, assert_substep_agrees
 from rewax.lowering.linear_primitive import ByPlatform
 from rewax.physics.mpm import transfer_gpu
 
-PASSES = (
-    "spread", "gather_values", "gather_slopes", "spread_tangent_transpose", "gather_tangent", "gather_tangent_transpose",
+KERNELS = (
+    "scatter", "gather_values", "gather_slopes", "scatter_tangent_transpose", "gather_tangent", "gather_tangent_transpose",
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("listed", [False, True])
 @pytest.mark.parametrize("batch", [pytest.param((), marks=pytest.mark.slow), (2,)])
-def test_the_passes_agree(x64, batch, listed):
-    assert_as_transfer_cpu(transfer_gpu, PASSES, batch, listed)
+def test_the_kernels_agree(x64, batch, listed):
+    assert_as_transfer_cpu(transfer_gpu, KERNELS, batch, listed)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The passes for CPUs: places of nodes, sums by visiting every node, and sizes that do not fit."""
+"""The kernels for CPUs: indices of nodes, sums by visiting every node, and sizes that do not fit."""
 
 import itertools
 
@@ -17,7 +17,7 @@ X = np.random.default_rng(0).uniform(0.1, 0.3, (3, *BATCH))
 
 
 def nodes_of(copy, particle):
-    """Flat index among both copies, weight and offset of the 27 nodes around a particle."""
+    """Flat index among both environments, weight and offset of the 27 nodes around a particle."""
     x = X[:, copy, particle]
     base = np.floor(x / GRID.spacing - 0.5).astype(int)
     for step in itertools.product(range(3), repeat=3):
@@ -40,7 +40,7 @@ def test_sums_by_visiting_every_node(x64):
     draw = np.random.default_rng(1)
     mass, p, A = draw.random(BATCH), draw.standard_normal((3, *BATCH)), draw.standard_normal((3, 3, *BATCH))
     linear = [jnp.asarray(a) for a in (mass, *p, *A.reshape(9, *BATCH))]
-    found = transfer_xla_cpu.spread(LAYOUT, tuple(jnp.asarray(a) for a in X), tuple(linear))
+    found = transfer_xla_cpu.scatter(LAYOUT, tuple(jnp.asarray(a) for a in X), tuple(linear))
     sums = np.zeros((4, 2 * GRID.num_nodes))
     g = draw.standard_normal((3, 2 * GRID.num_nodes))
     values, moments = np.zeros((3, *BATCH)), np.zeros((3, 3, *BATCH))
@@ -59,4 +59,4 @@ def test_sums_by_visiting_every_node(x64):
 def test_too_many_copies_are_refused():
     layout = Layout(Grid(shape=(800, 800, 800), spacing=0.1), None)
     with pytest.raises(ValueError, match=r"environments of 512000000 nodes are stepped at once.*step fewer at once"):
-        transfer_xla_cpu.copy_of_particles(layout, (2, 4))
+        transfer_xla_cpu.env_of_particles(layout, (2, 4))

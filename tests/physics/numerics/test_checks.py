@@ -19,14 +19,14 @@ from rewax.physics.numerics.checks import (
     check_number,
     check_numbers,
     numbers_of,
+    static_integer,
     static_number,
-    whole_number,
 )
 
 SHARE = Legal(0.0, 1.0)
 LEGAL = [
     (0.5, SHARE), (np.array([0.1, 0.9]), SHARE), (1e-30, POSITIVE), (3, POSITIVE), (0.0, NOT_NEGATIVE),
-    (np.float32(0.0), NOT_NEGATIVE), (jnp.zeros(2), NOT_NEGATIVE), (-0.0, NOT_NEGATIVE), (-1e9, FINITE), (True, POSITIVE),
+    (np.float32(0.0), NOT_NEGATIVE), (jnp.zeros(2), NOT_NEGATIVE), (-0.0, NOT_NEGATIVE), (-1e9, FINITE),
 ]  # fmt: skip
 ILLEGAL = [
     (0.0, SHARE, " is 0.0, but must be above 0 and below 1"),
@@ -74,7 +74,7 @@ def test_long_arrays_and_several_of_a_kind_are_flagged():
     np.testing.assert_array_equal(jax.vmap(lambda a: flag(short, a))(jnp.array([1.0, -1.0, 2.0])), [False, True, False])
 
 
-@pytest.mark.parametrize("value", ["fast", [[1.0], [2.0, 3.0]], 1j, object])
+@pytest.mark.parametrize("value", ["fast", [[1.0], [2.0, 3.0]], 1j, object, True, np.array([True, False]), [], ()])
 def test_what_is_no_number_is_refused(value):
     with pytest.raises(ValueError, match=r"^share is .*, which is no real number: give a share$"):
         check_number("share", value, SHARE, "give a share")
@@ -101,10 +101,10 @@ def test_static_numbers_and_counts():
         jax.jit(lambda dt: static_number("dt", dt, POSITIVE, ""))(0.5)
     with pytest.raises(ValueError, match=r"^dt has shape \(1,\): give one number$"):
         static_number("dt", [0.5], POSITIVE, "")
-    assert whole_number("n", np.int32(3), 3, "") == 3 and whole_number("n", 3.0, 1, "") == 3
-    for bad in (2, 3.5, "three", None, np.nan, np.inf):
+    assert static_integer("n", np.int32(3), 3, "") == 3 and static_integer("n", 3.0, 1, "") == 3
+    for bad in (2, 3.5, "three", None, np.nan, np.inf, True, 10**30):
         with pytest.raises(ValueError, match=r"^n is .*: give 3 or more$"):
-            whole_number("n", bad, 3, "give 3 or more")
+            static_integer("n", bad, 3, "give 3 or more")
 
 
 def test_members_are_listed():

@@ -22,5 +22,5 @@ def test_what_is_stored_changes_neither_value_nor_gradient(store_every):
 
 @pytest.mark.parametrize("store_every", [0, 4])
 def test_a_number_that_does_not_divide_the_substeps_is_refused(store_every):
-    with pytest.raises(ValueError, match="give a number that divides them"):
+    with pytest.raises(ValueError, match="give an integer that divides the 6 substeps"):
         run(store_every, jnp.float32(0.3))

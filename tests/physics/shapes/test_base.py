@@ -174,7 +174,7 @@ def test_bounds_follow_from_each_other():
     assert Slab().bounding_radius() == np.inf and not Slab().is_bounded and Slab().draw() == []
     with pytest.raises(ValueError, match=r"^shape is a Slab, .* write the method bounding_box\(self\) of Slab$"):
         sdf.volume(Slab())
-    with pytest.raises(ValueError, match="ask for its bounding_box before jit, or use its own method"):
+    with pytest.raises(ValueError, match=r"call bounding_box before jit, or use shape\.bounding_box"):
         jax.jit(lambda shape: sdf.bounding_box(shape)[0])(Wavy(radius=0.5))
 
 

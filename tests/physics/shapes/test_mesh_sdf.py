@@ -165,7 +165,7 @@ FACES = np.asarray(BRICK.faces)
         (changed(faces=FACES[:, ::-1]), r"inside out \(its signed volume is -0.024 m\^3\).*mesh.invert"),
         (changed(faces=np.concatenate([FACES, [[0, 1, 1]]])), r"1 degenerate faces without area \(the first is face 12\)"),
         (changed(faces=np.zeros((0, 3), int)), "mesh has no faces"),
-        (changed(vertices=np.where(np.arange(24).reshape(8, 3) == 5, np.nan, BRICK.vertices)), "not finite"),
+        (changed(vertices=np.where(np.arange(24).reshape(8, 3) == 5, np.nan, BRICK.vertices)), "nan, but must be finite: repair"),
         ("/nowhere/bunny.stl", "there is no such file"),
         (3.0, "mesh is 3.0: give a path or something with vertices and faces"),
     ],

@@ -63,7 +63,7 @@ def test_lattice_is_symmetric_regular_and_fills_the_box(center, size, spacing):
     ("size", "spacing", "name"), [(SIZE, 0.0, "spacing"), (SIZE, -1.0, "spacing"), ((1, 0, 1), 0.1, "size")]
 )
 def test_what_is_not_positive_is_refused(size, spacing, name):
-    with pytest.raises(ValueError, match=f"{name} is .* must be positive"):
+    with pytest.raises(ValueError, match=rf"{name}(\[1\])? is .* must be positive"):
         fill_box(CENTER, size, spacing)
 
 
@@ -104,8 +104,8 @@ def test_random_points_are_uniform_in_a_shape(x64, name):
     ("call", "message"),
     [
         (lambda: fill(SHAPES["sphere"], 0.0), "spacing is 0.0, but must be positive"),
-        (lambda: fill(SHAPES["sphere"].replace(radius=-0.1), 0.2), "no point of such a lattice lies in the shape"),
-        (lambda: sample(jax.random.key(0), SHAPES["sphere"], 0), "num is 0, but must be positive"),
+        (lambda: fill(SHAPES["sphere"].replace(radius=-0.1), 0.2), r"shape\.radius is -0\.1, but must be positive"),
+        (lambda: sample(jax.random.key(0), SHAPES["sphere"], 0), "num is 0: give the number of points"),
         (
             lambda: sample_poisson_disk(jax.random.key(0), SHAPES["sphere"], -1.0),
             "radius is -1.0, but must be positive",

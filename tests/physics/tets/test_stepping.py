@@ -275,7 +275,7 @@ def test_environments_do_not_mix_and_storing_changes_nothing(x64, random_like):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, rtol=1e-10, atol=1e-12), fine, alone)
     stored = STEP(scene.replace(activation=first[0]), first[1], poses, store_every=None)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, rtol=1e-12, atol=1e-13), fine[0], stored)
-    with pytest.raises(ValueError, match="store_every is 3 with 4 substeps"):
+    with pytest.raises(ValueError, match="store_every is 3: give an integer that divides the 4 substeps"):
         tets.step(scene, state, poses, store_every=3)
 
 

@@ -1,4 +1,4 @@
-"""Meshes: counts, volumes, conformity; files; what is said of a bad mesh."""
+"""Meshes: counts, volumes, conformity; files; messages about bad arguments."""
 
 import sys
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rewax.physics.tets import tetmesh
-from rewax.physics.tets.tetmesh import TetMesh, boundary_faces, check_tetmesh
+from rewax.physics.tets.tetmesh import boundary_faces, check_tetmesh
 
 
 def surface(mesh):
@@ -73,9 +73,9 @@ def test_split_edges():
     check_tetmesh(split)
     assert len(split.tets) == 12 and split.volumes == pytest.approx(1 / 12)
     np.testing.assert_array_equal(split.vertices[-1], 0.0)
-    with pytest.raises(ValueError, match=r"\[0, 99\] is no edge of the mesh"):
+    with pytest.raises(ValueError, match=r"edges has \[0, 99\], which is no edge of the mesh"):
         tetmesh.split_edges(mesh, np.array([[0, 99]]))
-    with pytest.raises(ValueError, match=r"two edges of the tet .* are to be split: split one, then the other"):
+    with pytest.raises(ValueError, match=r"edges has two edges of the tet .*: call split_edges once for each"):
         tetmesh.split_edges(mesh, mesh.tets[0][[[0, 1], [1, 2]]])
 
 
@@ -117,7 +117,7 @@ def test_files_that_hold_no_tets(tmp_path):
     garbage.write_text("not a mesh")
     with pytest.raises(ValueError, match=r"garbage.vtk', which meshio cannot read .*: save the mesh as .msh"):
         tetmesh.load_tetmesh(garbage)
-    with pytest.raises(ValueError, match=r"missing.msh', where no file is: give the path"):
+    with pytest.raises(ValueError, match=r"missing.msh', but there is no such file: give the path"):
         tetmesh.load_tetmesh(tmp_path / "missing.msh")
 
 
@@ -127,58 +127,14 @@ def test_without_meshio(monkeypatch):
         tetmesh.load_tetmesh("beam.msh")
 
 
-# --- Faults -----------------------------------------------------------------------------------------------------------
-
-UNIT = tetmesh.box((1.0, 1.0, 1.0), (1, 1, 1), tets_per_cell=5)
-
-
-def changed(vertices=None, tets=None):
-    return TetMesh(UNIT.vertices if vertices is None else vertices, UNIT.tets if tets is None else tets)
-
-
-def with_rows(array, index, row):
-    array = array.copy()
-    array[index] = row
-    return array
-
-
-FAR = TetMesh(np.concatenate([UNIT.vertices, UNIT.vertices + 5]), np.concatenate([UNIT.tets, UNIT.tets + 8]))
-"""Two cubes apart."""
-HINGE = tetmesh.voxels(np.array([[[1], [0]], [[0], [1]]], bool), 1.0)
-"""Two cubes that share an edge only."""
-
-
-@pytest.mark.parametrize(
-    ("mesh", "message"),
-    [
-        (changed(vertices=UNIT.vertices[:, :2]), r"vertices has shape \(8, 2\): give positions"),
-        (changed(tets=UNIT.tets[:, :3]), r"tets is int32 of shape \(5, 3\): give whole numbers"),
-        (changed(tets=UNIT.tets.astype(float)), r"tets is float64 of shape \(5, 4\): give whole numbers"),
-        (changed(tets=UNIT.tets[:0]), r"tets is int32 of shape \(0, 4\)"),
-        (changed(tets=UNIT.tets + 1), "tets has vertices from 1 to 8, but there are 8: count from 0"),
-        (changed(vertices=with_rows(UNIT.vertices, 3, np.nan)), r"vertices\[3\] is \[nan nan nan\]: give finite positions"),
-        (changed(tets=with_rows(UNIT.tets, 2, UNIT.tets[2][[1, 0, 2, 3]])), r"tets has 1 of 5 inverted \(tet 2 .*: swap two"),
-        (changed(tets=with_rows(UNIT.tets, 1, UNIT.tets[1][[0, 1, 2, 2]])), r"tets has 1 degenerate ones \(tet 1 .* remesh, or"),
-        (changed(vertices=UNIT.vertices * [1, 1, 1e-6]), "tets has 5 degenerate ones"),
-        (changed(vertices=np.concatenate([UNIT.vertices, [[9.0, 9, 9]]])), r"vertices has 1 that no tet uses \(the first is 8\)"),
-        (changed(tets=np.concatenate([UNIT.tets, UNIT.tets[:1]])), "tets has 3 around the face .* remove overlaps and duplicates"),
-        (FAR, "tets form 2 parts without a common face, of 5, 5 tets: merge coincident vertices, or simulate"),
-        (HINGE, "tets form 2 parts without a common face, of 6, 6 tets"),
-    ],
-)  # fmt: skip
-def test_faults_are_named(mesh, message):
-    with pytest.raises(ValueError, match=message):
-        check_tetmesh(mesh)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: tetmesh.box((1.0, 0.0, 1.0), (1, 1, 1)), r"size is \(1.0, 0.0, 1.0\): give three positive edges"),
-        (lambda: tetmesh.box((1.0, 1.0, 1.0), (1, 0, 1)), r"counts is \(1, 0, 1\): give how many cells"),
+        (lambda: tetmesh.box((1.0, 0.0, 1.0), (1, 1, 1)), r"size\[1\] is 0\.0, but must be positive: give three edges"),
+        (lambda: tetmesh.box((1.0, 1.0, 1.0), (1, 0, 1)), r"counts\[1\] is 0: give the numbers of cells"),
         (lambda: tetmesh.box((1.0, 1.0, 1.0), (1, 1, 1), tets_per_cell=7), "tets_per_cell is 7: give 5 or 6"),
         (lambda: tetmesh.voxels(np.ones((1, 1, 1)), 0.0), "spacing is 0.0, but must be positive"),
-        (lambda: tetmesh.voxels(np.zeros((1, 2, 1)), 1.0), r"occupied has shape \(1, 2, 1\) and 0 cells: give"),
+        (lambda: tetmesh.voxels(np.zeros((1, 2, 1)), 1.0), r"occupied has shape \(1, 2, 1\) and no cell: give"),
         (lambda: tetmesh.cells(np.ones((1, 1, 1)), [[0, 1]] * 2 + [[0, 1, 2]]), r"lines have \[2, 2, 3\] coordinates for"),
         (lambda: tetmesh.cells(np.ones((1, 1, 1)), [[0, 1]] * 2 + [[1, 0]]), "lines do not increase: sort"),
     ],

@@ -39,5 +39,5 @@ def test_what_cannot_be_is_one_sentence():
         landscape(ENV, policy, state, key, size=4)
     with pytest.raises(ValueError, match="span is 0: give a positive number"):
         landscape(ENV, policy, state, key, span=0)
-    with pytest.raises(ValueError, match="has neither actor_params nor actions: nothing to move"):
+    with pytest.raises(ValueError, match="has neither actor_params nor actions: there is nothing to shift"):
         landscape(ENV, policy, {"x": 1}, key)

@@ -53,6 +53,8 @@ def test_every_step_is_on_the_path_and_rewards_are_those_of_the_steps():
     x = found.particles[:, 0, 0]
     np.testing.assert_allclose(np.diff(x), 0.1, atol=1e-6)
     np.testing.assert_allclose(found.rewards, -(x[1:] ** 2), rtol=1e-5)
+    np.testing.assert_allclose(found.actions, np.full((6, 1), 0.2), rtol=1e-6)
+    assert all(len(values) == 6 for values in found.metrics.values())
     np.testing.assert_allclose(found.totals, np.concatenate([[0.0], np.cumsum(-(x[1:] ** 2))]), rtol=1e-5)
 
 

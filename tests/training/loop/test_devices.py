@@ -13,9 +13,9 @@ from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, pl
 @pytest.mark.parametrize(
     "names", [["sapo"], pytest.param(["ppo", "sac", "trajopt", "apg", "shac", "ahac", "rpo"], marks=pytest.mark.slow)]
 )
-def test_several_devices_train_as_one_does(names):
+def test_several_devices_train_as_one_does(names, sharing_programs):
     script = Path(__file__).with_name("many_devices.py")
-    done = subprocess.run([sys.executable, str(script), *names], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, str(script), *names], env=sharing_programs, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
     assert "the same on one and on several devices" in done.stdout
 
@@ -24,6 +24,6 @@ def test_what_cannot_be_divided_is_refused():
     with pytest.raises(ValueError, match=r"devices is 7, but JAX has 1 \(cpu\): ask for that many at most"):
         placement(8, 7)
     assert placement(8, 0) == placement(None, 0) == ONE_DEVICE
-    assert not Placement(mesh=object()).divides({"iteration": 0})  # an algorithm of one's own, without environments
+    assert not Placement(mesh=object()).shards({"iteration": 0})  # an algorithm of one's own, without environments
     tree = {"a": jax.numpy.ones(3)}
     assert on_one_device(tree) is tree and ONE_DEVICE.place(tree) is tree

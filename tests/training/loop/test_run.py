@@ -11,6 +11,7 @@ from rich.console import Console
 from rewax import struct
 from rewax.status import Status
 from rewax.training.config import TrainConfig
+from rewax.training.loop import progress
 from rewax.training.loop.train import train
 from rewax.training.storage import checkpoint
 from rewax.training.storage.metrics import read_csv
@@ -116,8 +117,24 @@ def test_the_last_checkpoint_before_the_failures_stays(tmp_path):
     assert "the last checkpoint from before the failures is that of iteration 3" in text
 
 
-def test_the_console_counts_status_bits(tmp_path):
+def test_a_status_bit_is_explained_once_and_counted(tmp_path):
     _, text = run(tmp_path, SOUND, SOUND_AGENT, num_iterations=5)
     counts = read_csv(tmp_path / "metrics.csv")["status/CFL"]
-    last = [line for line in text.splitlines() if line.startswith("iteration 5/5")]
-    assert counts.sum() > 0 and f"CFL in {int(counts.sum())} steps" in last[0] and "NAN" not in last[0]
+    warnings = [line for line in text.splitlines() if line.startswith("status: CFL in ")]
+    assert len(warnings) == 1 and "remedy: shorter substeps or softer contacts" in warnings[0]
+    assert counts.sum() > 0 and f"status of all steps: CFL in {int(counts.sum())} steps\n" in text and "NAN" not in text
+
+
+def test_lines_have_only_new_counts_of_a_status_bit(monkeypatch):
+    monkeypatch.setattr(progress, "_SECONDS_BETWEEN_LINES", 0.0)
+    console = Console(file=io.StringIO(), width=200)
+    report = progress.ProgressReport(console, 60, 0)
+    for i in range(1, 61):
+        report.update(i, i, {"status/INACTIVE_NODES": {1: 47, 30: 2}.get(i, 0)}, 1.0)
+    report.close()
+    lines = [line for line in console.file.getvalue().splitlines() if "INACTIVE_NODES" in line]
+    assert [line.split("  ")[0] for line in lines[1:]] == [
+        "iteration 30/60",
+        "status of all steps: INACTIVE_NODES in 49 steps",
+    ]
+    assert "remedy: a larger max_active_nodes" in lines[0] and "INACTIVE_NODES in 2 more steps" in lines[1]

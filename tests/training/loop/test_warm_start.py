@@ -1,5 +1,8 @@
 """A new run begins with what an old one has learnt, and with nothing else of it."""
 
+import json
+import shutil
+
 import jax
 import numpy as np
 import pytest
@@ -72,6 +75,17 @@ def test_the_command_begins_with_the_old_run_and_goes_on_from_there(old, toy, tm
     assert checkpoint.latest_step(tmp_path / "new") == 1
 
 
+def test_neither_algorithm_nor_environment_has_to_be_registered(old, tmp_path):
+    """A run of an algorithm that only the calling code knows is read by the names of its arrays."""
+    run_dir = shutil.copytree(old, tmp_path / "run")
+    config = json.loads((run_dir / "config.json").read_text())
+    (run_dir / "config.json").write_text(json.dumps({**config, "agent": "mine", "mine": config["sapo"], "env": "gone"}))
+    agent = make_sapo(toys.point_mass(4), tiny())
+    then = checkpoint.restore(old, jax.eval_shape(agent.init, jax.random.key(0)))
+    warm = warm_started(agent.init(jax.random.key(7)), run_dir, "mine")
+    assert equal(warm.actor_params, then.actor_params)
+
+
 def test_what_does_not_fit_is_one_sentence(old, tmp_path):
     env = toys.point_mass(4)
     wide = make_sapo(env, tiny(actor_widths=(5, 4))).init(jax.random.key(0))
@@ -80,8 +94,9 @@ def test_what_does_not_fit_is_one_sentence(old, tmp_path):
     ):
         warm_started(wide, old)
     with pytest.raises(
-        ValueError, match="is no run of this algorithm: begin with one of the same, or without --init-from"
+        ValueError,
+        match=r"was trained with sapo: it has learnt log_temperature, which ppo does not have: begin with a run of the same algorithm",
     ):
-        warm_started(make_ppo(env).init(jax.random.key(0)), old)
+        warm_started(make_ppo(env).init(jax.random.key(0)), old, "ppo")
     with pytest.raises(ValueError, match="nowhere holds no complete checkpoint: check the path"):
         warm_started(wide, tmp_path / "nowhere")

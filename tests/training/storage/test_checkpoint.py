@@ -141,6 +141,8 @@ def test_damage_is_noticed(tmp_path, damage):
     _, state = advanced(1)
     path = checkpoint.save(tmp_path, state)
     leaves = path / "leaves.json"
+    if damage in ("entry", "value"):  # of a checkpoint of an earlier version, which has no checksum of leaves.json
+        (path / "checksums.json").unlink()
     if damage == "description":
         leaves.write_text(leaves.read_text()[:100])
     elif damage == "entry":
@@ -212,6 +214,18 @@ def test_damage_falls_back_to_the_checkpoint_before_it(tmp_path):
     assert (tmp_path / "checkpoints" / "2.damaged" / "arrays").is_dir()
     with pytest.raises(ValueError, match="no checkpoint of iteration 3: choose one of 1"):
         checkpoint.restore(tmp_path, states[0], step=3)
+
+
+def test_a_changed_letter_in_the_description_is_damage_and_not_another_configuration(tmp_path):
+    states, paths = three(tmp_path)
+    leaves = paths[2] / "leaves.json"
+    leaves.write_text(leaves.read_text().replace(".bias", ".bios"))
+    with pytest.warns(
+        UserWarning, match=r"checkpoints/3 is damaged .*leaves\.json does not have its checksum.* iteration 2"
+    ):
+        assert same_bits(checkpoint.restore(tmp_path, states[0]), states[1])
+    (paths[1] / "checksums.json").unlink()
+    assert same_bits(checkpoint.restore(tmp_path, states[0], step=2), states[1])  # as earlier versions wrote it
 
 
 def test_a_checkpoint_asked_for_is_that_one_or_an_error(tmp_path):

@@ -17,6 +17,7 @@ from rewax.agents.registry import algorithm
 from rewax.cli.main import main
 from rewax.envs.base import ArraySpec
 from rewax.training.storage.export import export_policy
+from rewax.training.storage.numpy_policy import NumpyPolicy
 from rewax.training.storage.saved import SavedRun
 
 WIDTHS = {"num_envs": 2, "actor_widths": (6, 5), "vector_features": 4, "point_widths": (3, 4), "point_features": 3}
@@ -106,6 +107,30 @@ def test_noise_is_that_of_the_policys_distribution(tmp_path):
     found = exported.call(obs, jax.random.normal(jax.random.key(1), (2000, 2)))
     np.testing.assert_allclose(jnp.arctanh(found).std(0), jnp.arctanh(sampled).std(0), rtol=0.1)
     assert set(exported.platforms) == {"cpu", "cuda"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"x": None}, r"the observation has no array 'x', only cloud, also: give all of \{"),
+        ({"cloud": np.zeros((9, 3))}, r"'cloud' of the observation has shape \(9, 3\): give \(8, 3\)"),
+        ({"x": np.zeros((4, 1))}, r"'x' of the observation has shape \(4, 1\): give \(1,\), that of one environment"),
+        ("array", "the observation is a ndarray: give a dict of arrays"),
+    ],
+)  # fmt: skip
+def test_the_numpy_policy_says_what_is_wrong_with_an_observation(changes, sentence, tmp_path):
+    policy = NumpyPolicy(weights(tmp_path))
+    obs = {"cloud": np.zeros((8, 3)), "x": np.zeros(1), "also": np.zeros((2, 1, 2)), "more": np.zeros(7)}
+    assert policy(obs).shape == (2,)
+    del obs["more"]
+    wrong = np.zeros(3) if changes == "array" else {k: v for k, v in {**obs, **changes}.items() if v is not None}
+    with pytest.raises(ValueError, match=sentence):
+        policy(wrong)
+
+
+def weights(folder):
+    export_policy(saved("sapo"), folder)
+    return folder / "weights.npz"
 
 
 def test_an_algorithm_without_a_policy_is_refused():

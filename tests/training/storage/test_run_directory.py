@@ -31,6 +31,23 @@ def test_one_holder_at_a_time(tmp_path):
         pass
 
 
+def test_a_refusal_leaves_nothing_behind(tmp_path):
+    with pytest.raises(ValueError), hold(tmp_path / "runs" / "new"):
+        raise ValueError("refused")
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "there").mkdir()
+    with pytest.raises(ValueError), hold(tmp_path / "there"):
+        raise ValueError("refused")
+    assert list(tmp_path.rglob("*")) == [tmp_path / "there"]
+    with pytest.raises(ValueError), hold(tmp_path / "runs" / "begun"):
+        (tmp_path / "runs" / "begun" / "config.json").write_text("{}")
+        raise ValueError("failed later")
+    assert (tmp_path / "runs" / "begun" / "config.json").is_file()
+    with hold(tmp_path / "used"):
+        refused(tmp_path / "used", "is in use by process")
+        assert (tmp_path / "used" / ".lock").is_file()
+
+
 def test_the_lock_ends_with_its_process(tmp_path):
     script = (
         "import pathlib, sys, time; from rewax.training.storage.run_directory import hold\n"

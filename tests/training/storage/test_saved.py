@@ -57,7 +57,8 @@ def test_what_cannot_be_built_is_said(run, tmp_path):
     try:
         write_config(run_dir, {**json.loads(kept), "sapo": {"horizon": 3, "patience": 2}})
         with pytest.raises(
-            ValueError, match="this version has no option patience: use the version that the run was made with"
+            ValueError,
+            match=r"config\.json: sapo\.patience is unknown: .*or use the version that the run was made with",
         ):
             load_run(run_dir)
         write_config(run_dir, {"train": {}})
@@ -77,6 +78,34 @@ def load_again(tmp_path, env):
     quick = {"eval_every": 0, "num_eval_episodes": 2, "plots": False, "baselines": False, "tensorboard": False}
     config = TrainConfig(num_iterations=1, run_dir=str(tmp_path / "run"), **quick)
     return tmp_path / "run", train(make_sapo(env, CONFIG), env, config).train_state
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "sentence"),
+    [
+        (
+            ("sapo", "num_env"),
+            3,
+            "config.json: sapo.num_env is unknown: did you mean 'num_envs'? this version has no such",
+        ),
+        (("sapo", "adam_b1"), -3, "config.json: sapo.adam_b1 is -3: give a number of at least 0 and below 1"),
+        (("sapo", "learn_temperature"), "yes", "config.json: sapo.learn_temperature is 'yes': give True or False"),
+        (("scale",), 3, "config.json: scale is 3: use one of 'paper', 'small'"),
+        (("env_kwargs",), [1], "config.json: env_kwargs is [1]: give the arguments of rewax.make by name, or {}"),
+        (("env_kwargs",), {"gain": 1}, "cannot be built: PointMass has no option 'gain'"),
+    ],
+)
+def test_an_edited_configuration_is_refused_with_file_and_key(run, tmp_path, entry, value, sentence):
+    run_dir = shutil.copytree(run[0], tmp_path / "run")
+    config = json.loads((run_dir / "config.json").read_text())
+    place = config
+    for name in entry[:-1]:
+        place = place[name]
+    place[entry[-1]] = value
+    (run_dir / "config.json").write_text(json.dumps(config))
+    with pytest.raises(ValueError) as caught:
+        load_run(run_dir)
+    assert sentence in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_run_from_code_is_loaded_with_its_environment(run, tmp_path):

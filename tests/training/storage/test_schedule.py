@@ -8,7 +8,7 @@ def config(log_every, eval_every):
     return ReportConfig(log_every=log_every, eval_every=eval_every)
 
 
-def test_rows_of_one_stretch():
+def test_rows_of_one_segment():
     due = due_rows(continued({}, 0, config(2, 3)), until=6)
     assert due["metrics.csv"] == due["timing.csv"] == {2, 4, 6}
     assert due["eval.csv"] == {0, 3}  # that of 6 follows its checkpoint
@@ -17,7 +17,7 @@ def test_rows_of_one_stretch():
     }  # fmt: skip
 
 
-def test_rows_of_several_stretches():
+def test_rows_of_several_segments():
     first = continued({}, 0, config(3, 0))
     second = continued({"schedule": first}, 4, config(1, 5))
     assert due_rows(second, until=6)["metrics.csv"] == {3, 5, 6}
@@ -39,3 +39,11 @@ def test_the_sentence_counts():
     assert lost_rows("metrics.csv", [1, 2, 9], {1, 2}) == ""
     assert "metrics.csv lacks 2 of its 4 rows (iterations 2 to 4)" in lost_rows("metrics.csv", [1, 3], {1, 2, 3, 4})
     assert "eval.csv lacks 1 of its 2 rows (iteration 2)" in lost_rows("eval.csv", [1], {1, 2})
+
+
+def test_a_run_without_an_evaluation_at_the_start_lacks_no_row():
+    schedule = continued({}, 0, ReportConfig(eval_every=2, eval_at_start=False))
+    assert due_rows(schedule, 5)["eval.csv"] == {2, 4}
+    again = continued({"schedule": schedule}, 3, ReportConfig(eval_every=1, eval_at_start=False))
+    assert due_rows(again, 5)["eval.csv"] == {2, 3, 4}
+    assert due_rows(continued({}, 0, ReportConfig(eval_every=2)), 5)["eval.csv"] == {0, 2, 4}

@@ -50,13 +50,13 @@ def test_options_of_an_environment(tmp_path):
         (TASK + 'num_eval_episodes = "64"\n', "is '64': give a whole number of at least 1"),
         (TASK + "[options.all]\nnum_env = 4\n", "no algorithm of the suite mine has the option 'num_env'"),
         (TASK.replace('["Hopper"]', "[]"), "give a list with at least one entry"),
-        (TASK + "[steps]\nAnt = 3\n", "steps of the suite mine name 'Ant', which is none of its tasks"),
+        (TASK + "[steps]\nAnt = 3\n", "steps of the suite mine name 'Ant', which is not one of its tasks"),
         (
             TASK + "[env_options.Ant]\nonset = 0.1\n",
-            "env_options of the suite mine name 'Ant', which is none of its tasks",
+            "env_options of the suite mine name 'Ant', which is not one of its tasks",
         ),
         (TASK + "[env_options]\nHopper = 3\n", "is no table: write [env_options.Hopper]"),
-        (TASK + "[options.sac]\nnum_envs = 3\n", "name 'sac', which is none of its algorithms"),
+        (TASK + "[options.sac]\nnum_envs = 3\n", "name 'sac', which is not one of its algorithms"),
         ("scale = ", "is not TOML"),
     ],
 )

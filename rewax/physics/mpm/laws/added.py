@@ -1,4 +1,4 @@
-"""Stresses that are added to elastic ones: viscosity and muscles."""
+"""Stresses added to elastic stress: viscosity and muscles."""
 
 import jax.numpy as jnp
 
@@ -12,7 +12,7 @@ from rewax.types import Scalar, Vector
 
 @struct.dataclass
 class Newtonian(Viscosity):
-    """2 J viscosity dev(sym C).
+    """Newtonian viscosity: tau = 2 J viscosity dev(sym C).
 
     Attributes:
       viscosity: dynamic viscosity [Pa s], >= 0.
@@ -31,11 +31,11 @@ class Newtonian(Viscosity):
 
 @struct.dataclass
 class Muscle(ActiveStress):
-    """activation (F fibre) (F fibre)^T: an active stress along the deformed fibres.
+    """Active stress along the deformed fibres: tau = activation (F fibre) (F fibre)^T.
 
     Attributes:
-      fibre: direction in the undeformed body, unit vectors of shape (3,) or (num_particles, 3).
-      activation: active stress [Pa], positive pulls together.
+      fibre: directions in the undeformed body, unit vectors of shape (3,) or (num_particles, 3).
+      activation: active stress [Pa]; positive contracts.
     """
 
     fibre: Vector = struct.number(FINITE, "give unit vectors along the fibres", vector=True)

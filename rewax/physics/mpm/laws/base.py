@@ -1,16 +1,16 @@
-"""What a constitutive law is: the classes that laws extend, and how ``materials`` calls them.
+"""Base classes of constitutive laws, and the functions through which ``materials`` evaluates them.
 
-Every solid law needs only the left Cauchy-Green tensor b = F F^T = U diag(s^2) U^T: an elasticity maps principal
-stretches s to principal Kirchhoff stresses tau, a plasticity maps trial stretches to admissible ones. So any elasticity
-goes with any plasticity, and both share one spectral evaluation whose derivative is exact (``linalg3``). A fluid needs
-only J = det F. Viscous and active stresses are functions of F and of the velocity gradient, and are added.
+Every solid law needs only the left Cauchy-Green tensor b = F F^T = U diag(s^2) U^T. An elasticity maps principal
+stretches s to principal Kirchhoff stresses tau; a plasticity maps trial stretches to admissible ones. So any elasticity
+combines with any plasticity, and both share one spectral evaluation with an exact derivative (``linalg3``). A fluid
+needs only J = det F. Viscous and active stresses are functions of F and the velocity gradient, and are added.
 
-Principal values are ``Principal``s: numbers for each axis that carry their divided differences, as ``linalg3.spectral``
-wants. ``+ - * /`` and the functions of ``divided_differences`` (``log``, ``exp``, ``maximum``, ...) work on them. What
-depends on all axes (``s.volume``, a trace, a norm) is one array.
+Principal values are ``Principal`` objects: values on each axis with their divided differences, which
+``linalg3.spectral`` requires. ``+ - * /`` and the functions of ``divided_differences`` (``log``, ``exp``, ``maximum``,
+...) act on them. A quantity that depends on all axes (``s.volume``, a trace, a norm) is one array.
 
-A law is a ``struct.dataclass`` whose numbers are ``struct.number`` fields. Each may be one number, or an array with one
-entry for each particle.
+A law is a ``struct.dataclass``. Its parameters are ``struct.number`` fields: numbers, or arrays with one entry per
+particle.
 """
 
 import math
@@ -28,7 +28,7 @@ from rewax.physics.numerics.elastic_constants import LameParameters
 from rewax.types import Array, Scalar
 
 MIN_STRETCH = 1e-5
-"""Stretches below this count as this in logarithms and quotients [-]."""
+"""Lower bound of stretches in logarithms and quotients [-]."""
 
 
 class Stretches(NamedTuple):
@@ -37,7 +37,7 @@ class Stretches(NamedTuple):
     values: Principal
     """s [-]: square roots of the eigenvalues of F F^T, the smallest with the sign of det F."""
     log: Principal
-    """Logarithmic strain log s [-], of inverted axes log ``MIN_STRETCH``."""
+    """Logarithmic strain log s [-]; log ``MIN_STRETCH`` on inverted axes."""
 
     @property
     def volume(self) -> Array:
@@ -45,30 +45,30 @@ class Stretches(NamedTuple):
         return self.values.product
 
     def volume_to(self, power: float) -> Array:
-        """J^power by the logarithmic strains, finite for flattened and inverted particles [-]."""
+        """J^power [-] from the logarithmic strains; finite for flattened and inverted particles."""
         return jnp.exp(power * self.log.sum)
 
     @classmethod
     def of(cls, values: Principal) -> "Stretches":
-        """With their logarithms."""
+        """Stretches with these values and their logarithms."""
         return cls(values, dd.log(dd.maximum(values, MIN_STRETCH)))
 
 
 class Law(struct.Replaceable):
-    """What all laws have."""
+    """Base of all laws."""
 
     look: ClassVar[str | None] = None
-    """How particles are drawn: "water", "muscle", "dough", "sand", "snow" or "elastic"; None: another law says it."""
+    """How viewers draw particles: "water", "muscle", "dough", "sand", "snow", "elastic"; None: another law decides."""
 
 
 class Elasticity(Law):
-    """How principal stretches make stress; also the base of ``Fluid``.
+    """Stress as a function of principal stretches; also the base of ``Fluid``.
 
     Extend it by ``moduli``, ``principal_stress`` and ``energy``.
     """
 
     def moduli(self) -> LameParameters:
-        """Lame parameters of small strains [Pa]; ``shear`` and ``first`` say how fast sound is and what flows."""
+        """Lame parameters at small strains [Pa]. Sound speed and plastic flow use them."""
         raise NotImplementedError(f"{type(self).__name__}.moduli")
 
     def principal_stress(self, s: Stretches) -> Principal:
@@ -80,13 +80,13 @@ class Elasticity(Law):
         raise NotImplementedError(f"{type(self).__name__}.energy")
 
     def sound_speed(self, density: Scalar) -> Scalar:
-        """Speed of pressure waves at rest [m/s] of a body of this rest density [kg/m^3]."""
+        """Speed of pressure waves at rest [m/s], for a rest density [kg/m^3]."""
         mu, lam = self.moduli()
         return jnp.sqrt((lam + 2.0 * mu) / density)
 
 
 class Fluid(Elasticity):
-    """An elasticity that feels volume only: F becomes J^(1/3) I at once.
+    """An elasticity that depends on volume only: F is reset to J^(1/3) I in every substep.
 
     Extend it by ``stress``, ``energy_of_volume`` and ``sound_speed``.
     """
@@ -94,7 +94,7 @@ class Fluid(Elasticity):
     look = "water"
 
     def stress(self, J: Array, density: Scalar) -> Array:
-        """Kirchhoff stress on all axes, minus J times the pressure [Pa], of the volume ratio J [-]: J dpsi/dJ."""
+        """Kirchhoff stress on all axes [Pa] at the volume ratio J [-]: J dpsi/dJ, minus J times the pressure."""
         raise NotImplementedError(f"{type(self).__name__}.stress")
 
     def energy_of_volume(self, J: Array, density: Scalar) -> Array:
@@ -103,13 +103,13 @@ class Fluid(Elasticity):
 
 
 class Flow(NamedTuple):
-    """What a plasticity makes of trial stretches.
+    """Result of a return map.
 
     Attributes:
-      stretches: after flow.
-      elongation: new over trial stretch minus one [-]; exactly zero where nothing flows, else rounding makes volume
-        creep.
-      memory: what a particle remembers, as in ``Plasticity.initial_memory``.
+      stretches: stretches after flow.
+      elongation: new over trial stretch minus one [-]. It must be exactly zero where nothing flows: rounding would make
+        volume creep.
+      memory: history variables, one for each entry of ``Plasticity.initial_memory``.
     """
 
     stretches: Stretches
@@ -118,26 +118,26 @@ class Flow(NamedTuple):
 
 
 class Plasticity(Law):
-    """What happens to stretches beyond a yield surface, and what particles remember of it.
+    """Return map onto a yield surface, with optional history variables.
 
-    Extend it by ``flow``, and for what particles remember by ``initial_memory``, ``stiffness`` and
-    ``largest_stiffness``. ``LogarithmicPlasticity`` is simpler to extend.
+    Extend it by ``flow``, and for history variables by ``initial_memory``, ``stiffness`` and ``largest_stiffness``.
+    ``LogarithmicPlasticity`` is simpler to extend.
 
     Attributes:
-      initial_memory: numbers that each particle carries, in ``MPMState.memory``, as they are at the start.
-      largest_stiffness: the most that ``stiffness`` can be, for the stable substep.
+      initial_memory: initial values of the history variables that each particle carries in ``MPMState.memory``.
+      largest_stiffness: upper bound of ``stiffness``, for the stable substep.
     """
 
     initial_memory: ClassVar[tuple[float, ...]] = ()
     largest_stiffness: ClassVar[float] = 1.0
 
     def flow(self, s: Stretches, moduli: LameParameters, memory: tuple[Array, ...]) -> Flow:
-        """Admissible stretches, and the memory after this substep.
+        """Admissible stretches, and the history variables after this substep.
 
         Args:
           s: trial stretches.
-          moduli: of the elasticity at small strains [Pa].
-          memory: one number for each of ``initial_memory``.
+          moduli: moduli of the elasticity at small strains [Pa].
+          memory: history variables, one array for each entry of ``initial_memory``.
         """
         raise NotImplementedError(f"{type(self).__name__}.flow")
 
@@ -151,20 +151,20 @@ class LogarithmicPlasticity(Plasticity):
     """A return map in logarithmic strains. Extend it by ``return_map``.
 
     Attributes:
-      least_stretch: trial stretches below this count as this in the return map [-].
+      least_stretch: lower bound of trial stretches in the return map [-].
     """
 
     least_stretch: ClassVar[float] = 0.01
 
     def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
-        """What flow adds to logarithmic strains [-], and whether the particle flows, bool."""
+        """Change of logarithmic strains by flow [-], and whether the particle flows, bool."""
         raise NotImplementedError(f"{type(self).__name__}.return_map")
 
     def flow(self, s: Stretches, moduli: LameParameters, memory: tuple[Array, ...]) -> Flow:
         at_least = dd.maximum(s.log, math.log(self.least_stretch))
         change, flows = self.return_map(at_least, moduli)
         floor = dd.maximum(s.values, self.least_stretch)
-        # Unless it flows, a particle keeps its trial state, inverted or not.
+        # A particle that does not flow keeps its trial state, inverted or not.
         new = dd.select(flows, dd.multiply(floor, dd.exp(change)), s.values)
         log_new = dd.select(flows, dd.add(at_least, change), s.log)
         unchanged = dd.uniform(jnp.zeros_like(s.values.values[0]), s.values)
@@ -173,29 +173,29 @@ class LogarithmicPlasticity(Plasticity):
 
 
 class Viscosity(Law):
-    """Stress by the rate of deformation. Extend it by ``stress`` and ``dynamic_viscosity``."""
+    """Stress as a function of the rate of deformation. Extend it by ``stress`` and ``dynamic_viscosity``."""
 
     def stress(self, F: Mat3, velocity_gradient: Mat3) -> Mat3:
-        """Kirchhoff stress [Pa] of F [-] and of the velocity gradient [1/s], by components."""
+        """Kirchhoff stress [Pa] for F [-] and the velocity gradient [1/s], by components."""
         raise NotImplementedError(f"{type(self).__name__}.stress")
 
     def dynamic_viscosity(self) -> Scalar:
-        """The largest that the law can have [Pa s], for the stable substep."""
+        """Upper bound of the dynamic viscosity [Pa s], for the stable substep."""
         raise NotImplementedError(f"{type(self).__name__}.dynamic_viscosity")
 
 
 class ActiveStress(Law):
-    """Stress by will. Extend it by ``stress``."""
+    """Stress that a controller sets (a muscle). Extend it by ``stress``."""
 
     look = "muscle"
 
     def stress(self, F: Mat3) -> Mat3:
-        """Kirchhoff stress [Pa] of F [-], by components."""
+        """Kirchhoff stress [Pa] for F [-], by components."""
         raise NotImplementedError(f"{type(self).__name__}.stress")
 
 
 def elongation_of(s: Principal, floor: Principal, change: Principal | None = None) -> Principal:
-    """floor exp(change) / s - 1 [-], exactly zero where floor is s and the change of logarithmic strain is zero."""
+    """floor exp(change) / s - 1 [-]; exactly zero where floor equals s and the change of logarithmic strain is 0."""
     ratio = dd.multiply(floor, dd.reciprocal(s))
     more = cp.subtract(floor.values, s.values)
     if change is not None:
@@ -216,20 +216,20 @@ def stretches(eigenvalues: Principal, sign: Array) -> Principal:
     alike = root.differences
 
     def difference(i: int, j: int, k: int) -> Array:
-        """Of signs that differ it is unbounded where sizes are equal, and there it counts as zero."""
+        """For different signs and equal magnitudes the quotient is unbounded; there it is set to zero."""
         gap = eigenvalues.values[i] - eigenvalues.values[j]
         near = jnp.abs(gap) < jnp.finfo(gap.dtype).eps ** (1 / 3) * (root.values[i] + root.values[j]) ** 2
         differ = jnp.where(near, 0.0, (s[i] - s[j]) * dd.inverse_gap(eigenvalues.values, i, j))
         return jnp.where(signs[i] == signs[j], signs[i] * alike[k], differ)
 
-    return Principal(s, cp.vector(lambda k: difference(*dd.PAIRS[k], k)))
+    return Principal(s, cp.vector(lambda k: difference(*dd.PAIRS[k], k)))  # pyright: ignore[reportCallIssue]
 
 
-# --- What ``linalg3.spectral`` evaluates ------------------------------------------------------------------------------
+# --- Functions for ``linalg3.spectral`` -------------------------------------------------------------------------------
 
 
 class Parameters(NamedTuple):
-    """What the laws of a solid are evaluated with."""
+    """Arguments of the laws of a solid."""
 
     elasticity: Elasticity
     plasticity: Plasticity | None
@@ -244,7 +244,7 @@ def elastic_law(eigenvalues: Principal, p: Parameters) -> tuple[Principal]:
 
 
 def plastic_law(eigenvalues: Principal, p: Parameters) -> tuple[Principal | Array, ...]:
-    """Elongation by plastic flow, stress of the new stretches, memory."""
+    """Elongation by plastic flow, stress at the new stretches, history variables."""
     assert p.plasticity is not None
     s = stretches(eigenvalues, p.sign)
     log_s = dd.log(dd.maximum(s, MIN_STRETCH))

@@ -1,4 +1,4 @@
-"""Elastic laws of solids: of ``TwoModuli``; mu and lambda are the Lame parameters."""
+"""Elastic laws of solids with two moduli. mu and lambda are the Lame parameters."""
 
 from rewax import struct
 from rewax.physics.mpm.laws.base import Elasticity, Stretches
@@ -12,7 +12,7 @@ from rewax.types import Array, Scalar
 
 @struct.dataclass
 class TwoModuli(Elasticity):
-    """A law of Young's modulus and Poisson's ratio.
+    """Base of laws with Young's modulus and Poisson's ratio.
 
     Attributes:
       youngs_modulus: E [Pa], > 0.

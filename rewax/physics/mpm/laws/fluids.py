@@ -1,4 +1,4 @@
-"""Fluids: pressure by volume."""
+"""Fluids: pressure as a function of volume."""
 
 import jax.numpy as jnp
 
@@ -9,17 +9,17 @@ from rewax.physics.numerics.elastic_constants import lame_parameters
 from rewax.types import Array, Scalar
 
 MIN_FLUID_VOLUME = 0.05
-"""Fluids compressed to less than this fraction of their volume count as compressed to this [-]."""
+"""Lower bound of a fluid's volume ratio J [-]."""
 TAIT_EXPONENT = 7.0
 
 
 @struct.dataclass
 class QuadraticFluid(Fluid):
-    """tau = lambda J (J - 1): the reference's water, which has the moduli of a solid and no shear.
+    """tau = lambda J (J - 1): the reference's water, with a solid's moduli and without shear.
 
     Attributes:
       youngs_modulus: E [Pa], > 0.
-      poissons_ratio: nu [-], in (0, 0.5); with E it gives lambda, the bulk modulus.
+      poissons_ratio: nu [-], in (0, 0.5); E and nu give lambda, the bulk modulus.
     """
 
     youngs_modulus: Scalar = struct.number(POSITIVE, "give Young's modulus in Pa")
@@ -42,7 +42,7 @@ class QuadraticFluid(Fluid):
 
 @struct.dataclass
 class Tait(Fluid):
-    """tau = -J p with p = density c^2 / 7 (J^-7 - 1), weakly compressible water.
+    """Weakly compressible water: tau = -J p with p = density c^2 / 7 (J^-7 - 1).
 
     Attributes:
       speed_of_sound: c at rest [m/s], > 0.

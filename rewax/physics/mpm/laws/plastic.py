@@ -14,19 +14,19 @@ from rewax.physics.numerics.elastic_constants import LameParameters
 from rewax.types import Array, Scalar
 
 MAX_HARDENING = 5.0
-"""By how much packed snow can be stiffer than fresh snow [-]."""
+"""Largest stiffness of packed snow over that of fresh snow [-]."""
 _FRESH_SNOW = "give a positive number (fresh snow: critical_compression 0.025, critical_stretch 0.0075, hardening 10)"
 
 
 @struct.dataclass
 class VonMises(LogarithmicPlasticity):
-    """Dough: the deviator of logarithmic strain is limited to yield_stress / (2 mu), volume is kept.
+    """Dough: the deviator of logarithmic strain is limited to yield_stress / (2 mu); volume is conserved.
 
     Attributes:
-      yield_stress: the Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0.
+      yield_stress: Frobenius norm of the deviatoric Kirchhoff stress at yield [Pa], > 0.
 
-    Source: Gao et al. 2017, "An adaptive generalized interpolation material point method", with the norm of the
-      deviatoric strain unguarded, so that the map is idempotent.
+    Source: Gao et al. 2017, "An adaptive generalized interpolation material point method". Deviation: nothing is added
+      to the norm of the deviatoric strain, so that the map is idempotent.
     """
 
     look = "dough"
@@ -39,15 +39,15 @@ class VonMises(LogarithmicPlasticity):
 
 @struct.dataclass
 class DruckerPrager(LogarithmicPlasticity):
-    """Sand: shear is limited in proportion to pressure, and what is pulled apart carries no stress.
+    """Sand: shear is limited in proportion to pressure, and separated particles carry no stress.
 
-    The cone ends in its apex at the strain ``cohesion`` along each axis, to which all goes that is pulled further. Near
-    the apex the direction of the deviator varies arbitrarily fast but is multiplied by the room that the cone leaves,
-    so the derivative stays bounded; at the apex it is that of the particle's side.
+    The yield cone ends in its apex at the strain ``cohesion`` along each axis. Larger tensile strains return to the
+    apex. Near the apex the direction of the deviator varies arbitrarily fast, but it is multiplied by the cone's small
+    radius there, so the derivative stays bounded. At the apex it is that of the particle's side.
 
     Attributes:
-      friction_angle: that of triaxial compression [rad], in (0, pi / 2).
-      cohesion: logarithmic strain along each axis to which it can be pulled [-], >= 0.
+      friction_angle: friction angle of triaxial compression [rad], in (0, pi / 2).
+      cohesion: largest tensile logarithmic strain along each axis [-], >= 0.
 
     Source: Klar et al. 2016, Drucker-Prager elastoplasticity, without the volume correction.
     """
@@ -55,7 +55,7 @@ class DruckerPrager(LogarithmicPlasticity):
     look = "sand"
     least_stretch = 0.05
     friction_angle: Scalar = struct.number(Legal(0.0, 0.5 * math.pi), "give an angle in radians (dry sand: 0.5)")
-    cohesion: Scalar = struct.number(NOT_NEGATIVE, "give the strain to which it can be pulled", default=0.0)
+    cohesion: Scalar = struct.number(NOT_NEGATIVE, "give the largest tensile strain, 0 for none", default=0.0)
 
     def return_map(self, log_s: Principal, moduli: LameParameters) -> tuple[Principal, Array]:
         mu, lam = moduli
@@ -72,10 +72,10 @@ class DruckerPrager(LogarithmicPlasticity):
 
 @struct.dataclass
 class Snow(Plasticity):
-    """Stretches are limited to 1 - critical_compression ... 1 + critical_stretch; what flows changes the moduli.
+    """Snow: stretches are limited to 1 - critical_compression ... 1 + critical_stretch, and flow changes the moduli.
 
-    A particle remembers its plastic volume J_p, the volume ratio of all flow. Moduli grow by
-    exp(hardening (1 - J_p)), at most by ``MAX_HARDENING``.
+    The history variable is the plastic volume ratio J_p. Moduli are multiplied by exp(hardening (1 - J_p)), at most by
+    ``MAX_HARDENING``.
 
     Attributes:
       critical_compression, critical_stretch: [-], > 0 (fresh: 0.025 and 0.0075).
@@ -103,13 +103,13 @@ class Snow(Plasticity):
 
 
 def _deviator(log_s: Principal) -> tuple[Array, Principal, Array]:
-    """Mean, deviator and its length of logarithmic strains."""
+    """Mean of logarithmic strains, their deviator and its norm."""
     mean = log_s.sum * (1.0 / 3.0)
     deviator = dd.shift(log_s, -mean)
     return mean, deviator, cp.norm(deviator.values)
 
 
 def _shortening(deviator: Principal, length: Array, limit: Scalar) -> tuple[Principal, Array]:
-    """What cuts the deviator to the limit, and whether that is necessary."""
+    """Change that shortens the deviator to the limit, and whether it is longer."""
     flows = length > limit
     return dd.scale(jnp.where(flows, limit / jnp.where(flows, length, 1.0) - 1.0, 0.0), deviator), flows

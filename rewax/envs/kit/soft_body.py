@@ -1,0 +1,87 @@
+"""Base of tasks with a soft body, whether a robot or prescribed tools move it: observation, status, pictures."""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from rewax.envs.kit.appearance import soft_appearance, soft_values
+from rewax.envs.kit.checks import checked_observation
+from rewax.envs.kit.options import integer_option
+from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.task import Task, against
+from rewax.physics import mpm, tets
+from rewax.physics.mpm import MPMScene, MPMState
+from rewax.physics.numerics import Pose
+from rewax.physics.tets import TetScene, TetState
+from rewax.types import Array, Key, Observation
+
+Scene: TypeAlias = MPMScene | TetScene
+Soft: TypeAlias = MPMState | TetState
+
+
+class SoftBodyTask(Task):
+    """Base of ``SoftTask`` and ``CoupledTask``. Their physics has the field ``soft``: particles, or vertices."""
+
+    scene: Scene
+    cloud: PointCloud
+
+    def points(self, physics: Any) -> tuple[Array, Array]:
+        """Positions and velocities of all points, in the units of the observation, shape (num_points, 3) each."""
+        return physics.soft.x, physics.soft.v
+
+    def seen(self, physics: Any, key: Key) -> tuple[Observation, Key]:
+        return self.cloud.shown(checked_observation(self, self.observe(physics)), self.points(physics), key)
+
+    def observed(self, physics: Any) -> Array:
+        """The fixed points of the cloud, shape (num_points, 3). Rewards are computed from them."""
+        return self.cloud.pick(self.points(physics)[0])
+
+    def particles(self, physics: Any) -> Array:
+        """Positions for pictures [m], shape (num_points, 3)."""
+        return physics.soft.x
+
+    def particle_values(self, physics: Any) -> dict[str, Array]:
+        """Numbers that colour the points in pictures, shape (num_points,) each: ``speed`` [m/s], ``strain`` [-]."""
+        return soft_values(physics.soft)
+
+    @property
+    def appearance(self) -> dict[str, Any]:
+        """How pictures show the soft body, its floor and the camera; see ``rewax.viz.recording``."""
+        return {**soft_appearance(self.scene, self.up), "camera": self.camera}
+
+    @property
+    def up(self) -> np.ndarray:
+        """Unit vector opposite to gravity, for pictures, shape (3,); y if gravity is zero."""
+        return against(self.scene.gravity, (0.0, 1.0, 0.0))
+
+
+def soft_at_rest(scene: Scene, positions: Array) -> Soft:
+    """The state of undeformed particles, or of vertices, at these positions [m] with velocity zero."""
+    if isinstance(scene, TetScene):
+        return tets.initial_state(positions)
+    materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
+    return mpm.initial_state(positions, scene if any(m.initial_memory for m in materials) else None)
+
+
+def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:
+    """Status bits after a step that began at ``start``; see ``mpm.check_status`` and ``tets.check_status``."""
+    if isinstance(scene, TetScene):
+        assert isinstance(soft, TetState)
+        return tets.check_status(scene, soft, poses=poses)
+    assert isinstance(soft, MPMState) and isinstance(start, MPMState)
+    return mpm.check_status(scene, soft, start=start, poses=poses)
+
+
+def check_list_every(list_every: int | None, num_substeps: int) -> None:
+    """Raises ValueError unless ``list_every`` is None or a divisor of ``num_substeps``."""
+    if list_every is None:
+        return
+    integer_option("list_every", list_every, "give a divisor of num_substeps, or None for a whole control step")
+    if num_substeps % list_every:
+        raise ValueError(
+            f"list_every is {list_every}, which does not divide num_substeps = {num_substeps}: choose a divisor, or "
+            "None"
+        )
+
+
+__all__ = ["Scene", "Soft", "SoftBodyTask", "check_list_every", "soft_at_rest", "soft_status"]

@@ -1,0 +1,84 @@
+"""Evaluations of one policy over a grid of physical parameters."""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import jax
+
+from rewax.envs.base import Env
+from rewax.envs.randomize import Constant, hook, leaves
+
+Grid = Mapping[str, tuple[float, ...]]
+"""Values by the name of a parameter, as ``rewax.envs.randomize.leaves`` lists them."""
+
+
+def read_grid(settings: Sequence[str], env: Env) -> dict[str, tuple[float, ...]]:
+    """The grid of ``parameter=v1,v2,...`` texts.
+
+    Args:
+      settings: a text for each parameter. The end of a name is enough where one parameter alone ends so:
+        ``youngs_modulus=400,800`` for ``scene.material.elasticity.youngs_modulus``.
+      env: whose parameters these are.
+
+    Raises:
+      ValueError: in one sentence: a text of another form, a value that is no finite number, no such parameter.
+    """
+    grid: dict[str, tuple[float, ...]] = {}
+    for setting in settings:
+        name, sign, values = setting.partition("=")
+        if not (name and sign and values):
+            raise ValueError(f"--set is {setting!r}: write parameter=value or parameter=value1,value2,...")
+        full = _full_name(name, env)
+        if full in grid:
+            raise ValueError(f"--set names {full} twice: give all its values at once, separated by commas")
+        grid[full] = tuple(_number(name, value) for value in values.split(","))
+    if grid:
+        with_parameters(env, {name: values[0] for name, values in grid.items()})
+    return grid
+
+
+def points(grid: Grid) -> Iterator[dict[str, float]]:
+    """All combinations of the grid's values; the last parameter changes first."""
+    for values in itertools.product(*grid.values()):
+        yield dict(zip(grid, values, strict=True))
+
+
+def with_parameters(env: Env, values: Mapping[str, float]) -> Env:
+    """An environment of the same structure with other values of some parameters.
+
+    Raises:
+      ValueError: the environment has no such parameter.
+    """
+    return hook({name: Constant(value) for name, value in values.items()})(jax.random.key(0), env)
+
+
+def _full_name(name: str, env: Env) -> str:
+    """The name of the one parameter that ends so; else the name itself."""
+    ends = [known for known in leaves(env) if known.endswith(f".{name}")]
+    return ends[0] if len(ends) == 1 else name
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"--set gives {name} the value {text!r}: give a finite number")
+    return value
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows with the same columns as lines of text: names above, columns aligned."""
+    cells = [list(rows[0]), *([_text(value) for value in row.values()] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(cells[0]))]
+    return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+__all__ = ["Grid", "points", "read_grid", "table", "with_parameters"]

@@ -1,0 +1,46 @@
+"""Estimates of speed, time and memory of a run on a CPU, before its program is compiled."""
+
+from typing import Any
+
+import jax
+
+from rewax.envs.base import Env
+from rewax.training.loop.progress import duration
+
+_PER_CORE = {True: 0.9e6, False: 4e6}
+"""Particle-substeps per second and core, with and without the gradient (docs/measured/benchmarks.md)."""
+
+
+def cost_sentence(env: Env, agent_config: Any, num_steps: int) -> str:
+    """Memory and hours that a run of a task with particles takes on a CPU, roughly; empty on an accelerator.
+
+    Args:
+      env: unbatched environment.
+      agent_config: of the algorithm.
+      num_steps: control steps of all environments.
+    """
+    if jax.default_backend() != "cpu":
+        return ""
+    inner: Any = getattr(env, "unwrapped", env)
+    if not all(hasattr(inner, name) for name in ("scene", "rest_positions", "num_substeps")):
+        return "the first progress line says how long the run takes on this CPU"
+    from rewax.physics.mpm.memory import predict_peak_bytes
+
+    count = inner.rest_positions.shape[0]
+    differentiated = getattr(agent_config, "differentiate", "none") != "none"
+    speed = _PER_CORE[differentiated] * jax.device_count() / (count * inner.num_substeps)
+    hours = duration(num_steps / speed)
+    text = f"about {speed:.3g} control steps a second on {jax.device_count()} cores, {hours} for all {num_steps:,}"
+    if not differentiated:
+        return text
+    peak = predict_peak_bytes(
+        inner.scene,
+        num_particles=count,
+        num_substeps=inner.num_substeps,
+        num_envs=agent_config.num_envs,
+        horizon=agent_config.steps_in(env),
+    )
+    return f"{text}; about {peak / 1e9:.2g} GB of memory for the gradient"
+
+
+__all__ = ["cost_sentence"]

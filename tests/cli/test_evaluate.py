@@ -1,0 +1,79 @@
+"""``rewax eval``: numbers as lines, as JSON and over a grid of parameters; options are checked before any work."""
+
+import json
+
+import pytest
+import toys
+
+from rewax.cli.main import main
+from rewax.envs import registry
+from rewax.training.evaluation import episodes
+
+TOY = "ToyForEvaluation"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Directory of a run of one iteration."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(registry._FACTORIES, TOY, lambda scale: toys.point_mass(4))
+        argv = ["train", f"--env={TOY}", "--scale=small", f"--run-dir={folder}", "--steps=4", *toys.TINY]
+        assert main([*argv, "--train.no-plots"]) == 0
+        yield folder
+
+
+def test_numbers_are_printed_and_kept_as_json(run, capsys):
+    assert main(["eval", str(run), "--episodes=3", "--no-video"]) == 0
+    text, kept = capsys.readouterr().out, json.loads((run / "eval.json").read_text())
+    assert (kept["iteration"], kept["episodes"], kept["seed"]) == (1, 3, 0)
+    for name in ("sampled", "deterministic"):
+        numbers = kept[name]
+        assert f"{name:13s} mean {numbers['mean']:.4g} [" in text
+        assert numbers["mean"] == pytest.approx(sum(numbers["returns"]) / 3) and len(numbers["returns"]) == 3
+        assert numbers["interval"][0] <= numbers["mean"] <= numbers["interval"][1]
+
+
+def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
+    out = tmp_path / "grid.json"
+    assert main(["eval", str(run), "--episodes=3", "--no-video", "--set=gain=0,0.5", f"--json={out}"]) == 0
+    lines, grid = capsys.readouterr().out.splitlines(), json.loads(out.read_text())["grid"]
+    assert lines[1].split()[:2] == ["gain", "sampled"] and len(lines) == 5
+    assert [point["parameters"] for point in grid] == [{"gain": 0.0}, {"gain": 0.5}]
+    still, moved = (point["deterministic"]["returns"] for point in grid)
+    assert main(["eval", str(run), "--episodes=3", "--no-video", f"--json={out}"]) == 0
+    assert moved == pytest.approx(json.loads(out.read_text())["deterministic"]["returns"], rel=1e-5)
+    starts = [(-total / 4) ** 0.5 for total in still]  # a point that stays at x earns -x^2 in each of 4 steps
+    assert all(0.5 <= start <= 1.5 for start in starts) and still != moved
+
+
+@pytest.mark.parametrize(
+    ("argv", "sentence"),
+    [
+        (["--color-by=smell"], "particles cannot be coloured by 'smell': use one of material, height"),
+        (["--set=gain"], "--set is 'gain': write parameter=value or parameter=value1,value2,..."),
+        (["--set=gain=fast"], "--set gives gain the value 'fast': give a finite number"),
+        (["--set=gains=1"], "PointMass has no leaf 'gains': near are gain; "),
+        (["--set=gain=1", "--set=gain=2"], "--set names gain twice: give all its values at once"),
+        (["--video-size", "7", "8"], "video-size is 7 8: give even numbers from 2 on"),
+        (["--video-path=nowhere/a.mp4"], "video-path is nowhere/a.mp4: give a file .mp4 in a folder that exists"),
+        (["--json=a.txt"], "json is a.txt: give a file .json in a folder that exists"),
+        (["--seed=-1"], "seed is -1: give a whole number from 0 to 4294967295"),
+    ],
+)
+def test_options_are_refused_before_an_episode_is_computed(run, monkeypatch, capsys, argv, sentence):
+    monkeypatch.setattr(episodes, "_evaluate", lambda *args: pytest.fail("evaluated first"))
+    assert main(["eval", str(run), *argv]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_the_video_has_the_size_and_place_that_are_asked_for(run, tmp_path, capsys):
+    path = tmp_path / "small.mp4"
+    argv = ["--episodes=1", "--video-size", "64", "48", f"--video-path={path}", "--color-by=height"]
+    assert main(["eval", str(run), *argv]) == 0
+    assert f"wrote {path}" in capsys.readouterr().out
+    import imageio_ffmpeg
+
+    reader = imageio_ffmpeg.read_frames(str(path))
+    assert next(reader)["size"] == (64, 48)
+    reader.close()

@@ -1,0 +1,24 @@
+"""What a run will take on a CPU is said before it is compiled."""
+
+import toys
+
+import rewax
+from rewax.agents.presets import ppo_preset, sapo_preset
+from rewax.training.loop.estimate import cost_sentence
+
+
+def test_a_task_with_particles_has_speed_time_and_memory():
+    env, config = rewax.make("RollingFlat", scale="paper"), sapo_preset("RollingFlat", "paper")
+    text = cost_sentence(env, config, 4_000_000)
+    assert "control steps a second on" in text and "for all 4,000,000; about" in text
+    memory = float(text.split("; about ")[1].split(" GB")[0])
+    assert 0.5 < memory < 3.0  # 32 environments of 2592 particles over 32 steps: 0.748 GB with transfers in C++
+    half = cost_sentence(env, config, 2_000_000)
+    hours, half_hours = (int(one.split("cores, ")[1].split(":")[0]) for one in (text, half))
+    assert abs(hours - 2 * half_hours) <= 1 and hours > 5
+    without = cost_sentence(env, ppo_preset("RollingFlat", "paper"), 4_000_000)
+    assert "memory" not in without and float(without.split()[1]) > 4 * float(text.split()[1])
+
+
+def test_other_tasks_are_told_where_to_look():
+    assert "the first progress line says" in cost_sentence(toys.point_mass(), sapo_preset("Ant", "paper"), 100)
