@@ -200,9 +200,9 @@ class Camera(struct.Replaceable):
             *(see_triangles(surface, labels[surface.name], rays, everything=everything) for surface in world.triangles),
         ]
         hits = nearest(layers, rays, everything=everything)
-        seen = hits.depth < self.far
+        seen, normal = hits.depth < self.far, hits.normal
         return Hits(
             depth=jnp.where(seen, hits.depth, self.far),
             label=None if hits.label is None else jnp.where(seen, hits.label, NOTHING),
-            normal=None if hits.normal is None else cp.vector(lambda i: jnp.where(seen, hits.normal[i], 0.0)),
+            normal=None if normal is None else cp.vector(lambda i: jnp.where(seen, normal[i], 0.0)),
         )

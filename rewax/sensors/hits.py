@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
 from rewax.sensors.world import NOTHING
@@ -60,7 +59,9 @@ def nearest(layers: Sequence[Hits], rays: Rays, *, everything: bool) -> Hits:
         label = normal = None
         if everything:
             assert hits.label is not None and best.label is not None
+            assert hits.normal is not None and best.normal is not None
             label = jnp.where(nearer, hits.label, best.label)
-            normal = cp.vector(lambda i, a=hits.normal, b=best.normal: jnp.where(nearer, a[i], b[i]))  # noqa: B023
+            x, y, z = (jnp.where(nearer, a, b) for a, b in zip(hits.normal, best.normal, strict=True))
+            normal = (x, y, z)
         best = Hits(jnp.minimum(hits.depth, best.depth), label, normal)
     return best

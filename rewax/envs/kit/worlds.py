@@ -3,7 +3,6 @@
 import functools
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,6 +13,7 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Plane
 from rewax.physics.tets import TetScene, TetState
 from rewax.sensors.world import Balls, Solid, Triangles, World, half_space, solids
+from rewax.types import Array, Scalar
 
 BALL_RADIUS = 0.4
 """Of a particle, in cells of the grid. Of eight particles in a cell, neighbours on the diagonal then overlap."""
@@ -49,7 +49,7 @@ def with_tools(world: World, colliders: Any, bodies: Pose) -> World:
     return world.replace(solids=(*world.solids, *solids(colliders, bodies)), bodies=bodies)
 
 
-def _ground(normal: jax.Array, height: jax.Array) -> Solid:
+def _ground(normal: Array, height: Scalar) -> Solid:
     """Its normal is data, so the rotation is that which takes y to it."""
     side = jnp.where(jnp.abs(normal[0]) < 0.9, jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
     side = jnp.cross(normal, side)

@@ -50,8 +50,8 @@ class Ellipsoid(Shape):
 
     def cast(self, origin: Vec3, direction: Vec3) -> Array:
         """Exact: a ball of radius 1 once lengths are divided by the semi-axes."""
-        scaled = [cp.vector(lambda i, v=v: v[i] / self.semi_axes[..., i]) for v in (origin, direction)]
-        return ball_entry(*scaled, 1.0)
+        start = cp.vector(lambda i: origin[i] / self.semi_axes[..., i])
+        return ball_entry(start, cp.vector(lambda i: direction[i] / self.semi_axes[..., i]), 1.0)
 
     def draw(self) -> list[Drawing]:
         """An ellipsoid."""
