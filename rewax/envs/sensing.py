@@ -75,9 +75,15 @@ class Sensing(struct.Replaceable, _Wrapper):
         own = {name: value for name, value in state.obs.items() if name not in self.sensors}
         return self._sensed(self.env.step(state.replace(obs=own), action))
 
-    def world(self, physics: Any) -> World:
-        """What the sensors see. Gradient: exact."""
-        return getattr(self.env, "unwrapped", self.env).world(physics, np.asarray(self.up))
+    def world(self, physics: Any, up: np.ndarray | None = None) -> World:
+        """The world that the sensors see, by default with ``self.up``. Gradient: exact."""
+        return getattr(self.env, "unwrapped", self.env).world(physics, np.asarray(self.up if up is None else up))
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is the environment's own: pictures, rewards, what tasks offer beyond the protocol."""
+        if name.startswith("_") or name in ("env", "sensors"):
+            raise AttributeError(name)
+        return getattr(self.env, name)
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:
