@@ -111,7 +111,7 @@ def test_there_is_one_version(tmp_path):
     (tmp_path / "CHANGELOG.md").write_text(changes.replace(heading, f"## {rewax.__version__}, 2026-01-31"))
     assert version_script(tmp_path, rewax.__version__).returncode == 0
     assert "the tag is of version 9.9.9" in version_script(tmp_path, "9.9.9").stderr
-    assert version_script(tmp_path, "--notes").stdout.startswith("- ")
+    assert version_script(tmp_path, "--notes").stdout.startswith("### Added")
     (tmp_path / "CHANGELOG.md").write_text(changes.replace(heading, "## 9.9.9, 2026-01-31"))
     assert "the first heading of CHANGELOG.md" in version_script(tmp_path).stderr
     (tmp_path / "CITATION.cff").write_text("version: 9.9.9\n")

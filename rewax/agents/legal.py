@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import inspect
 import math
+import os
 import types
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
@@ -79,7 +80,9 @@ _PLAIN = {
 
 
 def check_fields(config: Any) -> None:
-    """Check every field of a frozen dataclass against its type; lists become tuples, NumPy's numbers Python's.
+    """Check every field of a frozen dataclass against its type.
+
+    Lists become tuples, paths text, and NumPy's numbers Python's.
 
     Raises:
       ValueError: a value is not legal; the message has the field's name, the value and what to give instead.
@@ -88,6 +91,8 @@ def check_fields(config: Any) -> None:
         value = getattr(config, field.name)
         if isinstance(value, list):
             object.__setattr__(config, field.name, tuple(value))
+        elif isinstance(value, os.PathLike):
+            object.__setattr__(config, field.name, os.fspath(value))
         elif isinstance(value, np.generic):
             object.__setattr__(config, field.name, value.item())
     for name, legal in legal_values(type(config)).items():

@@ -53,7 +53,7 @@ def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
         (["--color-by=smell"], "particles cannot be coloured by 'smell': use one of material, height"),
         (["--set=gain"], "--set is 'gain': write parameter=value or parameter=value1,value2,..."),
         (["--set=gain=fast"], "--set gives gain the value 'fast': give a finite number"),
-        (["--set=gains=1"], "PointMass has no leaf 'gains': near are gain; "),
+        (["--set=gains=1"], "PointMass has no parameter 'gains': near are gain; "),
         (["--set=gain=1", "--set=gain=2"], "--set names gain twice: give all its values at once"),
         (["--video-size", "7", "8"], "video-size is 7 8: give even numbers from 2 on"),
         (["--video-path=nowhere/a.mp4"], "video-path is nowhere/a.mp4: give a file .mp4 in a folder that exists"),

@@ -65,27 +65,27 @@ def constraint_arrays(m: mjx.Model, d: mjx.Data, contact: mjx.Contact | None) ->
 
 def actuator_moments(d: mjx.Data) -> Array:
     """Moment arms of actuators from ``mjx.transmission``, shape (num_actuators, num_dofs)."""
-    return d._impl.actuator_moment
+    return d._impl.actuator_moment  # transmission returns them nowhere else
 
 
 def tendon_jacobian(d: mjx.Data) -> Array:
     """Derivative of the tendons' lengths from ``mjx.tendon``, shape (num_tendons, num_dofs)."""
-    return d._impl.ten_J
+    return d._impl.ten_J  # tendon returns it nowhere else
 
 
 def actuator_velocities(d: mjx.Data) -> Array:
     """Velocities set by ``with_actuator_velocities``, shape (num_actuators,)."""
-    return d._impl.actuator_velocity
+    return d._impl.actuator_velocity  # where with_actuator_velocities writes them
 
 
 def with_actuator_velocities(d: mjx.Data, velocity: Array) -> mjx.Data:
     """Data with actuator velocities, which ``mjx.fwd_actuation`` reads."""
-    return d.tree_replace({"_impl.actuator_velocity": velocity})
+    return d.tree_replace({"_impl.actuator_velocity": velocity})  # where fwd_actuation reads them
 
 
 def with_tendon_velocities(d: mjx.Data, velocity: Array) -> mjx.Data:
     """Data with tendon velocities, which ``mjx.passive`` reads."""
-    return d.tree_replace({"_impl.ten_velocity": velocity})
+    return d.tree_replace({"_impl.ten_velocity": velocity})  # where passive reads them
 
 
 def contact_of(

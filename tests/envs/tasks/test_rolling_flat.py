@@ -336,15 +336,15 @@ def test_gradient_of_the_return_is_finite_and_rewards_pressing(reduced_gradient)
     ("kwargs", "sentence"),
     [
         (
-            {"dt": 1e-2},
+            {"dt": 1e-2, "num_substeps": 1},
             "dt is 0.01 s, above the largest stable .* s for this material on a grid of spacing .* m: take ",
         ),
         ({"youngs_modulus": 1e6}, "dt is 0.0007 s, above the largest stable .*: take more substeps"),
         (
             {"youngs_modulus": -1.0},
-            r"elasticity\.youngs_modulus is -1\.0, but must be positive: give Young's modulus in",
+            r"youngs_modulus is -1\.0, but must be positive: give a number of pascals",
         ),
-        ({"yield_stress": 0.0}, r"plasticity\.yield_stress is 0\.0, but must be positive: give the von Mises yield"),
+        ({"yield_stress": 0.0}, r"yield_stress is 0\.0, but must be positive: give a number of pascals"),
         ({"dt": 0.0}, "dt is 0.0, but must be positive: give the duration of a substep in seconds"),
     ],
 )
