@@ -136,8 +136,8 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
     """Mesh the occupied cells of a rectilinear grid. Tets of neighbouring cells share whole faces.
 
     With six tets per cell (Kuhn), all six share the diagonal from the lowest to the highest corner, and all cells are
-    divided alike. With five, one tet lies in the middle and four at alternate corners, and neighbouring cells are mirror
-    images. Five are fewer tets, but of unequal size.
+    divided alike. With five, one tet lies in the middle and four at alternate corners, and neighbouring cells are
+    mirror images. Five are fewer tets, but of unequal size.
 
     Args:
       occupied: mask of the cells of the body, bool of shape (nx, ny, nz).
@@ -174,8 +174,8 @@ def soft_jumper_table() -> TetMesh:
     """The table of the task SoftJumper: 204 vertices, 444 tets, 4.8975 m^3.
 
     A slab of 7 x 2 x 7 cubes of edge ``TABLE_CELL`` stands on four legs of 1 x 3 x 1 cubes; y is up. The slab is one
-    layer of cells, each two cubes high and divided into six tets. The vertical edges on the slab's rim are then split in
-    the middle. No vertex lies inside the slab.
+    layer of cells, each two cubes high and divided into six tets. The vertical edges on the slab's rim are then split
+    in the middle. No vertex lies inside the slab.
 
     Source: the reference's extents, counts and volume. Its decomposition is not published.
     """

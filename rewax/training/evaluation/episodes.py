@@ -58,7 +58,9 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
 
 
 def make_evaluate_in(policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
-    """``make_evaluate`` with the environment as an argument: environments that differ only in parameters share a program.
+    """``make_evaluate`` with the environment as an argument.
+
+    Environments that differ only in parameters share one compiled program.
 
     Returns:
       A jitted ``evaluate(env, train_state, key, deterministic=False) -> Evaluation``.
@@ -96,7 +98,7 @@ def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> E
 
 
 def constant_policy(action: Array) -> Policy:
-    """A baseline that always takes ``action``, of shape ``env.action_spec.shape``. Zeros give the baseline "no action"."""
+    """A baseline that always takes ``action``, of shape ``env.action_spec.shape``. Zeros: the baseline "no action"."""
 
     def policy(train_state: PyTree, obs: PyTree, key: Key, deterministic: bool = False) -> Array:
         del train_state, obs, key, deterministic

@@ -22,7 +22,7 @@ _REMEDY = "shorter substeps, softer contacts and materials, or smaller learning 
 class _Iteration(NamedTuple):
     """Counts of one iteration.
 
-    ``episodes`` is the number of ended episodes, or the number of steps divided by the episode length if that is larger.
+    ``episodes`` is the larger of two numbers: ended episodes, and steps divided by the episode length.
     """
 
     failed: int
