@@ -11,7 +11,7 @@ import argparse
 import jax
 import mujoco
 import numpy as np
-from sensors.scenes import EYE, SCENES, TARGET, UP, mjcf, ray_depth
+from camera_scenes import EYE, SCENES, TARGET, UP, mjcf, ray_depth
 
 from rewax.physics import rigid
 from rewax.sensors import Camera, World

@@ -211,6 +211,14 @@ def test_the_tutorial_of_a_soft_task_runs(capsys):
     assert "Press" in names["rewax"].list_envs() and names["agent"].name == "sapo" and env.num_actions == 1
 
 
+def test_the_page_of_cameras_runs(capsys):
+    names = run_page("docs/sensors.md")
+    assert capsys.readouterr().out.splitlines()[0] == "(64, 64, 1)"
+    depth = np.asarray(names["state"].obs["depth"])
+    assert depth.min() < 0.9 < depth.max() == 1.0, "the camera sees the cart"
+    assert names["agent"].config.observe == ("depth",) and "depth" not in names["agent"].config.critic_observe
+
+
 def test_the_torus_of_the_shapes_page_pushes_is_filled_and_is_drawn(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = run_page("docs/your_own_shape.md")

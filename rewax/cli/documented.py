@@ -1,4 +1,4 @@
-"""Configurations as groups of command-line options, each with its help from the docstrings."""
+"""Command-line options for the fields of a configuration, with help texts from its docstring."""
 
 import dataclasses
 import inspect
@@ -10,18 +10,22 @@ import tyro
 
 
 def option_group(config: Any) -> Any:
-    """A configuration whose fields are options with help: a dataclass of the same fields and defaults, for the parser.
+    """Build a dataclass instance for tyro with the fields of a configuration, annotated with help texts.
 
-    The parser's own reading of docstrings finds no help where one entry documents several fields (``adam_b1, adam_b2:
-    of all optimizers``).
+    tyro's own docstring parser finds no help where one entry documents several fields (``adam_b1, adam_b2: of all
+    optimizers``).
 
     Args:
-      config: instance of a dataclass, whose values are the defaults.
+      config: dataclass instance. Its values become the defaults.
+
+    Returns:
+      An instance of a new dataclass with the same field names. It is ``config`` itself if its type hints cannot be
+      resolved.
     """
     kind = type(config)
     try:
         hints = typing.get_type_hints(kind, include_extras=True)
-    except NameError:  # written as a string that only a type checker can resolve
+    except NameError:  # a string annotation that only a type checker can resolve
         return config
     texts = field_help(kind)
     fields = []
@@ -34,7 +38,11 @@ def option_group(config: Any) -> Any:
 
 
 def with_options(config: Any, group: Any) -> Any:
-    """The configuration with the values of a group that ``option_group`` made of it and the parser has filled.
+    """Return a copy of the configuration with the parsed values of its option group.
+
+    Args:
+      config: the configuration.
+      group: what ``option_group(config)`` returned, with the values that the parser set.
 
     Raises:
       ValueError: from the configuration's own checks.
@@ -45,7 +53,7 @@ def with_options(config: Any, group: Any) -> Any:
 
 
 def field_help(kind: type) -> dict[str, str]:
-    """The entry of each field of a dataclass in its docstring; a class has priority over its bases."""
+    """Docstring entries of a dataclass's fields, by name. Entries of a class override those of its bases."""
     found: dict[str, str] = {}
     for part in reversed(kind.__mro__):
         if part is not object:
@@ -55,7 +63,7 @@ def field_help(kind: type) -> dict[str, str]:
 
 
 def _attributes(docstring: str) -> dict[str, str]:
-    """Entries of the section ``Attributes:``, by name."""
+    """Entries of a docstring's section ``Attributes:``, by name."""
     section = re.search(r"^Attributes:\n((?: .*\n|\n)*)", inspect.cleandoc(docstring) + "\n", flags=re.MULTILINE)
     entries = re.split(r"^  (?=[a-z_])", section[1], flags=re.MULTILINE)[1:] if section else []
     found = {}

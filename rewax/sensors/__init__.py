@@ -3,9 +3,9 @@
 from rewax.sensors.camera import Camera, View
 from rewax.sensors.depth_cloud import DepthCloud
 from rewax.sensors.noise import DepthNoise
-from rewax.sensors.world import NOTHING, Balls, Solid, Triangles, World, half_space, solids
+from rewax.sensors.world import NOTHING, Balls, Solid, Triangles, World, half_space, placed_colliders
 
 __all__ = [
     "NOTHING", "Balls", "Camera", "DepthCloud", "DepthNoise", "Solid", "Triangles", "View", "World", "half_space",
-    "solids",
+    "placed_colliders",
 ]  # fmt: skip

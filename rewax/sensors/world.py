@@ -99,7 +99,7 @@ class World(struct.Replaceable):
         return body_pose(self.bodies, index)
 
 
-def solids(colliders: Sequence[Collider], bodies: Pose, name: str = "tool") -> tuple[Solid, ...]:
+def placed_colliders(colliders: Sequence[Collider], bodies: Pose, name: str = "tool") -> tuple[Solid, ...]:
     """Colliders as solids.
 
     Args:

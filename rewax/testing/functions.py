@@ -30,7 +30,7 @@ def check_reset_key(reset: _Reset, state: State, key: Key) -> None:
 
 
 def check_purity(env: Env, step: _Step, state: State, action: Array, new: State, tolerance: float) -> None:
-    """Checks that a step depends on state and action only."""
+    """Checks that a step depends on state and action only, and that ``jit`` does not change its result."""
     pure = (
         "let step depend on state and action alone: no Python state, no numpy random numbers, no callbacks that count"
     )
@@ -56,7 +56,7 @@ def check_vmap(env: Env, reset: _Reset, step: _Step, key: Key, tolerance: float)
 
 
 def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -> None:
-    """Checks that an action beyond its bounds has the effect of the action at the bound."""
+    """Checks that an action beyond a bound gives the same step as the action at the bound."""
     spec = env.action_spec
     for bound, direction in ((spec.low, -1.0), (spec.high, 1.0)):
         beyond = step(state, jnp.full(spec.shape, bound + direction * 10.0 * (spec.high - spec.low)))
@@ -66,7 +66,10 @@ def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -
 
 
 def check_gradient(env: Env, state: State, key: Key, num_steps: int) -> None:
-    """Checks the gradient of the reward of a few steps with respect to their actions. Some of its entries may be 0."""
+    """Checks the gradient of the summed reward of a few steps with respect to their actions.
+
+    It must be finite, and at least one of its entries must be nonzero.
+    """
     actions = 0.9 * jax.vmap(lambda k: random_action(env, k))(jax.random.split(key, num_steps))
     leaves = EnvLeaves.of(env)
 
@@ -108,7 +111,7 @@ def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, n
         pairs = zip(names, (leaf for _, leaf in named), strict=True)
         return {name: leaf for name, leaf in pairs if jnp.issubdtype(leaf.dtype, jnp.floating)}
 
-    # Forward derivative along one direction of the actions: it shows which arrays of the last state change.
+    # The forward derivative along one direction of the actions shows which arrays of the last state change.
     _, changes = jax.jit(lambda a: jax.jvp(end, (a,), (jnp.ones_like(a),)))(actions)
     moved = [name for name, change in changes.items() if bool(jnp.any(change != 0))]
     what = f"the reward of {num_steps} steps has a zero gradient with respect to their actions"
@@ -125,7 +128,7 @@ def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, n
 
 
 def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
-    """Runs to the end of the episode, and one step beyond."""
+    """Checks status, step count and end flags over one episode, and that a step after its end does not reset."""
     length = env.episode_length
     for count in range(1, length + 1):
         state = step(state, random_action(env, jax.random.fold_in(key, count)))
@@ -159,7 +162,10 @@ def _floats(tree: PyTree) -> list[np.ndarray]:
 
 
 def check_same(a: PyTree, b: PyTree, tolerance: float, what: str, remedy: str, *, of: str = "the state") -> None:
-    """Leaves agree within ``tolerance`` relative to the largest number of the leaf; integers and keys exactly."""
+    """Checks that two pytrees agree: integers and keys exactly, floats within a tolerance.
+
+    The absolute tolerance of a floating-point leaf is ``tolerance * max(1, max(abs(leaf)))``.
+    """
     assert jax.tree.structure(a) == jax.tree.structure(b), f"{what} return different structures: {remedy}"
     for (path, x), y in zip(jax.tree.leaves_with_path(a), jax.tree.leaves(b), strict=True):
         if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):

@@ -1,4 +1,4 @@
-"""Pictures of a recording, drawn by the best renderer on this machine."""
+"""Pictures of a recording, drawn with MuJoCo's OpenGL renderer or with NumPy."""
 
 import os
 from collections.abc import Iterator
@@ -26,17 +26,19 @@ def pictures(
     Args:
       recording: what to show.
       size: height and width in pixels.
-      renderer: ``mujoco`` needs OpenGL through EGL or OSMesa; ``software`` needs NumPy alone; ``auto`` takes MuJoCo's
-        where a graphics card draws and no surfaces are shown, and continues with ``software`` if it fails.
-      color_by: what colours particles: ``material``, ``height``, ``speed``, ``strain``.
-      surface: show particles by the surfaces of their materials (True) or as balls (False). None shows surfaces unless
-        the renderer is ``mujoco``, which draws none.
+      renderer: ``mujoco`` needs OpenGL through EGL or OSMesa; ``software`` needs only NumPy. ``auto`` uses
+        ``mujoco`` if OpenGL runs on a graphics card and no surfaces are shown, and ``software`` otherwise. If MuJoCo's
+        drawing process dies, ``auto`` draws the remaining frames with ``software``.
+      color_by: quantity that determines the colour of particles: ``material``, ``height``, ``speed``, ``strain``.
+      surface: True draws the surfaces of materials, False draws particles as balls. None draws surfaces unless the
+        renderer is ``mujoco``, which cannot draw them.
 
     Returns:
       Pictures in order, uint8 of shape (height, width, 3).
 
     Raises:
-      ValueError: an unknown renderer, no value named ``color_by``, no OpenGL for ``mujoco``, or surfaces with it.
+      ValueError: the renderer is unknown, the recording has no quantity ``color_by``, ``mujoco`` finds no OpenGL, or
+        surfaces are requested from ``mujoco``.
     """
     if renderer not in RENDERERS:
         raise ValueError(f"renderer is {renderer!r}: use one of {', '.join(RENDERERS)}")
@@ -67,18 +69,18 @@ def pictures(
 def software_pictures(
     recording: Recording, size: tuple[int, int], color_by: str, *, surface: bool = False
 ) -> Iterator[np.ndarray]:
-    """Pictures drawn with NumPy, several at a time in threads."""
+    """Draw pictures with NumPy, several at a time in threads."""
     from rewax.viz.software import SoftwareRenderer
 
     drawn = SoftwareRenderer(recording, height=size[0], width=size[1], color_by=color_by, surface=surface)
     threads = max(1, min(4, os.cpu_count() or 1))
     with ThreadPoolExecutor(threads) as pool:
-        for first in range(0, recording.num_frames, 4 * threads):  # bounds the memory of finished pictures
+        for first in range(0, recording.num_frames, 4 * threads):  # limits the memory of finished pictures
             yield from pool.map(drawn.render, range(first, min(first + 4 * threads, recording.num_frames)))
 
 
 def _or_software(recording: Recording, size: tuple[int, int], color_by: str, backend: str) -> Iterator[np.ndarray]:
-    """MuJoCo's pictures; if it fails, the rest come from the software renderer."""
+    """Draw with MuJoCo; if its process dies, draw the remaining frames with the software renderer."""
     from rewax.viz.opengl import mujoco_pictures
 
     done = 0

@@ -4,17 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from sensors.scenes import EYE, SCENES, TARGET, UP, mjcf, ray_depth
+from camera_scenes import CAMERA, EYE, FAR, SCENES, STRAIGHT, UP, mjcf, ray_depth
 
 from rewax.physics import rigid
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Sphere
 from rewax.sensors import Balls, Camera, DepthNoise, Solid, Triangles, World, half_space
 from rewax.sensors.robots import with_robot
-
-FAR = 5.0
-CAMERA = Camera.look_at(TARGET, eye=EYE, up=UP, near=0.3, far=FAR, height=48, width=64)
-STRAIGHT = jnp.eye(3)
 
 
 def world_of_all_kinds(shift: jax.Array | float = 0.0) -> World:

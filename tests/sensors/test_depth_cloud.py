@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from sensors.test_camera import CAMERA, FAR, STRAIGHT
+from camera_scenes import CAMERA, FAR, STRAIGHT
 
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Sphere

@@ -12,7 +12,7 @@ from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Plane
 from rewax.physics.tets import TetScene, TetState
-from rewax.sensors.world import Balls, Solid, Triangles, World, half_space, solids
+from rewax.sensors.world import Balls, Solid, Triangles, World, half_space, placed_colliders
 from rewax.types import Array, Scalar
 
 BALL_RADIUS = 0.4
@@ -46,7 +46,7 @@ def soft_world(scene: MPMScene | TetScene, soft: MPMState | TetState, up: np.nda
 
 def with_tools(world: World, colliders: Any, bodies: Pose) -> World:
     """The world with colliders of bodies at these poses, shapes (num_bodies, 3) and (num_bodies, 3, 3)."""
-    return world.replace(solids=(*world.solids, *solids(colliders, bodies)), bodies=bodies)
+    return world.replace(solids=(*world.solids, *placed_colliders(colliders, bodies)), bodies=bodies)
 
 
 def _ground(normal: Array, height: Scalar) -> Solid:

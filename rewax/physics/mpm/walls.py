@@ -1,4 +1,4 @@
-"""The sides of the box as conditions on the velocities of grid nodes."""
+"""Walls at the sides of the grid's box: boundary conditions on the velocities of grid nodes."""
 
 import enum
 import math
@@ -20,7 +20,7 @@ from rewax.types import Array, Scalar
 
 
 class WallKind(enum.Enum):
-    """Effect of a wall on the velocity of the nodes behind it."""
+    """Effect of a wall on the velocities of the nodes beyond it."""
 
     STICKY = "sticky"
     """Velocity is zero."""
@@ -29,17 +29,17 @@ class WallKind(enum.Enum):
     SEPARATING = "separating"
     """Motion into the wall is stopped, with Coulomb friction; nodes may leave."""
     GRIPPING = "gripping"
-    """Nodes that move into the wall stop completely; nodes may leave. Separating with unlimited friction."""
+    """Nodes that move into the wall stop completely; nodes may leave. This is unlimited Coulomb friction."""
 
 
 @struct.dataclass
 class Wall:
-    """A plane of the grid's box, in metres: nodes beyond ``position`` obey the wall.
+    """A plane normal to a grid axis. It acts on the nodes strictly beyond ``position``.
 
     Attributes:
       position: coordinate of the wall along its axis [m], between the grid's first and last node (static).
-      kind: its effect (static).
-      friction: Coulomb coefficient of a ``SEPARATING`` wall [-], >= 0; None: no friction, whose branch is not traced.
+      kind: effect on the node velocities (static).
+      friction: Coulomb coefficient of a ``SEPARATING`` wall [-], >= 0. With None, friction is not traced.
     """
 
     position: float = struct.static_field()
@@ -78,7 +78,7 @@ _SIDE = items(
 
 
 def wall_numbers(walls: Walls) -> list[Number]:
-    """The numbers of all walls, with their legal values."""
+    """The numeric parameters of all walls, with their legal ranges."""
     numbers = []
     for side in ("lower", "upper"):
         for axis, wall in enumerate(getattr(walls, side)):
@@ -88,7 +88,7 @@ def wall_numbers(walls: Walls) -> list[Number]:
 
 
 def check_walls(walls: Walls, grid: Grid) -> None:
-    """Raises ValueError for walls with all or no nodes behind them, and for friction that the kind does not use."""
+    """Raises ValueError for a wall that acts on all nodes or on none, or whose kind does not use its friction."""
     for side, inward in (("lower", 1.0), ("upper", -1.0)):
         for axis, wall in enumerate(getattr(walls, side)):
             if wall is None:
@@ -111,12 +111,12 @@ def check_walls(walls: Walls, grid: Grid) -> None:
 
 
 def apply_walls(walls: Walls, grid: Grid, index: tuple[Array, Array, Array], velocity: Vec3) -> Vec3:
-    """Node velocities after all walls, in the order x, y, z, at each axis the lower one first.
+    """Apply all walls to node velocities, in the order x, y, z. On each axis, the lower wall comes first.
 
     Args:
       walls: the six sides.
-      grid: the grid; nodes strictly beyond a wall obey it.
-      index: index of each node in the grid along x, y, z, int32, shapes (num_nodes,).
+      grid: the grid.
+      index: grid indices of the nodes along x, y, z, int32, each of shape (num_nodes,).
       velocity: node velocities [m/s], components of shape (num_nodes,).
 
     Gradient: exact with respect to velocities and friction.
@@ -144,7 +144,10 @@ def _after_walls(walls: Walls, behind: list[Array], velocity: Vec3) -> Vec3:
 
 
 def _behind(grid: Grid, wall: Wall, axis: int, inward: float, index: Any) -> Any:
-    """Mask of the nodes, given by their index along an axis, that lie strictly beyond the wall."""
+    """Mask of the nodes strictly beyond the wall, from their indices along its axis.
+
+    Nodes within 1e-6 cells of the wall count as on it.
+    """
     cells = (wall.position - grid.origin[axis]) / grid.spacing
     if inward > 0:
         return index < math.ceil(cells - 1e-6)

@@ -1,4 +1,4 @@
-"""Contact functions of two kinds of geoms, which users can add to the built-in ones."""
+"""User-defined contact functions: each computes the contacts between geoms of two kinds."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -13,9 +13,9 @@ from rewax.physics.rigid.small_products import cross
 from rewax.types import Array
 
 KINDS = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
-"""Kinds of geoms that position, rotation and size fully describe, in MuJoCo's order."""
+"""Supported kinds of geoms, in MuJoCo's order. Position, rotation and size describe each of them fully."""
 NO_CONTACT = 1.0
-"""Distance [m] in an unused slot, as in MJX (MuJoCo's JAX implementation)."""
+"""Distance [m] that marks an unused contact slot, as in MJX (MuJoCo's JAX implementation)."""
 
 
 class Geom(NamedTuple):
@@ -23,8 +23,8 @@ class Geom(NamedTuple):
 
     Attributes:
       position: its center [m], shape (3,).
-      rotation: from its frame to the world's, shape (3, 3). A plane's normal, and the axis of a capsule or cylinder,
-        is the frame's z axis: ``rotation[:, 2]``.
+      rotation: from its frame to the world's, shape (3, 3). The normal of a plane and the axis of a capsule or cylinder
+        are the frame's z axis, ``rotation[:, 2]``.
       size: MuJoCo's ``geom_size`` [m], shape (3,): radius of a sphere; radius and half length of a capsule or cylinder;
         half sizes of a box; semi-axes of an ellipsoid. Unused entries are 0.
     """
@@ -36,21 +36,23 @@ class Geom(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ContactPair:
-    """How geoms of two kinds touch; give it to ``load`` as one of ``contact_pairs``.
+    """The contact function for geoms of two kinds. Pass it to ``load`` in ``contact_pairs``.
 
     Attributes:
       kinds: the two geoms' kinds by their names in MJCF, in MuJoCo's order: plane, sphere, capsule, ellipsoid,
         cylinder, box.
       num_contacts: number n of contact slots for one pair of geoms.
-      function: ``function(first, second)`` of two ``Geom``s returns three arrays. Signed distances between the surfaces
-        [m], shape (n,), negative where they overlap, 1 in an unused slot. Points halfway between the surfaces
-        [m], shape (n, 3). Unit normals from the first geom to the second, shape (n, 3), or (3,) if all contacts share
-        one; or frames, shape (n, 3, 3), whose rows are the normal and two directions of friction. For
-        ``num_contacts=1`` distance and point may omit the axis of length n. It is a pure JAX function of one
-        pair of geoms; rewax maps it over all pairs of the model. Models that share the function share programs.
+      function: ``function(first, second)``, a pure JAX function of two ``Geom``s. It returns three arrays: distance,
+        point and normal. Distance is the signed distance between the surfaces [m], shape (n,); it is negative where
+        they overlap, and 1 in an unused slot. Point lies halfway between the surfaces [m], shape (n, 3). Normal is the
+        unit normal from the first geom to the second, shape (n, 3), or (3,) if all contacts share one. Instead of
+        normals, the function may return contact frames, shape (n, 3, 3), with rows normal and two directions of
+        friction. For ``num_contacts=1``, distance and point may omit the axis of length n. rewax maps the function over
+        all pairs of geoms of the model. Models with the same function share compiled programs.
 
     Raises:
-      ValueError: a kind is unknown, the kinds are in another order, or ``num_contacts`` is no positive integer.
+      ValueError: a kind is unknown, the kinds are not in MuJoCo's order, both are planes, ``num_contacts`` is not a
+        positive integer, or ``function`` is not callable.
 
     Gradient: that of the function, with respect to positions, rotations and sizes.
 
@@ -86,19 +88,20 @@ class ContactPair:
 
 
 def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:
-    """Contacts of n pairs of geoms; contacts of one pair are consecutive.
+    """Compute the contacts of n pairs of geoms. Contacts of one pair are consecutive.
 
     Args:
       pair: the contact function, with k contacts per pair.
-      first, second: the geoms, each array with a leading axis of length n.
+      first, second: the geoms; each array has a leading axis of length n.
 
     Returns:
       Distances [m], shape (n k,); points [m], shape (n k, 3); frames, shape (n k, 3, 3).
 
     Raises:
-      ValueError: the pair's function returns something else than ``ContactPair`` requires.
+      ValueError: the pair's function does not return what ``ContactPair`` requires.
 
-    Gradient: that of the pair's function; for the directions of friction, that of ``contact_frame``.
+    Gradient: that of the pair's function. Where it returns normals, the friction directions have the gradient of
+    ``contact_frame``.
     """
     num, dtype = pair.num_contacts, first.position.dtype
 
@@ -118,9 +121,11 @@ def find(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Ar
 
 
 def contact_frame(normal: Array) -> Array:
-    """MuJoCo's right-handed contact frame, with rows normal and two tangents. (..., 3) -> (..., 3, 3).
+    """MuJoCo's right-handed contact frame: the rows are the normal and two tangents. (..., 3) -> (..., 3, 3).
 
-    Gradient: exact, except at the switch of the tangent from about y to about z.
+    The first tangent is the y axis projected onto the contact plane, or the z axis where abs(normal[1]) >= 0.5.
+
+    Gradient: exact, except where the first tangent switches between y and z.
     """
     level = (normal[..., 1] > -0.5) & (normal[..., 1] < 0.5)
     start = jnp.where(level[..., None], jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
@@ -130,7 +135,7 @@ def contact_frame(normal: Array) -> Array:
 
 
 def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
-    """Raises a ValueError unless all are contact pairs of different kinds whose functions return the right shapes."""
+    """Raises a ValueError for entries that are not contact pairs, repeated kinds, and functions with wrong results."""
     for i, pair in enumerate(pairs):
         if not isinstance(pair, ContactPair):
             raise ValueError(f"contact_pairs holds {pair!r}: give rigid.ContactPair(kinds, num_contacts, function)")
@@ -140,7 +145,7 @@ def check_contact_pairs(pairs: Sequence[ContactPair]) -> None:
 
 
 def _traced(pair: ContactPair) -> Any:
-    """The result of a pair's function for geoms of which only shapes are known."""
+    """The traced result of a pair's function, for abstract geoms."""
     geom = jax.eval_shape(lambda: Geom(jnp.zeros(3), jnp.zeros((3, 3)), jnp.zeros(3)))
     results: list[Any] = []
     try:
@@ -154,7 +159,7 @@ def _traced(pair: ContactPair) -> Any:
 
 
 def _check_result(pair: ContactPair, result: Any) -> None:
-    """Raises a ValueError unless a pair's function returned three arrays of real numbers of the right shapes."""
+    """Raises a ValueError unless a pair's function returned three floating-point arrays of the right shapes."""
     if not isinstance(result, (tuple, list)) or len(result) != 3:
         what = "one array" if isinstance(result, jax.Array) else shown(result)
         raise ValueError(f"the function of {pair} returned {what}: return distance, point and normal")

@@ -1,4 +1,4 @@
-"""Tetrahedral meshes: boxes and assemblies of cells, files, and checks of a mesh.
+"""Tetrahedral meshes: built from boxes and grid cells, read from files, and checked.
 
 Everything here is numpy and runs before a simulation starts. A tet (a, b, c, d) has positive orientation if
 (b - a) . ((c - a) x (d - a)) > 0.
@@ -31,15 +31,15 @@ from rewax.physics.numerics.fields import (
 from rewax.physics.tets.tetmesh_checks import EDGES, FACES, check_connections, check_shapes, signed_volumes
 
 MIN_SHAPE = 1e-5
-"""Least six-fold volume of a tet over its longest edge cubed; flatter tets are rejected. A cube's corner: 0.35."""
+"""Minimum of 6 volume / (longest edge)^3 of a tet; flatter tets are rejected. The corner tet of a cube has 0.35."""
 TABLE_CELL = 0.354428
-"""Edge of a cell of the table of the task SoftJumper [m]."""
+"""Edge length of a cubic cell of the table in the task SoftJumper [m]."""
 _TABLE_CORNER = (-1.160, 0.007, -1.221)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TetMesh:
-    """Vertices and the tets between them.
+    """Vertices, and tets (tetrahedra) that connect them.
 
     Attributes:
       vertices: positions [m], float64 of shape (num_vertices, 3).
@@ -80,10 +80,10 @@ def box(
     center: Sequence[float] = (0.0, 0.0, 0.0),
     tets_per_cell: int = 6,
 ) -> TetMesh:
-    """A box of equal cells, each cut into tets.
+    """A box of equal cells, each divided into tets.
 
     Args:
-      size: edges along x, y, z [m], > 0.
+      size: edge lengths along x, y, z [m], > 0.
       counts: number of cells along x, y, z, >= 1.
       center: middle of the box [m].
       tets_per_cell: 5 or 6, see ``cells``.
@@ -133,10 +133,11 @@ _LINE = real(FINITE, "give increasing coordinates in metres", shape=("num_lines"
     tets_per_cell=one_of(5, 6),
 )
 def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: int = 6) -> TetMesh:
-    """The occupied cells of a rectilinear grid; tets of neighbouring cells share whole faces.
+    """Mesh the occupied cells of a rectilinear grid. Tets of neighbouring cells share whole faces.
 
-    Six tets per cell share its diagonal from the lowest to the highest corner (Kuhn), equally in all cells. Five tets
-    are one in the middle and four at alternate corners, mirrored from cell to cell: fewer, but of unequal size.
+    With six tets per cell (Kuhn), all six share the diagonal from the lowest to the highest corner, and all cells are
+    divided alike. With five, one tet lies in the middle and four at alternate corners, and neighbouring cells are
+    mirror images. Five are fewer tets, but of unequal size.
 
     Args:
       occupied: mask of the cells of the body, bool of shape (nx, ny, nz).
@@ -147,7 +148,7 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
       The mesh; tets of one cell are consecutive.
 
     Raises:
-      ValueError: no cell, lines of wrong length or not increasing, another number of tets.
+      ValueError: no cell is occupied, lines have a wrong length or do not increase, or ``tets_per_cell`` is not 5 or 6.
     """
     occupied = np.asarray(occupied, bool)
     if not occupied.any():
@@ -172,8 +173,9 @@ def cells(occupied: np.ndarray, lines: Sequence[np.ndarray], *, tets_per_cell: i
 def soft_jumper_table() -> TetMesh:
     """The table of the task SoftJumper: 204 vertices, 444 tets, 4.8975 m^3.
 
-    A slab of 7 x 2 x 7 cubes of edge ``TABLE_CELL`` on four legs of 1 x 3 x 1 cubes; y is up. The slab is one layer of
-    bricks two cubes high with six tets each. The upright edges on its rim are then halved, so no vertex lies inside it.
+    A slab of 7 x 2 x 7 cubes of edge ``TABLE_CELL`` stands on four legs of 1 x 3 x 1 cubes; y is up. The slab is one
+    layer of cells, each two cubes high and divided into six tets. The vertical edges on the slab's rim are then split
+    in the middle. No vertex lies inside the slab.
 
     Source: the reference's extents, counts and volume. Its decomposition is not published.
     """
@@ -194,14 +196,14 @@ def soft_jumper_table() -> TetMesh:
 
 @checked(mesh=_MESH, edges=indices("give pairs of vertices, integers of shape (num_edges, 2)", ("num_edges", 2)))
 def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
-    """Halve edges: each gets a vertex in its middle, and each tet around it becomes two consecutive tets.
+    """Split edges at their midpoints. Each tet with a split edge becomes two consecutive tets.
 
     Args:
       mesh: the mesh.
-      edges: vertex indices, shape (num_edges, 2); no two edges of the same tet.
+      edges: vertex indices, shape (num_edges, 2); at most one edge of each tet.
 
     Raises:
-      ValueError: an edge that the mesh does not have, or two edges of one tet.
+      ValueError: the mesh does not have an edge, or two edges belong to the same tet.
     """
     first = len(mesh.vertices)
     middle = {frozenset(map(int, edge)): first + i for i, edge in enumerate(np.asarray(edges))}
@@ -229,7 +231,7 @@ def split_edges(mesh: TetMesh, edges: np.ndarray) -> TetMesh:
 
 @checked(mesh=_MESH)
 def orient(mesh: TetMesh) -> TetMesh:
-    """The same mesh with two vertices of every inverted tet swapped."""
+    """Swap two vertices of every inverted tet, so that all tets have positive orientation."""
     tets = np.array(mesh.tets)
     inverted = mesh.volumes < 0
     tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
@@ -252,13 +254,13 @@ def boundary_faces(mesh: TetMesh) -> np.ndarray:
     scale=static(POSITIVE, "give metres per unit of length"),
 )
 def load_tetmesh(path: str | Path, *, scale: float = 1.0, fix_orientation: bool = False) -> TetMesh:
-    """Tets of a mesh file (.msh, .vtk, .vtu, .mesh or another format of meshio), checked.
+    """Read the tets of a mesh file (.msh, .vtk, .vtu, .mesh or another format of meshio) and check the mesh.
 
-    Surface elements and points that no tet uses (files keep points of the geometry) are left out.
+    Surface elements are ignored. Points that no tet uses are removed, such as points of the geometry.
 
     Args:
       path: the file.
-      scale: metres per unit of length of the file.
+      scale: metres per unit of length in the file.
       fix_orientation: swap two vertices of each inverted tet, for files with the opposite orientation.
 
     Raises:
@@ -306,14 +308,14 @@ _FIELDS = {
 
 @checked(mesh=_MESH, min_shape=static(NOT_NEGATIVE, "give a ratio, 1e-5 for example"))
 def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
-    """Raise a ValueError with one sentence: the fault of a mesh, its location and the remedy.
+    """Raise a ValueError if a mesh has a fault. The message names the fault, its location and the remedy.
 
-    Faults are wrong shapes and indices, non-finite positions, flat (degenerate) and inverted tets, vertices that no tet
-    uses, faces of more than two tets, and bodies in several parts (tets connect through common faces).
+    Faults are wrong shapes and indices, non-finite positions, degenerate (flat) and inverted tets, vertices that no tet
+    uses, faces shared by more than two tets, and meshes that are not connected through common faces.
 
     Args:
       mesh: the mesh.
-      min_shape: least six-fold volume over longest edge cubed; a flatter tet is degenerate.
+      min_shape: minimum of 6 volume / (longest edge)^3; a tet below it is degenerate.
     """
     check_fields(_FIELDS, vars(mesh))
     vertices, tets = np.asarray(mesh.vertices), np.asarray(mesh.tets)
@@ -334,13 +336,16 @@ def check_tetmesh(mesh: TetMesh, *, min_shape: float = MIN_SHAPE) -> None:
 
 
 def _kuhn_corners(index: np.ndarray) -> np.ndarray:
-    """Lattice points of six tets per cell, (num_cells, 6, 4, 3): all monotone paths from corner to corner."""
+    """Lattice points of six tets per cell, shape (num_cells, 6, 4, 3).
+
+    Each tet holds the corners on a path of one step along each axis, from the lowest to the highest corner.
+    """
     paths = [np.cumsum([[0, 0, 0], *np.eye(3, dtype=int)[list(p)]], axis=0) for p in itertools.permutations(range(3))]
     return index[:, None, None] + np.asarray(paths)
 
 
 def _alternating_corners(index: np.ndarray) -> np.ndarray:
-    """Lattice points of five tets per cell, (num_cells, 5, 4, 3), mirrored along x in every other cell."""
+    """Lattice points of five tets per cell, shape (num_cells, 5, 4, 3), mirrored in x in cells of odd index sum."""
     inner = [(0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1)]
     outer = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)]
     at_corners = [[o, *(i for i in inner if np.abs(np.subtract(o, i)).sum() == 1)] for o in outer]

@@ -1,4 +1,4 @@
-"""Whole episodes without gradients: returns of policies, baselines and action sequences."""
+"""Evaluation: returns of policies, baselines and action sequences over whole episodes, without gradients."""
 
 import functools
 import inspect
@@ -14,27 +14,28 @@ from rewax.status import FATAL, Status
 from rewax.types import Array, Key, PyTree
 
 Policy: TypeAlias = Callable[..., Array]
-"""``policy(train_state, obs, key, deterministic=False) -> action``, for one environment. A parameter ``step`` receives
-the number of control steps since the episode began."""
+"""``policy(train_state, obs, key, deterministic=False) -> action``, for one environment. If the policy has a parameter
+``step``, it receives the number of control steps since the episode began."""
 _Act: TypeAlias = Callable[[State, Array, Key], Array]
 
 Evaluation: TypeAlias = dict[str, Array]
-"""Results of episodes:
+"""Results of the evaluated episodes:
 
-``mean``, ``std``, ``min``, ``max``: over episodes, of the undiscounted returns, shape ().
-``returns``: of each episode, up to its first end, shape (num_episodes,).
+``mean``, ``std``, ``min``, ``max``: statistics of the undiscounted returns over episodes, shape ().
+``returns``: undiscounted return of each episode up to its first end, shape (num_episodes,).
 ``lengths``: control steps of each episode, shape (num_episodes,), int32.
 ``failed``: number of episodes that ended by a numerical failure, shape (), int32. Their returns end before it.
 ``status/<BIT>``: number of episodes in which that bit of ``rewax.status.Status`` was set, shape (), int32.
-``success``: share of episodes that ended with the metric ``success`` above 0.5, shape (); for tasks with that metric.
+``success``: share of episodes whose metric ``success`` is above 0.5 at the end, shape (). Only for tasks with this
+metric.
 """
 
 
 def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
     """Build a jitted ``evaluate(train_state, key, deterministic=False) -> Evaluation``.
 
-    Episodes are batched over ``num_episodes`` initial states and count up to their first end. The same key gives the
-    same initial states for every policy.
+    The ``num_episodes`` episodes run as one batch. Steps after the first end of an episode are ignored. The same key
+    gives the same initial states for every policy.
 
     Args:
       env: unbatched environment.
@@ -57,7 +58,9 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
 
 
 def make_evaluate_in(policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
-    """``make_evaluate`` for environments that differ in parameters alone: compiled once for all of them.
+    """``make_evaluate`` with the environment as an argument.
+
+    Environments that differ only in parameters share one compiled program.
 
     Returns:
       A jitted ``evaluate(env, train_state, key, deterministic=False) -> Evaluation``.
@@ -81,7 +84,7 @@ def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> E
     Args:
       env: unbatched environment.
       actions: shape (env.episode_length, *action_shape).
-      key: draws initial states, the same ones as in ``make_evaluate``.
+      key: draws the initial states. They equal those of ``make_evaluate`` with the same key.
       num_episodes: at least 1.
 
     Raises:
@@ -95,7 +98,7 @@ def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> E
 
 
 def constant_policy(action: Array) -> Policy:
-    """A baseline that always takes ``action``, shape as in ``env.action_spec``; the baseline "no action" has zeros."""
+    """A baseline that always takes ``action``, of shape ``env.action_spec.shape``. Zeros: the baseline "no action"."""
 
     def policy(train_state: PyTree, obs: PyTree, key: Key, deterministic: bool = False) -> Array:
         del train_state, obs, key, deterministic
@@ -142,7 +145,7 @@ def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
 
 
 def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array, dict[str, Array]]:
-    """Return, length, status bits and last metrics of an episode; steps after its first end are ignored, NaN too."""
+    """Return, length, status bits and last metrics of an episode. Steps after its first end are ignored, even NaN."""
     reset_key, act_key = jax.random.split(key)
 
     def body(carry: tuple[State, Array, Array, Array, Array, dict[str, Array]], step: Array) -> tuple[Any, None]:
@@ -160,7 +163,10 @@ def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array, dict[s
 
 
 def with_step(policy: Policy) -> Callable[[PyTree, Any, Key, Array, bool], Array]:
-    """``(train_state, obs, key, step, deterministic) -> action``; ``step`` is passed on to a policy that has it."""
+    """Wrap a policy as ``(train_state, obs, key, step, deterministic) -> action``.
+
+    ``step`` is passed on only if the policy has a parameter of this name.
+    """
     asks = "step" in inspect.signature(policy).parameters
 
     def policy_at(train_state: PyTree, obs: Any, key: Key, step: Array, deterministic: bool) -> Array:

@@ -1,4 +1,4 @@
-"""Programs of evaluations and pictures, compiled in a thread beside ``train_step``."""
+"""Compiled programs for evaluation and for recordings. A thread compiles them while ``train_step`` runs."""
 
 import contextlib
 import functools
@@ -16,16 +16,16 @@ from rewax.training.evaluation.recording import can_record, make_record
 from rewax.types import Key
 
 MODES = ("sampled", "deterministic", "no action", "random actions")
-"""Kinds of actions whose returns are reported: two of the policy and two baselines."""
+"""Evaluation modes: the policy with sampled and with deterministic actions, and two baselines."""
 
 
 class Programs:
-    """Evaluation and recording of episodes; each program is compiled once, before or at its first use.
+    """Evaluates and records episodes. Each program is compiled once, in the background or at its first use.
 
     Args:
       env: unbatched environment.
       policy: ``Agent.policy``.
-      config: of the run.
+      config: report configuration of the run.
     """
 
     def __init__(self, env: Env, policy: Policy, config: ReportConfig) -> None:
@@ -36,7 +36,7 @@ class Programs:
 
     def evaluate(self, train_state: Any, mode: str, key: Key) -> dict[str, Any]:
         """Evaluate one of ``MODES``."""
-        self._evaluates.wait()  # the thread compiles this program
+        self._evaluates.wait()  # until the thread has compiled this program
         return self._evaluate((train_state, MODES.index(mode)), key)
 
     def record(self, train_state: Any, key: Key, name: str) -> Any:
@@ -45,9 +45,10 @@ class Programs:
         return self._recorder(train_state, key, name)
 
     def compile_in_background(self, train_state: Any, key: Key) -> None:
-        """Compile both programs in a thread, the evaluation first, for states like this one.
+        """Compile both programs in a thread, the evaluation first, for training states shaped like this one.
 
-        If a program cannot be compiled, the error is raised at its first use.
+        The recording is compiled only if plots are on and the environment can be drawn. A compilation error is raised
+        at the program's first use.
         """
         self._evaluates.clear()
         self._thread = threading.Thread(target=self._compile, args=(train_state, key), name="rewax-programs")
@@ -76,7 +77,10 @@ class Programs:
 
 
 def any_of(env: Env, policy: Policy) -> Policy:
-    """A policy of ``(train_state, mode)``: one program for the agent's policies and the baselines."""
+    """A policy that selects one of ``MODES`` at run time, so that all of them share one compiled program.
+
+    Its first argument is ``(train_state, mode)``, where ``mode`` is an index into ``MODES``.
+    """
     random, policy_at = uniform_policy(env), with_step(policy)
 
     def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> jax.Array:

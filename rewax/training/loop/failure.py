@@ -22,7 +22,7 @@ _REMEDY = "shorter substeps, softer contacts and materials, or smaller learning 
 class _Iteration(NamedTuple):
     """Counts of one iteration.
 
-    ``episodes`` is the number that ended, or the number of steps in units of a full episode, whichever is larger.
+    ``episodes`` is the larger of two numbers: ended episodes, and steps divided by the episode length.
     """
 
     failed: int
@@ -31,15 +31,15 @@ class _Iteration(NamedTuple):
 
 
 class FailureWatch:
-    """Follows the metrics of a run and detects its failure.
+    """Detects from a run's metrics that too many episodes fail or that the critic loss is not finite.
 
     The share of failed episodes is computed over the last ``config.failure_window`` iterations. Failures end episodes
-    early, so a few of them would outweigh the healthy episodes that have not ended yet. Steps divided by the length of
-    an episode count these.
+    early. Among ended episodes alone, a few failures would therefore outweigh the healthy episodes still running. The
+    number of steps divided by the episode length accounts for running episodes.
 
     Args:
-      env: gives the names of arrays that were not finite.
-      config: ``max_failed_share`` and ``failure_window``.
+      env: environment of the run; it gives the episode length and the names of non-finite arrays.
+      config: its ``max_failed_share`` and ``failure_window`` are used.
     """
 
     def __init__(self, env: Env, config: ReportConfig) -> None:
@@ -53,11 +53,11 @@ class FailureWatch:
         Args:
           iteration: its number.
           num_steps: environment steps of this iteration.
-          metrics: ``failed_episodes``, ``episodes``, ``failed_env``, ``failed_leaf``, ``critic_loss``, where
-            the algorithm has them.
+          metrics: ``failed_episodes``, ``episodes``, ``failed_env``, ``failed_leaf``, ``critic_loss``. Each
+            is optional.
 
         Returns:
-          A sentence about the first failure that this process sees; else an empty string.
+          A warning at the first failure since this process began; otherwise an empty string.
         """
         failed = int(metrics.get("failed_episodes", 0))
         ended = max(int(metrics.get("episodes", 0)), failed)
@@ -71,15 +71,18 @@ class FailureWatch:
 
     @property
     def healthy(self) -> bool:
-        """Neither the last iteration by itself nor all iterations so far would be a reason to stop."""
+        """Whether there is no reason to stop, also before the window is full.
+
+        The last iteration's share of failed episodes is checked on its own, too.
+        """
         last = [self._recent[-1]] if self._recent else []
         return not self.reason(final=True) and not any(self._too_many(one.failed, one.episodes) for one in last)
 
     def reason(self, *, final: bool = False) -> str:
-        """Why the run should stop; empty if it should go on.
+        """Why the run should stop; an empty string if it should continue.
 
         Args:
-          final: judge the iterations so far even if they are fewer than ``failure_window``.
+          final: decide even if there were fewer than ``failure_window`` iterations so far.
         """
         seen = len(self._recent)
         if not seen or (seen < self._config.failure_window and not final):
@@ -102,13 +105,13 @@ class FailureWatch:
 
 
 class FiniteCheck:
-    """Finds non-finite numbers in what an agent has learnt: in every floating-point leaf of its training state.
+    """Finds non-finite numbers in the floating-point leaves of an agent's training state.
 
-    States of environments are left out, because a reset replaces them, and so are replay buffers. Leaves that are not
-    finite at the beginning are left out too, such as returns of episodes that began before the run.
+    Environment states are not checked, because a reset replaces them. Replay buffers are not checked either. Leaves
+    that are not finite at the beginning are never checked, such as returns of episodes that began before the run.
 
     Args:
-      train_state: the first one of the run.
+      train_state: training state at the beginning of the run.
     """
 
     def __init__(self, train_state: Any) -> None:
@@ -124,7 +127,7 @@ class FiniteCheck:
 
 
 def _learnt(train_state: Any) -> dict[str, Any]:
-    """Floating-point leaves outside the states of environments and replay buffers, by name."""
+    """Floating-point leaves by name, without environment states and replay buffers."""
     return {
         jax.tree_util.keystr(path): leaf
         for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, _NOT_LEARNT))
@@ -137,7 +140,7 @@ def _is_finite(leaf: Any) -> bool:
 
 
 def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:
-    """A clause about the array and the environment that were not finite, as far as the metrics tell."""
+    """A clause that names the failed environment and its non-finite array, if the metrics contain them."""
     index, leaf = int(metrics.get("failed_env", -1)), int(metrics.get("failed_leaf", -1))
     if index < 0 or leaf < 0:
         return "an environment failed because its physics, an observation or the reward was not finite"

@@ -53,7 +53,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
         return jnp.tanh(distribution.mean + jnp.exp(distribution.log_std) * noise)
 
     (batch,) = export.symbolic_shape("b")
-    shapes = {name: spec.shape for name, spec in actor.observation_spec.items()}
+    shapes = _observed(actor)
     obs = {name: jax.ShapeDtypeStruct((batch, *shape), jnp.float32) for name, shape in shapes.items()}
     noise = jax.ShapeDtypeStruct((batch, actor.action_size), jnp.float32)
     exported = export.export(jax.jit(jax.vmap(action)), platforms=PLATFORMS)(obs, noise)
@@ -77,13 +77,19 @@ def _actor(run: SavedRun) -> Actor:
     return make_actor(run.env, config)
 
 
+def _observed(actor: Actor) -> dict[str, tuple[int, ...]]:
+    """Shapes of the observations that the policy sees, by name."""
+    spec = actor.observation_spec
+    return {name: spec[name].shape for name in actor.config.observe or spec}
+
+
 def _description(run: SavedRun, actor: Actor) -> dict[str, Any]:
     return {
         "agent": run.config["agent"],
         "env": run.config.get("env"),
         "scale": run.config.get("scale"),
         "iteration": int(run.train_state.iteration),
-        "observation": {name: list(spec.shape) for name, spec in actor.observation_spec.items()},
+        "observation": {name: list(shape) for name, shape in _observed(actor).items()},
         "action_size": actor.action_size,
         "activation": actor.config.activation,
         "log_std_range": list(actor.config.log_std_range),

@@ -1,7 +1,7 @@
 """Writers of metrics: CSV always, TensorBoard by default, Weights & Biases on request.
 
-``metrics.csv`` and ``eval.csv`` do not depend on the clock, so on a CPU two runs with one seed write the same bytes,
-and so does a resumed run; times are in ``timing.csv``.
+``metrics.csv`` and ``eval.csv`` contain no times; these are in ``timing.csv``. On a CPU, two runs with the same seed
+therefore write the same bytes. A resumed run also writes the same bytes as an uninterrupted one.
 """
 
 import contextlib
@@ -20,16 +20,16 @@ import numpy as np
 class CsvWriter:
     """Appends rows of named numbers to a CSV file; each row is flushed to disk.
 
-    The first row determines the header. An existing file is continued: rows of iterations after ``resume_at``, and
-    incomplete rows, are removed. A file without its header is kept as ``<name>.damaged``.
+    The first row determines the header. A resumed run appends to the existing file, after incomplete rows and rows of
+    iterations after ``resume_at`` are removed. An existing file without a header is renamed to ``<name>.damaged``.
 
     Args:
-      path: of the file.
-      resume_at: iteration that the run continues from; 0: start an empty file.
+      path: path of the file.
+      resume_at: iteration that the run continues from; 0 starts an empty file.
 
     Attributes:
-      iterations: those of the rows that the file had.
-      last_iteration: that of the last row, -1 without rows.
+      iterations: iterations of the rows kept from the existing file.
+      last_iteration: iteration of the last row, -1 without rows.
     """
 
     def __init__(self, path: str | Path, *, resume_at: int = 0) -> None:
@@ -50,11 +50,11 @@ class CsvWriter:
         """Append a row.
 
         Args:
-          iteration: first column.
-          values: scalars, with the same names in every row.
+          iteration: number of the iteration, written to the first column.
+          values: scalars by name; every row needs the same names in the same order.
 
         Raises:
-          ValueError: the names differ from the header.
+          ValueError: the names or their order differ from the header.
         """
         header = ["iteration", *values]
         if not self._header:
@@ -73,10 +73,10 @@ class CsvWriter:
 
 
 class TensorBoardWriter:
-    """Writes scalars for TensorBoard into ``folder``; non-finite numbers are left out.
+    """Writes scalars for TensorBoard into ``folder``. Non-finite numbers are omitted.
 
     Args:
-      folder: of the event files.
+      folder: folder for the event files.
       resume_at: iteration that the run continues from; TensorBoard hides values of later iterations.
     """
 
@@ -84,7 +84,8 @@ class TensorBoardWriter:
         from tensorboardX import SummaryWriter  # slow to import, and only needed here
 
         self._writer = SummaryWriter(str(folder), purge_step=resume_at + 1 if resume_at else None)
-        # Its thread and its exit handler would print tracebacks of a full disk, of which the CSV files tell already.
+        # On a full disk, the writer's thread and exit handler would print tracebacks. Writing the CSV files already
+        # raises an error then.
         events = self._writer.file_writer.event_writer._ev_writer  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
         for name in ("write_event", "flush", "close"):
             setattr(events, name, _without_os_errors(getattr(events, name)))
@@ -101,13 +102,13 @@ class TensorBoardWriter:
 
 
 class WandbWriter:
-    """Sends scalars to Weights & Biases, with the iteration as x-axis; non-finite numbers are left out.
+    """Sends scalars to Weights & Biases, with the iteration as x-axis. Non-finite numbers are omitted.
 
-    A resumed run continues the same page: its identifier is kept in ``wandb_id`` in the run's directory.
+    A resumed run continues the same page. The page's identifier is stored in the file ``wandb_id`` in ``run_dir``.
 
     Args:
       project: name of the project.
-      run_dir: directory of the run; its name becomes that of the page, and ``wandb`` writes its files there.
+      run_dir: directory of the run. Its name becomes the name of the page, and ``wandb`` writes its files there.
       config: description of the run, shown on the page.
 
     Raises:
@@ -143,7 +144,7 @@ class WandbWriter:
 
 
 def _without_os_errors(function: Callable[..., Any]) -> Callable[..., None]:
-    """The function with its OSErrors ignored."""
+    """Wrap a function so that OSErrors are ignored and nothing is returned."""
 
     def call(*args: Any) -> None:
         with contextlib.suppress(OSError):
@@ -156,7 +157,7 @@ def need_wandb() -> None:
     """Check that wandb is installed.
 
     Raises:
-      ValueError: it is not.
+      ValueError: wandb is not installed.
     """
     if importlib.util.find_spec("wandb") is None:
         raise ValueError("train.wandb needs Weights & Biases: pip install 'rewax[wandb]'")
@@ -173,7 +174,7 @@ def read_csv(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Header and complete rows; nothing without a header."""
+    """Header and complete rows; two empty lists if the file is missing or has no header."""
     if not path.is_file():
         return [], []
     text = path.read_text(errors="replace")
@@ -197,5 +198,5 @@ def _line(cells: list[str]) -> str:
 
 
 def _text(value: Any) -> str:
-    """The shortest text from which the same number of the same type is read back."""
+    """The shortest text that parses to the same number in the same dtype."""
     return str(np.asarray(value)[()])

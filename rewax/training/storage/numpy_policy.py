@@ -50,9 +50,14 @@ class NumpyPolicy:
         for name in clouds:
             points = self._layers(f"encoder/points_{name}/", seen[name])
             features.append(self._layer(f"encoder/pooled_{name}/", points.mean(axis=0)))
-        vectors = [seen[name].reshape(-1) for name in sorted(seen) if name not in clouds]
+        pictures = sorted(name for name, a in seen.items() if a.ndim == 3)
+        for name in pictures:
+            features.append(self._picture(f"encoder/picture_{name}/", seen[name]))
+        vectors = [seen[name].reshape(-1) for name in sorted(seen) if name not in clouds + pictures]
         if vectors:
-            features.append(self._layer("encoder/vectors/", np.concatenate(vectors)))
+            joined = np.concatenate(vectors)
+            whole = "encoder/vectors/Dense_0/kernel" not in self.weights
+            features.append(joined if whole else self._layer("encoder/vectors/", joined))
         x = self._layers("MLP_0/", np.concatenate(features))
         log_std = self.weights["log_std"] if "log_std" in self.weights else self._linear("log_std/", x)
         std = np.exp(np.clip(log_std, *self.describes["log_std_range"]))
@@ -91,8 +96,29 @@ class NumpyPolicy:
         x = (x - x.mean(axis=-1, keepdims=True)) / np.sqrt(x.var(axis=-1, keepdims=True) + 1e-6)
         return self.activation(x * self.weights[name + "LayerNorm_0/scale"] + self.weights[name + "LayerNorm_0/bias"])
 
+    def _picture(self, name, x):
+        """Layers of patches, 4 x 4 pixels at a stride of 4 and then 3 x 3 at a stride of 2, and one of what is left."""
+        count = sum(key.startswith(name) and key.endswith("Dense_0/kernel") for key in self.weights)
+        for i in range(count - 1):
+            x = self._layer(f"{name}Layer_{i}/", _patches(x, *((4, 4) if i == 0 else (3, 2))))
+        return self._layer(f"{name}Layer_{count - 1}/", x.reshape(-1))
+
     def _layers(self, name, x):
         i = 0
         while f"{name}Layer_{i}/Dense_0/kernel" in self.weights:
             x, i = self._layer(f"{name}Layer_{i}/", x), i + 1
         return x
+
+
+def _patches(x, size, stride):
+    height, width, _ = x.shape
+    rows, columns = -(-height // stride), -(-width // stride)
+    before = (size - stride + 1) // 2
+    after = [max((n - 1) * stride + size - before - edge, 0) for n, edge in ((rows, height), (columns, width))]
+    x = np.pad(x, ((before, after[0]), (before, after[1]), (0, 0)))
+    parts = [
+        x[i : i + stride * (rows - 1) + 1 : stride, j : j + stride * (columns - 1) + 1 : stride]
+        for i in range(size)
+        for j in range(size)
+    ]
+    return np.concatenate(parts, axis=-1)

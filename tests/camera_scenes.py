@@ -1,7 +1,10 @@
 """Scenes that sensors are tested on, as MJCF and as what a camera sees of it."""
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
+
+from rewax.sensors import Camera
 
 HEAD = (
     '<mujoco><visual><quality numslices="256" numstacks="256" numquads="1"/></visual><asset>{asset}</asset><worldbody>'
@@ -17,6 +20,9 @@ SCENES = {
     "ground and mesh": '<geom type="plane" size="0 0 .1" pos="0 0 -.3"/><geom type="mesh" mesh="rock" euler="0 20 30"/>',
 }
 EYE, TARGET, UP = (1.0, -1.1, 0.9), (0.0, 0.0, 0.05), (0.0, 0.0, 1.0)
+FAR = 5.0
+CAMERA = Camera.look_at(TARGET, eye=EYE, up=UP, near=0.3, far=FAR, height=48, width=64)
+STRAIGHT = jnp.eye(3)
 
 
 def mjcf(name: str) -> str:
