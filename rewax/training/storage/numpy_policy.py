@@ -46,14 +46,13 @@ class NumpyPolicy:
         """
         self._check(observation)
         seen, features = self._normalized(observation), []
-        clouds = sorted(name for name, a in seen.items() if a.ndim == 2)
-        for name in clouds:
-            points = self._layers(f"encoder/points_{name}/", seen[name])
-            features.append(self._layer(f"encoder/pooled_{name}/", points.mean(axis=0)))
-        pictures = sorted(name for name, a in seen.items() if a.ndim == 3)
-        for name in pictures:
-            features.append(self._picture(f"encoder/picture_{name}/", seen[name]))
-        vectors = [seen[name].reshape(-1) for name in sorted(seen) if name not in clouds + pictures]
+        for name in sorted(seen):
+            if seen[name].ndim == 2:
+                points = self._layers(f"encoder/points_{name}/", seen[name])
+                features.append(self._layer(f"encoder/pooled_{name}/", points.mean(axis=0)))
+            elif seen[name].ndim == 3:
+                features.append(self._picture(f"encoder/picture_{name}/", seen[name]))
+        vectors = [seen[name].reshape(-1) for name in sorted(seen) if seen[name].ndim not in (2, 3)]
         if vectors:
             joined = np.concatenate(vectors)
             whole = "encoder/vectors/Dense_0/kernel" not in self.weights
