@@ -13,7 +13,7 @@ from typing import Any
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-PAGES = ("CHANGELOG.md", "CONTRIBUTING.md")
+PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "RELEASING.md", "SECURITY.md", "CODE_OF_CONDUCT.md")
 MEASURED = ("measured/", "tasks/")
 """A search finds the manual before these."""
 log = logging.getLogger("mkdocs.hooks.rewax")

@@ -13,7 +13,7 @@ class ResetNoise(struct.Replaceable):
 
     Attributes:
       shift_lower, shift_upper: range of the shift [m], shape (3,).
-      stretch: the factor of the coordinates lies within [1 - stretch, 1 + stretch] [-].
+      stretch: the factor of the coordinates lies within 1 - stretch and 1 + stretch [-].
     """
 
     shift_lower: Vector
