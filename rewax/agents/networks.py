@@ -75,8 +75,8 @@ class PictureEncoder(nn.Module):
     The first layer has 4 x 4 pixels at a stride of 4, the others 3 x 3 at a stride of 2, zeros beyond the border; each
     is followed by LayerNorm over its channels. One more layer takes what is left.
 
-    Each convolution is a matrix product of patches. ``flax.linen.Conv`` computes the same, but its gradient takes 50
-    times as long on a CPU under ``vmap``.
+    Each convolution is a matrix product of patches. ``flax.linen.Conv`` computes the same, but its gradient is slow on
+    a CPU under ``vmap``.
     """
 
     widths: Sequence[int]
