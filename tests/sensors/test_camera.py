@@ -69,13 +69,13 @@ def test_particles_are_those_of_a_brute_force_z_buffer():
 def test_no_ball_reaches_beyond_its_window():
     """A ball close to the camera, in a corner of a wide picture: where a window that is too small would cut it."""
     camera = CAMERA.replace(field_of_view=100.0, near=0.2)
-    points = camera.points(jnp.full((48, 64), 0.2001 + 0.05))
+    points = camera.points(jnp.full((48, 64), 0.23))
     balls = Balls(
         center=points[jnp.array([0, 0, -1, 24]), jnp.array([0, -1, 0, 32])], radius=0.05, names=("a",), counts=(4,)
     )
     one = [Solid(shape=Sphere(radius=jnp.asarray(0.05)), pose=Pose(c, STRAIGHT), name="a") for c in balls.center]
     seen, expected = camera.depth(World(balls=(balls,))), camera.depth(World(solids=tuple(one)))
-    assert (np.asarray(expected) < FAR).sum() > 100
+    assert (np.asarray(expected) < FAR).sum() > 50
     np.testing.assert_allclose(seen, expected, atol=1e-4)
 
 
