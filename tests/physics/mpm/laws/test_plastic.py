@@ -33,7 +33,7 @@ def test_return_map_ends_on_the_yield_surface_keeps_volume_and_is_idempotent(x64
     np.testing.assert_allclose(np.linalg.det(new), np.linalg.det(F), rtol=eps)
     again, _ = RESPOND(m, new)
     np.testing.assert_allclose(again, new, rtol=eps, atol=eps)
-    np.testing.assert_allclose(tau, STRESS(m, new), atol=E * eps)
+    np.testing.assert_allclose(tau, STRESS(m, new), rtol=eps, atol=E * eps)
 
 
 def test_return_map_cases_flow_and_do_not(x64, stretched):
