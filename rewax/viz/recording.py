@@ -74,7 +74,9 @@ class Recording:
                     raise ValueError(f"drawing {i} is a mesh that changes: give the same vertices and triangles always")
         for seen in self.seen:
             if len(seen.pixels) != len(self.steps):
-                raise ValueError(f"{seen.title} has {len(seen.pixels)} frames, not {len(self.steps)}: give one for each")
+                raise ValueError(
+                    f"{seen.title} has {len(seen.pixels)} frames, not {len(self.steps)}: give one for each"
+                )
         if self.particles is None and not any(kind != "plane" for kind in (kinds or [()])[0]):
             raise ValueError("there is nothing to show: give the environment particles or render_shapes")
 
