@@ -3,6 +3,7 @@
     python benchmarks/seeing.py                                         # everything: many hours on two cores
     python benchmarks/seeing.py --tasks RollingFlat --columns depth state --seeds 0
     python benchmarks/seeing.py --table                                 # the tables of the rows that are there
+    python benchmarks/seeing.py --keep runs/seeing --film depth.mp4 --tasks RollingFlat --columns depth --seeds 0
 
 Each cell (task, column, seed) trains one policy at scale ``small`` and evaluates 64 episodes with deterministic actions
 from the same starts. Its rows are written when it is finished, and finished cells are skipped. Columns:
@@ -41,9 +42,11 @@ from rewax.envs.randomize import Choice, Constant, Per, Shift, Turn, Uniform, ca
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import _Wrapper
 from rewax.sensors import Camera, DepthCloud, DepthNoise
-from rewax.training import enable_compilation_cache, make_evaluate
+from rewax.training import enable_compilation_cache, make_evaluate, record
 from rewax.training.storage import checkpoint
 from rewax.training.storage.description import provenance
+from rewax.viz.player import write_player
+from rewax.viz.video import record_video
 
 COLUMNS = ("depth", "state", "depth alone", "blind", "cloud", "ppo", "ppo x10", "varied")
 JOINTS = {"RollingFlat": ("joint_q", "joint_qd"), "SteerFloat": ("robot",), "GripperLift": ("joints",),
@@ -176,7 +179,7 @@ def run_cell(name: str, column: str, seed: int, keep: Path | None) -> list[dict[
     jax.block_until_ready(ts)
     seconds = time.perf_counter() - began
     if keep is not None:
-        checkpoint.save(keep / f"{name}-{column.replace(' ', '_')}-{seed}", ts, keep=1)
+        checkpoint.save(folder(keep, name, column, seed), ts, keep=1)
     rows = []
     for at in ENDS if column in ("depth", "varied") else ("nominal",):
         where = at_the_end(bare, seen, at) if at != "nominal" or column == "varied" else env
@@ -189,6 +192,23 @@ def run_cell(name: str, column: str, seed: int, keep: Path | None) -> list[dict[
     return rows
 
 
+def folder(keep: Path, name: str, column: str, seed: int) -> Path:
+    """Where the policy of a cell is kept."""
+    return keep / f"{name}-{column.replace(' ', '_')}-{seed}"
+
+
+def film(name: str, column: str, seed: int, keep: Path, out: Path) -> None:
+    """Draw an episode of a kept policy: a video, and a page beside it."""
+    bare = task_of(name)
+    env = seeing(bare, camera_of(bare), column)
+    agent, _ = agent_of(name, column, env, bare)
+    ts = checkpoint.restore(folder(keep, name, column, seed), jax.eval_shape(agent.init, jax.random.key(seed)))
+    recording = record(env, agent.policy, ts, jax.random.key(99), name=f"{name}, {column}")
+    speed = record_video(recording, out)
+    page = write_player([recording], out.with_suffix(".html"), title=recording.name)
+    print(f"wrote {out}, {speed}, and {page}: return {recording.totals[-1]:.2f}")
+
+
 @dataclasses.dataclass(frozen=True)
 class Args:
     """Options of the benchmark; lists choose cells.
@@ -197,6 +217,7 @@ class Args:
       tasks, columns, seeds: cells to run, in this order: seeds of a column, columns of a task.
       out: the file of rows.
       keep: folder for checkpoints of the trained policies; none are kept without it.
+      film: draw an episode of the first cell's policy, which ``keep`` holds, as a video and a page, and stop.
       table: print tables of the rows that are there, and stop.
     """
 
@@ -205,6 +226,7 @@ class Args:
     seeds: tuple[int, ...] = (0, 1, 2)
     out: Path = Path("docs/suites/seeing/results.csv")
     keep: Path | None = None
+    film: Path | None = None
     table: bool = False
 
 
@@ -248,6 +270,11 @@ def main(args: Args) -> None:
         print(tables(read(args.out)))
         return
     enable_compilation_cache()
+    if args.film is not None:
+        if args.keep is None:
+            raise SystemExit("--film needs --keep, the folder of the kept policies")
+        film(args.tasks[0], args.columns[0], args.seeds[0], args.keep, args.film)
+        return
     where = {key: value for key, value in provenance().items() if key in FIELDS}
     for task in args.tasks:
         for column in args.columns:
