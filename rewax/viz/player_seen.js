@@ -18,7 +18,7 @@ class SeenPane {
     const { canvas } = this, seen = this.run.seen.find(({ title }) => title === camera), { parentElement: scene } = canvas;
     canvas.hidden = !seen;
     if (!seen) return;
-    const room = Math.min((large ? 0.75 : 0.36) * scene.clientHeight, (large ? 0.75 : 0.42) * scene.clientWidth);
+    const room = Math.min((large ? 0.75 : 0.36) * scene.clientHeight, (large ? 0.75 : 0.34) * scene.clientWidth);
     const factor = Math.max(room, 48) / Math.max(seen.width, seen.height);
     const width = Math.round(factor * seen.width), height = Math.round(factor * seen.height);
     Object.assign(canvas.style, { width: `${width + 12}px`, height: `${height + CAPTION + FOOT}px` });
