@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.base import State
+from rewax.envs.base import ArraySpec, State
 from rewax.envs.wrappers import _Wrapper
 from rewax.types import Array, Key, Observation, PyTree
 
@@ -89,7 +89,7 @@ class Latency(struct.Replaceable, _Wrapper):
 
     def step(self, state: State, action: Array) -> State:
         flight: InFlight = state.delayed  # type: ignore[assignment]
-        given = jnp.concatenate([jnp.asarray(action, flight.actions.dtype)[None], flight.actions])
+        given = jnp.concatenate([_clipped(action, self.action_spec, flight.actions.dtype)[None], flight.actions])
         present = {name: history[0] for name, history in flight.observations.items()}
         inner = state.replace(obs={**state.obs, **present}, delayed=flight.inner)
         new = self.env.step(inner, _taken(given, self.action, flight.action_delay))
@@ -126,6 +126,12 @@ def _longest(steps: Steps) -> int:
 def _drawn(steps: Steps, key: Key) -> Array:
     low, high = (steps, steps) if isinstance(steps, int) else steps
     return jax.random.randint(key, (), low, high + 1, jnp.int32)
+
+
+def _clipped(action: Array, spec: ArraySpec, dtype: Any) -> Array:
+    """The action within its bounds. Where it lies on one the derivative is 1: ``env`` clips again, and decides."""
+    action = jnp.asarray(action, dtype)
+    return jnp.where(action < spec.low, spec.low, jnp.where(action > spec.high, spec.high, action)).astype(dtype)
 
 
 def _taken(newest_first: Array, steps: Steps, delay: Array) -> Array:

@@ -4,11 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import seeing_toys
 import toys
 
 from rewax.envs import AutoReset, Randomized, Vmap
 from rewax.envs.latency import Latency
 from rewax.envs.randomize import Uniform, hook
+from rewax.testing import check_env
 
 LENGTH = 6
 ACTIONS = jnp.array([0.1, -0.4, 0.3, 0.2, -0.1, 0.4])[:, None]
@@ -106,3 +108,9 @@ def test_delays_that_cannot_be_are_refused(steps):
 def test_an_unknown_observation_is_refused():
     with pytest.raises(ValueError, match="of has 'y', which is not observed: use some of x"):
         Latency(env=toys.point_mass(), of=("y",))
+
+
+def test_a_seeing_environment_that_is_late_passes_the_check():
+    env = Latency(env=seeing_toys.sensing(length=12), observation=(0, 2), action=(0, 1), of=("depth",))
+    check_env(env)
+    assert env.observation_spec["depth"].shape == (24, 32, 1) and env.world is not None
