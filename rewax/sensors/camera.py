@@ -201,10 +201,11 @@ class Camera(struct.Replaceable):
         ahead: Vec3 = (x, y, -jnp.ones_like(x))
         rotation = cp.split_matrix(pose.rotation)
         direction = cp.vector(lambda i: cp.dot(rotation[i], ahead))
+        low, high = (1.0, 1.0) if self.zoom is None else ZOOM
         rays = Rays(
             pose=pose, origin=cp.split_vector(pose.position), direction=direction, slope=(x, y),
             height=self.height, width=self.width, focal_length=camera._zoomed, near=self.near,
-            focal_range=tuple(self.focal_length * f for f in (ZOOM if self.zoom is not None else (1.0, 1.0))),
+            focal_range=(low * self.focal_length, high * self.focal_length),
             gradient=self.gradient,
         )  # fmt: skip
         labels = {name: i for i, name in enumerate(world.names)}

@@ -68,10 +68,11 @@ def seen_by(env: Any, physics: Any, frames: list[dict[str, Any]]) -> list[Seen]:
     for sensing in (each for each in _chain(env) if isinstance(each, Sensing)):
         names = jax.eval_shape(sensing.world, physics).names
         for name, camera in _cameras(sensing).items():
-            for kind in ("depth", "bodies"):
-                pixels = np.stack([np.asarray(frame[f"{name} {kind}"]) for frame in frames])
-                ends = {"near": float(camera.near), "far": float(camera.far)} if kind == "depth" else {"names": names}
-                found.append(Seen(name=name, kind=kind, pixels=pixels, **ends))
+            depth, bodies = (
+                np.stack([np.asarray(f[f"{name} {kind}"]) for f in frames]) for kind in ("depth", "bodies")
+            )
+            found.append(Seen(name=name, kind="depth", pixels=depth, near=float(camera.near), far=float(camera.far)))
+            found.append(Seen(name=name, kind="bodies", pixels=bodies, names=names))
     return found
 
 
