@@ -17,6 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 DISTRIBUTIONS = {
     "orbax.checkpoint": "orbax-checkpoint", "mujoco.mjx": "mujoco-mjx", "imageio_ffmpeg": "imageio-ffmpeg", "OpenGL": "pyopengl",
+    "PIL": "pillow",
 }  # fmt: skip
 """Where a distribution has another name than its top module."""
 EXTRA_MODULES = {
@@ -35,7 +36,7 @@ def third_party(folder: Path) -> set[str]:
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 modules |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     found = {distribution for module, distribution in DISTRIBUTIONS.items() if module in modules}
-    tops = {module.split(".")[0] for module in modules} - {"orbax", "rewax", "imageio_ffmpeg", "OpenGL"}
+    tops = {module.split(".")[0] for module in modules} - {"orbax", "rewax", "imageio_ffmpeg", "OpenGL", "PIL"}
     return found | (tops - set(sys.stdlib_module_names))
 
 

@@ -63,6 +63,7 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: there is no such run, checkpoint, environment or parameter, or an option cannot be; one sentence.
     """
+    from rewax.training.evaluation.cameras import as_recorded
     from rewax.training.evaluation.recording import can_record, check_color_by
     from rewax.training.evaluation.sweep import read_grid
     from rewax.training.storage.cache import enable_compilation_cache
@@ -74,7 +75,7 @@ def run(argv: Sequence[str]) -> int:
     enable_compilation_cache()
     import_modules(options.imports)
     saved = open_run(where, step=options.step, scale=options.scale)
-    env = getattr(saved.env, "unwrapped", saved.env)
+    env = as_recorded(saved.env)
     films = options.video and can_record(env)
     if films:
         check_color_by(env, options.color_by)

@@ -61,6 +61,7 @@ def run(argv: Sequence[str]) -> int:
     import jax
 
     from rewax.fixed_sources import build_ahead
+    from rewax.training.evaluation.cameras import as_recorded
     from rewax.training.evaluation.recording import record
     from rewax.training.storage.cache import enable_compilation_cache
     from rewax.training.storage.policies import open_run
@@ -83,7 +84,7 @@ def run(argv: Sequence[str]) -> int:
         saved = open_run(directory, step=options.step, scale=options.scale)
         recordings.append(
             record(
-                getattr(saved.env, "unwrapped", saved.env),
+                as_recorded(saved.env),
                 saved.agent.policy,
                 saved.train_state,
                 jax.random.key(options.seed),
@@ -103,6 +104,7 @@ def _live(options: Options) -> int:
     """Show the newest checkpoint of a run and each later one, until interrupted."""
     import jax
 
+    from rewax.training.evaluation.cameras import as_recorded
     from rewax.training.evaluation.recording import make_record
     from rewax.training.storage import checkpoint
     from rewax.training.storage.policies import is_policy
@@ -115,7 +117,7 @@ def _live(options: Options) -> int:
     if is_policy(directory):
         raise ValueError(f"a live view shows a run that trains: rewax play {directory} shows its policy")
     saved, (name,) = load_run(directory), _names(options.runs)
-    env = getattr(saved.env, "unwrapped", saved.env)
+    env = as_recorded(saved.env)
     record = make_record(env, saved.agent.policy, max_frames=options.frames, deterministic=not options.sampled)
     viewer = LiveViewer(host=options.host, port=options.port)
     print(f"{viewer.url} shows {directory}; Ctrl-C ends it", flush=True)

@@ -34,6 +34,7 @@ class State(struct.Replaceable):
         other steps; None without ``AutoReset``.
       drawn: parameters of the environment that were drawn for this episode, by name; None where nothing is randomised
         (see ``rewax.envs.Randomized``).
+      delayed: observations and actions that are on their way; None without ``rewax.envs.latency.Latency``.
       failed_leaf: index of the first array that held a non-finite number in the last step, -1 for none, shape (),
         int32. ``failed_leaf_name`` gives its name.
     """
@@ -49,6 +50,7 @@ class State(struct.Replaceable):
     key: Key
     final_obs: Observation | None = None
     drawn: dict[str, Array] | None = None
+    delayed: PyTree = None
     failed_leaf: Array = struct.field(default_factory=lambda: jnp.full((), NO_LEAF, jnp.int32))
 
     @property

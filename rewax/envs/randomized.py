@@ -38,7 +38,7 @@ class Randomized(_Wrapper):
         return env.reset(key).replace(drawn=_changed(self.env, env))
 
     def step(self, state: State, action: Array) -> State:
-        return _with_parameters(self.env, state.drawn or {}).step(state, action)
+        return with_parameters(self.env, state.drawn or {}).step(state, action)
 
 
 def check_hook(env: Any, randomize: Randomize) -> None:
@@ -62,6 +62,6 @@ def _changed(old: Any, new: Any) -> dict[str, Array]:
     return found
 
 
-def _with_parameters(env: Any, parameters: dict[str, Array]) -> Any:
+def with_parameters(env: Any, parameters: dict[str, Array]) -> Any:
     """The environment with some parameters replaced, by name."""
     return jax.tree.map_with_path(lambda path, leaf: parameters.get(jax.tree_util.keystr(path), leaf), env)

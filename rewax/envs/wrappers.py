@@ -89,6 +89,7 @@ class AutoReset(_Wrapper):
             step_count=new.step_count,
             key=new.key,
             drawn=new.drawn,
+            delayed=new.delayed,
             final_obs=state.obs,
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, check_numbers, numbers_of
+from rewax.physics.numerics.checks import FINITE, Legal, check_numbers, numbers_of
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, placed_at, turned
 from rewax.sensors.hits import Hits, Rays, nearest
@@ -18,7 +18,10 @@ from rewax.sensors.solids import see_solids
 from rewax.sensors.surfaces import see_triangles
 from rewax.sensors.world import NOTHING, World, frozen
 from rewax.sensors.z_buffer import see_balls
-from rewax.types import Array, Key, Vector
+from rewax.types import Array, Key, Scalar, Vector
+
+ZOOM = (0.5, 1.5)
+"""A camera's zoom lies between these."""
 
 
 class View(NamedTuple):
@@ -46,6 +49,8 @@ class Camera(struct.Replaceable):
       near: what is nearer is not seen [m], > 0 (static). It also bounds how many pixels a particle can cover, so a
         larger one is faster.
       far: depth of pixels that see nothing; what is farther is not seen [m] (static).
+      zoom: factor of the focal length, above 0.5 and below 1.5; None: 1. Give 1 to make it a parameter, which can be
+        drawn; it widens the window of pixels that each particle is written to.
       body: that carries the camera, an index; None: it stands still (static).
       noise: what ``see`` does to depth; None: nothing.
       gradient: whether the gradient flows from the picture into the world and the camera, see ``view`` (static).
@@ -58,6 +63,7 @@ class Camera(struct.Replaceable):
     width: int = struct.static_field(default=64)
     near: float = struct.static_field(default=0.05)
     far: float = struct.static_field(default=10.0)
+    zoom: Scalar | None = struct.number(Legal(*ZOOM), "give a factor, 1.0 for none", shape=(), default=None)
     body: int | None = struct.static_field(default=None)
     noise: DepthNoise | None = None
     gradient: bool = struct.static_field(default=False)
@@ -106,6 +112,11 @@ class Camera(struct.Replaceable):
     def focal_length(self) -> float:
         """Pixels per unit of tangent."""
         return 0.5 * self.height / math.tan(math.radians(0.5 * self.field_of_view))
+
+    @property
+    def _zoomed(self) -> Scalar:
+        """The focal length with the zoom [pixels]."""
+        return self.focal_length if self.zoom is None else self.focal_length * jnp.clip(self.zoom, *ZOOM)
 
     @property
     def pose(self) -> Pose:
@@ -175,7 +186,9 @@ class Camera(struct.Replaceable):
         rows = (0.5 * self.height - np.arange(self.height) - 0.5) / self.focal_length
         x, y = np.meshgrid(columns, rows)
         dtype = jnp.result_type(self.position)
-        return jnp.asarray(x.reshape(-1), dtype), jnp.asarray(y.reshape(-1), dtype)
+        x, y = jnp.asarray(x.reshape(-1), dtype), jnp.asarray(y.reshape(-1), dtype)
+        factor = self._zoomed / self.focal_length
+        return (x, y) if self.zoom is None else (x / factor, y / factor)
 
     def _see(self, world: World, *, everything: bool) -> Hits:
         if not self.gradient:
@@ -184,13 +197,15 @@ class Camera(struct.Replaceable):
         else:
             camera = self
         pose = camera.pose_in(world)
-        x, y = self._slopes()
+        x, y = camera._slopes()
         ahead: Vec3 = (x, y, -jnp.ones_like(x))
         rotation = cp.split_matrix(pose.rotation)
         direction = cp.vector(lambda i: cp.dot(rotation[i], ahead))
+        low, high = (1.0, 1.0) if self.zoom is None else ZOOM
         rays = Rays(
             pose=pose, origin=cp.split_vector(pose.position), direction=direction, slope=(x, y),
-            height=self.height, width=self.width, focal_length=self.focal_length, near=self.near,
+            height=self.height, width=self.width, focal_length=camera._zoomed, near=self.near,
+            focal_range=(low * self.focal_length, high * self.focal_length),
             gradient=self.gradient,
         )  # fmt: skip
         labels = {name: i for i, name in enumerate(world.names)}

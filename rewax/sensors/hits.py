@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
 from rewax.sensors.world import NOTHING
-from rewax.types import Array
+from rewax.types import Array, Scalar
 
 
 class Rays(NamedTuple):
@@ -24,7 +24,9 @@ class Rays(NamedTuple):
     """x and y in the camera's frame at depth 1, shape (num_pixels,) each."""
     height: int
     width: int
-    focal_length: float
+    focal_length: Scalar
+    focal_range: tuple[float, float]
+    """The least and the largest focal length that the program serves."""
     near: float
     gradient: bool = False
     """Whether depth has a derivative by what is seen."""

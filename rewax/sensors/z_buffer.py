@@ -19,11 +19,15 @@ def reach(balls: Balls, rays: Rays) -> int:
     A ball of angular radius b at an angle a from the viewing direction ends at tan(a + b). It is largest at the depth
     ``near`` and longest in the picture's corner.
     """
-    corner = math.atan(math.hypot(0.5 * rays.height, 0.5 * rays.width) / rays.focal_length)
-    angle = math.asin(min(balls.radius * math.cos(corner) / rays.near, 1.0))
+    return max(_reach(balls.radius, rays, focal_length) for focal_length in rays.focal_range)
+
+
+def _reach(radius: float, rays: Rays, focal_length: float) -> int:
+    corner = math.atan(math.hypot(0.5 * rays.height, 0.5 * rays.width) / focal_length)
+    angle = math.asin(min(radius * math.cos(corner) / rays.near, 1.0))
     if corner + angle >= 0.5 * math.pi:
         return max(rays.height, rays.width)
-    extent = rays.focal_length * (math.tan(corner + angle) - math.tan(corner))
+    extent = focal_length * (math.tan(corner + angle) - math.tan(corner))
     return min(math.floor(extent + 0.5), max(rays.height, rays.width))
 
 

@@ -2,11 +2,13 @@
 
 import colorsys
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rewax.viz.recording import Recording
-from rewax.viz.shapes import Drawing
+if TYPE_CHECKING:
+    from rewax.viz.recording import Recording
+    from rewax.viz.shapes import Drawing
 
 MATERIALS: Mapping[str, tuple[float, float, float]] = {
     "dough": (0.89, 0.62, 0.34),
@@ -49,12 +51,12 @@ def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:
     return ((1.0 - part) * SCALE[index] + part * SCALE[index + 1]).astype(np.float32)
 
 
-def color_by(recording: Recording) -> tuple[str, ...]:
+def color_by(recording: "Recording") -> tuple[str, ...]:
     """What particles can be coloured by: the material, the height, and the recording's own values."""
     return ("material", "height", *recording.values)
 
 
-def particle_colors(recording: Recording, by: str = "material") -> np.ndarray:
+def particle_colors(recording: "Recording", by: str = "material") -> np.ndarray:
     """Colours of particles, shape (num_particles, 3) for the material, else (num_frames, num_particles, 3).
 
     Raises:
@@ -78,7 +80,7 @@ def value_range(values: np.ndarray) -> tuple[float, float]:
     return float(low), float(max(high, low + 1e-9))
 
 
-def shape_color(drawing: Drawing) -> tuple[np.ndarray, float]:
+def shape_color(drawing: "Drawing") -> tuple[np.ndarray, float]:
     """Colour and opacity of a shape."""
     return np.asarray(drawing.get("color", SOLID), np.float32), float(drawing.get("opacity", 1.0))
 

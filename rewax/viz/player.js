@@ -55,6 +55,8 @@ class Player {
       plot: "reward",                              // what the curves are
       surface: true,                               // of particles, instead of balls
       follow: this.runs.some((run) => run.follow), // the camera goes with what moves
+      camera: titlesOf(this.runs)[0] || "",        // the title of the camera's picture in the corner; "": none
+      large: false,                                // that picture
       one: this.similar(),                         // all runs have the same scales: metres, colours, curves
       sharpness: 1, detail: 1,                     // below 1: fewer pixels, coarser surfaces
     };
@@ -85,7 +87,7 @@ class Player {
   addView(run) {
     const section = document.importNode(byId("view").content, true).firstElementChild;
     byId("runs").append(section);
-    const header = section.querySelector("header"), [scene, bar, curves] = section.querySelectorAll("canvas");
+    const header = section.querySelector("header"), [scene, bar, seen, curves] = section.querySelectorAll("canvas");
     header.querySelector("b").textContent = run.name;
     this.orbit.listen(scene);
     const seek = (event) => {
@@ -93,7 +95,10 @@ class Player {
     };
     curves.addEventListener("pointerdown", seek);
     curves.addEventListener("pointermove", seek);
-    return { run, section, header, bar, scene: new Scene(scene, run), curves: new Curves(curves, run) };
+    const resize = () => { this.show.large = !this.show.large; this.dirty = true; };
+    return {
+      run, section, header, bar, scene: new Scene(scene, run), seen: new SeenPane(seen, run, resize), curves: new Curves(curves, run),
+    };
   }
 
   visible() {
@@ -168,9 +173,10 @@ class Player {
     byId("clock").textContent = `${time.toFixed(2)} of ${duration.toFixed(2)} s`;
     const full = this.playing && !this.recorder.running ? {} : { sharpness: 1, detail: 1 };
     const common = show.one ? this.commonScale(runs) : {};
-    for (const { run, header, scene, bar, curves } of this.visible()) {
-      const own = { ...show, ...full, ranges: run.ranges, ...common };
-      scene.draw(momentOf(run, time), this.orbit, own);
+    for (const { run, header, scene, bar, seen, curves } of this.visible()) {
+      const own = { ...show, ...full, ranges: run.ranges, ...common }, moment = momentOf(run, time);
+      scene.draw(moment, this.orbit, own);
+      seen.draw(moment, own);
       bar.hidden = !own.ranges[show.by] || !run.ranges[show.by];
       if (!bar.hidden) drawColorBar(bar, run.palette, show.by, own.ranges[show.by]);
       curves.draw(time, duration, own);
@@ -198,7 +204,8 @@ class Player {
   }
 }
 
-// What the address asks for after #: t=0.5 [s, paused], color=speed, plot=actions, view=top, run=1 (the first), balls.
+// What the address asks for after #: t=0.5 [s, paused], color=speed, plot=actions, view=top, run=1 (the first), balls,
+// camera=depth (the start of a title, or none), large.
 function follow(player, wanted) {
   const set = (id, value) => { byId(id).value = value; byId(id).dispatchEvent(new Event("change")); };
   if (wanted.has("color")) set("color", wanted.get("color"));
@@ -206,6 +213,9 @@ function follow(player, wanted) {
   if (wanted.get("view") in VIEWS) player.orbit.view(wanted.get("view"));
   if (player.runs[Number(wanted.get("run")) - 1]) player.choose(Number(wanted.get("run")) - 1);
   if (wanted.has("balls")) byId("surface").click();
+  const title = titlesOf(player.runs).find((known) => known.startsWith(wanted.get("camera")));
+  if (wanted.has("camera")) set("camera", title || "");
+  if (wanted.has("large")) player.show.large = true;
   if (wanted.has("t")) player.seek(Number(wanted.get("t"))); else player.toggle(true);
 }
 

@@ -17,6 +17,7 @@ from rewax.viz.colors import SCALE, color_by, material_colors, shape_color, valu
 from rewax.viz.ground import grid_spacing
 from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, diameters, playback
+from rewax.viz.seen import Seen
 from rewax.viz.shapes import side_view
 
 MAX_RUNS = 8
@@ -25,7 +26,7 @@ _ASPECT = 4 / 3
 _ASSETS = Path(__file__).parent
 SCRIPTS = (
     "player_gl.js", "player_shaders.js", "player_surface.js", "player_cloud.js", "player_scene.js", "player_curves.js",
-    "player_camera.js", "player_capture.js", "player_controls.js", "player.js",
+    "player_seen.js", "player_camera.js", "player_capture.js", "player_controls.js", "player.js",
 )  # fmt: skip
 """Scripts of the page, in the order in which they are read."""
 
@@ -91,6 +92,7 @@ def _run(recording: Recording) -> dict[str, Any]:
         "floor": chosen.floor,
         "palette": np.round(SCALE, 3).tolist(),
         "solids": _solids(recording),
+        "seen": [_seen(seen) for seen in recording.seen],
         "particles": None if recording.particles is None else _particles(recording),
     }
 
@@ -145,6 +147,20 @@ def _solids(recording: Recording) -> list[dict[str, Any]]:
             }
         )
     return solids
+
+
+def _seen(seen: Seen) -> dict[str, Any]:
+    """Pictures of a camera, and the colours of their bytes."""
+    return {
+        "title": seen.title,
+        "height": seen.pixels.shape[1],
+        "width": seen.pixels.shape[2],
+        "near": seen.near,
+        "far": seen.far,
+        "names": list(seen.names),
+        "colors": np.round(255.0 * seen.colors()).astype(int).reshape(-1).tolist(),
+        "pixels": _moving(seen.pixels),
+    }
 
 
 def _moving(frames: np.ndarray) -> dict[str, Any]:

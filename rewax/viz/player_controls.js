@@ -13,6 +13,14 @@ function fill(id, choices, chosen, change) {
   select.addEventListener("change", () => change(select.value));
 }
 
+// Take the next choice of a chooser, after the last one the first.
+function nextChoice(id) {
+  const select = byId(id);
+  if (select.options.length < 2) return;
+  select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+  select.dispatchEvent(new Event("change"));
+}
+
 // A button that is on or off.
 function toggleButton(id, on, change) {
   const button = byId(id);
@@ -35,6 +43,8 @@ function addControls(player, data) {
   fill("speed", speeds.map((s) => [s, `${Number(s.toPrecision(2))}×`]), data.speed, (value) => { player.speed = Number(value); });
   fill("color", data.colors.map((name) => [name, name]), show.by, (value) => { show.by = value; changed(); });
   fill("plot", player.plots.map((name) => [name, name]), show.plot, (value) => { show.plot = value; changed(); });
+  const titles = titlesOf(player.runs);
+  fill("camera", [...titles, ""].map((title) => [title, title || "none"]), show.camera, (value) => { show.camera = value; changed(); });
   toggleButton("surface", show.surface, (on) => {
     show.surface = on;
     byId("surface").textContent = on ? "Surface" : "Balls";
@@ -63,6 +73,7 @@ function addKeys(player) {
     if (event.target.tagName === "BUTTON" && event.key === " ") return;  // the space bar presses the button
     const keys = {
       " ": () => player.toggle(), Home: () => player.seek(0), End: () => player.seek(player.duration),
+      c: () => nextChoice("camera"),
       ArrowRight: () => player.seek(player.time + step), ArrowLeft: () => player.seek(player.time - step),
     };
     const action = keys[event.key] || (buttons[event.key] && !byId(buttons[event.key]).hidden && (() => byId(buttons[event.key]).click()));

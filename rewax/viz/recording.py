@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rewax.viz.seen import Seen
 from rewax.viz.shapes import Drawing, check_cloud, check_drawing
 
 FRAMES_PER_SECOND = 30.0
@@ -29,6 +30,7 @@ class Recording:
       particles: positions [m], shape (num_frames, num_particles, 3); None without particles.
       values: named numbers of each particle (``speed``, ``strain``), shape (num_frames, num_particles) each.
       drawings: rigid shapes of each frame (``rewax.viz.shapes``): the same kinds, meshes with the same triangles.
+      seen: what the environment's cameras show in each frame.
       control_dt: duration of a control step [s]; None if the environment does not have it.
       up: unit vector that points up, shape (3,).
       triangles: of particles that are the vertices of a mesh, shape (num_triangles, 3); None for loose particles.
@@ -48,6 +50,7 @@ class Recording:
     particles: np.ndarray | None = None
     values: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     drawings: Sequence[Sequence[Drawing]] = ()
+    seen: Sequence[Seen] = ()
     control_dt: float | None = None
     up: np.ndarray = dataclasses.field(default_factory=lambda: np.array([0.0, 1.0, 0.0]))
     triangles: np.ndarray | None = None
@@ -69,6 +72,11 @@ class Recording:
             for i, (first, later) in enumerate(zip(self.drawings[0], frame, strict=True)):
                 if first["kind"] == "mesh" and not _same_mesh(first, later):
                     raise ValueError(f"drawing {i} is a mesh that changes: give the same vertices and triangles always")
+        for seen in self.seen:
+            if len(seen.pixels) != len(self.steps):
+                raise ValueError(
+                    f"{seen.title} has {len(seen.pixels)} frames, not {len(self.steps)}: give one for each"
+                )
         if self.particles is None and not any(kind != "plane" for kind in (kinds or [()])[0]):
             raise ValueError("there is nothing to show: give the environment particles or render_shapes")
 
@@ -104,6 +112,7 @@ class Recording:
             particles=None if self.particles is None else self.particles[frames],
             values={name: value[frames] for name, value in self.values.items()},
             drawings=[self.drawings[i] for i in frames] if len(self.drawings) else (),
+            seen=[seen.take(frames) for seen in self.seen],
         )
 
     def subsample(self, num_frames: int) -> "Recording":

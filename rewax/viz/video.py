@@ -26,7 +26,7 @@ def record_video(
     Args:
       recording: what to show.
       out_mp4: video to write.
-      size: height and width in pixels, even numbers.
+      size: height and width of the scene in pixels, even numbers. What cameras show is added at its right.
       renderer, color_by, surface: as for ``rewax.viz.render.pictures``.
 
     Returns:
@@ -36,11 +36,13 @@ def record_video(
       ValueError: the size is odd, or ``pictures`` raises.
       OSError: ffmpeg fails, or the file cannot be written.
     """
+    from rewax.viz.beside import beside, pane_width
     from rewax.viz.render import pictures
 
     shown, rate, speed = playback(recording)
     drawn = pictures(shown, size=size, renderer=renderer, color_by=color_by, surface=surface)
-    write_video(drawn, out_mp4, rate=rate, size=size)
+    whole = (size[0], size[1] + pane_width(shown, size[0]))
+    write_video(beside(shown, drawn, size[0]), out_mp4, rate=rate, size=whole)
     return describe_speed(shown, speed)
 
 

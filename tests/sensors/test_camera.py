@@ -195,3 +195,16 @@ def test_bad_cameras_are_refused(wrong, words):
 def test_a_view_that_is_not_fixed_is_refused(eye, up):
     with pytest.raises(ValueError, match="fix no view"):
         Camera.look_at((0, 0, 0), eye=eye, up=up)
+
+
+@pytest.mark.parametrize("zoom", [0.55, 1.0, 1.45])
+def test_a_zoom_is_a_longer_focal_length(zoom):
+    centers = np.random.default_rng(0).uniform(-0.4, 0.4, (60, 3)).astype(np.float32)
+    world = World(balls=(Balls(center=jnp.asarray(centers), radius=0.05, names=("dough",), counts=(60,)),))
+    fields = {"eye": (0.3, 0.5, 2.0), "near": 1.0, "far": 4.0, "height": 40, "width": 56}
+    narrow = np.degrees(2.0 * np.arctan(np.tan(np.radians(20.0)) / zoom))
+    zoomed = Camera.look_at((0, 0, 0), field_of_view=40.0, zoom=zoom, **fields).view(world)
+    plain = Camera.look_at((0, 0, 0), field_of_view=float(narrow), **fields).view(world)
+    seen = np.asarray((zoomed.label == 0) & (plain.label == 0))
+    assert (np.asarray(zoomed.label) != plain.label).mean() < 2e-3 and seen.sum() > 50
+    np.testing.assert_allclose(np.asarray(zoomed.depth)[seen], np.asarray(plain.depth)[seen], atol=2e-3)

@@ -17,14 +17,16 @@ import recordings
 
 from rewax.viz import player
 from rewax.viz.camera import frame_recording
-from rewax.viz.colors import MATERIALS
+from rewax.viz.colors import MATERIALS, SCALE
 from rewax.viz.player import MAX_RUNS, SCRIPTS, write_player
 from rewax.viz.recording import diameters
+from rewax.viz.seen import LABELS, NOTHING, Seen
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 BROWSER = next((path for path in map(shutil.which, BROWSERS) if path), None)
 _PATIENCE = 120
 """How long the browser may take to open a page [s]."""
+EVIL = "<img src=x onerror=\"document.title='broken in'\">"
 needs_browser = pytest.mark.skipif(BROWSER is None, reason=f"no browser: none of {', '.join(BROWSERS)} is installed")
 
 
@@ -192,7 +194,40 @@ def test_a_browser_shows_it_without_errors_and_moving_the_time_moves_it(tmp_path
     np.testing.assert_allclose(other[0], other[1], atol=0.02)  # the ball rests
 
 
-EVIL = "<img src=x onerror=\"document.title='broken in'\">"
+def seeing_scene(name="depth"):
+    """The scene with a camera whose picture is dark blue on the left, and whose right half sees nothing."""
+    pixels = np.full((5, 16, 16), NOTHING, np.uint8)
+    pixels[:, :, :8] = np.arange(0, 250, 50)[:, None, None]
+    bodies = np.where(pixels < NOTHING, 1, NOTHING).astype(np.uint8)
+    depth = Seen(name=name, kind="depth", pixels=pixels, near=0.5, far=2.0)
+    return dataclasses.replace(
+        scene(), seen=[depth, Seen(name=name, kind="bodies", pixels=bodies, names=("tool", EVIL))]
+    )
+
+
+def test_what_cameras_show_comes_back(tmp_path):
+    recording = seeing_scene()
+    (run,) = data_of(write_player([recording], tmp_path / "a.html"))["runs"]
+    for stored, seen in zip(run["seen"], recording.seen, strict=True):
+        np.testing.assert_array_equal(decoded(stored["pixels"]).reshape(5, 16, 16), seen.pixels)
+        assert stored["title"] == seen.title and stored["names"] == list(seen.names)
+        np.testing.assert_allclose(np.reshape(stored["colors"], (256, 3)), 255 * seen.colors(), atol=0.5)
+    assert (run["seen"][0]["near"], run["seen"][0]["far"]) == (0.5, 2.0)
+
+
+@needs_browser
+def test_the_cameras_picture_is_in_the_corner_and_can_be_chosen_enlarged_and_hidden(tmp_path):
+    path = write_player([seeing_scene(), scene()], tmp_path / "a.html")
+    shares = {}
+    for more in ("&run=1", "&run=1&large", "&run=1&camera=depth:", "&run=1&camera=none", "&run=2"):
+        _, console, image = browse(path, 0.0, tmp_path / f"{len(shares)}.png", more=more)
+        assert not console, console
+        for color, of in ((SCALE[0], "depth"), (LABELS[1], "bodies")):
+            shares[more, of] = (np.abs(image[80:560] - color).max(axis=-1) < 0.02).mean()
+    assert shares["&run=1", "depth"] > 0.01 and shares["&run=1&large", "depth"] > 2.0 * shares["&run=1", "depth"]
+    assert shares["&run=1&camera=depth:", "bodies"] > 0.01 > 0.001 > shares["&run=1&camera=depth:", "depth"]
+    for more in ("&run=1&camera=none", "&run=2"):
+        assert shares[more, "depth"] < 0.001
 
 
 @needs_browser

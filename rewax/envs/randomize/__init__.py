@@ -1,5 +1,6 @@
 """Domain randomisation by name: every episode draws parameters of the environment from distributions."""
 
+from rewax.envs.randomize.cameras import camera
 from rewax.envs.randomize.distributions import (
     Choice,
     Constant,
@@ -9,11 +10,12 @@ from rewax.envs.randomize.distributions import (
     Per,
     Scale,
     Shift,
+    Turn,
     Uniform,
 )
 from rewax.envs.randomize.hooks import Draw, LeafDraws, hook, leaves
 
 __all__ = [
-    "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogUniform", "Normal", "Per", "Scale", "Shift",
-    "Uniform", "hook", "leaves",
+    "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogUniform", "Normal", "Per", "Scale", "Shift", "Turn",
+    "Uniform", "camera", "hook", "leaves",
 ]  # fmt: skip

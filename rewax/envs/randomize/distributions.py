@@ -203,6 +203,24 @@ class Shift:
         _check_distribution(self, self.by)
 
 
+@dataclasses.dataclass(frozen=True)
+class Turn:
+    """Turns a rotation matrix by a small random rotation: ``Turn(Normal(0.0, 0.02))``.
+
+    Three numbers are drawn [rad]: the rotation vector, about the x, y and z axes of the turned frame. The result is a
+    rotation, too.
+
+    Gradient: the derivative of the new matrix with respect to the present one is the product with the random rotation.
+    """
+
+    by: Distribution
+
+    def __post_init__(self) -> None:
+        _check_distribution(self, self.by)
+        if self.by.per is not Per.LEAF:
+            raise ValueError(f"Turn.by has {self.by.per}: leave per out, a rotation always gets three numbers")
+
+
 def _check_range(distribution: Any, low: float, high: float) -> None:
     for name, bound in (("low", low), ("high", high)):
         distribution._require(math.isfinite(bound), name, bound, "give a finite number")
@@ -216,4 +234,4 @@ def _check_distribution(change: Any, given: Any) -> None:
         raise ValueError(f"{name}.by is {given!r}: give a distribution, as in {name}(Uniform(0.5, 2.0))")
 
 
-__all__ = ["Choice", "Constant", "Distribution", "LogUniform", "Normal", "Per", "Scale", "Shift", "Uniform"]
+__all__ = ["Choice", "Constant", "Distribution", "LogUniform", "Normal", "Per", "Scale", "Shift", "Turn", "Uniform"]

@@ -12,11 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rewax.envs.randomize.distributions import Distribution, Per, Scale, Shift
+from rewax.envs.randomize.distributions import Distribution, Per, Scale, Shift, Turn
+from rewax.physics.numerics.pose import product
+from rewax.physics.numerics.rotations import quaternion_to_matrix
 from rewax.types import Array, Key
 
-Draw: TypeAlias = Distribution | Scale | Shift
-"""A distribution draws the value itself, ``Scale`` a factor of the present value, ``Shift`` an addend."""
+Draw: TypeAlias = Distribution | Scale | Shift | Turn
+"""A distribution draws the value itself, ``Scale`` a factor of the present value, ``Shift`` an addend, ``Turn`` a
+rotation that a rotation matrix is multiplied by."""
 _Names: TypeAlias = str | tuple[str, ...]
 _ALL = "*"
 _WHOLE = ":"
@@ -49,9 +52,9 @@ def hook(draws: Mapping[_Names, Draw]) -> "LeafDraws":
             raise ValueError(
                 f"{names!r} is no name of a parameter: give a string, or a tuple of strings that share a draw"
             )
-        if not isinstance(draw, (Distribution, Scale, Shift)):
+        if not isinstance(draw, (Distribution, Scale, Shift, Turn)):
             raise ValueError(
-                f"the draw of {', '.join(names)} is {draw!r}: give a distribution, Scale(...) or Shift(...)"
+                f"the draw of {', '.join(names)} is {draw!r}: give a distribution, Scale(...), Shift(...) or Turn(...)"
             )
         found.append((names, draw))
     return LeafDraws(tuple(found))
@@ -101,7 +104,7 @@ class LeafDraws:
                 drawn.add(part)
             _check_leaves(parts, named, draw)
             by = draw if isinstance(draw, Distribution) else draw.by
-            shape = _shape_of_draw(parts, named, by.per)
+            shape = (3,) if isinstance(draw, Turn) else _shape_of_draw(parts, named, by.per)
             entry_key = jax.random.fold_in(key, zlib.crc32(" ".join(names).encode()))
             numbers = by.sample(entry_key, shape, jnp.result_type(float))
             for part in parts:
@@ -172,6 +175,8 @@ def _check_leaves(parts: list[_Part], named: list[tuple[Any, Any]], draw: Draw) 
             raise ValueError(f"{name} is of type {kind}: only floats can be drawn; give the environment a float there")
         if isinstance(draw, Scale) and _is_fixed(leaf, part.index):
             raise ValueError(f"{name} is {leaf}, which no factor changes: give its values, as in Uniform(0.1, 0.5)")
+        if isinstance(draw, Turn) and (shape := _part(leaf, part.index).shape)[-2:] != (3, 3):
+            raise ValueError(f"{name} has shape {shape}: Turn is for rotation matrices, of shape (3, 3)")
 
 
 def _is_fixed(leaf: Any, index: tuple[int | None, ...]) -> bool:
@@ -205,8 +210,12 @@ def _with_draw(leaf: Any, index: tuple[int | None, ...], numbers: Array, draw: D
     """The array with the drawn part. ``numbers`` has the first axes of the part."""
     leaf = jnp.asarray(leaf)
     part = _part(leaf, index)
-    numbers = numbers.reshape(numbers.shape + (1,) * (part.ndim - numbers.ndim)).astype(leaf.dtype)
+    numbers = numbers.astype(leaf.dtype)
+    if not isinstance(draw, Turn):
+        numbers = numbers.reshape(numbers.shape + (1,) * (part.ndim - numbers.ndim))
     match draw:
+        case Turn():
+            new = product(part, _rotation(numbers))
         case Scale():
             new = part * numbers
         case Shift():
@@ -214,6 +223,12 @@ def _with_draw(leaf: Any, index: tuple[int | None, ...], numbers: Array, draw: D
         case _:
             new = jnp.broadcast_to(numbers, part.shape)
     return new if not index else leaf.at[_slices(index)].set(new)
+
+
+def _rotation(vector: Array) -> Array:
+    """The rotation matrix of a rotation vector [rad], shapes (3,), (3, 3)."""
+    half = 0.5 * jnp.linalg.norm(vector)
+    return quaternion_to_matrix(jnp.append(jnp.cos(half), 0.5 * jnp.sinc(half / jnp.pi) * vector))
 
 
 def _part(leaf: Any, index: tuple[int | None, ...]) -> Array:

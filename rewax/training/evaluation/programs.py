@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
+from rewax.training.evaluation.cameras import as_recorded
 from rewax.training.evaluation.episodes import Policy, make_evaluate, uniform_policy, with_step
 from rewax.training.evaluation.recording import can_record, make_record
 from rewax.types import Key
@@ -61,7 +62,7 @@ class Programs:
 
     @functools.cached_property
     def _recorder(self) -> Any:
-        return make_record(getattr(self._env, "unwrapped", self._env), self._policy)
+        return make_record(as_recorded(self._env), self._policy)
 
     def _compile(self, train_state: Any, key: Key) -> None:
         try:
@@ -69,7 +70,7 @@ class Programs:
                 self._evaluate.lower((train_state, 0), key).compile()  # pyright: ignore[reportFunctionMemberAccess]
         finally:
             self._evaluates.set()
-        if self._config.plots and can_record(getattr(self._env, "unwrapped", self._env)):
+        if self._config.plots and can_record(self._env):
             with contextlib.suppress(Exception):
                 self._recorder(train_state, key, "", max_steps=1)
         if self._config.plots:

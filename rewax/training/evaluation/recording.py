@@ -1,5 +1,6 @@
 """Recordings of episodes for pictures: particles and bodies in each frame, rewards and status of each step."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import select
+from rewax.training.evaluation.cameras import make_pixels, seen_by
 from rewax.training.evaluation.episodes import Policy, with_step
 from rewax.types import Key, PyTree
 from rewax.viz.recording import Recording
@@ -16,7 +18,8 @@ _NOTHING = "the environment has neither particles(physics) nor render_shapes(phy
 
 
 def can_record(env: Any) -> bool:
-    """Whether an environment has something to draw."""
+    """Whether an environment, or the one inside its wrappers, has something to draw."""
+    env = _bare(env)
     return hasattr(env, "particles") or hasattr(env, "render_shapes")
 
 
@@ -26,6 +29,7 @@ def check_color_by(env: Any, color_by: str) -> None:
     Raises:
       ValueError: they cannot; the message lists what there is.
     """
+    env = _bare(env)
     if not hasattr(env, "particles"):
         return
     values: tuple[str, ...] = ()
@@ -54,7 +58,8 @@ def record(
 
     Args:
       env: unbatched environment with ``particles(physics)``, ``render_shapes(physics)`` or both; ``up``,
-        ``control_dt``, ``particle_values(physics)`` and ``appearance`` are optional.
+        ``control_dt``, ``particle_values(physics)`` and ``appearance`` are optional. It may be wrapped: what the
+        cameras of ``Sensing`` show is recorded, too.
       policy, train_state: as for ``make_evaluate``.
       key: draws the initial state and the policy's samples.
       max_frames: at least 2; of longer episodes every second step is recorded, or every third, ...
@@ -87,19 +92,22 @@ def make_record(
         raise ValueError(_NOTHING)
     every = max(1, -(-env.episode_length // (max_frames - 1)))
     reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
-    see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
+    bare = _bare(env)
+    see, pixels = _make_see(bare, jax.eval_shape(env.reset, jax.random.key(0)).physics), make_pixels(env)
 
     def made(train_state: PyTree, key: Key, name: str = "", max_steps: int | None = None) -> Recording:
         reset_key, act_key = jax.random.split(key)
         state = _beside(train_state, reset(reset_key))
-        seen, steps, logged = [see(state.physics)], [0], []
+        seen, shown, steps, logged = [see(state.physics)], [jax.device_get(pixels(state))], [0], []
         while not bool(state.done) and steps[-1] < (env.episode_length if max_steps is None else max_steps):
             state, of_steps = advance(train_state, state, act_key)
             count = int(state.step_count) - steps[-1]
             logged.append(jax.tree.map(lambda values: values[:count], jax.device_get(of_steps)))  # noqa: B023
             steps.append(int(state.step_count))
             seen.append(see(state.physics))
-        return _recording(env, seen, steps, logged, name)
+            shown.append(jax.device_get(pixels(state)))
+        recording = _recording(bare, seen, steps, logged, name)
+        return dataclasses.replace(recording, seen=seen_by(env, state.physics, shown))
 
     return made
 
@@ -112,12 +120,18 @@ def snapshots(env: Env) -> Callable[[list[PyTree]], Recording]:
     """
     if not can_record(env):
         raise ValueError(_NOTHING)
-    see = _make_see(env, jax.eval_shape(env.reset, jax.random.key(0)).physics)
+    bare = _bare(env)
+    see = _make_see(bare, jax.eval_shape(env.reset, jax.random.key(0)).physics)
 
     def of(frames: list[PyTree]) -> Recording:
-        return _recording(env, [see(physics) for physics in frames], list(range(len(frames))), [], "")
+        return _recording(bare, [see(physics) for physics in frames], list(range(len(frames))), [], "")
 
     return of
+
+
+def _bare(env: Any) -> Any:
+    """The environment inside its wrappers, which knows what there is to draw."""
+    return getattr(env, "unwrapped", env)
 
 
 def _beside(train_state: PyTree, state: State) -> State:

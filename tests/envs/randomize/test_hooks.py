@@ -193,7 +193,7 @@ REFUSED = {
         ("start", "parameters[body_mass]"): Scale(Uniform(0.5, 1.0, per=Per.ROW))
     },
     r"^draws is \{\}: give a dict, as in \{'scene.material.density': Uniform": {},
-    r"^the draw of start is 0.5: give a distribution, Scale\(...\) or Shift\(...\)$": {"start": 0.5},
+    r"^the draw of start is 0.5: give a distribution, Scale\(...\), Shift\(...\) or Turn\(...\)$": {"start": 0.5},
     r"^3 is no name of a parameter: give a string, or a tuple of strings that share a draw$": {3: ONE},
 }
 

@@ -1,0 +1,142 @@
+"""Latency: observations that arrive late, and actions that act late."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax import struct
+from rewax.envs.base import ArraySpec, State
+from rewax.envs.wrappers import _Wrapper
+from rewax.types import Array, Key, Observation, PyTree
+
+_STREAM = 0x1A7E
+"""Folded into a state's key, so that delays come from a stream of their own and physics is the same without them."""
+
+Steps = int | tuple[int, int]
+"""A number of control steps, or the lowest and the highest of a range."""
+
+
+@struct.dataclass
+class InFlight(struct.Replaceable):
+    """What is on its way; ``Latency`` keeps it in ``State.delayed``.
+
+    Attributes:
+      observations: the last ones by name, the newest first, shape (longest delay + 1, *shape).
+      actions: the last ones, the newest first, shape (longest delay, *action_shape).
+      observation_delay, action_delay: of this episode [control steps], shape (), int32.
+      inner: ``State.delayed`` of the environment inside.
+    """
+
+    observations: Observation
+    actions: Array
+    observation_delay: Array
+    action_delay: Array
+    inner: PyTree = None
+
+
+@struct.dataclass
+class Latency(struct.Replaceable, _Wrapper):
+    """An environment whose observations and actions are delayed by whole control steps.
+
+    With ``observation=2`` a policy sees what was two control steps ago, and until then the first observation. With
+    ``action=1`` an action acts in the control step after the one that it was given in; before, the action is 0. A
+    range, ``action=(0, 2)``, draws a delay for each episode, both ends included. Rewards, physics and random numbers
+    are those of ``env``: only what is seen and what is done come late.
+
+    Attributes:
+      env: an environment; put ``Latency`` around ``Sensing``.
+      observation: delay of observations [control steps] (static).
+      action: delay of actions [control steps] (static).
+      of: names of the observations that are delayed; None: all. Leave out what only critics see (static).
+
+    Example:
+      >>> env = Latency(env=Sensing(env=make("RollingFlat"), sensors={"depth": camera}), observation=(0, 2), action=1)
+
+    Gradient: exact, through delayed actions to the steps that they act in, and through delayed observations to the
+      steps that they show. None flows from a new episode to the old one.
+    """
+
+    observation: Steps = struct.static_field(default=0)
+    action: Steps = struct.static_field(default=0)
+    of: tuple[str, ...] | None = struct.static_field(default=None)
+
+    def __post_init__(self) -> None:
+        for name in ("observation", "action"):
+            object.__setattr__(self, name, _checked(name, getattr(self, name)))
+        if self.of is None:
+            return
+        known = self.env.observation_spec
+        for name in self.of:
+            if name not in known:
+                raise ValueError(f"of has {name!r}, which is not observed: use some of {', '.join(known)}")
+
+    def reset(self, key: Key) -> State:
+        state = self.env.reset(key)
+        keys = jax.random.split(jax.random.fold_in(state.key, _STREAM))
+        late = {name: value for name, value in state.obs.items() if self.of is None or name in self.of}
+        size, spec = _longest(self.observation) + 1, self.action_spec
+        idle = jnp.clip(jnp.zeros((_longest(self.action), *spec.shape), state.reward.dtype), spec.low, spec.high)
+        flight = InFlight(
+            observations={name: jnp.broadcast_to(value, (size, *value.shape)) for name, value in late.items()},
+            actions=idle,
+            observation_delay=_drawn(self.observation, keys[0]),
+            action_delay=_drawn(self.action, keys[1]),
+            inner=state.delayed,
+        )
+        return state.replace(delayed=flight)
+
+    def step(self, state: State, action: Array) -> State:
+        flight: InFlight = state.delayed  # type: ignore[assignment]
+        given = jnp.concatenate([_clipped(action, self.action_spec, flight.actions.dtype)[None], flight.actions])
+        present = {name: history[0] for name, history in flight.observations.items()}
+        inner = state.replace(obs={**state.obs, **present}, delayed=flight.inner)
+        new = self.env.step(inner, _taken(given, self.action, flight.action_delay))
+        seen = {
+            name: jnp.concatenate([new.obs[name][None], history[:-1]]) for name, history in flight.observations.items()
+        }
+        late = {name: _taken(history, self.observation, flight.observation_delay) for name, history in seen.items()}
+        return new.replace(
+            obs={**new.obs, **late},
+            delayed=flight.replace(observations=seen, actions=given[:-1], inner=new.delayed),
+        )
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is the environment's own: pictures, rewards, what tasks offer beyond the protocol."""
+        if name.startswith("_") or name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+
+def _checked(name: str, steps: Any) -> Steps:
+    """The delay, or the range of delays, of plain integers."""
+    ends = (steps, steps) if np.ndim(steps) == 0 else tuple(steps)
+    whole = all(isinstance(end, (int, np.integer)) and not isinstance(end, bool) for end in ends)
+    if len(ends) != 2 or not whole or not 0 <= ends[0] <= ends[1]:
+        raise ValueError(f"{name} of the latency is {steps!r}: give control steps, 2, or the ends of a range, (0, 2)")
+    low, high = int(ends[0]), int(ends[1])
+    return low if low == high else (low, high)
+
+
+def _longest(steps: Steps) -> int:
+    return steps if isinstance(steps, int) else steps[1]
+
+
+def _drawn(steps: Steps, key: Key) -> Array:
+    low, high = (steps, steps) if isinstance(steps, int) else steps
+    return jax.random.randint(key, (), low, high + 1, jnp.int32)
+
+
+def _clipped(action: Array, spec: ArraySpec, dtype: Any) -> Array:
+    """The action within its bounds. Where it lies on one the derivative is 1: ``env`` clips again, and decides."""
+    action = jnp.asarray(action, dtype)
+    return jnp.where(action < spec.low, spec.low, jnp.where(action > spec.high, spec.high, action)).astype(dtype)
+
+
+def _taken(newest_first: Array, steps: Steps, delay: Array) -> Array:
+    """The entry of that delay."""
+    return newest_first[steps] if isinstance(steps, int) else newest_first[delay]
+
+
+__all__ = ["InFlight", "Latency", "Steps"]

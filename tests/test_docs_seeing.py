@@ -1,0 +1,25 @@
+"""The page of policies that see runs, and shows the rows of its benchmark."""
+
+import runpy
+
+import jax
+import numpy as np
+from test_docs import ROOT, run_page
+
+
+def test_the_page_of_policies_that_see_runs_and_shows_its_rows():
+    names = run_page("docs/policies_that_see.md")
+    env, late = names["env"], names["late"]
+    depth = np.asarray(jax.jit(env.reset)(jax.random.key(0)).obs["depth"])
+    assert depth.shape == (64, 64, 1) and 0.05 < depth.min() < 0.4 and depth.max() < 1.0  # the pin is not cut away
+    drawn = names["moved"](jax.random.key(0), late).env.sensors["depth"]
+    assert 0.0 < np.abs(drawn.position - env.sensors["depth"].position).max() <= 0.01 and drawn.noise.constant < 0.004
+    assert (late.observation, late.action, late.of) == ((0, 2), (0, 1), ("depth",))
+    assert names["robust"].config.observe == ("depth", "joint_q", "joint_qd")
+    assert set(names["robust"].config.critic_observe) == set(env.env.observation_spec)
+    benchmark = runpy.run_path(str(ROOT / "benchmarks" / "seeing.py"))
+    rows, text = (
+        benchmark["read"](ROOT / "docs/suites/seeing/results.csv"),
+        (ROOT / "docs/policies_that_see.md").read_text(),
+    )
+    assert len(rows) > 100 and all(table in text for table in benchmark["tables"](rows).split("\n\n"))
