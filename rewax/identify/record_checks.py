@@ -140,7 +140,7 @@ def tool_distance(record: Record, env: Any) -> float | None:
         distances = []
         for collider in colliders:
             pose = shape_pose(collider, body_pose(bodies, collider.body))
-            distances.append(jnp.where(mask, signed_distance(collider.shape, (cloud - pose.position) @ pose.rotation), jnp.inf).min())
+            distances.append(jnp.where(mask, signed_distance(collider.shape, (cloud - pose.position) @ pose.rotation)[0], jnp.inf).min())
         return jnp.stack(distances).min()
 
     clouds = jnp.asarray(np.where(record.mask[..., None], record.clouds, 0.0), jnp.float32)

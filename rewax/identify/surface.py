@@ -9,7 +9,7 @@ from rewax.types import Array, Scalar
 _TINY = 1e-12
 
 
-def depth_below_surface(particles: Array, cloud: Array, width: Scalar) -> Array:
+def distance_from_mean(particles: Array, cloud: Array, width: Scalar) -> Array:
     """Distance of seen points from the local mean of the particles [m], shape (num_points,).
 
     It grows outwards across the surface with a slope near 1, and is constant on a flat surface. The value there
@@ -33,10 +33,10 @@ def surface_residuals(particles: Array, cloud: Array, width: Scalar, offset: Sca
     """Signed distance of seen points from the surface of the particles [m], shape (num_points,).
 
     Args:
-      particles, cloud, width: as in ``depth_below_surface``.
-      offset: the value of ``depth_below_surface`` on the surface [m], see ``surface_offset``.
+      particles, cloud, width: as in ``distance_from_mean``.
+      offset: the value of ``distance_from_mean`` on the surface [m], see ``surface_offset``.
     """
-    return depth_below_surface(particles, cloud, width) - offset
+    return distance_from_mean(particles, cloud, width) - offset
 
 
 def surface_offset(particles: Array, cloud: Array, mask: Array, width: Scalar) -> Array:
@@ -44,7 +44,7 @@ def surface_offset(particles: Array, cloud: Array, mask: Array, width: Scalar) -
 
     The first frame shows the body that the simulation begins with, so its offset holds for all frames.
     """
-    depth = jax.lax.stop_gradient(depth_below_surface(particles, cloud, width))
+    depth = jax.lax.stop_gradient(distance_from_mean(particles, cloud, width))
     return jnp.nan_to_num(jnp.nanmedian(jnp.where(mask, depth, jnp.nan)))
 
 
@@ -58,4 +58,4 @@ def particle_spacing(particles: np.ndarray) -> float:
     return float(np.median(np.partition(distance, rank, axis=1)[:, rank]) / ((rank + 1) / (4.0 * np.pi / 3.0)) ** (1 / 3))
 
 
-__all__ = ["depth_below_surface", "particle_spacing", "surface_offset", "surface_residuals"]
+__all__ = ["distance_from_mean", "particle_spacing", "surface_offset", "surface_residuals"]

@@ -4,6 +4,7 @@ from rewax.envs.randomize.distributions import (
     Choice,
     Constant,
     Distribution,
+    LogNormal,
     LogUniform,
     Normal,
     Per,
@@ -11,9 +12,9 @@ from rewax.envs.randomize.distributions import (
     Shift,
     Uniform,
 )
-from rewax.envs.randomize.hooks import Draw, LeafDraws, hook, leaves
+from rewax.envs.randomize.hooks import Draw, LeafDraws, hook, leaves, with_numbers
 
 __all__ = [
-    "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogUniform", "Normal", "Per", "Scale", "Shift",
-    "Uniform", "hook", "leaves",
+    "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogNormal", "LogUniform", "Normal", "Per", "Scale",
+    "Shift", "Uniform", "hook", "leaves", "with_numbers",
 ]  # fmt: skip
