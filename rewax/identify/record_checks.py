@@ -28,7 +28,12 @@ def check_record(record: Record) -> None:
 
 
 def _check_shapes(record: Record) -> None:
-    arrays = {"times": (record.times, 1), "clouds": (record.clouds, 3), "mask": (record.mask, 2), "actions": (record.actions, 2)}
+    arrays = {
+        "times": (record.times, 1),
+        "clouds": (record.clouds, 3),
+        "mask": (record.mask, 2),
+        "actions": (record.actions, 2),
+    }
     if record.joint_q is not None:
         arrays["joint_q"] = (record.joint_q, 2)
     for name, (value, rank) in arrays.items():
@@ -87,7 +92,9 @@ def _check_clouds(record: Record) -> None:
         )
     if not np.all(np.isfinite(record.clouds[record.mask])):
         i = int(np.argmax(~np.isfinite(np.where(record.mask[..., None], record.clouds, 0.0)).all((1, 2))))
-        raise ValueError(f"the cloud of frame {i} holds a number that is not finite: set the mask of such points to False")
+        raise ValueError(
+            f"the cloud of frame {i} holds a number that is not finite: set the mask of such points to False"
+        )
     seen = record.clouds[record.mask]
     extent = float(np.ptp(np.quantile(seen, [0.02, 0.98], axis=0), axis=0).max())
     if not _SMALLEST < extent < _LARGEST:
@@ -106,7 +113,9 @@ def check_against(record: Record, env: Any, particles: np.ndarray) -> None:
     """
     wanted = env.action_spec.shape
     if record.actions.shape[1:] != wanted:
-        raise ValueError(f"actions has shape {record.actions.shape}, but the environment takes {wanted} each: give those")
+        raise ValueError(
+            f"actions has shape {record.actions.shape}, but the environment takes {wanted} each: give those"
+        )
     dt = getattr(env, "control_dt", None)
     if dt is not None and abs(dt / record.control_dt - 1.0) > 1e-3:
         raise ValueError(
@@ -140,7 +149,11 @@ def tool_distance(record: Record, env: Any) -> float | None:
         distances = []
         for collider in colliders:
             pose = shape_pose(collider, body_pose(bodies, collider.body))
-            distances.append(jnp.where(mask, signed_distance(collider.shape, (cloud - pose.position) @ pose.rotation)[0], jnp.inf).min())
+            distances.append(
+                jnp.where(
+                    mask, signed_distance(collider.shape, (cloud - pose.position) @ pose.rotation)[0], jnp.inf
+                ).min()
+            )
         return jnp.stack(distances).min()
 
     clouds = jnp.asarray(np.where(record.mask[..., None], record.clouds, 0.0), jnp.float32)

@@ -55,7 +55,9 @@ def particle_spacing(particles: np.ndarray) -> float:
     distance = np.sqrt(((some[:, None] - x[None]) ** 2).sum(-1))
     rank = min(8, len(x) - 1)
     # A ball with nine particles (its centre's included) of volume s^3 each has the radius s (9 / (4 pi / 3))^(1/3).
-    return float(np.median(np.partition(distance, rank, axis=1)[:, rank]) / ((rank + 1) / (4.0 * np.pi / 3.0)) ** (1 / 3))
+    return float(
+        np.median(np.partition(distance, rank, axis=1)[:, rank]) / ((rank + 1) / (4.0 * np.pi / 3.0)) ** (1 / 3)
+    )
 
 
 __all__ = ["distance_from_mean", "particle_spacing", "surface_offset", "surface_residuals"]

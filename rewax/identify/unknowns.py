@@ -83,7 +83,9 @@ class Space:
     def latent(self, numbers: Sequence[float]) -> np.ndarray:
         """Latent coordinates of numbers, shape (k,)."""
         center, scale = self._frame()
-        return (np.array([math.log(v) if log else v for v, log in zip(numbers, self.is_log, strict=True)]) - center) / scale
+        return (
+            np.array([math.log(v) if log else v for v, log in zip(numbers, self.is_log, strict=True)]) - center
+        ) / scale
 
     def place(self, env: Any, latent: Array) -> Any:
         """The environment with these parameters. Gradient: exact."""
@@ -97,7 +99,10 @@ class Space:
             if names[0] in _INITIAL:
                 what, axis = _INITIAL[names[0]]
                 soft = physics.soft
-                moved = {"position": {"x": soft.x.at[:, axis].add(number)}, "velocity": {"v": soft.v.at[:, axis].add(number)}}
+                moved = {
+                    "position": {"x": soft.x.at[:, axis].add(number)},
+                    "velocity": {"v": soft.v.at[:, axis].add(number)},
+                }
                 physics = physics.replace(soft=soft.replace(**moved[what]))
         return physics
 
@@ -129,7 +134,9 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
             )
         if names[0].startswith("initial.") and (len(names) > 1 or names[0] not in _INITIAL):
             raise ValueError(f"{names[0]!r} is no unknown of the first state: use one of {', '.join(_INITIAL)}, alone")
-    named = {names: prior for (names, _), prior in zip(space.draws, space.draws, strict=True) if names[0] not in _INITIAL}
+    named = {
+        names: prior for (names, _), prior in zip(space.draws, space.draws, strict=True) if names[0] not in _INITIAL
+    }
     if named:
         space.place(env, jnp.zeros(len(space.draws)))
     return space
@@ -167,7 +174,9 @@ def stable_bounds(space: Space, env: Any) -> tuple[np.ndarray, np.ndarray, list[
             inside = _furthest_stable(space, env, center, i, far)
             if inside != far:
                 bound[i] = inside
-                value, wanted = (float(space.numbers(np.where(np.arange(len(low)) == i, end, center))[i]) for end in (inside, far))
+                value, wanted = (
+                    float(space.numbers(np.where(np.arange(len(low)) == i, end, center))[i]) for end in (inside, far)
+                )
                 said.append(
                     f"{label} is searched up to {value:.4g} instead of {wanted:.4g}: beyond, the substep is too long; make "
                     "the environment with a larger num_substeps to search further"

@@ -250,4 +250,15 @@ def _check_distribution(change: Any, given: Any) -> None:
         raise ValueError(f"{name}.by is {given!r}: give a distribution, as in {name}(Uniform(0.5, 2.0))")
 
 
-__all__ = ["Choice", "Constant", "Distribution", "LogNormal", "LogUniform", "Normal", "Per", "Scale", "Shift", "Uniform"]
+__all__ = [
+    "Choice",
+    "Constant",
+    "Distribution",
+    "LogNormal",
+    "LogUniform",
+    "Normal",
+    "Per",
+    "Scale",
+    "Shift",
+    "Uniform",
+]

@@ -1,0 +1,24 @@
+"""Identification: from what a camera saw to the parameters of an environment, with their uncertainty."""
+
+from rewax.identify.fit import identify
+from rewax.identify.losses import (
+    chamfer,
+    depth_picture,
+    huber,
+    matched,
+    occupancy,
+    one_sided_chamfer,
+    over_time,
+)
+from rewax.identify.record import Record, load, save
+from rewax.identify.record_checks import check_record
+from rewax.identify.recording import record
+from rewax.identify.result import Identified, SavedResult, load_result
+from rewax.identify.sinkhorn import sinkhorn_divergence
+from rewax.identify.surface import surface_residuals
+
+__all__ = [
+    "Identified", "Record", "SavedResult", "chamfer", "check_record", "depth_picture", "huber", "identify", "load",
+    "load_result", "matched", "occupancy", "one_sided_chamfer", "over_time", "record", "save", "sinkhorn_divergence",
+    "surface_residuals",
+]  # fmt: skip

@@ -1,0 +1,212 @@
+"""``identify``: the parameters with which an environment shows what a record shows."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.envs.leaves import EnvLeaves
+from rewax.envs.randomize import Draw
+from rewax.identify import levenberg_marquardt as lm
+from rewax.identify.evaluation import Evaluation, Residuals, evaluate
+from rewax.identify.record import Record
+from rewax.identify.record_checks import check_against, check_record
+from rewax.identify.result import Identified
+from rewax.identify.simulate import data_of, points_of, without_reset_noise
+from rewax.identify.surface import particle_spacing
+from rewax.identify.uncertainty import posterior, short, undetermined
+from rewax.identify.unknowns import Space, is_stable, space_of, stable_bounds
+from rewax.status import FATAL, describe
+
+_REGIONS = 4
+"""Regions along each of two axes, see ``simulate.regions``."""
+_ALIKE = 0.02
+"""Starts whose cost exceeds the best by less than this share count for the spread."""
+
+
+def identify(
+    env: Any,
+    record: Record,
+    unknowns: Mapping[Any, Draw],
+    *,
+    starts: int = 4,
+    horizons: Sequence[float] = (0.5, 1.0),
+    max_iterations: int = 16,
+    noise: float = 0.002,
+    frame_weights: np.ndarray | None = None,
+    residuals: Residuals | None = None,
+    width: float | None = None,
+    placements: int = 6,
+    seed: int = 0,
+    side_by_side: int = 2,
+    progress: Callable[[str], None] | None = None,
+) -> Identified:
+    """Fit unknown parameters of an environment to a record, by Levenberg-Marquardt from several starts.
+
+    The first start is the median of the priors, the others are spread over them. A horizon that grows keeps early fits
+    away from local minima of long motions: frames beyond it have weight zero, in the same compiled program. The substep
+    of the environment bounds how stiff a material can be; a search that it cuts off says so. A simulation that fails is
+    a rejected step and counted.
+
+    Args:
+      env: one environment, with ``particles(physics)``; its reset noise is left out.
+      record: what was seen.
+      unknowns: priors by the names of parameters, see ``unknowns.space_of``.
+      starts: number of starts.
+      horizons: shares of the record's duration, rising, the last is 1.
+      max_iterations: of the last horizon; the others have a third.
+      noise: smallest standard deviation of a seen point [m].
+      frame_weights: of the frames, shape (num_frames,); None: all 1.
+      residuals: of a frame [m], see ``evaluation.Residuals``; None: distances to the surface of the particles. Pass the
+        same function again to use its compiled program again.
+      width: of the surface's weights [m]; None: the particles' spacing.
+      placements: simulations with particles placed anew, for the uncertainty; 0 or at least 2.
+      seed: of the starts, the placements and the reset.
+      side_by_side: starts that are computed at once; more need more memory.
+      progress: called with a line for each iteration.
+
+    Raises:
+      ValueError: in one sentence: a bad record, an unknown name or prior, an environment that is unstable at the
+        median of the priors, or no start whose simulation is valid.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda line: None)
+    check_record(record)
+    _check_options(starts, horizons, placements, frame_weights, record)
+    env = without_reset_noise(env)
+    first = np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics))
+    check_against(record, env, first)
+    space = space_of(unknowns, env)
+    low, high, remarks = stable_bounds(space, env)
+    spacing = particle_spacing(first)
+    data = data_of(record, spacing if width is None else width, _REGIONS, seed)
+    base = np.ones(record.num_frames) if frame_weights is None else np.asarray(frame_weights, float)
+    base[0] = 0.0  # the first frame fixes the surface, and depends on no material
+
+    def run(latents: np.ndarray, weights: np.ndarray, deviation: float, leaves: EnvLeaves) -> Evaluation:
+        found = evaluate(
+            jnp.asarray(latents, jnp.float32), leaves, data, jnp.asarray(weights, jnp.float32), jnp.float32(deviation),
+            space=space, residuals=residuals, num_regions=_REGIONS**2, side_by_side=side_by_side,
+        )  # fmt: skip
+        return Evaluation(*(np.asarray(a, float) if np.asarray(a).dtype.kind == "f" else np.asarray(a) for a in found))
+
+    leaves = EnvLeaves.of(env)
+    latents = spread_starts(space, starts, low, high, seed)
+    search, history = None, []
+    deviation = max(noise, 0.1 * spacing)
+    for stage, horizon in enumerate(horizons):
+        weights = np.where(np.asarray(record.times) <= horizon * record.times[-1] + 1e-9, base, 0.0)
+        if not weights.any():
+            continue
+        points = latents if search is None else search.latents
+        search = lm.begin(points, run(points, weights, deviation, leaves), None if search is None else search.rejected)
+        last = stage == len(horizons) - 1
+        for iteration in range(max_iterations if last else max(2, max_iterations // 3)):
+            search = lm.iterate(
+                search, lambda p, w=weights, d=deviation: run(p, w, d, leaves), precision=space.precision,
+                bounds=(low, high), is_stable=lambda p: is_stable(space.place(env, jnp.asarray(p))),
+            )  # fmt: skip
+            best = search.best(space.precision)
+            history.append([float(v) for v in space.numbers(search.latents[best])])
+            say(_line(space, search, best, horizon, iteration))
+            if not search.active.any():
+                break
+        best = search.best(space.precision)
+        deviation = max(noise, float(search.evaluation.spread[best])) if search.evaluation.ok[best] else deviation
+    assert search is not None
+    best = search.best(space.precision)
+    if not search.evaluation.ok[best]:
+        bits = int(np.bitwise_or.reduce(search.evaluation.status))
+        raise ValueError(f"no start has a valid simulation, status {describe(bits)}: give priors of softer materials")
+    latent = search.latents[best]
+    final = run(np.repeat(latent[None], starts, 0), base, deviation, leaves)
+    others = _placed_anew(env, latent, placements, spacing, seed, lambda p, e: run(p, base, deviation, e), starts)
+    covariance = posterior(final.hessian[0], final.scores[0], others)
+    covariance = covariance + _spread(search, space, best)
+    return Identified(
+        space=space, latent=latent, covariance=covariance, bounds=(low, high),
+        undetermined=undetermined(space, covariance), remarks=remarks + _remarks(search, space, best, low, high),
+        times=np.asarray(record.times), residual_by_frame=final.by_frame[0], starts=search.latents,
+        costs=search.total(space.precision), history=np.asarray(history), failed=int(search.rejected.sum()),
+        seconds=time.perf_counter() - began, env=env,
+    )  # fmt: skip
+
+
+def spread_starts(space: Space, count: int, low: np.ndarray, high: np.ndarray, seed: int) -> np.ndarray:
+    """The median, and a Latin hypercube over the middle of the priors, within the bounds, shape (count, k)."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    k = len(space.draws)
+    reach_low, reach_high = np.maximum(low, -1.5), np.minimum(high, 1.5)
+    strata = np.stack([generator.permutation(max(count - 1, 1)) for _ in range(k)], axis=1)
+    shares = (strata + 0.5) / max(count - 1, 1)
+    others = reach_low + shares * (reach_high - reach_low)
+    return np.concatenate([np.clip(np.zeros((1, k)), low, high), others])[:count]
+
+
+def _check_options(starts: int, horizons: Sequence[float], placements: int, weights: Any, record: Record) -> None:
+    if starts < 1:
+        raise ValueError(f"starts is {starts}: give at least 1")
+    if not horizons or list(horizons) != sorted(horizons) or horizons[-1] != 1.0 or horizons[0] <= 0.0:
+        raise ValueError(f"horizons is {tuple(horizons)}: give rising shares above 0 that end with 1")
+    if placements == 1 or placements < 0:
+        raise ValueError(f"placements is {placements}: give 0 or at least 2")
+    if weights is not None and (
+        np.shape(weights) != (record.num_frames,) or np.min(weights) < 0 or not np.any(weights)
+    ):
+        raise ValueError(f"frame_weights is {weights!r}: give {record.num_frames} numbers of at least 0, not all 0")
+
+
+def _placed_anew(
+    env: Any, latent: np.ndarray, count: int, spacing: float, seed: int, run: Callable[..., Evaluation], starts: int
+) -> np.ndarray:
+    """Gradients with the rest positions displaced at random by up to a quarter of their spacing, shape (count, k).
+
+    The program takes as many points as there are starts, all of one environment: each call computes one placement.
+    """
+    if not count or not hasattr(env, "rest_positions"):
+        return np.zeros((0, len(latent)))
+    generator = np.random.Generator(np.random.PCG64(seed + 1))
+    found = []
+    for _ in range(count):
+        shift = generator.uniform(-0.25, 0.25, np.shape(env.rest_positions)) * spacing
+        moved = env.replace(rest_positions=env.rest_positions + jnp.asarray(shift, env.rest_positions.dtype))
+        evaluation = run(np.repeat(latent[None], starts, 0), EnvLeaves.of(moved))
+        if evaluation.ok[0]:
+            found.append(evaluation.gradient[0])
+    return np.asarray(found).reshape(-1, len(latent))
+
+
+def _spread(search: lm.Starts, space: Space, best: int) -> np.ndarray:
+    """Covariance of the starts that are about as good as the best, about it."""
+    total = search.total(space.precision)
+    alike = total <= total[best] * (1.0 + _ALIKE)
+    gap = search.latents[alike] - search.latents[best]
+    return gap.T @ gap / max(len(gap), 1)
+
+
+def _remarks(search: lm.Starts, space: Space, best: int, low: np.ndarray, high: np.ndarray) -> list[str]:
+    said = []
+    if search.rejected.sum():
+        said.append(f"{int(search.rejected.sum())} simulations failed and were rejected.")
+    bits = int(search.evaluation.status[best]) & ~int(FATAL)
+    if bits:
+        said.append(f"The best simulation has status {describe(bits)}, so its numbers are less reliable.")
+    for i, label in enumerate(space.labels):
+        if min(search.latents[best, i] - low[i], high[i] - search.latents[best, i]) < 1e-3:
+            said.append(f"{short(label)} lies at a bound of the search: widen its prior, or doubt the model.")
+    if search.active.any():
+        said.append(f"{int(search.active.sum())} of {len(search.active)} starts had not converged.")
+    return said
+
+
+def _line(space: Space, search: lm.Starts, best: int, horizon: float, iteration: int) -> str:
+    numbers = zip(space.labels, space.numbers(search.latents[best]), strict=True)
+    values = "  ".join(f"{short(label)} {float(value):.4g}" for label, value in numbers)
+    cost = float(search.total(space.precision)[best])
+    return f"horizon {100 * horizon:3.0f} %  iteration {iteration + 1:2d}  cost {cost:10.4g}  {values}"
+
+
+__all__ = ["identify", "spread_starts"]

@@ -1,0 +1,71 @@
+"""How certain a fit is: Laplace's approximation with errors that neighbouring points share, and what data leave open."""
+
+import numpy as np
+
+from rewax.identify.unknowns import Space
+
+UNDETERMINED = 0.5
+"""A direction whose posterior standard deviation exceeds this share of the prior's is called undetermined."""
+_MATTERS = 0.25
+"""Exponents below this share of the largest one are left out of the words."""
+
+
+def posterior(hessian: np.ndarray, scores: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Covariance of the latent coordinates, shape (k, k).
+
+    Residuals of neighbouring points are no independent observations: the error of a coarse surface is the same at all
+    points of a region, and from frame to frame. So the scatter of the gradient is estimated from the regions' sums
+    (the sandwich of robust statistics), to which comes its scatter over simulations whose particles were placed anew.
+
+    Args:
+      hessian: H of Gauss and Newton without the prior, residuals divided by their deviation, shape (k, k).
+      scores: gradients by region, shape (num_regions, k).
+      others: gradients at the same point with particles placed anew, shape (num_placements, k); may be empty.
+
+    Returns:
+      (I + H B^-1 H)^-1 with B the covariance of the gradient; the prior has covariance I.
+
+    Source: Liang & Zeger 1986, "Longitudinal data analysis using generalized linear models", eq. 3, and a prior.
+    """
+    count = len(scores)
+    centered = scores - scores.mean(0)
+    scatter = hessian + count / max(count - 1, 1) * centered.T @ centered
+    if len(others) > 1:
+        scatter = scatter + np.cov(others, rowvar=False).reshape(hessian.shape)
+    scatter = scatter + 1e-9 * max(float(np.trace(scatter)), 1e-12) * np.eye(len(hessian))
+    information = hessian @ np.linalg.solve(scatter, hessian)
+    return np.linalg.inv(np.eye(len(hessian)) + 0.5 * (information + information.T))
+
+
+def undetermined(space: Space, covariance: np.ndarray) -> list[str]:
+    """Directions that the data do not determine, a sentence for each; and pairs of which they fix a combination."""
+    values, vectors = np.linalg.eigh(covariance)
+    said = []
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        if value**0.5 <= UNDETERMINED:
+            continue
+        large = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > _MATTERS * np.abs(vector).max()]
+        share = f"{100.0 * value**0.5:.0f} % of the prior's standard deviation is left"
+        if len(large) == 1:
+            said.append(f"The data do not determine {short(space.labels[large[0]])}: {share}.")
+        else:
+            said.append(f"The data do not determine {_combination(space, vector, large)}: {share}.")
+    return said
+
+
+def _combination(space: Space, vector: np.ndarray, chosen: list[int]) -> str:
+    """``a^1 * b^-0.5``, of numbers whose logarithms are coordinates; else ``1 a - 0.5 b`` in units of the priors."""
+    scaled = np.array([vector[i] / space.scale_of(i) for i in chosen])
+    scaled = scaled / scaled[np.argmax(np.abs(scaled))]
+    labels = [short(space.labels[i]) for i in chosen]
+    if all(space.is_log[i] for i in chosen):
+        return " * ".join(f"{label}^{power:.2g}" for label, power in zip(labels, scaled, strict=True))
+    return "the combination " + " ".join(f"{factor:+.2g} {label}" for label, factor in zip(labels, scaled, strict=True))
+
+
+def short(label: str) -> str:
+    """The last part of a name, for words and tables."""
+    return label if label.startswith("initial.") else label.split(".")[-1]
+
+
+__all__ = ["UNDETERMINED", "posterior", "short", "undetermined"]
