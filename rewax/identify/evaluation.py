@@ -10,13 +10,13 @@ import jax.numpy as jnp
 from rewax.envs.leaves import EnvLeaves
 from rewax.identify.losses import huber, huber_weight
 from rewax.identify.simulate import Data, simulated_frames
-from rewax.identify.surface import surface_offset, surface_residuals
+from rewax.identify.surface import surface_offsets, surface_residuals
 from rewax.identify.unknowns import Space
 from rewax.status import FATAL
 from rewax.types import Array
 
 Residuals = Callable[[Array, Array, Array, Array], Array]
-"""``(particles, cloud, mask, first) -> residuals``: of one frame [m], shape (num_points,); ``first``: see ``to_surface``."""
+"""``(particles, cloud, mask, offsets) -> residuals`` of one frame [m], (num_points,); ``offsets``: of the surface."""
 HUBER = 2.0
 """Residuals beyond so many standard deviations count linearly."""
 
@@ -43,11 +43,11 @@ class Evaluation(NamedTuple):
 
 
 def to_surface(width: Array) -> Residuals:
-    """Residuals of seen points to the surface of the particles; the first frame fixes its offset."""
+    """Residuals of seen points to the surface of the particles; the first frame fixes its offsets."""
 
-    def residuals(particles: Array, cloud: Array, mask: Array, first: Array) -> Array:
+    def residuals(particles: Array, cloud: Array, mask: Array, offsets: Array) -> Array:
         del mask
-        return surface_residuals(particles, cloud, width, first)
+        return surface_residuals(particles, cloud, width, offsets)
 
     return residuals
 
@@ -82,11 +82,11 @@ def evaluate(
     def one(latent: Array) -> Evaluation:
         def predicted(latent: Array) -> tuple[Array, Array]:
             frames, status = simulated_frames(leaves.build(), space, latent, data)
-            offset = surface_offset(frames[0], data.clouds[0], data.mask[0], data.width)
+            offsets = surface_offsets(frames[0], data.clouds[0], data.mask[0], data.width)
             chosen = to_surface(data.width) if residuals is None else residuals
 
             def of_frame(frame: tuple[Array, Array, Array]) -> Array:
-                return chosen(*frame, offset)
+                return chosen(*frame, offsets)
 
             return jax.lax.map(of_frame, (frames, data.clouds, data.mask)), status
 
