@@ -35,7 +35,7 @@ def pusher():
         position = jnp.stack([joint_q[:, 0], joint_q[:, 1], jnp.zeros(len(joint_q))], -1)
         return Pose(position[:, None], jnp.broadcast_to(jnp.eye(3), (len(joint_q), 1, 3, 3)))
 
-    ball = Collider(shape=Sphere(radius=0.1))
+    ball = Collider(shape=Sphere(radius=0.1), friction=0.5)
     return SimpleNamespace(
         action_spec=SimpleNamespace(shape=(2,)), control_dt=0.1, scene=SimpleNamespace(colliders=(ball,)), poses=poses
     )

@@ -127,7 +127,9 @@ def test_the_sinkhorn_divergence_vanishes_for_equal_clouds_and_has_an_exact_grad
     assert abs(float(sinkhorn_divergence(x, x, mask, epsilon=0.01))) < 1e-9
 
     def loss(shift):
-        return sinkhorn_divergence(x + shift * jnp.asarray([1.0, 0.5, 0.0]), jnp.asarray(CLOUD), jnp.asarray(MASK), epsilon=0.01)
+        return sinkhorn_divergence(
+            x + shift * jnp.asarray([1.0, 0.5, 0.0]), jnp.asarray(CLOUD), jnp.asarray(MASK), epsilon=0.01
+        )
 
     h = 1e-4
     central = (loss(h) - loss(-h)) / (2 * h)
