@@ -17,6 +17,8 @@ from rewax.types import Array
 
 Residuals = Callable[[Array, Array, Array, Array], Array]
 """``(particles, cloud, mask, offsets) -> residuals`` of one frame [m], (num_points,); ``offsets``: of the surface."""
+REST = ".rest_positions"
+"""Name of the array of rest positions among the leaves of an environment."""
 HUBER = 2.0
 """Residuals beyond so many standard deviations count linearly."""
 
@@ -55,6 +57,7 @@ def to_surface(width: Array) -> Residuals:
 @functools.partial(jax.jit, static_argnames=("space", "residuals", "num_regions", "side_by_side"))
 def evaluate(
     latents: Array,
+    placements: Array | None,
     leaves: EnvLeaves,
     data: Data,
     weights: Array,
@@ -69,6 +72,7 @@ def evaluate(
 
     Args:
       latents: shape (S, k).
+      placements: rest positions of each start [m], shape (S, num_particles, 3); None: those of the environment.
       leaves: of the environment; new values need no compilation.
       data: of the record.
       weights: of the frames, shape (T,); 0 leaves a frame out.
@@ -79,9 +83,13 @@ def evaluate(
       side_by_side: starts that one vmap computes.
     """
 
-    def one(latent: Array) -> Evaluation:
+    def one(start: tuple[Array, Array | None]) -> Evaluation:
+        latent, placement = start
+        moved = {} if placement is None else {REST: placement}
+        env = leaves.replace(arrays={**leaves.arrays, **moved}).build()
+
         def predicted(latent: Array) -> tuple[Array, Array]:
-            frames, status = simulated_frames(leaves.build(), space, latent, data)
+            frames, status = simulated_frames(env, space, latent, data)
             offsets = surface_offsets(frames[0], data.clouds[0], data.mask[0], data.width)
             chosen = to_surface(data.width) if residuals is None else residuals
 
@@ -96,7 +104,7 @@ def evaluate(
         )(basis)
         return _summary(r, jnp.moveaxis(columns, 0, -1), status, data, weights, deviation, num_regions)
 
-    return jax.lax.map(one, latents, batch_size=side_by_side)
+    return jax.lax.map(one, (latents, placements), batch_size=side_by_side)
 
 
 def _jvp_with_status(predicted: Any, latent: Array, tangent: Array) -> tuple[Array, Array, Array]:
@@ -129,4 +137,4 @@ def _summary(
     )
 
 
-__all__ = ["HUBER", "Evaluation", "Residuals", "evaluate", "to_surface"]
+__all__ = ["HUBER", "REST", "Evaluation", "Residuals", "evaluate", "to_surface"]

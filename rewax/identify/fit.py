@@ -15,16 +15,18 @@ from rewax.identify.evaluation import Evaluation, Residuals, evaluate
 from rewax.identify.record import Record
 from rewax.identify.record_checks import check_against, check_record
 from rewax.identify.result import Identified
-from rewax.identify.simulate import data_of, points_of, without_reset_noise
+from rewax.identify.simulate import Data, data_of, points_of, without_reset_noise
 from rewax.identify.surface import particle_spacing
-from rewax.identify.uncertainty import posterior, short, undetermined
+from rewax.identify.uncertainty import between_starts, posterior, short, undetermined
 from rewax.identify.unknowns import Space, is_stable, space_of, stable_bounds
 from rewax.status import FATAL, describe
 
 _REGIONS = 4
 """Regions along each of two axes, see ``simulate.regions``."""
-_ALIKE = 0.02
-"""Starts whose cost exceeds the best by less than this share count for the spread."""
+_WIDTH = 0.5
+"""Of the weights of the surface, in spacings of the particles."""
+_ALIKE = 0.1
+"""Starts whose cost exceeds the best by less than this share count for the result."""
 
 
 def identify(
@@ -32,14 +34,14 @@ def identify(
     record: Record,
     unknowns: Mapping[Any, Draw],
     *,
-    starts: int = 4,
+    starts: int = 6,
     horizons: Sequence[float] = (0.5, 1.0),
     max_iterations: int = 16,
     noise: float = 0.002,
     frame_weights: np.ndarray | None = None,
     residuals: Residuals | None = None,
     width: float | None = None,
-    placements: int = 6,
+    shake: float = 0.4,
     seed: int = 0,
     side_by_side: int = 2,
     progress: Callable[[str], None] | None = None,
@@ -62,9 +64,10 @@ def identify(
       frame_weights: of the frames, shape (num_frames,); None: all 1.
       residuals: of a frame [m], see ``evaluation.Residuals``; None: distances to the surface of the particles. Pass the
         same function again to use its compiled program again.
-      width: of the surface's weights [m]; None: the particles' spacing.
-      placements: simulations with particles placed anew, for the uncertainty; 0 or at least 2.
-      seed: of the starts, the placements and the reset.
+      width: of the surface's weights [m]; None: half of the particles' spacing.
+      shake: each start displaces the rest positions at random by up to this share of their spacing along each axis,
+        so that the scatter of the fits tells what the placement of particles does; 0: none.
+      seed: of the starts, their placements and the reset.
       side_by_side: starts that are computed at once; more need more memory.
       progress: called with a line for each iteration.
 
@@ -75,39 +78,29 @@ def identify(
     began = time.perf_counter()
     say = progress or (lambda line: None)
     check_record(record)
-    _check_options(starts, horizons, placements, frame_weights, record)
+    _check_options(starts, horizons, shake, frame_weights, record)
     env = without_reset_noise(env)
     first = np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics))
     check_against(record, env, first)
     space = space_of(unknowns, env)
     low, high, remarks = stable_bounds(space, env)
     spacing = particle_spacing(first)
-    data = data_of(record, spacing if width is None else width, _REGIONS, seed)
+    data = data_of(record, _WIDTH * spacing if width is None else width, _REGIONS, seed)
     base = np.ones(record.num_frames) if frame_weights is None else np.asarray(frame_weights, float)
     base[0] = 0.0  # the first frame fixes the surface, and depends on no material
 
-    def run(latents: np.ndarray, weights: np.ndarray, deviation: float, leaves: EnvLeaves) -> Evaluation:
-        found = evaluate(
-            jnp.asarray(latents, jnp.float32), leaves, data, jnp.asarray(weights, jnp.float32), jnp.float32(deviation),
-            space=space, residuals=residuals, num_regions=_REGIONS**2, side_by_side=side_by_side,
-        )  # fmt: skip
-        return Evaluation(*(np.asarray(a, float) if np.asarray(a).dtype.kind == "f" else np.asarray(a) for a in found))
-
-    leaves = EnvLeaves.of(env)
-    latents = spread_starts(space, starts, low, high, seed)
-    search, history = None, []
-    deviation = max(noise, 0.1 * spacing)
-    for stage, horizon in enumerate(horizons):
+    run = _program(env, space, data, residuals, side_by_side, placements_of(env, starts, shake, spacing, seed))
+    search, history, deviation = None, [], max(noise, 0.1 * spacing)
+    for horizon in horizons:
         weights = np.where(np.asarray(record.times) <= horizon * record.times[-1] + 1e-9, base, 0.0)
         if not weights.any():
             continue
-        points = latents if search is None else search.latents
-        search = lm.begin(points, run(points, weights, deviation, leaves), None if search is None else search.rejected)
-        last = stage == len(horizons) - 1
-        for iteration in range(max_iterations if last else max(2, max_iterations // 3)):
+        points = spread_starts(space, starts, low, high, seed) if search is None else search.latents
+        search = lm.begin(points, run(points, weights, deviation), None if search is None else search.rejected)
+        for iteration in range(max_iterations if horizon == 1.0 else max(2, max_iterations // 3)):
             search = lm.iterate(
-                search, lambda p, w=weights, d=deviation: run(p, w, d, leaves), precision=space.precision,
-                bounds=(low, high), is_stable=lambda p: is_stable(space.place(env, jnp.asarray(p))),
+                search, lambda p, w=weights, d=deviation: run(p, w, d), precision=space.precision, bounds=(low, high),
+                is_stable=lambda p: is_stable(space.place(env, jnp.asarray(p))),
             )  # fmt: skip
             best = search.best(space.precision)
             history.append([float(v) for v in space.numbers(search.latents[best])])
@@ -115,24 +108,52 @@ def identify(
             if not search.active.any():
                 break
         best = search.best(space.precision)
-        deviation = max(noise, float(search.evaluation.spread[best])) if search.evaluation.ok[best] else deviation
-    assert search is not None
-    best = search.best(space.precision)
-    if not search.evaluation.ok[best]:
-        bits = int(np.bitwise_or.reduce(search.evaluation.status))
+        if search.evaluation.ok[best] and horizon < 1.0:
+            deviation = max(noise, float(search.evaluation.spread[best]))
+    if search is None or not search.evaluation.ok.any():
+        bits = 0 if search is None else int(np.bitwise_or.reduce(search.evaluation.status))
         raise ValueError(f"no start has a valid simulation, status {describe(bits)}: give priors of softer materials")
-    latent = search.latents[best]
-    final = run(np.repeat(latent[None], starts, 0), base, deviation, leaves)
-    others = _placed_anew(env, latent, placements, spacing, seed, lambda p, e: run(p, base, deviation, e), starts)
-    covariance = posterior(final.hessian[0], final.scores[0], others)
-    covariance = covariance + _spread(search, space, best)
+    total = search.total(space.precision)
+    kept = total <= total.min() * (1.0 + _ALIKE)
+    latent = search.latents[kept].mean(0)
+    found = Evaluation(*(np.asarray(a)[kept].mean(0) for a in search.evaluation))
+    covariance = posterior(found.hessian, found.scores, between_starts(search.latents[kept]))
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
-        undetermined=undetermined(space, covariance), remarks=remarks + _remarks(search, space, best, low, high),
-        times=np.asarray(record.times), residual_by_frame=final.by_frame[0], starts=search.latents,
-        costs=search.total(space.precision), history=np.asarray(history), failed=int(search.rejected.sum()),
-        seconds=time.perf_counter() - began, env=env,
+        undetermined=undetermined(space, covariance), remarks=remarks + _remarks(search, space, latent, kept, low, high),
+        times=np.asarray(record.times), residual_by_frame=found.by_frame, starts=search.latents, costs=total,
+        history=np.asarray(history), failed=int(search.rejected.sum()), seconds=time.perf_counter() - began, env=env,
     )  # fmt: skip
+
+
+def _program(
+    env: Any, space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placements: np.ndarray | None
+) -> Callable[[np.ndarray, np.ndarray, float], Evaluation]:
+    """``evaluate`` of latents, weights and deviation, as arrays of NumPy."""
+    leaves = EnvLeaves.of(env)
+    placed = None if placements is None else jnp.asarray(placements, jnp.float32)
+
+    def run(latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
+        found = evaluate(
+            jnp.asarray(latents, jnp.float32), placed, leaves, data, jnp.asarray(weights, jnp.float32),
+            jnp.float32(deviation), space=space, residuals=residuals, num_regions=_REGIONS**2, side_by_side=side_by_side,
+        )  # fmt: skip
+        return Evaluation(*(np.asarray(a, float) if np.asarray(a).dtype.kind == "f" else np.asarray(a) for a in found))
+
+    return run
+
+
+def placements_of(env: Any, count: int, shake: float, spacing: float, seed: int) -> np.ndarray | None:
+    """Rest positions for each start [m], shape (count, num_particles, 3); None if the environment has none.
+
+    A simulation depends on where its particles happen to lie. Each start has its own placement, so the scatter of the
+    fits shows how much.
+    """
+    rest = getattr(env, "rest_positions", None)
+    if rest is None or shake == 0.0:
+        return None
+    generator = np.random.Generator(np.random.PCG64(seed + 1))
+    return np.asarray(rest) + shake * spacing * generator.uniform(-1.0, 1.0, (count, *np.shape(rest)))
 
 
 def spread_starts(space: Space, count: int, low: np.ndarray, high: np.ndarray, seed: int) -> np.ndarray:
@@ -146,56 +167,32 @@ def spread_starts(space: Space, count: int, low: np.ndarray, high: np.ndarray, s
     return np.concatenate([np.clip(np.zeros((1, k)), low, high), others])[:count]
 
 
-def _check_options(starts: int, horizons: Sequence[float], placements: int, weights: Any, record: Record) -> None:
+def _check_options(starts: int, horizons: Sequence[float], shake: float, weights: Any, record: Record) -> None:
     if starts < 1:
         raise ValueError(f"starts is {starts}: give at least 1")
     if not horizons or list(horizons) != sorted(horizons) or horizons[-1] != 1.0 or horizons[0] <= 0.0:
         raise ValueError(f"horizons is {tuple(horizons)}: give rising shares above 0 that end with 1")
-    if placements == 1 or placements < 0:
-        raise ValueError(f"placements is {placements}: give 0 or at least 2")
+    if not 0.0 <= shake < 1.0:
+        raise ValueError(f"shake is {shake}: give a share of the spacing in [0, 1)")
     if weights is not None and (
         np.shape(weights) != (record.num_frames,) or np.min(weights) < 0 or not np.any(weights)
     ):
         raise ValueError(f"frame_weights is {weights!r}: give {record.num_frames} numbers of at least 0, not all 0")
 
 
-def _placed_anew(
-    env: Any, latent: np.ndarray, count: int, spacing: float, seed: int, run: Callable[..., Evaluation], starts: int
-) -> np.ndarray:
-    """Gradients with the rest positions displaced at random by up to a quarter of their spacing, shape (count, k).
-
-    The program takes as many points as there are starts, all of one environment: each call computes one placement.
-    """
-    if not count or not hasattr(env, "rest_positions"):
-        return np.zeros((0, len(latent)))
-    generator = np.random.Generator(np.random.PCG64(seed + 1))
-    found = []
-    for _ in range(count):
-        shift = generator.uniform(-0.25, 0.25, np.shape(env.rest_positions)) * spacing
-        moved = env.replace(rest_positions=env.rest_positions + jnp.asarray(shift, env.rest_positions.dtype))
-        evaluation = run(np.repeat(latent[None], starts, 0), EnvLeaves.of(moved))
-        if evaluation.ok[0]:
-            found.append(evaluation.gradient[0])
-    return np.asarray(found).reshape(-1, len(latent))
-
-
-def _spread(search: lm.Starts, space: Space, best: int) -> np.ndarray:
-    """Covariance of the starts that are about as good as the best, about it."""
-    total = search.total(space.precision)
-    alike = total <= total[best] * (1.0 + _ALIKE)
-    gap = search.latents[alike] - search.latents[best]
-    return gap.T @ gap / max(len(gap), 1)
-
-
-def _remarks(search: lm.Starts, space: Space, best: int, low: np.ndarray, high: np.ndarray) -> list[str]:
+def _remarks(
+    search: lm.Starts, space: Space, latent: np.ndarray, kept: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> list[str]:
     said = []
     if search.rejected.sum():
         said.append(f"{int(search.rejected.sum())} simulations failed and were rejected.")
-    bits = int(search.evaluation.status[best]) & ~int(FATAL)
+    if not kept.all():
+        said.append(f"{int(kept.sum())} of {len(kept)} starts fit about equally well; the others are left out.")
+    bits = int(np.bitwise_or.reduce(search.evaluation.status[kept])) & ~int(FATAL)
     if bits:
-        said.append(f"The best simulation has status {describe(bits)}, so its numbers are less reliable.")
+        said.append(f"The best simulations have status {describe(bits)}, so their numbers are less reliable.")
     for i, label in enumerate(space.labels):
-        if min(search.latents[best, i] - low[i], high[i] - search.latents[best, i]) < 1e-3:
+        if min(latent[i] - low[i], high[i] - latent[i]) < 1e-3:
             said.append(f"{short(label)} lies at a bound of the search: widen its prior, or doubt the model.")
     if search.active.any():
         said.append(f"{int(search.active.sum())} of {len(search.active)} starts had not converged.")

@@ -23,13 +23,13 @@ class Identified:
 
     Attributes:
       space: the unknowns.
-      latent: the best point, shape (k,).
+      latent: the mean of the starts that fit about equally well, shape (k,).
       covariance: of the latent coordinates, shape (k, k).
       bounds: within which was searched, shape (k,) each.
       undetermined: sentences about directions that the data leave open.
       remarks: sentences about what was cut off or failed on the way.
       times: of the frames [s], shape (T,).
-      residual_by_frame: at the best point [m], shape (T,).
+      residual_by_frame: of those starts [m], shape (T,).
       starts: the point that each start reached, shape (S, k).
       costs: theirs, shape (S,).
       history: the best value of each unknown by iteration, shape (iterations, k).

@@ -10,31 +10,44 @@ _MATTERS = 0.25
 """Exponents below this share of the largest one are left out of the words."""
 
 
-def posterior(hessian: np.ndarray, scores: np.ndarray, others: np.ndarray) -> np.ndarray:
+def posterior(hessian: np.ndarray, scores: np.ndarray, between: np.ndarray) -> np.ndarray:
     """Covariance of the latent coordinates, shape (k, k).
 
     Residuals of neighbouring points are no independent observations: the error of a coarse surface is the same at all
     points of a region, and from frame to frame. So the scatter of the gradient is estimated from the regions' sums
-    (the sandwich of robust statistics), to which comes its scatter over simulations whose particles were placed anew.
+    (the sandwich of robust statistics). To this comes the scatter of fits whose particles were placed anew.
 
     Args:
       hessian: H of Gauss and Newton without the prior, residuals divided by their deviation, shape (k, k).
       scores: gradients by region, shape (num_regions, k).
-      others: gradients at the same point with particles placed anew, shape (num_placements, k); may be empty.
+      between: covariance of the fits with different placements, shape (k, k).
 
     Returns:
-      (I + H B^-1 H)^-1 with B the covariance of the gradient; the prior has covariance I.
+      (I + (H^-1 B H^-1 + between)^-1)^-1 with B the covariance of the gradient; the prior has covariance I.
 
     Source: Liang & Zeger 1986, "Longitudinal data analysis using generalized linear models", eq. 3, and a prior.
     """
-    count = len(scores)
+    count, k = len(scores), len(hessian)
     centered = scores - scores.mean(0)
     scatter = hessian + count / max(count - 1, 1) * centered.T @ centered
-    if len(others) > 1:
-        scatter = scatter + np.cov(others, rowvar=False).reshape(hessian.shape)
-    scatter = scatter + 1e-9 * max(float(np.trace(scatter)), 1e-12) * np.eye(len(hessian))
+    scatter = scatter + 1e-9 * max(float(np.trace(scatter)), 1e-12) * np.eye(k)
     information = hessian @ np.linalg.solve(scatter, hessian)
-    return np.linalg.inv(np.eye(len(hessian)) + 0.5 * (information + information.T))
+    within = np.linalg.inv(np.eye(k) + 0.5 * (information + information.T))
+    # (within^-1 - I) is the information of one fit; adding `between` to its inverse needs no inverse of a singular one.
+    root = np.linalg.cholesky(between + 1e-12 * np.eye(k))
+    information = np.linalg.inv(within) - np.eye(k)
+    middle = np.linalg.inv(np.eye(k) + root.T @ information @ root)
+    total = information - information @ root @ middle @ root.T @ information
+    return np.linalg.inv(np.eye(k) + 0.5 * (total + total.T))
+
+
+def between_starts(latents: np.ndarray) -> np.ndarray:
+    """Covariance of the mean of S fits about a body whose own placement is one more draw, shape (k, k)."""
+    count, k = latents.shape
+    if count < 2:
+        return np.zeros((k, k))
+    centered = latents - latents.mean(0)
+    return (1.0 + 1.0 / count) * centered.T @ centered / (count - 1)
 
 
 def undetermined(space: Space, covariance: np.ndarray) -> list[str]:
@@ -68,4 +81,4 @@ def short(label: str) -> str:
     return label if label.startswith("initial.") else label.split(".")[-1]
 
 
-__all__ = ["UNDETERMINED", "posterior", "short", "undetermined"]
+__all__ = ["UNDETERMINED", "between_starts", "posterior", "short", "undetermined"]
