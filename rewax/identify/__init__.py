@@ -20,7 +20,7 @@ from rewax.identify.sinkhorn import sinkhorn_divergence
 from rewax.identify.surface import surface_residuals
 
 __all__ = [
-    "Identified", "Minimum", "Record", "SavedResult", "chamfer", "check_record", "depth_picture", "huber", "identify", "load",
-    "load_result", "matched", "minimize", "occupancy", "one_sided_chamfer", "over_time", "read_folder", "record", "save", "sinkhorn_divergence",
-    "surface_residuals",
+    "Identified", "Minimum", "Record", "SavedResult", "chamfer", "check_record", "depth_picture", "huber", "identify",
+    "load", "load_result", "matched", "minimize", "occupancy", "one_sided_chamfer", "over_time", "read_folder",
+    "record", "save", "sinkhorn_divergence", "surface_residuals",
 ]  # fmt: skip

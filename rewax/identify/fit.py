@@ -120,7 +120,8 @@ def identify(
     covariance = posterior(found.hessian, found.scores, between_starts(search.latents[kept]))
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
-        undetermined=undetermined(space, covariance), remarks=remarks + _remarks(search, space, latent, kept, low, high),
+        undetermined=undetermined(space, covariance),
+        remarks=remarks + _remarks(search, space, latent, kept, low, high),
         times=np.asarray(record.times), residual_by_frame=found.by_frame, starts=search.latents, costs=total,
         history=np.asarray(history), failed=int(search.rejected.sum()), seconds=time.perf_counter() - began, env=env,
     )  # fmt: skip
@@ -136,7 +137,8 @@ def _program(
     def run(latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
         found = evaluate(
             jnp.asarray(latents, jnp.float32), placed, leaves, data, jnp.asarray(weights, jnp.float32),
-            jnp.float32(deviation), space=space, residuals=residuals, num_regions=_REGIONS**2, side_by_side=side_by_side,
+            jnp.float32(deviation), space=space, residuals=residuals, num_regions=_REGIONS**2,
+            side_by_side=side_by_side,
         )  # fmt: skip
         return Evaluation(*(np.asarray(a, float) if np.asarray(a).dtype.kind == "f" else np.asarray(a) for a in found))
 

@@ -73,8 +73,8 @@ def actions_of(env: Any, joint_q: np.ndarray) -> np.ndarray:
     actions = np.diff(joint_q, axis=0) / np.asarray(env.joint_step)
     if np.abs(actions).max() > 1.0 + 1e-3:
         raise ValueError(
-            f"the tool's path is {np.abs(actions).max():.2f} times as fast as joint_step allows: give the environment a "
-            "larger joint_step"
+            f"the tool's path is {np.abs(actions).max():.2f} times as fast as joint_step allows: give the environment "
+            "a larger joint_step"
         )
     return np.clip(actions, -1.0, 1.0).astype(np.float32)
 

@@ -75,7 +75,8 @@ def _check_times(record: Record) -> None:
     end = len(record.actions) * dt
     if times[-1] > end * (1.0 + 1e-6) + 1e-9:
         raise ValueError(
-            f"the last frame is at {times[-1]:g} s, but {len(record.actions)} actions end at {end:g} s: give actions up to it"
+            f"the last frame is at {times[-1]:g} s, but {len(record.actions)} actions end at {end:g} s: give "
+            "actions up to it"
         )
     if times[0] > dt * (1.0 + 1e-6):
         raise ValueError(
@@ -88,7 +89,8 @@ def _check_clouds(record: Record) -> None:
     if counts.min() < _MIN_POINTS:
         i = int(np.argmin(counts))
         raise ValueError(
-            f"frame {i} shows {counts[i]} points: leave out frames with fewer than {_MIN_POINTS}, empty clouds say nothing"
+            f"frame {i} shows {counts[i]} points: leave out frames with fewer than {_MIN_POINTS}, empty "
+            "clouds say nothing"
         )
     if not np.all(np.isfinite(record.clouds[record.mask])):
         i = int(np.argmax(~np.isfinite(np.where(record.mask[..., None], record.clouds, 0.0)).all((1, 2))))
@@ -129,7 +131,8 @@ def check_against(record: Record, env: Any, particles: np.ndarray) -> None:
     gap = float(np.linalg.norm(np.median(first, axis=0) - np.median(particles, axis=0)))
     if gap > 2.0 * size:
         raise ValueError(
-            f"the first cloud is {gap:.3g} m from the simulated body, whose size is {size:.3g} m: give both in one frame and unit"
+            f"the first cloud is {gap:.3g} m from the simulated body, whose size is {size:.3g} m: give both in one frame "
+            "and unit"
         )
     near = tool_distance(record, env)
     if near is not None and near > 0.1 * size:

@@ -56,7 +56,7 @@ class Identified:
     @property
     def values(self) -> dict[str, float]:
         """The numbers found, by the first name of each unknown."""
-        return dict(zip(self.space.labels, (float(v) for v in self.space.numbers(self.latent)), strict=True))
+        return self._named(self.latent)
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
@@ -106,6 +106,9 @@ class Identified:
         path.write_text(json.dumps(self._json(), indent=1) + "\n")
         return path
 
+    def _named(self, latent: np.ndarray) -> dict[str, float]:
+        return dict(zip(self.space.labels, map(float, self.space.numbers(latent)), strict=True))
+
     def _json(self) -> dict[str, Any]:
         kept = [
             {"names": list(names), "change": _change(draw), "prior": _told(draw), "posterior": _told(after)}
@@ -118,7 +121,7 @@ class Identified:
             "intervals": {name: list(ends) for name, ends in self.intervals.items()}, "unknowns": kept,
             "covariance": self.covariance.tolist(), "undetermined": self.undetermined, "remarks": self.remarks,
             "times": self.times.tolist(), "residual_by_frame": self.residual_by_frame.tolist(), "failed": self.failed,
-            "starts": [dict(zip(self.space.labels, map(float, self.space.numbers(s)), strict=True)) for s in self.starts],
+            "starts": [self._named(s) for s in self.starts],
             "costs": [float(c) if np.isfinite(c) else None for c in self.costs], "seconds": round(self.seconds, 2),
         }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""How certain a fit is: Laplace's approximation with errors that neighbouring points share, and what data leave open."""
+"""How certain a fit is: Laplace's approximation with errors that neighbours share, and what data leave open."""
 
 import numpy as np
 

@@ -124,7 +124,7 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
       env: has these parameters.
 
     Raises:
-      ValueError: a name fits no parameter, or a prior is none of ``LogUniform``, ``LogNormal``, ``Uniform``, ``Normal``.
+      ValueError: a name fits no parameter, or a prior is not ``LogUniform``, ``LogNormal``, ``Uniform`` or ``Normal``.
     """
     space = Space(hook(unknowns).draws)
     for (names, _), prior in zip(space.draws, space.priors, strict=True):
@@ -178,8 +178,8 @@ def stable_bounds(space: Space, env: Any) -> tuple[np.ndarray, np.ndarray, list[
                     float(space.numbers(np.where(np.arange(len(low)) == i, end, center))[i]) for end in (inside, far)
                 )
                 said.append(
-                    f"{label} is searched up to {value:.4g} instead of {wanted:.4g}: beyond, the substep is too long; make "
-                    "the environment with a larger num_substeps to search further"
+                    f"{label} is searched up to {value:.4g} instead of {wanted:.4g}: beyond, the substep is too long; "
+                    "make the environment with a larger num_substeps to search further"
                 )
     return low, high, said
 
