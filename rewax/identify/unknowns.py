@@ -134,11 +134,7 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
             )
         if names[0].startswith("initial.") and (len(names) > 1 or names[0] not in _INITIAL):
             raise ValueError(f"{names[0]!r} is no unknown of the first state: use one of {', '.join(_INITIAL)}, alone")
-    named = {
-        names: prior for (names, _), prior in zip(space.draws, space.draws, strict=True) if names[0] not in _INITIAL
-    }
-    if named:
-        space.place(env, jnp.zeros(len(space.draws)))
+    space.place(env, jnp.zeros(len(space.draws)))  # raises for unknown names
     return space
 
 

@@ -74,7 +74,7 @@ def test_failed_simulations_are_rejected_and_counted():
     found = identify(sliding_block.block(limit=1.2), record, BOTH)
     assert found.values["gain"] <= 1.2 and found.failed > 0
     assert any("simulations failed and were rejected" in remark for remark in found.remarks)
-    with pytest.raises(ValueError, match="no start has a valid simulation, status NAN.INVALID_PARAMETERS"):
+    with pytest.raises(ValueError, match=r"no start has a valid simulation, status NAN.INVALID_PARAMETERS"):
         identify(sliding_block.block(limit=0.01), record, BOTH)
 
 
@@ -112,7 +112,7 @@ def test_a_result_is_read_back_as_environment_and_distribution(fitted, tmp_path)
 
 
 def test_adam_finds_the_same_with_a_loss_of_the_user(fitted):
-    record, found = fitted
+    record, _ = fitted
     lowest = minimize(sliding_block.block(), record, BOTH, one_sided_chamfer, iterations=60, learning_rate=0.1)
     assert lowest.losses[-1] < 0.5 * lowest.losses[0]  # points on the surface stay half a spacing from the particles
     assert lowest.values["gain"] == pytest.approx(1.7, rel=0.12)

@@ -41,7 +41,7 @@ def test_large_clouds_are_thinned_and_times_may_stand_in_a_file(tmp_path):
     read = read_folder(tmp_path, tool, ENV, num_points=10)
     assert read.clouds.shape == (5, 10, 3) and read.mask.all()
     (tmp_path / "times.csv").write_text("file,time\n")
-    with pytest.raises(ValueError, match="has no time for cloud_00000000.ply"):
+    with pytest.raises(ValueError, match=r"has no time for cloud_00000000.ply"):
         read_folder(tmp_path, tool, ENV)
 
 
