@@ -68,7 +68,7 @@ def minimize(
     env = without_reset_noise(env)
     check_against(record, env, np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics)))
     space = space_of(unknowns, env)
-    low, high, remarks = stable_bounds(space, env)
+    low, high, remarks = stable_bounds(space, (env,))
     leaves, data = EnvLeaves.of(env), data_of(record, 1.0, 1, seed)
     weights = jnp.asarray(np.ones(record.num_frames) if frame_weights is None else frame_weights, jnp.float32)
     optimizer = optax.adam(learning_rate)

@@ -54,7 +54,9 @@ def identify(
     a rejected step and counted.
 
     Args:
-      env: one environment, with ``particles(physics)``; its reset noise is left out.
+      env: an environment, with ``particles(physics)``; its reset noise is left out. Or several of the same scene with
+        different resolutions: the starts are divided among them, so that the scatter of the fits also tells what the
+        resolution does.
       record: what was seen.
       unknowns: priors by the names of parameters, see ``unknowns.space_of``.
       starts: number of starts.
@@ -79,17 +81,19 @@ def identify(
     say = progress or (lambda line: None)
     check_record(record)
     _check_options(starts, horizons, shake, frame_weights, record)
-    env = without_reset_noise(env)
+    envs = [without_reset_noise(one) for one in (env if isinstance(env, (list, tuple)) else (env,))]
+    env = envs[0]
     first = np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics))
     check_against(record, env, first)
     space = space_of(unknowns, env)
-    low, high, remarks = stable_bounds(space, env)
+    low, high, remarks = stable_bounds(space, envs)
     spacing = particle_spacing(first)
     data = data_of(record, _WIDTH * spacing if width is None else width, _REGIONS, seed)
     base = np.ones(record.num_frames) if frame_weights is None else np.asarray(frame_weights, float)
     base[0] = 0.0  # the first frame fixes the surface, and depends on no material
 
-    run = _program(env, space, data, residuals, side_by_side, placements_of(env, starts, shake, spacing, seed))
+    placed = [placements_of(one, starts, shake, spacing, seed) for one in envs]
+    run = _program(envs, space, data, residuals, side_by_side, placed)
     search, history, deviation = None, [], max(noise, 0.1 * spacing)
     for horizon in horizons:
         weights = np.where(np.asarray(record.times) <= horizon * record.times[-1] + 1e-9, base, 0.0)
@@ -100,7 +104,7 @@ def identify(
         for iteration in range(max_iterations if horizon == 1.0 else max(2, max_iterations // 3)):
             search = lm.iterate(
                 search, lambda p, w=weights, d=deviation: run(p, w, d), precision=space.precision, bounds=(low, high),
-                is_stable=lambda p: is_stable(space.place(env, jnp.asarray(p))),
+                is_stable=lambda p: all(is_stable(space.place(one, jnp.asarray(p))) for one in envs),
             )  # fmt: skip
             best = search.best(space.precision)
             history.append([float(v) for v in space.numbers(search.latents[best])])
@@ -114,7 +118,7 @@ def identify(
         bits = 0 if search is None else int(np.bitwise_or.reduce(search.evaluation.status))
         raise ValueError(f"no start has a valid simulation, status {describe(bits)}: give priors of softer materials")
     total = search.total(space.precision)
-    kept = total <= total.min() * (1.0 + _ALIKE)
+    kept = _kept(total, len(envs))
     latent = search.latents[kept].mean(0)
     found = Evaluation(*(np.asarray(a)[kept].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between_starts(search.latents[kept]))
@@ -127,22 +131,43 @@ def identify(
     )  # fmt: skip
 
 
+def _kept(total: np.ndarray, count: int) -> np.ndarray:
+    """Which starts reached about the lowest cost of their environment, shape (S,), bool."""
+    lowest = np.array([total[i::count].min() for i in range(count)])[np.arange(len(total)) % count]
+    return np.isfinite(total) & (total <= lowest * (1.0 + _ALIKE))
+
+
 def _program(
-    env: Any, space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placements: np.ndarray | None
+    envs: Sequence[Any], space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placed: Sequence[Any]
 ) -> Callable[[np.ndarray, np.ndarray, float], Evaluation]:
-    """``evaluate`` of latents, weights and deviation, as arrays of NumPy."""
-    leaves = EnvLeaves.of(env)
-    placed = None if placements is None else jnp.asarray(placements, jnp.float32)
+    """``evaluate`` of latents, weights and deviation, as arrays of NumPy. Start s belongs to environment s % len(envs)."""
+    every = [EnvLeaves.of(one) for one in envs]
+    count = len(envs)
 
     def run(latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
-        found = evaluate(
-            jnp.asarray(latents, jnp.float32), placed, leaves, data, jnp.asarray(weights, jnp.float32),
-            jnp.float32(deviation), space=space, residuals=residuals, num_regions=_REGIONS**2,
-            side_by_side=side_by_side,
-        )  # fmt: skip
-        return Evaluation(*(np.asarray(a, float) if np.asarray(a).dtype.kind == "f" else np.asarray(a) for a in found))
+        parts = [
+            evaluate(
+                jnp.asarray(latents[i::count], jnp.float32),
+                None if placed[i] is None else jnp.asarray(placed[i][i::count], jnp.float32), every[i], data,
+                jnp.asarray(weights, jnp.float32), jnp.float32(deviation), space=space, residuals=residuals,
+                num_regions=_REGIONS**2, side_by_side=side_by_side,
+            )
+            for i in range(count)
+        ]  # fmt: skip
+        return Evaluation(
+            *(_interleaved([np.asarray(a) for a in arrays], len(latents)) for arrays in zip(*parts, strict=True))
+        )
 
     return run
+
+
+def _interleaved(parts: list[np.ndarray], total: int) -> np.ndarray:
+    """Arrays of the environments in the order of the starts; floats in double precision."""
+    dtype = float if parts[0].dtype.kind == "f" else parts[0].dtype
+    joined = np.zeros((total, *parts[0].shape[1:]), dtype)
+    for i, part in enumerate(parts):
+        joined[i :: len(parts)] = part
+    return joined
 
 
 def placements_of(env: Any, count: int, shake: float, spacing: float, seed: int) -> np.ndarray | None:

@@ -148,8 +148,8 @@ def is_stable(env: Any) -> bool:
     return scene.dt * _MARGIN <= limit
 
 
-def stable_bounds(space: Space, env: Any) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Bounds of latent coordinates within which the environment is stable, and what they cut off, in words.
+def stable_bounds(space: Space, envs: Sequence[Any]) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Bounds of latent coordinates within which the environments are stable, and what they cut off, in words.
 
     Each coordinate is bounded with the others at their median; trials beyond that are rejected by their status.
 
@@ -159,7 +159,7 @@ def stable_bounds(space: Space, env: Any) -> tuple[np.ndarray, np.ndarray, list[
     low, high = (np.array(end) for end in space.bounds)
     said: list[str] = []
     center = np.clip(np.zeros(len(low)), low, high)
-    if not is_stable(space.place(env, jnp.asarray(center))):
+    if not _all_stable(space, envs, center):
         raise ValueError(
             "the substep is too long for the median of the priors: make the environment with a larger num_substeps, or "
             "give softer priors"
@@ -167,7 +167,7 @@ def stable_bounds(space: Space, env: Any) -> tuple[np.ndarray, np.ndarray, list[
     for i, label in enumerate(space.labels):
         for bound in (low, high):
             far = bound[i] if np.isfinite(bound[i]) else math.copysign(5.0, bound[i])
-            inside = _furthest_stable(space, env, center, i, far)
+            inside = _furthest_stable(space, envs, center, i, far)
             if inside != far:
                 bound[i] = inside
                 value, wanted = (
@@ -180,13 +180,13 @@ def stable_bounds(space: Space, env: Any) -> tuple[np.ndarray, np.ndarray, list[
     return low, high, said
 
 
-def _furthest_stable(space: Space, env: Any, center: np.ndarray, i: int, far: float) -> float:
+def _furthest_stable(space: Space, envs: Sequence[Any], center: np.ndarray, i: int, far: float) -> float:
     """The coordinate nearest to ``far`` that is stable, by bisection."""
 
     def stable(value: float) -> bool:
         latent = center.copy()
         latent[i] = value
-        return is_stable(space.place(env, jnp.asarray(latent)))
+        return _all_stable(space, envs, latent)
 
     if stable(far):
         return far
@@ -195,6 +195,10 @@ def _furthest_stable(space: Space, env: Any, center: np.ndarray, i: int, far: fl
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if stable(middle) else (inside, middle)
     return float(inside)
+
+
+def _all_stable(space: Space, envs: Sequence[Any], latent: np.ndarray) -> bool:
+    return all(is_stable(space.place(env, jnp.asarray(latent))) for env in envs)
 
 
 def _center_and_scale(prior: Any) -> tuple[float, float]:
