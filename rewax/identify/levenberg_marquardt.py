@@ -15,7 +15,10 @@ from rewax.identify.evaluation import Evaluation
 _FIRST_DAMPING, _LESS, _MORE, _MOST = 1e-2, 0.2, 5.0, 1e6
 _STEP_TOLERANCE = 2e-3
 """A start has converged when a step moves it by less than this, in standard deviations of the prior."""
+_GAIN_TOLERANCE = 3e-5
+"""Nor is a step tried from which the model expects a smaller share of the cost."""
 _LARGEST_STEP = 1.0
+"""In standard deviations of the prior, along each coordinate."""
 
 
 @dataclasses.dataclass
@@ -65,8 +68,12 @@ def iterate(
 ) -> Starts:
     """One step of each active start: solved, cut off at the bounds, tried, accepted if the cost falls."""
     proposals = starts.latents.copy()
+    hopeful = starts.active.copy()
     for s in np.flatnonzero(starts.active):
         step = _step(starts, s, precision, bounds)
+        hopeful[s] = _expected_gain(starts, s, step, precision) > _GAIN_TOLERANCE
+        if not hopeful[s]:
+            continue
         for _ in range(8):  # known to be unstable: half the step
             proposals[s] = np.clip(starts.latents[s] + step, *bounds)
             if is_stable(proposals[s]):
@@ -74,9 +81,13 @@ def iterate(
             step = 0.5 * step
         else:
             proposals[s] = starts.latents[s]
+    starts = dataclasses.replace(starts, active=hopeful)
+    if not hopeful.any():
+        return starts
     new = evaluate(proposals)
     old_cost, new_cost = starts.total(precision), total_cost(new, proposals, precision)
-    accepted = starts.active & (new_cost < old_cost)
+    # A start without a valid simulation goes on towards the median, whatever it finds on the way.
+    accepted = starts.active & ((new_cost < old_cost) | np.isinf(old_cost))
     moved = np.abs(proposals - starts.latents).max(1)
     rejected = starts.rejected + (starts.active & ~np.asarray(new.ok))
     damping = np.where(accepted, starts.damping * _LESS, starts.damping * _MORE)
@@ -108,6 +119,17 @@ def _step(starts: Starts, s: int, precision: np.ndarray, bounds: tuple[np.ndarra
         step[free] = np.linalg.solve(damped, -gradient[free])
     largest = np.abs(step).max()
     return step * min(1.0, _LARGEST_STEP / largest) if largest > 0 else step
+
+
+def _expected_gain(starts: Starts, s: int, step: np.ndarray, precision: np.ndarray) -> float:
+    """Share of the cost that a step saves by the quadratic model; infinite after a failed simulation."""
+    e = starts.evaluation
+    if not e.ok[s]:
+        return np.inf
+    gradient = e.gradient[s] + precision * starts.latents[s]
+    hessian = e.hessian[s] + np.diag(precision)
+    gain = -(gradient @ step + 0.5 * step @ hessian @ step)
+    return float(gain / max(starts.total(precision)[s], 1e-30))
 
 
 def _chosen(accepted: np.ndarray, new: Any, old: Any) -> Evaluation:
