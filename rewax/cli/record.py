@@ -1,6 +1,7 @@
 """``rewax record``: what a camera sees while a script or a policy moves an environment's tool."""
 
 import dataclasses
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -80,6 +81,7 @@ def run(argv: Sequence[str]) -> int:
     made = record(
         moved, _script(options, env), jax.random.key(options.seed), num_steps=options.steps, every=options.every,
         noise=options.noise, occlusion=options.occlusion, num_points=options.points,
+        source=json.dumps({**getattr(env, "made_by", {}), "values": values}),
     )  # fmt: skip
     path = save(made, options.out)
     print(

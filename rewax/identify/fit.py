@@ -81,7 +81,8 @@ def identify(
     say = progress or (lambda line: None)
     check_record(record)
     _check_options(starts, horizons, shake, frame_weights, record)
-    envs = [without_reset_noise(one) for one in (env if isinstance(env, (list, tuple)) else (env,))]
+    given = env if isinstance(env, (list, tuple)) else (env,)
+    envs = [without_reset_noise(one) for one in given]
     env = envs[0]
     first = np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics))
     check_against(record, env, first)
@@ -127,7 +128,7 @@ def identify(
         undetermined=undetermined(space, covariance),
         remarks=remarks + _remarks(search, space, latent, kept, low, high),
         times=np.asarray(record.times), residual_by_frame=found.by_frame, starts=search.latents, costs=total,
-        history=np.asarray(history), failed=int(search.rejected.sum()), seconds=time.perf_counter() - began, env=env,
+        history=np.asarray(history), failed=int(search.rejected.sum()), seconds=time.perf_counter() - began, env=given[0],
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rewax.identify.record import Record
 from rewax.identify.result import Identified
-from rewax.identify.simulate import data_of, simulated_frames
+from rewax.identify.simulate import data_of, simulated_frames, without_reset_noise
 from rewax.identify.uncertainty import short
 
 
@@ -56,7 +56,8 @@ def _draw_parameters(axes: Any, result: Identified) -> None:
 
 def _simulated(result: Identified, record: Record) -> np.ndarray:
     latent = jnp.asarray(result.latent, jnp.float32)
-    simulate = jax.jit(lambda z: simulated_frames(result.env, result.space, z, data_of(record, 1.0, 1))[0])
+    env = without_reset_noise(result.env)
+    simulate = jax.jit(lambda z: simulated_frames(env, result.space, z, data_of(record, 1.0, 1))[0])
     return np.asarray(simulate(latent))
 
 

@@ -51,6 +51,7 @@ def record(
     """
     if not 0.0 <= occlusion < 1.0 or noise < 0.0 or every < 1:
         raise ValueError(f"occlusion is {occlusion}, noise {noise}, every {every}: give [0, 1), at least 0, at least 1")
+    source = source or json.dumps(getattr(env, "made_by", None))
     env = without_reset_noise(env)
     reset_key, policy_key, noise_key, hide_key = jax.random.split(key, 4)
     state = jax.jit(env.reset)(reset_key)
@@ -76,7 +77,7 @@ def record(
     return Record(
         times=np.asarray(frames) * dt, clouds=np.stack(clouds), mask=np.stack(masks), actions=np.asarray(actions),
         control_dt=dt, joint_q=None if joints is None else np.asarray(joints), camera=camera_numbers(camera),
-        source=source or json.dumps(getattr(env, "made_by", None)),
+        source=source,
     )  # fmt: skip
 
 

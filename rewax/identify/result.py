@@ -35,7 +35,7 @@ class Identified:
       history: the best value of each unknown by iteration, shape (iterations, k).
       failed: number of simulations that failed and were rejected.
       seconds: wall clock of the search, compilation included.
-      env: the environment before the fit.
+      env: the environment before the fit, with its reset noise; of several the first.
     """
 
     space: Space

@@ -18,7 +18,7 @@ PUSH = ("--env=RollingFlat", "--action", "0.3", "-1", "0", "--steps", "4", "--ev
 def test_from_a_push_to_a_material(tmp_path, capsys):
     path = tmp_path / "push.npz"
     assert main(["record", *PUSH, "--set", "yield_stress=25", "--noise", "0.002", "--out", str(path)]) == 0
-    assert "3 frames over 0.021 s, 64 to 64 points each" in capsys.readouterr().out
+    assert "3 frames over 0.028 s, 64 to 64 points each" in capsys.readouterr().out
     fit = ["identify", str(path), "--env=RollingFlat", "--unknown", "yield_stress=5,80"]
     assert main([*fit, "--starts", "2", "--iterations", "2"]) == 0
     said = capsys.readouterr().out
