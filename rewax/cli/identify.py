@@ -47,7 +47,7 @@ class Options:
     unknowns: Unknowns = ()
     num_substeps: Natural = 0
     starts: Count = 6
-    iterations: Count = 16
+    iterations: Count = 12
     noise: float = 0.002
     seed: Seed = 0
     out: str | None = None

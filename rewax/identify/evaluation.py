@@ -54,7 +54,7 @@ def to_surface(width: Array) -> Residuals:
     return residuals
 
 
-@functools.partial(jax.jit, static_argnames=("space", "residuals", "num_regions", "side_by_side"))
+@functools.partial(jax.jit, static_argnames=("space", "residuals", "num_regions"))
 def evaluate(
     latents: Array,
     placements: Array | None,
@@ -66,7 +66,6 @@ def evaluate(
     space: Space,
     residuals: Residuals | None,
     num_regions: int,
-    side_by_side: int,
 ) -> Evaluation:
     """The fit at several latent points.
 
@@ -80,7 +79,6 @@ def evaluate(
       space: the unknowns.
       residuals: of a frame; None: distances to the surface of the particles.
       num_regions: number of regions, ``data.clusters`` are below it.
-      side_by_side: starts that one vmap computes.
     """
 
     def one(start: tuple[Array, Array | None]) -> Evaluation:
@@ -104,7 +102,7 @@ def evaluate(
         )(basis)
         return _summary(r, jnp.moveaxis(columns, 0, -1), status, data, weights, deviation, num_regions)
 
-    return jax.lax.map(one, (latents, placements), batch_size=side_by_side)
+    return jax.vmap(one)((latents, placements))
 
 
 def _jvp_with_status(predicted: Any, latent: Array, tangent: Array) -> tuple[Array, Array, Array]:

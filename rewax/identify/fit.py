@@ -25,8 +25,8 @@ _REGIONS = 4
 """Regions along each of two axes, see ``simulate.regions``."""
 _WIDTH = 0.5
 """Of the weights of the surface, in spacings of the particles."""
-_ALIKE = 0.1
-"""Starts whose cost exceeds the best by less than this share count for the result."""
+_ALIKE = 1.0
+"""Starts whose cost exceeds the lowest by less than this share count for the result. Costs differ by placement, too."""
 
 
 def identify(
@@ -36,7 +36,7 @@ def identify(
     *,
     starts: int = 6,
     horizons: Sequence[float] = (0.5, 1.0),
-    max_iterations: int = 16,
+    max_iterations: int = 12,
     noise: float = 0.002,
     frame_weights: np.ndarray | None = None,
     residuals: Residuals | None = None,
@@ -70,7 +70,7 @@ def identify(
       shake: each start displaces the rest positions at random by up to this share of their spacing along each axis,
         so that the scatter of the fits tells what the placement of particles does; 0: none.
       seed: of the starts, their placements and the reset.
-      side_by_side: starts that are computed at once; more need more memory.
+      side_by_side: starts that one program computes; more need more memory.
       progress: called with a line for each iteration.
 
     Raises:
@@ -104,7 +104,7 @@ def identify(
         search = lm.begin(points, run(points, weights, deviation), None if search is None else search.rejected)
         for iteration in range(max_iterations if horizon == 1.0 else max(2, max_iterations // 3)):
             search = lm.iterate(
-                search, lambda p, w=weights, d=deviation: run(p, w, d), precision=space.precision, bounds=(low, high),
+                search, lambda p, needed, w=weights, d=deviation: run(p, w, d, needed), precision=space.precision, bounds=(low, high),
                 is_stable=lambda p: all(is_stable(space.place(one, jnp.asarray(p))) for one in envs),
             )  # fmt: skip
             best = search.best(space.precision)
@@ -140,35 +140,41 @@ def _kept(total: np.ndarray, count: int) -> np.ndarray:
 
 def _program(
     envs: Sequence[Any], space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placed: Sequence[Any]
-) -> Callable[[np.ndarray, np.ndarray, float], Evaluation]:
-    """``evaluate`` of latents, weights and deviation, as arrays of NumPy. Start s belongs to environment s % len(envs)."""
-    every = [EnvLeaves.of(one) for one in envs]
-    count = len(envs)
+) -> Callable[..., Evaluation]:
+    """``evaluate`` of points, weights, deviation and which points are needed, as arrays of NumPy.
 
-    def run(latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
-        parts = [
-            evaluate(
-                jnp.asarray(latents[i::count], jnp.float32),
-                None if placed[i] is None else jnp.asarray(placed[i][i::count], jnp.float32), every[i], data,
-                jnp.asarray(weights, jnp.float32), jnp.float32(deviation), space=space, residuals=residuals,
-                num_regions=_REGIONS**2, side_by_side=side_by_side,
-            )
-            for i in range(count)
-        ]  # fmt: skip
-        return Evaluation(
-            *(_interleaved([np.asarray(a) for a in arrays], len(latents)) for arrays in zip(*parts, strict=True))
-        )
+    Start s belongs to environment s % len(envs). Points of one environment are computed a few at a time, always the
+    same number, so that there is one program for each environment.
+    """
+    every = [EnvLeaves.of(one) for one in envs]
+
+    def some(i: int, chosen: np.ndarray, latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
+        full = np.resize(chosen, side_by_side)  # repeats points where there are too few
+        rest = None if placed[i] is None else jnp.asarray(placed[i][full], jnp.float32)
+        found = evaluate(
+            jnp.asarray(latents[full], jnp.float32), rest, every[i], data, jnp.asarray(weights, jnp.float32),
+            jnp.float32(deviation), space=space, residuals=residuals, num_regions=_REGIONS**2,
+        )  # fmt: skip
+        return Evaluation(*(np.asarray(a)[: len(chosen)] for a in found))
+
+    def run(points: np.ndarray, weights: np.ndarray, deviation: float, needed: np.ndarray | None = None) -> Evaluation:
+        wanted = np.arange(len(points)) if needed is None else np.flatnonzero(needed)
+        total: list[np.ndarray] = []
+        for i in range(len(envs)):
+            own = wanted[wanted % len(envs) == i]
+            for chosen in (own[n : n + side_by_side] for n in range(0, len(own), side_by_side)):
+                found = some(i, chosen, points, weights, deviation)
+                total = total or [np.zeros((len(points), *a.shape[1:]), _wide(a.dtype)) for a in found]
+                for into, array in zip(total, found, strict=True):
+                    into[chosen] = array
+        return Evaluation(*total)
 
     return run
 
 
-def _interleaved(parts: list[np.ndarray], total: int) -> np.ndarray:
-    """Arrays of the environments in the order of the starts; floats in double precision."""
-    dtype = float if parts[0].dtype.kind == "f" else parts[0].dtype
-    joined = np.zeros((total, *parts[0].shape[1:]), dtype)
-    for i, part in enumerate(parts):
-        joined[i :: len(parts)] = part
-    return joined
+def _wide(dtype: np.dtype) -> Any:
+    """Double precision for floats."""
+    return float if dtype.kind == "f" else dtype
 
 
 def placements_of(env: Any, count: int, shake: float, spacing: float, seed: int) -> np.ndarray | None:

@@ -15,7 +15,7 @@ from rewax.identify.evaluation import Evaluation
 _FIRST_DAMPING, _LESS, _MORE, _MOST = 1e-2, 0.2, 5.0, 1e6
 _STEP_TOLERANCE = 2e-3
 """A start has converged when a step moves it by less than this, in standard deviations of the prior."""
-_GAIN_TOLERANCE = 3e-5
+_GAIN_TOLERANCE = 1e-4
 """Nor is a step tried from which the model expects a smaller share of the cost."""
 _LARGEST_STEP = 1.0
 """In standard deviations of the prior, along each coordinate."""
@@ -60,13 +60,16 @@ def begin(latents: np.ndarray, evaluation: Evaluation, rejected: np.ndarray | No
 
 def iterate(
     starts: Starts,
-    evaluate: Callable[[np.ndarray], Evaluation],
+    evaluate: Callable[[np.ndarray, np.ndarray], Evaluation],
     *,
     precision: np.ndarray,
     bounds: tuple[np.ndarray, np.ndarray],
     is_stable: Callable[[np.ndarray], bool],
 ) -> Starts:
-    """One step of each active start: solved, cut off at the bounds, tried, accepted if the cost falls."""
+    """One step of each active start: solved, cut off at the bounds, tried, accepted if the cost falls.
+
+    ``evaluate`` takes points of all starts, shape (S, k), and which of them are needed, shape (S,).
+    """
     proposals = starts.latents.copy()
     hopeful = starts.active.copy()
     for s in np.flatnonzero(starts.active):
@@ -84,7 +87,7 @@ def iterate(
     starts = dataclasses.replace(starts, active=hopeful)
     if not hopeful.any():
         return starts
-    new = evaluate(proposals)
+    new = evaluate(proposals, hopeful)
     old_cost, new_cost = starts.total(precision), total_cost(new, proposals, precision)
     # A start without a valid simulation goes on towards the median, whatever it finds on the way.
     accepted = starts.active & ((new_cost < old_cost) | np.isinf(old_cost))

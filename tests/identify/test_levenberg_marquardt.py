@@ -28,7 +28,13 @@ def search(points, evaluate=rosenbrock, *, bounds=(-3.0, 3.0), is_stable=lambda 
     low, high = (np.broadcast_to(np.asarray(b, float), 2) for b in bounds)
     starts = lm.begin(points, evaluate(points))
     for _ in range(iterations):
-        starts = lm.iterate(starts, evaluate, precision=np.full(2, precision), bounds=(low, high), is_stable=is_stable)
+        starts = lm.iterate(
+            starts,
+            lambda p, needed: evaluate(p),
+            precision=np.full(2, precision),
+            bounds=(low, high),
+            is_stable=is_stable,
+        )
         if not starts.active.any():
             break
     return starts

@@ -38,9 +38,17 @@ def test_the_scatter_of_placements_adds_to_the_variance():
     between = np.diag([0.04, 0.0])
     total = posterior(1e4 * np.eye(2), np.zeros((16, 2)), between)
     np.testing.assert_allclose(np.diag(total), [1 / (1 + 1 / 0.0401), 1 / (1 + 1e4)], rtol=1e-3)
-    latents = np.array([[1.0], [2.0], [3.0], [4.0]])
-    assert between_starts(latents)[0, 0] == pytest.approx(1.25 * np.var([1, 2, 3, 4], ddof=1))
-    assert not between_starts(latents[:1]).any()
+    assert not between_starts(np.ones((1, 2))).any()
+
+
+@pytest.mark.parametrize("count", [4, 6, 30])
+def test_the_interval_of_few_fits_holds_for_one_more_draw(count):
+    generator, held = np.random.Generator(np.random.PCG64(1)), []
+    for _ in range(4000):
+        draws = generator.normal(size=(count + 1, 1))
+        reach = 1.96 * np.sqrt(between_starts(draws[1:])[0, 0])
+        held.append(abs(draws[0, 0] - draws[1:].mean()) < reach)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.015)
 
 
 def test_words_name_the_direction():
