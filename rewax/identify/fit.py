@@ -104,7 +104,8 @@ def identify(
         search = lm.begin(points, run(points, weights, deviation), None if search is None else search.rejected)
         for iteration in range(max_iterations if horizon == 1.0 else max(2, max_iterations // 3)):
             search = lm.iterate(
-                search, lambda p, needed, w=weights, d=deviation: run(p, w, d, needed), precision=space.precision, bounds=(low, high),
+                search, lambda p, needed, w=weights, d=deviation: run(p, w, d, needed),
+                precision=space.precision, bounds=(low, high),
                 is_stable=lambda p: all(is_stable(space.place(one, jnp.asarray(p))) for one in envs),
             )  # fmt: skip
             best = search.best(space.precision)

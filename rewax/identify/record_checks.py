@@ -131,8 +131,8 @@ def check_against(record: Record, env: Any, particles: np.ndarray) -> None:
     gap = float(np.linalg.norm(np.median(first, axis=0) - np.median(particles, axis=0)))
     if gap > 2.0 * size:
         raise ValueError(
-            f"the first cloud is {gap:.3g} m from the simulated body, whose size is {size:.3g} m: give both in one frame "
-            "and unit"
+            f"the first cloud is {gap:.3g} m from the simulated body, whose size is {size:.3g} m: give both in one "
+            "frame and unit"
         )
     near = tool_distance(record, env)
     if near is not None and near > 0.1 * size:

@@ -67,7 +67,7 @@ def test_bad_options_and_failed_steps_are_told(env):
     with pytest.raises(ValueError, match="occlusion is 1"):
         record(env, ACTIONS, jax.random.key(0), occlusion=1.0)
     stiff = rewax.replace_leaf(env, "scene.material.elasticity.youngs_modulus", 1e6)
-    with pytest.raises(ValueError, match="step 0 of the record has status .*INVALID_PARAMETERS"):
+    with pytest.raises(ValueError, match=r"step 0 of the record has status .*INVALID_PARAMETERS"):
         record(stiff, ACTIONS, jax.random.key(0))
 
 
