@@ -1,11 +1,12 @@
 """Synthetic cases of ``rewax.identify``: a dough of unknown numbers, pushed once before a camera.
 
-    python benchmarks/identify_cases.py --cases 100   # rows of docs/suites/identify/results.csv; goes on where it stopped
+    python benchmarks/identify_cases.py --cases 100   # rows of docs/suites/identify/results.csv
     python benchmarks/identify_cases.py --report
 
-True numbers are drawn from priors a decade wide. The world that makes the record has a finer grid, other and more
-particles than the fit's: 36 cells a metre instead of 24 and 28, 2592 particles instead of 1176. The camera sees them with
-2 mm of noise, and 30 % of what it sees is hidden. The floor lies on a node of all grids.
+A second call goes on where the first stopped. True numbers are drawn from priors a decade wide. The world that makes
+the record has a finer grid, other and more particles than the fit's: 36 cells a metre instead of 24 and 28, 2592
+particles instead of 1176. The camera sees them with 2 mm of noise, and 30 % of what it sees is hidden. The floor lies on
+a node of all grids.
 """
 
 import argparse
@@ -113,11 +114,12 @@ def run_case(case: int, fit: Any, verbose: bool = False) -> list[dict[str, Any]]
     rows = []
     for i, name in enumerate(PRIORS):
         low, high = found.intervals[name]
-        rows.append(dict(zip(_COLUMNS, (
-            case, name.split(".")[-1], f"{true[name]:.5g}", f"{found.values[name]:.5g}", f"{low:.5g}", f"{high:.5g}",
-            f"{float(np.sqrt(found.covariance[i, i])):.4f}", f"{residual:.3f}", found.failed, f"{seconds:.1f}", os.cpu_count(),
-            f"{os.getloadavg()[0]:.1f}", " ".join(found.remarks + found.undetermined),
-        ), strict=True)))  # fmt: skip
+        numbers = (true[name], found.values[name], low, high)
+        told = (f"{residual:.3f}", found.failed, f"{seconds:.1f}", os.cpu_count(), f"{os.getloadavg()[0]:.1f}")
+        left = f"{float(np.sqrt(found.covariance[i, i])):.4f}"
+        remarks = " ".join(found.remarks + found.undetermined)
+        row = (case, name.split(".")[-1], *(f"{number:.5g}" for number in numbers), left, *told, remarks)
+        rows.append(dict(zip(_COLUMNS, row, strict=True)))
     return rows
 
 
@@ -151,9 +153,8 @@ def report(rows: list[dict[str, str]]) -> str:
         inside = (low <= true) & (true <= high)
         determined = np.array([float(row["left"]) for row in own]) <= 0.5
         seconds = np.median([float(row["seconds"]) for row in own])
-        lines.append(
-            f"| {name} | {len(own)} | {100 * np.median(error):.0f} % | {np.sum(error < 0.1)} | {inside.sum()} | {determined.sum()} | {seconds:.0f} |"
-        )
+        counts = f"{np.sum(error < 0.1)} | {inside.sum()} | {determined.sum()}"
+        lines.append(f"| {name} | {len(own)} | {100 * np.median(error):.0f} % | {counts} | {seconds:.0f} |")
     return "\n".join(lines)
 
 
@@ -176,14 +177,9 @@ def main() -> None:
             continue
         rows = run_case(case, fit, args.verbose)
         append(args.out, rows)
-        print(
-            *(
-                f"{r['case']:3d} {r['unknown']:15s} true {r['true']:>8s} found {r['found']:>8s} [{r['low']}, {r['high']}] {r['seconds']} s"
-                for r in rows
-            ),
-            sep="\n",
-            flush=True,
-        )
+        for r in rows:
+            said = f"{r['case']:3d} {r['unknown']:15s} true {r['true']:>8s} found {r['found']:>8s}"
+            print(f"{said} [{r['low']}, {r['high']}] {r['seconds']} s", flush=True)
 
 
 if __name__ == "__main__":
