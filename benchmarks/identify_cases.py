@@ -5,8 +5,8 @@
 
 A second call goes on where the first stopped. True numbers are drawn from priors a decade wide. The world that makes
 the record has a finer grid, other and more particles than the fit's: 36 cells a metre instead of 24 and 28, 2592
-particles instead of 1176. The camera sees them with 2 mm of noise, and 30 % of what it sees is hidden. The floor lies on
-a node of all grids.
+particles instead of 1176. The camera sees them with 2 mm of noise, and 30 % of what it sees is hidden. The floor lies
+on a node of all grids.
 """
 
 import argparse

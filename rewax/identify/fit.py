@@ -8,21 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomize import Draw
 from rewax.identify import levenberg_marquardt as lm
-from rewax.identify.evaluation import Evaluation, Residuals, evaluate
+from rewax.identify.evaluation import Evaluation, Residuals
 from rewax.identify.record import Record
 from rewax.identify.record_checks import check_against, check_record
 from rewax.identify.result import Identified
-from rewax.identify.simulate import Data, data_of, points_of, without_reset_noise
+from rewax.identify.simulate import data_of, points_of, without_reset_noise
+from rewax.identify.starts import REGIONS, placements_of, program, search_from, spread_starts
 from rewax.identify.surface import particle_spacing
 from rewax.identify.uncertainty import between_starts, posterior, short, undetermined
 from rewax.identify.unknowns import Space, is_stable, space_of, stable_bounds
 from rewax.status import FATAL, describe
 
-_REGIONS = 4
-"""Regions along each of two axes, see ``simulate.regions``."""
 _WIDTH = 0.5
 """Of the weights of the surface, in spacings of the particles."""
 _ALIKE = 1.0
@@ -78,7 +76,6 @@ def identify(
         median of the priors, or no start whose simulation is valid.
     """
     began = time.perf_counter()
-    say = progress or (lambda line: None)
     check_record(record)
     _check_options(starts, horizons, shake, frame_weights, record)
     given = env if isinstance(env, (list, tuple)) else (env,)
@@ -89,35 +86,16 @@ def identify(
     space = space_of(unknowns, env)
     low, high, remarks = stable_bounds(space, envs)
     spacing = particle_spacing(first)
-    data = data_of(record, _WIDTH * spacing if width is None else width, _REGIONS, seed)
-    base = np.ones(record.num_frames) if frame_weights is None else np.asarray(frame_weights, float)
-    base[0] = 0.0  # the first frame fixes the surface, and depends on no material
-
+    data = data_of(record, _WIDTH * spacing if width is None else width, REGIONS, seed)
     placed = [placements_of(one, starts, shake, spacing, seed) for one in envs]
-    run = _program(envs, space, data, residuals, side_by_side, placed)
-    search, history, deviation = None, [], max(noise, 0.1 * spacing)
-    for horizon in horizons:
-        weights = np.where(np.asarray(record.times) <= horizon * record.times[-1] + 1e-9, base, 0.0)
-        if not weights.any():
-            continue
-        points = spread_starts(space, starts, low, high, seed) if search is None else search.latents
-        search = lm.begin(points, run(points, weights, deviation), None if search is None else search.rejected)
-        for iteration in range(max_iterations if horizon == 1.0 else max(2, max_iterations // 3)):
-            search = lm.iterate(
-                search, lambda p, needed, w=weights, d=deviation: run(p, w, d, needed),
-                precision=space.precision, bounds=(low, high),
-                is_stable=lambda p: all(is_stable(space.place(one, jnp.asarray(p))) for one in envs),
-            )  # fmt: skip
-            best = search.best(space.precision)
-            history.append([float(v) for v in space.numbers(search.latents[best])])
-            say(_line(space, search, best, horizon, iteration))
-            if not search.active.any():
-                break
-        best = search.best(space.precision)
-        if search.evaluation.ok[best] and horizon < 1.0:
-            deviation = max(noise, float(search.evaluation.spread[best]))
-    if search is None or not search.evaluation.ok.any():
-        bits = 0 if search is None else int(np.bitwise_or.reduce(search.evaluation.status))
+    search, history = search_from(
+        spread_starts(space, starts, low, high, seed), program(envs, space, data, residuals, side_by_side, placed),
+        _stages(record, horizons, frame_weights, max_iterations), deviations=(max(noise, 0.1 * spacing), noise),
+        space=space, bounds=(low, high), say=progress or (lambda line: None),
+        stable=lambda p: all(is_stable(space.place(one, jnp.asarray(p))) for one in envs),
+    )  # fmt: skip
+    if not search.evaluation.ok.any():
+        bits = int(np.bitwise_or.reduce(search.evaluation.status))
         raise ValueError(f"no start has a valid simulation, status {describe(bits)}: give priors of softer materials")
     total = search.total(space.precision)
     kept = _kept(total, len(envs))
@@ -126,80 +104,31 @@ def identify(
     covariance = posterior(found.hessian, found.scores, between_starts(search.latents[kept]))
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
-        undetermined=undetermined(space, covariance),
-        remarks=remarks + _remarks(search, space, latent, kept, low, high),
-        times=np.asarray(record.times), residual_by_frame=found.by_frame, starts=search.latents, costs=total,
-        history=np.asarray(history), failed=int(search.rejected.sum()), seconds=time.perf_counter() - began, env=given[0],
+        undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[0],
+        remarks=remarks + _remarks(search, space, latent, kept, low, high), residual_by_frame=found.by_frame,
+        starts=search.latents, costs=total, history=history, failed=int(search.rejected.sum()),
+        seconds=time.perf_counter() - began,
     )  # fmt: skip
+
+
+def _stages(
+    record: Record, horizons: Sequence[float], frame_weights: Any, iterations: int
+) -> list[tuple[float, np.ndarray, int]]:
+    """For each horizon its share, the weights of the frames and the largest number of iterations.
+
+    The first frame fixes the surface and depends on no material: it has weight 0.
+    """
+    base = np.ones(record.num_frames) if frame_weights is None else np.array(frame_weights, float)
+    base[0] = 0.0
+    times = np.asarray(record.times)
+    every = [(h, np.where(times <= h * times[-1] + 1e-9, base, 0.0)) for h in horizons]
+    return [(h, w, iterations if h == 1.0 else max(2, iterations // 3)) for h, w in every if w.any() or h == 1.0]
 
 
 def _kept(total: np.ndarray, count: int) -> np.ndarray:
     """Which starts reached about the lowest cost of their environment, shape (S,), bool."""
     lowest = np.array([total[i::count].min() for i in range(count)])[np.arange(len(total)) % count]
     return np.isfinite(total) & (total <= lowest * (1.0 + _ALIKE))
-
-
-def _program(
-    envs: Sequence[Any], space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placed: Sequence[Any]
-) -> Callable[..., Evaluation]:
-    """``evaluate`` of points, weights, deviation and which points are needed, as arrays of NumPy.
-
-    Start s belongs to environment s % len(envs). Points of one environment are computed a few at a time, always the
-    same number, so that there is one program for each environment.
-    """
-    every = [EnvLeaves.of(one) for one in envs]
-
-    def some(i: int, chosen: np.ndarray, latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
-        full = np.resize(chosen, side_by_side)  # repeats points where there are too few
-        rest = None if placed[i] is None else jnp.asarray(placed[i][full], jnp.float32)
-        found = evaluate(
-            jnp.asarray(latents[full], jnp.float32), rest, every[i], data, jnp.asarray(weights, jnp.float32),
-            jnp.float32(deviation), space=space, residuals=residuals, num_regions=_REGIONS**2,
-        )  # fmt: skip
-        return Evaluation(*(np.asarray(a)[: len(chosen)] for a in found))
-
-    def run(points: np.ndarray, weights: np.ndarray, deviation: float, needed: np.ndarray | None = None) -> Evaluation:
-        wanted = np.arange(len(points)) if needed is None else np.flatnonzero(needed)
-        total: list[np.ndarray] = []
-        for i in range(len(envs)):
-            own = wanted[wanted % len(envs) == i]
-            for chosen in (own[n : n + side_by_side] for n in range(0, len(own), side_by_side)):
-                found = some(i, chosen, points, weights, deviation)
-                total = total or [np.zeros((len(points), *a.shape[1:]), _wide(a.dtype)) for a in found]
-                for into, array in zip(total, found, strict=True):
-                    into[chosen] = array
-        return Evaluation(*total)
-
-    return run
-
-
-def _wide(dtype: np.dtype) -> Any:
-    """Double precision for floats."""
-    return float if dtype.kind == "f" else dtype
-
-
-def placements_of(env: Any, count: int, shake: float, spacing: float, seed: int) -> np.ndarray | None:
-    """Rest positions for each start [m], shape (count, num_particles, 3); None if the environment has none.
-
-    A simulation depends on where its particles happen to lie. Each start has its own placement, so the scatter of the
-    fits shows how much.
-    """
-    rest = getattr(env, "rest_positions", None)
-    if rest is None or shake == 0.0:
-        return None
-    generator = np.random.Generator(np.random.PCG64(seed + 1))
-    return np.asarray(rest) + shake * spacing * generator.uniform(-1.0, 1.0, (count, *np.shape(rest)))
-
-
-def spread_starts(space: Space, count: int, low: np.ndarray, high: np.ndarray, seed: int) -> np.ndarray:
-    """The median, and a Latin hypercube over the middle of the priors, within the bounds, shape (count, k)."""
-    generator = np.random.Generator(np.random.PCG64(seed))
-    k = len(space.draws)
-    reach_low, reach_high = np.maximum(low, -1.5), np.minimum(high, 1.5)
-    strata = np.stack([generator.permutation(max(count - 1, 1)) for _ in range(k)], axis=1)
-    shares = (strata + 0.5) / max(count - 1, 1)
-    others = reach_low + shares * (reach_high - reach_low)
-    return np.concatenate([np.clip(np.zeros((1, k)), low, high), others])[:count]
 
 
 def _check_options(starts: int, horizons: Sequence[float], shake: float, weights: Any, record: Record) -> None:
@@ -234,11 +163,4 @@ def _remarks(
     return said
 
 
-def _line(space: Space, search: lm.Starts, best: int, horizon: float, iteration: int) -> str:
-    numbers = zip(space.labels, space.numbers(search.latents[best]), strict=True)
-    values = "  ".join(f"{short(label)} {float(value):.4g}" for label, value in numbers)
-    cost = float(search.total(space.precision)[best])
-    return f"horizon {100 * horizon:3.0f} %  iteration {iteration + 1:2d}  cost {cost:10.4g}  {values}"
-
-
-__all__ = ["identify", "spread_starts"]
+__all__ = ["identify"]

@@ -9,7 +9,7 @@ import sliding_block
 from rewax.envs.randomize import LogNormal, LogUniform, Normal, Uniform
 from rewax.identify import identify, load_result, minimize, one_sided_chamfer
 from rewax.identify.evaluation import evaluate
-from rewax.identify.fit import spread_starts
+from rewax.identify.starts import spread_starts
 from rewax.identify.unknowns import space_of
 
 BOTH = {"gain": LogUniform(0.2, 5.0), "softness": Uniform(0.2, 2.0)}
@@ -76,6 +76,17 @@ def test_failed_simulations_are_rejected_and_counted():
     assert any("simulations failed and were rejected" in remark for remark in found.remarks)
     with pytest.raises(ValueError, match=r"no start has a valid simulation, status NAN.INVALID_PARAMETERS"):
         identify(sliding_block.block(limit=0.01), record, BOTH)
+
+
+def test_several_environments_share_the_starts():
+    """One of them is told that particles grip 20 % better, as another resolution would: the interval covers both."""
+    record = sliding_block.seen(sliding_block.block(gain=1.5))
+    unknowns = {"gain": LogUniform(0.2, 5.0)}
+    alone = identify(sliding_block.block(), record, unknowns, shake=0.0)
+    both = identify([sliding_block.block(), sliding_block.block(grip=1.2)], record, unknowns, shake=0.0)
+    np.testing.assert_allclose(both.starts[0::2] - both.starts[1::2], np.log(1.2) / (np.log(25) / 12**0.5), atol=0.02)
+    assert both.intervals["gain"][0] < 1.5 / 1.2 < 1.5 < both.intervals["gain"][1]
+    assert both.covariance[0, 0] > 4.0 * alone.covariance[0, 0]
 
 
 def test_a_frame_of_weight_zero_counts_for_nothing():
