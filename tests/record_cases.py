@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.identify.record import Record
+from rewax.identify.records import Record
 from rewax.physics.contact import Collider
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Sphere

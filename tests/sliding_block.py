@@ -5,7 +5,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, first_state, next_state
-from rewax.identify.record import Record, padded
+from rewax.identify.records import Record, padded
 from rewax.status import Status, flag
 from rewax.types import Array
 

@@ -101,7 +101,7 @@ def test_nothing_imports_examples_or_tests():
         ("training/a.py", "from rewax.cli.options import parse"),
         ("agents/a.py", "from rewax import viz"),
         ("identify/a.py", "from rewax.agents import sapo"),
-        ("envs/a.py", "from rewax.identify.record import Record"),
+        ("envs/a.py", "from rewax.identify.records import Record"),
         ("viz/a.py", "from rewax.training.storage.metrics import read_csv"),
         ("struct.py", "from rewax.physics import mpm"),
         ("lowering/a.py", "from rewax.physics.numerics import components"),

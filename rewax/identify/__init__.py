@@ -12,9 +12,9 @@ from rewax.identify.losses import (
     over_time,
 )
 from rewax.identify.readers import read_folder
-from rewax.identify.record import Record, load, save
 from rewax.identify.record_checks import check_record
 from rewax.identify.recording import record
+from rewax.identify.records import Record, load, save
 from rewax.identify.result import Identified, SavedResult, load_result
 from rewax.identify.sinkhorn import sinkhorn_divergence
 from rewax.identify.surface import surface_residuals

@@ -12,8 +12,8 @@ import optax
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomize import Draw
 from rewax.identify.losses import over_time
-from rewax.identify.record import Record
 from rewax.identify.record_checks import check_against, check_record
+from rewax.identify.records import Record
 from rewax.identify.simulate import Data, data_of, points_of, simulated_frames, without_reset_noise
 from rewax.identify.unknowns import Space, is_stable, space_of, stable_bounds
 from rewax.status import FATAL, describe

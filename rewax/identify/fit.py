@@ -11,13 +11,13 @@ import numpy as np
 from rewax.envs.randomize import Draw
 from rewax.identify import levenberg_marquardt as lm
 from rewax.identify.evaluation import Evaluation, Residuals
-from rewax.identify.record import Record
 from rewax.identify.record_checks import check_against, check_record
+from rewax.identify.records import Record
 from rewax.identify.result import Identified
 from rewax.identify.simulate import data_of, points_of, without_reset_noise
 from rewax.identify.starts import REGIONS, placements_of, program, search_from, spread_starts
 from rewax.identify.surface import particle_spacing
-from rewax.identify.uncertainty import between_starts, posterior, short, undetermined
+from rewax.identify.uncertainty import combined, posterior, short, undetermined
 from rewax.identify.unknowns import Space, is_stable, space_of, stable_bounds
 from rewax.status import FATAL, describe
 
@@ -53,8 +53,8 @@ def identify(
 
     Args:
       env: an environment, with ``particles(physics)``; its reset noise is left out. Or several of the same scene with
-        different resolutions: the starts are divided among them, so that the scatter of the fits also tells what the
-        resolution does.
+        different resolutions, the finest last: the starts are divided among them. The finest gives the result, and its
+        difference from the others is part of the uncertainty.
       record: what was seen.
       unknowns: priors by the names of parameters, see ``unknowns.space_of``.
       starts: number of starts.
@@ -77,8 +77,8 @@ def identify(
     """
     began = time.perf_counter()
     check_record(record)
-    _check_options(starts, horizons, shake, frame_weights, record)
     given = env if isinstance(env, (list, tuple)) else (env,)
+    _check_options(starts, len(given), horizons, shake, frame_weights, record)
     envs = [without_reset_noise(one) for one in given]
     env = envs[0]
     first = np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics))
@@ -99,12 +99,14 @@ def identify(
         raise ValueError(f"no start has a valid simulation, status {describe(bits)}: give priors of softer materials")
     total = search.total(space.precision)
     kept = _kept(total, len(envs))
-    latent = search.latents[kept].mean(0)
-    found = Evaluation(*(np.asarray(a)[kept].mean(0) for a in search.evaluation))
-    covariance = posterior(found.hessian, found.scores, between_starts(search.latents[kept]))
+    groups = np.arange(starts) % len(envs)
+    latent, between = combined(search.latents[kept], groups[kept])
+    finest = kept & (groups == groups[kept].max())
+    found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
+    covariance = posterior(found.hessian, found.scores, between)
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
-        undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[0],
+        undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[-1],
         remarks=remarks + _remarks(search, space, latent, kept, low, high), residual_by_frame=found.by_frame,
         starts=search.latents, costs=total, history=history, failed=int(search.rejected.sum()),
         seconds=time.perf_counter() - began,
@@ -131,9 +133,11 @@ def _kept(total: np.ndarray, count: int) -> np.ndarray:
     return np.isfinite(total) & (total <= lowest * (1.0 + _ALIKE))
 
 
-def _check_options(starts: int, horizons: Sequence[float], shake: float, weights: Any, record: Record) -> None:
-    if starts < 1:
-        raise ValueError(f"starts is {starts}: give at least 1")
+def _check_options(
+    starts: int, num_envs: int, horizons: Sequence[float], shake: float, weights: Any, record: Record
+) -> None:
+    if starts < num_envs:
+        raise ValueError(f"starts is {starts} with {num_envs} environments: give at least one for each")
     if not horizons or list(horizons) != sorted(horizons) or horizons[-1] != 1.0 or horizons[0] <= 0.0:
         raise ValueError(f"horizons is {tuple(horizons)}: give rising shares above 0 that end with 1")
     if not 0.0 <= shake < 1.0:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.identify.record import Record
+from rewax.identify.records import Record
 from rewax.identify.result import Identified
 from rewax.identify.simulate import data_of, simulated_frames, without_reset_noise
 from rewax.identify.uncertainty import short

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rewax.identify.record import Record, padded
 from rewax.identify.record_checks import check_record
+from rewax.identify.records import Record, padded
 
 
 def read_folder(

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.identify.record import UNITS, VERSION, Record
+from rewax.identify.records import UNITS, VERSION, Record
 from rewax.physics.contact.colliders import shape_pose
 from rewax.physics.numerics.pose import body_pose
 from rewax.physics.shapes import signed_distance
@@ -56,7 +56,7 @@ def _check_shapes(record: Record) -> None:
             "action and one after each"
         )
     if record.camera is not None and np.shape(record.camera) != (15,):
-        raise ValueError(f"camera has shape {np.shape(record.camera)}: give 15 numbers, see rewax.identify.record")
+        raise ValueError(f"camera has shape {np.shape(record.camera)}: give 15 numbers, see rewax.identify.records")
 
 
 def _check_times(record: Record) -> None:

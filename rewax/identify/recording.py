@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.identify.record import Record, camera_numbers, cloud_of_depth
+from rewax.identify.records import Record, camera_numbers, cloud_of_depth
 from rewax.identify.simulate import points_of, without_reset_noise
 from rewax.sensors import Camera, DepthNoise
 from rewax.status import FATAL, describe

@@ -23,7 +23,7 @@ class Identified:
 
     Attributes:
       space: the unknowns.
-      latent: the mean of the starts that fit about equally well, shape (k,).
+      latent: the mean of the starts that fit about equally well, of the finest environment, shape (k,).
       covariance: of the latent coordinates, shape (k, k).
       bounds: within which was searched, shape (k,) each.
       undetermined: sentences about directions that the data leave open.
@@ -35,7 +35,7 @@ class Identified:
       history: the best value of each unknown by iteration, shape (iterations, k).
       failed: number of simulations that failed and were rejected.
       seconds: wall clock of the search, compilation included.
-      env: the environment before the fit, with its reset noise; of several the first.
+      env: the environment before the fit, with its reset noise; of several the last.
     """
 
     space: Space

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.identify.record import Record
+from rewax.identify.records import Record
 from rewax.identify.unknowns import Space
 from rewax.types import Array, PyTree
 

@@ -15,12 +15,12 @@ def posterior(hessian: np.ndarray, scores: np.ndarray, between: np.ndarray) -> n
 
     Residuals of neighbouring points are no independent observations: the error of a coarse surface is the same at all
     points of a region, and from frame to frame. So the scatter of the gradient is estimated from the regions' sums
-    (the sandwich of robust statistics). To this comes the scatter of fits whose particles were placed anew.
+    (the sandwich of robust statistics). To this comes what fits with other placements and resolutions differ by.
 
     Args:
       hessian: H of Gauss and Newton without the prior, residuals divided by their deviation, shape (k, k).
       scores: gradients by region, shape (num_regions, k).
-      between: covariance of the fits with different placements, shape (k, k).
+      between: covariance of these differences, see ``combined``, shape (k, k).
 
     Returns:
       (I + (H^-1 B H^-1 + between)^-1)^-1 with B the covariance of the gradient; the prior has covariance I.
@@ -41,19 +41,34 @@ def posterior(hessian: np.ndarray, scores: np.ndarray, between: np.ndarray) -> n
     return np.linalg.inv(np.eye(k) + 0.5 * (total + total.T))
 
 
-def between_starts(latents: np.ndarray) -> np.ndarray:
-    """Covariance of the mean of S fits about a body whose own placement is one more draw, shape (k, k).
+def combined(latents: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The result of fits with different placements and resolutions, and the covariance of what they differ by.
 
-    It is enlarged by the squared ratio of the quantiles of Student's and of the normal distribution at 97.5 %, so that
+    The result is the mean of the last group, the finest resolution. Its covariance is that of the placements, for a
+    body whose own placement is one more draw, and the mean square of the other groups' differences from it. The former
+    is enlarged by the squared ratio of the quantiles of Student's and of the normal distribution at 97.5 %, so that
     1.96 standard deviations are an interval of 95 % although few fits tell the covariance.
+
+    Args:
+      latents: of the fits, shape (S, k).
+      groups: number of the environment of each, rising with its resolution, shape (S,).
+
+    Returns:
+      The mean, shape (k,), and the covariance, shape (k, k).
     """
-    count, k = latents.shape
-    if count < 2:
-        return np.zeros((k, k))
-    centered = latents - latents.mean(0)
-    free, z = count - 1, 1.959964
-    student = z + (z**3 + z) / (4.0 * free) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * free**2)
-    return (student / z) ** 2 * (1.0 + 1.0 / count) * centered.T @ centered / free
+    names = np.unique(groups)
+    means = np.stack([latents[groups == g].mean(0) for g in names])
+    apart = latents - means[np.searchsorted(names, groups)]
+    covariance = np.zeros((latents.shape[1],) * 2)
+    free, z = len(latents) - len(names), 1.959964
+    if free > 0:
+        student = z + (z**3 + z) / (4.0 * free) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * free**2)
+        finest = int((groups == names[-1]).sum())
+        covariance = (student / z) ** 2 * (1.0 + 1.0 / finest) * apart.T @ apart / free
+    if len(names) > 1:
+        coarser = means[:-1] - means[-1]
+        covariance = covariance + coarser.T @ coarser / len(coarser)
+    return means[-1], covariance
 
 
 def undetermined(space: Space, covariance: np.ndarray) -> list[str]:
@@ -87,4 +102,4 @@ def short(label: str) -> str:
     return label if label.startswith("initial.") else label.split(".")[-1]
 
 
-__all__ = ["UNDETERMINED", "between_starts", "posterior", "short", "undetermined"]
+__all__ = ["UNDETERMINED", "combined", "posterior", "short", "undetermined"]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import record_cases
 
-from rewax.identify.record import load, save
 from rewax.identify.record_checks import check_against, check_record, tool_distance
+from rewax.identify.records import load, save
 
 
 def with_entry(name, index, value):

@@ -6,8 +6,8 @@ import pytest
 
 import rewax
 from rewax.identify import load, record, save
-from rewax.identify.record import camera_of
 from rewax.identify.recording import camera_for
+from rewax.identify.records import camera_of
 from rewax.identify.simulate import regions
 
 ACTIONS = np.tile(np.float32([0.3, -1.0, 0.0]), (3, 1))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rewax.envs.randomize import LogUniform, Uniform
-from rewax.identify.uncertainty import between_starts, posterior, short, undetermined
+from rewax.identify.uncertainty import combined, posterior, short, undetermined
 from rewax.identify.unknowns import Space
 
 SPACE = Space((
@@ -38,7 +38,7 @@ def test_the_scatter_of_placements_adds_to_the_variance():
     between = np.diag([0.04, 0.0])
     total = posterior(1e4 * np.eye(2), np.zeros((16, 2)), between)
     np.testing.assert_allclose(np.diag(total), [1 / (1 + 1 / 0.0401), 1 / (1 + 1e4)], rtol=1e-3)
-    assert not between_starts(np.ones((1, 2))).any()
+    assert not combined(np.ones((1, 2)), np.zeros(1, int))[1].any()
 
 
 @pytest.mark.parametrize("count", [4, 6, 30])
@@ -46,7 +46,7 @@ def test_the_interval_of_few_fits_holds_for_one_more_draw(count):
     generator, held = np.random.Generator(np.random.PCG64(1)), []
     for _ in range(4000):
         draws = generator.normal(size=(count + 1, 1))
-        reach = 1.96 * np.sqrt(between_starts(draws[1:])[0, 0])
+        reach = 1.96 * np.sqrt(combined(draws[1:], np.zeros(count, int))[1][0, 0])
         held.append(abs(draws[0, 0] - draws[1:].mean()) < reach)
     assert np.mean(held) == pytest.approx(0.95, abs=0.015)
 
@@ -66,3 +66,10 @@ def test_words_name_the_direction():
         short("scene.material.youngs_modulus") == "youngs_modulus"
         and short("initial.velocity[0]") == "initial.velocity[0]"
     )
+
+
+def test_the_finest_environment_gives_the_result_and_the_others_doubt():
+    latents, groups = np.array([[1.0], [3.0], [2.0], [3.0]]), np.array([0, 1, 0, 1])
+    mean, covariance = combined(latents, groups)
+    assert mean[0] == 3.0 and covariance[0, 0] > 1.5**2
+    np.testing.assert_allclose(combined(np.array([[1.0], [3.0]]), np.array([0, 1]))[1], [[4.0]])
