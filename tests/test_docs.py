@@ -219,6 +219,14 @@ def test_the_page_of_cameras_runs(capsys):
     assert names["agent"].config.observe == ("depth",) and "depth" not in names["agent"].config.critic_observe
 
 
+def test_the_page_of_identification_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/identify.md")
+    (value,) = names["found"].values.values()
+    assert float(names["same"].scene.material.plasticity.yield_stress) == pytest.approx(value, rel=1e-6)
+    assert 5.0 <= float(names["varied"].scene.material.plasticity.yield_stress) <= 80.0
+
+
 def test_the_torus_of_the_shapes_page_pushes_is_filled_and_is_drawn(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = run_page("docs/your_own_shape.md")
