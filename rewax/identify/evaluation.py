@@ -24,23 +24,23 @@ HUBER = 2.0
 
 
 class Evaluation(NamedTuple):
-    """At S starts, with k unknowns and T frames. Residuals are divided by their standard deviation."""
+    """At S starts, with k unknowns and T frames; arrays of JAX or NumPy. Residuals are divided by their standard deviation."""
 
-    cost: Array
+    cost: Any
     """Of data alone, shape (S,)."""
-    gradient: Array
+    gradient: Any
     """Shape (S, k)."""
-    hessian: Array
+    hessian: Any
     """Of Gauss and Newton, shape (S, k, k)."""
-    scores: Array
+    scores: Any
     """The gradient by region, shape (S, num_regions, k)."""
-    spread: Array
+    spread: Any
     """Robust standard deviation of the residuals of the weighted frames [m], shape (S,)."""
-    by_frame: Array
+    by_frame: Any
     """Root mean square of the residuals of each frame, clipped at the Huber bound [m], shape (S, T)."""
-    status: Array
+    status: Any
     """Bits, int32, shape (S,)."""
-    ok: Array
+    ok: Any
     """Whether the simulation is valid and finite, shape (S,), bool."""
 
 

@@ -72,7 +72,7 @@ def iterate(
     """
     proposals = starts.latents.copy()
     hopeful = starts.active.copy()
-    for s in np.flatnonzero(starts.active):
+    for s in np.flatnonzero(starts.active).tolist():
         step = _step(starts, s, precision, bounds)
         hopeful[s] = _expected_gain(starts, s, step, precision) > _GAIN_TOLERANCE
         if not hopeful[s]:

@@ -75,7 +75,7 @@ def save(record: Record, path: str | Path) -> Path:
     path = Path(path).with_suffix(".npz")
     path.parent.mkdir(parents=True, exist_ok=True)
     fields = dataclasses.asdict(record)
-    arrays = {name: np.asarray(value) for name, value in fields.items() if value is not None}
+    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in fields.items() if value is not None}
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
     return path

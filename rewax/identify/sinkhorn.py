@@ -23,8 +23,8 @@ def sinkhorn_divergence(particles: Array, cloud: Array, mask: Array, *, epsilon:
     Source: Feydy et al. 2019, "Interpolating between optimal transport and MMD using Sinkhorn divergences".
     """
     try:
-        from ott.geometry import pointcloud
-        from ott.tools import sinkhorn_divergence as ott_divergence
+        from ott.geometry import pointcloud  # pyright: ignore[reportMissingImports]
+        from ott.tools import sinkhorn_divergence as ott_divergence  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ValueError("the Sinkhorn divergence needs ott-jax: pip install 'rewax[identify]'") from None
 

@@ -132,8 +132,9 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
             raise ValueError(
                 f"the prior of {names[0]} is {prior!r}: give LogUniform, LogNormal, Uniform or Normal of one number"
             )
-        if names[0].startswith("initial.") and (len(names) > 1 or names[0] not in _INITIAL):
-            raise ValueError(f"{names[0]!r} is no unknown of the first state: use one of {', '.join(_INITIAL)}, alone")
+        if str(names[0]).startswith("initial.") and (len(names) > 1 or names[0] not in _INITIAL):
+            known = ", ".join(_INITIAL)
+            raise ValueError(f"{names[0]!r} is no unknown of the first state: use one of {known}, alone")
     space.place(env, jnp.zeros(len(space.draws)))  # raises for unknown names
     return space
 
