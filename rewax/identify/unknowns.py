@@ -127,14 +127,14 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
       ValueError: a name fits no parameter, or a prior is not ``LogUniform``, ``LogNormal``, ``Uniform`` or ``Normal``.
     """
     space = Space(hook(unknowns).draws)
-    for (names, _), prior in zip(space.draws, space.priors, strict=True):
+    for (names, _), prior, label in zip(space.draws, space.priors, space.labels, strict=True):
         if not isinstance(prior, (LogUniform, LogNormal, Uniform, Normal)) or prior.per is not Per.LEAF:
             raise ValueError(
-                f"the prior of {names[0]} is {prior!r}: give LogUniform, LogNormal, Uniform or Normal of one number"
+                f"the prior of {label} is {prior!r}: give LogUniform, LogNormal, Uniform or Normal of one number"
             )
-        if str(names[0]).startswith("initial.") and (len(names) > 1 or names[0] not in _INITIAL):
+        if label.startswith("initial.") and (len(names) > 1 or label not in _INITIAL):
             known = ", ".join(_INITIAL)
-            raise ValueError(f"{names[0]!r} is no unknown of the first state: use one of {known}, alone")
+            raise ValueError(f"{label!r} is no unknown of the first state: use one of {known}, alone")
     space.place(env, jnp.zeros(len(space.draws)))  # raises for unknown names
     return space
 
