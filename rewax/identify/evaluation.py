@@ -24,7 +24,7 @@ HUBER = 2.0
 
 
 class Evaluation(NamedTuple):
-    """At S starts, with k unknowns and T frames; arrays of JAX or NumPy. Residuals are divided by their standard deviation."""
+    """At S starts, with k unknowns and T frames; arrays of JAX or NumPy. Residuals are in standard deviations."""
 
     cost: Any
     """Of data alone, shape (S,)."""
