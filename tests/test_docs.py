@@ -34,9 +34,7 @@ def code(page: str, needs: str = "") -> str:
 
 @pytest.fixture(scope="module")
 def physics():
-    names = {}
-    exec(compile(code("docs/physics.md"), "docs/physics.md", "exec"), names)
-    return names
+    return run_page("docs/physics.md")
 
 
 def test_physics_page_runs_and_does_what_it_says(physics):
@@ -50,8 +48,7 @@ def test_physics_page_runs_and_does_what_it_says(physics):
 
 
 def test_rigid_page_runs_and_does_what_it_says():
-    names = {}
-    exec(compile(code("docs/rigid.md"), "docs/rigid.md", "exec"), names)
+    names = run_page("docs/rigid.md")
     assert 0.1 < float(names["by_velocity"][0]) < 0.3  # it slides for about 0.2 s
     assert float(np.abs(names["by_model"]).max()) > 0.0 and np.isfinite(names["by_model"]).all()
     assert names["distance"]._cache_size() == 1
@@ -219,6 +216,13 @@ def test_the_page_of_cameras_runs(capsys):
     assert names["agent"].config.observe == ("depth",) and "depth" not in names["agent"].config.critic_observe
 
 
+def test_the_page_of_identification_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/identify.md")
+    (value,) = names["found"].values.values()
+    assert float(names["same"].scene.material.plasticity.yield_stress) == pytest.approx(value, rel=1e-6)
+
+
 def test_the_torus_of_the_shapes_page_pushes_is_filled_and_is_drawn(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = run_page("docs/your_own_shape.md")
@@ -247,8 +251,7 @@ def test_the_page_of_a_contact_pair_runs():
 def test_the_page_of_a_law_runs(capsys):
     names = run_page("docs/your_own_law.md")
     assert capsys.readouterr().out.count("passed") == 3
-    listings = re.split(r"```python\n", (ROOT / "docs/your_own_law.md").read_text())[1:4]
-    for listing in listings:
+    for listing in re.split(r"```python\n", (ROOT / "docs/your_own_law.md").read_text())[1:4]:
         assert len([line for line in listing.split("```")[0].splitlines() if line.strip()]) < 40
     assert names["tearing"].initial_memory == (0.0,)
 

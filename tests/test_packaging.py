@@ -21,7 +21,7 @@ DISTRIBUTIONS = {
 }  # fmt: skip
 """Where a distribution has another name than its top module."""
 EXTRA_MODULES = {
-    "scikit-image": "skimage", "dm-env": "dm_env", "stable-baselines3": "stable_baselines3", "pytest-xdist": "xdist",
+    "scikit-image": "skimage", "dm-env": "dm_env", "stable-baselines3": "stable_baselines3", "pytest-xdist": "xdist", "ott-jax": "ott",
 }  # fmt: skip
 """The same of extras."""
 
@@ -58,7 +58,16 @@ def extras(*names: str) -> set[str]:
 def test_every_dependency_is_imported_and_every_import_declared():
     used, core = third_party(ROOT / "rewax"), declared(PROJECT["dependencies"])
     optional = extras(
-        "meshes", "surfaces", "live", "wandb", "gymnasium", "dm-env", "torch", "stable-baselines3", "tune"
+        "meshes",
+        "surfaces",
+        "live",
+        "wandb",
+        "gymnasium",
+        "dm-env",
+        "torch",
+        "stable-baselines3",
+        "tune",
+        "identify",
     )
     assert core <= used, f"declared but not imported by rewax: {sorted(core - used)}"
     assert used - core == optional, f"imported by rewax but not declared: {sorted(used - core - optional)}"

@@ -41,7 +41,7 @@ def test_without_a_command_the_help_names_all(capsys):
 @pytest.mark.parametrize(
     ("argv", "sentence"),
     [
-        (["trian"], "there is no command 'trian': did you mean 'train'? use one of train, eval, bench, tune, play, plot, export, landscape, envs, check, doctor, completion, or --help"),
+        (["trian"], "there is no command 'trian': did you mean 'train'? use one of train, eval, bench, tune, play, plot, record, identify, export, landscape, envs, check, doctor, completion, or --help"),
         (["eval"], "rewax eval needs one run directory or task: rewax eval HandFlip"),
         (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: give a whole number of at least 1"),
         (["eval", "--run-dir=a", "--episode=9"], "there is no option --episode: did you mean '--episodes'? rewax eval --help lists them"),

@@ -5,6 +5,7 @@ from rewax.envs.randomize.distributions import (
     Choice,
     Constant,
     Distribution,
+    LogNormal,
     LogUniform,
     Normal,
     Per,
@@ -13,9 +14,9 @@ from rewax.envs.randomize.distributions import (
     Turn,
     Uniform,
 )
-from rewax.envs.randomize.hooks import Draw, LeafDraws, hook, leaves
+from rewax.envs.randomize.hooks import Draw, LeafDraws, hook, leaves, with_numbers
 
 __all__ = [
-    "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogUniform", "Normal", "Per", "Scale", "Shift", "Turn",
-    "Uniform", "camera", "hook", "leaves",
+    "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogNormal", "LogUniform", "Normal", "Per", "Scale",
+    "Shift", "Turn", "Uniform", "camera", "hook", "leaves", "with_numbers",
 ]  # fmt: skip

@@ -149,6 +149,40 @@ class Normal(Distribution):
 
 
 @dataclasses.dataclass(frozen=True)
+class LogNormal(Distribution):
+    """The logarithm is normal with mean log(median) and standard deviation ``log_std``; given bounds, cut off there.
+
+    A ``log_std`` of 0.1 is an uncertainty of about 10 %.
+    """
+
+    median: float
+    log_std: float
+    low: float = 0.0
+    high: float = math.inf
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require(0.0 < self.median < math.inf, "median", self.median, "give a finite number above 0")
+        self._require(0.0 < self.log_std < math.inf, "log_std", self.log_std, "give a finite number above 0")
+        self._require(0.0 <= self.low < self.high, "low", self.low, f"give one from 0 to below high, {self.high}")
+        furthest = f"give one within {_MAX_STDS:g} log_std of the median, {self.median} with log_std {self.log_std}"
+        self._require(self._standard(self.low) < _MAX_STDS, "low", self.low, furthest)
+        self._require(self._standard(self.high) > -_MAX_STDS, "high", self.high, furthest)
+
+    def sample(self, key: Key, shape: tuple[int, ...], dtype: Any) -> Array:
+        low, high = self._standard(self.low), self._standard(self.high)
+        if math.isinf(low) and math.isinf(high):
+            return self.median * jnp.exp(self.log_std * jax.random.normal(key, shape, dtype))
+        drawn = jax.random.truncated_normal(key, low, high, shape, dtype)
+        return jnp.clip(self.median * jnp.exp(self.log_std * drawn), self.low, self.high)
+
+    def _standard(self, value: float) -> float:
+        if value in (0.0, math.inf):
+            return math.inf if value else -math.inf
+        return math.log(value / self.median) / self.log_std
+
+
+@dataclasses.dataclass(frozen=True)
 class Choice(Distribution):
     """One of ``values``. All are equally likely unless ``weights`` are given: positive numbers, one per value."""
 
@@ -234,4 +268,7 @@ def _check_distribution(change: Any, given: Any) -> None:
         raise ValueError(f"{name}.by is {given!r}: give a distribution, as in {name}(Uniform(0.5, 2.0))")
 
 
-__all__ = ["Choice", "Constant", "Distribution", "LogUniform", "Normal", "Per", "Scale", "Shift", "Turn", "Uniform"]
+__all__ = [
+    "Choice", "Constant", "Distribution", "LogNormal", "LogUniform", "Normal", "Per", "Scale", "Shift", "Turn",
+    "Uniform",
+]  # fmt: skip

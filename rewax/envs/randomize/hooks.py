@@ -4,7 +4,7 @@ import dataclasses
 import difflib
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -110,6 +110,26 @@ class LeafDraws:
             for part in parts:
                 values[part.leaf] = _with_draw(values[part.leaf], part.index, numbers, draw)
         return jax.tree.unflatten(treedef, values)
+
+
+def with_numbers(env: Any, draws: LeafDraws, numbers: Sequence[Array]) -> Any:
+    """The environment in which each draw gave this number, for draws with one number each (``Per.LEAF``).
+
+    Args:
+      env: one environment.
+      draws: of ``hook``.
+      numbers: one of shape () for each draw.
+
+    Gradient: exact with respect to the numbers.
+    """
+    named, treedef = jax.tree.flatten_with_path(env)
+    values = [leaf for _, leaf in named]
+    for (names, draw), number in zip(draws.draws, numbers, strict=True):
+        parts = [part for name in names for part in _parts_named(name, named, env)]
+        _check_leaves(parts, named, draw)
+        for part in parts:
+            values[part.leaf] = _with_draw(values[part.leaf], part.index, jnp.asarray(number), draw)
+    return jax.tree.unflatten(treedef, values)
 
 
 class _Part(NamedTuple):
@@ -254,4 +274,4 @@ def _parts(name: str) -> list[str]:
     return re.findall(r"[^.\[\]'\"]+", name)
 
 
-__all__ = ["Draw", "LeafDraws", "hook", "leaves"]
+__all__ = ["Draw", "LeafDraws", "hook", "leaves", "with_numbers"]

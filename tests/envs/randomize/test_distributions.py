@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rewax.envs.randomize import Choice, Constant, LogUniform, Normal, Per, Scale, Shift, Uniform
+from rewax.envs.randomize import Choice, Constant, LogNormal, LogUniform, Normal, Per, Scale, Shift, Uniform
 
 NUM = 20_000
 CUT = math.exp(-0.5) / math.sqrt(2 * math.pi) / (0.5 - 0.5 * math.erf(1 / math.sqrt(2)))  # mean of a normal above 1 std
@@ -18,6 +18,13 @@ CASES = {  # distribution: lowest and highest legal draw, mean, standard deviati
     Normal(2.0, 0.5): (-math.inf, math.inf, 2.0, 0.5),
     Normal(2.0, 0.5, low=1.5, high=2.5): (1.5, 2.5, 2.0, 0.2698),
     Normal(0.0, 1.0, low=1.0): (1.0, math.inf, CUT, 0.4462),
+    LogNormal(2.0, 0.3): (
+        0.0,
+        math.inf,
+        2.0 * math.exp(0.045),
+        2.0 * math.exp(0.045) * math.sqrt(math.exp(0.09) - 1.0),
+    ),
+    LogNormal(1.0, 0.5, low=0.8, high=1.5): (0.8, 1.5, 1.1001, 0.1949),
     Choice((1.0, 2.0, 6.0)): (1.0, 6.0, 3.0, math.sqrt(14.0 / 3.0)),
     Choice((1.0, 5.0), weights=(3.0, 1.0)): (1.0, 5.0, 2.0, math.sqrt(3.0)),
     Constant(0.1): (0.1, 0.1, 0.1, 0.0),
@@ -63,6 +70,10 @@ REFUSED = {
     r"^Uniform.low is None: give one number$": lambda: Uniform(None, 1.0),
     r"^Uniform.per is 'row': give Per.LEAF, Per.ROW or Per.ELEMENT$": lambda: Uniform(0.0, 1.0, per="row"),
     r"^LogUniform.low is 0.0: give a number above 0, or use Uniform$": lambda: LogUniform(0.0, 1.0),
+    r"^LogNormal.median is 0.0: give a finite number above 0$": lambda: LogNormal(0.0, 1.0),
+    r"^LogNormal.log_std is 0.0: give a finite number above 0$": lambda: LogNormal(1.0, 0.0),
+    r"^LogNormal.low is -1.0: give one from 0 to below high, inf$": lambda: LogNormal(1.0, 1.0, low=-1.0),
+    r"^LogNormal.low is 9.0: give one within 5 log_std of the median": lambda: LogNormal(1.0, 0.1, low=9.0),
     r"^Normal.std is 0.0: give a finite number above 0, or use Constant$": lambda: Normal(1.0, 0.0),
     r"^Normal.mean is inf: give a finite number$": lambda: Normal(math.inf, 1.0),
     r"^Normal.low is 1.0: give a number below high, which is 0.0$": lambda: Normal(0.0, 1.0, low=1.0, high=0.0),

@@ -9,7 +9,7 @@ import toys
 import rewax
 from rewax import struct
 from rewax.envs import Randomized, Vmap
-from rewax.envs.randomize import Constant, LogUniform, Per, Scale, Shift, Uniform, hook, leaves
+from rewax.envs.randomize import Constant, LogUniform, Per, Scale, Shift, Uniform, hook, leaves, with_numbers
 
 KEY = jax.random.key(3)
 STIFFNESS = ("material.youngs_modulus", "material.yield_stress")
@@ -203,3 +203,19 @@ def test_what_cannot_be_drawn_is_said_in_a_sentence(sentence):
     with pytest.raises(ValueError, match=sentence) as caught:
         drawn(REFUSED[sentence])
     assert "\n" not in str(caught.value)
+
+
+def test_given_numbers_take_the_place_of_draws_with_an_exact_gradient():
+    draws = hook(
+        {("material.youngs_modulus", "start[1]"): Uniform(0.0, 1e3), "tools[*].friction": Scale(Uniform(0.5, 2.0))}
+    )
+    new = with_numbers(THINGS, draws, [jnp.float32(7.0), jnp.float32(3.0)])
+    assert float(new.material.youngs_modulus) == 7.0 and np.all(np.asarray(new.start[1]) == 7.0)
+    np.testing.assert_allclose([float(tool.friction) for tool in new.tools], [0.6, 2.4], rtol=1e-6)
+    assert changed(new) == {"material.youngs_modulus", "start", "tools[0].friction", "tools[1].friction"}
+
+    def total(number):
+        new = with_numbers(THINGS, draws, [number, jnp.float32(3.0)])
+        return new.material.youngs_modulus + new.start.sum()
+
+    assert float(jax.grad(total)(jnp.float32(7.0))) == 4.0

@@ -1,0 +1,127 @@
+"""``rewax record``: what a camera sees while a script or a policy moves an environment's tool."""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import tyro
+
+from rewax.agents.legal import Count, Natural, Seed
+from rewax.cli.options import Imports, build_env, import_modules, parse
+from rewax.cli.train import quiet
+
+Settings: TypeAlias = tyro.conf.UseAppendAction[
+    Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="PARAMETER=VALUE")]
+]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options.
+
+    Attributes:
+      env: name of the environment, see ``rewax envs``.
+      scale: ``small`` or ``paper``.
+      out: file of the record, .npz.
+      action: this action in all steps; one number for each component.
+      script: CSV file without a heading, one action in a row, instead of --action.
+      policy: directory of a run or name of a task with a packaged policy, instead of both.
+      steps: control steps, with --action or --policy.
+      every: control steps between two frames.
+      points: largest number of points of a cloud.
+      noise: standard deviation of depth [m].
+      occlusion: share of the seen body that is hidden.
+      settings: value of a physical parameter, repeated. youngs_modulus stands for the one parameter whose name ends so.
+      num_substeps: substeps of a control step; 0: those of the environment.
+      seed: of the reset, the policy, noise and occlusion.
+      imports: module or .py file that registers environments.
+    """
+
+    env: str
+    scale: str = "small"
+    out: str = "record.npz"
+    action: tuple[float, ...] = ()
+    script: str | None = None
+    policy: str | None = None
+    steps: Count = 12
+    every: Count = 1
+    points: Count = 256
+    noise: float = 0.0
+    occlusion: float = 0.0
+    settings: Settings = ()
+    num_substeps: Natural = 0
+    seed: Seed = 0
+    imports: Imports = ()
+
+
+def run(argv: Sequence[str]) -> int:
+    """Write a record and print what it holds.
+
+    Raises:
+      ValueError: there is no such environment, parameter, script or policy, or an action has another size.
+    """
+    import jax
+
+    from rewax.identify import record, save
+    from rewax.training.evaluation.sweep import read_grid, with_parameters
+    from rewax.training.storage.cache import enable_compilation_cache
+
+    quiet()
+    options = parse(Options, argv, prog="rewax record", description="Record what a camera sees of an environment.")
+    enable_compilation_cache()
+    import_modules(options.imports)
+    env = task(options.env, options.scale, options.num_substeps)
+    if not callable(getattr(env, "particles", None)) or not callable(getattr(env, "world", None)):
+        raise ValueError(f"{options.env} has no soft body that a camera could see: choose a task on soft bodies")
+    values = {name: numbers[0] for name, numbers in read_grid(options.settings, env).items()}
+    moved = with_parameters(env, values) if values else env
+    made = record(
+        moved, _script(options, env), jax.random.key(options.seed), num_steps=options.steps, every=options.every,
+        noise=options.noise, occlusion=options.occlusion, num_points=options.points,
+        source=json.dumps({**getattr(env, "made_by", {}), "values": values}),
+    )  # fmt: skip
+    path = save(made, options.out)
+    print(
+        f"wrote {path}: {made.num_frames} frames over {made.times[-1]:.4g} s, {made.mask.sum(1).min()} to "
+        f"{made.mask.sum(1).max()} points each"
+    )
+    return 0
+
+
+def task(name: str, scale: str, num_substeps: int) -> Any:
+    """A registered environment with a number of substeps, 0 for its own."""
+    from rewax.envs import registry
+
+    return registry.make(name, scale=scale, num_substeps=num_substeps) if num_substeps else build_env(name, scale)
+
+
+def _script(options: Options, env: Any) -> Any:
+    """Actions, shape (num_steps, num_actions), or a policy ``(state, key) -> action``."""
+    given = [name for name in ("action", "script", "policy") if getattr(options, name)]
+    if len(given) != 1:
+        raise ValueError("give one of --action, --script and --policy: what moves the tool")
+    size = env.action_spec.shape[0]
+    if options.policy:
+        from rewax.training.storage.policies import open_run
+
+        saved = open_run(options.policy, scale=options.scale)
+        return lambda state, key: saved.act(state.obs)
+    if options.script:
+        path = Path(options.script)
+        if not path.is_file():
+            raise ValueError(f"there is no script {options.script!r}: give a CSV file with one action in a row")
+        try:
+            actions = np.loadtxt(path, delimiter=",", ndmin=2)
+        except ValueError as error:
+            raise ValueError(f"{options.script!r} holds no rows of numbers: {error}") from None
+    else:
+        actions = np.tile(np.asarray(options.action, float), (options.steps, 1))
+    if actions.shape[1] != size:
+        raise ValueError(f"an action has {actions.shape[1]} numbers, but {options.env} takes {size}: give those")
+    return actions.astype(np.float32)
+
+
+__all__ = ["Options", "run", "task"]

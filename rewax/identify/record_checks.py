@@ -1,0 +1,166 @@
+"""What is wrong with a record, in one sentence."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.identify.records import UNITS, VERSION, Record
+from rewax.physics.contact.colliders import shape_pose
+from rewax.physics.numerics.pose import body_pose
+from rewax.physics.shapes import signed_distance
+
+_SMALLEST, _LARGEST = 1e-3, 50.0
+"""Plausible extents of a cloud [m]: smaller ones may be metres for what are kilometres, larger ones millimetres."""
+_MIN_POINTS = 8
+
+
+def check_record(record: Record) -> None:
+    """Raises ValueError for the first fault, with its remedy."""
+    if record.version != VERSION:
+        raise ValueError(f"version of the record is {record.version}: this rewax reads {VERSION}")
+    if record.units != UNITS:
+        raise ValueError(f"units of the record are {record.units!r}: convert to metres and seconds, {UNITS!r}")
+    _check_shapes(record)
+    _check_times(record)
+    _check_clouds(record)
+
+
+def _check_shapes(record: Record) -> None:
+    arrays = {
+        "times": (record.times, 1),
+        "clouds": (record.clouds, 3),
+        "mask": (record.mask, 2),
+        "actions": (record.actions, 2),
+    }
+    if record.joint_q is not None:
+        arrays["joint_q"] = (record.joint_q, 2)
+    for name, (value, rank) in arrays.items():
+        if np.ndim(value) != rank:
+            raise ValueError(f"{name} of the record has shape {np.shape(value)}: give {rank} axes")
+        if name != "mask" and not np.issubdtype(np.asarray(value).dtype, np.number):
+            raise ValueError(f"{name} of the record is of type {np.asarray(value).dtype}: give numbers")
+    frames = len(record.times)
+    if frames < 2:
+        raise ValueError(f"the record has {frames} frames: give at least 2, the first of the body at rest")
+    if record.clouds.shape[0] != frames or record.clouds.shape[2] != 3:
+        raise ValueError(f"clouds has shape {record.clouds.shape} with {frames} times: give ({frames}, num_points, 3)")
+    if record.mask.shape != record.clouds.shape[:2]:
+        raise ValueError(f"mask has shape {record.mask.shape}: give that of the clouds, {record.clouds.shape[:2]}")
+    if record.mask.dtype != bool:
+        raise ValueError(f"mask is of type {record.mask.dtype}: give booleans, True where a point exists")
+    if record.joint_q is not None and len(record.joint_q) != len(record.actions) + 1:
+        raise ValueError(
+            f"joint_q has {len(record.joint_q)} rows with {len(record.actions)} actions: give one before the first "
+            "action and one after each"
+        )
+    if record.camera is not None and np.shape(record.camera) != (15,):
+        raise ValueError(f"camera has shape {np.shape(record.camera)}: give 15 numbers, see rewax.identify.records")
+
+
+def _check_times(record: Record) -> None:
+    times, dt = np.asarray(record.times, float), record.control_dt
+    for name in ("times", "actions", "joint_q", "camera"):
+        value = getattr(record, name)
+        if value is not None and not np.all(np.isfinite(value)):
+            raise ValueError(f"{name} of the record holds a number that is not finite: leave that frame or step out")
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise ValueError(f"control_dt of the record is {dt}: give the seconds between two actions, above 0")
+    if times[0] < 0.0:
+        raise ValueError(f"the first frame is at {times[0]:g} s: count time from the first action")
+    if not np.all(np.diff(times) > 0.0):
+        i = int(np.argmin(np.diff(times) > 0.0))
+        raise ValueError(f"times do not rise: {times[i]:g} s, then {times[i + 1]:g} s; sort the frames, drop doubles")
+    end = len(record.actions) * dt
+    if times[-1] > end * (1.0 + 1e-6) + 1e-9:
+        raise ValueError(
+            f"the last frame is at {times[-1]:g} s, but {len(record.actions)} actions end at {end:g} s: give "
+            "actions up to it"
+        )
+    if times[0] > dt * (1.0 + 1e-6):
+        raise ValueError(
+            f"the first frame is at {times[0]:g} s, after the first step of {dt:g} s: give a frame of the body at rest"
+        )
+
+
+def _check_clouds(record: Record) -> None:
+    counts = record.mask.sum(1)
+    if counts.min() < _MIN_POINTS:
+        i = int(np.argmin(counts))
+        raise ValueError(
+            f"frame {i} shows {counts[i]} points: leave out frames with fewer than {_MIN_POINTS}, empty "
+            "clouds say nothing"
+        )
+    if not np.all(np.isfinite(record.clouds[record.mask])):
+        i = int(np.argmax(~np.isfinite(np.where(record.mask[..., None], record.clouds, 0.0)).all((1, 2))))
+        raise ValueError(
+            f"the cloud of frame {i} holds a number that is not finite: set the mask of such points to False"
+        )
+    seen = record.clouds[record.mask]
+    extent = float(np.ptp(np.quantile(seen, [0.02, 0.98], axis=0), axis=0).max())
+    if not _SMALLEST < extent < _LARGEST:
+        raise ValueError(
+            f"the clouds extend over {extent:.3g} m, which is no plausible body: are they in millimetres? Give metres"
+        )
+
+
+def check_against(record: Record, env: Any, particles: np.ndarray) -> None:
+    """Raises ValueError if a record does not fit an environment.
+
+    Args:
+      record: checked.
+      env: the environment of the fit.
+      particles: its points after a reset [m], shape (num_particles, 3).
+    """
+    wanted = env.action_spec.shape
+    if record.actions.shape[1:] != wanted:
+        raise ValueError(
+            f"actions has shape {record.actions.shape}, but the environment takes {wanted} each: give those"
+        )
+    dt = getattr(env, "control_dt", None)
+    if dt is not None and abs(dt / record.control_dt - 1.0) > 1e-3:
+        raise ValueError(
+            f"control_dt of the record is {record.control_dt:g} s, that of the environment {dt:g} s: make the "
+            "environment with dt and num_substeps of that product"
+        )
+    if not np.any(record.actions) and (record.joint_q is None or not np.ptp(record.joint_q, axis=0).any()):
+        raise ValueError("the tool does not move in this record: push the body, what rests says little")
+    size = float(np.ptp(particles, axis=0).max())
+    first = record.clouds[0][record.mask[0]]
+    gap = float(np.linalg.norm(np.median(first, axis=0) - np.median(particles, axis=0)))
+    if gap > 2.0 * size:
+        raise ValueError(
+            f"the first cloud is {gap:.3g} m from the simulated body, whose size is {size:.3g} m: give both in one "
+            "frame and unit"
+        )
+    near = tool_distance(record, env)
+    if near is not None and near > 0.1 * size:
+        raise ValueError(f"the tool never touches: it stays {near:.3g} m from all seen points; record a push that does")
+
+
+def tool_distance(record: Record, env: Any) -> float | None:
+    """Smallest distance of seen points from a tool's surface [m]; None if the record or the environment has no tool."""
+    bare = getattr(env, "unwrapped", env)
+    colliders = getattr(getattr(bare, "scene", None), "colliders", ())
+    if record.joint_q is None or not colliders or not callable(getattr(bare, "poses", None)):
+        return None
+    steps = np.clip(np.round(record.frame_steps).astype(int), 0, len(record.joint_q) - 1)
+    bodies = bare.poses(jnp.asarray(record.joint_q[steps], jnp.float32))
+
+    def nearest(bodies: Any, cloud: Any, mask: Any) -> Any:
+        distances = []
+        for collider in colliders:
+            pose = shape_pose(collider, body_pose(bodies, collider.body))
+            distances.append(
+                jnp.where(
+                    mask, signed_distance(collider.shape, (cloud - pose.position) @ pose.rotation)[0], jnp.inf
+                ).min()
+            )
+        return jnp.stack(distances).min()
+
+    clouds = jnp.asarray(np.where(record.mask[..., None], record.clouds, 0.0), jnp.float32)
+    return float(jax.jit(jax.vmap(nearest))(bodies, clouds, jnp.asarray(record.mask)).min())
+
+
+__all__ = ["check_against", "check_record", "tool_distance"]

@@ -1,0 +1,133 @@
+"""Records made from an environment: a script or a policy moves the tool, a camera with noise and occlusion looks on."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.identify.records import Record, camera_numbers, cloud_of_depth
+from rewax.identify.simulate import points_of, without_reset_noise
+from rewax.sensors import Camera, DepthNoise
+from rewax.status import FATAL, describe
+from rewax.types import Array, Key
+
+Script = np.ndarray | Array | Callable[[Any, Key], Array]
+"""Actions of shape (num_steps, num_actions), or a policy ``(state, key) -> action``."""
+
+
+def record(
+    env: Any,
+    script: Script,
+    key: Key,
+    *,
+    num_steps: int | None = None,
+    every: int = 1,
+    camera: Camera | None = None,
+    num_points: int = 256,
+    noise: float = 0.0,
+    occlusion: float = 0.0,
+    source: str = "",
+) -> Record:
+    """A record of one episode.
+
+    Args:
+      env: one environment with ``particles`` and ``world``; its reset noise is left out.
+      script: actions of shape (num_steps, num_actions), or a policy ``(state, key) -> action``.
+      key: of the reset, the policy, noise and occlusion.
+      num_steps: with a policy: control steps; by default an episode.
+      every: control steps between two frames.
+      camera: that looks on; None: one from above the body at the side, see ``camera_for``.
+      num_points: largest size of a cloud.
+      noise: standard deviation of depth [m].
+      occlusion: share of the seen body that is hidden in all frames: the part on one side of a plane through it, which
+        looks in a random direction. In [0, 1).
+      source: where the record comes from; by default how the environment was made.
+
+    Raises:
+      ValueError: an option is illegal, or a step failed: the status is named.
+    """
+    if not 0.0 <= occlusion < 1.0 or noise < 0.0 or every < 1:
+        raise ValueError(f"occlusion is {occlusion}, noise {noise}, every {every}: give [0, 1), at least 0, at least 1")
+    source = source or json.dumps(getattr(env, "made_by", None))
+    env = without_reset_noise(env)
+    reset_key, policy_key, noise_key, hide_key = jax.random.split(key, 4)
+    state = jax.jit(env.reset)(reset_key)
+    states, actions = _episode(env, script, state, policy_key, num_steps)
+    camera = camera_for(np.asarray(points_of(env, state.physics)), np.asarray(env.up)) if camera is None else camera
+    camera = camera.replace(noise=DepthNoise(constant=noise))
+    up = np.asarray(env.up)
+    view = jax.jit(lambda physics: camera.view(env.world(physics, up)))
+    names = env.world(state.physics, up).names
+    body = [i for i, name in enumerate(names) if name not in ("tool", "floor")]
+    frames = list(range(0, len(actions) + 1, every))
+    clouds, masks = [], []
+    for n in frames:
+        seen = view(states[n].physics)
+        depth = np.asarray(camera.with_noise(seen.depth, jax.random.fold_in(noise_key, n)))
+        chosen = np.isin(np.asarray(seen.label), body)
+        chosen &= ~_hidden(np.asarray(camera.points(seen.depth)), chosen, occlusion, hide_key)
+        cloud, mask = cloud_of_depth(camera, depth, num_points, chosen=chosen)
+        clouds.append(cloud)
+        masks.append(mask)
+    joints = [s.physics.joint_q for s in states] if hasattr(state.physics, "joint_q") else None
+    dt = float(env.control_dt)
+    return Record(
+        times=np.asarray(frames) * dt, clouds=np.stack(clouds), mask=np.stack(masks), actions=np.asarray(actions),
+        control_dt=dt, joint_q=None if joints is None else np.asarray(joints), camera=camera_numbers(camera),
+        source=source,
+    )  # fmt: skip
+
+
+def camera_for(points: np.ndarray, up: np.ndarray, *, pixels: int = 64) -> Camera:
+    """A camera that sees a body obliquely from above, from three times its size away.
+
+    Args:
+      points: of the body [m], shape (n, 3).
+      up: unit vector, shape (3,).
+    """
+    center, size = points.mean(0), float(np.ptp(points, axis=0).max())
+    side = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    eye = center + 3.0 * size * (0.75 * up + 0.66 * side / np.linalg.norm(side))
+    return Camera.look_at(
+        center,
+        eye=eye,
+        up=up,
+        height=pixels,
+        width=pixels,
+        near=max(0.05, 1.0 * size),
+        far=10.0 * size,
+        field_of_view=32.0,
+    )
+
+
+def _episode(env: Any, script: Script, state: Any, key: Key, num_steps: int | None) -> tuple[list[Any], np.ndarray]:
+    step = jax.jit(env.step)
+    policy = script if callable(script) else None
+    count = (num_steps or env.episode_length) if policy else len(script)  # type: ignore[arg-type]
+    states, actions = [state], []
+    for n in range(count):
+        action = policy(state, jax.random.fold_in(key, n)) if policy else jnp.asarray(script[n], jnp.float32)  # type: ignore[index]
+        state = step(state, action)
+        bits = int(state.status)
+        if bits & FATAL:
+            raise ValueError(
+                f"step {n} of the record has status {describe(bits)}: give shorter substeps or other actions"
+            )
+        states.append(state)
+        actions.append(np.asarray(action))
+    return states, np.asarray(actions, np.float32)
+
+
+def _hidden(points: np.ndarray, chosen: np.ndarray, share: float, key: Key) -> np.ndarray:
+    """Pixels whose points lie beyond a plane that hides a share of the chosen ones, shape (height, width), bool."""
+    if share == 0.0 or not chosen.any():
+        return np.zeros_like(chosen)
+    direction = np.asarray(jax.random.normal(key, (3,)))
+    along = points @ direction
+    return along > np.quantile(along[chosen], 1.0 - share)
+
+
+__all__ = ["Script", "camera_for", "record"]

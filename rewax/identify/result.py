@@ -1,0 +1,190 @@
+"""What ``identify`` found, as values, as an environment, as distributions, as words and as a file."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.envs.randomize import LeafDraws, LogNormal, LogUniform, Normal, Scale, Shift, Uniform
+from rewax.identify.uncertainty import short
+from rewax.identify.unknowns import Space
+
+_DISTRIBUTIONS = {kind.__name__: kind for kind in (LogNormal, LogUniform, Normal, Uniform)}
+_Z95 = 1.959964
+_FORMAT = "rewax identified 1"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Identified:
+    """A fit.
+
+    Attributes:
+      space: the unknowns.
+      latent: the mean of the starts that fit about equally well, of the finest environment, shape (k,).
+      covariance: of the latent coordinates, shape (k, k).
+      bounds: within which was searched, shape (k,) each.
+      undetermined: sentences about directions that the data leave open.
+      remarks: sentences about what was cut off or failed on the way.
+      times: of the frames [s], shape (T,).
+      residual_by_frame: of those starts [m], shape (T,).
+      starts: the point that each start reached, shape (S, k).
+      costs: theirs, shape (S,).
+      history: the best value of each unknown by iteration, shape (iterations, k).
+      failed: number of simulations that failed and were rejected.
+      seconds: wall clock of the search, compilation included.
+      env: the environment before the fit, with its reset noise; of several the last.
+    """
+
+    space: Space
+    latent: np.ndarray
+    covariance: np.ndarray
+    bounds: tuple[np.ndarray, np.ndarray]
+    undetermined: list[str]
+    remarks: list[str]
+    times: np.ndarray
+    residual_by_frame: np.ndarray
+    starts: np.ndarray
+    costs: np.ndarray
+    history: np.ndarray
+    failed: int
+    seconds: float
+    env: Any = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers found, by the first name of each unknown."""
+        return self._named(self.latent)
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """95 % of the posterior, cut off at the prior's bounds."""
+        reach = _Z95 * np.sqrt(np.diag(self.covariance))
+        low, high = self.space.bounds
+        ends = [self.space.numbers(np.clip(self.latent + sign * reach, low, high)) for sign in (-1.0, 1.0)]
+        return {label: (float(a), float(b)) for label, a, b in zip(self.space.labels, *ends, strict=True)}
+
+    @property
+    def at_bound(self) -> list[str]:
+        """Unknowns whose value lies at a bound of the search."""
+        close = (self.latent - self.bounds[0] < 1e-3) | (self.bounds[1] - self.latent < 1e-3)
+        return [label for label, at in zip(self.space.labels, close, strict=True) if at]
+
+    def fitted_env(self) -> Any:
+        """The environment with the values found."""
+        return self.space.place(self.env, jnp.asarray(self.latent, jnp.float32))
+
+    def draws(self) -> LeafDraws:
+        """The posterior of each unknown as a hook for ``randomize=``; correlations between unknowns are left out."""
+        found = []
+        for i, ((names, draw), prior) in enumerate(zip(self.space.draws, self.space.priors, strict=True)):
+            if names[0].startswith("initial."):
+                continue
+            std = max(float(np.sqrt(self.covariance[i, i])) * self.space.scale_of(i), 1e-6)
+            value = self.values[names[0]]
+            within: dict[str, Any] = {"low": prior.low, "high": prior.high}  # type: ignore[attr-defined]
+            posterior = LogNormal(value, std, **within) if self.space.is_log[i] else Normal(value, std, **within)
+            wrapped = type(draw)(posterior) if isinstance(draw, (Scale, Shift)) else posterior
+            found.append((names, wrapped))
+        return LeafDraws(tuple(found))
+
+    def table(self) -> list[tuple[str, str, str, str]]:
+        """Rows of name, value, 95 % interval and the share of the prior's standard deviation that is left."""
+        rows = []
+        for i, (label, value) in enumerate(self.values.items()):
+            low, high = self.intervals[label]
+            left = f"{100.0 * float(np.sqrt(self.covariance[i, i])):.0f} %"
+            rows.append((short(label), f"{value:.4g}", f"{low:.4g} to {high:.4g}", left))
+        return rows
+
+    def save(self, path: str | Path) -> Path:
+        """Write values, intervals, distributions, words and how the environment was made, as JSON."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(self._json(), indent=1) + "\n")
+        return path
+
+    def _named(self, latent: np.ndarray) -> dict[str, float]:
+        return dict(zip(self.space.labels, map(float, self.space.numbers(latent)), strict=True))
+
+    def _json(self) -> dict[str, Any]:
+        kept = [
+            {"names": list(names), "change": _change(draw), "prior": _told(draw), "posterior": _told(after)}
+            for (names, draw), (_, after) in zip(
+                [d for d in self.space.draws if not d[0][0].startswith("initial.")], self.draws().draws, strict=True
+            )
+        ]
+        return {
+            "format": _FORMAT, "made_by": getattr(self.env, "made_by", None), "values": self.values,
+            "intervals": {name: list(ends) for name, ends in self.intervals.items()}, "unknowns": kept,
+            "covariance": self.covariance.tolist(), "undetermined": self.undetermined, "remarks": self.remarks,
+            "times": self.times.tolist(), "residual_by_frame": self.residual_by_frame.tolist(), "failed": self.failed,
+            "starts": [self._named(s) for s in self.starts],
+            "costs": [float(c) if np.isfinite(c) else None for c in self.costs], "seconds": round(self.seconds, 2),
+        }  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class SavedResult:
+    """What a result's file holds for environments.
+
+    Attributes:
+      made_by: arguments of ``rewax.make``: ``env``, ``scale``, ``kwargs``; None: the environment was built otherwise.
+      draws: hook that draws from the posterior.
+      values: by name.
+    """
+
+    made_by: dict[str, Any] | None
+    draws: LeafDraws
+    values: dict[str, float]
+
+    def apply(self, env: Any) -> Any:
+        """An environment with the values found."""
+        from rewax.envs.randomize import with_numbers
+
+        numbers = [jnp.float32(self.values[names[0]]) for names, _ in self.draws.draws]
+        return with_numbers(env, self.draws, numbers)
+
+
+def load_result(path: str | Path) -> SavedResult:
+    """Read what ``Identified.save`` wrote.
+
+    Raises:
+      ValueError: in one sentence: there is no such file, or it is no result.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"there is no result {str(path)!r}: give the JSON file that `rewax identify` wrote")
+    try:
+        found = json.loads(path.read_text())
+        if found["format"] != _FORMAT:
+            raise KeyError("format")
+        draws = tuple((tuple(one["names"]), _read(one["posterior"], one["change"])) for one in found["unknowns"])
+        values = {name: float(value) for name, value in found["values"].items()}
+        return SavedResult(found["made_by"], LeafDraws(draws), values)
+    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError):
+        raise ValueError(
+            f"{str(path)!r} is no result of this version: give the JSON file that `rewax identify` wrote"
+        ) from None
+
+
+def _change(draw: Any) -> str:
+    return type(draw).__name__ if isinstance(draw, (Scale, Shift)) else ""
+
+
+def _told(draw: Any) -> dict[str, Any]:
+    """A distribution as a dictionary of plain numbers; infinite bounds are left out."""
+    by = draw.by if isinstance(draw, (Scale, Shift)) else draw
+    fields = {f.name: getattr(by, f.name) for f in dataclasses.fields(by) if f.name != "per"}
+    return {"kind": type(by).__name__, **{name: v for name, v in fields.items() if np.isfinite(v)}}
+
+
+def _read(told: dict[str, Any], change: str) -> Any:
+    fields = dict(told)
+    distribution = _DISTRIBUTIONS[fields.pop("kind")](**fields)
+    return {"Scale": Scale, "Shift": Shift}[change](distribution) if change else distribution
+
+
+__all__ = ["Identified", "SavedResult", "load_result"]

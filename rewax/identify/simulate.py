@@ -1,0 +1,103 @@
+"""What an environment with given unknowns would have shown: particles at the times of a record's frames."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.identify.records import Record
+from rewax.identify.unknowns import Space
+from rewax.types import Array, PyTree
+
+
+class Data(NamedTuple):
+    """The arrays of a record that a compiled fit takes; T frames of N points, A actions."""
+
+    clouds: Array
+    """[m], shape (T, N, 3); absent points are finite."""
+    mask: Array
+    """Shape (T, N), bool."""
+    actions: Array
+    """Shape (A, num_actions)."""
+    before: Array
+    """Control steps before each frame, int32, shape (T,)."""
+    fraction: Array
+    """Time since then in control steps, shape (T,)."""
+    clusters: Array
+    """Number of the region of each point, int32, shape (T, N), see ``regions``."""
+    width: Array
+    """Of the surface's weights [m], shape ()."""
+    key: Array
+    """Of the reset."""
+
+
+def data_of(record: Record, width: float, num_regions: int, seed: int = 0) -> Data:
+    steps = record.frame_steps
+    before = np.clip(np.floor(steps + 1e-6), 0, len(record.actions) - 1).astype(np.int32)
+    clouds = np.where(record.mask[..., None], record.clouds, 0.0).astype(np.float32)
+    return Data(
+        clouds=jnp.asarray(clouds), mask=jnp.asarray(record.mask), actions=jnp.asarray(record.actions, jnp.float32),
+        before=jnp.asarray(before), fraction=jnp.asarray(np.clip(steps - before, 0.0, 1.0), jnp.float32),
+        clusters=jnp.asarray(regions(record.clouds, record.mask, num_regions)), width=jnp.float32(width),
+        key=jax.random.key(seed),
+    )  # fmt: skip
+
+
+def regions(clouds: np.ndarray, mask: np.ndarray, num_regions: int) -> np.ndarray:
+    """Regions of space with about equally many points: ``num_regions`` squared bins along the two longest axes.
+
+    Errors of neighbouring points are alike, also from frame to frame: a region counts as one observation.
+
+    Returns:
+      int32, shape (T, N).
+    """
+    extent = np.ptp(np.quantile(clouds[mask], [0.02, 0.98], axis=0), axis=0)
+    first, second = np.argsort(-extent)[:2]
+    number = np.zeros(mask.shape, np.int32)
+    for axis in (first, second):
+        edges = np.quantile(clouds[mask][:, axis], np.arange(1, num_regions) / num_regions)
+        number = number * num_regions + np.searchsorted(edges, clouds[..., axis]).astype(np.int32)
+    return number
+
+
+def simulated_frames(env: Any, space: Space, latent: Array, data: Data) -> tuple[Array, Array]:
+    """Particles at the times of the frames [m], shape (T, num_particles, 3), and status bits, shape ().
+
+    Args:
+      env: one environment.
+      space, latent: unknowns, shape (k,).
+      data: actions and times.
+
+    Gradient: exact, through the physics, in both modes; zero after a step that failed.
+    """
+    env = space.place(env, latent)
+    state = env.reset(data.key)
+    state = state.replace(physics=space.start(state.physics, latent))
+
+    def step(state: Any, action: Array) -> tuple[Any, tuple[Array, Array]]:
+        state = env.step(state, action)
+        return state, (points_of(env, state.physics), state.status)
+
+    first = points_of(env, state.physics)
+    _, (rest, status) = jax.lax.scan(step, state, data.actions)
+    every = jnp.concatenate([first[None], rest])
+    fraction = data.fraction[:, None, None]
+    frames = (1.0 - fraction) * every[data.before] + fraction * every[data.before + 1]
+    return frames, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
+
+
+def points_of(env: Any, physics: PyTree) -> Array:
+    """Points of an environment's soft bodies [m], shape (num_points, 3)."""
+    return getattr(env, "unwrapped", env).particles(physics)
+
+
+def without_reset_noise(env: Any) -> Any:
+    """The environment with a ``noise`` of zero, if it has one: every episode begins at ``rest_positions``."""
+    noise = getattr(env, "noise", None)
+    if noise is None or not hasattr(env, "replace"):
+        return env
+    return env.replace(noise=jax.tree.map(jnp.zeros_like, noise))
+
+
+__all__ = ["Data", "data_of", "points_of", "regions", "simulated_frames", "without_reset_noise"]

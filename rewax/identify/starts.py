@@ -1,0 +1,138 @@
+"""Several starts of a search: where they begin, the placement of their particles, their program, their way."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.envs.leaves import EnvLeaves
+from rewax.identify import levenberg_marquardt as lm
+from rewax.identify.evaluation import Evaluation, Residuals, evaluate
+from rewax.identify.simulate import Data
+from rewax.identify.uncertainty import short
+from rewax.identify.unknowns import Space
+
+REGIONS = 4
+"""Regions along each of two axes, see ``simulate.regions``."""
+
+
+def search_from(
+    points: np.ndarray,
+    run: Callable[..., Evaluation],
+    stages: Sequence[tuple[float, np.ndarray, int]],
+    *,
+    deviations: tuple[float, float],
+    space: Space,
+    bounds: tuple[np.ndarray, np.ndarray],
+    stable: Callable[[np.ndarray], bool],
+    say: Callable[[str], None],
+) -> tuple[lm.Starts, np.ndarray]:
+    """The search over horizons that grow.
+
+    Args:
+      points: where the starts begin, shape (S, k).
+      run: of ``program``.
+      stages: for each horizon its share, the weights of the frames and the largest number of iterations.
+      deviations: standard deviation of a residual to begin with, and the smallest one [m]; a stage takes that of the
+        residuals of the one before.
+      space, bounds, stable, say: see ``identify``.
+
+    Returns:
+      The starts, and the best values by iteration, shape (iterations, k).
+    """
+    deviation, least = deviations
+    rejected, history = np.zeros(len(points), int), []
+    starts = None
+    for horizon, weights, iterations in stages:
+        points = points if starts is None else starts.latents
+        evaluate_some = functools.partial(run, weights=weights, deviation=deviation)
+        starts = lm.begin(points, evaluate_some(points), rejected)
+        for iteration in range(iterations):
+            starts = lm.iterate(starts, evaluate_some, precision=space.precision, bounds=bounds, is_stable=stable)
+            best = starts.best(space.precision)
+            history.append([float(v) for v in space.numbers(starts.latents[best])])
+            say(_line(space, starts, best, horizon, iteration))
+            if not starts.active.any():
+                break
+        rejected, best = starts.rejected, starts.best(space.precision)
+        if starts.evaluation.ok[best]:
+            deviation = max(least, float(starts.evaluation.spread[best]))
+    assert starts is not None
+    return starts, np.asarray(history)
+
+
+def program(
+    envs: Sequence[Any], space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placed: Sequence[Any]
+) -> Callable[..., Evaluation]:
+    """``evaluate`` of points, which of them are needed, weights and deviation, as arrays of NumPy.
+
+    Start s belongs to environment s % len(envs). Points of one environment are computed a few at a time, always the
+    same number, so that there is one program for each environment.
+    """
+    every = [EnvLeaves.of(one) for one in envs]
+
+    def some(i: int, chosen: np.ndarray, latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
+        full = np.resize(chosen, side_by_side)  # repeats points where there are too few
+        rest = None if placed[i] is None else jnp.asarray(placed[i][full], jnp.float32)
+        found = evaluate(
+            jnp.asarray(latents[full], jnp.float32), rest, every[i], data, jnp.asarray(weights, jnp.float32),
+            jnp.float32(deviation), space=space, residuals=residuals, num_regions=REGIONS**2,
+        )  # fmt: skip
+        return Evaluation(*(np.asarray(a)[: len(chosen)] for a in found))
+
+    def run(
+        points: np.ndarray, needed: np.ndarray | None = None, *, weights: np.ndarray, deviation: float
+    ) -> Evaluation:
+        wanted = np.arange(len(points)) if needed is None else np.flatnonzero(needed)
+        total: list[np.ndarray] = []
+        for i in range(len(envs)):
+            own = wanted[wanted % len(envs) == i]
+            for chosen in (own[n : n + side_by_side] for n in range(0, len(own), side_by_side)):
+                found = some(i, chosen, points, weights, deviation)
+                total = total or [np.zeros((len(points), *a.shape[1:]), _wide(a.dtype)) for a in found]
+                for into, array in zip(total, found, strict=True):
+                    into[chosen] = array
+        return Evaluation(*total)
+
+    return run
+
+
+def _wide(dtype: np.dtype) -> Any:
+    """Double precision for floats."""
+    return float if dtype.kind == "f" else dtype
+
+
+def placements_of(env: Any, count: int, shake: float, spacing: float, seed: int) -> np.ndarray | None:
+    """Rest positions for each start [m], shape (count, num_particles, 3); None if the environment has none.
+
+    A simulation depends on where its particles happen to lie. Each start has its own placement, so the scatter of the
+    fits shows how much.
+    """
+    rest = getattr(env, "rest_positions", None)
+    if rest is None or shake == 0.0:
+        return None
+    generator = np.random.Generator(np.random.PCG64(seed + 1))
+    return np.asarray(rest) + shake * spacing * generator.uniform(-1.0, 1.0, (count, *np.shape(rest)))
+
+
+def spread_starts(space: Space, count: int, low: np.ndarray, high: np.ndarray, seed: int) -> np.ndarray:
+    """The median, and a Latin hypercube over the middle of the priors, within the bounds, shape (count, k)."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    k = len(space.draws)
+    reach_low, reach_high = np.maximum(low, -1.5), np.minimum(high, 1.5)
+    strata = np.stack([generator.permutation(max(count - 1, 1)) for _ in range(k)], axis=1)
+    shares = (strata + 0.5) / max(count - 1, 1)
+    others = reach_low + shares * (reach_high - reach_low)
+    return np.concatenate([np.clip(np.zeros((1, k)), low, high), others])[:count]
+
+
+def _line(space: Space, search: lm.Starts, best: int, horizon: float, iteration: int) -> str:
+    numbers = zip(space.labels, space.numbers(search.latents[best]), strict=True)
+    values = "  ".join(f"{short(label)} {float(value):.4g}" for label, value in numbers)
+    cost = float(search.total(space.precision)[best])
+    return f"horizon {100 * horizon:3.0f} %  iteration {iteration + 1:2d}  cost {cost:10.4g}  {values}"
+
+
+__all__ = ["REGIONS", "placements_of", "program", "search_from", "spread_starts"]

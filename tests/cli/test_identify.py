@@ -1,0 +1,65 @@
+"""``rewax record`` and ``rewax identify``: from a push to a table, a file that environments read, and a picture."""
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import rewax
+from rewax.cli.identify import priors
+from rewax.cli.main import main
+from rewax.envs.randomize import LogUniform, Uniform
+from rewax.identify import load_result
+
+PUSH = ("--env=RollingFlat", "--action", "0.3", "-1", "0", "--steps", "4", "--every", "2", "--points", "64")
+
+
+def test_from_a_push_to_a_material(tmp_path, capsys):
+    path = tmp_path / "push.npz"
+    assert main(["record", *PUSH, "--set", "yield_stress=25", "--noise", "0.002", "--out", str(path)]) == 0
+    assert "3 frames over 0.028 s, 64 to 64 points each" in capsys.readouterr().out
+    fit = ["identify", str(path), "--env=RollingFlat", "--unknown", "yield_stress=5,80"]
+    assert main([*fit, "--starts", "2", "--iterations", "2"]) == 0
+    said = capsys.readouterr().out
+    assert "yield_stress" in said and "95 % interval" in said and "from the simulated surface" in said
+    saved = load_result(tmp_path / "push.json")
+    assert saved.made_by == {"env": "RollingFlat", "scale": "small", "kwargs": {}}
+    env = saved.apply(rewax.make("RollingFlat", scale="small"))
+    assert 5.0 <= float(env.scene.material.plasticity.yield_stress) <= 80.0
+    assert len(json.loads((tmp_path / "push.json").read_text())["residual_by_frame"]) == 3
+    assert np.ptp(imread(tmp_path / "push.png")) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (["identify", "absent.npz", "--env=RollingFlat"], "there is no record 'absent.npz'"),
+        (["record", "--env=RollingFlat"], "give one of --action, --script and --policy"),
+        (["record", "--env=RollingFlat", "--action", "1"], "an action has 1 numbers, but RollingFlat takes 3"),
+        (["record", "--env=RollingFlat", "--script", "absent.csv"], "there is no script 'absent.csv'"),
+        (["record", "--env=Hopper", "--action", "1"], "Hopper has no soft body"),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(command, sentence, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 2
+    message = capsys.readouterr().err
+    assert sentence in message and message.count("\n") == 1
+
+
+def test_priors_are_ranges_or_a_decade():
+    env = rewax.make("RollingFlat", scale="small")
+    found = priors(["youngs_modulus", "poissons_ratio=0.1,0.4", "yield_stress=0,50"], env)
+    decade, narrow, linear = found.values()
+    assert decade.high / decade.low == pytest.approx(10.0) and isinstance(decade, LogUniform)
+    assert (narrow.low, narrow.high) == (0.1, 0.4) and isinstance(linear, Uniform)
+    for texts, sentence in (
+        ([], "give at least one --unknown"),
+        (["yield_stress=1"], "--unknown is 'yield_stress=1'"),
+        (["yield_stress=1,2", "yield_stress=1,2"], "give each parameter once"),
+        (["yield_stress=a,b"], "a"),
+        (["stickiness=1,2"], "has no parameter 'stickiness'"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            priors(texts, env)

@@ -1,0 +1,101 @@
+"""Each of more than twenty bad records is refused in one sentence that names the fault and the remedy."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import record_cases
+
+from rewax.identify.record_checks import check_against, check_record, tool_distance
+from rewax.identify.records import load, save
+
+
+def with_entry(name, index, value):
+    def change(record):
+        array = np.array(getattr(record, name))
+        array[index] = value
+        return {name: array}
+
+    return change
+
+
+BAD = {
+    "not finite in times": (with_entry("times", 1, np.nan), "times of the record holds a number that is not finite"),
+    "not finite in a cloud": (with_entry("clouds", (2, 5, 1), np.inf), "the cloud of frame 2 holds"),
+    "not finite in actions": (with_entry("actions", 0, np.nan), "actions of the record holds"),
+    "not finite in joints": (with_entry("joint_q", 1, np.nan), "joint_q of the record holds"),
+    "times fall": (with_entry("times", 2, 0.01), "times do not rise"),
+    "times stand": (with_entry("times", 2, 0.1), "times do not rise: 0.1 s, then 0.1 s"),
+    "times before the start": (with_entry("times", 0, -0.1), "the first frame is at -0.1 s"),
+    "frames after the last action": (with_entry("times", 4, 0.9), "the last frame is at 0.9 s, but 4 actions end at 0.4"),
+    "no frame at rest": (lambda r: {"times": r.times + 0.2, "actions": np.ones((6, 2)), "joint_q": None}, "give a frame of the body at rest"),
+    "an empty cloud": (with_entry("mask", 3, False), "frame 3 shows 0 points"),
+    "millimetres": (lambda r: {"clouds": r.clouds * 1000.0}, "are they in millimetres"),
+    "kilometres": (lambda r: {"clouds": r.clouds * 1e-4}, "no plausible body"),
+    "other units": (lambda r: {"units": "mm,s"}, "convert to metres and seconds"),
+    "another version": (lambda r: {"version": 2}, "version of the record is 2"),
+    "one frame": (lambda r: {"times": r.times[:1], "clouds": r.clouds[:1], "mask": r.mask[:1]}, "has 1 frames: give at least 2"),
+    "flat clouds": (lambda r: {"clouds": r.clouds[..., :2]}, "give .5, num_points, 3"),
+    "clouds of fewer frames": (lambda r: {"clouds": r.clouds[:3]}, "with 5 times"),
+    "a mask of another shape": (lambda r: {"mask": r.mask[:, :4]}, "give that of the clouds"),
+    "a mask of numbers": (lambda r: {"mask": r.mask.astype(float)}, "give booleans"),
+    "actions without an axis": (lambda r: {"actions": r.actions[:, 0]}, "actions of the record has shape .4,.: give 2 axes"),
+    "joints of another length": (lambda r: {"joint_q": r.joint_q[:2]}, "give one before the first action"),
+    "a control step of zero": (lambda r: {"control_dt": 0.0}, "above 0"),
+    "a camera of another shape": (lambda r: {"camera": np.zeros(12)}, "give 15 numbers"),
+    "times of text": (lambda r: {"times": np.array(list("abcde"))}, "give numbers"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_a_bad_record_is_refused_in_one_sentence(fault):
+    change, sentence = BAD[fault]
+    record = record_cases.pushed()
+    check_record(record)
+    with pytest.raises(ValueError, match=sentence) as refusal:
+        check_record(dataclasses.replace(record, **change(record)))
+    assert "\n" not in str(refusal.value)
+
+
+AGAINST = {
+    "other actions": (lambda r: {"actions": np.zeros((4, 5))}, "takes .2,. each"),
+    "another control step": (lambda r: {"control_dt": 0.2}, "control_dt of the record is 0.2 s"),
+    "a tool that rests": (lambda r: {"actions": 0 * r.actions, "joint_q": 0 * r.joint_q}, "the tool does not move"),
+    "another place": (lambda r: {"clouds": r.clouds + 10.0}, "give both in one frame"),
+    "a tool that never touches": (lambda r: {"joint_q": r.joint_q + 2.0}, "the tool never touches: it stays"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", AGAINST)
+def test_a_record_that_does_not_fit_the_environment_is_refused(fault):
+    change, sentence = AGAINST[fault]
+    record, env = record_cases.pushed(), record_cases.pusher()
+    particles = record_cases.body()
+    check_against(record, env, particles)
+    with pytest.raises(ValueError, match=sentence):
+        check_against(dataclasses.replace(record, **change(record)), env, particles)
+
+
+def test_the_distance_of_the_tool_is_that_of_its_surface():
+    record, env = record_cases.pushed(), record_cases.pusher()
+    points = record.clouds[np.arange(5)[:, None], np.arange(record.clouds.shape[1])]
+    steps = np.round(record.times / record.control_dt).astype(int)
+    centers = np.stack([record.joint_q[steps, 0], record.joint_q[steps, 1], np.zeros(5)], -1)
+    gap = np.linalg.norm(points - centers[:, None], axis=-1) - 0.1
+    assert tool_distance(record, env) == pytest.approx(gap[record.mask].min(), abs=1e-6)
+
+
+def test_files_that_are_no_records_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="there is no record"):
+        load(tmp_path / "absent.npz")
+    (tmp_path / "text.npz").write_text("no record")
+    with pytest.raises(ValueError, match="is no npz file"):
+        load(tmp_path / "text.npz")
+    np.savez(tmp_path / "part.npz", times=np.zeros(3))
+    with pytest.raises(ValueError, match="lacks version, units, clouds"):
+        load(tmp_path / "part.npz")
+    np.savez(tmp_path / "objects.npz", times=np.array([{}], object))
+    with pytest.raises(ValueError, match="holds objects"):
+        load(tmp_path / "objects.npz")
+    with pytest.raises(ValueError, match="version of the record is 3"):
+        save(dataclasses.replace(record_cases.pushed(), version=3), tmp_path / "a.npz")

@@ -1,0 +1,76 @@
+"""Records of a task: what the camera sees is the body's surface, with the asked noise and occlusion; files keep all."""
+
+import jax
+import numpy as np
+import pytest
+
+import rewax
+from rewax.identify import load, record, save
+from rewax.identify.recording import camera_for
+from rewax.identify.records import camera_of
+from rewax.identify.simulate import regions
+
+ACTIONS = np.tile(np.float32([0.3, -1.0, 0.0]), (3, 1))
+
+
+@pytest.fixture(scope="module")
+def env():
+    return rewax.make("RollingFlat", scale="small")
+
+
+@pytest.fixture(scope="module")
+def seen(env):
+    return record(env, ACTIONS, jax.random.key(0))
+
+
+def test_points_lie_on_the_balls_of_the_particles(env, seen):
+    assert seen.num_frames == 4 and seen.mask.all() and seen.clouds.shape == (4, 256, 3)
+    np.testing.assert_allclose(seen.times, env.control_dt * np.arange(4))
+    rest = np.asarray(env.rest_positions)  # the reset noise is left out
+    gap = np.linalg.norm(seen.clouds[0][:, None] - rest[None], axis=-1).min(1)
+    np.testing.assert_allclose(gap, 0.4 * env.scene.grid.spacing, atol=1e-3)
+    np.testing.assert_allclose(seen.joint_q[1] - seen.joint_q[0], [0.006, -0.004, 0.0], atol=1e-6)
+
+
+def test_noise_has_its_size_and_occlusion_hides_its_share(env, seen):
+    camera = camera_for(np.asarray(env.rest_positions), np.asarray(env.up))
+    hidden = record(env, ACTIONS, jax.random.key(0), occlusion=0.3, camera=camera, num_points=4096)
+    whole = record(env, ACTIONS, jax.random.key(0), camera=camera, num_points=4096)
+    share = 1.0 - hidden.mask.sum(1) / whole.mask.sum(1)
+    np.testing.assert_allclose(share, 0.3, atol=0.03)
+    noisy = record(env, ACTIONS[:1], jax.random.key(0), noise=0.002, camera=camera, num_points=4096)
+    difference = noisy.clouds[0][noisy.mask[0]] - whole.clouds[0][whole.mask[0]]
+    along = difference @ np.asarray(camera.rotation)[:, 2]
+    assert along.std() == pytest.approx(0.002, rel=0.1)
+
+
+def test_a_record_is_the_same_every_time_and_survives_its_file(env, seen, tmp_path):
+    again = record(env, ACTIONS, jax.random.key(0))
+    np.testing.assert_array_equal(again.clouds, seen.clouds)
+    read = load(save(seen, tmp_path / "a.npz"))
+    for name in ("times", "clouds", "mask", "actions", "joint_q", "camera"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(seen, name))
+    assert read.control_dt == seen.control_dt and '"env": "RollingFlat"' in read.source
+    camera = camera_of(read.camera, near=0.1, far=2.0)
+    assert (camera.height, camera.width, camera.field_of_view) == (64, 64, 32.0)
+
+
+def test_a_policy_may_move_the_tool_and_frames_may_be_rarer(env):
+    seen = record(env, lambda state, key: state.obs["joint_q"] * 0 - 1.0, jax.random.key(0), num_steps=4, every=2)
+    np.testing.assert_array_equal(seen.actions, -np.ones((4, 3)))
+    np.testing.assert_allclose(seen.times, env.control_dt * np.array([0, 2, 4]))
+    part = seen.first(env.control_dt * 2.5)
+    assert part.num_frames == 2 and len(part.actions) == 2 and len(part.joint_q) == 3
+
+
+def test_bad_options_and_failed_steps_are_told(env):
+    with pytest.raises(ValueError, match="occlusion is 1"):
+        record(env, ACTIONS, jax.random.key(0), occlusion=1.0)
+    stiff = rewax.replace_leaf(env, "scene.material.elasticity.youngs_modulus", 1e6)
+    with pytest.raises(ValueError, match=r"step 0 of the record has status .*INVALID_PARAMETERS"):
+        record(stiff, ACTIONS, jax.random.key(0))
+
+
+def test_regions_have_about_equally_many_points(seen):
+    counts = np.bincount(regions(seen.clouds, seen.mask, 4).reshape(-1), minlength=16)
+    assert counts.sum() == seen.mask.sum() and np.sort(counts)[4] > 0.3 * counts.mean()

@@ -1,0 +1,63 @@
+"""The stable part of a prior, and unknowns of the first state, on a task of particles."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rewax
+from rewax.envs.randomize import LogUniform, Uniform
+from rewax.identify.simulate import without_reset_noise
+from rewax.identify.unknowns import is_stable, space_of, stable_bounds
+from rewax.physics import mpm
+from rewax.status import Status
+
+MODULUS = "scene.material.elasticity.youngs_modulus"
+
+
+@pytest.fixture(scope="module")
+def env():
+    return rewax.make("RollingFlat", scale="small")
+
+
+def test_the_search_ends_where_the_substep_becomes_unstable(env):
+    space = space_of({MODULUS: LogUniform(50.0, 5000.0)}, env)
+    low, high, said = stable_bounds(space, (env,))
+    stiffest = space.place(env, jnp.asarray(high))
+    limit = float(mpm.largest_stable_dt(stiffest.scene.material, env.scene.grid))
+    assert env.scene.dt == pytest.approx(limit, rel=2e-3) and is_stable(stiffest)
+    assert low[0] == pytest.approx(space.bounds[0][0]) and len(said) == 1
+    assert "instead of 5000: beyond, the substep is too long" in said[0]
+    action, step = jnp.zeros(3), jax.jit(lambda e, a: e.step(e.reset(jax.random.key(0)), a).status)
+    assert not int(step(stiffest, action)) & Status.INVALID_PARAMETERS
+    beyond = space.place(env, jnp.asarray(high + 0.02))
+    assert not is_stable(beyond) and int(step(beyond, action)) & Status.INVALID_PARAMETERS
+
+
+def test_a_finer_substep_leaves_the_prior_whole_and_a_stiff_one_is_refused(env):
+    fine = rewax.make("RollingFlat", scale="small", num_substeps=30)
+    space = space_of({MODULUS: LogUniform(50.0, 3000.0)}, fine)
+    low, high, said = stable_bounds(space, (fine,))
+    np.testing.assert_allclose([low, high], space.bounds)
+    assert not said
+    assert stable_bounds(space, (fine, env))[1][0] < high[0]  # the coarser substep of several counts
+    stiff = space_of({MODULUS: LogUniform(5e3, 5e4)}, env)
+    with pytest.raises(ValueError, match="the substep is too long for the median of the priors"):
+        stable_bounds(stiff, (env,))
+
+
+def test_the_first_state_may_be_unknown(env):
+    unknowns = {"initial.position[0]": Uniform(-0.1, 0.1), "initial.velocity[1]": Uniform(-1.0, 1.0)}
+    still = without_reset_noise(env)
+    space = space_of(unknowns, still)
+    physics = still.reset(jax.random.key(0)).physics
+    moved = space.start(physics, jnp.asarray(space.latent([0.02, -0.5]), jnp.float32))
+    np.testing.assert_allclose(moved.soft.x - physics.soft.x, np.tile([0.02, 0.0, 0.0], (256, 1)), atol=1e-6)
+    np.testing.assert_allclose(moved.soft.v, np.tile([0.0, -0.5, 0.0], (256, 1)), atol=1e-6)
+
+
+def test_without_reset_noise_all_episodes_begin_alike(env):
+    still = without_reset_noise(env)
+    a, b = (still.reset(jax.random.key(seed)).physics.soft.x for seed in (0, 1))
+    np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(a, env.rest_positions)
