@@ -28,7 +28,7 @@ class Cloth(struct.Replaceable):
       shear: shear stiffness [N/m].
       bending: flexural rigidity [N m].
       density: mass per area [kg/m^2].
-      damping: Kelvin-Voigt time [s]: stress of strain rates is damping times the stiffness.
+      damping: Kelvin-Voigt time [s]: stress of strain rates is damping times the stiffness. Hinges take the largest.
     """
 
     warp: Scalar = struct.number(POSITIVE, "give a stiffness in N/m, Young's modulus times thickness")

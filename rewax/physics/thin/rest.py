@@ -17,7 +17,8 @@ class RestShape(struct.Replaceable):
     """Sizes of all elements at rest.
 
     Attributes:
-      inverse_edges: inverse of each triangle's edge matrix in its plane (rows: warp, weft) [1/m], (num_triangles, 2, 2).
+      inverse_edges: inverse of each triangle's edge matrix in its plane, whose rows are warp and weft [1/m], shape
+        (num_triangles, 2, 2).
       area: of triangles [m^2], shape (num_triangles,).
       angle: of hinges [rad], shape (num_hinges,).
       hinge_weight: edge squared over the area of both triangles [-], shape (num_hinges,).

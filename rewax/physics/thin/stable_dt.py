@@ -65,11 +65,8 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
 
 def _hinge_slopes(scene: "ThinScene") -> Array:
     """|d theta/dx|^2 of hinges at rest [1/m^2], from their triangles unfolded into a plane."""
-    topology, rest = scene.topology, scene.rest
-    position = _unfolded(scene)
-    angle, pull = jax.vjp(hinge_angle, position)
+    angle, pull = jax.vjp(hinge_angle, _unfolded(scene))
     (slopes,) = pull(jnp.ones_like(angle))
-    del rest, topology
     return sum(cp.dot(s, s) for s in slopes)
 
 

@@ -224,8 +224,8 @@ def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
     want = (poses.position.shape[0] - 1, len(scene.topology.held), 3)
     if pins is not None and (jnp.shape(pins) != want or not want[1]):
         raise ValueError(
-            f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps: "
-            f"give shape {want}, and make_scene the vertices to be held"
+            f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"
+            f": give shape {want}, and make_scene the vertices to be held"
         )
 
 

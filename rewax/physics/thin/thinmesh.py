@@ -9,10 +9,6 @@ from rewax.physics.numerics.checks import FINITE, POSITIVE
 from rewax.physics.numerics.fields import check_fields, check_range, checked, indices, integer, real, static
 
 
-def _none(width: int) -> Any:
-    return field(default_factory=lambda: np.zeros((0, width), np.int32))
-
-
 @dataclass(frozen=True, kw_only=True)
 class ThinMesh:
     """Vertices at rest, triangles of cloth and segments of ropes.
@@ -26,8 +22,8 @@ class ThinMesh:
     """
 
     vertices: np.ndarray
-    triangles: np.ndarray = _none(3)
-    segments: np.ndarray = _none(2)
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    segments: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int32))
     pattern: np.ndarray | None = None
 
 
