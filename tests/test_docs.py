@@ -57,6 +57,16 @@ def test_rigid_page_runs_and_does_what_it_says():
     assert names["distance"]._cache_size() == 1
 
 
+def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
+    names = run_page("docs/cloth_and_ropes.md")
+    x = np.asarray(names["draped"].x)
+    radius = np.linalg.norm(x - [0.2, -0.11, 0.2], axis=1)
+    assert radius.min() > 0.098 and x[:, 1].min() < -0.005  # the ball holds the cloth, and the rest falls
+    slope = np.asarray(names["slope"])
+    assert np.isfinite(slope).all() and np.abs(slope).max() > 0.0
+    assert float(names["swung"].x[-1, 1]) < -0.02
+
+
 def run_page(page, needs=""):
     """The names that a page's code leaves behind."""
     names = {}
