@@ -35,9 +35,12 @@ def run(scene, state, num_substeps):
 
 def hessian(scene, x):
     """Second derivative of the elastic energy, shape (3 num_vertices, 3 num_vertices)."""
-    shape = x.shape
-    energy = lambda flat: thin.elastic_energy(scene, thin.initial_state(flat.reshape(shape)))  # noqa: E731
-    return jax.hessian(energy)(x.reshape(-1))
+    return _HESSIAN(scene, jnp.asarray(x).reshape(-1))
+
+
+_HESSIAN = jax.jit(
+    jax.hessian(lambda scene, flat: thin.elastic_energy(scene, thin.initial_state(flat.reshape(-1, 3))), argnums=1)
+)
 
 
 def free(scene):
