@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from native_cases import NEEDS_COMPILER
 from thin_bodies import LINE, SHEET, STEP, cloth_scene, rope_scene, run, shaken
 
+from rewax.lowering import recorded
 from rewax.physics import thin
 from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact
@@ -181,3 +183,21 @@ def test_status_names_what_is_wrong(x64):
     bad = scene.replace(cloth=scene.cloth.replace(warp=-1.0))
     assert thin.check_status(bad, state) & Status.INVALID_PARAMETERS
     assert thin.check_status(scene.replace(dt=1.0), state) == Status.INVALID_PARAMETERS
+
+
+@NEEDS_COMPILER
+def test_every_program_of_a_step_runs_in_cpp():
+    contact = PenaltyContact(stiffness=50.0, damping=0.1, friction_damping=0.1)
+    ground = Ground(normal=(0.0, 1.0, 0.0))
+    for make, mesh in ((cloth_scene, SHEET), (rope_scene, LINE)):
+        scene, state = make(contact=contact, ground=ground), thin.initial_state(mesh.vertices)
+        poses = thin.static_poses(2)
+
+        def total(scene, state, poses=poses):
+            return jnp.sum(thin.step(scene, state, poses).x)
+
+        with recorded() as decisions:
+            jax.jit(jax.grad(total, argnums=(0, 1))).lower(scene, state)
+        found = {d.function.rsplit(".", 1)[-1] for d in decisions}
+        assert found >= ({"membrane", "_hinge", "_moved"} if mesh is SHEET else {"_segment", "_bend", "_moved"})
+        assert not [d for d in decisions if d.reason], decisions
