@@ -201,3 +201,14 @@ def test_every_program_of_a_step_runs_in_cpp():
         found = {d.function.rsplit(".", 1)[-1] for d in decisions}
         assert found >= ({"membrane", "_hinge", "_moved"} if mesh is SHEET else {"_segment", "_bend", "_moved"})
         assert not [d for d in decisions if d.reason], decisions
+
+
+def test_a_batch_of_materials_and_starts_is_a_loop(x64):
+    scene = cloth_scene(damping=1e-4)
+    starts = [shaken(SHEET, size=0.005, seed=i) for i in range(3)]
+    scenes = [scene.replace(cloth=scene.cloth.replace(bending=b * scene.cloth.bending)) for b in (0.5, 1.0, 2.0)]
+    stacked = jax.tree.map(lambda *a: jnp.stack(a), *zip(scenes, starts, strict=True))
+    poses = thin.static_poses(50, dtype=float)
+    batch = jax.jit(jax.vmap(lambda scene, state: thin.step(scene, state, poses)))(*stacked)
+    for i, pair in enumerate(zip(scenes, starts, strict=True)):
+        np.testing.assert_allclose(batch.x[i], run(*pair, 50).x, atol=1e-13)
