@@ -35,6 +35,9 @@ class Status(enum.IntFlag):
     """The scene or model holds an illegal value: not finite, friction below 0, a size, softness, density or volume that
     is not positive, a substep too long for the stiffness, a pose that is not finite. Building a scene refuses such
     values; this bit reports values that were traced or replaced. Fatal: the episode ends."""
+    PENETRATION = 128
+    """A particle lies more than a cell inside a tool that moves as prescribed. The tool's force has no limit: it tears or
+    crushes a body that cannot give way. Leave room for the body, or slow the tool. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
@@ -46,6 +49,7 @@ _REMEDIES = {
     Status.INACTIVE_NODES: "a larger max_active_nodes",
     Status.FAR_COLLIDERS: "a larger max_near_colliders",
     Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
+    Status.PENETRATION: "a slower tool or more room for the body",
 }
 
 

@@ -18,6 +18,7 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.broad_phase import count_excess, near_colliders
 from rewax.physics.contact.colliders import Collider, apply_colliders, check_bodies, place
 from rewax.physics.contact.motion import Placed
+from rewax.physics.contact.penetration import penetration
 from rewax.physics.mpm.active_nodes import ActiveNodes, all_nodes, count_nodes, list_nodes
 from rewax.physics.mpm.grid import Grid
 from rewax.physics.mpm.materials import Material, Response, joined_parameters, respond, split_parameters
@@ -112,8 +113,9 @@ def check_status(
       scene: the scene.
       state: particles at the end of a step.
       start: particles at its beginning. Required with ``max_active_nodes``, to check that the nodes sufficed.
-      poses: poses of the bodies, as for ``step``, to check that they are finite and, given ``start``, that
-        ``max_near_colliders`` sufficed. Coupled scenes evaluate all colliders: omit poses there.
+      poses: poses of the bodies, as for ``step``, to check that they are finite, that no particle is more than a cell
+        inside a collider at the end and, given ``start``, that ``max_near_colliders`` sufficed. Coupled scenes evaluate
+        all colliders, and their bodies yield: omit poses there.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
@@ -150,6 +152,9 @@ def check_status(
         )
         excess = count_excess(scene.sized_colliders, poses, lower, upper, scene.max_near_colliders)
         status = status | flag(excess > 0, Status.FAR_COLLIDERS)
+    if poses is not None and scene.colliders:
+        depth = penetration(scene.colliders, Pose(*(a[-1] for a in poses)), cp.split_vector(state.x))
+        status = status | flag(depth > scene.grid.spacing, Status.PENETRATION)
     if scene.max_active_nodes is not None:
         too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
         too_far = jnp.any(jnp.abs(state.x - before) > scene.reach * scene.grid.spacing)

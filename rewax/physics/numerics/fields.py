@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.numerics.arguments import check_instance, check_integer
 from rewax.physics.numerics.checks import (
     Legal,
     Number,
@@ -29,7 +30,6 @@ from rewax.physics.numerics.checks import (
     check_numbers,
     fits,
     shown,
-    static_integer,
     static_number,
 )
 from rewax.physics.numerics.pose import Pose
@@ -75,13 +75,7 @@ def static(legal: Legal, remedy: str) -> Rule:
 
 def integer(least: int, remedy: str) -> Rule:
     """An integer of at least ``least``, not traced and no float."""
-
-    def rule(name: str, value: Any) -> None:
-        if not (isinstance(value, int) or np.issubdtype(as_array(value).dtype, np.integer)):
-            raise ValueError(f"{name} is {shown(value)}: {remedy}")
-        static_integer(name, value, least, remedy)
-
-    return rule
+    return lambda name, value: check_integer(name, value, least, remedy)
 
 
 def member(kind: type[enum.Enum]) -> Rule:
@@ -91,12 +85,7 @@ def member(kind: type[enum.Enum]) -> Rule:
 
 def instance(kind: type | tuple[type, ...], remedy: str) -> Rule:
     """An object of a class."""
-
-    def rule(name: str, value: Any) -> None:
-        if not isinstance(value, kind):
-            raise ValueError(f"{name} is {shown(value)}: {remedy}")
-
-    return rule
+    return lambda name, value: check_instance(name, value, kind, remedy)
 
 
 def optional(rule: Rule) -> Rule:

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.rigid.argument_checks import check_integer, shown
+from rewax.physics.numerics.arguments import check_integer
+from rewax.physics.numerics.checks import shown
 from rewax.physics.rigid.small_products import cross
 from rewax.types import Array
 

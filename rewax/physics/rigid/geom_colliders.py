@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, Number, check_numbers, static_number
+from rewax.physics.numerics.arguments import check_instance, check_plain, real_array
+from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, Number, check_numbers, shown, static_number
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import quaternion_to_matrix
-from rewax.physics.rigid.argument_checks import check_instance, check_plain, real_array, shown
 from rewax.physics.rigid.forces import kinematics
 from rewax.physics.rigid.mjx_access import mujoco
 from rewax.physics.rigid.model import RigidModel

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rewax.physics.rigid.argument_checks import check_instance
+from rewax.physics.numerics.arguments import check_instance
 
 LIMITS = ("max_contact_points", "max_geom_pairs")
 """Custom numerics of a model that limit the number of MJX's contacts."""

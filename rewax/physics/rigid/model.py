@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.physics.numerics.arguments import check_instance, check_plain, real_array
 from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_numbers, static_number
 from rewax.physics.rigid import mjcf
-from rewax.physics.rigid.argument_checks import check_instance, check_plain, real_array
 from rewax.physics.rigid.collide import collisions
 from rewax.physics.rigid.contact_pair import ContactPair, check_contact_pairs
 from rewax.physics.rigid.kinematic_tree import TreeParameters, TreeTopology, tree_topology

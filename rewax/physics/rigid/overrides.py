@@ -9,8 +9,8 @@ from typing import Any, Literal, TypedDict
 import mujoco
 import numpy as np
 
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number, check_numbers
-from rewax.physics.rigid.argument_checks import check_instance, check_integer, check_plain, shown
+from rewax.physics.numerics.arguments import check_instance, check_integer, check_plain
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number, check_numbers, shown
 from rewax.physics.rigid.mjcf import LIMITS
 
 
@@ -125,7 +125,7 @@ def moving_geoms(mj: mujoco.MjModel) -> np.ndarray:
 def _set_limit(mj: mujoco.MjModel, name: str, value: Any) -> None:
     number = mujoco.mj_name2id(mj, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if value is not None:
-        check_integer(name, value, 1, ", or None for no limit")
+        check_integer(name, value, 1, "give an integer, at least 1, or None for no limit")
     if value is not None and number < 0:
         raise ValueError(
             f"the model has no {name} to change: write <custom><numeric name='{name}' data='{value}'/></custom>"

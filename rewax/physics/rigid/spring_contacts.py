@@ -8,9 +8,9 @@ import numpy as np
 
 from rewax import struct
 from rewax.physics.contact.penalty import PenaltyContact, penalty_force
+from rewax.physics.numerics.arguments import check_instance, check_plain
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, check_numbers, numbers_of
 from rewax.physics.numerics.components import join_vector, split_vector
-from rewax.physics.rigid.argument_checks import check_instance, check_plain
 from rewax.physics.rigid.kinematics import Kinematics, moving_points
 from rewax.types import Array, Scalar
 

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.lowering.machine import interpreted
+from rewax.physics.numerics.arguments import check_instance, check_integer, real_array
 from rewax.physics.rigid import solver as constraint_solver
-from rewax.physics.rigid.argument_checks import check_instance, check_integer, real_array
 from rewax.physics.rigid.forces import (
     applied_forces,
     constraint_rows,

@@ -6,16 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.numerics.checks import as_array, shown, static_integer
 from rewax.types import Array
-
-_LONGEST = 60
-"""Number of characters of a value that a message shows."""
-
-
-def shown(value: Any) -> str:
-    """A value in one short line."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 def check_instance(name: str, value: Any, kind: type | tuple[type, ...], remedy: str) -> None:
@@ -24,11 +16,12 @@ def check_instance(name: str, value: Any, kind: type | tuple[type, ...], remedy:
         raise ValueError(f"{name} is {shown(value)}: {remedy}")
 
 
-def check_integer(name: str, value: Any, least: int, remedy: str = "") -> None:
-    """Raises ValueError unless the value is an integer of at least ``least`` that fits in 32 bits."""
-    legal = isinstance(value, (int, np.integer)) and not isinstance(value, bool) and least <= value < 2**31
-    if not legal:
-        raise ValueError(f"{name} is {shown(value)}: give an integer, at least {least}{remedy}")
+def check_integer(name: str, value: Any, least: int, remedy: str | None = None) -> None:
+    """Raises ValueError unless the value is an integer of at least ``least`` that fits in 32 bits; a float is none."""
+    remedy = remedy or f"give an integer, at least {least}"
+    if not (isinstance(value, int) or np.issubdtype(as_array(value).dtype, np.integer)):
+        raise ValueError(f"{name} is {shown(value)}: {remedy}")
+    static_integer(name, value, least, remedy)
 
 
 def check_plain(name: str, value: Any, remedy: str) -> None:
@@ -55,4 +48,4 @@ def real_array(name: str, value: Any, remedy: str) -> Array | np.ndarray:
     return array
 
 
-__all__ = ["check_instance", "check_integer", "check_plain", "real_array", "shown"]
+__all__ = ["check_instance", "check_integer", "check_plain", "real_array"]

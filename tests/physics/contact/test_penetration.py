@@ -1,0 +1,45 @@
+"""How deep particles lie inside colliders, and the bit that tells."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mpm_bodies import cube
+
+from rewax.physics import mpm
+from rewax.physics.contact.colliders import Collider
+from rewax.physics.contact.penetration import penetration
+from rewax.physics.numerics.components import split_vector
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.shapes import Box, Sphere
+from rewax.status import Status
+
+TURNED = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""A quarter turn about z: x becomes y."""
+
+
+def test_depth_is_that_of_the_deepest_point_in_any_collider():
+    colliders = (
+        Collider(shape=Sphere(radius=0.3), offset=jnp.array([1.0, 0.0, 0.0]), friction=0.0, body=1),
+        Collider(shape=Sphere(radius=0.1), friction=0.0, body=0),
+        Collider(shape=Box(half_size=jnp.array([0.5, 0.1, 0.1])), friction=0.0, body=0),
+    )
+    bodies = Pose(jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, 5.0]]), jnp.stack([jnp.eye(3), TURNED]))
+
+    def depth(*points):
+        return float(penetration(colliders, bodies, split_vector(jnp.array(points))))
+
+    assert depth([0.0, 1.0, 5.2]) == pytest.approx(0.1, rel=1e-5)  # the offset sphere stands at (0, 1, 5)
+    assert depth([0.45, 0.0, 0.0]) == pytest.approx(0.05, rel=1e-5)  # only in the box
+    assert depth([0.45, 0.0, 0.0], [0.0, 1.0, 5.2], [9.0, 9.0, 9.0]) == pytest.approx(0.1, rel=1e-5)
+    assert depth([0.0, 0.0, 1.0]) == pytest.approx(-0.9)
+    assert float(penetration((), bodies, split_vector(jnp.zeros((1, 3))))) == -np.inf
+
+
+@pytest.mark.parametrize(("depth_in_cells", "deep"), [(-1.0, False), (0.8, False), (1.2, True)])
+def test_status_tells_that_a_tool_went_through_a_body(depth_in_cells, deep):
+    scene, state = cube(colliders=(Collider(shape=Sphere(radius=0.2), friction=0.0),))
+    lowest = state.x[jnp.argmin(state.x[:, 1])]  # the top of the sphere is this far above it
+    center = lowest + jnp.array([0.0, depth_in_cells * scene.grid.spacing - 0.2, 0.0])
+    poses = Pose(jnp.broadcast_to(center, (2, 1, 3)), jnp.broadcast_to(jnp.eye(3), (2, 1, 3, 3)))
+    status = int(mpm.check_status(scene, state, start=state, poses=poses))
+    assert bool(status & Status.PENETRATION) == deep
