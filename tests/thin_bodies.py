@@ -33,6 +33,13 @@ def run(scene, state, num_substeps):
     return STEP(scene, state, thin.static_poses(num_substeps, dtype=state.x.dtype))
 
 
+KINDS = {
+    "StVK": lambda **k: (cloth_scene(**k), SHEET),
+    "neo-Hookean": lambda **k: (cloth_scene(law=thin.MembraneLaw.NEO_HOOKEAN, **k), SHEET),
+    "rope": lambda **k: (rope_scene(**k), LINE),
+}
+
+
 def hessian(scene, x):
     """Second derivative of the elastic energy, shape (3 num_vertices, 3 num_vertices)."""
     return _HESSIAN(scene, jnp.asarray(x).reshape(-1))
