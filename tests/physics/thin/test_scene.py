@@ -1,9 +1,12 @@
 """Scenes of cloth and ropes hold the size and mass of their mesh."""
 
+import jax
 import numpy as np
-from thin_bodies import LINE, SHEET, cloth_scene, rope_scene
+from thin_bodies import CLOTH, LINE, SHEET, cloth_scene, rope_scene
 
+from rewax.physics import thin
 from rewax.physics.thin.thinmesh import bends, hinges
+from rewax.status import Status
 
 
 def test_a_sheet_has_its_area_mass_and_inner_edges():
