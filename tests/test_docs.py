@@ -54,6 +54,12 @@ def test_rigid_page_runs_and_does_what_it_says():
     assert names["distance"]._cache_size() == 1
 
 
+def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
+    names = run_page("docs/cloth_and_ropes.md")
+    assert np.linalg.norm(names["draped"].x - np.array([0.2, -0.11, 0.2]), axis=1).min() > 0.098  # outside of the ball
+    assert np.isfinite(names["slope"]).all() and np.abs(names["slope"]).max() > 0 and names["swung"].x[-1, 1] < -0.02
+
+
 def run_page(page, needs=""):
     """The names that a page's code leaves behind."""
     names = {}

@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = {"physics.numerics", "physics.shapes", "physics.contact"}
-SOLVERS = {"physics.mpm", "physics.tets", "physics.rigid"}
+SOLVERS = {"physics.mpm", "physics.tets", "physics.thin", "physics.rigid"}
 PHYSICS = SHARED | SOLVERS | {"physics", "physics.coupling"}
 ALLOWED = {
     "base": set(),

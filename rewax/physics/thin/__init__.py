@@ -1,0 +1,23 @@
+"""Cloth and ropes: shells of constant-strain triangles with hinges, and polylines with stretch and bending."""
+
+from rewax.physics.numerics.pose import static_poses
+from rewax.physics.thin.invariants import (
+    angular_momentum,
+    elastic_energy,
+    gravitational_energy,
+    kinetic_energy,
+    momentum,
+)
+from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope, isotropic_cloth
+from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
+from rewax.physics.thin.scene import ThinScene, ThinState, initial_state, make_scene
+from rewax.physics.thin.stable_dt import largest_stable_dt
+from rewax.physics.thin.stepping import check_status, contact_force, internal_force, step
+from rewax.physics.thin.thinmesh import ThinMesh, check_thinmesh, rope, sheet
+
+__all__ = [
+    "Cloth", "MembraneLaw", "RestShape", "Rope", "ThinMesh", "ThinScene", "ThinState", "angular_momentum",
+    "check_status", "check_thinmesh", "contact_force", "elastic_energy", "gravitational_energy", "initial_state",
+    "internal_force", "isotropic_cloth", "kinetic_energy", "largest_stable_dt", "make_scene", "momentum", "rest_shape",
+    "rope", "sheet", "static_poses", "step", "vertex_mass",
+]  # fmt: skip

@@ -1,0 +1,92 @@
+"""Materials of cloth and ropes, per area and per length."""
+
+import enum
+
+from rewax import struct
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Legal
+from rewax.physics.numerics.fields import checked, real
+from rewax.types import Scalar
+
+
+class MembraneLaw(enum.Enum):
+    """Elastic law of the membrane."""
+
+    SAINT_VENANT_KIRCHHOFF = "Saint Venant-Kirchhoff"
+    """Stress is linear in the Green strain; warp and weft may differ."""
+    NEO_HOOKEAN = "neo-Hookean"
+    """Isotropic and compressible: mu/2 (tr C - 2) - mu log J + lam/2 (log J)^2 with mu = ``shear``, lam = ``coupling``;
+    ``warp`` and ``weft`` must be coupling + 2 shear."""
+
+
+@struct.dataclass
+class Cloth(struct.Replaceable):
+    """A shell's material. Parameters are numbers, or arrays (num_triangles,), of ``bending`` (num_hinges,).
+
+    Attributes:
+      warp, weft: membrane stiffness along the first and second axis [N/m].
+      coupling: stress along one axis per strain along the other [N/m].
+      shear: shear stiffness [N/m].
+      bending: flexural rigidity [N m].
+      density: mass per area [kg/m^2].
+      damping: Kelvin-Voigt time [s]: stress of strain rates is damping times the stiffness. Hinges take the largest.
+    """
+
+    warp: Scalar = struct.number(POSITIVE, "give a stiffness in N/m, Young's modulus times thickness")
+    weft: Scalar = struct.number(POSITIVE, "give a stiffness in N/m, Young's modulus times thickness")
+    coupling: Scalar = struct.number(FINITE, "give a stiffness in N/m, 0 without Poisson effect", default=0.0)
+    shear: Scalar = struct.number(POSITIVE, "give a stiffness in N/m, shear modulus times thickness")
+    bending: Scalar = struct.number(NOT_NEGATIVE, "give a flexural rigidity in N m, 0 for none", default=0.0)
+    density: Scalar = struct.number(POSITIVE, "give a mass per area in kg/m^2")
+    damping: Scalar = struct.number(NOT_NEGATIVE, "give a time in s, 0 for none", default=0.0)
+
+
+@struct.dataclass
+class Rope(struct.Replaceable):
+    """A rope's material, straight at rest and free of twist. Parameters are numbers, or arrays (num_segments,), of
+    ``bending`` (num_bends,).
+
+    Attributes:
+      stretch: force per strain [N], Young's modulus times the area of the section.
+      bending: flexural rigidity [N m^2].
+      density: mass per length [kg/m].
+      damping: Kelvin-Voigt time of stretch [s]; bending is not damped.
+    """
+
+    stretch: Scalar = struct.number(POSITIVE, "give a force per strain in N")
+    bending: Scalar = struct.number(NOT_NEGATIVE, "give a flexural rigidity in N m^2, 0 for none", default=0.0)
+    density: Scalar = struct.number(POSITIVE, "give a mass per length in kg/m")
+    damping: Scalar = struct.number(NOT_NEGATIVE, "give a time in s, 0 for none", default=0.0)
+
+
+@checked(
+    youngs_modulus=real(POSITIVE, "give Young's modulus in Pa"),
+    poissons_ratio=real(Legal(-1.0, 0.5), "take 0.3"),
+    thickness=real(POSITIVE, "give a thickness in metres"),
+    density=real(POSITIVE, "give a density in kg/m^3"),
+)
+def isotropic_cloth(
+    *, youngs_modulus: Scalar, poissons_ratio: Scalar, thickness: Scalar, density: Scalar, damping: Scalar = 0.0
+) -> Cloth:
+    """The material of a thin plate in plane stress, at small strains.
+
+    Args:
+      youngs_modulus: E [Pa]. poissons_ratio: nu [-]. thickness: h [m]. density: [kg/m^3].
+      damping: Kelvin-Voigt time [s].
+
+    Returns:
+      warp = weft = E h / (1 - nu^2), coupling = nu warp, shear = E h / (2 (1 + nu)), bending = E h^3 / (12 (1 - nu^2)).
+      They are legal for both laws. Gradient: exact.
+    """
+    warp = youngs_modulus * thickness / (1.0 - poissons_ratio**2)
+    return Cloth(
+        warp=warp,
+        weft=warp,
+        coupling=poissons_ratio * warp,
+        shear=0.5 * (1.0 - poissons_ratio) * warp,
+        bending=warp * thickness**2 / 12.0,
+        density=density * thickness,
+        damping=damping,
+    )
+
+
+__all__ = ["Cloth", "MembraneLaw", "Rope", "isotropic_cloth"]

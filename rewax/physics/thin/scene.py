@@ -1,0 +1,171 @@
+"""Vertices (the state) and the scene of cloth and ropes (everything constant), checked when they are built."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from rewax import struct
+from rewax.physics.contact.colliders import COLLIDERS, Collider
+from rewax.physics.contact.contact_checks import check_ground, check_rotations
+from rewax.physics.contact.penalty import Ground, PenaltyContact
+from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
+from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
+from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope
+from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
+from rewax.physics.thin.scene_checks import check_lengths, check_materials, held_indices, scene_numbers
+from rewax.physics.thin.stable_dt import largest_stable_dt
+from rewax.physics.thin.stencils import Stencil, Topology
+from rewax.physics.thin.thinmesh import ThinMesh, bends, check_thinmesh, hinges
+from rewax.types import Array, Scalar, Vector
+
+_LAW = member(MembraneLaw)
+_SCENE = {
+    "mesh": instance(ThinMesh, "give a ThinMesh, from thin.sheet or thin.rope for example"),
+    "dt": static(POSITIVE, "give the duration of a substep in seconds"),
+    "cloth": optional(instance(Cloth, "give a Cloth, from thin.isotropic_cloth for example")),
+    "rope": optional(instance(Rope, "give a Rope(stretch=..., density=...)")),
+    "contact": optional(instance(PenaltyContact, "give a PenaltyContact(stiffness=...)")),
+    "colliders": COLLIDERS,
+    "law": _LAW,
+    "warp": real(FINITE, "give a direction", shape=(3,)),
+}
+
+
+@struct.dataclass
+class ThinState(struct.Replaceable):
+    """Vertices.
+
+    Attributes:
+      x: position [m], shape (num_vertices, 3).
+      v: velocity [m/s], shape (num_vertices, 3).
+    """
+
+    x: Array
+    v: Array
+
+
+@struct.dataclass
+class ThinScene(struct.Replaceable):
+    """The constant part of a simulation; build it with ``make_scene``, which checks it.
+
+    Attributes:
+      topology: elements and held vertices (static).
+      dt: duration of a substep [s] (static).
+      rest: sizes of the elements at rest.
+      mass: mass of each vertex [kg], shape (num_vertices,).
+      cloth, rope: materials; None without triangles or without segments.
+      drag: deceleration per velocity [1/s].
+      gravity: acceleration [m/s^2], shape (3,).
+      mobility: 1 for vertices that move, 0 for held ones, shape (num_vertices,); None: all move.
+      contact: penalty law of ground and colliders.
+      ground: the ground, or None.
+      colliders: moving shapes.
+      law: the membrane's law (static).
+    """
+
+    topology: Topology = struct.static_field()
+    dt: float = struct.static_field()
+    rest: RestShape
+    mass: Array
+    cloth: Cloth | None = None
+    rope: Rope | None = None
+    drag: Scalar = struct.number(NOT_NEGATIVE, "give a rate in 1/s, 0 for none", shape=(), default=0.0)
+    gravity: Vector = struct.number(FINITE, GRAVITY, shape=(3,))
+    mobility: Array | None = None
+    contact: PenaltyContact | None = None
+    ground: Ground | None = None
+    colliders: tuple[Collider, ...] = ()
+    law: MembraneLaw = struct.static_field(default=MembraneLaw.SAINT_VENANT_KIRCHHOFF)
+
+    def __post_init__(self) -> None:
+        _LAW("law", self.law)
+
+
+SCENE = instance(ThinScene, "give a scene of thin.make_scene")
+STATE = instance(ThinState, "give a state of thin.initial_state or thin.step")
+
+
+@checked(x=real(FINITE, "give positions in metres", shape=("num_vertices", 3)))
+def initial_state(x: Any) -> ThinState:
+    """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones."""
+    x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
+    x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
+    return ThinState(x=x, v=jnp.zeros_like(x))
+
+
+def make_scene(
+    *,
+    mesh: ThinMesh,
+    dt: float,
+    cloth: Cloth | None = None,
+    rope: Rope | None = None,
+    drag: Scalar = 0.0,
+    gravity: Any = (0.0, -9.81, 0.0),
+    held: Any = (),
+    contact: PenaltyContact | None = None,
+    ground: Ground | None = None,
+    colliders: tuple[Collider, ...] = (),
+    law: MembraneLaw = MembraneLaw.SAINT_VENANT_KIRCHHOFF,
+    warp: Any = (1.0, 0.0, 0.0),
+) -> ThinScene:
+    """A checked ``ThinScene`` of a mesh.
+
+    Args:
+      mesh: vertices at rest, triangles and segments.
+      held: vertices that keep their velocity or follow the ``pins`` of ``step``: indices, or a mask (num_vertices,).
+      warp: direction of the warp for a mesh without pattern, see ``rest_shape``.
+      others: the fields of ``ThinScene``.
+
+    Raises:
+      ValueError: a faulty mesh, an illegal value, triangles without ``cloth`` or segments without ``rope``, an unstable
+        material, ground or colliders without a contact law, a dt above ``largest_stable_dt``. The message names field,
+        value and remedy. ``check_status`` sets ``Status.INVALID_PARAMETERS`` for illegal traced values.
+    """
+    check_fields(_SCENE, locals())
+    check_thinmesh(mesh)
+    count, dt = len(mesh.vertices), float(dt)
+    held = held_indices(held, count)
+    topology = Topology(
+        *(Stencil(e, count) for e in (mesh.triangles, hinges(mesh.triangles), mesh.segments, bends(mesh.segments))),
+        Stencil(held[:, None], count),
+    )
+    check_materials(topology, cloth, rope, law)
+    if ground is not None:
+        check_ground(ground)
+    check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
+    check_rotations(colliders)
+    check_lengths(topology, cloth, rope, contact)
+    if contact is None and (ground is not None or colliders):
+        raise ValueError(
+            "contact is None, but the scene has a ground or colliders: give a PenaltyContact(stiffness=...)"
+        )
+    with jax.ensure_compile_time_eval():
+        rest = rest_shape(topology, mesh.vertices, pattern=mesh.pattern, warp=warp)
+    scene = ThinScene(
+        topology=topology,
+        dt=dt,
+        rest=rest,
+        mass=vertex_mass(topology, rest, cloth, rope),
+        cloth=cloth,
+        rope=rope,
+        drag=drag,
+        gravity=gravity,
+        mobility=jnp.ones(count).at[held].set(0.0) if held.size else None,
+        contact=contact,
+        ground=ground,
+        colliders=tuple(colliders),
+        law=law,
+    )
+    limit = largest_stable_dt(scene)
+    if not isinstance(limit, Tracer) and dt > float(limit):
+        raise ValueError(
+            f"dt is {dt:g} s, above the largest stable {float(limit):.3g} s of this mesh, material and contact: take "
+            "more substeps of smaller dt, softer or denser material, softer contact, or a coarser mesh"
+        )
+    return scene
+
+
+__all__ = ["ThinScene", "ThinState", "initial_state", "make_scene"]

@@ -1,0 +1,232 @@
+"""Cloth and ropes: substep, step, forces, status.
+
+One substep: forces of membrane, hinges, segments and bends, gravity, drag, penalty contact with the ground and with
+moving shapes, symplectic Euler. Held vertices keep their velocity or follow prescribed positions.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rewax.lowering.fusion import materialize
+from rewax.lowering.kernels import pointwise
+from rewax.lowering.recompute import recomputed
+from rewax.physics.contact.colliders import check_bodies
+from rewax.physics.contact.penalty import collider_force, ground_force
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, any_illegal
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.fields import checked, instance, optional, poses, real
+from rewax.physics.numerics.pose import Pose, body_pose
+from rewax.physics.numerics.substeps import both_ends, scan_substeps
+from rewax.physics.thin import elements
+from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
+from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
+from rewax.physics.thin.stable_dt import largest_stable_dt
+from rewax.physics.thin.stencils import corners, scatter
+from rewax.status import Status, all_finite, flag
+from rewax.types import Array, Scalar
+
+FLATTENED = 1e-6
+"""Squared ratio of area at which a triangle counts as flattened."""
+
+
+class Vertices(NamedTuple):
+    """``ThinState`` by components, for the inner loop."""
+
+    x: Vec3
+    v: Vec3
+
+
+class Interval(NamedTuple):
+    """What is prescribed during a substep."""
+
+    poses: tuple[Pose, Pose]
+    pins: Array | None
+
+
+@checked(
+    scene=SCENE,
+    state=STATE,
+    poses=poses("num_substeps + 1", "num_bodies"),
+    pins=optional(real(FINITE, "give positions of held vertices in metres", shape=("num_substeps", "num_held", 3))),
+)
+def step(
+    scene: ThinScene, state: ThinState, poses: Pose, *, pins: Array | None = None, store_every: int | None = 1
+) -> ThinState:
+    """Advance vertices by the substeps between ``poses``: v' = v + dt (f(x, v) / m + g - drag v), x' = x + dt v'.
+
+    Args:
+      scene: the scene.
+      state: vertices.
+      poses: poses of all bodies at the num_substeps + 1 boundaries of substeps, shapes (num_substeps + 1, num_bodies,
+        3) and (num_substeps + 1, num_bodies, 3, 3); ``thin.static_poses`` for a scene without bodies.
+      pins: positions of the held vertices at the end of each substep [m], shape (num_substeps, num_held, 3), in the
+        order of ``make_scene``'s ``held``; None: they keep their velocity.
+      store_every: the backward pass stores vertices every ``store_every`` substeps and recomputes the rest; None: it
+        stores everything.
+
+    Gradient: exact with respect to the state, the poses, the pins and every array of the scene, forward and reverse;
+      one-sided at the onset of contact and at Coulomb's limit, see ``penalty.penalty_force``.
+    """
+    check_bodies(scene.colliders, poses.position.shape[1])
+    _check_pins(scene, poses, pins)
+    one = _substep if store_every is None else _recomputed_substep
+
+    def body(vertices: Vertices, interval: Interval) -> Vertices:
+        return one(scene, vertices, interval)
+
+    return join(scan_substeps(body, split(state), Interval(both_ends(poses), pins), store_every))
+
+
+@checked(scene=SCENE, state=STATE)
+def internal_force(scene: ThinScene, state: ThinState) -> Array:
+    """Elastic and damping forces on the vertices [N], shape (num_vertices, 3); they and their torques sum to zero.
+
+    Without damping they are minus the gradient of ``elastic_energy``. Gradient: exact.
+    """
+    return cp.join_vector(vertex_forces(scene, *split(state)))
+
+
+@checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
+def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose) -> Array:
+    """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3), given the poses of all bodies at the
+    beginning and end of a substep. Gradient: exact."""
+    return cp.join_vector(contact_forces(scene, *split(state), (before, after)))
+
+
+@checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
+def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
+    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), and illegal numbers of the scene.
+
+    Args:
+      scene: the scene.
+      state: vertices.
+      poses: poses of its bodies, as for ``step``, to check that they are finite.
+
+    Returns:
+      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
+    """
+    scene, state = jax.lax.stop_gradient((scene, state))
+    flat = jnp.bool_(False)
+    if scene.cloth is not None:
+        strain = elements.green_strain(
+            corners(scene.topology.triangles, cp.split_vector(state.x)), inverse_edges(scene)
+        )
+        flat = jnp.any(elements.square_area_ratio(strain) <= FLATTENED)
+    numbers = [
+        *scene_numbers(
+            scene.cloth, scene.rope, scene.drag, scene.gravity, scene.contact, scene.ground, scene.colliders, poses
+        ),
+        Number("mass", scene.mass, POSITIVE, "give the vertices' masses in kg"),
+        Number("rest.area", scene.rest.area, POSITIVE, "give the triangles' areas in m^2"),
+        Number("rest.length", scene.rest.length, POSITIVE, "give the segments' lengths in m"),
+    ]
+    soft = jnp.bool_(False) if scene.cloth is None else jnp.any(cloth_is_unstable(scene.cloth))
+    # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
+    too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
+    return (
+        flag(~all_finite(state), Status.NAN)
+        | flag(flat, Status.INVERTED)
+        | flag(any_illegal(numbers) | soft | too_long, Status.INVALID_PARAMETERS)
+    )
+
+
+# --- One substep, by components ---------------------------------------------------------------------------------------
+
+
+def _substep(scene: ThinScene, vertices: Vertices, interval: Interval) -> Vertices:
+    vertices = materialize(vertices)
+    x, v = vertices
+    with jax.named_scope("thin"):
+        force = vertex_forces(scene, x, v)
+    with jax.named_scope("contact"):
+        contact = contact_forces(scene, x, v, interval.poses)
+    with jax.named_scope("update"):
+        shared = (scene.gravity, scene.drag, scene.dt)
+        target = None
+        if interval.pins is not None:
+            target = scatter(scene.topology.held, (cp.split_vector(interval.pins),))
+        return _moved(shared, (vertices, force, contact, scene.mass, scene.mobility, target))
+
+
+_recomputed_substep = recomputed(_substep)
+
+
+@pointwise
+def _moved(
+    shared: tuple[Array, Array, Scalar], given: tuple[Vertices, Vec3, Vec3, Array, Array | None, Vec3 | None]
+) -> Vertices:
+    (g, drag, dt), ((x, v), force, contact, mass, mobility, target) = shared, given
+    gain = 1.0 if mobility is None else mobility
+    new = cp.vector(lambda i: v[i] + dt * gain * ((force[i] + contact[i]) / mass + g[i] - drag * v[i]))
+    if target is None or mobility is None:
+        return Vertices(cp.vector(lambda i: x[i] + dt * new[i]), new)
+    new = cp.vector(lambda i: jnp.where(mobility > 0, new[i], (target[i] - x[i]) / dt))
+    return Vertices(cp.vector(lambda i: jnp.where(mobility > 0, x[i] + dt * new[i], target[i])), new)
+
+
+def vertex_forces(scene: ThinScene, x: Vec3, v: Vec3) -> Vec3:
+    """``internal_force`` by components."""
+    topology, rest, forces = scene.topology, scene.rest, []
+
+    def at(stencil) -> tuple:
+        return corners(stencil, x), corners(stencil, v)
+
+    if scene.cloth is not None:
+        now = at(topology.triangles)
+        each = elements.membrane_force(scene.cloth, scene.law, *now, inverse_edges(scene), rest.area)
+        forces.append(scatter(topology.triangles, each))
+        if len(topology.hinges):
+            now, damping = at(topology.hinges), jnp.max(scene.cloth.damping)
+            each = elements.hinge_force(scene.cloth.bending, damping, *now, rest.angle, rest.hinge_weight)
+            forces.append(scatter(topology.hinges, each))
+    if scene.rope is not None:
+        each = elements.segment_force(scene.rope, *at(topology.segments), rest.length)
+        forces.append(scatter(topology.segments, each))
+        if len(topology.bends):
+            each = elements.bend_force(scene.rope.bending, corners(topology.bends, x), rest.bend_length)
+            forces.append(scatter(topology.bends, each))
+    return functools.reduce(cp.add, forces)
+
+
+def contact_forces(scene: ThinScene, x: Vec3, v: Vec3, poses: tuple[Pose, Pose]) -> Vec3:
+    """``contact_force`` by components."""
+    nothing = cp.vector(lambda i: jnp.zeros_like(x[i]))
+    if scene.contact is None:
+        return nothing
+    forces = [] if scene.ground is None else [ground_force(scene.ground, scene.contact, x, v)]
+    for collider in scene.colliders:
+        start, end = (body_pose(pose, collider.body) for pose in poses)
+        forces.append(collider_force(collider, scene.contact, x, v, start, end, scene.dt))
+    return functools.reduce(cp.add, forces) if forces else nothing
+
+
+def inverse_edges(scene: ThinScene) -> tuple[Array, Array, Array, Array]:
+    """Inverse edge matrices of the triangles at rest, row by row."""
+    B = scene.rest.inverse_edges
+    return B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1]
+
+
+def split(state: ThinState) -> Vertices:
+    """Components of a state."""
+    return Vertices(cp.split_vector(state.x), cp.split_vector(state.v))
+
+
+def join(vertices: Vertices) -> ThinState:
+    """Inverse of ``split``."""
+    return ThinState(x=cp.join_vector(vertices.x), v=cp.join_vector(vertices.v))
+
+
+def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
+    want = (poses.position.shape[0] - 1, len(scene.topology.held), 3)
+    if pins is not None and (jnp.shape(pins) != want or not want[1]):
+        raise ValueError(
+            f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"
+            f": give shape {want}, and make_scene the vertices to be held"
+        )
+
+
+__all__ = ["check_status", "contact_force", "internal_force", "step"]

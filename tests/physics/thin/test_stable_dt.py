@@ -1,0 +1,18 @@
+"""The stable dt of cloth and ropes holds, and is not far too small."""
+
+import jax.numpy as jnp
+import pytest
+from thin_bodies import KINDS, run, shaken
+
+from rewax.physics import thin
+
+
+@pytest.mark.parametrize(("factor", "grows"), [(0.99, False), (2.0, True)])
+@pytest.mark.parametrize("kind", ["StVK", "rope"])
+def test_the_stable_dt_is_stable_and_twice_as_much_is_not(x64, kind, factor, grows):
+    scene, mesh = KINDS[kind]()
+    dt = factor * float(thin.largest_stable_dt(scene))
+    start = shaken(mesh, size=1e-6, speed=0.0)
+    end = run(scene.replace(dt=dt), start, 2000)
+    moved = float(jnp.abs(end.x - mesh.vertices).max())
+    assert (not moved < 1e-3) == grows, moved
