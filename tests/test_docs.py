@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 import toys
+from doc_pages import ROOT, code, run_page
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from native_cases import NEEDS_COMPILER
@@ -21,15 +22,8 @@ from rewax.testing import check_agent
 from rewax.training.suites.suite import read_suite
 from rewax.viz.curves import CURVE_COLORS
 
-ROOT = Path(__file__).resolve().parent.parent
 ENVS = rewax.list_envs()
 """Before any page registers one of its own."""
-
-
-def code(page: str, needs: str = "") -> str:
-    """All Python blocks of a page, one after the other: those that need nothing, or a library that the fence names."""
-    fence = rf"^```python{' ' + needs if needs else ''}\n(.*?)^```"
-    return "\n".join(re.findall(fence, (ROOT / page).read_text(), flags=re.MULTILINE | re.DOTALL))
 
 
 @pytest.fixture(scope="module")
@@ -52,19 +46,6 @@ def test_rigid_page_runs_and_does_what_it_says():
     assert 0.1 < float(names["by_velocity"][0]) < 0.3  # it slides for about 0.2 s
     assert float(np.abs(names["by_model"]).max()) > 0.0 and np.isfinite(names["by_model"]).all()
     assert names["distance"]._cache_size() == 1
-
-
-def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
-    names = run_page("docs/cloth_and_ropes.md")
-    assert np.linalg.norm(names["draped"].x - np.array([0.2, -0.11, 0.2]), axis=1).min() > 0.098  # outside of the ball
-    assert np.isfinite(names["slope"]).all() and np.abs(names["slope"]).max() > 0 and names["swung"].x[-1, 1] < -0.02
-
-
-def run_page(page, needs=""):
-    """The names that a page's code leaves behind."""
-    names = {}
-    exec(compile(code(page, needs), page, "exec"), names)
-    return names
 
 
 def test_readme_runs_and_does_what_it_says(tmp_path, monkeypatch):
@@ -220,13 +201,6 @@ def test_the_page_of_cameras_runs(capsys):
     depth = np.asarray(names["state"].obs["depth"])
     assert depth.min() < 0.9 < depth.max() == 1.0, "the camera sees the cart"
     assert names["agent"].config.observe == ("depth",) and "depth" not in names["agent"].config.critic_observe
-
-
-def test_the_page_of_identification_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names = run_page("docs/identify.md")
-    (value,) = names["found"].values.values()
-    assert float(names["same"].scene.material.plasticity.yield_stress) == pytest.approx(value, rel=1e-6)
 
 
 def test_the_torus_of_the_shapes_page_pushes_is_filled_and_is_drawn(tmp_path, monkeypatch, capsys):

@@ -4,7 +4,7 @@ import runpy
 
 import jax
 import numpy as np
-from test_docs import ROOT, run_page
+from doc_pages import ROOT, run_page
 
 
 def test_the_page_of_policies_that_see_runs_and_shows_its_rows():

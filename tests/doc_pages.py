@@ -1,0 +1,19 @@
+"""The Python code of the documentation's pages."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def code(page: str, needs: str = "") -> str:
+    """All Python blocks of a page, one after the other: those that need nothing, or a library that the fence names."""
+    fence = rf"^```python{' ' + needs if needs else ''}\n(.*?)^```"
+    return "\n".join(re.findall(fence, (ROOT / page).read_text(), flags=re.MULTILINE | re.DOTALL))
+
+
+def run_page(page, needs=""):
+    """The names that a page's code leaves behind."""
+    names = {}
+    exec(compile(code(page, needs), page, "exec"), names)
+    return names

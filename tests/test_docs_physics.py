@@ -1,0 +1,18 @@
+"""Pages of physics beyond the first: their code runs and does what they say."""
+
+import numpy as np
+import pytest
+from doc_pages import run_page
+
+
+def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
+    names = run_page("docs/cloth_and_ropes.md")
+    assert np.linalg.norm(names["draped"].x - np.array([0.2, -0.11, 0.2]), axis=1).min() > 0.098  # outside of the ball
+    assert np.isfinite(names["slope"]).all() and np.abs(names["slope"]).max() > 0 and names["swung"].x[-1, 1] < -0.02
+
+
+def test_the_page_of_identification_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/identify.md")
+    (value,) = names["found"].values.values()
+    assert float(names["same"].scene.material.plasticity.yield_stress) == pytest.approx(value, rel=1e-6)
