@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -51,7 +51,8 @@ class Space:
 
     @property
     def priors(self) -> tuple[Distribution, ...]:
-        return tuple(draw.by if isinstance(draw, (Scale, Shift)) else draw for _, draw in self.draws)
+        given = [draw.by if isinstance(draw, (Scale, Shift)) else draw for _, draw in self.draws]
+        return tuple(cast(Distribution, prior) for prior in given)  # others are refused
 
     @property
     def is_log(self) -> tuple[bool, ...]:

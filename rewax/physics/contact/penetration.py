@@ -24,7 +24,7 @@ def penetration(colliders: Sequence[Collider], bodies: Pose, position: Vec3) -> 
     """
 
     def depth(collider: Collider, pose: Pose) -> Array:
-        from_center = tuple(x - pose.position[i] for i, x in enumerate(position))
+        from_center = cp.vector(lambda i: position[i] - pose.position[i])
         local = cp.matvec(cp.split_matrix(pose.rotation.T), from_center)
         return -jnp.min(collider.shape.distance(local)[0])
 

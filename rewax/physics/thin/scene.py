@@ -129,7 +129,10 @@ def make_scene(
     count, dt = len(mesh.vertices), float(dt)
     held = held_indices(held, count)
     topology = Topology(
-        *(Stencil(e, count) for e in (mesh.triangles, hinges(mesh.triangles), mesh.segments, bends(mesh.segments))),
+        Stencil(mesh.triangles, count),
+        Stencil(hinges(mesh.triangles), count),
+        Stencil(mesh.segments, count),
+        Stencil(bends(mesh.segments), count),
         Stencil(held[:, None], count),
     )
     check_materials(topology, cloth, rope, law)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin.elements import hinge_angle
@@ -33,7 +34,7 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
     topology, rest = scene.topology, scene.rest
     stiffness = damping = jnp.zeros_like(scene.mass)
 
-    def added(total: Array, indices: Array, each: Array) -> Array:
+    def added(total: Array, indices: np.ndarray, each: Array) -> Array:
         return total.at[indices].add(jnp.broadcast_to(each, indices.shape[:1])[:, None])
 
     if scene.cloth is not None:
@@ -67,7 +68,7 @@ def _hinge_slopes(scene: "ThinScene") -> Array:
     """|d theta/dx|^2 of hinges at rest [1/m^2], from their triangles unfolded into a plane."""
     angle, pull = jax.vjp(hinge_angle, _unfolded(scene))
     (slopes,) = pull(jnp.ones_like(angle))
-    return sum(cp.dot(s, s) for s in slopes)
+    return jnp.asarray(sum(cp.dot(s, s) for s in slopes))
 
 
 def _unfolded(scene: "ThinScene") -> tuple:

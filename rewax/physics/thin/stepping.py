@@ -5,7 +5,7 @@ moving shapes, symplectic Euler. Held vertices keep their velocity or follow pre
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from rewax.physics.thin import elements
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
-from rewax.physics.thin.stencils import corners, scatter
+from rewax.physics.thin.stencils import Stencil, corners, scatter
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
@@ -157,7 +157,7 @@ _recomputed_substep = recomputed(_substep)
 
 @pointwise
 def _moved(
-    shared: tuple[Array, Array, Scalar], given: tuple[Vertices, Vec3, Vec3, Array, Array | None, Vec3 | None]
+    shared: tuple[Array, Scalar, Scalar], given: tuple[Vertices, Vec3, Vec3, Array, Array | None, Vec3 | None]
 ) -> Vertices:
     (g, drag, dt), ((x, v), force, contact, mass, mobility, target) = shared, given
     gain = 1.0 if mobility is None else mobility
@@ -172,7 +172,7 @@ def vertex_forces(scene: ThinScene, x: Vec3, v: Vec3) -> Vec3:
     """``internal_force`` by components."""
     topology, rest, forces = scene.topology, scene.rest, []
 
-    def at(stencil) -> tuple:
+    def at(stencil: Stencil) -> tuple[Any, Any]:
         return corners(stencil, x), corners(stencil, v)
 
     if scene.cloth is not None:
