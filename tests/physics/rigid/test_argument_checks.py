@@ -83,7 +83,7 @@ OPTIONS = {
     "surfaces": (lambda: {"penalty": Penalty(stiffness=10.0, at_surfaces="no")}, "the penalty's at_surfaces is 'no': give True or False"),
     "boxes": (lambda: {"penalty": Penalty(stiffness=10.0, boxes_touch_once=3)}, "the penalty's boxes_touch_once is 3: give True or False"),
     "boolean": (lambda: {"penalty": Penalty(stiffness=True)}, "the penalty's stiffness is True, a boolean: see Penalty for its unit"),
-    "digits": (lambda: {"penalty": Penalty(stiffness=10**400)}, f"the penalty's stiffness is {str(10**400)[:57]}..., which is too large: see Penalty for its unit"),
+    "digits": (lambda: {"penalty": Penalty(stiffness=10**400)}, f"the penalty's stiffness is {str(10**400)[:97]}..., which is too large: see Penalty for its unit"),
     "many": (lambda: {"penalty": Penalty(stiffness=[10.0, 20.0])}, "the penalty's stiffness has shape (2,): give one number"),
 }  # fmt: skip
 
@@ -118,7 +118,7 @@ CALLS = {
     "qvel": (lambda m, s: rigid.initial_state(m, None, [[1], [2, 3]]), "qvel is [[1], [2, 3]], which is no array of real numbers: give joint velocities"),
     "booleans": (lambda m, s: rigid.initial_state(m, np.array([True])), "qpos is array([ True]), which is no array of real numbers: give joint positions"),
     "ctrl": (lambda m, s: rigid.step(m, s, "full"), "ctrl is 'full', which is no array of real numbers: give an array"),
-    "wrenches": (lambda m, s: rigid.step(m, s, wrenches=1j * np.ones((3, 6))), "wrenches is array([[0.+1.j,"),
+    "wrenches": (lambda m, s: rigid.step(m, s, wrenches=1j * np.ones((3, 6))), "wrenches is an array of complex128 of shape (3, 6), which is no array of real numbers:"),
     "substeps": (lambda m, s: rigid.step(m, s, num_substeps=True), "num_substeps is True: give an integer, at least 1"),
     "path": (lambda m, s: rigid.step("arm.xml", s), f"model is 'arm.xml': {ASKED}"),
     "positions": (lambda m, s: rigid.step(m, np.zeros(1)), f"state is array([0.]): {START}"),
