@@ -4,25 +4,25 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import COLLIDERS, Collider
 from rewax.physics.contact.contact_checks import check_ground, check_rotations, penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, any_illegal, check_numbers
-from rewax.physics.numerics.fields import check_fields, check_range, checked, instance, member, real, static
-from rewax.physics.numerics.pose import Pose
-from rewax.physics.tets.edges import TetTopology
-from rewax.physics.tets.law import DampingLaw, wave_modulus
-from rewax.physics.tets.scene_checks import (
+from rewax.physics.contact.vertex_checks import (
+    check_dt,
+    check_has_law,
     check_length,
-    check_moduli,
     contact_numbers,
     gravity_number,
     held_indices,
-    material_numbers,
 )
+from rewax.physics.numerics.checks import FINITE, GRAVITY, POSITIVE, Number, any_illegal, check_numbers
+from rewax.physics.numerics.fields import check_fields, checked, instance, member, real, static
+from rewax.physics.numerics.pose import Pose
+from rewax.physics.tets.edges import TetTopology
+from rewax.physics.tets.law import DampingLaw, wave_modulus
+from rewax.physics.tets.scene_checks import check_moduli, material_numbers
 from rewax.physics.tets.tetmesh import TetMesh, check_tetmesh
 from rewax.types import Array, Scalar, Vector
 
@@ -163,12 +163,8 @@ def make_scene(
     for number in () if contact is None else penalty_numbers(contact):
         check_length(number, num_vertices)
     check_moduli(mu, lam)
-    if contact is None and (ground is not None or colliders):
-        raise ValueError(
-            "contact is None, but the scene has a ground or colliders: give a PenaltyContact(stiffness=...)"
-        )
+    check_has_law(contact, ground, colliders)
     held = held_indices(held, num_vertices)
-    check_range("held", held, num_vertices)
     corners = np.asarray(mesh.vertices, np.float64)[mesh.tets]
     rest_edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     share = jnp.asarray(mesh.volumes / 4.0, float) * density
@@ -189,12 +185,7 @@ def make_scene(
         colliders=tuple(colliders),
         damping_law=damping_law,
     )
-    limit = largest_stable_dt(scene)
-    if not isinstance(limit, Tracer) and dt > float(limit):
-        raise ValueError(
-            f"dt is {dt:g} s, above the largest stable {float(limit):.3g} s of this mesh, material and contact: take "
-            "more substeps of smaller dt, softer or denser material, softer contact, or a coarser mesh"
-        )
+    check_dt(dt, largest_stable_dt(scene))
     return scene
 
 

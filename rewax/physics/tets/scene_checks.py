@@ -2,15 +2,10 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.contact_checks import collider_numbers, ground_numbers, penalty_numbers
-from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, Number
-from rewax.physics.numerics.pose import Pose
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, POSITIVE, Number
 
 
 def material_numbers(mu: Any, lam: Any, damping: Any, activation: Any) -> list[Number]:
@@ -25,41 +20,6 @@ def material_numbers(mu: Any, lam: Any, damping: Any, activation: Any) -> list[N
     ]
 
 
-def contact_numbers(
-    contact: PenaltyContact | None, ground: Ground | None, colliders: tuple[Collider, ...], poses: Pose | None = None
-) -> list[Number]:
-    """The numbers of contact law, ground and colliders, with their legal values."""
-    numbers = [] if contact is None else penalty_numbers(contact)
-    return [*numbers, *([] if ground is None else ground_numbers(ground)), *collider_numbers(colliders, poses)]
-
-
-def gravity_number(gravity: Any) -> Number:
-    return Number("gravity", gravity, FINITE, GRAVITY, (3,))
-
-
-def check_length(number: Number, length: int) -> None:
-    shape = jnp.shape(number.value)
-    if shape not in ((), (length,)):
-        raise ValueError(f"{number.name} has shape {shape}: give a number or an array of shape ({length},)")
-
-
-def held_indices(held: Any, num_vertices: int) -> np.ndarray:
-    try:
-        held = np.asarray(held)
-    except ValueError:  # rows of several lengths
-        held = np.asarray(None)
-    if held.size == 0:
-        return np.zeros(0, int)
-    if held.dtype == bool and held.shape == (num_vertices,):
-        return np.flatnonzero(held)
-    if held.ndim > 1 or not np.issubdtype(held.dtype, np.integer):
-        raise ValueError(
-            f"held is an array of {held.dtype} of shape {held.shape}: give indices of vertices, or a mask of shape "
-            f"({num_vertices},)"
-        )
-    return held
-
-
 def check_moduli(mu: Any, lam: Any) -> None:
     if isinstance(mu, Tracer) or isinstance(lam, Tracer):
         return
@@ -72,4 +32,4 @@ def check_moduli(mu: Any, lam: Any) -> None:
         )
 
 
-__all__ = ["check_length", "check_moduli", "contact_numbers", "gravity_number", "held_indices", "material_numbers"]
+__all__ = ["check_moduli", "material_numbers"]

@@ -5,17 +5,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import COLLIDERS, Collider
 from rewax.physics.contact.contact_checks import check_ground, check_rotations
 from rewax.physics.contact.penalty import Ground, PenaltyContact
+from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_indices
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
 from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
-from rewax.physics.thin.scene_checks import check_lengths, check_materials, held_indices, scene_numbers
+from rewax.physics.thin.scene_checks import check_lengths, check_materials, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, Topology
 from rewax.physics.thin.thinmesh import ThinMesh, bends, check_thinmesh, hinges
@@ -141,10 +141,7 @@ def make_scene(
     check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
     check_rotations(colliders)
     check_lengths(topology, cloth, rope, contact)
-    if contact is None and (ground is not None or colliders):
-        raise ValueError(
-            "contact is None, but the scene has a ground or colliders: give a PenaltyContact(stiffness=...)"
-        )
+    check_has_law(contact, ground, colliders)
     with jax.ensure_compile_time_eval():
         rest = rest_shape(topology, mesh.vertices, pattern=mesh.pattern, warp=warp)
     scene = ThinScene(
@@ -162,12 +159,7 @@ def make_scene(
         colliders=tuple(colliders),
         law=law,
     )
-    limit = largest_stable_dt(scene)
-    if not isinstance(limit, Tracer) and dt > float(limit):
-        raise ValueError(
-            f"dt is {dt:g} s, above the largest stable {float(limit):.3g} s of this mesh, material and contact: take "
-            "more substeps of smaller dt, softer or denser material, softer contact, or a coarser mesh"
-        )
+    check_dt(dt, largest_stable_dt(scene))
     return scene
 
 

@@ -2,15 +2,14 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
 from rewax.physics.contact.colliders import Collider
-from rewax.physics.contact.contact_checks import collider_numbers, ground_numbers, penalty_numbers
+from rewax.physics.contact.contact_checks import penalty_numbers
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, Number, numbers_of
-from rewax.physics.numerics.fields import check_range
+from rewax.physics.contact.vertex_checks import check_length, contact_numbers, gravity_number
+from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, numbers_of
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope
 from rewax.physics.thin.stencils import Topology
@@ -31,10 +30,8 @@ def scene_numbers(
         *([] if cloth is None else numbers_of(cloth, "cloth.")),
         *([] if rope is None else numbers_of(rope, "rope.")),
         Number("drag", drag, NOT_NEGATIVE, "give a rate in 1/s, 0 for none", ()),
-        Number("gravity", gravity, FINITE, GRAVITY, (3,)),
-        *([] if contact is None else penalty_numbers(contact)),
-        *([] if ground is None else ground_numbers(ground)),
-        *collider_numbers(colliders, poses),
+        gravity_number(gravity),
+        *contact_numbers(contact, ground, colliders, poses),
     ]
 
 
@@ -43,15 +40,9 @@ def check_lengths(topology: Topology, cloth: Cloth | None, rope: Rope | None, co
     for part, name, count in ((cloth, "cloth.", topology.triangles), (rope, "rope.", topology.segments)):
         for number in [] if part is None else numbers_of(part, name):
             hinged = topology.hinges if part is cloth else topology.bends
-            _check_length(number, len(hinged if number.name.endswith("bending") else count))
+            check_length(number, len(hinged if number.name.endswith("bending") else count))
     for number in [] if contact is None else penalty_numbers(contact):
-        _check_length(number, topology.triangles.num_vertices)
-
-
-def _check_length(number: Number, length: int) -> None:
-    shape = jnp.shape(number.value)
-    if shape not in ((), (length,)):
-        raise ValueError(f"{number.name} has shape {shape}: give a number or an array of shape ({length},)")
+        check_length(number, topology.triangles.num_vertices)
 
 
 def check_materials(topology: Topology, cloth: Cloth | None, rope: Rope | None, law: MembraneLaw) -> None:
@@ -82,23 +73,4 @@ def cloth_is_unstable(cloth: Cloth) -> Any:
     return cloth.coupling**2 >= cloth.warp * cloth.weft
 
 
-def held_indices(held: Any, num_vertices: int) -> np.ndarray:
-    """Indices of held vertices, in the order given, from indices or a mask."""
-    try:
-        held = np.asarray(held)
-    except ValueError:  # rows of several lengths
-        held = np.asarray(None)
-    if held.size == 0:
-        return np.zeros(0, int)
-    if held.dtype == bool and held.shape == (num_vertices,):
-        return np.flatnonzero(held)
-    if held.ndim != 1 or not np.issubdtype(held.dtype, np.integer) or len(np.unique(held)) < len(held):
-        raise ValueError(
-            f"held is an array of {held.dtype} of shape {held.shape}: give different indices of vertices, or a mask of "
-            f"shape ({num_vertices},)"
-        )
-    check_range("held", held, num_vertices)
-    return held
-
-
-__all__ = ["check_lengths", "check_materials", "cloth_is_unstable", "held_indices", "scene_numbers"]
+__all__ = ["check_lengths", "check_materials", "cloth_is_unstable", "scene_numbers"]

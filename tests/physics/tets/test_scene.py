@@ -44,7 +44,7 @@ def test_stable_at_the_limit_and_not_far_above_it(x64, damping):
         ({"contact": CONTACT.replace(stiffness=0.0)}, "contact.stiffness is 0.0, but must be positive"),
         ({"contact": CONTACT.replace(friction=-0.1)}, "contact.friction is -0.1, but must be 0 or more"),
         ({"contact": CONTACT, "ground": FLOOR.replace(normal=np.array([0.0, 2.0, 0.0]))}, "ground.normal has length 2: give a unit vector"),
-        ({"held": [0.5]}, "held is an array of float64 of shape .*: give indices of vertices, or a mask"),
+        ({"held": [0.5]}, "held is an array of float64 of shape .*: give different indices of vertices, or a mask"),
         ({"held": [12]}, "held has indices from 12 to 12, but there are 12 vertices: give indices from 0 to 11"),
         ({"mesh": tetmesh.TetMesh(MESH.vertices, MESH.tets[:, [1, 0, 2, 3]])}, "tets has 10 of 10 inverted"),
     ],
