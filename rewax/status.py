@@ -36,8 +36,9 @@ class Status(enum.IntFlag):
     is not positive, a substep too long for the stiffness, a pose that is not finite. Building a scene refuses such
     values; this bit reports values that were traced or replaced. Fatal: the episode ends."""
     PENETRATION = 128
-    """A particle lies more than a cell inside a tool that moves as prescribed. The tool's force has no limit: it tears
-    or crushes a body that cannot give way. Leave room for the body, or slow the tool. Not fatal."""
+    """A particle lies more than 1.5 cells inside a tool that moves as prescribed. The tool's force has no limit: it
+    tears or crushes a body that cannot give way. Leave room for the body, or slow the tool. A tool that
+    is thinner than three cells cannot set it. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS

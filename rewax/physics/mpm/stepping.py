@@ -49,6 +49,8 @@ from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
 
+DEEP_IN_CELLS = 1.5
+"""Depth inside a collider from which a particle sets ``PENETRATION`` [cells]: all nodes that move it lie inside."""
 MIN_NODE_MASS = 2e-11
 """Nodes with less than this fraction of a particle's mass [-] have velocity zero."""
 
@@ -113,9 +115,9 @@ def check_status(
       scene: the scene.
       state: particles at the end of a step.
       start: particles at its beginning. Required with ``max_active_nodes``, to check that the nodes sufficed.
-      poses: poses of the bodies, as for ``step``, to check that they are finite, that no particle is more than a cell
-        inside a collider at the end and, given ``start``, that ``max_near_colliders`` sufficed. Coupled scenes evaluate
-        all colliders, and their bodies yield: omit poses there.
+      poses: poses of the bodies, as for ``step``, to check that they are finite, that no particle is more than 1.5
+        cells inside a collider at the end and, given ``start``, that ``max_near_colliders`` sufficed. Coupled scenes
+        evaluate all colliders, and their bodies yield: omit poses there.
 
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
@@ -154,7 +156,7 @@ def check_status(
         status = status | flag(excess > 0, Status.FAR_COLLIDERS)
     if poses is not None and scene.colliders:
         depth = penetration(scene.colliders, Pose(*(a[-1] for a in poses)), cp.split_vector(state.x))
-        status = status | flag(depth > scene.grid.spacing, Status.PENETRATION)
+        status = status | flag(depth > DEEP_IN_CELLS * scene.grid.spacing, Status.PENETRATION)
     if scene.max_active_nodes is not None:
         too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
         too_far = jnp.any(jnp.abs(state.x - before) > scene.reach * scene.grid.spacing)
