@@ -14,25 +14,27 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Sphere
 from rewax.status import Status
 
-TURNED = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""A quarter turn about z: x becomes y."""
+TURNED = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 
 
 def test_depth_is_that_of_the_deepest_point_in_any_collider():
     colliders = (
-        Collider(shape=Sphere(radius=0.3), offset=jnp.array([1.0, 0.0, 0.0]), friction=0.0, body=1),
+        Collider(shape=Sphere(radius=0.3), offset=jnp.array([2.0, 0.0, 0.0]), friction=0.0, body=1),
         Collider(shape=Sphere(radius=0.1), friction=0.0, body=0),
-        Collider(shape=Box(half_size=jnp.array([0.5, 0.1, 0.1])), friction=0.0, body=0),
+        Collider(shape=Box(half_size=jnp.array([0.5, 0.1, 0.1])), friction=0.0, body=1),
     )
-    bodies = Pose(jnp.array([[0.0, 0.0, 0.0], [0.0, 0.0, 5.0]]), jnp.stack([jnp.eye(3), TURNED]))
+    middle = np.array([0.0, 0.0, 5.0])
+    bodies = Pose(jnp.array([np.zeros(3), middle]), jnp.array([np.eye(3), TURNED]))
 
     def depth(*points):
         return float(penetration(colliders, bodies, split_vector(jnp.array(points))))
 
-    assert depth([0.0, 1.0, 5.2]) == pytest.approx(0.1, rel=1e-5)  # the offset sphere stands at (0, 1, 5)
-    assert depth([0.45, 0.0, 0.0]) == pytest.approx(0.05, rel=1e-5)  # only in the box
-    assert depth([0.45, 0.0, 0.0], [0.0, 1.0, 5.2], [9.0, 9.0, 9.0]) == pytest.approx(0.1, rel=1e-5)
-    assert depth([0.0, 0.0, 1.0]) == pytest.approx(-0.9)
+    in_sphere = middle + TURNED @ [2.0, 0.0, 0.2]
+    in_box = middle + TURNED @ [0.45, 0.0, 0.0]
+    assert depth(in_sphere) == pytest.approx(0.1, rel=1e-4)
+    assert depth(in_box) == pytest.approx(0.05, rel=1e-4)
+    assert depth(in_box, in_sphere, [9.0, 9.0, 9.0]) == pytest.approx(0.1, rel=1e-4)
+    assert depth([0.0, 0.0, 1.0]) == pytest.approx(-0.9, rel=1e-4)
     assert float(penetration((), bodies, split_vector(jnp.zeros((1, 3))))) == -np.inf
 
 
