@@ -26,6 +26,14 @@ def test_held_vertices_follow_their_pins(x64):
         thin.step(scene, end, thin.static_poses(49, dtype=float), pins=pins)
 
 
+def test_drag_slows_every_vertex_at_its_rate(x64):
+    """v' = g - drag v by symplectic Euler, while nothing deforms."""
+    scene, steps = cloth_scene(drag=50.0, gravity=(0.0, -9.81, 0.0)), 100
+    end = run(scene, thin.initial_state(SHEET.vertices), steps)
+    fallen = -9.81 / 50.0 * (1.0 - (1.0 - 50.0 * scene.dt) ** steps)
+    np.testing.assert_allclose(end.v, np.broadcast_to([0.0, fallen, 0.0], end.v.shape), rtol=1e-9, atol=1e-12)
+
+
 def test_friction_on_an_incline_slides_and_sticks(x64):
     """Acceleration is g (sin - mu cos) along the slope, and none where mu exceeds the tangent."""
     slope, time = 0.4, 0.3
