@@ -7,7 +7,6 @@ from thin_bodies import KINDS, LINE, SHEET, cloth_scene, rope_scene, run, shaken
 from rewax.physics import thin
 from rewax.struct import replace_leaf
 
-
 CASES = {
     **KINDS,
     "stiffly bending rope": lambda: (rope_scene(bending=10.0, stretch=1.0, dt=1e-6), LINE),
