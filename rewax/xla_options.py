@@ -3,11 +3,12 @@
 import functools
 import os
 import warnings
+from typing import Any
 
 _OLDER_GENERATOR = "xla_cpu_use_fusion_emitters"
 _LEVEL = "xla_backend_optimization_level"
 
-QUICK: dict[str, bool | int] = {_OLDER_GENERATOR: False, _LEVEL: 3}
+QUICK: dict[str, Any] = {_OLDER_GENERATOR: False, _LEVEL: 3}
 """Select XLA's older code generator, which compiles faster; see ``has_older_generator``."""
 
 
@@ -23,7 +24,8 @@ def wrong_gradients(flags: str) -> str | None:
     Returns:
       A sentence without the remedy, else None.
     """
-    chosen = dict(flag.lstrip("-").partition("=")[::2] for flag in flags.split())
+    named = (flag.lstrip("-").partition("=") for flag in flags.split())
+    chosen = {name: value for name, _, value in named}
     older = chosen.get(_OLDER_GENERATOR, "true").lower() in ("false", "0")
     if older and chosen.get(_LEVEL) == "0":
         return f"--{_OLDER_GENERATOR}=false together with --{_LEVEL}=0 gives gradients that are wrongly zero"
@@ -43,7 +45,7 @@ def has_older_generator() -> bool:
     return knows(**QUICK)
 
 
-def knows(**options: bool | int) -> bool:
+def knows(**options: Any) -> bool:
     """Whether this XLA has the options. It raises an error for an option that it does not know."""
     import jax
 
@@ -56,7 +58,7 @@ def knows(**options: bool | int) -> bool:
     return True
 
 
-def unoptimised() -> dict[str, bool | int]:
+def unoptimised() -> dict[str, Any]:
     """Options of ``jax.jit`` for a program that runs once: the newer code generator, without optimisation."""
     return {_LEVEL: 0} | ({_OLDER_GENERATOR: True} if has_older_generator() else {})
 

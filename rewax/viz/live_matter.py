@@ -25,6 +25,7 @@ class Matter(Protocol):
 
     def positions(self) -> np.ndarray:
         """Positions on the page [m], shape (n, 3): of balls, or of vertices."""
+        ...
 
     def remove(self) -> None:
         """Take it off the page."""

@@ -44,7 +44,7 @@ def compile_train_step(
     return compiled
 
 
-def compiler_options(agent: Agent) -> dict[str, bool | int]:
+def compiler_options(agent: Agent) -> dict[str, Any]:
     """XLA's compiler options for the agent's programs."""
     return xla_options.QUICK if _wants_quick(agent) and xla_options.has_older_generator() else {}
 
