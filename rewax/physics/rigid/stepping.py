@@ -1,9 +1,9 @@
 """Time stepping of articulated rigid bodies.
 
 MJX builds the constraint rows and computes the forces of actuators and tendons (``forces``). It also finds contacts
-between kinds of geoms for which rewax has no function (``collide``). Kinematics, dynamics and the solver (``kinematics``,
-``tree_dynamics``, ``solver``) are rewax's own. The derivative of the solver comes from the implicit function theorem:
-the reverse derivative neither repeats nor differentiates the solver.
+between kinds of geoms for which rewax has no function (``collide``). Kinematics, dynamics and the solver
+(``kinematics``, ``tree_dynamics``, ``solver``) are rewax's own. The derivative of the solver comes from the implicit
+function theorem: the reverse derivative neither repeats nor differentiates the solver.
 
 Contact follows one of two laws: MuJoCo's soft constraints, or springs and dampers with regularised Coulomb friction
 (``Penalty``). Early simulators for first-order reinforcement learning use the second law.

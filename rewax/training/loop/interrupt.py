@@ -41,8 +41,8 @@ def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
     The first signal does too while ``Stop.at_once`` is set: nothing is worth waiting for while a program compiles.
 
     A thread listens for signals, because Python runs its own handlers only between bytecodes, and a compiled iteration
-    or a compilation can take minutes between two of them. Outside the main thread no handler is installed, and signals keep
-    their usual effect.
+    or a compilation can take minutes between two of them. Outside the main thread no handler is installed, and signals
+    keep their usual effect.
 
     Args:
       notify: called with a sentence for the user when the first signal arrives.
