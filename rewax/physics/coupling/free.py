@@ -53,8 +53,8 @@ def step(
     """Advance a soft body and free rigid bodies together by the substeps between ``poses``.
 
     Args:
-      scene: particles or tetrahedra. ``Collider.body`` counts the free bodies from 0, then those with prescribed motion.
-        Gravity acts on the free bodies too; walls and ground do not.
+      scene: particles or tetrahedra. ``Collider.body`` counts the free bodies from 0, then the bodies with prescribed
+        motion. Gravity acts on the free bodies too; walls and ground do not.
       inertia: mass properties of the free bodies.
       state: particles or vertices.
       bodies: free bodies.

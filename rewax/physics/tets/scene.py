@@ -198,12 +198,12 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
     up to 4 / (c + sqrt(c^2 + 4 w^2)) with w^2 = K / m and c the damping over m. The result is 0.8 of the smallest bound
     of all vertices.
 
-    The factor was measured over 2000 substeps on boxes of 5 and 6 tets per cell, on long and distorted boxes, and on the
-    table of SoftJumper. Poisson's ratio was 0 to 0.45, and vertices were displaced at random by 1 or 10 % of a tet's
-    smallest size. Without damping these bodies become unstable between 1.1 (nu 0.45, 10 %) and 1.6 of the smallest
-    bound, and with strong damping between 1.6 and 2.7. Linear theory predicts 1.3 to 1.6. Stronger compression needs an
-    extra margin. The bound ignores the damping of friction. It counts contact once, although several bodies can push one
-    vertex.
+    The factor was measured over 2000 substeps on boxes of 5 and 6 tets per cell, on long and distorted boxes, and on
+    the table of SoftJumper. Poisson's ratio was 0 to 0.45, and vertices were displaced at random by 1 or 10 % of a
+    tet's smallest size. Without damping these bodies become unstable between 1.1 (nu 0.45, 10 %) and 1.6 of the
+    smallest bound, and with strong damping between 1.6 and 2.7. Linear theory predicts 1.3 to 1.6. Stronger compression
+    needs an extra margin. The bound ignores the damping of friction. It counts contact once, although several bodies
+    can push one vertex.
 
     Gradient: exact.
     """
