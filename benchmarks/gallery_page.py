@@ -28,7 +28,7 @@ rewax play HandFlip        # writes player.html; several tasks side by side: rew
 rewax eval HandFlip        # returns of 64 episodes, and a video
 ```
 
-With empty caches the first command takes 12 s on two cores of an EPYC (one run), including the build of the C++ libraries:
+With empty caches the first command takes 12 s on two cores of an EPYC (one run). It also builds the C++ libraries:
 
     time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
 
