@@ -20,7 +20,7 @@ simulation's gradient by that of a critic where a batch of gradients varies much
 
 import dataclasses
 import functools
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,7 @@ import jax.numpy as jnp
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
+from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, combined, rollout_loss
 from rewax.agents.ivw import IVWState, check_entropy_of_steps, discounts, measured_actor_update, start
 from rewax.agents.legal import Positive, Share
@@ -51,6 +52,7 @@ class AGPOConfig(SAPOConfig):
 
     max_ratio: Positive = 10.0
     variance_decay: Share = 0.9
+    memory: Annotated[int, no_memory("AGPO mixes gradients of states, of which a memory is none")] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -17,7 +17,7 @@ Search"; SAPO: Xing, Luk and Oh 2025. Differences:
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from rewax import struct
 from rewax.agents import sapo, trajopt
 from rewax.agents.actor_critic import actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
+from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, critic_update, start_actor_critic
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Count, Positive, Share
@@ -57,6 +58,7 @@ class DemonstratedConfig(SAPOConfig):
     sequence_learning_rate: Positive = 1e-2
     cloning_learning_rate: Positive = 2e-3
     cloning_passes: Count = 16
+    memory: Annotated[int, no_memory("the actor imitates single steps of the sequence")] = 0
 
     def demonstrations(self, env: Env) -> int:
         """Number of iterations of the first phase."""

@@ -20,7 +20,7 @@ Gradients?" (arXiv 2604.18161). Only its abstract was used; the estimator is our
 
 import dataclasses
 import functools
-from typing import TypeAlias, TypeVar
+from typing import Annotated, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,7 @@ from rewax import struct
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
+from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, actor_step, rollout_loss, start_actor_critic
 from rewax.agents.gradients import Loss, per_env_gradients
 from rewax.agents.legal import Positive, Share
@@ -54,6 +55,7 @@ class IVWConfig(SAPOConfig):
 
     variance_decay: Share = 0.9
     variance_floor: Positive = 0.1
+    memory: Annotated[int, no_memory("the weights of steps assume that a step's action is all that it does")] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

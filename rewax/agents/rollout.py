@@ -45,13 +45,18 @@ class Transition(NamedTuple):
         return (self.status & int(FATAL)) != 0
 
     @property
+    def begins(self) -> Array:
+        """The step is the first of the rollout or of an episode; the last axis is time."""
+        return jnp.roll(self.done, 1, axis=-1).at[..., 0].set(True)
+
+    @property
     def valid(self) -> Array:
         """The step is active and did not fail. A failed step has no reward and no next value."""
         return self.active & ~self.failed
 
 
 Policy = Callable[..., tuple[Array, dict[str, Array]]]
-"""``(obs, key) -> (action, aux)``, or ``(obs, key, input) -> (action, aux)`` in a rollout with ``inputs``."""
+"""``(obs, key) -> (action, aux)``, with memory ``(Remembered(action, memory), aux)``; or ``(obs, key, input) -> (action, aux)`` in a rollout with ``inputs``."""
 
 
 def rollout(
