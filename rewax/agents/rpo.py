@@ -119,7 +119,11 @@ def shifted_loss(
     def policy(obs: Observation, key: Key, shift: Array) -> tuple[Array, dict[str, Array]]:
         distribution, memory = networks.decide(common.actor_params, networks.normalize(statistics, obs))
         raw = distribution.sample_raw(key) + shift
-        return remembered(jnp.tanh(raw), memory), {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
+        return remembered(jnp.tanh(raw), memory), {
+            "raw": raw,
+            "mean": distribution.mean,
+            "log_std": distribution.log_std,
+        }
 
     end, t = rollout(env, env_state, policy, key, horizon=config.horizon, inputs=shift, **config.gradient_flow)
     return rollout_loss(networks, common, end, t, t.reward)
