@@ -34,7 +34,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
         exported = jax.export.deserialize(bytearray(Path("policy.stablehlo").read_bytes()))
         action = exported.call(obs, noise)        # with a leading axis of environments
 
-    A policy with memory also takes the memory, shape (b, size), zeros where an episode begins, and returns the next one:
+    A policy with memory takes the memory too, zeros of shape (b, size) at first, and returns the next one:
 
         action, memory = exported.call(obs, noise, memory)
 
