@@ -45,7 +45,7 @@ from rewax.training.storage.description import provenance
 TASKS, ALGORITHMS, COLUMNS = ("Goal", "Cartpole"), ("sapo", "ppo"), ("full", "gru", "one", "history", "none")
 FIELDS = ("task", "algorithm", "column", "seed", "return", "std", "seconds", "env_steps", "commit", "processor")
 EPISODES, STEPS = 64, 4
-MEMORY = {"Goal": 32, "Cartpole": 32}
+MEMORY = 32
 
 
 @struct.dataclass
@@ -135,34 +135,33 @@ def options_of(name: str, algorithm: str) -> Any:
     )  # fmt: skip
 
 
-def run_cell(name: str, algorithm: str, column: str, seed: int, changes: dict[str, Any]) -> dict[str, Any]:
-    """Train one policy; the row of its evaluation."""
+def run_cell(name: str, algorithm: str, column: str, seed: int) -> dict[str, Any]:
+    """Train one policy and evaluate it."""
     env = task_of(name, column)
+    if column == "none":
+        return evaluated(env, constant_policy(jnp.zeros(env.action_spec.shape)), ())
     config = dataclasses.replace(
         options_of(name, algorithm),
         observe=("state",) if column == "full" else ("seen",),
         critic_observe=("state",),
-        memory=MEMORY[name] if column == "gru" else 0,
-        **changes,
+        memory=MEMORY if column == "gru" else 0,
     )
     agent = (make_sapo if algorithm == "sapo" else make_ppo)(env, config)
-    began, ts, policy = time.perf_counter(), agent.init(jax.random.key(seed)), agent.policy
-    if column == "none":
-        policy = constant_policy(jnp.zeros(env.action_spec.shape))
-    else:
-        for i in range(config.num_iterations):
-            ts, metrics = agent.train_step(ts)
-            if i % 50 == 49:
-                spent, earned = time.perf_counter() - began, float(metrics["return"])
-                print(f"{name} {algorithm} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
+    began, ts = time.perf_counter(), agent.init(jax.random.key(seed))
+    for i in range(config.num_iterations):
+        ts, metrics = agent.train_step(ts)
+        if i % 50 == 49:
+            spent, earned = time.perf_counter() - began, float(metrics["return"])
+            print(f"{name} {algorithm} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
     jax.block_until_ready(ts)
-    seconds = time.perf_counter() - began
+    seconds = round(time.perf_counter() - began)
+    return {**evaluated(env, agent.policy, ts), "env_steps": int(ts.env_steps), "seconds": seconds}
+
+
+def evaluated(env: Any, policy: Any, ts: Any) -> dict[str, Any]:
+    """Mean and standard deviation of the returns."""
     found = make_evaluate(env, policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
-    print(f"{name} {algorithm} {column} {seed}: {float(found['mean']):.2f}", flush=True)
-    return {
-        "task": name, "algorithm": algorithm, "column": column, "seed": seed, "env_steps": int(ts.env_steps),
-        "return": round(float(found["mean"]), 3), "std": round(float(found["std"]), 3), "seconds": round(seconds),
-    }  # fmt: skip
+    return {"return": round(float(found["mean"]), 3), "std": round(float(found["std"]), 3)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -228,9 +227,14 @@ def main(args: Args) -> None:
                     done = {tuple(row[key] for key in FIELDS[:4]) for row in read(args.out)}
                     if cell in done or (column == "none" and seed):
                         continue
-                    row = run_cell(task, algorithm, column, seed, {})
+                    row = {
+                        **dict(zip(FIELDS[:4], cell, strict=True)),
+                        **run_cell(task, algorithm, column, seed),
+                        **where,
+                    }
+                    print(", ".join(map(str, row.values())), flush=True)
+                    write([*read(args.out), row], args.out)
                     jax.clear_caches()
-                    write([*read(args.out), {**row, **where}], args.out)
 
 
 if __name__ == "__main__":
