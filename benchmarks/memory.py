@@ -16,6 +16,7 @@ The critics of all columns see the full observation. Columns say what the policy
     one         the observation of this step
     history     the last four observations
     gru         the observation of this step, and its own memory
+    gru x2      the same, trained with twice as many iterations
     none        not a policy: zeros as actions
 """
 
@@ -42,7 +43,7 @@ from rewax.training import enable_compilation_cache, make_evaluate
 from rewax.training.evaluation.episodes import constant_policy
 from rewax.training.storage.description import provenance
 
-TASKS, ALGORITHMS, COLUMNS = ("Goal", "Cartpole"), ("sapo", "ppo"), ("full", "gru", "one", "history", "none")
+TASKS, ALGORITHMS, COLUMNS = ("Goal", "Cartpole"), ("sapo", "ppo"), ("full", "gru", "gru x2", "history", "one", "none")
 FIELDS = ("task", "algorithm", "column", "seed", "return", "std", "seconds", "env_steps", "commit", "processor")
 EPISODES, STEPS = 64, 4
 MEMORY = 32
@@ -144,8 +145,10 @@ def run_cell(name: str, algorithm: str, column: str, seed: int) -> dict[str, Any
         options_of(name, algorithm),
         observe=("state",) if column == "full" else ("seen",),
         critic_observe=("state",),
-        memory=MEMORY if column == "gru" else 0,
+        memory=MEMORY if column.startswith("gru") else 0,
     )
+    if column == "gru x2":
+        config = dataclasses.replace(config, num_iterations=2 * config.num_iterations)
     agent = (make_sapo if algorithm == "sapo" else make_ppo)(env, config)
     began, ts = time.perf_counter(), agent.init(jax.random.key(seed))
     for i in range(config.num_iterations):
