@@ -108,7 +108,7 @@ class NumpyPolicy:
     def _check_memory(self, memory):
         if not self._size and memory is not None:
             raise ValueError("memory is given, but this policy has none: leave it out")
-        if self._size and np.shape(memory) != (self._size,):
+        if self._size and (memory is None or np.shape(memory) != (self._size,)):
             given = "None" if memory is None else f"of shape {np.shape(memory)}"
             raise ValueError(f"memory is {given}: give shape ({self._size},), at first initial_memory()")
 
