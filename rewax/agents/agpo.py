@@ -20,7 +20,7 @@ simulation's gradient by that of a critic where a batch of gradients varies much
 
 import dataclasses
 import functools
-from typing import Annotated, TypeAlias
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -52,10 +52,10 @@ class AGPOConfig(SAPOConfig):
 
     max_ratio: Positive = 10.0
     variance_decay: Share = 0.9
-    memory: Annotated[int, no_memory("AGPO mixes gradients of states, of which a memory is none")] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        no_memory("AGPO mixes gradients of states, of which a memory is none").check("memory", self.memory)
         check_entropy_of_steps(self)
         if self.truncate_every is not None or self.state_gradient_decay != 1.0:
             raise ValueError(

@@ -17,7 +17,7 @@ Search"; SAPO: Xing, Luk and Oh 2025. Differences:
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Annotated, TypeAlias
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -58,7 +58,10 @@ class DemonstratedConfig(SAPOConfig):
     sequence_learning_rate: Positive = 1e-2
     cloning_learning_rate: Positive = 2e-3
     cloning_passes: Count = 16
-    memory: Annotated[int, no_memory("the actor imitates single steps of the sequence")] = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        no_memory("the actor imitates single steps of the sequence").check("memory", self.memory)
 
     def demonstrations(self, env: Env) -> int:
         """Number of iterations of the first phase."""

@@ -20,7 +20,7 @@ Gradients?" (arXiv 2604.18161). Only its abstract was used; the estimator is our
 
 import dataclasses
 import functools
-from typing import Annotated, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -55,10 +55,10 @@ class IVWConfig(SAPOConfig):
 
     variance_decay: Share = 0.9
     variance_floor: Positive = 0.1
-    memory: Annotated[int, no_memory("the weights of steps assume that a step's action is all that it does")] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        no_memory("the weights of steps assume that a step's action is all that it does").check("memory", self.memory)
         check_entropy_of_steps(self)
 
 
