@@ -15,8 +15,8 @@ from rich.console import Console
 from rewax.agents.legal import NATURAL, Count, Natural, Seed
 from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
+from rewax.cli.env_from import env_arguments, sentences
 from rewax.cli.options import Imports, build_env, import_modules, parse
-from rewax.envs import registry
 
 _PROG = "rewax train"
 _FAILED_RUN = 1
@@ -48,8 +48,10 @@ def run(argv: Sequence[str]) -> int:
     _set_devices(first, console)
     modules = import_modules(first.imports) or _recorded_modules(first)
     chosen = algorithm(first.algo)
-    scale = first.scale or registry.default_scale()
-    env = build_env(first.env, scale)
+    use = "values" if first.env_from_values else "draws"
+    made_by = env_arguments(first.env, first.scale, first.env_from, use, _recorded(first))
+    first.env, scale = made_by.env, made_by.scale
+    env = build_env(first.env, scale, **made_by.kwargs)
     preset = _preset(first, scale, chosen)
     options = _options(first, scale, preset)
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
@@ -57,7 +59,10 @@ def run(argv: Sequence[str]) -> int:
         raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
     agent_config, num_iterations, num_steps = _length(with_options(preset, getattr(args, first.algo)), env, args.steps)
-    say(console, _scale_sentence(scale, first.scale))
+    say(console, _scale_sentence(scale, first.scale or first.env_from))
+    if "identified" in made_by.kwargs:
+        for sentence in sentences(env, made_by.kwargs["identified"]):
+            say(console, sentence)
     if scale == "paper" and (cost := cost_sentence(env, agent_config, num_steps)):
         say(console, cost)
     configs = _configs(args, first, scale, num_iterations, num_steps)
@@ -69,6 +74,8 @@ def run(argv: Sequence[str]) -> int:
     describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
     if modules:
         describe["imports"] = modules
+    if made_by.kwargs:
+        describe["env_kwargs"] = made_by.kwargs
     build_ahead(transfers=hasattr(env, "particles"))
     agent = build_agent(first.algo, env, agent_config)
     if args.num_seeds == 1:
@@ -145,7 +152,9 @@ def quiet() -> None:
 def _look_ahead(argv: Sequence[str]) -> Any:
     """Options that the defaults of the others depend on: ``env``, ``scale``, ``algo``, ``imports`` and so on."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--env", default="RollingFlat")
+    parser.add_argument("--env", default=None)
+    parser.add_argument("--env-from", default="")
+    parser.add_argument("--env-from-values", action="store_true")
     parser.add_argument("--scale", default=None)
     parser.add_argument("--algo", default="sapo")
     parser.add_argument("--devices", type=int, default=0)
@@ -170,16 +179,22 @@ def _preset(first: Any, scale: str, chosen: Algorithm) -> Any:
 
 def _recorded_modules(first: Any) -> list[dict[str, str]]:
     """The modules that the run to be resumed was started with; they are imported."""
-    from rewax.training.storage.description import read_config
     from rewax.training.storage.modules import import_recorded
 
+    if stored := _recorded(first):
+        import_recorded(stored, first.run_dir)
+    return stored.get("imports", [])
+
+
+def _recorded(first: Any) -> dict[str, Any]:
+    """``config.json`` of the run to be resumed; empty for a new run."""
+    from rewax.training.storage.description import read_config
+
     if not (first.resume and first.run_dir):
-        return []
+        return {}
     if not os.path.isdir(first.run_dir):
         raise ValueError(f"there is no run directory {first.run_dir}: check the path, or start a new run there")
-    stored = read_config(first.run_dir)
-    import_recorded(stored, first.run_dir)
-    return stored.get("imports", [])
+    return read_config(first.run_dir)
 
 
 def _options(first: Any, scale: str, agent_config: Any) -> type:
@@ -195,6 +210,8 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
         [
             ("env", str, first.env),
             ("scale", str, scale),
+            ("env_from", str, ""),
+            ("env_from_values", tyro.conf.FlagCreatePairsOff[bool], False),
             ("algo", str, first.algo),
             ("imports", Imports, ()),
             ("seed", Seed, 0),
@@ -216,6 +233,9 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
     Attributes:
       env: name of the environment.
       scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
+      env_from: JSON file of rewax identify: the environment draws the parameters that it found, with their
+        uncertainty, at every reset; env, scale and num_substeps are those of the fit unless given.
+      env_from_values: take the values found instead of draws.
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
       seed: of all random numbers of the run.
