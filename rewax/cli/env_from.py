@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from rewax.envs.randomize.stored import part_for_environments, read_result, with_result
 from rewax.envs.registry import default_scale
 
-_DEFAULT = "RollingFlat"
+DEFAULT_ENV = "RollingFlat"
 
 
 class EnvArguments(NamedTuple):
@@ -35,7 +35,7 @@ def env_arguments(
     if not result:
         if use == "values":
             raise ValueError("--env-from-values takes values from a result: give --env-from RESULT.json")
-        env = env or _DEFAULT
+        env = env or DEFAULT_ENV
         kwargs = recorded.get("env_kwargs") if recorded.get("env") == env else None
         return EnvArguments(env, scale or default_scale(), dict(kwargs) if isinstance(kwargs, Mapping) else {})
     made_by = read_result(result)["made_by"] or {}
@@ -46,7 +46,7 @@ def env_arguments(
             f"{result!r} was fitted in an environment that had parameters of another result: name all unknowns in one "
             "fit, or register an environment of your own (--import)"
         )
-    env = env or made_by.get("env") or _DEFAULT
+    env = env or made_by.get("env") or DEFAULT_ENV
     scale = scale or (made_by.get("scale") if same else None) or default_scale()
     kwargs = {**given, "identified": part_for_environments(result, use)}
     if recorded and recorded.get("env_kwargs", {}) != kwargs:
@@ -79,4 +79,4 @@ def sentences(env: Any, told: Mapping[str, Any]) -> list[str]:
     return said
 
 
-__all__ = ["EnvArguments", "env_arguments", "sentences"]
+__all__ = ["DEFAULT_ENV", "EnvArguments", "env_arguments", "sentences"]

@@ -15,8 +15,9 @@ from rich.console import Console
 from rewax.agents.legal import NATURAL, Count, Natural, Seed
 from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
-from rewax.cli.env_from import env_arguments, sentences
+from rewax.cli.env_from import DEFAULT_ENV, env_arguments, sentences
 from rewax.cli.options import Imports, build_env, import_modules, parse
+from rewax.envs.registry import default_scale
 
 _PROG = "rewax train"
 _FAILED_RUN = 1
@@ -126,7 +127,7 @@ def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
     if args.run_dir:
         return args.run_dir if args.num_seeds == 1 else f"{args.run_dir}/{seed}"
     algorithm_name = "" if first.algo == "sapo" else f"-{first.algo}"
-    return f"runs/{first.env}-{scale}{algorithm_name}-{seed}"
+    return f"runs/{first.env or DEFAULT_ENV}-{scale}{algorithm_name}-{seed}"
 
 
 def cores_as_devices(num_devices: int = 0) -> None:
@@ -161,6 +162,8 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--distributed", action="store_true")
     parser.add_argument("--import", dest="imports", action="append", default=[])
     parser.add_argument("--run-dir", default=None)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--num-seeds", "--num_seeds", type=int, default=1)
     parser.add_argument("--resume", action="store_true")
     try:
         known, _ = parser.parse_known_args(list(argv))
@@ -182,7 +185,7 @@ def _recorded_modules(first: Any) -> list[dict[str, str]]:
     from rewax.training.storage.modules import import_recorded
 
     if stored := _recorded(first):
-        import_recorded(stored, first.run_dir)
+        import_recorded(stored, first.run_dir or "the run")
     return stored.get("imports", [])
 
 
@@ -190,11 +193,11 @@ def _recorded(first: Any) -> dict[str, Any]:
     """``config.json`` of the run to be resumed; empty for a new run."""
     from rewax.training.storage.description import read_config
 
-    if not (first.resume and first.run_dir):
+    if not first.resume:
         return {}
-    if not os.path.isdir(first.run_dir):
+    if first.run_dir and not os.path.isdir(first.run_dir):
         raise ValueError(f"there is no run directory {first.run_dir}: check the path, or start a new run there")
-    return read_config(first.run_dir)
+    return read_config(_run_dir(first, first, first.scale or default_scale(), first.seed))
 
 
 def _options(first: Any, scale: str, agent_config: Any) -> type:
