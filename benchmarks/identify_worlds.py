@@ -1,7 +1,8 @@
 """The worlds of ``identify_cases.py``: a body, a pin that pushes it, and what is unknown.
 
-All bodies stand on a floor that grips, on a node of all grids. The pin is that of RollingFlat. Each kind has a push that
-is fitted and another one that is held out.
+All bodies stand on a floor that grips, on a node of all grids. The pin is that of RollingFlat, but its contact reaches
+one cell (``softness=None``): with a reach of less, bodies sink half a cell into it, and what is found depends on the
+grid. Each kind has a push that is fitted and another one that is held out.
 """
 
 import dataclasses
@@ -103,7 +104,9 @@ KINDS = {
 }  # fmt: skip
 
 
-def world(kind: Kind, cells: int, spacing: float, *, shake: float = 0.0, seed: int = 0) -> Any:
+def world(
+    kind: Kind, cells: int, spacing: float, *, shake: float = 0.0, seed: int = 0, softness: float | None = None
+) -> Any:
     """A world on a grid of ``cells`` a metre.
 
     Args:
@@ -112,6 +115,7 @@ def world(kind: Kind, cells: int, spacing: float, *, shake: float = 0.0, seed: i
       spacing: of the particles [m].
       shake: displacement of particles in cells of their lattice; 0: a lattice.
       seed: of the displacement.
+      softness: of the pin, see ``Collider`` [1/m].
     """
     substeps = round(kind.substeps * cells / 24)
     env: Any = rewax.make("RollingFlat", scale="small", num_substeps=substeps)
@@ -125,7 +129,7 @@ def world(kind: Kind, cells: int, spacing: float, *, shake: float = 0.0, seed: i
     scene = mpm.make_scene(
         grid=mpm.Grid(shape=tuple(int(np.ceil(r * cells)) for r in reach), spacing=dx, origin=tuple(low)),
         dt=env.scene.dt, material=kind.material, particle_volume=float(np.prod(kind.size)) / len(rest),
-        gravity=(0.0, -kind.gravity, 0.0), colliders=env.scene.colliders,
+        gravity=(0.0, -kind.gravity, 0.0), colliders=tuple(c.replace(softness=softness) for c in env.scene.colliders),
         walls=box_walls(floor=FLOOR, lower=(0.15, 0.25), upper=(0.85, 0.75)),
     )  # fmt: skip
     x, height = kind.start
