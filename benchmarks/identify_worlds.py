@@ -73,35 +73,36 @@ def _solid(youngs_modulus: float, density: float, poissons_ratio: float = 0.2, p
 
 _DOUGH = _solid(750.0, 1.0, plasticity=mpm.VonMises(yield_stress=15.0))
 _PRESSED = {"size": (0.3, 0.125, 0.3), "gravity": 90.0, "substeps": 20, "start": (0.5, 0.175)}
-_UPRIGHT = {"size": (0.2, 0.16, 0.3), "gravity": 9.81}
+_BLOCK = {"size": (0.2, 0.16, 0.3), "gravity": 90.0, "substeps": 14, "start": (0.5, 0.21)}
+_HEAP = {"size": (0.2, 0.16, 0.3), "gravity": 9.81, "substeps": 10, "start": (0.3, 0.08)}
+_SLUMP, _SWEEP = ((16, 0.1, 1.0), (16, 0.8, -0.5)), ((32, 0.4, 0.0),)
 KINDS = {
     "dough": Kind(
         material=_DOUGH, priors={_MODULUS: LogUniform(300.0, 3000.0), _YIELD: LogUniform(8.0, 80.0)}, **_PRESSED,
         push=((12, 0.3, -1.0), (4, 0.3, 1.0)), held_out=((6, -0.4, -1.0), (8, 0.6, -0.5), (2, 0.0, 1.0)),
     ),
     "elastic": Kind(
-        material=_solid(200.0, 1.0, 0.3), **_UPRIGHT, substeps=14, start=(0.34, 0.13),
+        material=_solid(200.0, 1.0, 0.3), **_BLOCK,
         priors={_MODULUS: LogUniform(60.0, 600.0), "scene.material.elasticity.poissons_ratio": Uniform(0.05, 0.4)},
-        push=((6, 0.5, 0.0), (18, -0.6, 0.0)), held_out=((8, 0.6, -1.0), (12, -0.8, 0.0)),
+        push=((6, 0.2, -1.0), (10, 0.0, 1.0)), held_out=((10, -0.4, -1.0), (6, 0.0, 1.0)),
     ),
     "sand": Kind(
-        material=_solid(1e5, 1000.0, plasticity=mpm.DruckerPrager(friction_angle=0.4)), **_UPRIGHT, substeps=10,
-        priors={"scene.material.plasticity.friction_angle": LogUniform(0.1, 1.0)}, start=(0.3, 0.08),
-        push=((32, 0.4, 0.0),), held_out=((16, 0.1, 1.0), (16, 0.8, -0.5)),
+        material=_solid(1e5, 1000.0, plasticity=mpm.DruckerPrager(friction_angle=0.4)), **_HEAP,
+        priors={"scene.material.plasticity.friction_angle": LogUniform(0.1, 1.0)}, push=_SLUMP, held_out=_SWEEP,
     ),
     "water": Kind(
         material=mpm.Material(
             density=1000.0, elasticity=mpm.QuadraticFluid(youngs_modulus=1e5, poissons_ratio=0.3),
             viscosity=mpm.Newtonian(viscosity=30.0),
         ),
-        priors={"scene.material.viscosity.viscosity": LogUniform(10.0, 100.0)}, **_UPRIGHT, substeps=10,
-        start=(0.3, 0.08), push=((32, 0.4, 0.0),), held_out=((16, 0.1, 1.0), (16, 0.8, -0.5)),
+        priors={"scene.material.viscosity.viscosity": LogUniform(10.0, 100.0)}, **_HEAP, push=_SLUMP, held_out=_SWEEP,
     ),
     "friction": Kind(
-        material=_DOUGH, priors={"scene.colliders[0].friction": LogUniform(0.1, 1.0)}, **_PRESSED,
-        push=((8, 0.0, -1.0), (10, 0.6, 0.0)), held_out=((6, 0.0, -1.0), (10, -0.7, -0.4)),
+        material=_solid(200.0, 1.0, 0.3), priors={"scene.colliders[0].friction": LogUniform(0.1, 1.0)}, **_BLOCK,
+        push=((8, 0.0, -1.0), (8, 0.3, 0.0)), held_out=((6, 0.0, -1.0), (8, -0.4, -0.2), (2, 0.0, 1.0)),
     ),
 }  # fmt: skip
+"""Doughs, elastic blocks, heaps of sand, thick water with a paddle; and the friction of the tool on a known block."""
 
 
 def world(
