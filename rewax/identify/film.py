@@ -37,9 +37,9 @@ def film(result: Identified, record: Record, *, size: tuple[int, int] = (420, 96
         for axes, title in ((left, "seen"), (right, "simulated, and seen over it")):
             axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=title, xticks=[], yticks=[])
         shade = 0.35 + 0.65 * (body[:, 2] - low[2]) / (high[2] - low[2])
-        right.scatter(*body[:, :2].T, s=14, color=_SIMULATED, alpha=np.clip(shade, 0.0, 1.0), linewidths=0)
+        right.scatter(*body[:, :2].T, s=30, color=_SIMULATED, alpha=np.clip(shade, 0.0, 1.0), linewidths=0)
         for axes in (left, right):
-            axes.scatter(*seen[:, :2].T, s=5, color=_SEEN, linewidths=0)
+            axes.scatter(*seen[:, :2].T, s=8, color=_SEEN, linewidths=0)
         figure.suptitle(f"{record.times[n]:.3f} s, residual {1e3 * result.residual_by_frame[n]:.1f} mm", fontsize=9)
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
