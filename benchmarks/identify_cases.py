@@ -34,7 +34,7 @@ RESULTS = Path(__file__).resolve().parent.parent / "docs/suites/identify/results
 WORLD, COARSE, FINE = (48, 0.0125), (24, 0.0213), (36, 0.0163)
 """Cells a metre, and spacing of the particles [m]."""
 NOISE, OCCLUSION, POINTS, STARTS = 0.002, 0.3, 384, 5
-_COLUMNS = (
+_COLUMNS: tuple[str, ...] = (
     "kind", "case", "unknown", "true", "found", "low", "high", "left", "finest", "residual_mm", "held_out_mm",
     "held_out_prior_mm", "held_out_true_mm", "failed", "seconds", "cpus", "load", "remarks",
 )  # fmt: skip

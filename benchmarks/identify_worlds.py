@@ -127,8 +127,9 @@ def world(
     rest = rest + shake * generator.uniform(-0.5, 0.5, rest.shape) * np.asarray(kind.size) / np.asarray(counts)
     dx = 1.0 / cells
     low, reach = np.array([0.0625, FLOOR - 2.0 * dx, 0.125]), np.array([0.9, 0.36, 0.76])
+    shape = [int(np.ceil(length * cells)) for length in reach]
     scene = mpm.make_scene(
-        grid=mpm.Grid(shape=tuple(int(np.ceil(r * cells)) for r in reach), spacing=dx, origin=tuple(low)),
+        grid=mpm.Grid(shape=(shape[0], shape[1], shape[2]), spacing=dx, origin=tuple(low)),
         dt=env.scene.dt, material=kind.material, particle_volume=float(np.prod(kind.size)) / len(rest),
         gravity=(0.0, -kind.gravity, 0.0), colliders=tuple(c.replace(softness=softness) for c in env.scene.colliders),
         walls=box_walls(floor=FLOOR, lower=(0.15, 0.25), upper=(0.85, 0.75)),

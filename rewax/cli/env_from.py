@@ -46,8 +46,8 @@ def env_arguments(
             f"{result!r} was fitted in an environment that had parameters of another result: name all unknowns in one "
             "fit, or register an environment of your own (--import)"
         )
-    env = env or made_by.get("env") or DEFAULT_ENV
-    scale = scale or (made_by.get("scale") if same else None) or default_scale()
+    env = str(env or made_by.get("env") or DEFAULT_ENV)
+    scale = str(scale or (made_by.get("scale") if same else None) or default_scale())
     kwargs = {**given, "identified": part_for_environments(result, use)}
     if recorded and recorded.get("env_kwargs", {}) != kwargs:
         raise ValueError(

@@ -27,7 +27,7 @@ def with_body(env: Any, cloud: np.ndarray, *, kind: str = "height", floor: float
       ValueError: in one sentence: the environment or the cloud cannot be used.
     """
     rest = getattr(env, "rest_positions", None)
-    scene = getattr(env, "scene", None)
+    scene: Any = getattr(env, "scene", None)
     if rest is None or not hasattr(scene, "particle_volume"):
         raise ValueError(f"{type(env).__name__} has no particles at rest_positions: build its body by hand")
     if kind not in KINDS:

@@ -87,7 +87,7 @@ class Identified:
                 continue
             std = max(float(np.sqrt(self.covariance[i, i])) * self.space.scale_of(i), 1e-6)
             value = self.values[names[0]]
-            within = {"low": float(ends[0][i]), "high": float(ends[1][i])}
+            within: dict[str, Any] = {"low": float(ends[0][i]), "high": float(ends[1][i])}
             posterior = LogNormal(value, std, **within) if self.space.is_log[i] else Normal(value, std, **within)
             wrapped = type(draw)(posterior) if isinstance(draw, (Scale, Shift)) else posterior
             found.append((names, wrapped))
