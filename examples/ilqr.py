@@ -6,7 +6,7 @@ the states eliminated (condensed), for a state of thousands of numbers and a pla
 executed, and the rest, shifted by one, begins the next plan (warm start).
 
     python examples/ilqr.py --env RollingFlat
-    python examples/ilqr.py --env FluidMove --horizon 10
+    python examples/ilqr.py --env FluidMove --horizon 5
 """
 
 import dataclasses

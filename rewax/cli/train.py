@@ -77,7 +77,7 @@ def run(argv: Sequence[str]) -> int:
         describe["imports"] = modules
     if made_by.kwargs:
         describe["env_kwargs"] = made_by.kwargs
-    build_ahead(transfers=hasattr(env, "particles"))
+    build_ahead(transfers=hasattr(getattr(env, "unwrapped", env), "particles"))
     agent = build_agent(first.algo, env, agent_config)
     if args.num_seeds == 1:
         results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]
