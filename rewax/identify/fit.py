@@ -12,7 +12,7 @@ import numpy as np
 from rewax.envs.randomize import Draw
 from rewax.identify import levenberg_marquardt as lm
 from rewax.identify.evaluation import Evaluation, Residuals
-from rewax.identify.record_checks import check_against, check_record
+from rewax.identify.record_checks import check_against, check_record, tool_remarks
 from rewax.identify.records import Record
 from rewax.identify.result import Identified
 from rewax.identify.simulate import data_of, points_of, without_reset_noise
@@ -113,13 +113,14 @@ def identify(
     kept = _kept(total, groups)
     latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit)
     latent = np.clip(latent, *space.bounds)
+    remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, low, high)
     finest = kept & (groups == groups[kept].max())
     found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between)
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
         undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[-1],
-        remarks=remarks + _remarks(search, space, latent, kept, low, high), residual_by_frame=found.by_frame,
+        remarks=remarks, residual_by_frame=found.by_frame,
         starts=search.latents, costs=total, history=history, failed=int(search.rejected.sum()),
         seconds=time.perf_counter() - began,
     )  # fmt: skip
