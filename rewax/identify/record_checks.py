@@ -165,7 +165,7 @@ def tool_distance(record: Record, env: Any) -> float | None:
 
 
 def tool_remarks(env: Any) -> list[str]:
-    """A sentence if the contact of a tool reaches less than half a cell of the grid: numbers then depend on the grid."""
+    """A sentence if the contact of a tool reaches less than half a cell: the values then depend on the grid."""
     scene = getattr(getattr(env, "unwrapped", env), "scene", None)
     spacing = getattr(getattr(scene, "grid", None), "spacing", None)
     softness = [np.max(c.softness) for c in getattr(scene, "colliders", ()) if c.softness is not None]
@@ -175,8 +175,8 @@ def tool_remarks(env: Any) -> list[str]:
     if reach >= 0.5 * cell:
         return []
     return [
-        f"The contact of a tool reaches {1e3 * reach:.2g} mm and a cell of the grid is {1e3 * cell:.2g} mm: the body sinks "
-        "into the tool, and the values depend on the grid. For real material give Collider(softness=None)."
+        f"The contact of a tool reaches {1e3 * reach:.2g} mm and a cell of the grid is {1e3 * cell:.2g} mm: the body "
+        "sinks into the tool, and the values depend on the grid. For real material give Collider(softness=None)."
     ]
 
 
