@@ -57,4 +57,20 @@ def framing(world: World, up: Any, **fields: Any) -> Camera:
     return overlooking(0.5 * (low + high), _MARGIN * float((high - low).max()), up=up, **fields)
 
 
-__all__ = ["framing", "overlooking"]
+def carried(camera: Camera, world: World, body: int | None) -> Camera:
+    """The camera that a body carries, with the pose in the world that it has now; None: it stays where it is.
+
+    Raises:
+      ValueError: there is no such body.
+    """
+    if body is None:
+        return camera
+    mount = world.body(body)
+    back = np.asarray(mount.rotation).T
+    position = back @ (np.asarray(camera.position) - np.asarray(mount.position))
+    return camera.replace(
+        position=np.float32(position), rotation=np.float32(back @ np.asarray(camera.rotation)), body=body
+    )
+
+
+__all__ = ["carried", "framing", "overlooking"]

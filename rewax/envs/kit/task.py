@@ -1,6 +1,6 @@
 """Base of all tasks: reset and control step, composed of methods that a kind of physics and a task define."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -58,9 +58,14 @@ class Task(struct.Replaceable):
         """Camera of pictures; ``rewax.viz.camera.frame_recording`` lists the keys, all optional."""
         return {}
 
+    camera_body: ClassVar[int | None] = None
+
     @property
     def default_camera(self) -> Camera | None:
-        """The camera of ``make(..., sensors=("camera",))``; None: one that shows all of the first state."""
+        """The camera of ``make(..., sensors=("camera",))``; None: one that shows all of the first state.
+
+        The body ``camera_body`` then carries it, unless that is None.
+        """
         return None
 
     # --- Methods that a kind of physics defines ---
