@@ -34,7 +34,10 @@ def test_no_sensors_are_the_environment_alone(sensors):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"sensors": ["camra"]}, r"there is no sensor named 'camra': did you mean 'camera'\? known are camera, cloud, "),
+        (
+            {"sensors": ["camra"]},
+            r"there is no sensor named 'camra': did you mean 'camera'\? known are camera, cloud, ",
+        ),
         ({"sensors": ["camera", "camera"]}, "sensors is .*, with a name twice: give each once"),
         ({"sensors": ["camera"], "resolution": 0}, "resolution is 0: give a whole number of pixels, at least 1"),
         ({"sensors": ["camera"], "resolution": True}, "resolution is True: give a whole number"),
