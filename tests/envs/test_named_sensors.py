@@ -75,6 +75,24 @@ def test_a_runner_carries_its_camera():
     assert carried(still, world, None) is still
 
 
+@pytest.mark.parametrize("name", ["RollingFlat", "HandLift"])
+def test_policies_that_were_trained_find_their_camera_where_it_was(name):
+    """The rows of benchmarks/seeing.py are of a camera above the front of the particles that key 0 draws."""
+    env = rewax.make(name, scale="small")
+    x = np.asarray(env.particles(env.reset(KEY).physics))
+    middle, size, up, side = x.mean(0), np.ptp(x, axis=0).max() + 0.15, np.asarray(env.up), np.array([0.0, 0.0, 1.0])
+    eye = middle + size * (side + 1.4 * up + 0.3 * np.cross(up, side))
+    away = float(np.linalg.norm(eye - middle))
+    wanted = Camera.look_at(
+        middle - 0.02 * up, eye=eye, up=up, near=away - 0.8 * size, far=away + 1.2 * size, field_of_view=40.0
+    )
+    camera = default_camera(env)
+    np.testing.assert_array_equal(camera.position, wanted.position)
+    np.testing.assert_array_equal(camera.rotation, wanted.rotation)
+    for each in ("near", "far", "field_of_view", "height", "width", "body", "noise"):
+        assert getattr(camera, each) == getattr(wanted, each)
+
+
 def test_labels_are_masks_of_bodies():
     env = rewax.make("CartpoleSwingUp", scale="small")
     world = env.world(jax.jit(env.reset)(KEY).physics, np.asarray(env.up))
