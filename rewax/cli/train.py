@@ -52,7 +52,8 @@ def run(argv: Sequence[str]) -> int:
     use = "values" if first.env_from_values else "draws"
     made_by = env_arguments(first.env, first.scale, first.env_from, use, _recorded(first))
     first.env, scale = made_by.env, made_by.scale
-    env = build_env(first.env, scale, **made_by.kwargs)
+    kwargs = {**made_by.kwargs, **_sensor_arguments(first)}
+    env = build_env(first.env, scale, **kwargs)
     preset = _preset(first, scale, chosen)
     options = _options(first, scale, preset)
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
@@ -61,9 +62,12 @@ def run(argv: Sequence[str]) -> int:
 
     agent_config, num_iterations, num_steps = _length(with_options(preset, getattr(args, first.algo)), env, args.steps)
     say(console, _scale_sentence(scale, first.scale or first.env_from))
-    if "identified" in made_by.kwargs:
-        for sentence in sentences(env, made_by.kwargs["identified"]):
+    if "identified" in kwargs:
+        for sentence in sentences(env.env if kwargs.get("sensors") else env, kwargs["identified"]):
             say(console, sentence)
+    if kwargs.get("sensors"):
+        observed = ", ".join(f"{name} {spec.shape}" for name, spec in env.observation_spec.items())
+        say(console, f"observations: {observed}; --{first.algo}.observe chooses those of the policy")
     if scale == "paper" and (cost := cost_sentence(env, agent_config, num_steps)):
         say(console, cost)
     configs = _configs(args, first, scale, num_iterations, num_steps)
@@ -75,8 +79,8 @@ def run(argv: Sequence[str]) -> int:
     describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
     if modules:
         describe["imports"] = modules
-    if made_by.kwargs:
-        describe["env_kwargs"] = made_by.kwargs
+    if kwargs:
+        describe["env_kwargs"] = kwargs
     build_ahead(transfers=hasattr(getattr(env, "unwrapped", env), "particles"))
     agent = build_agent(first.algo, env, agent_config)
     if args.num_seeds == 1:
@@ -156,6 +160,8 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--env", default=None)
     parser.add_argument("--env-from", default="")
     parser.add_argument("--env-from-values", action="store_true")
+    parser.add_argument("--sensors", nargs="*", default=[])
+    parser.add_argument("--resolution", type=int, default=None)
     parser.add_argument("--scale", default=None)
     parser.add_argument("--algo", default="sapo")
     parser.add_argument("--devices", type=int, default=0)
@@ -170,6 +176,16 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     except argparse.ArgumentError as error:
         raise ValueError(f"{error}; {_PROG} --help lists the options") from None
     return known
+
+
+def _sensor_arguments(first: Any) -> dict[str, Any]:
+    """Arguments of ``rewax.make`` for the sensors of the command line; a resumed run keeps its own."""
+    if first.resolution is not None and not first.sensors:
+        raise ValueError("--resolution is that of sensors: name them, for example --sensors camera")
+    if not first.sensors:
+        return {}
+    size = {} if first.resolution is None else {"resolution": first.resolution}
+    return {"sensors": list(first.sensors), **size}
 
 
 def _preset(first: Any, scale: str, chosen: Algorithm) -> Any:
@@ -215,6 +231,8 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
             ("scale", str, scale),
             ("env_from", str, ""),
             ("env_from_values", tyro.conf.FlagCreatePairsOff[bool], False),
+            ("sensors", tuple[str, ...], ()),
+            ("resolution", Count | None, None),
             ("algo", str, first.algo),
             ("imports", Imports, ()),
             ("seed", Seed, 0),
@@ -239,6 +257,8 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
       env_from: JSON file of rewax identify: the environment draws the parameters that it found, with their
         uncertainty, at every reset; env, scale and num_substeps are those of the fit unless given.
       env_from_values: take the values found instead of draws.
+      sensors: names of sensors whose observations are added, camera or cloud for example; rewax envs NAME lists them.
+      resolution: pixels along each side of their pictures, by default 64.
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
       seed: of all random numbers of the run.

@@ -1,5 +1,6 @@
 """Environments with sensors: pictures, clouds and touch as further named observations."""
 
+import math
 from typing import Any, Protocol
 
 import jax
@@ -16,7 +17,10 @@ _STREAM = 0x5E45
 
 
 class Sensor(Protocol):
-    """What can be added to an environment: a pytree with one method."""
+    """What can be added to an environment: a pytree with one method.
+
+    It may also have ``bounds``, the least and the largest number that the observation can hold.
+    """
 
     def see(self, world: World, key: Key) -> Array:
         """The observation of one state.
@@ -88,7 +92,10 @@ class Sensing(struct.Replaceable, _Wrapper):
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:
         state = jax.eval_shape(self.reset, jax.random.key(0))
-        added = {name: ArraySpec(tuple(state.obs[name].shape)) for name in self.sensors}
+        added = {
+            name: ArraySpec(tuple(state.obs[name].shape), *getattr(sensor, "bounds", (-math.inf, math.inf)))
+            for name, sensor in self.sensors.items()
+        }
         return {**self.env.observation_spec, **added}
 
     def _sensed(self, state: State) -> State:

@@ -2,10 +2,12 @@
 
 from rewax.sensors.camera import Camera, View
 from rewax.sensors.depth_cloud import DepthCloud
+from rewax.sensors.framing import overlooking
+from rewax.sensors.labels import Labels
 from rewax.sensors.noise import DepthNoise
 from rewax.sensors.world import NOTHING, Balls, Solid, Triangles, World, half_space, placed_colliders
 
 __all__ = [
-    "NOTHING", "Balls", "Camera", "DepthCloud", "DepthNoise", "Solid", "Triangles", "View", "World", "half_space",
-    "placed_colliders",
+    "NOTHING", "Balls", "Camera", "DepthCloud", "DepthNoise", "Labels", "Solid", "Triangles", "View", "World",
+    "half_space", "overlooking", "placed_colliders",
 ]  # fmt: skip

@@ -87,6 +87,16 @@ class World(struct.Replaceable):
         ]
         return tuple(dict.fromkeys(every))
 
+    def label(self, name: str) -> int:
+        """The index of a name.
+
+        Raises:
+          ValueError: nothing has this name.
+        """
+        if name not in self.names:
+            raise ValueError(f"of has {name!r}, which nothing is named: use {', '.join(self.names)}")
+        return self.names.index(name)
+
     def body(self, index: int) -> Pose:
         """Pose of one body.
 

@@ -1,12 +1,14 @@
 """``rewax train --env-from``: parameters that were identified, drawn or fixed, kept by ``--resume`` and ``load_run``."""
 
-import dataclasses
 import json
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys
+from toys import QUICK_RUN as QUICK
+from toys import ToyConfig
+from toys import make_configured as make
 
 import rewax
 from rewax.agents import registry as agents
@@ -17,22 +19,6 @@ from rewax.envs import registry
 from rewax.envs.randomize.stored import FORMAT
 from rewax.training.storage.description import read_config
 from rewax.training.storage.saved import load_run
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ToyConfig:
-    """The toy's hyper-parameters."""
-
-    num_envs: int = 4
-    horizon: int = 3
-    num_iterations: int = 2
-
-
-def make(env, config):
-    return toys.make_toy(env, num_envs=config.num_envs, horizon=config.horizon)
-
-
-QUICK = ["--train.no-plots", "--train.no-baselines", "--train.num-eval-episodes=2", "--train.no-tensorboard"]
 
 
 def result(path, *, env="PointMass", kwargs=None, name="gain", value=0.3):

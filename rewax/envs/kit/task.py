@@ -1,6 +1,6 @@
 """Base of all tasks: reset and control step, composed of methods that a kind of physics and a task define."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.envs.kit.checks import check_action, check_key, checked_observation, checked_reward
 from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.task_repr import task_repr
+from rewax.sensors.camera import Camera
 from rewax.types import Array, Key, Observation, PyTree
 
 _COUNTS = {
@@ -56,6 +57,16 @@ class Task(struct.Replaceable):
     def camera(self) -> dict[str, Any]:
         """Camera of pictures; ``rewax.viz.camera.frame_recording`` lists the keys, all optional."""
         return {}
+
+    camera_body: ClassVar[int | None] = None
+
+    @property
+    def default_camera(self) -> Camera | None:
+        """The camera of ``make(..., sensors=("camera",))``; None: one that shows all of the first state.
+
+        The body ``camera_body`` then carries it, unless that is None.
+        """
+        return None
 
     # --- Methods that a kind of physics defines ---
 

@@ -24,6 +24,8 @@ from rewax.physics import mpm, tets
 from rewax.physics.mpm import Grid, Material, MPMScene, MPMState, Muscle, NeoHookean, Newtonian, Wall, WallKind, Walls
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import tetmesh
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Key, PyTree
 
 BOX = (5.6, 6.4, 5.6)
@@ -82,6 +84,10 @@ class SoftJumperMPM(SoftJumper):
         shift = jnp.round(away / scene.grid.spacing) * scene.grid.spacing
         end, status = super()._move(scene, soft.replace(x=soft.x - shift), poses)
         return end.replace(x=end.x + shift), status
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.5, 1.0, 0.15), 4.0, up=self.up)
 
 
 @functools.cache
