@@ -87,7 +87,7 @@ class SoftJumperMPM(SoftJumper):
 
     @property
     def default_camera(self) -> Camera:
-        return overlooking((0.5, 1.0, 0.15), 4.0, up=self.up)
+        return overlooking((0.5, 1.0, 0.15), 5.5, up=self.up)
 
 
 @functools.cache
