@@ -21,8 +21,9 @@ import numpy as np
 
 from rewax import struct
 from rewax.lowering.kernels import joined, pointwise, separated
+from rewax.physics.numerics import components as cp
 from rewax.physics.thin.stencils import Stencil, Topology
-from rewax.physics.thin.unfolded import Hinges, around, hinge_sizes
+from rewax.physics.thin.unfolded import Hinges, around, hinge_sizes, inverse_2x2
 from rewax.types import Array, Scalar
 
 DAMPING, ITERATIONS = 1e-4, 4
@@ -65,13 +66,13 @@ def plate_rest(topology: Topology, inverse_edges: Array) -> PlateRest:
     weights = jnp.zeros((len(own), 3, 5), left.dtype)
     weights = weights.at[sides[:, 0], sides[:, 1]].set(left).at[sides[:, 2], sides[:, 3]].set(right)
 
-    edges = jnp.linalg.inv(inverse_edges)
+    edges = inverse_2x2(inverse_edges)
     flat = jnp.stack([jnp.zeros_like(edges[:, :, 0]), edges[:, :, 0], edges[:, :, 1]], axis=1)
     along = jnp.roll(flat, -1, axis=1) - flat
     length = jnp.sqrt(jnp.sum(along**2, axis=-1))
     tangent = along / length[..., None]
     normal = jnp.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
-    area = 0.5 * jnp.abs(jnp.linalg.det(edges))
+    area = 0.5 * jnp.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
     f, g = jnp.roll(tangent, -1, axis=1), jnp.roll(tangent, -2, axis=1)
     scale = jnp.sum(normal * f, axis=-1) * jnp.sum(normal * g, axis=-1) * length / jnp.sqrt(area)[:, None]
     moment = 0.5 * (f[..., :, None] * g[..., None, :] + g[..., :, None] * f[..., None, :]) / scale[..., None, None]
@@ -106,7 +107,8 @@ def _weights(topology: Topology, hinges: Hinges) -> Array:
     missing = _side(x0, x1 - 0.5 * x0, h1, 1.0) / x0[:, None] - jnp.einsum("j,eji->ei", start, theta)
     gram = jnp.einsum("eji,ejk->eik", theta, theta)
     small = DAMPING * jnp.trace(gram, axis1=-2, axis2=-1)
-    inverse = jnp.linalg.inv(gram + small[:, None, None] * jnp.eye(3, dtype=theta.dtype))
+    damped = cp.split_matrix(gram + small[:, None, None] * jnp.eye(3, dtype=theta.dtype))
+    inverse = cp.join_matrix(cp.cofactor(damped)) / cp.det(damped)[:, None, None]
     solution = jnp.zeros_like(missing)
     for _ in range(ITERATIONS):
         rest = missing - jnp.einsum("eik,ek->ei", gram, solution)
@@ -120,9 +122,7 @@ def _points(x: Array, y: Any) -> Array:
 
 def _side(length: Array, along: Array, height: Array, sign: float) -> Array:
     """Angle between a triangle and the tangent plane at its edge's middle, per curvature tt, tn, nn of the edge [m]."""
-    return jnp.stack(
-        [0.5 * along**2 / height - length**2 / (8.0 * height), sign * along, 0.5 * height], axis=-1
-    )
+    return jnp.stack([0.5 * along**2 / height - length**2 / (8.0 * height), sign * along, 0.5 * height], axis=-1)
 
 
 # --- Moments ----------------------------------------------------------------------------------------------------------
@@ -144,10 +144,7 @@ def plate_moment(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, angle
 def _moment(shared: Any, given: tuple[Any, PlateRest, tuple[Array, ...]]) -> tuple[Array, ...]:
     own, rest, angle = given
     bending, ratio = joined(shared, own)
-    moment = _solve(bending, ratio, rest, _alpha(rest, angle))
-    w = rest.weights
-    inner = [sum(w[5 * k + (j - k) % 3] * moment[k] for k in range(3)) for j in range(3)]
-    return (*inner, *(w[5 * k + j] * moment[k] for k in range(3) for j in (3, 4)))
+    return _spread(rest.weights, _solve(bending, ratio, rest, _alpha(rest, angle)))
 
 
 def plate_energy(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, angle: tuple[Array, ...]) -> Array:
@@ -155,6 +152,23 @@ def plate_energy(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, angle
     alpha = _alpha(rest, angle)
     moment = _solve(bending, poissons_ratio, rest, alpha)
     return 0.5 * sum(a * m for a, m in zip(alpha, moment, strict=True))
+
+
+def plate_stiffness(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, slope: tuple[Array, ...]) -> tuple:
+    """Sums of the absolute rows of the energy's second derivative with respect to the angles of nine hinges, each column
+    multiplied by ``slope``; other arguments as for ``plate_moment``."""
+    weights = jnp.abs(rest.weights)
+    size = _alpha(rest.replace(weights=weights), slope)
+    zero = jnp.zeros_like(size[0])
+    columns = [_solve(bending, poissons_ratio, rest, [size[k] if j == k else zero for j in range(3)]) for k in range(3)]
+    moment = [sum(jnp.abs(column[k]) for column in columns) for k in range(3)]
+    return _spread(weights, moment)
+
+
+def _spread(w: Array, moment: list[Array]) -> tuple[Array, ...]:
+    """Transpose of ``_alpha``."""
+    inner = [sum(w[5 * k + (j - k) % 3] * moment[k] for k in range(3)) for j in range(3)]
+    return (*inner, *(w[5 * k + j] * moment[k] for k in range(3) for j in (3, 4)))
 
 
 def _alpha(rest: PlateRest, angle: tuple[Array, ...]) -> list[Array]:
@@ -176,9 +190,14 @@ def _solve(bending: Scalar, ratio: Scalar, rest: PlateRest, alpha: list[Array]) 
     determinant = own[0] * cofactors[0] + mixed[2] * crossed[2] + mixed[1] * crossed[1]
     scale = bending * (1.0 - ratio * ratio) / determinant
     return [
-        scale * (cofactors[k] * alpha[k] + crossed[(k + 2) % 3] * alpha[(k + 1) % 3] + crossed[(k + 1) % 3] * alpha[(k + 2) % 3])
+        scale
+        * (
+            cofactors[k] * alpha[k]
+            + crossed[(k + 2) % 3] * alpha[(k + 1) % 3]
+            + crossed[(k + 1) % 3] * alpha[(k + 2) % 3]
+        )
         for k in range(3)
     ]
 
 
-__all__ = ["PlateRest", "patch", "plate_energy", "plate_moment", "plate_rest"]
+__all__ = ["PlateRest", "patch", "plate_energy", "plate_moment", "plate_rest", "plate_stiffness"]

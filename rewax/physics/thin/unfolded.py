@@ -49,7 +49,7 @@ def around(topology: Topology) -> Around:
 
 def hinge_sizes(topology: Topology, inverse_edges: Array) -> Hinges:
     """Sizes of hinges from the inverse edge matrices of triangles. Gradient: exact."""
-    edges = jnp.linalg.inv(inverse_edges)
+    edges = inverse_2x2(inverse_edges)
     flat = jnp.stack([jnp.zeros_like(edges[:, :, 0]), edges[:, :, 0], edges[:, :, 1]], axis=1)
     index, found = around(topology).sides, []
     for t, k, start, end in ((index[:, 0], index[:, 1], 0, 1), (index[:, 2], index[:, 3], 1, 0)):
@@ -63,6 +63,13 @@ def hinge_sizes(topology: Topology, inverse_edges: Array) -> Hinges:
     return Hinges(length, along, across, beside, below)
 
 
+def inverse_2x2(a: Array) -> Array:
+    """Inverse of 2x2 matrices, shape (..., 2, 2)."""
+    p, q, r, s = a[..., 0, 0], a[..., 0, 1], a[..., 1, 0], a[..., 1, 1]
+    cofactors = jnp.stack([jnp.stack([s, -q], axis=-1), jnp.stack([-r, p], axis=-1)], axis=-2)
+    return cofactors / (p * s - q * r)[..., None, None]
+
+
 def unfolded(sizes: Hinges) -> tuple:
     """The four corners of hinges in the plane z = 0."""
     zero = jnp.zeros_like(sizes.length)
@@ -74,4 +81,4 @@ def unfolded(sizes: Hinges) -> tuple:
     )
 
 
-__all__ = ["Around", "Hinges", "around", "hinge_sizes", "unfolded"]
+__all__ = ["Around", "Hinges", "around", "hinge_sizes", "inverse_2x2", "unfolded"]
