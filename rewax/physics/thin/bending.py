@@ -54,10 +54,8 @@ def bending_stiffness(scene: "ThinScene") -> Array:
     if scene.bending_law is BendingLaw.HINGES:
         each = cloth.bending * rest.hinge_weight * sum(cp.dot(s, s) for s in slopes)
         return zero.at[hinges.indices].add(jnp.broadcast_to(each, angle.shape)[:, None])
-    steep = jnp.stack([jnp.sqrt(cp.dot(s, s)) for s in slopes], axis=-1)
-    around = patch(scene.topology)
-    each = plate_stiffness(cloth.bending, cloth.bending_ratio, rest.plate, gather(around, jnp.sum(steep, axis=-1)))
-    return zero.at[hinges.indices].add(steep * sum_corners(around, each)[:, None])
+    heights = jnp.stack([s[2] for s in slopes], axis=-1)
+    return plate_stiffness(cloth.bending, cloth.bending_ratio, rest.plate, scene.topology, heights)
 
 
 __all__ = ["bending_energy", "bending_forces", "bending_stiffness"]

@@ -6,8 +6,8 @@ angles of the four other hinges of both triangles. The weights are those nearest
 constant curvature, on every mesh. So the energy stays local and converges under refinement: it is Morley's energy on a
 subspace that contains all constant curvatures.
 
-The curvature of a triangle is sum_e alpha_e L_e / A n_e n_e^T, with lengths L_e, area A and normals n_e of its edges. At a
-free edge alpha takes the value at which the edge has no moment.
+The curvature of a triangle is sum_e alpha_e L_e / A n_e n_e^T, with lengths L_e, area A and normals n_e of its edges.
+At a free edge alpha takes the value at which the edge has no moment.
 
 Sources: Morley 1968, "The triangular equilibrium element in the solution of plate bending problems"; Grinspun et al.
 2006, "Computing discrete shape operators on general meshes" for large rotations. The interpolation is rewax's.
@@ -154,15 +154,42 @@ def plate_energy(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, angle
     return 0.5 * sum(a * m for a, m in zip(alpha, moment, strict=True))
 
 
-def plate_stiffness(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, slope: tuple[Array, ...]) -> tuple:
-    """Sums of the absolute rows of the energy's second derivative with respect to the angles of nine hinges, each column
-    multiplied by ``slope``; other arguments as for ``plate_moment``."""
-    weights = jnp.abs(rest.weights)
-    size = _alpha(rest.replace(weights=weights), slope)
-    zero = jnp.zeros_like(size[0])
-    columns = [_solve(bending, poissons_ratio, rest, [size[k] if j == k else zero for j in range(3)]) for k in range(3)]
+def plate_stiffness(
+    bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, topology: Topology, slope: Array
+) -> Array:
+    """An upper bound of the stiffness at the vertices of a flat plate [N/m], shape (num_vertices,): sums of the absolute
+    rows of the triangles' stiffness matrices.
+
+    Args:
+      bending, poissons_ratio, rest: as for ``plate_moment``.
+      topology: the elements.
+      slope: d theta/dz of hinges per height of their corners [1/m], shape (num_hinges, 4).
+    """
+    vertices, slots = _corners_of_patches(topology)
+    count, rows = len(vertices), jnp.arange(len(vertices))[:, None]
+    each, steep = slope[patch(topology).indices], []
+    for k in range(3):
+        used = jnp.array([k, (k + 1) % 3, (k + 2) % 3, 3 + 2 * k, 4 + 2 * k])
+        shares = rest.weights[5 * k : 5 * k + 5].T[..., None] * each[:, used]
+        at = slots.reshape(count, 9, 4)[:, used].reshape(count, -1)
+        summed = jnp.zeros(vertices.shape, slope.dtype).at[rows, at].add(shares.reshape(count, -1))
+        steep.append(jnp.abs(summed))
+    total = [jnp.sum(a, axis=1) for a in steep]
+    zero = jnp.zeros_like(total[0])
+    columns = [
+        _solve(bending, poissons_ratio, rest, [total[k] if j == k else zero for j in range(3)]) for k in range(3)
+    ]
     moment = [sum(jnp.abs(column[k]) for column in columns) for k in range(3)]
-    return _spread(weights, moment)
+    bound = sum(a * m[:, None] for a, m in zip(steep, moment, strict=True))
+    return jnp.zeros(topology.triangles.num_vertices, slope.dtype).at[vertices].add(bound)
+
+
+@functools.lru_cache(maxsize=64)
+def _corners_of_patches(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of each triangle's hinges, shape (num_triangles, 36), with the first of equal ones at their number in
+    ``slots``, of the same shape."""
+    found = topology.hinges.indices[patch(topology).indices].reshape(len(topology.triangles), 36)
+    return found, np.argmax(found[:, :, None] == found[:, None, :], axis=2)
 
 
 def _spread(w: Array, moment: list[Array]) -> tuple[Array, ...]:

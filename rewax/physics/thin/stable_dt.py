@@ -20,8 +20,9 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
 
     The stiffness at a vertex is at most the sum K of the largest eigenvalues of its elements' stiffness matrices, plus
     the contact's stiffness. Those are, or are at most: area M sum_k |grad N_k|^2 of a triangle with the largest modulus
-    M; ``bending.bending_stiffness``; 2 stretch / length of a segment; bending / length |d theta/dx|^2 of a bend. With the damping C bounded alike, symplectic Euler is stable up to 4 / (c + sqrt(c^2 + 4 w^2)) with w^2 = K/m
-    and c = C/m + drag. The result is 0.8 of the smallest bound of all vertices that move.
+    M; ``bending.bending_stiffness``; 2 stretch / length of a segment; bending / length |d theta/dx|^2 of a bend. With
+    the damping C bounded alike, symplectic Euler is stable up to 4 / (c + sqrt(c^2 + 4 w^2)) with w^2 = K/m and
+    c = C/m + drag. The result is 0.8 of the smallest bound of all vertices that move.
 
     Tension adds stiffness that this bound, of a body at rest, does not include; strains above 0.5 need a margin.
     Friction damping is not included, and contact is included once, although several bodies can push one vertex.
