@@ -157,8 +157,8 @@ def plate_energy(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, angle
 def plate_stiffness(
     bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, topology: Topology, slope: Array
 ) -> Array:
-    """An upper bound of the stiffness at the vertices of a flat plate [N/m], shape (num_vertices,): sums of the absolute
-    rows of the triangles' stiffness matrices.
+    """An upper bound of the stiffness at the vertices of a flat plate [N/m], shape (num_vertices,): sums of the
+    absolute rows of the triangles' stiffness matrices.
 
     Args:
       bending, poissons_ratio, rest: as for ``plate_moment``.
@@ -172,24 +172,26 @@ def plate_stiffness(
         used = jnp.array([k, (k + 1) % 3, (k + 2) % 3, 3 + 2 * k, 4 + 2 * k])
         shares = rest.weights[5 * k : 5 * k + 5].T[..., None] * each[:, used]
         at = slots.reshape(count, 9, 4)[:, used].reshape(count, -1)
-        summed = jnp.zeros(vertices.shape, slope.dtype).at[rows, at].add(shares.reshape(count, -1))
-        steep.append(jnp.abs(summed))
-    total = [jnp.sum(a, axis=1) for a in steep]
-    zero = jnp.zeros_like(total[0])
-    columns = [
-        _solve(bending, poissons_ratio, rest, [total[k] if j == k else zero for j in range(3)]) for k in range(3)
-    ]
-    moment = [sum(jnp.abs(column[k]) for column in columns) for k in range(3)]
-    bound = sum(a * m[:, None] for a, m in zip(steep, moment, strict=True))
+        steep.append(jnp.zeros(vertices.shape, slope.dtype).at[rows, at].add(shares.reshape(count, -1)))
+    one, zero = jnp.ones_like(rest.trace[0]), jnp.zeros_like(rest.trace[0])
+    columns = [_solve(bending, poissons_ratio, rest, [one if j == k else zero for j in range(3)]) for k in range(3)]
+    moments = [sum(columns[j][k][:, None] * steep[j] for j in range(3)) for k in range(3)]
+    matrix = sum(a[:, :, None] * m[:, None, :] for a, m in zip(steep, moments, strict=True))
+    bound = jnp.sum(jnp.abs(matrix), axis=-1)
     return jnp.zeros(topology.triangles.num_vertices, slope.dtype).at[vertices].add(bound)
 
 
 @functools.lru_cache(maxsize=64)
 def _corners_of_patches(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of each triangle's hinges, shape (num_triangles, 36), with the first of equal ones at their number in
-    ``slots``, of the same shape."""
+    """The vertices of each triangle's hinges, up to twelve, shape (num_triangles, 12), padded by 0, and their numbers
+    in it for the four corners of its nine hinges, shape (num_triangles, 36)."""
     found = topology.hinges.indices[patch(topology).indices].reshape(len(topology.triangles), 36)
-    return found, np.argmax(found[:, :, None] == found[:, None, :], axis=2)
+    first = np.argmax(found[:, :, None] == found[:, None, :], axis=2)
+    is_first = first == np.arange(36)
+    number = np.cumsum(is_first, axis=1) - 1
+    vertices = np.zeros((len(found), 13), int)
+    np.put_along_axis(vertices, np.where(is_first, number, 12), found, axis=1)
+    return vertices[:, :12], np.take_along_axis(number, first, axis=1)
 
 
 def _spread(w: Array, moment: list[Array]) -> tuple[Array, ...]:
