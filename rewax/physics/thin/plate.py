@@ -183,15 +183,15 @@ def plate_stiffness(
 
 @functools.lru_cache(maxsize=64)
 def _corners_of_patches(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices of each triangle's hinges, up to twelve, shape (num_triangles, 12), padded by 0, and their numbers
-    in it for the four corners of its nine hinges, shape (num_triangles, 36)."""
+    """The vertices of each triangle's hinges, padded by 0, shape (num_triangles, up to 16), and their numbers in it
+    for the four corners of its nine hinges, shape (num_triangles, 36)."""
     found = topology.hinges.indices[patch(topology).indices].reshape(len(topology.triangles), 36)
     first = np.argmax(found[:, :, None] == found[:, None, :], axis=2)
     is_first = first == np.arange(36)
     number = np.cumsum(is_first, axis=1) - 1
-    vertices = np.zeros((len(found), 13), int)
-    np.put_along_axis(vertices, np.where(is_first, number, 12), found, axis=1)
-    return vertices[:, :12], np.take_along_axis(number, first, axis=1)
+    vertices = np.zeros((len(found), 17), int)
+    np.put_along_axis(vertices, np.where(is_first, number, 16), found, axis=1)
+    return vertices[:, : 1 + number.max()], np.take_along_axis(number, first, axis=1)
 
 
 def _spread(w: Array, moment: list[Array]) -> tuple[Array, ...]:
