@@ -1,4 +1,4 @@
-"""Cloth and ropes: shells of constant-strain triangles with hinges, and polylines with stretch and bending."""
+"""Cloth and ropes: shells of constant-strain triangles that bend at hinges, and polylines with stretch and bending."""
 
 from rewax.physics.numerics.pose import static_poses
 from rewax.physics.thin.invariants import (

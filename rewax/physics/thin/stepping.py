@@ -1,6 +1,6 @@
 """Cloth and ropes: substep, step, forces, status.
 
-One substep: forces of membrane, hinges, segments and bends, gravity, drag, penalty contact with the ground and with
+One substep: forces of membrane, bending, segments and bends, gravity, drag, penalty contact with the ground and with
 moving shapes, symplectic Euler. Held vertices keep their velocity or follow prescribed positions.
 """
 
