@@ -62,7 +62,7 @@ def plate_rest(topology: Topology, inverse_edges: Array) -> PlateRest:
     own, sides = around(topology).own, around(topology).sides
     left = _weights(topology, hinge_sizes(topology, inverse_edges))
     right = jnp.eye(5, dtype=left.dtype)[0] - left
-    right = right[:, jnp.array([0, 3, 4, 1, 2])]
+    right = right[:, np.array([0, 3, 4, 1, 2])]
     weights = jnp.zeros((len(own), 3, 5), left.dtype)
     weights = weights.at[sides[:, 0], sides[:, 1]].set(left).at[sides[:, 2], sides[:, 3]].set(right)
 
@@ -169,7 +169,7 @@ def plate_stiffness(
     count, rows = len(vertices), jnp.arange(len(vertices))[:, None]
     each, steep = slope[patch(topology).indices], []
     for k in range(3):
-        used = jnp.array([k, (k + 1) % 3, (k + 2) % 3, 3 + 2 * k, 4 + 2 * k])
+        used = np.array([k, (k + 1) % 3, (k + 2) % 3, 3 + 2 * k, 4 + 2 * k])
         shares = rest.weights[5 * k : 5 * k + 5].T[..., None] * each[:, used]
         at = slots.reshape(count, 9, 4)[:, used].reshape(count, -1)
         steep.append(jnp.zeros(vertices.shape, slope.dtype).at[rows, at].add(shares.reshape(count, -1)))
