@@ -5,6 +5,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import jax
@@ -51,7 +52,13 @@ def default_scale() -> Scale:
     return "small" if jax.default_backend() == "cpu" else "paper"
 
 
-def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
+def make(
+    name: str,
+    *,
+    scale: Scale | None = None,
+    identified: str | Path | Mapping[str, Any] | None = None,
+    **kwargs: Any,
+) -> Env:
     """Build a registered environment.
 
     The attribute ``made_by`` of the environment is a dict with the keys ``env``, ``scale`` and ``kwargs``: the
@@ -61,6 +68,8 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     Args:
       name: one of ``list_envs()``.
       scale: ``"paper"``, ``"small"``, or None for the one that suits the device (``default_scale``).
+      identified: JSON file that ``rewax identify`` wrote: the environment has the values found. ``made_by`` holds them,
+        not the name of the file. To draw parameters instead, see ``rewax.envs.randomize.identified``.
       **kwargs: options of the environment. Every task of rewax takes ``dt``, a substep [s], and ``num_substeps``, which
         keep the control step: a shorter substep takes more of them. Both together change the control step.
 
@@ -78,6 +87,11 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
             f"the factory of {name!r} returned {str(env)[:80]!r}, which has no method {missing[0]}: return an "
             "environment, see rewax.envs.base.Env"
         )
+    if identified is not None:
+        from rewax.envs.randomize.stored import part_for_environments, with_result
+
+        kwargs = {**kwargs, "identified": part_for_environments(identified)}
+        env = with_result(env, kwargs["identified"])
     _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
     return env
 

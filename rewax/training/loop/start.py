@@ -46,7 +46,13 @@ def first_state(
             return fresh
         say(console, f"beginning with what {config.init_from} has learnt")
         return warm_started(fresh, config.init_from, agent.name)
-    differences = changes(read_config(run_dir), plain(description))
+    stored, wanted = read_config(run_dir), plain(description)
+    if _identified(stored) != _identified(wanted):
+        raise ValueError(
+            f"{run_dir} holds a run with other identified parameters: give the environment of its start, on the "
+            "command line the same --env-from, or --run-dir without --env-from"
+        )
+    differences = changes(stored, wanted)
     for name, old, new in differences:
         if name in _FLAGS:
             raise ValueError(f"{run_dir} holds a run with {name} {old}, not {new}: resume it with {_FLAGS[name]} {old}")
@@ -61,6 +67,12 @@ def first_state(
             say(console, f"note: resuming with {name} {new}, it was {old}")
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
+
+
+def _identified(config: Mapping[str, Any]) -> Any:
+    """The parameters of ``rewax identify`` in a run's environment, or None."""
+    kwargs = config.get("env_kwargs")
+    return kwargs.get("identified") if isinstance(kwargs, Mapping) else None
 
 
 def _other_options(run_dir: Path, differences: list[tuple[str, Any, Any]], error: ValueError) -> ValueError:
