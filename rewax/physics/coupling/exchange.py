@@ -127,3 +127,10 @@ class SoftContact(Protocol):
     def finish(self) -> Any:
         """The soft body at the end of the substep."""
         ...
+
+    def given(self) -> tuple[Vec3, list[tuple[int, Vec3]]]:
+        """After ``exchange``: the contact points [m], and pairs of a body and the impulses [N s] that it receives there.
+
+        One pair for each collider, and one of ``WALLS``.
+        """
+        ...
