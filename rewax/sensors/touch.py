@@ -55,9 +55,10 @@ class Touch(struct.Replaceable):
         if self.bodies is not None and (not self.bodies or len(set(self.bodies)) < len(self.bodies)):
             raise ValueError(f"bodies is {self.bodies!r}: give each body once, or None for all that can touch")
         check_numbers(numbers_of(self, "Touch."))
-        shape = jnp.shape(self.points)
-        if self.points is not None and (len(shape) not in (2, 3) or shape[-1] != 3 or 0 in shape):
-            raise ValueError(f"points has shape {shape}: give (num_points, 3), or (num_bodies, num_points, 3)")
+        if self.points is not None:
+            shape = jnp.shape(self.points)
+            if len(shape) not in (2, 3) or shape[-1] != 3 or 0 in shape:
+                raise ValueError(f"points has shape {shape}: give (num_points, 3), or (num_bodies, num_points, 3)")
 
     def on(self, task: Any) -> "Touch":
         """This sensor with indices of the task's bodies.
@@ -77,8 +78,11 @@ class Touch(struct.Replaceable):
             if name not in known and name not in known.values():
                 raise ValueError(f"bodies has {name!r}, but {type(task).__name__} can feel {sorted(known)}: choose some")
         found = self.replace(bodies=tuple(known.get(name, name) for name in chosen))  # type: ignore[arg-type]
-        if jnp.ndim(self.points) == 3 and len(found.points) != len(chosen):  # pyright: ignore[reportArgumentType]
-            raise ValueError(f"points has shape {jnp.shape(self.points)}, but there are {len(chosen)} bodies: give (num_points, 3), or points of each body")  # fmt: skip
+        if self.points is not None and jnp.ndim(self.points) == 3 and len(self.points) != len(chosen):
+            raise ValueError(
+                f"points has shape {jnp.shape(self.points)}, but there are {len(chosen)} bodies: give (num_points, 3), "
+                "or points of each body"
+            )
         return found
 
     @property
