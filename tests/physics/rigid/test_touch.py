@@ -1,7 +1,5 @@
 """Contacts as rigid bodies feel them: MuJoCo's forces, weights, both laws, derivatives."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -16,15 +14,13 @@ from rewax.physics.rigid import Penalty
 STEP = jax.jit(rigid.step_with_touch, static_argnames="num_substeps")
 RUBBING = """<mujoco><option timestep="0.002" cone="pyramidal"/><worldbody>
   <geom name="floor" type="plane" size="9 9 1" condim="{dim}" friction="0.8 0.02 0.01"/>
-  <body name="ball" pos="0 0 .099"><freejoint/><geom size=".1" density="300" condim="{dim}" friction="0.8 0.02 0.01"/></body>
-  <body name="box" pos=".17 0 .098"><freejoint/><geom type="box" size=".08 .1 .1" density="300" condim="{dim}"/></body>
+  <body name="ball" pos="0 0 .0985"><freejoint/><geom size=".1" density="300" condim="{dim}" friction="0.8 0.02 0.01"/></body>
+  <body name="other" pos=".178 0 .079"><freejoint/><geom size=".08" density="300" condim="{dim}"/></body>
 </worldbody></mujoco>"""
 
 
-@functools.cache
-def loaded(dim, **options):
-    with jax.enable_x64(True):
-        return rigid.load(RUBBING.format(dim=dim), dt=0.002, **options)
+def loaded(dim, penalty=None):
+    return rigid.load(RUBBING.format(dim=dim), dt=0.002, penalty=penalty)
 
 
 def moving(model):
@@ -34,7 +30,7 @@ def moving(model):
 
 def forces_in_c(model, state):
     """Force and torque of MuJoCo's contacts on each body about its frame's origin, world axes, (num_bodies, 3)."""
-    mj = mujoco.MjModel.from_xml_string(RUBBING.format(dim=loaded_dim(model)))
+    mj = mujoco.MjModel.from_xml_string(RUBBING.format(dim=model.static.mj.geom_condim[0]))
     data = mujoco.MjData(mj)
     data.qpos[:], data.qvel[:] = state.qpos, state.qvel
     mujoco.mj_forward(mj, data)
@@ -51,10 +47,6 @@ def forces_in_c(model, state):
     return force, torque
 
 
-def loaded_dim(model):
-    return int(model.static.mj.geom_condim[0])
-
-
 @pytest.mark.parametrize("dim", [1, 3, 6])
 def test_forces_are_those_of_mujoco(x64, dim):
     model = loaded(dim)
@@ -68,7 +60,7 @@ def test_forces_are_those_of_mujoco(x64, dim):
 
 @pytest.mark.parametrize("penalty", [None, Penalty(stiffness=2e4, damping=40.0, friction_damping=10.0)])
 def test_forces_change_the_momentum(x64, penalty):
-    model = loaded(3, **({} if penalty is None else {"penalty": penalty}))
+    model = loaded(3, penalty)
     state, num = moving(model), 5
     end, felt = STEP(model, state, patches=Patches(body=(1, 2, 0)), num_substeps=num)
     expected = rigid.step(model, state, num_substeps=num)
@@ -82,7 +74,7 @@ def test_forces_change_the_momentum(x64, penalty):
 
 @pytest.mark.parametrize("penalty", [None, Penalty(stiffness=2e4, damping=40.0, friction_damping=10.0, onset=1e-3)])
 def test_the_derivative_of_forces_is_exact(x64, penalty, derivatives, central_difference, random_like, inner, relative_error):  # fmt: skip
-    model = loaded(3, **({} if penalty is None else {"penalty": penalty}))
+    model = loaded(3, penalty)
     patches = Patches(body=(1, 1, 2), center=[[0, 0, -0.1], [0.1, 0, 0], [0, 0, 0]])
 
     def felt(given):
