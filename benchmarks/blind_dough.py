@@ -1,13 +1,13 @@
-"""What touch is worth: HandLift with dough whose weight is drawn anew in each episode, lifted by a policy that sees nothing.
+"""What touch is worth: a policy without a camera lifts dough whose weight is drawn anew in each episode.
 
     python benchmarks/blind_dough.py                                # what has no row yet: an hour and more on two cores
     python benchmarks/blind_dough.py --columns touch --seeds 0
     python benchmarks/blind_dough.py --table                        # the table of the rows that are there
     python benchmarks/blind_dough.py --time                         # a train step with and without touch
 
-Each cell (column, seed) trains SAPO at scale ``small`` and evaluates 64 episodes with deterministic actions from the same
-starts: with drawn weights, and with the lightest and the heaviest. Its rows are written when it is finished. The critics
-of all columns see the state and the weight. Columns say what the policy observes:
+Each cell (column, seed) trains SAPO on HandLift at scale ``small`` and evaluates 64 episodes with deterministic actions
+from the same starts: with drawn weights, and with the lightest and the heaviest. Its rows are written when it is
+finished. The critics of all columns observe the state and the weight. Columns say what the policy observes:
 
     joints    the joints of the hand
     touch     joints, and the force on each body of the hand

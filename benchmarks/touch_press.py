@@ -1,6 +1,6 @@
-"""Picture of what tools feel: a plate presses a cube of dough and leaves it; the plate's force and the floor's over time.
+"""Picture of touch: a plate presses a cube of dough and leaves it; forces of plate and floor over time.
 
-    python benchmarks/touch_press.py docs/pictures/touch_press.png
+python benchmarks/touch_press.py docs/pictures/touch_press.png
 """
 
 import sys
@@ -56,7 +56,9 @@ def main(out: str) -> None:
 
     force = np.asarray(jax.jit(lambda s: jax.lax.scan(step, s, heights))(state)[1])
     weight = 1000.0 * EDGE**3 * 9.81
-    figure, (above, below) = plt.subplots(2, 1, figsize=(7, 4.6), sharex=True, height_ratios=(1, 2), layout="constrained")
+    figure, (above, below) = plt.subplots(
+        2, 1, figsize=(7, 4.6), sharex=True, height_ratios=(1, 2), layout="constrained"
+    )
     above.plot(time, 100 * (bottom - FLOOR), color="0.3")
     above.axhline(100 * EDGE, color="0.7", lw=0.8)
     above.set_ylabel("plate above\nthe floor [cm]")

@@ -32,10 +32,10 @@ class Sensor(Protocol):
 
 @struct.dataclass
 class Sensing(struct.Replaceable, _Wrapper):
-    """An environment whose observations include what sensors see; nothing else of it changes.
+    """An environment with additional observations from sensors; nothing else of it changes.
 
-    Numbers of the sensors (a camera's position, the size of its noise) are leaves of the environment, so they can be
-    randomised and differ from environment to environment.
+    Numbers of the sensors (a camera's position, the size of its noise) are parameters of the environment. So they can
+    be randomised, and they may differ between the environments of a batch.
 
     Attributes:
       env: an environment with the method ``world(physics, up)``, as all tasks of rewax have.
@@ -53,7 +53,9 @@ class Sensing(struct.Replaceable, _Wrapper):
 
     def __post_init__(self) -> None:
         bare = getattr(self.env, "unwrapped", self.env)
-        placed = {name: sensor.on(bare) if isinstance(sensor, Touch) else sensor for name, sensor in self.sensors.items()}
+        placed = {
+            name: sensor.on(bare) if isinstance(sensor, Touch) else sensor for name, sensor in self.sensors.items()
+        }
         object.__setattr__(self, "sensors", placed)
         if self.up is not None:  # checked before
             return

@@ -76,7 +76,9 @@ class Touch(struct.Replaceable):
             raise ValueError(f"no body of {type(task).__name__} can touch anything: give bodies of {sorted(known)}")
         for name in chosen:
             if name not in known and name not in known.values():
-                raise ValueError(f"bodies has {name!r}, but {type(task).__name__} can feel {sorted(known)}: choose some")
+                raise ValueError(
+                    f"bodies has {name!r}, but {type(task).__name__} can feel {sorted(known)}: choose some"
+                )
         found = self.replace(bodies=tuple(known.get(name, name) for name in chosen))  # type: ignore[arg-type]
         if self.points is not None and jnp.ndim(self.points) == 3 and len(self.points) != len(chosen):
             raise ValueError(
@@ -112,7 +114,7 @@ class Touch(struct.Replaceable):
         return Wrench(*(turned(rotation, vector) for vector in world.felt))
 
     def see(self, world: World, key: Key) -> Array:
-        """Forces of all patches, then their torques, shape (6 * num_patches,), or (3 * num_patches,) without torques."""
+        """Forces of all patches, then their torques, shape (6 * num_patches,); (3 * num_patches,) without torques."""
         del key
         force, torque = self.measure(world)
         seen = jnp.concatenate([force.reshape(-1), torque.reshape(-1)]) if self.torque else force.reshape(-1)

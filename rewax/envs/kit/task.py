@@ -23,8 +23,8 @@ _COUNTS = {
 class Task(struct.Replaceable):
     """Base of ``RigidTask``, ``SoftTask`` and ``CoupledTask``, which add fields, ``begin``, ``advance`` and pictures.
 
-    Their physics has the fields ``action``, ``task`` and ``felt``. With the field ``touch``, patches of bodies by the name
-    of a sensor, ``felt`` holds the mean force and torque on them in the last control step; without it, None.
+    Their physics has the fields ``action``, ``task`` and ``felt``. With the field ``touch``, patches of bodies by the
+    name of a sensor, ``felt`` holds the mean force and torque on them in the last control step; without it, None.
     """
 
     num_substeps: int

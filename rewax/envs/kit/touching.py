@@ -18,7 +18,7 @@ def untouched(touch: dict[str, Patches] | None, like: Array) -> dict[str, Wrench
 
 
 def felt_step(solver: Any, scene: Any, soft: Any, poses: Pose, touch: Any, store_every: int) -> tuple[Any, Any]:
-    """``solver.step`` and None without ``touch``, ``solver.step_with_touch`` with it; the solver is ``mpm`` or ``tets``."""
+    """``step`` of a solver (``mpm`` or ``tets``) and None without ``touch``; ``step_with_touch`` with it."""
     if touch is None:
         return solver.step(scene, soft, poses, store_every=store_every), None
     return solver.step_with_touch(scene, soft, poses, touch, store_every=store_every)

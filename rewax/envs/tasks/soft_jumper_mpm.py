@@ -19,6 +19,7 @@ from rewax import struct
 from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.start_noise import reset_noise
+from rewax.envs.kit.touching import moved_origin
 from rewax.envs.tasks.soft_jumper import REFERENCE, SoftJumper
 from rewax.physics import mpm, tets
 from rewax.physics.mpm import Grid, Material, MPMScene, MPMState, Muscle, NeoHookean, Newtonian, Wall, WallKind, Walls

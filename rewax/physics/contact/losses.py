@@ -77,7 +77,7 @@ def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velo
             return after, after
 
         _, each = jax.lax.scan(one, before, stacked(run))
-        found += [cp.vector(lambda i, k=k: each[i][k]) for k in range(len(run))]
+        found += [cp.vector(lambda i, k=k, each=each: each[i][k]) for k in range(len(run))]
     return found
 
 

@@ -138,7 +138,8 @@ def _felt(patches: Patches, position: Vec3, received: Any, bodies: Pose, turned_
     arms = jnp.stack([jnp.ones_like(position[0]), *(position[i] - about[i] for i in cp.AXES)])
     moments = jnp.einsum("pin,jn->pij", by_patch(received), arms, precision="highest")
     impulse = moments[..., 0]
-    turning = jnp.stack([moments[:, (i + 2) % 3, 1 + (i + 1) % 3] - moments[:, (i + 1) % 3, 1 + (i + 2) % 3] for i in cp.AXES], axis=-1)  # fmt: skip
+    after, last = (np.arange(3) + 1) % 3, (np.arange(3) + 2) % 3
+    turning = moments[:, last, 1 + after] - moments[:, after, 1 + last]
     turning = turning - jnp.cross(origin - about, impulse)
     return Wrench(impulse, turning + jnp.sum(by_patch(turned_by), axis=-1) if turned_by else turning)
 

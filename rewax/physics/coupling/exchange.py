@@ -23,7 +23,6 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
 
-
 WRENCH = instance(Wrench, "give a Wrench(force, torque), or None")
 
 
@@ -129,7 +128,7 @@ class SoftContact(Protocol):
         ...
 
     def given(self) -> tuple[Vec3, list[tuple[int, Vec3]]]:
-        """After ``exchange``: the contact points [m], and pairs of a body and the impulses [N s] that it receives there.
+        """After ``exchange``: contact points [m], and pairs of a body and the impulses [N s] that it receives there.
 
         One pair for each collider, and one of ``WALLS``.
         """

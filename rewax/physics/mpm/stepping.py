@@ -291,9 +291,7 @@ def where_mass(has_mass: Array, velocity: Vec3) -> Vec3:
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
-def colliders_at(
-    scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Placed
-) -> list[tuple[Collider, Placed]]:
+def colliders_at(scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Placed) -> list[tuple[Collider, Placed]]:
     """The colliders to evaluate, with their placements."""
     colliders = scene.sized_colliders
     if scene.max_near_colliders is None or len(colliders) <= scene.max_near_colliders:

@@ -77,9 +77,7 @@ class _Owned(NamedTuple):
     body: Array
 
 
-def _substep(
-    scene: MPMScene, patches: Any, nodes: ActiveNodes, carry: _Carry, interval: tuple[Placed, Pose]
-) -> _Carry:
+def _substep(scene: MPMScene, patches: Any, nodes: ActiveNodes, carry: _Carry, interval: tuple[Placed, Pose]) -> _Carry:
     placed, bodies = interval
     particles, fields = to_nodes(scene, nodes, carry.particles)
     with jax.named_scope("grid"):

@@ -19,7 +19,8 @@ from rewax.physics.rigid.stepping import check_status, initial_state, step
 from rewax.physics.rigid.touch import step_with_touch
 
 __all__ = [
-    "PARAMETERS", "ContactPair", "Geom", "Penalty", "RigidModel", "RigidState", "body_name", "body_poses", "body_velocities",
-    "centers_of_mass", "check_shape", "check_status", "colliders", "contact_distances", "geom_poses", "initial_state",
-    "load", "poses", "shapes", "step", "step_with_stale_mass", "step_with_touch", "touching_bodies",
+    "PARAMETERS", "ContactPair", "Geom", "Penalty", "RigidModel", "RigidState", "body_name", "body_poses",
+    "body_velocities", "centers_of_mass", "check_shape", "check_status", "colliders", "contact_distances",
+    "geom_poses", "initial_state", "load", "poses", "shapes", "step", "step_with_stale_mass", "step_with_touch",
+    "touching_bodies",
 ]  # fmt: skip

@@ -281,9 +281,7 @@ def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Dat
     return rows_and_contacts(model, kin, m, d)[0]
 
 
-def rows_and_contacts(
-    model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data
-) -> tuple[Rows, mjx.Contact | None]:
+def rows_and_contacts(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data) -> tuple[Rows, mjx.Contact | None]:
     """``constraint_rows``, and the contacts that the last of them belong to; None without contacts."""
     if model.penalty is None:
         contact = collide(model.static.collisions, m, d) if model.static.has_contacts else None

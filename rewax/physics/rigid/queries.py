@@ -119,7 +119,11 @@ def touching_bodies(model: RigidModel) -> dict[str, int]:
     """Bodies by name that have geoms in pairs that may touch; ``world`` among them if fixed geoms are."""
     mj, groups = model.static.mj, model.static.collisions.groups
     geoms = [np.asarray(group.geoms).ravel() for group in groups]
-    geoms += [np.asarray(pair).ravel() for found in (model.static.sphere_boxes, model.static.capsules, model.static.boxes) for pair in found[1:]]
+    geoms += [
+        np.asarray(pair).ravel()
+        for found in (model.static.sphere_boxes, model.static.capsules, model.static.boxes)
+        for pair in found[1:]
+    ]
     bodies = np.unique(mj.geom_bodyid[np.concatenate([np.zeros(0, int), *geoms]).astype(int)])
     return {body_name(model, int(body)): int(body) for body in bodies}
 

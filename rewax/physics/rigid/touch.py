@@ -66,9 +66,7 @@ def step_with_touch(
     return jax.lax.scan(substep, start, None, length=num_substeps)[0]
 
 
-def felt_contacts(
-    model: RigidModel, state: RigidState, qacc: Array, ctrl: Array, wrenches: Array, patches: Any
-) -> Any:
+def felt_contacts(model: RigidModel, state: RigidState, qacc: Array, ctrl: Array, wrenches: Array, patches: Any) -> Any:
     """Force and torque of contacts on patches of bodies within one substep; see ``step_with_touch``.
 
     Args:
@@ -149,7 +147,8 @@ def _of_rows(model: RigidModel, contact: mjx.Contact, forces: Array) -> _PointFo
     """Forces of contacts from those of all constraint rows, of which they are the last.
 
     A contact without friction has one row along its normal. One of ``condim`` d has d - 1 pairs of rows, the edges
-    normal + mu_k axis_k and normal - mu_k axis_k of its pyramid. Axes 1 and 2 are tangents, 3 to 5 turn about the frame.
+    normal + mu_k axis_k and normal - mu_k axis_k of its pyramid. Axes 1 and 2 are tangents, 3 to 5 rotations about the
+    three axes of the frame.
 
     Source: MuJoCo's ``mju_decodePyramid``.
     """
@@ -166,7 +165,9 @@ def _of_rows(model: RigidModel, contact: mjx.Contact, forces: Array) -> _PointFo
         local += [jnp.zeros_like(local[0])] * (6 - dim)
         parts.append(jnp.stack(local, axis=1))
     local = jnp.concatenate(parts)
-    force, torque = (sum(part[:, k, None] * contact.frame[:, k] for k in range(3)) for part in (local[:, :3], local[:, 3:]))
+    force, torque = (
+        sum(part[:, k, None] * contact.frame[:, k] for k in range(3)) for part in (local[:, :3], local[:, 3:])
+    )
     bodies = jnp.asarray(model.static.mj.geom_bodyid)[contact.geom]
     return _PointForces(
         jnp.concatenate([bodies[:, 1], bodies[:, 0]]),

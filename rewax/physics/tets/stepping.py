@@ -195,9 +195,7 @@ def contact_forces(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose
     return total_force([force for _, force in each_contact_force(scene, x, v, interval)], x)
 
 
-def each_contact_force(
-    scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose] | None
-) -> list[tuple[int, Vec3]]:
+def each_contact_force(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose] | None) -> list[tuple[int, Vec3]]:
     """Bodies, and the forces of each on the vertices [N]; the ground's body is ``WALLS``. Gradient: exact."""
     if scene.contact is None:
         return []
