@@ -15,7 +15,7 @@ STEP = jax.jit(rigid.step_with_touch, static_argnames="num_substeps")
 RUBBING = """<mujoco><option timestep="0.002" cone="pyramidal"/><worldbody>
   <geom name="floor" type="plane" size="9 9 1" condim="{dim}" friction="0.8 0.02 0.01"/>
   <body name="ball" pos="0 0 .0985"><freejoint/><geom size=".1" density="300" condim="{dim}" friction="0.8 0.02 0.01"/></body>
-  <body name="other" pos=".178 0 .079"><freejoint/><geom size=".08" density="300" condim="{dim}"/></body>
+  <body name="other" pos=".178 0 .0793"><freejoint/><geom size=".08" density="300" condim="{dim}"/></body>
 </worldbody></mujoco>"""
 
 
