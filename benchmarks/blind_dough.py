@@ -3,7 +3,7 @@
     python benchmarks/blind_dough.py                                # what has no row yet: an hour and more on two cores
     python benchmarks/blind_dough.py --columns touch --seeds 0
     python benchmarks/blind_dough.py --table                        # the table of the rows that are there
-    python benchmarks/blind_dough.py --time                         # a train step with and without touch
+    python benchmarks/blind_dough.py --time                         # a control step with and without touch
 
 Each cell (column, seed) trains SAPO on HandLift at scale ``small`` and evaluates 64 episodes with deterministic actions
 from the same starts: with drawn weights, and with the lightest and the heaviest. Its rows are written when it is
@@ -104,23 +104,26 @@ def run_cell(column: str, seed: int) -> list[dict[str, Any]]:
     return rows
 
 
-def time_train_steps(repeats: int = 5) -> None:
-    """Seconds of a train step of the columns ``joints`` and ``touch``, in turns, the least of several."""
-    least: dict[str, float] = {}
-    running = {}
+def time_steps(num_envs: int = 8, repeats: int = 15) -> None:
+    """CPU time of a control step with its gradient, with and without touch: in turns, the least of several."""
+    keys, programs, least = jax.random.split(jax.random.key(0), num_envs), {}, {}
     for column in ("joints", "touch"):
-        agent, _ = agent_of(column, env_of(column))
-        began = time.perf_counter()
-        ts = jax.block_until_ready(agent.train_step(agent.init(jax.random.key(0)))[0])
-        print(f"{column}: {time.perf_counter() - began:.1f} s with compilation", flush=True)
-        running[column] = (agent, ts)
+        env = env_of(column)
+        state = jax.jit(jax.vmap(env.reset))(keys)
+
+        def total(action: Any, env: Any = env, state: Any = state) -> Any:
+            after = jax.vmap(env.step)(state, action)
+            return sum(jnp.sum(value) for value in after.obs.values()) + jnp.sum(after.reward)
+
+        action, began = jnp.full((num_envs, *env.action_spec.shape), 0.2), time.process_time()
+        programs[column] = (jax.jit(jax.value_and_grad(total)).lower(action).compile(), action)
+        print(f"{column}: {time.process_time() - began:.0f} s of CPU time to trace and compile", flush=True)
     for _ in range(repeats):
-        for column, (agent, ts) in running.items():
-            began = time.perf_counter()
-            ts = jax.block_until_ready(agent.train_step(ts)[0])
-            least[column] = min(least.get(column, np.inf), time.perf_counter() - began)
-            running[column] = (agent, ts)
-    print({column: f"{seconds:.3f} s" for column, seconds in least.items()}, f"{least['touch'] / least['joints']:.3f}")
+        for column, (program, action) in programs.items():
+            began = time.process_time()
+            jax.block_until_ready(program(action))
+            least[column] = min(least.get(column, np.inf), time.process_time() - began)
+    print({column: f"{1e3 * seconds:.0f} ms" for column, seconds in least.items()})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,7 +134,7 @@ class Args:
       columns, seeds: cells to run, all columns of a seed first.
       out: the file of rows.
       table: print the table of the rows that are there, and stop.
-      time: time a train step with and without touch, and stop.
+      time: time a control step with and without touch, and stop.
     """
 
     columns: tuple[str, ...] = tuple(COLUMNS)
@@ -172,10 +175,10 @@ def main(args: Args) -> None:
     if args.table:
         print(table(read(args.out)))
         return
-    enable_compilation_cache()
     if args.time:
-        time_train_steps()
+        time_steps()
         return
+    enable_compilation_cache()
     where = {key: value for key, value in provenance().items() if key in FIELDS}
     for seed in args.seeds:
         for column in args.columns:
