@@ -37,7 +37,7 @@ def main() -> None:
     camera = Camera.look_at(TARGET, eye=EYE, up=UP, near=NEAR, far=FAR, height=HEIGHT, width=WIDTH)
     pairs = []
     print(
-        "| scene | pixels that see something | within 1 mm of the renderer | median error | within 1 mm of the rays |"
+        "| scene | pixels that show a body | within 1 mm of the renderer | median error | within 1 mm of the rays |"
     )
     print("|---|---|---|---|---|")
     for scene in SCENES:
