@@ -12,11 +12,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.thin import closest
+from rewax.physics.thin.contact_elements import ContactElements, Kind
 from rewax.types import Array
 
 _ARITY = 4
 BOXES_PER_NODE = 16
 """Overlapping boxes of a level for each of its nodes, for which the lists have room on average."""
+WIDER = 4
+"""Pairs of overlapping boxes for each close pair, for which the search has room."""
 
 
 class Boxes(NamedTuple):
@@ -85,12 +91,40 @@ def overlapping(first: Boxes, second: Boxes | None, orders: tuple, levels: int, 
     return Found(first_id, second_id, valid, excess)
 
 
-def kept(found: Found, keep: Array, capacity: int) -> Found:
-    """The pairs for which ``keep`` holds, in a list of length ``capacity`` or less."""
+def find_pairs(
+    elements: ContactElements, at: Array, lengths: Array, with_triangles: bool, capacity: int
+) -> tuple[Array, Array, Array]:
+    """``pair_kernels.find_pairs``, for positions of shape (3, num_vertices)."""
+    first, second = elements.kinds(with_triangles)
+
+    def halves(kind: Kind) -> Array:
+        return jnp.where(kind.is_rope, lengths[1], lengths[0])
+
+    boxes = [boxes_of(at, kind.corners, halves(kind) + 0.5 * lengths[2]) for kind in (first, second)]
+    orders = (first.order, second.order)
+    found = overlapping(boxes[0], boxes[1] if with_triangles else None, orders, elements.levels, WIDER * capacity)
+    near = jnp.bool_(False)
+    for column in elements.neighbours(with_triangles).T:
+        near = near | (jnp.asarray(column)[found.first] == found.second)
+    corners = (*gather_corners(at, first, found.first), *gather_corners(at, second, found.second))
+    weights = closest.vertex_triangle(corners) if with_triangles else closest.segments(corners, _smoothing(corners))
+    gap = cp.norm(closest.weighted(weights, corners))
+    reach = halves(first)[found.first] + halves(second)[found.second] + lengths[2]
+    keep = found.valid & ~near & (gap < reach)
     room = min(capacity, keep.size)
-    where, valid, count = first_true(keep & found.valid, room)
-    first, second = (jnp.where(valid, k[where], 0) for k in (found.first, found.second))
-    return Found(first, second, valid, jnp.maximum(found.excess, count - room))
+    where, valid, count = first_true(keep, room)
+    pad = (0, capacity - room)
+    i, j = (jnp.pad(jnp.where(valid, k[where], 0), pad) for k in (found.first, found.second))
+    return i, j, jnp.where(found.excess > 0, capacity + found.excess, count)
+
+
+def gather_corners(at: Array, kind: Kind, ids: Array) -> tuple[Vec3, ...]:
+    """Corners of elements, from positions of shape (3, num_vertices)."""
+    return tuple(cp.vector(lambda i, c=c: at[i, jnp.asarray(c)[ids]]) for c in kind.corners.T)
+
+
+def _smoothing(corners: tuple[Vec3, ...]) -> Array:
+    return 1e-3 * cp.norm(cp.subtract(corners[1], corners[0]))
 
 
 def first_true(mask: Array, size: int) -> tuple[Array, Array, Array]:
@@ -119,4 +153,4 @@ def _overlap(a: Boxes, b: Boxes, i: Array, j: Array) -> Array:
     return pairs[0] & pairs[1] & pairs[2]
 
 
-__all__ = ["Boxes", "Found", "boxes_of", "first_true", "kept", "overlapping"]
+__all__ = ["Boxes", "Found", "boxes_of", "find_pairs", "first_true", "gather_corners", "overlapping"]

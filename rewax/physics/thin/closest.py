@@ -45,8 +45,8 @@ def _square(f: Array, g: Array, h: Array, d: Array, e: Array, u: Array, v: Array
 def segments(x: tuple[Vec3, ...], smoothing: Array) -> Weights:
     """Weights for the segments x[:2] and x[2:]: 1 - s, s, t - 1, -t.
 
-    Here s and t in [0, 1] minimize |difference|^2 + smoothing^2 ((2 s - 1)^2 + (2 t - 1)^2). The second term [m^2] draws
-    the points to the middles of the segments, so that they are unique for parallel segments too. Gradient: exact.
+    Here s and t in [0, 1] minimize |difference|^2 + smoothing^2 ((2 s - 1)^2 + (2 t - 1)^2). The second term [m^2]
+    draws the points to the middles of the segments, so that they are unique for parallel segments too. Gradient: exact.
     """
     first, second, between = cp.subtract(x[1], x[0]), cp.subtract(x[3], x[2]), cp.subtract(x[2], x[0])
     extra = 2.0 * smoothing * smoothing

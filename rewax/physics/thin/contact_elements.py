@@ -2,6 +2,7 @@
 
 import heapq
 from collections import defaultdict
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,17 @@ APART = 1.5
 thickness allows, has its ends at a distance of one thickness."""
 _ARITY = 4
 _MAX_ROOTS = 128
+
+
+class Kind(NamedTuple):
+    """Elements of one kind."""
+
+    corners: np.ndarray
+    """Vertices of each, int32 of shape (num_elements, num_corners)."""
+    is_rope: np.ndarray
+    """Whether each belongs to a rope, shape (num_elements,)."""
+    order: np.ndarray
+    """Along the tree, see ``tree_order``."""
 
 
 class ContactElements:
@@ -48,8 +60,25 @@ class ContactElements:
         piece = _pieces(self.edges, self.num_vertices)
         shifted = vertices + [10.0 * np.ptp(vertices, axis=0).max(), 0.0, 0.0] * piece[:, None]
         self.orders = tuple(tree_order(shifted[kind].mean(axis=1), _ARITY**self.levels) for kind in kinds)
+        self._vertices = np.arange(self.num_vertices, dtype=np.int32)[:, None]
         self._key = (topology, self.near_triangles.tobytes(), self.near_edges.tobytes(), *map(bytes, self.orders))
         self._hash = hash(self._key)
+
+    def kinds(self, with_triangles: bool) -> tuple["Kind", "Kind"]:
+        """Vertices and triangles, or edges twice."""
+        vertices, edges, triangles = self.orders
+        if not with_triangles:
+            return (Kind(self.edges, self.is_rope, edges),) * 2
+        flat = np.zeros(len(self.triangles), bool)
+        return Kind(self._vertices, self.in_rope, vertices), Kind(self.triangles, flat, triangles)
+
+    def capacity(self, with_triangles: bool, pairs_per_element: int) -> int:
+        """Length of a list of pairs."""
+        return pairs_per_element * (self.num_vertices if with_triangles else len(self.edges))
+
+    def neighbours(self, with_triangles: bool) -> np.ndarray:
+        """``near_triangles`` of vertices, or ``near_edges`` of edges."""
+        return self.near_triangles if with_triangles else self.near_edges
 
     def __hash__(self) -> int:
         return self._hash
@@ -143,4 +172,4 @@ def _pieces(edges: np.ndarray, num_vertices: int) -> np.ndarray:
     return piece
 
 
-__all__ = ["APART", "ContactElements", "near_vertices", "tree_order"]
+__all__ = ["APART", "ContactElements", "Kind", "near_vertices", "tree_order"]

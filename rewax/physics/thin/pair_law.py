@@ -3,7 +3,8 @@
 A pair is a vertex and a triangle, or two segments. It touches where its distance D is below the thickness h. With the
 depth c = h - D, the onset o = h/4, and v_n and v_t the normal and tangential relative velocity:
 
-    f = n (stiffness r(c) - damping min(c/o, 1) min(v_n, 0)) - v_t/|v_t| min(friction_damping min(c/o, 1) |v_t|, friction f_n)
+    f = n f_n - v_t/|v_t| min(friction_damping min(c/o, 1) |v_t|, friction f_n),
+    f_n = stiffness r(c) - damping min(c/o, 1) min(v_n, 0),
 
 where r(c) = c^2 / (2 o) up to c = o and c - o/2 beyond. The force of one element acts on its corners with the weights
 of the closest point, the opposite force on the other's. So forces and torques sum to zero.

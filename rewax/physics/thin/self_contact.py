@@ -10,10 +10,11 @@ import numpy as np
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.substeps import check_store_every
-from rewax.physics.thin import broad_phase, closest, pair_law
+from rewax.physics.thin import pair_law
 from rewax.physics.thin.contact_elements import ContactElements
+from rewax.physics.thin.pair_kernels import CloseElements, find_pairs, to_corners, to_vertices
 from rewax.physics.thin.pair_law import SelfContact
-from rewax.types import Array, Scalar
+from rewax.types import Array
 
 if TYPE_CHECKING:
     from rewax.physics.thin.scene import ThinScene
@@ -50,100 +51,27 @@ def close_pairs(scene: "ThinScene", x: Vec3) -> AllPairs:
 
     Gradient: exact with respect to the thickness. The choice of pairs is a constant.
     """
-    law, elements = _law(scene), scene.contact_elements
-    assert elements is not None
-    triangles, edges, _ = search(scene, x)
-    of_vertex, of_edge, of_triangle = half_thickness(law, elements)
+    law, elements = _parts(scene)
+    halves = 0.5 * jnp.stack([jnp.asarray(law.thickness), jnp.asarray(law.rope())]).astype(x[0].dtype)
 
-    def pairs(found: broad_phase.Found, tables: Any, halves: Any) -> Pairs:
-        corners = [jnp.asarray(t)[:, k] for t, k in zip(tables, (found.first, found.second), strict=True)]
-        thickness = halves[0][found.first] + halves[1][found.second]
-        return Pairs(jnp.concatenate(corners), jnp.where(found.valid, thickness, NO_PAIR))
+    def pairs(with_triangles: bool) -> Pairs:
+        found, kinds = find(scene, x, with_triangles), elements.kinds(with_triangles)
+        ids = (found.first, found.second)
+        corners = [jnp.asarray(kind.corners.T)[:, k] for kind, k in zip(kinds, ids, strict=True)]
+        own = [halves[jnp.asarray(kind.is_rope.astype(np.int32))[k]] for kind, k in zip(kinds, ids, strict=True)]
+        valid = jnp.arange(found.first.size) < found.count
+        return Pairs(jnp.concatenate(corners), jnp.where(valid, own[0] + own[1], NO_PAIR))
 
-    tables = (np.arange(elements.num_vertices)[None], elements.triangles.T)
-    return AllPairs(
-        None if triangles is None else pairs(triangles, tables, (of_vertex, of_triangle)),
-        pairs(edges, (elements.edges.T, elements.edges.T), (of_edge, of_edge)),
-    )
+    return AllPairs(pairs(True) if len(elements.triangles) else None, pairs(False))
 
 
-def search(scene: "ThinScene", x: Vec3) -> tuple[broad_phase.Found | None, broad_phase.Found, Array]:
-    """Close pairs of vertices with triangles (None without triangles) and of edges, and the excess of their lists."""
-    scene, x = jax.lax.stop_gradient((scene, x))
-    law, elements = _law(scene), scene.contact_elements
-    assert elements is not None
+def find(scene: "ThinScene", x: Vec3, with_triangles: bool) -> CloseElements:
+    """Close pairs of vertices with triangles, or of edges. Gradient: none."""
+    law, elements = _parts(scene)
     skin = 2.0 * law.max_speed * law.every * scene.dt
-    halves = half_thickness(law, elements)
-    room = law.pairs_per_element
-    at = jnp.stack(x)
-    vertices, edges, triangles = elements.orders
-
-    def boxes(corners: np.ndarray, half: Array) -> broad_phase.Boxes:
-        return broad_phase.boxes_of(at, corners, half + 0.5 * skin)
-
-    capacity = room * len(elements.edges)
-    found = broad_phase.overlapping(
-        boxes(elements.edges, halves[1]), None, (edges, edges), elements.levels, _WIDER * capacity
-    )
-    near = _is_near(elements.near_edges, found)
-    reach = halves[1][found.first] + halves[1][found.second] + skin
-    gap = _edge_distance(elements, x, found)
-    edge_pairs = broad_phase.kept(found, ~near & (gap < reach), capacity)
-    if not len(elements.triangles):
-        return None, edge_pairs, edge_pairs.excess
-    capacity = room * elements.num_vertices
-    found = broad_phase.overlapping(
-        boxes(np.arange(elements.num_vertices)[:, None], halves[0]),
-        boxes(elements.triangles, halves[2]),
-        (vertices, triangles),
-        elements.levels,
-        _WIDER * capacity,
-    )
-    near = _is_near(elements.near_triangles, found)
-    reach = halves[0][found.first] + halves[2][found.second] + skin
-    gap = _triangle_distance(elements, x, found)
-    triangle_pairs = broad_phase.kept(found, ~near & (gap < reach), capacity)
-    return triangle_pairs, edge_pairs, jnp.maximum(triangle_pairs.excess, edge_pairs.excess)
-
-
-_WIDER = 4
-"""Pairs of overlapping boxes for each close pair, for which the search has room."""
-
-
-def half_thickness(law: SelfContact, elements: ContactElements) -> tuple[Array, Array, Array]:
-    """Half of the thickness [m] of vertices, edges and triangles. Gradient: exact."""
-    cloth, rope = 0.5 * jnp.asarray(law.thickness), 0.5 * jnp.asarray(law.rope())
-    return (
-        jnp.where(elements.in_rope, rope, cloth),
-        jnp.where(elements.is_rope, rope, cloth),
-        jnp.broadcast_to(cloth, (len(elements.triangles),)),
-    )
-
-
-def _is_near(table: np.ndarray, found: broad_phase.Found) -> Array:
-    """Whether the second element is a neighbour of the first."""
-    near = jnp.bool_(False)
-    for column in table.T:
-        near = near | (jnp.asarray(column)[found.first] == found.second)
-    return near
-
-
-def gather_corners(x: Vec3, table: np.ndarray, ids: Array) -> tuple[Vec3, ...]:
-    return tuple(cp.vector(lambda i, c=c: x[i][jnp.asarray(c)[ids]]) for c in table.T)
-
-
-def _edge_distance(elements: ContactElements, x: Vec3, found: broad_phase.Found) -> Array:
-    at = (*gather_corners(x, elements.edges, found.first), *gather_corners(x, elements.edges, found.second))
-    return cp.norm(closest.weighted(closest.segments(at, _TINY * cp.norm(cp.subtract(at[1], at[0]))), at))
-
-
-def _triangle_distance(elements: ContactElements, x: Vec3, found: broad_phase.Found) -> Array:
-    at = (cp.vector(lambda i: x[i][found.first]), *gather_corners(x, elements.triangles, found.second))
-    return cp.norm(closest.weighted(closest.vertex_triangle(at), at))
-
-
-_TINY = 1e-3
-"""Smoothing over the first edge's length in the search; the skin is larger."""
+    lengths = jnp.stack([0.5 * jnp.asarray(law.thickness), 0.5 * jnp.asarray(law.rope()), jnp.asarray(skin)])
+    capacity = elements.capacity(with_triangles, law.pairs_per_element)
+    return find_pairs(elements, x, lengths, with_triangles=with_triangles, capacity=capacity)
 
 
 # --- Forces -----------------------------------------------------------------------------------------------------------
@@ -151,28 +79,18 @@ _TINY = 1e-3
 
 def self_forces(scene: "ThinScene", x: Vec3, v: Vec3, pairs: AllPairs) -> Vec3:
     """Forces of self-contact on the vertices [N]; they and their torques sum to zero. Gradient: exact."""
-    law = pair_law.numbers(_law(scene))
-    kinds = [
-        (pair_law.vertex_triangle_force, pairs.triangles),
-        (pair_law.segments_force, pairs.edges),
-    ]
-    kinds = [(force, kind) for force, kind in kinds if kind is not None and kind.thickness.size]
-    out = cp.vector(lambda i: jnp.zeros_like(x[i]))
+    law = pair_law.numbers(_parts(scene)[0])
+    kinds = ((pair_law.vertex_triangle_force, pairs.triangles), (pair_law.segments_force, pairs.edges))
+    total = cp.vector(lambda i: jnp.zeros_like(x[i]))
     for force, kind in kinds:
-        corners = kind.corners
-        at, moving = (
-            tuple(cp.vector(lambda i, u=u, c=c: u[i].at[c].get(mode="promise_in_bounds")) for c in corners)
-            for u in (x, v)
-        )
+        if kind is None:
+            continue
+        flat = to_corners(kind.corners, (*x, *v))
+        at, moving = (tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:]))
         each = force(law, (at, moving, kind.thickness))
-        out = cp.vector(
-            lambda i, out=out, each=each, corners=corners: (
-                out[i]
-                .at[corners.reshape(-1)]
-                .add(jnp.concatenate([corner[i] for corner in each]), mode="promise_in_bounds")
-            )
-        )
-    return out
+        values = tuple(corner[i] for i in cp.AXES for corner in each)
+        total = cp.add(total, to_vertices(kind.corners, values, x[0].shape[-1]))  # pyright: ignore[reportArgumentType]
+    return total
 
 
 def scan_rounds(
@@ -203,18 +121,9 @@ def scan_rounds(
     return jax.lax.scan(jax.checkpoint(one_chunk), carry, chunks)[0]
 
 
-def _law(scene: "ThinScene") -> SelfContact:
-    assert scene.self_contact is not None
-    return scene.self_contact
+def _parts(scene: "ThinScene") -> tuple[SelfContact, ContactElements]:
+    assert scene.self_contact is not None and scene.contact_elements is not None
+    return scene.self_contact, scene.contact_elements
 
 
-__all__ = [
-    "AllPairs",
-    "Pairs",
-    "close_pairs",
-    "gather_corners",
-    "half_thickness",
-    "scan_rounds",
-    "search",
-    "self_forces",
-]
+__all__ = ["AllPairs", "Pairs", "close_pairs", "find", "scan_rounds", "self_forces"]
