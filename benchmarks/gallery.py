@@ -87,7 +87,7 @@ def specification(name: str) -> list[str]:
 def earned(rows: list[dict[str, str]]) -> list[str]:
     """A table of the seeds."""
     lines = [
-        "Mean returns of 64 episodes:",
+        "Each row shows mean returns of 64 episodes:",
         "",
         "| seed | sampled | deterministic | succeeded | untrained | no action | random: mean, best of 64 | minutes |",
         "|---|---|---|---|---|---|---|---|",
@@ -115,8 +115,8 @@ def page(name: str, rows: list[dict[str, str]], out: Path) -> None:
     source = Path(inspect.getsourcefile(home) or "").resolve().relative_to(Path(rewax.__file__).resolve().parent.parent)
     lines = [f"# {name}", "", first, ""]
     if (out / f"{name}.jpg").is_file():
-        lines += [f"![{name}: what a trained policy does]({name}.jpg)", ""]
-    lines += [*specification(name), "", f"Source: `{source}`", "", "## What SAPO earns", ""]
+        lines += [f"![{name}: an episode of a trained policy]({name}.jpg)", ""]
+    lines += [*specification(name), "", f"Source: `{source}`", "", "## Returns of SAPO", ""]
     if rows:
         steps = int(rows[0]["env_steps"])
         lines += [
@@ -125,7 +125,7 @@ def page(name: str, rows: list[dict[str, str]], out: Path) -> None:
             "",
             *earned(rows),
             "",
-            "Minutes are the number of iterations times the median of their times; compilation comes on top.",
+            "Minutes are the number of iterations times the median of their times. Compilation is not included.",
             "",
         ]
     else:

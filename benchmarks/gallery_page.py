@@ -21,19 +21,20 @@ from rewax.training.storage.policies import list_policies, read_card
 HEAD = """# Gallery
 
 This page shows each task at scale `small`, and the trained policy that comes with rewax. One command records an episode
-and writes a page that a browser opens without a network:
+and writes a page for the browser, which needs no network:
 
 ```bash
 rewax play HandFlip        # writes player.html; several tasks side by side: rewax play HandFlip SteerFloat
 rewax eval HandFlip        # returns of 64 episodes, and a video
 ```
 
-With empty caches this takes 12 s on two cores of an EPYC, building the C++ included (one run):
+With empty caches the first command takes 12 s on two cores of an EPYC (one run). It also builds the C++ libraries:
 
     time XDG_CACHE_HOME=$(mktemp -d) rewax play HandFlip
 
-The numbers are mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
-Each policy is the best of one or two seeds; [the suite](measured/small_suite.md) has all algorithms. Some tasks
+The tables show mean returns of 64 episodes with their 95 % bootstrap interval, from the same starts in all columns.
+Each policy is the best of one or two seeds. So its return is not that of [the suite](measured/small_suite.md), which
+compares all algorithms over several seeds. Some tasks
 also have a policy at scale `paper`: `rewax play AntRun --scale paper`.
 Pictures and curves come from the [tasks' pages](tasks/index.md), where SAPO was trained with three seeds.
 In code, `rewax.load_policy("HandFlip")` loads a policy ([trained policies](adapters.md#trained-policies)).

@@ -57,9 +57,9 @@ def main(args: Args) -> int:
     parts = [run(jnp.arange(i, i + args.at_once)) for i in range(0, args.seeds, args.at_once)]
     finite, action_norm, used = (np.concatenate([np.asarray(p[k]) for p in parts]) for k in range(3))
     bad = int((~finite).sum())
-    print(f"{args.env}, {finite.shape[0]} seeds, {finite.shape[1]} leaves each: {bad} leaves are not finite")
-    print(f"norm by actions: median {np.median(action_norm):.3g}, largest {action_norm.max():.3g}")
-    print(f"leaves with a gradient: {int(used.any(axis=0).sum())} in some seed, {int(used.all(axis=0).sum())} in all")
+    print(f"{args.env}, {finite.shape[0]} seeds, {finite.shape[1]} parameters each: {bad} gradients are not finite")
+    print(f"gradient by actions, norm: median {np.median(action_norm):.3g}, largest {action_norm.max():.3g}")
+    print(f"parameters with a gradient: {int(used.any(axis=0).sum())} in a seed, {int(used.all(axis=0).sum())} in all")
     return bad
 
 

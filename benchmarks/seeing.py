@@ -9,13 +9,13 @@ Each cell (task, column, seed) trains one policy at scale ``small`` and evaluate
 from the same starts. Its rows are written when it is finished, and finished cells are skipped. Columns:
 
     state          SAPO, all observations of the task
-    depth          SAPO, depth of 64 x 64 pixels and joints; the critics see the state
+    depth          SAPO, depth of 64 x 64 pixels and joints; the critics observe the state
     depth close    the same with a field of view of 26 degrees instead of 40
     depth slow     as ``depth``, with half of the actor's learning rate
-    depth alone    as ``depth``, and the critics see only what the policy sees
-    blind          SAPO, joints alone; the critics see the state
-    cloud          SAPO, 64 points that the camera sees of the soft body, and joints; the critics see the state
-    ppo            PPO from depth with as many control steps as SAPO; the critic sees the state
+    depth alone    as ``depth``, and the critics observe the same as the policy
+    blind          SAPO, joints alone; the critics observe the state
+    cloud          SAPO, 64 visible points of the soft body, and joints; the critics observe the state
+    ppo            PPO from depth with as many control steps as SAPO; the critic observes the state
     ppo x10        the same with ten times as many
     varied         as ``depth``, trained with noise, latency, and a camera that is moved in each episode
 

@@ -1,8 +1,8 @@
 """How fast tasks are: compile seconds, milliseconds per env step, particle-substeps per second, peak memory.
 
 Each measurement runs in a process of its own, so that peak memory is its own; the cold compile uses an empty cache
-directory, the warm one what the cold one left there. A train step is measured beside the gradient of the same stretch
-of the same environments without policy and critics: what is left is the share spent outside physics.
+directory, the warm one what the cold one left there. A train step is measured beside the gradient of the same
+segment of the same environments without policy and critics. The difference is the time spent outside physics.
 
     python benchmarks/speed.py                                       # every registered task at both scales
     python benchmarks/speed.py --scales small --train-step           # also one SAPO train step
@@ -105,7 +105,7 @@ def measure_train_step(args: Args, env: Any, task: str, scale: str) -> dict[str,
     numbers["peak_gb"] = peak_gb()
 
     def physics(action: jax.Array, state: Any, key: jax.Array) -> jax.Array:
-        """A sum in which everything counts that the policy and the critics would see."""
+        """A sum that depends on everything that the policy and the critics observe."""
         policy = lambda obs, key: (action, {})  # noqa: E731
         options = {"horizon": config.horizon, "differentiate": config.differentiate}
         _, transitions = rollout(AutoReset(env=env), state, policy, key, **options)

@@ -18,14 +18,14 @@ __version__ = "0.1.0"
 
 _HOMES = {
     **dict.fromkeys(("list_envs", "make", "register"), "rewax.envs"),
-    **dict.fromkeys(("ArraySpec", "Env", "State"), "rewax.envs.base"),
-    **dict.fromkeys(("AutoReset", "Vmap"), "rewax.envs.wrappers"),
-    "Status": "rewax.status", "replace_leaf": "rewax.struct",
+    **dict.fromkeys(("ArraySpec", "Env", "State"), "rewax.envs.base"), "replace_leaf": "rewax.struct",
+    **dict.fromkeys(("AutoReset", "Vmap"), "rewax.envs.wrappers"), "Status": "rewax.status",
     **dict.fromkeys(("list_policies", "load_policy"), "rewax.training.storage.policies"),
 }  # fmt: skip
 _MODULES = ("adapters", "agents", "debug", "envs", "physics", "struct", "testing", "training", "viz")
 __all__ = ["ArraySpec", "AutoReset", "Env", "State", "Status", "Vmap", "list_envs", "list_policies", "load_policy",
            "make", "register", "replace_leaf"]  # fmt: skip
+importlib.import_module("rewax.xla_options").warn_of_wrong_gradients()
 
 
 def __getattr__(name: str) -> Any:

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from rigid_models import QUICK_TO_COMPILE
+
+from rewax.xla_options import unoptimised
 
 _QUICK_TO_COMPILE = "--xla_cpu_use_fusion_emitters=false"
 """XLA's older code generator for a CPU: half as long to compile, programs up to 1.4 times as slow.
@@ -149,7 +150,7 @@ def derivatives():
     """
 
     def of(f, **options):
-        @functools.partial(jax.jit, static_argnames="weights", **{"compiler_options": QUICK_TO_COMPILE, **options})
+        @functools.partial(jax.jit, static_argnames="weights", **{"compiler_options": unoptimised(), **options})
         def all_three(x, dx, weights):
             value, forward = jax.linearize(f, x)
             chosen = weights(value)

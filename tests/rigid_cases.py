@@ -9,6 +9,7 @@ import numpy as np
 import rigid_models
 
 from rewax.physics import rigid
+from rewax.xla_options import unoptimised
 
 STEPS, CALLS = 20, 5
 VERSIONS = (
@@ -25,7 +26,7 @@ def loaded(name: str):
         return mujoco.MjModel.from_xml_string(text), rigid.load(text)
 
 
-@functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+@functools.partial(jax.jit, compiler_options=unoptimised())
 def advance(model, state, ctrl, wrenches):
     return rigid.step(model, state, ctrl, wrenches=wrenches, num_substeps=STEPS)
 

@@ -5,9 +5,6 @@ import math
 SOFT = 'solref="0.02 1" solimp="0.0001 0.95 0.02 0.5 2"'
 """Contact whose impedance begins at zero: the only kind whose gradient sees when it begins."""
 
-QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}
-"""Options of ``jax.jit`` for large programs that run few times: the same numbers, in half of the time."""
-
 
 def mjcf(
     world: str,

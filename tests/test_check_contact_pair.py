@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from rigid_models import QUICK_TO_COMPILE
 
 from rewax.physics.rigid import ContactPair
 from rewax.testing import check_contact_pair
 from rewax.testing.touching_geoms import distance_to, stacked, touching
+from rewax.xla_options import unoptimised
 
 KINDS = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
 
@@ -100,7 +100,7 @@ def test_bad_arguments_are_refused():
 def test_geoms_are_as_far_apart_as_asked(x64, kinds):
     """No point is nearer to both together than the gap between them."""
 
-    @functools.partial(jax.jit, compiler_options=QUICK_TO_COMPILE)
+    @functools.partial(jax.jit, compiler_options=unoptimised())
     @jax.vmap
     def offsets(key, gap):
         state, at = touching(key, kinds, gap), jnp.linspace(0.0, 1.0, 9)[:, None]

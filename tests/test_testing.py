@@ -189,7 +189,7 @@ BROKEN = {
 def test_a_sound_environment_passes():
     lines = []
     check_env(toys.point_mass(), notify=lines.append)
-    assert lines[0] == "check_env PointMass, 0 s: specs and leaves" and lines[-1].endswith(" s: passed")
+    assert lines[0] == "check_env PointMass, 0 s: specs and parameters" and lines[-1].endswith(" s: passed")
     assert any(line.endswith("gradient through 3 steps") for line in lines)
     check_env(broken(**drawn(BALL)), notify=None)
 

@@ -28,7 +28,7 @@ def locations(batch, listed):
 
 
 def inputs(name, where, batch, nodes, num=NUM, dtype=float):
-    """Residuals and linear arguments of a pass, all that it can be given."""
+    """Residuals and linear arguments of a transfer or of its VJP: all that it can be given."""
     draw = np.random.default_rng(1)
 
     def arrays(count, length):

@@ -75,7 +75,7 @@ class PolicyOptions:
     """Options of every algorithm with a policy network. The defaults are SAPO's for the deformable tasks.
 
     Attributes:
-      observe: names of the observations that the policy sees; empty: all.
+      observe: names of the policy's observations; empty: all.
       discount: gamma [-].
       actor_learning_rate, final_learning_rate: learning rate of the first iteration, and from iteration
         ``num_iterations`` on; linear in between.
@@ -128,7 +128,7 @@ class CriticOptions:
     """Options of every algorithm with critics.
 
     Attributes:
-      critic_observe: names of the observations that the critics see, which a robot need not have; empty: all.
+      critic_observe: names of the critics' observations, which a robot need not have; empty: all.
       critic_learning_rate: learning rate of the first iteration.
       num_critics: number of independent value heads on one encoder.
       critic_widths: layer sizes of each head.

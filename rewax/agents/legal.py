@@ -47,15 +47,15 @@ def is_number(value: object) -> bool:
     return (isinstance(value, float) or is_whole(value)) and math.isfinite(value)  # type: ignore[arg-type]
 
 
-COUNT = Legal("give a whole number of at least 1", lambda v: is_whole(v) and v >= 1)
-AT_LEAST_2 = Legal("give a whole number of at least 2", lambda v: is_whole(v) and v >= 2)
-NATURAL = Legal("give a whole number of at least 0", lambda v: is_whole(v) and v >= 0)
-SEED = Legal("give a whole number from 0 to 4294967295", lambda v: is_whole(v) and 0 <= v < 2**32)
+COUNT = Legal("give an integer of at least 1", lambda v: is_whole(v) and v >= 1)
+AT_LEAST_2 = Legal("give an integer of at least 2", lambda v: is_whole(v) and v >= 2)
+NATURAL = Legal("give an integer of at least 0", lambda v: is_whole(v) and v >= 0)
+SEED = Legal("give an integer from 0 to 4294967295", lambda v: is_whole(v) and 0 <= v < 2**32)
 SHARE = Legal("give a number between 0 and 1", lambda v: is_number(v) and 0.0 <= v <= 1.0)
 DECAY = Legal("give a number of at least 0 and below 1", lambda v: is_number(v) and 0.0 <= v < 1.0)
 POSITIVE = Legal("give a positive number", lambda v: is_number(v) and v > 0.0)
 NON_NEGATIVE = Legal("give a number of at least 0", lambda v: is_number(v) and v >= 0.0)
-WIDTHS = Legal("give whole numbers of at least 1", lambda v: isinstance(v, tuple) and all(map(COUNT.holds, v)))
+WIDTHS = Legal("give integers of at least 1", lambda v: isinstance(v, tuple) and all(map(COUNT.holds, v)))
 INTERVAL = Legal(
     "give two numbers in ascending order",
     lambda v: isinstance(v, tuple) and len(v) == 2 and all(map(is_number, v)) and v[0] <= v[1],
@@ -73,7 +73,7 @@ Interval = Annotated[tuple[float, float], INTERVAL]
 
 _PLAIN = {
     bool: Legal("give True or False", lambda v: isinstance(v, bool)),
-    int: Legal("give a whole number", is_whole),
+    int: Legal("give an integer", is_whole),
     float: Legal("give a number", is_number),
     str: Legal("give text", lambda v: isinstance(v, str)),
 }
@@ -145,7 +145,7 @@ def _tuple(parts: tuple[Any, ...]) -> Legal | None:
     if not parts or parts[0] not in _PLAIN or (parts[-1] is not Ellipsis and len(set(parts)) > 1):
         return None
     one, count = _PLAIN[parts[0]], None if parts[-1] is Ellipsis else len(parts)
-    what = {int: "whole numbers", float: "numbers", str: "texts", bool: "booleans"}[parts[0]]
+    what = {int: "integers", float: "numbers", str: "texts", bool: "booleans"}[parts[0]]
     remedy = f"give {'' if count is None else f'{count} '}{what}"
     return Legal(
         remedy, lambda v: isinstance(v, tuple) and all(map(one.holds, v)) and (count is None or len(v) == count)

@@ -1,4 +1,4 @@
-"""PPO, proximal policy optimisation: the zeroth-order baseline; no gradient of the simulation is used.
+"""PPO, proximal policy optimisation: the zeroth-order baseline, which uses no gradient of the simulation.
 
 One iteration: every environment acts for ``horizon`` steps, then several epochs maximise the clipped surrogate
 objective on these samples. A train step uses ``actor_critic`` (networks and their optimizer), ``run_state``
@@ -94,7 +94,7 @@ Networks: TypeAlias = ActorCritic[PPOConfig]
 
 @struct.dataclass
 class PPOState(PolicyState):
-    """The complete state of a run; this is what a checkpoint stores.
+    """The complete state of a run, as stored in a checkpoint.
 
     Attributes:
       actor_params: parameters of the policy network.
@@ -183,7 +183,7 @@ def act(
 
 
 def make_batch(networks: Networks, state: PPOState, t: Transition) -> tuple[Batch, RunningStatistics]:
-    """Samples with normalised targets and advantages; and updated statistics of the targets.
+    """Samples with normalised targets and advantages, and the updated statistics of the targets.
 
     Source: advantages, Schulman et al. 2016, eq. 16 (GAE).
     """

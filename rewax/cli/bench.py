@@ -23,8 +23,8 @@ class Options:
       algorithms: only these of the suite's algorithms.
       seeds: only these of the suite's seeds.
       devices: number of devices (on a CPU: cores) that the environments are sharded over; 0: the largest number that
-        divides the number of environments. Several benchmarks of one core each, run at the same time, do more in
-        an hour than one on all cores.
+        divides the number of environments. Several benchmarks of one core each, run at the same time, finish more
+        runs in an hour than one benchmark on all cores.
     """
 
     suite: tyro.conf.Positional[str]
@@ -37,7 +37,7 @@ class Options:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Do the remaining runs of a suite and write its results.
+    """Run what is missing in a suite, and write its results.
 
     Returns:
       Exit code: 0, or 128 + signal after an interruption.
@@ -58,7 +58,7 @@ def run(argv: Sequence[str]) -> int:
     for name in ("tasks", "algorithms", "seeds"):
         wanted, known = getattr(options, name), getattr(suite, name)
         if odd := [item for item in wanted if item not in known]:
-            raise ValueError(f"{name} of the suite {suite.name} are {', '.join(map(str, known))}, without {odd[0]}")
+            raise ValueError(f"{odd[0]} is not one of the {name} of suite {suite.name}: {', '.join(map(str, known))}")
     chosen = {name: getattr(options, name) or getattr(suite, name) for name in ("tasks", "algorithms", "seeds")}
     out = options.out or f"bench/{suite.name}"
     signum = run_suite(suite, out, Console(highlight=False), part=suite.only(**chosen), devices=options.devices)

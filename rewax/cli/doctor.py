@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from rewax import jax_versions
+from rewax import jax_versions, xla_options
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.jax_versions import numbers
 
@@ -214,7 +214,7 @@ def cache_problems() -> Iterator[tuple[str, str]]:
 
 
 def flag_problems(flags: str) -> Iterator[tuple[str, str]]:
-    """XLA flags that make rewax slow.
+    """XLA flags that make rewax slow or its gradients wrong.
 
     Args:
       flags: value of the environment variable XLA_FLAGS.
@@ -224,6 +224,9 @@ def flag_problems(flags: str) -> Iterator[tuple[str, str]]:
             "--xla_gpu_deterministic_ops=true makes the particles' scatter a serial loop on a GPU",
             "remove it from XLA_FLAGS",
         )
+    wrong = xla_options.wrong_gradients(flags)
+    if wrong is not None:
+        yield wrong, "remove one of the two from XLA_FLAGS"
 
 
 def _version(name: str) -> str | None:

@@ -103,7 +103,7 @@ def _readable(problem: str) -> str:
     if found := re.match(r"Error parsing (--[\w.-]+): (.*)$", problem):
         option, why = found.groups()
         value = next(iter(re.findall(r"\['(.*?)'\]|: '(.*)'$", why)), ("", ""))
-        kinds = {"base 10": "a whole number", "to float": "a number", "valid parse": "numbers, each after a space"}
+        kinds = {"base 10": "an integer", "to float": "a number", "valid parse": "numbers, each after a space"}
         remedy = next((kind for sign, kind in kinds.items() if sign in why), "")
         return f"{option} is {''.join(value)!r}: give {remedy}{', or None' * ('{None}' in why)}" if remedy else problem
     return re.sub(r"^Error parsing [\w.-]+: ", "", problem)  # the dataclass's own sentence

@@ -13,7 +13,7 @@ from rewax.agents.legal import AT_LEAST_2, Legal, Natural, Seed, is_whole
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
 
-_PORT = Legal("give a whole number from 0 (any free port) to 65535", lambda v: is_whole(v) and 0 <= v <= 65535)
+_PORT = Legal("give an integer from 0 (any free port) to 65535", lambda v: is_whole(v) and 0 <= v <= 65535)
 _POLL = 1.0
 """Interval at which a live run is checked for a new checkpoint [s]."""
 

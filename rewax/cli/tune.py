@@ -20,15 +20,16 @@ class Options:
 
     Attributes:
       env: name of the environment.
-      scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
+      scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); the default depends on
+        the device.
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
       trials: total number of trials of the search, including those of other processes and earlier calls.
-      seeds: each trial trains with each of these; take other seeds than for final results.
+      seeds: each trial trains once with each of these; use other seeds for final results.
       steps: control steps of each seed; by default those of the preset.
       episodes: number of episodes in each evaluation of each seed, with sampled actions.
-      reports: number of evaluations of a trial, the last one at its end; a trial that is worse than the median of the
-        others at one of them is pruned.
+      reports: number of evaluations of a trial, the last one at its end. A trial is pruned if one of its evaluations is
+        worse than the median of the other trials.
       space: TOML file with the search space; by default the one of the package for this algorithm.
       out: directory of the search, by default tune/<env>-<scale>-<algo>. The same command continues it, and several
         processes can share it.
@@ -48,7 +49,7 @@ class Options:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Do the remaining trials of a search, and print the best options.
+    """Run the remaining trials of a search, and print the best options.
 
     Returns:
       Exit code: 0; 1 if no trial was completed; 128 + signal after an interruption.

@@ -1,4 +1,4 @@
-"""Latency: observations that arrive late, and actions that act late."""
+"""Latency: delays of observations and actions."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from rewax.envs.wrappers import _Wrapper
 from rewax.types import Array, Key, Observation, PyTree
 
 _STREAM = 0x1A7E
-"""Folded into a state's key, so that delays come from a stream of their own and physics is the same without them."""
+"""Folded into a state's key: delays use a separate random stream, so they do not change the randomness of physics."""
 
 Steps = int | tuple[int, int]
 """A number of control steps, or the lowest and the highest of a range."""
@@ -20,13 +20,13 @@ Steps = int | tuple[int, int]
 
 @struct.dataclass
 class InFlight(struct.Replaceable):
-    """What is on its way; ``Latency`` keeps it in ``State.delayed``.
+    """Buffers of delayed observations and actions; ``Latency`` stores them in ``State.delayed``.
 
     Attributes:
-      observations: the last ones by name, the newest first, shape (longest delay + 1, *shape).
-      actions: the last ones, the newest first, shape (longest delay, *action_shape).
-      observation_delay, action_delay: of this episode [control steps], shape (), int32.
-      inner: ``State.delayed`` of the environment inside.
+      observations: the last observations by name, the newest first, shape (longest delay + 1, *shape).
+      actions: the last actions, the newest first, shape (longest delay, *action_shape).
+      observation_delay, action_delay: delays in this episode [control steps], shape (), int32.
+      inner: ``State.delayed`` of the wrapped environment.
     """
 
     observations: Observation
@@ -40,22 +40,22 @@ class InFlight(struct.Replaceable):
 class Latency(struct.Replaceable, _Wrapper):
     """An environment whose observations and actions are delayed by whole control steps.
 
-    With ``observation=2`` a policy sees what was two control steps ago, and until then the first observation. With
-    ``action=1`` an action acts in the control step after the one that it was given in; before, the action is 0. A
-    range, ``action=(0, 2)``, draws a delay for each episode, both ends included. Rewards, physics and random numbers
-    are those of ``env``: only what is seen and what is done come late.
+    With ``observation=2`` a policy gets the observation of two control steps ago, and in the first two steps the first
+    observation. With ``action=1`` an action acts one control step later; in the first step the action is 0. With a
+    range, ``action=(0, 2)``, each episode draws a delay, both ends included. Rewards, physics and random numbers are
+    those of ``env``.
 
     Attributes:
-      env: an environment; put ``Latency`` around ``Sensing``.
+      env: an environment. ``Latency`` goes around ``Sensing``, not inside.
       observation: delay of observations [control steps] (static).
       action: delay of actions [control steps] (static).
-      of: names of the observations that are delayed; None: all. Leave out what only critics see (static).
+      of: names of the observations that are delayed; None: all. Leave out observations that only critics use (static).
 
     Example:
       >>> env = Latency(env=Sensing(env=make("RollingFlat"), sensors={"depth": camera}), observation=(0, 2), action=1)
 
-    Gradient: exact, through delayed actions to the steps that they act in, and through delayed observations to the
-      steps that they show. None flows from a new episode to the old one.
+    Gradient: exact. It flows from the step in which an action acts to the action, and from a delayed observation to the
+      state that it shows. None flows from a new episode to the old one.
     """
 
     observation: Steps = struct.static_field(default=0)
@@ -103,14 +103,14 @@ class Latency(struct.Replaceable, _Wrapper):
         )
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else is the environment's own: pictures, rewards, what tasks offer beyond the protocol."""
+        """All other attributes are those of the environment, also those that tasks have beyond the protocol."""
         if name.startswith("_") or name == "env":
             raise AttributeError(name)
         return getattr(self.env, name)
 
 
 def _checked(name: str, steps: Any) -> Steps:
-    """The delay, or the range of delays, of plain integers."""
+    """The delay, or the range of delays, as Python integers."""
     ends = (steps, steps) if np.ndim(steps) == 0 else tuple(steps)
     whole = all(isinstance(end, (int, np.integer)) and not isinstance(end, bool) for end in ends)
     if len(ends) != 2 or not whole or not 0 <= ends[0] <= ends[1]:
@@ -129,13 +129,13 @@ def _drawn(steps: Steps, key: Key) -> Array:
 
 
 def _clipped(action: Array, spec: ArraySpec, dtype: Any) -> Array:
-    """The action within its bounds. Where it lies on one the derivative is 1: ``env`` clips again, and decides."""
+    """The action within its bounds. On a bound the derivative is 1 here, because ``env`` clips once more."""
     action = jnp.asarray(action, dtype)
     return jnp.where(action < spec.low, spec.low, jnp.where(action > spec.high, spec.high, action)).astype(dtype)
 
 
 def _taken(newest_first: Array, steps: Steps, delay: Array) -> Array:
-    """The entry of that delay."""
+    """The entry that is ``delay`` steps old."""
     return newest_first[steps] if isinstance(steps, int) else newest_first[delay]
 
 

@@ -30,10 +30,10 @@ class Sensor(Protocol):
 
 @struct.dataclass
 class Sensing(struct.Replaceable, _Wrapper):
-    """An environment whose observations include what sensors see; nothing else of it changes.
+    """An environment with additional observations from sensors; nothing else of it changes.
 
-    Numbers of the sensors (a camera's position, the size of its noise) are leaves of the environment, so they can be
-    randomised and differ from environment to environment.
+    Numbers of the sensors (a camera's position, the size of its noise) are parameters of the environment. So they can
+    be randomised, and they may differ between the environments of a batch.
 
     Attributes:
       env: an environment with the method ``world(physics, up)``, as all tasks of rewax have.

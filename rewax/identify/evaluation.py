@@ -72,7 +72,7 @@ def evaluate(
     Args:
       latents: shape (S, k).
       placements: rest positions of each start [m], shape (S, num_particles, 3); None: those of the environment.
-      leaves: of the environment; new values need no compilation.
+      leaves: parameters of the environment; new values need no compilation.
       data: of the record.
       weights: of the frames, shape (T,); 0 leaves a frame out.
       deviation: standard deviation of a residual [m], shape ().

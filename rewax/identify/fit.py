@@ -46,7 +46,7 @@ def identify(
 ) -> Identified:
     """Fit unknown parameters of an environment to a record, by Levenberg-Marquardt from several starts.
 
-    The first start is the median of the priors, the others are spread over them. A horizon that grows keeps early fits
+    The first start is the median of the priors, the others cover them. A horizon that grows keeps early fits
     away from local minima of long motions: frames beyond it have weight zero, in the same compiled program. The substep
     of the environment bounds how stiff a material can be; a search that it cuts off says so. A simulation that fails is
     a rejected step and counted.

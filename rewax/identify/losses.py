@@ -1,8 +1,8 @@
-"""Losses between what was seen and what is simulated: pure functions of one frame.
+"""Losses between observed and simulated points: pure functions of one frame.
 
-A cloud has a fixed maximal size; ``mask`` says which of its points exist. Batch with ``jax.vmap``. All losses are in
-metres (squared where that is said), finite for coinciding points, and have exact gradients. Where a nearest point
-changes, the gradient of a distance jumps.
+A cloud has a fixed maximal size; ``mask`` is True for points that exist. Batch with ``jax.vmap``. All losses are in
+metres (squared where the docstring says so) and finite for coinciding points. Their gradients are exact. Where a
+nearest point changes, the gradient of a distance jumps.
 """
 
 import jax
@@ -109,7 +109,7 @@ def occupancy(
 ) -> Array:
     """Mean squared difference of the shares of points in the cells of a grid, times the number of cells, shape ().
 
-    Points are spread over their cells' neighbours by linear weights, so the gradient is not zero.
+    Each point counts in the neighbouring cells with linear weights, so the gradient is not zero.
 
     Args:
       particles, cloud, mask: as in ``one_sided_chamfer``.

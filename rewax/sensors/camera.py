@@ -73,7 +73,7 @@ class Camera(struct.Replaceable):
         for name in ("height", "width"):
             size = getattr(self, name)
             if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-                raise ValueError(f"{name} of the camera is {size!r}: give a whole number of pixels, at least 1")
+                raise ValueError(f"{name} of the camera is {size!r}: give an integer of pixels, at least 1")
         if not 0.0 < self.field_of_view < 180.0:
             raise ValueError(f"field_of_view is {self.field_of_view}: give degrees between 0 and 180")
         if self.body is not None and (isinstance(self.body, bool) or not isinstance(self.body, int) or self.body < 0):

@@ -1,4 +1,4 @@
-"""A cloud of points as a robot has it: only what its camera sees."""
+"""A cloud of points from a camera's picture, as a robot observes it."""
 
 import jax
 import jax.numpy as jnp
@@ -11,15 +11,15 @@ from rewax.types import Array, Key
 
 @struct.dataclass
 class DepthCloud(struct.Replaceable):
-    """A fixed number of points of a camera's picture, in the world.
+    """A fixed number of points from a camera's picture, in world coordinates.
 
     Attributes:
-      camera: whose pixels become points, noise included.
-      num_points: in the cloud (static).
-      of: names of the bodies whose points are taken, as a robot that segments its picture would; None: all (static).
+      camera: the camera. Its pixels become points, with its noise.
+      num_points: number of points in the cloud (static).
+      of: names of the bodies in the cloud, as if a robot had segmented its picture; None: all bodies (static).
 
-    ``see`` draws ``num_points`` pixels without replacement from those that see one of the bodies. If there are fewer,
-    points repeat; if there are none, all points are the camera's position.
+    ``see`` draws ``num_points`` pixels without replacement from the pixels that show one of the bodies. If there are
+    fewer pixels, points repeat. If there are none, all points are at the camera's position.
     """
 
     camera: Camera
@@ -28,19 +28,19 @@ class DepthCloud(struct.Replaceable):
 
     def __post_init__(self) -> None:
         if isinstance(self.num_points, bool) or not isinstance(self.num_points, int) or self.num_points < 1:
-            raise ValueError(f"num_points of the cloud is {self.num_points!r}: give a whole number, at least 1")
+            raise ValueError(f"num_points of the cloud is {self.num_points!r}: give an integer, at least 1")
 
     def see(self, world: World, key: Key) -> Array:
         """Points [m], shape (num_points, 3).
 
         Args:
-          world: what there is to see.
-          key: for the draw of pixels and the camera's noise.
+          world: the bodies.
+          key: draws pixels and the camera's noise.
 
         Raises:
           ValueError: ``of`` holds a name that nothing in the world has, or more points than pixels are asked for.
 
-        Gradient: none, unless the camera has one; then exact for the pixels that were drawn.
+        Gradient: none, unless ``camera.gradient`` is set; then exact for the drawn pixels.
         """
         pixels = self.camera.height * self.camera.width
         if self.num_points > pixels:

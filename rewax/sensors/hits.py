@@ -1,4 +1,4 @@
-"""The rays of a camera's pixels, and what they meet."""
+"""Rays through a camera's pixels, and their intersections with the world."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -15,21 +15,21 @@ class Rays(NamedTuple):
     """One ray per pixel, row by row: ``origin + depth * direction``."""
 
     pose: Pose
-    """Of the camera in the world, shapes (3,), (3, 3)."""
+    """Pose of the camera in the world, shapes (3,), (3, 3)."""
     origin: Vec3
-    """In the world [m], components of shape ()."""
+    """Origin of all rays in the world [m], components of shape ()."""
     direction: Vec3
-    """In the world; it advances by 1 along the viewing direction, components of shape (num_pixels,)."""
+    """Direction in the world, 1 along the viewing direction, components of shape (num_pixels,)."""
     slope: tuple[Array, Array]
-    """x and y in the camera's frame at depth 1, shape (num_pixels,) each."""
+    """x and y of each ray at depth 1 in the camera's frame, shape (num_pixels,) each."""
     height: int
     width: int
     focal_length: Scalar
     focal_range: tuple[float, float]
-    """The least and the largest focal length that the program serves."""
+    """Smallest and largest focal length that the compiled program supports."""
     near: float
     gradient: bool = False
-    """Whether depth has a derivative by what is seen."""
+    """Whether depth is differentiable with respect to the camera and the visible bodies."""
 
     def local(self, points: Array) -> tuple[Array, Array, Array]:
         """x, y and depth of points in the camera's frame [m], for points of shape (..., 3) in the world."""
@@ -39,18 +39,18 @@ class Rays(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """What rays meet first, arrays over pixels."""
+    """First intersection of each ray; arrays over pixels."""
 
     depth: Array
-    """[m], shape (num_pixels,), infinite where a ray meets nothing."""
+    """Depth [m], shape (num_pixels,), infinite where a ray hits nothing."""
     label: Array | None = None
     """Index into ``World.names``, int32."""
     normal: Vec3 | None = None
-    """Of the surface, in the world."""
+    """Normal of the surface, in the world."""
 
 
 def nearest(layers: Sequence[Hits], rays: Rays, *, everything: bool) -> Hits:
-    """The nearest of several hits; of equally near ones the first."""
+    """The nearest of several hits. Among equally near ones, the first."""
     x = rays.slope[0]
     best = Hits(jnp.full_like(x, jnp.inf))
     if everything:

@@ -11,6 +11,7 @@ from rewax.physics.rigid import ContactPair, Geom
 from rewax.physics.rigid.contact_pair import NO_CONTACT, check_contact_pairs, find
 from rewax.testing.touching_geoms import Touching, distance_to, stacked, touching
 from rewax.types import Array
+from rewax.xla_options import unoptimised
 
 _DEPTH, _FAR = 1e-3, 0.5
 """Overlap or gap of geoms of 0.1 m, and the distance of geoms that are far apart [m]."""
@@ -66,7 +67,7 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``jit`` of ``vmap`` of a function, without optimisation: the program runs once."""
-    return jax.jit(jax.vmap(function), compiler_options={"xla_backend_optimization_level": 0})
+    return jax.jit(jax.vmap(function), compiler_options=unoptimised())
 
 
 def _contacts(pair: ContactPair, first: Geom, second: Geom) -> tuple[Array, Array, Array]:

@@ -55,7 +55,7 @@ def check_env(
     if gradient_steps < 1:
         raise ValueError(f"gradient_steps is {gradient_steps}: use 1 or more")
     say, key = Progress(f"check_env {type(env).__name__}", notify), jax.random.key(seed)
-    say("specs and leaves")
+    say("specs and parameters")
     states.check_specs(env)
     states.check_leaves(env)
     say("compiling reset and step")

@@ -13,7 +13,7 @@ from rewax.types import Array
 
 
 def check_derivatives(sample: Sample) -> None:
-    """Checks that derivatives are finite, agree with finite differences, and that the distance depends on each size."""
+    """Checks that derivatives are finite and agree with finite differences; the distance must depend on each size."""
     points = np.concatenate([sample.random, sample.special, sample.surface])
     by_points, of_both, by_sizes = _reverse(sample, points)
     still, moves = jax.tree.map(np.zeros_like, sample.exact), np.zeros_like(sample.random)
@@ -36,7 +36,7 @@ def check_derivatives(sample: Sample) -> None:
     _check_along(sample, "the point", still, moves, STEP * sample.size)
     gradient, is_smooth = gradient_by_differences(sample, sample.random)
     off = np.abs(by_points[: len(sample.random)] - gradient).max(axis=1)
-    _check_most(sample, off[is_smooth], sample.random[is_smooth], "the reverse derivative of the distance by the point")
+    _check_most(sample, off[is_smooth], sample.random[is_smooth], "the reverse derivative of the distance by position")
 
 
 def _check_along(sample: Sample, name: str, grows: Any, moves: np.ndarray, step: float) -> None:
@@ -59,13 +59,13 @@ def _check_most(sample: Sample, off: np.ndarray, points: np.ndarray, what: str) 
     """Checks all points but 2 %: a finite difference across a kink is not the derivative."""
     wrong = off > 10.0 * OFF
     assert wrong.mean() < 0.02, (
-        f"{what} at {at(points[wrong][0])} differs from a finite difference by {off[wrong][0]:.2g}, relative: let no "
-        f"stop_gradient, rounding or custom derivative of {sample.name} change it"
+        f"{what} at {at(points[wrong][0])} differs from a finite difference by {off[wrong][0]:.2g} (relative): remove "
+        f"every stop_gradient, rounding and custom derivative of {sample.name} that changes it"
     )
 
 
 def _reverse(sample: Sample, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Reverse derivatives: distances by points; distances and normals by points, and by sizes."""
+    """Reverse derivatives of distances with respect to points, and of distances and normals to points and sizes."""
     with jax.enable_x64(True):
         return jax.tree.map(np.asarray, _pulled(sample.exact, jnp.asarray(points)))
 

@@ -13,14 +13,14 @@ from rewax.types import Array, Key
 _SMALL, _LARGE = 0.05, 0.15
 """Smallest and largest size of a geom [m]."""
 _INSIDE = 0.8
-"""Geoms touch within this share of a face or an edge, around its center."""
+"""Geoms touch within this fraction of a face or an edge, around its center."""
 _CLEAR = 0.3
 """Sine of the smallest angle between two edges, and between their common normal and the normals of faces."""
 _WITH_EDGES = ("capsule", "cylinder", "box")
 
 
 class Touching(NamedTuple):
-    """Two geoms and the direction in which they are nearest.
+    """Two geoms, and the direction between their nearest points.
 
     Attributes:
       first, second: the geoms.
@@ -91,7 +91,7 @@ def _shape(kind: str, size: Array) -> Shape:
 
 
 def _used(kind: str) -> Array:
-    """Which of the three sizes of a geom its kind uses."""
+    """Mask of the sizes that a kind of geom uses, shape (3,)."""
     return jnp.arange(3) < {"plane": 0, "sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import itertools
 import socket
 import threading
 import time
@@ -11,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from rewax.viz.camera import FIELD_OF_VIEW, Framing, frame_recording
-from rewax.viz.colors import color_by, particle_colors, shape_color
+from rewax.viz.colors import color_by, shape_color
 from rewax.viz.ground import grid_spacing
 from rewax.viz.live_guard import guarded
+from rewax.viz.live_matter import KINDS, Matter
 from rewax.viz.meshes import mesh, pose
-from rewax.viz.recording import Recording, diameters, playback
+from rewax.viz.recording import Recording, playback
+from rewax.viz.surface import has_surfaces
 
 _TICK = 1.0 / 30.0
 """Time between frames on the page [s]."""
-_GAMMA = 2.2
-"""viser takes the colours of batched meshes in linear space: sRGB to this power."""
 
 
 class LiveViewer:
@@ -51,8 +50,7 @@ class LiveViewer:
         self._recording: Recording | None = None
         self._framing: Framing | None = None
         self._solids: list[tuple[int, Any]] = []
-        self._cloud: Any = None
-        self._colors = np.zeros((0, 3), np.float32)
+        self._matter: Matter | None = None
         self._time, self._duration, self._speed, self._shown = 0.0, 0.0, 1.0, -1
         gui = self._server.gui
         self._text = gui.add_markdown("")
@@ -60,8 +58,10 @@ class LiveViewer:
         self._rate = gui.add_slider("speed", min=0.05, max=2.0, step=0.05, initial_value=1.0)
         self._timeline = gui.add_slider("time [%]", min=0.0, max=100.0, step=0.1, initial_value=0.0)
         self._by = gui.add_dropdown("colour by", ("material",))
+        self._surface = gui.add_checkbox("surface", True, hint="Show the surface of particles, or balls.")
         self._timeline.on_update(lambda event: self.seek(self._timeline.value / 100.0) if event.client else None)
         self._by.on_update(lambda _: self._recolor())
+        self._surface.on_update(lambda _: self._rebuild())
         threading.Thread(target=self._animate, daemon=True).start()
 
     def show(self, recording: Recording, caption: str = "") -> None:
@@ -94,12 +94,9 @@ class LiveViewer:
             return frame
 
     def positions(self) -> np.ndarray:
-        """Positions of the particles on the page [m], shape (num_particles, 3); (0, 3) without particles."""
+        """Positions of balls or of a surface's vertices on the page [m], shape (n, 3); n is 0 without particles."""
         with self._lock:
-            if self._cloud is None:
-                return np.zeros((0, 3), np.float32)
-            mesh_shown = self._recording is not None and self._recording.triangles is not None
-            return np.asarray(self._cloud.vertices if mesh_shown else self._cloud.batched_positions)
+            return np.zeros((0, 3), np.float32) if self._matter is None else self._matter.positions()
 
     def close(self) -> None:
         """Stop serving the page."""
@@ -135,27 +132,16 @@ class LiveViewer:
                 opacity=None if opacity >= 1.0 else opacity,
             )
             self._solids.append((i, handle))
-        self._cloud = None
-        if recording.particles is None:
-            return
-        self._by.options = color_by(recording)
-        self._colors = particle_colors(recording, self._by.value)
-        first = np.asarray(recording.particles[0], np.float32)
-        if recording.triangles is not None:
-            color = tuple(float(x) for x in self._colors.reshape(-1, 3)[0])
-            self._cloud = scene.add_mesh_simple("/body", first, np.asarray(recording.triangles, np.uint32), color=color)
-        else:
-            vertices, triangles = _ball()
-            self._cloud = scene.add_batched_meshes_simple(
-                "/particles",
-                vertices,
-                triangles,
-                batched_wxyzs=np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (len(first), 1)),
-                batched_positions=first,
-                batched_scales=(0.5 * diameters(recording)).astype(np.float32),
-                batched_colors=self._frame_colors(0),
-                lod="off",
-            )
+        self._matter = None
+        if recording.particles is not None:
+            self._by.options = color_by(recording)
+            self._surface.visible = has_surfaces(recording)
+            self._build_matter(recording)
+
+    def _build_matter(self, recording: Recording) -> None:
+        kind = "body" if not has_surfaces(recording) else "surface" if self._surface.value else "balls"
+        self._matter = KINDS[kind](self._server.scene, recording)
+        self._matter.recolor(self._by.value)
 
     def _draw(self, frame: int) -> None:
         """Move solids and particles to their poses in a frame."""
@@ -166,28 +152,28 @@ class LiveViewer:
             for i, handle in self._solids:
                 place, turn = pose(recording.shapes(frame)[i])
                 handle.position, handle.wxyz = tuple(place), (turn[3], *turn[:3])
-            if self._cloud is not None and recording.particles is not None:
-                cloud = np.asarray(recording.particles[frame], np.float32)
-                if recording.triangles is not None:
-                    self._cloud.vertices = cloud
-                else:
-                    self._cloud.batched_positions = cloud
-                    if self._colors.ndim == 3:
-                        self._cloud.batched_colors = self._frame_colors(frame)
+            if self._matter is not None:
+                self._matter.draw(frame)
         self._timeline.value = 100.0 * float(recording.times[frame]) / max(self._duration, 1e-9)
         self._shown = frame
 
-    def _frame_colors(self, frame: int) -> np.ndarray:
-        colors = self._colors if self._colors.ndim == 2 else self._colors[frame]
-        return np.round(255.0 * colors**_GAMMA).astype(np.uint8)
-
     def _recolor(self) -> None:
         with self._lock:
-            recording = self._recording
-            if recording is None or recording.particles is None or recording.triangles is not None:
-                return
-            self._colors = particle_colors(recording, self._by.value)
-            self._cloud.batched_colors = self._frame_colors(max(self._shown, 0))
+            if self._matter is not None:
+                self._matter.recolor(self._by.value)
+                self._redraw()
+
+    def _rebuild(self) -> None:
+        """Show matter the other way: by surfaces or by balls."""
+        with self._lock:
+            if self._matter is not None and self._recording is not None:
+                self._matter.remove()
+                self._build_matter(self._recording)
+                self._redraw()
+
+    def _redraw(self) -> None:
+        frame, self._shown = max(self._shown, 0), -1
+        self._draw(frame)
 
     def _place(self, camera: Any) -> None:
         """Give a camera of the page the view that pictures of the recording have."""
@@ -210,25 +196,6 @@ class LiveViewer:
                     self._time = 0.0 if self._time > self._duration else self._time
                     self._draw(int(np.searchsorted(self._recording.times, self._time, side="right")) - 1)
             before = now
-
-
-def _ball() -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of a unit sphere: an icosahedron with each face split into four."""
-    golden = 0.5 * (1.0 + 5.0**0.5)
-    corners = [np.roll([0.0, a, b * golden], shift) for shift in range(3) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
-    vertices = np.stack(corners) / np.hypot(1.0, golden)
-    edge = np.linalg.norm(vertices[:, None] - vertices, axis=-1).round(6)
-    near = edge == edge[edge > 0.0].min()
-    triangles = []
-    for i, j, k in itertools.combinations(range(len(vertices)), 3):
-        if near[i, j] and near[j, k] and near[i, k]:
-            a, b, c = vertices[[i, j, k]]
-            if np.linalg.det(np.stack([a, b, c])) < 0.0:
-                b, c = c, b
-            ab, bc, ca = (m / np.linalg.norm(m) for m in (a + b, b + c, c + a))
-            triangles += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    vertices, index = np.unique(np.round(np.reshape(triangles, (-1, 3)), 6), axis=0, return_inverse=True)
-    return vertices.astype(np.float32), index.reshape(-1, 3).astype(np.uint32)
 
 
 def _free_port(host: str, port: int) -> int:

@@ -11,8 +11,8 @@ def hit(drawing: Drawing, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
     """The first intersection of rays with a shape.
 
     Args:
-      drawing: of a shape that is neither a plane nor a mesh, checked.
-      eye: where all rays begin [m], shape (3,).
+      drawing: checked drawing of a shape that is neither a plane nor a mesh.
+      eye: origin of all rays [m], shape (3,).
       rays: their directions, of any length, shape (num_rays, 3).
 
     Returns:
@@ -48,7 +48,7 @@ def hit(drawing: Drawing, eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
 
 
 def turned(vectors: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """``vectors @ matrix``, shapes (n, 3) and (3, m). BLAS would spend more on threads than it saves."""
+    """``vectors @ matrix``, shapes (n, 3) and (3, m). BLAS would spend more time on threads than it saves."""
     return np.einsum("ni,ij->nj", vectors, matrix)
 
 
@@ -135,7 +135,7 @@ def _slant(
 
 
 def _box(half_size: np.ndarray, start: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A box in its own axes, by slabs."""
+    """A box in its own axes, by the slab method."""
     slope = np.where(np.abs(rays) < 1e-9, np.float32(1e-9), rays)
     first, second = (-half_size - start) / slope, (half_size - start) / slope
     near, far = np.minimum(first, second), np.maximum(first, second)

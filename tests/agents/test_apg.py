@@ -48,5 +48,5 @@ def test_whole_episodes_start_and_end_with_the_iteration():
 
 def test_a_horizon_of_zero_is_for_algorithms_with_whole_episodes():
     assert APGConfig(horizon=0).horizon == 0
-    with pytest.raises(ValueError, match="horizon is 0: give a whole number of at least 1"):
+    with pytest.raises(ValueError, match="horizon is 0: give an integer of at least 1"):
         dataclasses.replace(CASES["shac"].config, horizon=0)

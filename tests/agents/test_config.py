@@ -18,10 +18,10 @@ from rewax.training.config import TrainConfig
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"num_envs": 0}, "num_envs is 0: give a whole number of at least 1"),
-        ({"horizon": -3}, "horizon is -3: give a whole number of at least 1"),
-        ({"horizon": 2.5}, "horizon is 2.5: give a whole number"),
-        ({"num_critics": 0}, "num_critics is 0: give a whole number of at least 1"),
+        ({"num_envs": 0}, "num_envs is 0: give an integer of at least 1"),
+        ({"horizon": -3}, "horizon is -3: give an integer of at least 1"),
+        ({"horizon": 2.5}, "horizon is 2.5: give an integer"),
+        ({"num_critics": 0}, "num_critics is 0: give an integer of at least 1"),
         ({"discount": 1.01}, "discount is 1.01: give a number between 0 and 1"),
         ({"td_lambda": -0.1}, "td_lambda is -0.1: give a number between 0 and 1"),
         ({"actor_learning_rate": 0.0}, "actor_learning_rate is 0.0: give a positive number"),
@@ -127,11 +127,11 @@ def test_numpys_numbers_become_pythons():
     [
         ({"adam_b1": -3}, "adam_b1 is -3: give a number of at least 0 and below 1"),
         ({"quick_compile": -3}, "quick_compile is -3: give True or False"),
-        ({"num_envs": True}, "num_envs is True: give a whole number of at least 1"),
-        ({"actor_widths": ["a"]}, r"actor_widths is \('a',\): give whole numbers of at least 1"),
+        ({"num_envs": True}, "num_envs is True: give an integer of at least 1"),
+        ({"actor_widths": ["a"]}, r"actor_widths is \('a',\): give integers of at least 1"),
         ({"log_std_range": (2.0, -5.0)}, r"log_std_range is \(2.0, -5.0\): give two numbers in ascending order"),
         ({"initial_log_std": float("nan")}, "initial_log_std is nan: give a number"),
-        ({"critic_chunk": "a"}, "critic_chunk is 'a': give a whole number, or None"),
+        ({"critic_chunk": "a"}, "critic_chunk is 'a': give an integer, or None"),
     ],
 )
 def test_types_and_ranges_are_checked(changes, sentence):

@@ -58,7 +58,7 @@ def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
         (["--video-size", "7", "8"], "video-size is 7 8: give even numbers from 2 on"),
         (["--video-path=nowhere/a.mp4"], "video-path is nowhere/a.mp4: give a file .mp4 in a folder that exists"),
         (["--json=a.txt"], "json is a.txt: give a file .json in a folder that exists"),
-        (["--seed=-1"], "seed is -1: give a whole number from 0 to 4294967295"),
+        (["--seed=-1"], "seed is -1: give an integer from 0 to 4294967295"),
     ],
 )
 def test_options_are_refused_before_an_episode_is_computed(run, monkeypatch, capsys, argv, sentence):

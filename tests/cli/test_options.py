@@ -53,7 +53,7 @@ def test_options_are_read():
         (["--imports=a"], "there is no option --imports: did you mean '--import'? tool --help lists them"),
         (["stray"], "tool takes no argument 'stray': tool --help lists the options"),
         (["RollingFlat"], "tool takes no argument 'RollingFlat': did you mean --env RollingFlat? tool --help lists the options"),
-        (["--inner.num-envs=many"], "--inner.num-envs is 'many': give a whole number; tool --help lists the options"),
+        (["--inner.num-envs=many"], "--inner.num-envs is 'many': give an integer; tool --help lists the options"),
         (["--inner.limit=abc"], "--inner.limit is 'abc': give a number, or None; tool --help lists the options"),
         (["--inner.limit"], "--inner.limit lacks a value: give 1 after it; tool --help lists the options"),
         (["--inner.kind=c"], "--inner.kind is 'c': use a or b; tool --help lists the options"),

@@ -89,7 +89,7 @@ def _neither(name, guess=""):
         (["RollingFlat", "--live"], "a live view shows a run that trains: rewax play RollingFlat shows its policy"),
         (["a", "--out=a.mp4"], "out is a.mp4: give an .html file in a folder that exists"),
         (["a", "--out=no/such/a.html"], "out is no/such/a.html: give an .html file in a folder that exists"),
-        (["a", "--frames=1"], "frames is 1: give a whole number of at least 2"),
+        (["a", "--frames=1"], "frames is 1: give an integer of at least 2"),
     ],
 )
 def test_what_cannot_be_is_one_sentence_and_exit_code_2(arguments, said, tmp_path, monkeypatch, capsys):

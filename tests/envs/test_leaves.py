@@ -1,4 +1,4 @@
-"""Environments as data: taken apart and built again, stacked, and never constants of a program."""
+"""Environments as data: partitioned and rebuilt, stacked, and never constants of a program."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ def gains(*values):
     return [toys.point_mass().replace(gain=jnp.float32(g)) for g in values]
 
 
-def test_taken_apart_and_built_again_is_the_same():
+def test_a_partitioned_environment_is_rebuilt_equal():
     env = rewax.make("RollingFlat", scale="small")
     leaves = EnvLeaves.of(env)
     again = leaves.build()

@@ -1,4 +1,4 @@
-"""Leaves drawn anew at each reset, and at no other time."""
+"""Parameters drawn anew at each reset, and at no other time."""
 
 import jax
 import jax.numpy as jnp

@@ -111,7 +111,7 @@ def test_value_forward_and_reverse_are_those_of_jax(machine_only, random_like, r
 
 
 def test_what_is_no_arithmetic_is_left_to_jax(x64, monkeypatch, relative_error):
-    """Pass by pass: an iteration has no bytecode, its derivative by the implicit function theorem may have."""
+    """Rule by rule: an iteration has no bytecode, but its derivative by the implicit function theorem may have it."""
     left = []
     with_jax = module._with_jax
     monkeypatch.setattr(module, "_with_jax", lambda which, *args: left.append(which) or with_jax(which, *args))

@@ -49,8 +49,8 @@ def test_what_is_computed_of_constants_is_a_constant():
     assert [line.operations[i].name for i in line.outputs[0]] == ["neg", "input", "neg", "input"]
 
 
-def whole_numbers(a, b):
-    """What the whole numbers of a program are known to be."""
+def integers(a, b):
+    """Operations whose results are integers or booleans."""
     c = jnp.array([3, -2, 5])
     return [
         b * number.astype(a.dtype)
@@ -58,8 +58,8 @@ def whole_numbers(a, b):
     ]
 
 
-def test_whole_numbers_are_not_truth_values():
-    assert_equal_to_jax(whole_numbers, 3)
+def test_integers_are_not_booleans():
+    assert_equal_to_jax(integers, 3)
 
 
 def test_integers_of_a_program_wrap_and_divide_as_in_jax():

@@ -204,8 +204,14 @@ TABLE = [
     # Tetrahedra
     (lambda: body(mesh=None), "mesh is None: give a TetMesh, of tetmesh.box or load_tetmesh for example"),
     (lambda: body(mesh=TetMesh([[0, 0, 0], [1, 0]], MESH.tets)), "vertices is [[0, 0, 0], [1, 0]], which is no real"),
-    (lambda: body(held=[[0], [1, 2]]), "held is an array of object of shape (): give different indices of vertices, or a mask"),
-    (lambda: body(held=[[0, 1]]), "held is an array of int64 of shape (1, 2): give different indices of vertices, or a mask"),
+    (
+        lambda: body(held=[[0], [1, 2]]),
+        "held is an array of object of shape (): give different indices of vertices, or a mask",
+    ),
+    (
+        lambda: body(held=[[0, 1]]),
+        "held is an array of int64 of shape (1, 2): give different indices of vertices, or a mask",
+    ),
     (lambda: body(colliders=3), "colliders is 3: give a tuple of colliders, () for none"),
     (lambda: body(density=True), "density is True, which is no real number: give the rest density in kg/m^3"),
     (

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import recordings
 
-from rewax.viz.live import LiveViewer, _ball
+from rewax.viz.live import LiveViewer
+from rewax.viz.live_matter import ball
 
 
 @pytest.fixture
@@ -19,10 +20,16 @@ def viewer():
     found.close()
 
 
+def as_balls(viewer):
+    viewer._surface.value = False
+    viewer._rebuild()
+
+
 def test_the_page_is_served_and_the_timeline_moves_particles(viewer):
     with urllib.request.urlopen(viewer.url, timeout=10) as page:
         assert page.status == 200 and b"<html" in page.read().lower()
     recording = recordings.cloud(5, travel=0.1)
+    as_balls(viewer)
     viewer.show(recording, "**iteration 1**")
     viewer._playing.value = False
     assert [viewer.seek(part) for part in (0.0, 0.5, 1.0)] == [0, 2, 4]
@@ -88,13 +95,32 @@ def test_ellipsoids_cones_and_meshes_are_solids_with_the_poses_of_the_frame(view
 
 
 def test_colours_are_those_of_the_recording(viewer):
+    as_balls(viewer)
     viewer.show(recordings.cloud(5))
     viewer._playing.value = False
     viewer.seek(0.0)
-    before = np.asarray(viewer._cloud.batched_colors).copy()
+    before = np.asarray(viewer._matter._handle.batched_colors).copy()
     viewer._by.value = "speed"
     viewer._recolor()
-    assert "speed" in viewer._by.options and not np.array_equal(before, viewer._cloud.batched_colors)
+    assert "speed" in viewer._by.options and not np.array_equal(before, viewer._matter._handle.batched_colors)
+
+
+def test_particles_are_shown_by_their_surface_until_balls_are_asked_for(viewer):
+    """One surface for each material, moved with the frame; a particle that flies alone is a ball."""
+    recording = recordings.cloud(3, 2000, travel=0.1)
+    recording.particles[:, 0] += 2.0
+    viewer.show(recording)
+    viewer._playing.value = False
+    viewer.seek(0.0)
+    before = viewer.positions()
+    extent = np.ptp(before, axis=0)
+    assert (extent > 0.4).all() and (extent < 0.6).all()
+    assert set(viewer._matter._shown) == {"/surfaces/0", "/surfaces/1", "/loose"}
+    np.testing.assert_allclose(viewer._matter._shown["/loose"].batched_positions[0], recording.particles[0, 0])
+    viewer.seek(1.0)
+    np.testing.assert_allclose(viewer.positions().mean(axis=0) - before.mean(axis=0), [0.2, 0.0, 0.0], atol=0.01)
+    as_balls(viewer)
+    np.testing.assert_allclose(viewer.positions(), recording.particles[2], atol=1e-6)
 
 
 def test_a_taken_port_and_a_missing_package_are_sentences(viewer, monkeypatch):
@@ -106,8 +132,8 @@ def test_a_taken_port_and_a_missing_package_are_sentences(viewer, monkeypatch):
         LiveViewer()
 
 
-def test_a_particle_is_a_ball():
-    vertices, triangles = _ball()
+def test_a_particle_is_aball():
+    vertices, triangles = ball()
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 1.0, atol=1e-5)
     assert (len(vertices), len(triangles)) == (42, 80)
     a, b, c = (vertices[triangles[:, i]] for i in range(3))

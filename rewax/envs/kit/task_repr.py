@@ -1,4 +1,4 @@
-"""One line about a task: what a policy gets and gives, how time is divided, how much is simulated."""
+"""One line about a task: observations, actions, time steps, and the size of the simulation."""
 
 from typing import Any
 

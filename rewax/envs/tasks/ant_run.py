@@ -1,4 +1,4 @@
-"""AntRun: a four-legged ant runs as fast as it can (DiffRL's ant, as Rewarped simulates it). Ant: that of DiffRL.
+"""AntRun: a four-legged ant runs as fast as it can (DiffRL's ant, as Rewarped simulates it). Ant: DiffRL's own ant.
 
 Scale ``paper`` has the numbers of the reference. Scale ``small`` has shorter episodes and, in AntRun, longer substeps.
 """

@@ -43,7 +43,7 @@ def ground_numbers(ground: Ground) -> list[Number]:
 
 
 def check_rotations(colliders: tuple[Collider, ...]) -> None:
-    """Raises ValueError for a collider whose matrix ``rotation`` is no rotation. Traced matrices are not checked."""
+    """Raises ValueError for a collider whose ``rotation`` is not a rotation matrix. Traced matrices are not checked."""
     for i, collider in enumerate(colliders):
         if isinstance(collider.rotation, Tracer):
             continue

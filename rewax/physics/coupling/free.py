@@ -1,8 +1,8 @@
 """Two-way coupling of soft bodies with free rigid bodies.
 
-Bodies receive the momentum that their colliders take from the soft body. So contact conserves momentum, and a box
-floats in water because the water supports it. ``mpm.step`` and ``tets.step`` are the one-way case with prescribed
-motion; ``articulated`` couples robots. ``exchange`` describes how the contact of light bodies stays stable.
+Bodies receive the momentum that their colliders take from the soft body. So contact conserves momentum: a box floats,
+because the water supports it. ``mpm.step`` and ``tets.step`` are the one-way case with prescribed motion.
+``articulated`` couples robots. ``exchange`` describes how the contact of light bodies stays stable.
 """
 
 from typing import Any, NamedTuple
@@ -53,20 +53,20 @@ def step(
     """Advance a soft body and free rigid bodies together by the substeps between ``poses``.
 
     Args:
-      scene: particles or tetrahedra. ``Collider.body`` counts the free bodies from 0, then the prescribed ones. Gravity
-        acts on the free bodies too; walls and ground do not.
+      scene: particles or tetrahedra. ``Collider.body`` counts the free bodies from 0, then the bodies with prescribed
+        motion. Gravity acts on the free bodies too; walls and ground do not.
       inertia: mass properties of the free bodies.
       state: particles or vertices.
       bodies: free bodies.
-      poses: poses of the bodies with prescribed motion, (num_substeps + 1, num_prescribed, ...); without such bodies
-        ``mpm.static_poses(num_substeps)``.
-      wrench: further forces and torques on the free bodies, constant in the step; None: none.
+      poses: poses of the bodies with prescribed motion, shapes (num_substeps + 1, num_prescribed, ...). If there are no
+        such bodies, give ``mpm.static_poses(num_substeps)``.
+      wrench: additional forces and torques on the free bodies, constant during the step; None: none.
       store_every: as for ``mpm.step``.
 
     Returns:
       The soft body, the free bodies, and the mean force and torque of the soft body on every body (free ones first).
-      The total linear and angular momentum changes only by gravity, walls, ground, held vertices, ``wrench`` and
-      prescribed motion.
+      Only gravity, walls, ground, held vertices, ``wrench`` and prescribed motion change the total linear and angular
+      momentum.
 
     Gradient: exact with respect to everything, forward and reverse, except at the onset of contact (see
       ``colliders.apply_collider`` and ``penalty.penalty_force``).

@@ -181,7 +181,7 @@ def polar_components(f: Mat3) -> Mat3:
     """Rotation R of the polar decomposition F = V R, by components: b^(-1/2) F with b = F F^T.
 
     Singular values below 1e-6 of the largest count as 1e-6 of it, so the result stays finite for flattened matrices,
-    where it is no rotation. For inverted ones (det F < 0) R is the orthogonal factor with determinant -1.
+    where it is not a rotation. For inverted ones (det F < 0) R is the orthogonal factor with determinant -1.
     Gradient: exact for regular F, finite everywhere.
     """
 

@@ -22,7 +22,7 @@ def connect_drifts(
     eq_active: Array,
     site_position: Array | None,
 ) -> Array:
-    """Accelerations at constant joint rates between the anchors of connect equalities [m/s^2].
+    """Relative acceleration of the two anchors of each connect equality at constant joint rates [m/s^2].
 
     MuJoCo 4 subtracts them from the targets of the rows, so that fast-turning bodies stay connected. MJX 3.17 does not.
 

@@ -35,9 +35,9 @@ class Kinematics(NamedTuple):
     subtree_com: Array
     """Center of mass of each body's subtree [m], shape (num_bodies, 3)."""
     tree_com: Array
-    """Center of mass of each body's whole tree [m], where its spatial vectors are taken, shape (num_bodies, 3)."""
+    """Center of mass of each body's whole tree [m], the reference of its spatial vectors, shape (num_bodies, 3)."""
     axes: Array
-    """Spatial velocity of the bodies that a degree of freedom moves, per unit rate, shape (num_dofs, 6)."""
+    """Spatial axis of each degree of freedom: velocity of the bodies that it moves, per unit rate, (num_dofs, 6)."""
 
 
 def kinematics(topology: TreeTopology, parameters: TreeParameters, qpos: Array) -> Kinematics:

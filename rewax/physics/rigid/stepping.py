@@ -1,9 +1,9 @@
 """Time stepping of articulated rigid bodies.
 
-MJX builds the constraint rows, computes the forces of actuators and tendons, and finds contacts of kinds of geoms for
-which rewax has no function (``forces``, ``collide``). Kinematics, dynamics and the solver (``kinematics``,
-``tree_dynamics``, ``solver``) are rewax's own. The derivative of the solver comes from the implicit function theorem:
-the reverse derivative neither repeats nor differentiates the solver.
+MJX builds the constraint rows and computes the forces of actuators and tendons (``forces``). It also finds contacts
+between kinds of geoms for which rewax has no function (``collide``). Kinematics, dynamics and the solver
+(``kinematics``, ``tree_dynamics``, ``solver``) are rewax's own. The derivative of the solver comes from the implicit
+function theorem: the reverse derivative neither repeats nor differentiates the solver.
 
 Contact follows one of two laws: MuJoCo's soft constraints, or springs and dampers with regularised Coulomb friction
 (``Penalty``). Early simulators for first-order reinforcement learning use the second law.
@@ -47,7 +47,7 @@ def initial_state(
     """A state with given positions and velocities; by default the model's home at rest. Activations are zero.
 
     Raises:
-      ValueError: a shape differs from the model's, or a value is no finite number.
+      ValueError: a shape differs from the model's, or a value is not finite.
     """
     check_instance("model", model, RigidModel, "give a model that rigid.load returned")
     dtype = model.parameters["qpos0"].dtype
@@ -93,7 +93,7 @@ def step(
       solver takes the model's ``iterations``, but at least 4, because the derivative assumes that it has converged.
 
     Raises:
-      ValueError: a shape differs from the model's, or an argument is no number.
+      ValueError: a shape differs from the model's, or an argument is not a number.
     """
     check_state(model, state)
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, state.qpos.dtype)
@@ -110,7 +110,7 @@ def checked_inputs(
     """Controls and wrenches of ``step`` as arrays, zero by default.
 
     Raises:
-      ValueError: a shape differs from the model's, or an argument is no number.
+      ValueError: a shape differs from the model's, or an argument is not a number.
     """
     ctrl = jnp.zeros(model.num_actuators, dtype) if ctrl is None else real_array("ctrl", ctrl, "give an array")  # pyright: ignore[reportAssignmentType]
     wrenches = (  # pyright: ignore[reportAssignmentType]
@@ -129,7 +129,7 @@ def check_status(state: RigidState, model: RigidModel | None = None) -> Array:
     """Status bits of a state and of its model.
 
     Args:
-      state: the bodies. A value that is not finite, or whose size is a million or more, sets ``NAN``.
+      state: the bodies. A value that is not finite, or whose magnitude is a million or more, sets ``NAN``.
       model: illegal parameters (not finite, a mass, size or friction below 0) set ``INVALID_PARAMETERS``; None: do not
         check parameters.
 
@@ -153,8 +153,8 @@ def rates(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array) ->
       ctrl, wrenches: as for ``step``, but not None.
 
     Returns:
-      The change of velocity per time [m/s^2, rad/s^2], shape (num_dofs,); the state after the substep. Its activations
-      and ``qacc`` stay valid if a caller changes the velocity otherwise. Gradient: exact.
+      The change of velocity per time [m/s^2, rad/s^2], shape (num_dofs,), and the state after the substep. If the
+      caller replaces this state's velocity, its activations and ``qacc`` stay valid. Gradient: exact.
     """
     after, rate = _substep(model, state, ctrl, wrenches)
     return rate, after
@@ -192,7 +192,7 @@ def _accelerate(model: RigidModel, state: RigidState, ctrl: Array, wrenches: Arr
 def _acceleration_derivative(
     known: tuple[RigidState, Array], model: RigidModel, state: RigidState, ctrl: Array, wrenches: Array
 ) -> tuple[RigidState, Array]:
-    """``known``, the result of ``_accelerate``, with its derivative from the balance of forces."""
+    """The result of ``_accelerate``, ``known``, with a derivative that follows from the balance of forces."""
     with jax.default_matmul_precision("highest"):
         topology, parameters = model.static.topology, tree_parameters(model)
         qacc, rate = jax.lax.stop_gradient((known[0].qacc, known[1]))
@@ -228,8 +228,8 @@ def _damped(
 ) -> tuple[Array, Array]:
     """Matrix of a step that is implicit in velocity, and the damping force at an acceleration.
 
-    MuJoCo's Euler step includes the damping of joints. Its implicitfast includes all damping, and for single free
-    bodies the gyroscopic terms.
+    MuJoCo's Euler integrator treats only the damping of joints implicitly. Its integrator ``implicitfast`` treats all
+    damping implicitly, and the gyroscopic terms of single free bodies.
     """
     if not model.static.is_implicit:
         damping = model.dt * model.parameters["dof_damping"]

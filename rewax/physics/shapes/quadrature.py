@@ -18,7 +18,7 @@ from rewax.types import Array, Scalar
 NUM_CELLS = 64
 """Cells along each axis of a bounding box."""
 _OFF_CENTER = 1e-3
-"""Tolerance for a centre of mass at the origin, in longest edges of the bounding box: ten times quadrature's error."""
+"""A centre of mass may be this far from the origin, in longest edges of the bounding box: ten times the error."""
 
 
 class Solid(Protocol):

@@ -1,4 +1,4 @@
-"""Initial positions of particles: points in boxes and shapes, regular, random, or random with a smallest distance.
+"""Initial positions of particles in boxes and shapes: a lattice, or random points, or random points a distance apart.
 
 Points of a shape are in the shape's own frame; rotate and shift them with its body. Each point has the volume
 ``volume(shape) / len(points)``.
@@ -20,7 +20,7 @@ from rewax.physics.shapes.volumes import bounding_box, volume
 from rewax.types import Array, Key
 
 CHUNK = 8192
-"""Points per evaluation of a distance. The constant size means one compilation per kind of shape."""
+"""Number of points in each evaluation of a distance. A constant size needs one compilation per kind of shape."""
 
 
 @checked(
@@ -182,7 +182,7 @@ def _signed_distance(shape: Shape, points: Array) -> tuple[Array, Array]:
 
 
 def _distance(shape: Shape) -> Distance:
-    """Function for signed distances and normals of any number of points (n, 3), always in float64."""
+    """A function that returns signed distances and normals of points (n, 3), for any n, in float64."""
     shape = jax.tree.map(lambda a: np.asarray(a, np.float64), shape)
 
     def distance(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -33,7 +33,7 @@ _SCENE = {
     "damping_law": DAMPING_LAW,
 }
 STABLE_FRACTION = 0.8
-"""Fraction of the bound that ``largest_stable_dt`` derives."""
+"""``largest_stable_dt`` returns this fraction of the theoretical bound."""
 
 
 @struct.dataclass
@@ -64,14 +64,14 @@ class TetScene(struct.Replaceable):
       mass: mass of each vertex [kg], shape (num_vertices,).
       mu, lam: parameters of the stable neo-Hookean law [Pa]. ``tets.small_strain_moduli(mu, lam)`` converts them to
         Young's modulus and Poisson's ratio, ``tets.stable_parameters`` converts back.
-      damping: viscosity [Pa s]; None: no damping, whose terms are not traced.
+      damping: viscosity [Pa s]; None: no damping, and its terms are not traced.
       activation: shift of the volume ratio at rest [-]; positive contracts.
       gravity: acceleration [m/s^2], shape (3,).
       mobility: 1 for vertices that move, 0 for those that keep their velocity, shape (num_vertices,); None: all move.
       contact: penalty law of ground and colliders.
       ground: the ground, or None.
       colliders: moving shapes.
-      damping_law: the damped rate (static).
+      damping_law: the rate that damping acts on (static).
     """
 
     topology: TetTopology = struct.static_field()
@@ -111,7 +111,7 @@ def initial_state(x: Any) -> TetState:
       x: positions [m], shape (num_vertices, 3): ``mesh.vertices``, possibly moved or strained.
 
     Raises:
-      ValueError: another shape, or a position that is not finite. Of traced positions only the shape is checked.
+      ValueError: another shape, or a position that is not finite. Only the shape of traced positions is checked.
     """
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
@@ -193,16 +193,17 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
     """Largest substep [s] at which the explicit integration of a body at rest stays stable.
 
     The stiffness at a vertex of mass m is at most K = sum over its tets of volume M sum_k |grad N_k|^2, plus the
-    contact's stiffness. Here M is the modulus of pressure waves and N_k are the tet's linear shape functions. The
-    damping is at most the same sum with 2 damping instead of M, plus the contact's damping. Symplectic Euler is stable
+    contact's stiffness. Here M is the P-wave modulus, and N_k are the tet's linear shape functions. The damping is
+    at most the same sum with 2 damping instead of M, plus the contact's damping. Symplectic Euler is stable
     up to 4 / (c + sqrt(c^2 + 4 w^2)) with w^2 = K / m and c the damping over m. The result is 0.8 of the smallest bound
     of all vertices.
 
-    The factor is measured over 2000 substeps, on boxes of 5 and 6 tets per cell, long and distorted boxes and the soft
-    jumper's table, with nu from 0 to 0.45 and vertices displaced at random by 1 or 10 % of a tet's smallest size. They
-    become unstable between 1.1 (nu 0.45, 10 %) and 1.6 of the smallest bound without damping, and between 1.6 and 2.7
-    with strong damping. Linear theory predicts 1.3 to 1.6. Stronger compression needs an extra margin. Friction damping
-    is not included, and contact is included once, although several bodies can push one vertex.
+    The factor was measured over 2000 substeps on boxes of 5 and 6 tets per cell, on long and distorted boxes, and on
+    the table of SoftJumper. Poisson's ratio was 0 to 0.45, and vertices were displaced at random by 1 or 10 % of a
+    tet's smallest size. Without damping these bodies become unstable between 1.1 (nu 0.45, 10 %) and 1.6 of the
+    smallest bound, and with strong damping between 1.6 and 2.7. Linear theory predicts 1.3 to 1.6. Stronger compression
+    needs an extra margin. The bound ignores the damping of friction. It counts contact once, although several bodies
+    can push one vertex.
 
     Gradient: exact.
     """
@@ -228,7 +229,7 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
 
 
 def has_invalid_parameters(scene: TetScene, poses: Pose | None = None) -> Array:
-    """Whether a scene holds a number that ``make_scene`` rejects, shape (), bool; for traced and replaced numbers.
+    """Whether a scene has a value that ``make_scene`` rejects, shape (), bool; also for traced or replaced values.
 
     Args:
       scene: the scene.

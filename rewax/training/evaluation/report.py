@@ -24,8 +24,8 @@ class Evaluator:
 
     Args:
       env: unbatched environment.
-      programs: of the environment and the agent's policy.
-      config: of the run.
+      programs: compiled evaluations and recordings of the environment and the agent's policy.
+      config: options of the run.
       run_dir: directory of the run.
       key: draws initial states.
       resume_at: iteration that the run continues from.
@@ -63,8 +63,8 @@ class Evaluator:
     def baselines(self, train_state: Any) -> dict[str, float]:
         """Mean returns of zero actions and of random actions from the same initial states, kept in ``baselines.json``.
 
-        They use the program that was compiled for ``evaluate``, which takes a training state. The name of a baseline
-        says how many of its episodes failed.
+        Both use the program that was compiled for ``evaluate``, so they need a training state. The name of a baseline
+        tells how many of its episodes failed.
         """
         path = self._run_dir / "baselines.json"
         try:
@@ -90,13 +90,13 @@ class Evaluator:
         sentences = [f"evaluation after {row['env_steps']:,} steps: return {', '.join(returns)}"]
         if total := sum(failed.values()):
             sentences.append(
-                f"warning: {total} of {2 * episodes} episodes failed numerically and ended there, and their returns "
-                "are those of the steps before: shorter substeps or softer contacts and materials help"
+                f"warning: {total} of {2 * episodes} episodes failed numerically and ended early; their returns count "
+                "only the steps before the failure. Shorter substeps or softer contacts and materials help"
             )
         bits = {bit.name: sum(int(row[f"{mode}_status/{bit.name}"]) for mode in MODES[:2]) for bit in Status if bit}
         if any(bits.values()):
             counts = ", ".join(f"{name} in {count}" for name, count in bits.items() if count)
-            sentences.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status says what each means)")
+            sentences.append(f"status of {2 * episodes} episodes: {counts} (rewax.status.Status explains each)")
         return sentences
 
     def draw(self, train_state: Any, baselines: Mapping[str, float]) -> list[str]:

@@ -23,7 +23,7 @@ def read_grid(settings: Sequence[str], env: Env) -> dict[str, tuple[float, ...]]
       env: whose parameters these are.
 
     Raises:
-      ValueError: in one sentence: a text of another form, a value that is no finite number, no such parameter.
+      ValueError: in one sentence: a text of another form, a value that is not a finite number, no such parameter.
     """
     grid: dict[str, tuple[float, ...]] = {}
     for setting in settings:

@@ -1,7 +1,6 @@
 """Ahead-of-time compilation of ``train_step``, and its compiler options."""
 
 import contextlib
-import functools
 import gc
 import time
 from collections.abc import Callable, Iterator
@@ -10,12 +9,10 @@ from typing import Any
 import jax
 from rich.console import Console
 
+from rewax import xla_options
 from rewax.agents.base import Agent
 from rewax.training.loop.devices import ONE_DEVICE, Placement
 from rewax.training.loop.progress import say
-
-_QUICK: dict[str, bool | str] = {"xla_cpu_use_fusion_emitters": False}
-"""Selects XLA's older CPU code generator, which XLA of jax 0.12 no longer has."""
 
 
 def compile_train_step(
@@ -34,7 +31,7 @@ def compile_train_step(
     Returns:
       The compiled function; it never traces again.
     """
-    without = _wants_quick(agent) and not _has_older_generator()
+    without = _wants_quick(agent) and not xla_options.has_older_generator()
     note = f" (quick_compile changes nothing: XLA of jax {jax.__version__} has no older generator)" if without else ""
     say(console, f"compiling train_step ...{note}")
     began = time.perf_counter()
@@ -47,25 +44,13 @@ def compile_train_step(
     return compiled
 
 
-def compiler_options(agent: Agent) -> dict[str, bool | str]:
+def compiler_options(agent: Agent) -> dict[str, Any]:
     """XLA's compiler options for the agent's programs."""
-    return _QUICK if _wants_quick(agent) and _has_older_generator() else {}
+    return xla_options.QUICK if _wants_quick(agent) and xla_options.has_older_generator() else {}
 
 
 def _wants_quick(agent: Agent) -> bool:
     return getattr(agent.config, "quick_compile", False) and jax.default_backend() == "cpu"
-
-
-@functools.cache
-def _has_older_generator() -> bool:
-    """Whether this XLA has the older code generator: it raises an error for an unknown option."""
-    try:
-        jax.jit(lambda x: x + 1.0).lower(0.0).compile(_QUICK)
-    except jax.errors.JaxRuntimeError as error:
-        if "No such compile option" not in str(error):
-            raise
-        return False
-    return True
 
 
 @contextlib.contextmanager

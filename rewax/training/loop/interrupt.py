@@ -10,17 +10,17 @@ import time
 from collections.abc import Callable, Iterator
 
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-_SAME_SECONDS = 0.3  # supervisors such as `timeout` signal a process and its group: twice, but meant once
+_SAME_SECONDS = 0.3  # supervisors such as `timeout` signal a process and its group: two signals, but one request
 
 
 class Stop:
     """Whether the user asked to stop.
 
     Attributes:
-      signum: the signal that asked, 0 while none has.
+      signum: the signal that requested the stop; 0 before a request.
       at_once: while not empty, the first signal ends the process at once, with this sentence for the user.
       before_exit: called before the process ends at once.
-      notice: what the user is told at the first signal otherwise.
+      notice: sentence for the user at the first signal otherwise.
     """
 
     signum: int = 0
@@ -30,7 +30,7 @@ class Stop:
 
     @property
     def requested(self) -> bool:
-        """A signal has asked to stop."""
+        """Whether a signal has requested a stop."""
         return self.signum != 0
 
 
@@ -41,8 +41,8 @@ def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
     The first signal does too while ``Stop.at_once`` is set: nothing is worth waiting for while a program compiles.
 
     A thread listens for signals, because Python runs its own handlers only between bytecodes, and a compiled iteration
-    or a compilation can take minutes without one. Outside the main thread no handler is installed, and signals keep
-    their usual effect.
+    or a compilation can take minutes between two of them. Outside the main thread no handler is installed, and signals
+    keep their usual effect.
 
     Args:
       notify: called with a sentence for the user when the first signal arrives.
@@ -92,7 +92,7 @@ def graceful_stop(notify: Callable[[str], None]) -> Iterator[Stop]:
 
 
 def _leave_terminal() -> None:
-    """After SIGHUP the terminal is gone, and writing to it would raise: output to a terminal goes nowhere."""
+    """After SIGHUP the terminal is gone, and writing to it would raise. So output to a terminal is discarded."""
     for descriptor in (1, 2):
         with contextlib.suppress(OSError):
             if stat.S_ISCHR(os.fstat(descriptor).st_mode):

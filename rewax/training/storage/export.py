@@ -78,7 +78,7 @@ def _actor(run: SavedRun) -> Actor:
 
 
 def _observed(actor: Actor) -> dict[str, tuple[int, ...]]:
-    """Shapes of the observations that the policy sees, by name."""
+    """Shapes of the policy's observations, by name."""
     spec = actor.observation_spec
     return {name: spec[name].shape for name in actor.config.observe or spec}
 

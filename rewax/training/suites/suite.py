@@ -48,13 +48,13 @@ class Suite:
             if len(set(value)) < len(value):
                 raise ValueError(f"{name} of the suite {self.name} are {list(value)}: name each of them once")
         if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in self.seeds):
-            raise ValueError(f"seeds of the suite {self.name} are {list(self.seeds)}: give whole numbers from 0 on")
+            raise ValueError(f"seeds of the suite {self.name} are {list(self.seeds)}: give integers from 0 on")
         for name in ("steps", "options", "env_options"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} of the suite {self.name} is no table: write [{name}] above its entries")
         for name, value in {"num_eval_episodes": self.num_eval_episodes, **self.steps}.items():
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ValueError(f"{name} of the suite {self.name} is {value!r}: give a whole number of at least 1")
+                raise ValueError(f"{name} of the suite {self.name} is {value!r}: give an integer of at least 1")
         for task in self.tasks:
             registry.check_name(task)
         for name in self.algorithms:

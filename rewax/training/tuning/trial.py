@@ -48,7 +48,7 @@ class Task:
 
     def __post_init__(self) -> None:
         if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
-            raise ValueError(f"seeds are {list(self.seeds)}: give whole numbers from 0 on, each of them once")
+            raise ValueError(f"seeds are {list(self.seeds)}: give integers from 0 on, each of them once")
         for name in ("steps", "episodes", "reports"):
             value = getattr(self, name)
             if value is not None and value < 1:

@@ -1,4 +1,4 @@
-"""Leaves by name: what is drawn, together or apart, and what is refused."""
+"""Parameters by name: what is drawn, together or apart, and what is refused."""
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ class Tool:
 
 @struct.dataclass
 class Things:
-    """Everything that an environment's leaves can be."""
+    """Every kind of parameter that an environment can have."""
 
     material: Material
     parameters: dict

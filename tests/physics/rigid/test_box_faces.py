@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from rewax.physics.rigid.box_faces import MOST, box_faces
+from rewax.xla_options import unoptimised
 
 SIZES = np.array([[0.05, 0.06, 0.07], [0.1, 0.03, 0.08]])
 NUM = 300
-QUICK = {"xla_backend_optimization_level": 0}
+QUICK = unoptimised()
 MANY = jax.jit(jax.vmap(box_faces, in_axes=(0, 0, None, 0, 0, None)), compiler_options=QUICK)
 UP = np.array([0.0, 0.0, 1.0])
 

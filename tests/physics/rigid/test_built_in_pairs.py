@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-import rigid_models
 
 from rewax.physics import rigid
 from rewax.physics.rigid import forces
 from rewax.physics.rigid.built_in_pairs import BUILT_IN_PAIRS, UNDER_A_PENALTY
 from rewax.physics.rigid.collide import collide
 from rewax.testing import check_contact_pair
+from rewax.xla_options import unoptimised
 
 HEAP = """<mujoco><worldbody><geom type="plane" size="9 9 9" margin=".003"/>
 <body><freejoint/><geom type="box" size=".05 .06 .07"/></body><body><freejoint/><geom type="box" size=".1 .03 .05"/></body>
@@ -26,7 +26,7 @@ def test_contacts_of_all_kinds_are_mujocos(x64):
     mj = mujoco.MjModel.from_xml_string(HEAP)
     model, data, rng = rigid.load(mj), mujoco.MjData(mj), np.random.default_rng(0)
 
-    @functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+    @functools.partial(jax.jit, compiler_options=unoptimised())
     @jax.vmap
     def contacts(qpos):
         kin, state = forces.kinematics(model, qpos), rigid.initial_state(model, qpos)
@@ -79,7 +79,7 @@ def test_a_fall_is_that_of_mujoco(x64):
                 expected.append(data.qacc.copy())
                 most = max(most, data.ncon)
 
-    @functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+    @functools.partial(jax.jit, compiler_options=unoptimised())
     @jax.vmap
     def accelerations(state):
         return rigid.step(model, state).qacc

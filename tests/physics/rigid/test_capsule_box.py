@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from rewax.physics.rigid.capsule_box import capsule_box
+from rewax.xla_options import unoptimised
 
 SIZE, HALF = np.array([0.03, 0.06]), np.array([0.05, 0.03, 0.04])
 NUM = 400
-QUICK = {"xla_backend_optimization_level": 0}
+QUICK = unoptimised()
 MANY = jax.jit(jax.vmap(capsule_box, in_axes=(0, 0, None, None, None, None)), compiler_options=QUICK)
 BOX = np.zeros(3), np.eye(3), HALF
 

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-import rigid_models
 from mujoco import mjx
 from mujoco.mjx._src import collision_driver
 
@@ -16,6 +15,7 @@ from rewax.physics import rigid
 from rewax.physics.rigid import ContactPair, Penalty, forces
 from rewax.physics.rigid.collide import collide
 from rewax.physics.shapes import Cylinder, signed_distance
+from rewax.xla_options import unoptimised
 
 FIELDS = ("dist", "pos", "frame", "includemargin", "friction", "solref", "solimp", "geom")
 
@@ -44,7 +44,7 @@ IN_BOX = ContactPair(("cylinder", "box"), 1, cylinder_box)
 def found_in(model, qpos):
     """All contacts at one or many positions."""
 
-    @functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+    @functools.partial(jax.jit, compiler_options=unoptimised())
     @jax.vmap
     def contacts(qpos):
         kin, state = forces.kinematics(model, qpos), rigid.initial_state(model, qpos)
@@ -126,9 +126,7 @@ def test_a_pair_of_the_user_comes_before_those_built_in(x64):
             moved = []
             for pairs in ((), (far,)):
                 model = rigid.load(other, dt=1e-3, penalty=law, contact_pairs=pairs)
-                end = jax.jit(rigid.step, compiler_options=rigid_models.QUICK_TO_COMPILE)(
-                    model, rigid.initial_state(model)
-                )
+                end = jax.jit(rigid.step, compiler_options=unoptimised())(model, rigid.initial_state(model))
                 moved.append(float(jnp.abs(end.qvel).max()))
                 if pairs:
                     np.testing.assert_allclose(rigid.contact_distances(model, rigid.initial_state(model)), [0.5])
@@ -154,7 +152,7 @@ def test_contacts_of_mjx_are_as_mjx_gives_them(limits):
     mj = mujoco.MjModel.from_xml_string(HEAP.format(LIMITS[limits]))
     model, m, qpos = rigid.load(mj), mjx.put_model(mj, impl="jax"), jnp.asarray(poses(16, 4), jnp.float32)
 
-    @functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+    @functools.partial(jax.jit, compiler_options=unoptimised())
     @jax.vmap
     def both(qpos):
         kin, state = forces.kinematics(model, qpos), rigid.initial_state(model, qpos)
@@ -198,7 +196,7 @@ def test_other_users_of_mjx_are_untouched():
 
     def stock():
         d = mjx.make_data(mj, impl="jax")
-        quick = functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+        quick = functools.partial(jax.jit, compiler_options=unoptimised())
         after = quick(lambda d: mjx.step(m, mjx.step(m, d)))(d)
         contact = quick(lambda d: mjx.collision(m, mjx.kinematics(m, d)))(d)._impl.contact
         return [np.asarray(a).tobytes() for a in (after.qpos, after.qvel, *(getattr(contact, name) for name in FIELDS))]
@@ -223,7 +221,7 @@ def test_other_users_of_mjx_are_untouched():
 
     model = rigid.load(PLAIN, contact_pairs=[ContactPair(("capsule", "box"), 1, looking)])
     results.append(stock())
-    end = jax.jit(rigid.step, compiler_options=rigid_models.QUICK_TO_COMPILE)(model, rigid.initial_state(model))
+    end = jax.jit(rigid.step, compiler_options=unoptimised())(model, rigid.initial_state(model))
     results.append(stock())
     assert np.isfinite(end.qpos).all() and len(seen) >= 2
     assert all(

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-import rigid_models
 from rigid_cases import ARM_ON_THE_FLOOR, VERSIONS, draw, home, loaded, simulate_in_c
 
 from rewax.physics import rigid
 from rewax.physics.rigid import forces as rigid_forces
 from rewax.physics.rigid.spring_contacts import Penalty
+from rewax.xla_options import unoptimised
 
 
 def test_the_contraption_has_all_kinds_of_rows():
@@ -46,7 +46,7 @@ def test_rows_of_constraints_are_those_of_mujoco(x64):
 
     kinds = np.array([mujoco.mjtConstraint(k).name.removeprefix("mjCNSTR_") for k in data.efc_type])
 
-    @functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+    @functools.partial(jax.jit, compiler_options=unoptimised())
     def rows_of(model, state):
         kin = rigid_forces.kinematics(model, state.qpos)
         ctrl = jnp.zeros(model.num_actuators)
@@ -81,7 +81,7 @@ def applied_forces(model, state, ctrl, wrenches):
     return rigid_forces.applied_forces(model, kin, m, d, wrenches)
 
 
-applied = jax.jit(applied_forces, compiler_options=rigid_models.QUICK_TO_COMPILE)
+applied = jax.jit(applied_forces, compiler_options=unoptimised())
 
 
 def test_applied_forces_are_mujocos(x64):
@@ -145,7 +145,7 @@ def test_springs_have_a_derivative_at_rest(x64, springs):
     expected = np.zeros((10, 4))
     expected[:3, :3], expected[3, 3] = -0.5 * 2.0 * np.eye(3), -20.0
     for jacobian in (jax.jacfwd(at), jax.jacrev(at)):
-        slopes = jax.jit(jacobian, compiler_options=rigid_models.QUICK_TO_COMPILE)(jnp.zeros(4))
+        slopes = jax.jit(jacobian, compiler_options=unoptimised())(jnp.zeros(4))
         np.testing.assert_allclose(slopes, expected, atol=1e-12)
 
 

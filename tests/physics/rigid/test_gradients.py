@@ -11,6 +11,7 @@ import rigid_models
 
 from rewax.physics import rigid
 from rewax.physics.rigid.spring_contacts import Penalty
+from rewax.xla_options import unoptimised
 
 NUM, HORIZON, STEP = 64, 8, 1e-6
 slow = pytest.mark.slow
@@ -80,7 +81,7 @@ def cached_program(name, derivatives, penalty, everything):
         state = rigid.step(other, state, ctrl, wrenches=wrenches, num_substeps=HORIZON)
         return state.qpos, state.qvel
 
-    return derivatives(jax.vmap(simulate), compiler_options=rigid_models.QUICK_TO_COMPILE)
+    return derivatives(jax.vmap(simulate), compiler_options=unoptimised())
 
 
 def with_everything(name: str, inputs, penalty: Penalty | None = None):
@@ -252,7 +253,7 @@ def test_with_respect_to_every_parameter(x64, derivatives, inner):
         end = rigid.step(changed, start, x["ctrl"], wrenches=x["wrenches"], num_substeps=HORIZON)
         return end.qpos, end.qvel, end.act
 
-    run = derivatives(simulate, compiler_options=rigid_models.QUICK_TO_COMPILE)
+    run = derivatives(simulate, compiler_options=unoptimised())
 
     def value(x):
         return run(x, still, weights=weights)[0]

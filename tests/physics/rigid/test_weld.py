@@ -12,6 +12,7 @@ import rigid_models
 
 from rewax.physics import rigid
 from rewax.physics.rigid import forces
+from rewax.xla_options import unoptimised
 
 PULLED = """<mujoco><option timestep="0.004" iterations="100" ls_iterations="100" tolerance="1e-15" {option}/>
   <default><geom contype="0" conaffinity="0"/></default><worldbody>
@@ -36,7 +37,7 @@ PUSHED = f"""<mujoco><option timestep="0.004" iterations="100" ls_iterations="10
   </worldbody></mujoco>"""
 
 
-@functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+@functools.partial(jax.jit, compiler_options=unoptimised())
 def guided(model, state, position, quaternion):
     return rigid.step(model.with_mocap(position, quaternion), state)
 
@@ -105,7 +106,7 @@ def test_derivatives_by_mocap_poses_are_finite_differences(x64, derivatives, cen
         return after.qpos, after.qvel
 
     move = random_like(1, x)
-    quick = rigid_models.QUICK_TO_COMPILE
+    quick = unoptimised()
     _, forward, weights, reverse = derivatives(end, compiler_options=quick)(x, move, lambda v: random_like(2, v))
     expected = central_difference(jax.jit(end, compiler_options=quick), x, move, 1e-6)
     for found, true in zip(forward, expected, strict=True):
@@ -119,7 +120,7 @@ def test_drifts_are_the_change_of_what_is_held(x64):
     mj = mujoco.MjModel.from_xml_string(PULLED.format(option=""))
     model, qvel = rigid.load(mj), np.random.default_rng(0).standard_normal(mj.nv)
 
-    @functools.partial(jax.jit, compiler_options=rigid_models.QUICK_TO_COMPILE)
+    @functools.partial(jax.jit, compiler_options=unoptimised())
     def rows(qpos):
         state = rigid.initial_state(model, qpos, qvel)
         kin = forces.kinematics(model, qpos)

@@ -9,9 +9,9 @@ import pytest
 import toys
 from rich.console import Console
 
+from rewax import xla_options
 from rewax.agents.config import RunConfig
 from rewax.jax_versions import numbers
-from rewax.training.loop import compilation
 from rewax.training.loop.compilation import compile_train_step, compiler_options, no_garbage_collection
 
 AGENT = toys.make_toy(toys.point_mass())
@@ -38,8 +38,8 @@ def test_an_unknown_option_is_not_ignored():
 
 
 def test_an_xla_without_the_older_generator_compiles_and_says_so(monkeypatch):
-    monkeypatch.setattr(compilation, "_QUICK", {"xla_cpu_no_such_option": False})
-    compilation._has_older_generator.cache_clear()
+    monkeypatch.setattr(xla_options, "QUICK", {"xla_cpu_no_such_option": False})
+    xla_options.has_older_generator.cache_clear()
     try:
         assert compiler_options(QUICK) == {}
         for agent, said in ((QUICK, True), (AGENT, False)):
@@ -48,7 +48,7 @@ def test_an_xla_without_the_older_generator_compiles_and_says_so(monkeypatch):
             assert compiled is not None
             assert (f"quick_compile changes nothing: XLA of jax {jax.__version__}" in console.file.getvalue()) == said
     finally:
-        compilation._has_older_generator.cache_clear()
+        xla_options.has_older_generator.cache_clear()
 
 
 def test_only_a_cpu_has_the_older_generator(monkeypatch):

@@ -20,7 +20,7 @@ def test_several_devices_train_as_one_does(names, sharing_programs):
     assert "the same on one and on several devices" in done.stdout
 
 
-def test_what_cannot_be_divided_is_refused():
+def test_what_cannot_be_sharded_is_refused():
     with pytest.raises(ValueError, match=r"devices is 7, but JAX has 1 \(cpu\): ask for that many at most"):
         placement(8, 7)
     assert placement(8, 0) == placement(None, 0) == ONE_DEVICE

@@ -113,5 +113,5 @@ def test_impossible_options_are_refused():
     for share in (-0.1, 1.1, math.nan):
         with pytest.raises(ValueError, match=f"max_failed_share is {share}: give a number between 0 and 1"):
             ReportConfig(max_failed_share=share)
-    with pytest.raises(ValueError, match="failure_window is 0: give a whole number of at least 1"):
+    with pytest.raises(ValueError, match="failure_window is 0: give an integer of at least 1"):
         ReportConfig(failure_window=0)

@@ -139,7 +139,7 @@ def test_a_failing_evaluation_loses_nothing(tmp_path, monkeypatch):
     [("num_iterations", 0), ("log_every", 0), ("num_eval_episodes", 0), ("keep_checkpoints", 0), ("eval_every", -1)],
 )
 def test_impossible_configurations_are_refused(field, value):
-    with pytest.raises(ValueError, match=f"{field} is {value}: give a whole number"):
+    with pytest.raises(ValueError, match=f"{field} is {value}: give an integer"):
         TrainConfig(**{"num_iterations": 1, "run_dir": "x", field: value})
 
 

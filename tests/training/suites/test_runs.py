@@ -172,7 +172,7 @@ def test_the_table_stands_beside_the_papers():
     assert lines[-1] == "| AntRun |  | 1.0 |"
 
 
-def test_every_run_is_divided_over_as_many_devices_as_asked(suite, tmp_path, monkeypatch):
+def test_every_run_is_sharded_over_as_many_devices_as_asked(suite, tmp_path, monkeypatch):
     real, asked = bench.train, []
 
     def noting(agent, env, config, **kwargs):

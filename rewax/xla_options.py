@@ -1,0 +1,66 @@
+"""Options of XLA's compiler for a CPU, and a pair of them that gives wrong gradients."""
+
+import functools
+import os
+import warnings
+from typing import Any
+
+_OLDER_GENERATOR = "xla_cpu_use_fusion_emitters"
+_LEVEL = "xla_backend_optimization_level"
+
+QUICK: dict[str, Any] = {_OLDER_GENERATOR: False, _LEVEL: 3}
+"""Select XLA's older code generator, which compiles faster; see ``has_older_generator``."""
+
+
+def wrong_gradients(flags: str) -> str | None:
+    """Tell whether flags select the older code generator without optimisation, whose gradients can be zero.
+
+    In jax 0.10.1 the derivative of a union of a sphere and a box with respect to the sphere's radius is then zero.
+    Either flag alone is right.
+
+    Args:
+      flags: value of the environment variable ``XLA_FLAGS``.
+
+    Returns:
+      A sentence without the remedy, else None.
+    """
+    named = (flag.lstrip("-").partition("=") for flag in flags.split())
+    chosen = {name: value for name, _, value in named}
+    older = chosen.get(_OLDER_GENERATOR, "true").lower() in ("false", "0")
+    if older and chosen.get(_LEVEL) == "0":
+        return f"--{_OLDER_GENERATOR}=false together with --{_LEVEL}=0 gives gradients that are wrongly zero"
+    return None
+
+
+def warn_of_wrong_gradients() -> None:
+    """Warn if ``XLA_FLAGS`` holds flags that together give wrong gradients."""
+    sentence = wrong_gradients(os.environ.get("XLA_FLAGS", ""))
+    if sentence is not None:
+        warnings.warn(f"XLA_FLAGS: {sentence}: remove one of the two", UserWarning, stacklevel=3)
+
+
+@functools.cache
+def has_older_generator() -> bool:
+    """Whether this XLA has the older code generator for a CPU. XLA of jax 0.12 has not."""
+    return knows(**QUICK)
+
+
+def knows(**options: Any) -> bool:
+    """Whether this XLA has the options. It raises an error for an option that it does not know."""
+    import jax
+
+    try:
+        jax.jit(lambda x: x + 1.0).lower(0.0).compile(options)
+    except jax.errors.JaxRuntimeError as error:
+        if "No such compile option" not in str(error):
+            raise
+        return False
+    return True
+
+
+def unoptimised() -> dict[str, Any]:
+    """Options of ``jax.jit`` for a program that runs once: the newer code generator, without optimisation."""
+    return {_LEVEL: 0} | ({_OLDER_GENERATOR: True} if has_older_generator() else {})
+
+
+__all__ = ["QUICK", "has_older_generator", "knows", "unoptimised", "warn_of_wrong_gradients", "wrong_gradients"]
