@@ -11,7 +11,9 @@ from rewax.physics.thin import pair_kernels
 
 
 def fixed_sources() -> tuple[Source, ...]:
-    """All programs: transfers (P2G and G2P), pairs of self-contact, the machine in both precisions, and ``split_vector``."""
+    """All programs: transfers (P2G and G2P), pairs of self-contact, the machine in both precisions, and
+    ``split_vector``.
+    """
     machines = (machine.machine(np.dtype(dtype)).source for dtype in ("float32", "float64"))
     return (transfer_cpp.SOURCE, pair_kernels.SOURCE, splitting._SOURCE, *machines)
 

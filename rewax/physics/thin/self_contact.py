@@ -78,7 +78,7 @@ def find(scene: "ThinScene", x: Vec3, with_triangles: bool) -> CloseElements:
 
 
 def self_forces(scene: "ThinScene", x: Vec3, v: Vec3, pairs: AllPairs) -> Vec3:
-    """Forces of self-contact on the vertices [N]; they and their torques sum to zero. Gradient: exact."""
+    """Forces of self-contact on the vertices [N]; they sum to zero. Gradient: exact."""
     law = pair_law.numbers(_parts(scene)[0])
     kinds = ((pair_law.vertex_triangle_force, pairs.triangles), (pair_law.segments_force, pairs.edges))
     total = cp.vector(lambda i: jnp.zeros_like(x[i]))

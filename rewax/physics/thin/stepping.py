@@ -243,7 +243,8 @@ def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
 
 @checked(scene=SCENE, state=STATE)
 def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
-    """Forces of self-contact on the vertices [N], shape (num_vertices, 3); they and their torques sum to zero.
+    """Forces of self-contact on the vertices [N], shape (num_vertices, 3). They sum to zero; their torques do without
+    friction.
 
     Gradient: exact.
     """
