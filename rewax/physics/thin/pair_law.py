@@ -64,7 +64,7 @@ class SelfContact(struct.Replaceable):
     friction_damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
     max_speed: Scalar = struct.number(POSITIVE, "give a speed in m/s", shape=(), default=1.0)
     every: int = struct.static_field(default=8)
-    pairs_per_element: int = struct.static_field(default=4)
+    pairs_per_element: int = struct.static_field(default=8)
 
     def __post_init__(self) -> None:
         for name in ("every", "pairs_per_element"):

@@ -65,7 +65,9 @@ def folded(seed=0, size=0.001, **changes):
     back = x[:, 0] > 0.21
     x[back] = np.stack([0.40155 - x[back, 0], np.full(back.sum(), 0.012), x[back, 2] + 0.003], axis=-1)
     state = shaken(mesh, size=size, speed=0.1, seed=seed)
-    return cloth_scene(mesh, dt=1e-4, self_contact=law(thickness=0.015, **changes)), state.replace(
+    scene = cloth_scene(mesh, dt=1e-4, self_contact=law(thickness=0.015, **changes))
+    limp = scene.replace(cloth=scene.cloth.replace(bending=1e-6))  # else the fold springs open
+    return limp, state.replace(
         x=state.x - mesh.vertices + x
     )
 
