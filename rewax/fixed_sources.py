@@ -7,12 +7,15 @@ import numpy as np
 from rewax.lowering import build, machine, splitting
 from rewax.lowering.build import Source
 from rewax.physics.mpm import transfer_cpp
+from rewax.physics.thin import pair_kernels
 
 
 def fixed_sources() -> tuple[Source, ...]:
-    """All programs: transfers (P2G and G2P), the machine in both precisions, and ``split_vector``."""
+    """All programs: transfers (P2G and G2P), pairs of self-contact, the machine in both precisions, and
+    ``split_vector``.
+    """
     machines = (machine.machine(np.dtype(dtype)).source for dtype in ("float32", "float64"))
-    return (transfer_cpp.SOURCE, splitting._SOURCE, *machines)
+    return (transfer_cpp.SOURCE, pair_kernels.SOURCE, splitting._SOURCE, *machines)
 
 
 def build_ahead(*, transfers: bool = True) -> threading.Thread:

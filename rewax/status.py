@@ -39,6 +39,12 @@ class Status(enum.IntFlag):
     """A particle lies more than 1.5 cells inside a tool that moves as prescribed. The tool's force has no limit: it
     tears or crushes a body that cannot give way. Leave room for the body, or slow the tool. A tool that
     is thinner than three cells cannot set it. Not fatal."""
+    FULL_PAIRS = 256
+    """More elements of cloth and ropes are close to each other than the scene's ``self_contact.pairs_per_element``:
+    some contacts may have been left out. Give a larger number. Not fatal."""
+    CROSSED = 512
+    """Cloth or a rope passes through itself or another one, or a vertex is faster than the scene's
+    ``self_contact.max_speed``, above which it may. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
@@ -50,6 +56,8 @@ _REMEDIES = {
     Status.INACTIVE_NODES: "a larger max_active_nodes",
     Status.FAR_COLLIDERS: "a larger max_near_colliders",
     Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
+    Status.FULL_PAIRS: "a larger self_contact.pairs_per_element",
+    Status.CROSSED: "slower motion, or a stiffer or thicker self_contact with a larger max_speed",
     Status.PENETRATION: "a slower tool or more room for the body",
 }
 

@@ -12,6 +12,7 @@ from rewax.sensors.camera import Camera
 from rewax.sensors.depth_cloud import DepthCloud
 from rewax.sensors.framing import carried, framing
 from rewax.sensors.labels import Labels
+from rewax.sensors.touch import touch_everywhere
 
 RESOLUTION = 64
 """Pixels along each side of a picture, unless ``make`` is told otherwise."""
@@ -45,7 +46,8 @@ def list_sensors(env: Any = None) -> list[str]:
     """The names of all registered sensors, sorted; none if an environment is given that sensors cannot see."""
     if env is not None and not callable(getattr(getattr(env, "unwrapped", env), "world", None)):
         return []
-    return sorted(_FACTORIES)
+    feels = env is None or hasattr(getattr(env, "unwrapped", env), "feeling_bodies")
+    return sorted(name for name, factory in _FACTORIES.items() if feels or factory is not _touch)
 
 
 def with_sensors(env: Any, names: Sequence[str], resolution: int | None = None) -> Sensing:
@@ -122,8 +124,14 @@ def _factory(name: str) -> Callable[[Any, int], Sensor]:
     return found
 
 
+def _touch(env: Any, resolution: int) -> Sensor:
+    del resolution
+    return touch_everywhere(env)
+
+
 register_sensor("camera", default_camera)
 register_sensor("cloud", _cloud)
 register_sensor("labels", _labels)
+register_sensor("touch", _touch)
 
 __all__ = ["RESOLUTION", "SensorFactory", "default_camera", "list_sensors", "register_sensor", "with_sensors"]

@@ -54,7 +54,7 @@ def test_sensors_of_ones_own_get_names(monkeypatch):
     register_sensor("wide", lambda env, size: default_camera(env, size).replace(field_of_view=90.0))
     env = rewax.make("CartpoleSwingUp", scale="small", sensors=("wide",), resolution=8)
     assert env.sensors["wide"].field_of_view == 90.0
-    assert list_sensors(env) == ["camera", "cloud", "labels", "wide"]
+    assert list_sensors(env) == ["camera", "cloud", "labels", "touch", "wide"]
     with pytest.raises(ValueError, match="a sensor named 'wide' is registered already: choose another name"):
         register_sensor("wide", lambda env, size: default_camera(env, size))
     with pytest.raises(ValueError, match="the factory of 'x' is 'nowhere': give a function or"):
@@ -62,6 +62,12 @@ def test_sensors_of_ones_own_get_names(monkeypatch):
     register_sensor("x", "rewax.envs.named_sensors:no_such")
     with pytest.raises(ValueError, match=r"has no no_such: correct it"):
         with_sensors(rewax.make("CartpoleSwingUp", scale="small"), ["x"])
+
+
+def test_touch_is_a_sensor_by_name():
+    env = rewax.make("CartpoleSwingUp", scale="small", sensors=("touch",))
+    felt = jax.jit(env.reset)(KEY).obs["touch"]
+    assert felt.shape == env.observation_spec["touch"].shape and not felt.any()
 
 
 def test_a_runner_carries_its_camera():

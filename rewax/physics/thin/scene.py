@@ -13,8 +13,11 @@ from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_indices
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
+from rewax.physics.thin.contact_elements import ContactElements
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
+from rewax.physics.thin.pair_law import SelfContact
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
+from rewax.physics.thin.safe_speed import check_max_speed, check_self_contact
 from rewax.physics.thin.scene_checks import check_lengths, check_materials, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, Topology
@@ -30,6 +33,7 @@ _SCENE = {
     "rope": optional(instance(Rope, "give a Rope(stretch=..., density=...)")),
     "contact": optional(instance(PenaltyContact, "give a PenaltyContact(stiffness=...)")),
     "colliders": COLLIDERS,
+    "self_contact": optional(instance(SelfContact, "give a SelfContact(thickness=..., stiffness=...)")),
     "law": _LAW,
     "bending_law": _BENDING,
     "warp": real(FINITE, "give a direction", shape=(3,)),
@@ -67,6 +71,8 @@ class ThinScene(struct.Replaceable):
       colliders: moving shapes.
       law: the membrane's law (static).
       bending_law: the law of bending of cloth (static).
+      self_contact: law of contact with itself, or None.
+      contact_elements: what touches in self-contact (static).
     """
 
     topology: Topology = struct.static_field()
@@ -83,6 +89,8 @@ class ThinScene(struct.Replaceable):
     colliders: tuple[Collider, ...] = ()
     law: MembraneLaw = struct.static_field(default=MembraneLaw.SAINT_VENANT_KIRCHHOFF)
     bending_law: BendingLaw = struct.static_field(default=BendingLaw.PLATE)
+    self_contact: SelfContact | None = None
+    contact_elements: ContactElements | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
         _LAW("law", self.law)
@@ -116,6 +124,7 @@ def make_scene(
     law: MembraneLaw = MembraneLaw.SAINT_VENANT_KIRCHHOFF,
     bending_law: BendingLaw = BendingLaw.PLATE,
     warp: Any = (1.0, 0.0, 0.0),
+    self_contact: SelfContact | None = None,
 ) -> ThinScene:
     """A checked ``ThinScene`` of a mesh.
 
@@ -165,8 +174,11 @@ def make_scene(
         colliders=tuple(colliders),
         law=law,
         bending_law=bending_law,
+        self_contact=self_contact,
+        contact_elements=check_self_contact(topology, mesh, self_contact),
     )
     check_dt(dt, largest_stable_dt(scene))
+    check_max_speed(scene)
     return scene
 
 

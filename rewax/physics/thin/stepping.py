@@ -16,7 +16,7 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, any_illegal
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, any_illegal, numbers_of
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.fields import checked, instance, optional, poses, real
 from rewax.physics.numerics.pose import Pose, body_pose
@@ -25,6 +25,8 @@ from rewax.physics.thin import elements
 from rewax.physics.thin.bending import bending_forces
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
+from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
+from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, corners, scatter
 from rewax.status import Status, all_finite, flag
@@ -76,10 +78,14 @@ def step(
     _check_pins(scene, poses, pins)
     one = _substep if store_every is None else _recomputed_substep
 
-    def body(vertices: Vertices, interval: Interval) -> Vertices:
-        return one(scene, vertices, interval)
+    def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
+        return one(scene, vertices, interval, pairs)
 
-    return join(scan_substeps(body, split(state), Interval(both_ends(poses), pins), store_every))
+    intervals = Interval(both_ends(poses), pins)
+    if scene.self_contact is None:
+        return join(scan_substeps(body, split(state), intervals, store_every))
+    every = scene.self_contact.every
+    return join(scan_rounds(body, lambda s: close_pairs(scene, s.x), split(state), intervals, store_every, every))
 
 
 @checked(scene=SCENE, state=STATE)
@@ -100,7 +106,8 @@ def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose)
 
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
-    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), and illegal numbers of the scene.
+    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, and with
+    self-contact full lists of pairs (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
 
     Args:
       scene: the scene.
@@ -121,6 +128,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
         *scene_numbers(
             scene.cloth, scene.rope, scene.drag, scene.gravity, scene.contact, scene.ground, scene.colliders, poses
         ),
+        *([] if scene.self_contact is None else numbers_of(scene.self_contact, "self_contact.")),
         Number("mass", scene.mass, POSITIVE, "give the vertices' masses in kg"),
         Number("rest.area", scene.rest.area, POSITIVE, "give the triangles' areas in m^2"),
         Number("rest.length", scene.rest.length, POSITIVE, "give the segments' lengths in m"),
@@ -132,19 +140,23 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
         flag(~all_finite(state), Status.NAN)
         | flag(flat, Status.INVERTED)
         | flag(any_illegal(numbers) | soft | too_long, Status.INVALID_PARAMETERS)
+        | self_status(scene, state)
     )
 
 
 # --- One substep, by components ---------------------------------------------------------------------------------------
 
 
-def _substep(scene: ThinScene, vertices: Vertices, interval: Interval) -> Vertices:
+def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: AllPairs | None) -> Vertices:
     vertices = materialize(vertices)
     x, v = vertices
     with jax.named_scope("thin"):
         force = vertex_forces(scene, x, v)
     with jax.named_scope("contact"):
         contact = contact_forces(scene, x, v, interval.poses)
+    if pairs is not None:
+        with jax.named_scope("self_contact"):
+            contact = cp.add(contact, self_forces(scene, x, v, pairs))
     with jax.named_scope("update"):
         shared = (scene.gravity, scene.drag, scene.dt)
         target = None
@@ -228,4 +240,17 @@ def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
         )
 
 
-__all__ = ["check_status", "contact_force", "internal_force", "step"]
+@checked(scene=SCENE, state=STATE)
+def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
+    """Forces of self-contact on the vertices [N], shape (num_vertices, 3). They sum to zero; their torques do without
+    friction.
+
+    Gradient: exact.
+    """
+    x, v = split(state)
+    if scene.self_contact is None:
+        return jnp.zeros_like(state.x)
+    return cp.join_vector(self_forces(scene, x, v, close_pairs(scene, x)))
+
+
+__all__ = ["check_status", "contact_force", "internal_force", "self_contact_force", "step"]

@@ -1,0 +1,177 @@
+"""Search for close pairs, and the linear maps between vertices and corners of pairs, in C++ on CPUs and JAX elsewhere.
+
+``pairs.cc`` has the loops. Both forms give the same pairs in the same order, up to rounding at the edge of the skin.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.lowering import build
+from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.thin import broad_phase
+from rewax.physics.thin.contact_elements import ContactElements
+from rewax.types import Array
+
+SOURCE = build.Source("pairs", build.THREADS.read_text() + Path(__file__).with_name("pairs.cc").read_text())
+_TARGETS = ("rewax_find_pairs", "rewax_pairs_to_corners", "rewax_pairs_to_vertices")
+
+
+class _Query(NamedTuple):
+    """What a search looks for; hashable."""
+
+    elements: ContactElements
+    with_triangles: bool
+    """Pairs of vertices with triangles; else pairs of edges."""
+    capacity: int
+
+
+class CloseElements(NamedTuple):
+    """Pairs of elements in a list of fixed length."""
+
+    first: Array
+    second: Array
+    """Indices, int32 of shape (capacity,); 0 beyond the last pair."""
+    count: Array
+    """Number of pairs that are close, shape (), int32; above the capacity, some are missing."""
+
+
+def find_pairs(
+    elements: ContactElements, x: Vec3, lengths: Array, *, with_triangles: bool, capacity: int
+) -> CloseElements:
+    """Pairs of elements, no neighbours, that are closer than their thickness plus the skin.
+
+    Args:
+      elements: what touches.
+      x: positions [m], components of shape (num_vertices,).
+      lengths: half of the thickness of cloth and of ropes, and the skin [m], shape (3,).
+      with_triangles: pairs of a vertex and a triangle; else of two edges.
+      capacity: length of the lists.
+
+    Gradient: none.
+    """
+    at, lengths = jax.lax.stop_gradient((jnp.stack(x), lengths))
+    like = [jax.ShapeDtypeStruct(shape, jnp.int32) for shape in ((capacity,), (capacity,), ())]
+    query = _Query(elements, with_triangles, capacity)
+    return CloseElements(*linear_call(_FIND, no_transpose, query, (at, lengths.astype(at.dtype)), (), like=like))
+
+
+def to_corners(corners: Array, fields: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Values of fields at the corners of pairs: entry 4 f + k is field f at corner k, shape (num_pairs,).
+
+    Args:
+      corners: vertices, int32 of shape (4, num_pairs).
+      fields: arrays of shape (num_vertices,).
+
+    Gradient: exact; its transpose is ``to_vertices``.
+    """
+    like = [jax.ShapeDtypeStruct(corners.shape[1:], a.dtype) for a in fields for _ in range(4)]
+    return linear_call(_TO_CORNERS, _TO_VERTICES, _Count(fields[0].shape[-1]), (corners,), fields, like=like)
+
+
+def to_vertices(corners: Array, values: tuple[Array, ...], num_vertices: int) -> tuple[Array, ...]:
+    """Sums of values at the vertices: the transpose of ``to_corners``. Gradient: exact."""
+    like = [jax.ShapeDtypeStruct((num_vertices,), a.dtype) for a in values[::4]]
+    return linear_call(_TO_VERTICES, _TO_CORNERS, _Count(num_vertices), (corners,), values, like=like)
+
+
+class _Count(NamedTuple):
+    num_vertices: int
+
+
+# --- C++ --------------------------------------------------------------------------------------------------------------
+
+
+def is_used() -> bool:
+    """Whether programs for CPUs use these kernels, which requires that they could be built."""
+    return not build.is_off() and build.register(SOURCE, _TARGETS)
+
+
+def _find(query: _Query, residuals: Arrays, linear: Arrays) -> Arrays:
+    at, lengths = residuals
+    if not is_used():
+        return _find_xla(query, residuals, linear)
+    elements, capacity = query.elements, query.capacity
+    batch = at.shape[:-2]
+    kinds = elements.kinds(query.with_triangles)
+    tables, sizes = [], []
+    for kind in kinds:
+        tables += [np.ascontiguousarray(kind.corners.T), kind.is_rope.astype(np.int32), kind.order]
+        sizes += [kind.corners.shape[1], len(kind.corners), len(kind.order)]
+    near = elements.neighbours(query.with_triangles)
+    tables.insert(3, near)
+    head = (math.prod(batch), not query.with_triangles, elements.levels, capacity, at.shape[-1])
+    shapes = [jax.ShapeDtypeStruct((*batch, *own), jnp.int32) for own in ((capacity,), (capacity,), ())]
+    run = jax.ffi.ffi_call("rewax_find_pairs", shapes)
+    sizes = np.asarray((*head, *sizes, near.shape[1]), np.int64)
+    return tuple(run(at, lengths, *map(jnp.asarray, tables), sizes=sizes))
+
+
+def _find_xla(query: _Query, residuals: Arrays, linear: Arrays) -> Arrays:
+    del linear
+
+    def search(at: Array, lengths: Array) -> Arrays:
+        return broad_phase.find_pairs(query.elements, at, lengths, query.with_triangles, query.capacity)
+
+    for _ in residuals[0].shape[:-2]:
+        search = jax.vmap(search)
+    return search(*residuals)
+
+
+def _corners_cpp(static: _Count, residuals: Arrays, fields: Arrays) -> Arrays:
+    (corners,) = residuals
+    if not is_used():
+        return _corners_xla(static, residuals, fields)
+    return _mapped("rewax_pairs_to_corners", static, corners, fields, len(fields), 4 * len(fields), corners.shape[-1])
+
+
+def _vertices_cpp(static: _Count, residuals: Arrays, values: Arrays) -> Arrays:
+    (corners,) = residuals
+    if not is_used():
+        return _vertices_xla(static, residuals, values)
+    count = len(values) // 4
+    return _mapped("rewax_pairs_to_vertices", static, corners, values, count, count, static.num_vertices)
+
+
+def _mapped(
+    target: str, static: _Count, corners: Array, arrays: Arrays, fields: int, results: int, length: int
+) -> Arrays:
+    batch = corners.shape[:-2]
+    shapes = [jax.ShapeDtypeStruct((*batch, length), arrays[0].dtype)] * results
+    sizes = np.asarray((math.prod(batch), fields, static.num_vertices, corners.shape[-1]), np.int64)
+    return tuple(jax.ffi.ffi_call(target, shapes)(corners, *arrays, sizes=sizes))
+
+
+# --- JAX --------------------------------------------------------------------------------------------------------------
+
+
+def _corners_xla(static: _Count, residuals: Arrays, fields: Arrays) -> Arrays:
+    del static
+    (corners,) = residuals
+    flat = corners.reshape(*corners.shape[:-2], -1)
+    at = [jnp.take_along_axis(a, flat, axis=-1, mode="promise_in_bounds").reshape(corners.shape) for a in fields]
+    return tuple(a[..., k, :] for a in at for k in range(4))
+
+
+def _vertices_xla(static: _Count, residuals: Arrays, values: Arrays) -> Arrays:
+    (corners,) = residuals
+    flat = corners.reshape(*corners.shape[:-2], -1)
+
+    def add(index: Array, value: Array) -> Array:
+        return jnp.zeros(static.num_vertices, value.dtype).at[index].add(value, mode="promise_in_bounds")
+
+    for _ in flat.shape[:-1]:
+        add = jax.vmap(add)
+    return tuple(add(flat, jnp.concatenate(values[k : k + 4], axis=-1)) for k in range(0, len(values), 4))
+
+
+_FIND = ByPlatform(_find, _find_xla)
+_TO_CORNERS = ByPlatform(_corners_cpp, _corners_xla)
+_TO_VERTICES = ByPlatform(_vertices_cpp, _vertices_xla)
+
+__all__ = ["SOURCE", "CloseElements", "find_pairs", "is_used", "to_corners", "to_vertices"]

@@ -1,0 +1,129 @@
+"""Self-contact in a step: the search for close pairs, their forces, and what ``check_status`` says about them."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.numerics.substeps import check_store_every
+from rewax.physics.thin import pair_law
+from rewax.physics.thin.contact_elements import ContactElements
+from rewax.physics.thin.pair_kernels import CloseElements, find_pairs, to_corners, to_vertices
+from rewax.physics.thin.pair_law import SelfContact
+from rewax.types import Array
+
+if TYPE_CHECKING:
+    from rewax.physics.thin.scene import ThinScene
+
+T = TypeVar("T")
+
+NO_PAIR = -1.0
+"""Thickness of entries of a list that are no pairs: nothing is that close."""
+
+
+class Pairs(NamedTuple):
+    """Close pairs of one kind, in lists of fixed length."""
+
+    corners: Array
+    """Vertices of both elements, int32 of shape (4, capacity)."""
+    thickness: Array
+    """Distance at which a pair touches [m], shape (capacity,)."""
+
+
+class AllPairs(NamedTuple):
+    """Close pairs of both kinds."""
+
+    triangles: Pairs | None
+    """A vertex and the corners of a triangle; None in scenes of ropes."""
+    edges: Pairs
+    """The ends of two edges or segments."""
+
+
+# --- Search -----------------------------------------------------------------------------------------------------------
+
+
+def close_pairs(scene: "ThinScene", x: Vec3) -> AllPairs:
+    """The pairs that can touch within the next ``every`` substeps.
+
+    Gradient: exact with respect to the thickness. The choice of pairs is a constant.
+    """
+    law, elements = _parts(scene)
+    halves = 0.5 * jnp.stack([jnp.asarray(law.thickness), jnp.asarray(law.rope())]).astype(x[0].dtype)
+
+    def pairs(with_triangles: bool) -> Pairs:
+        found, kinds = find(scene, x, with_triangles), elements.kinds(with_triangles)
+        ids = (found.first, found.second)
+        corners = [jnp.asarray(kind.corners.T)[:, k] for kind, k in zip(kinds, ids, strict=True)]
+        own = [halves[jnp.asarray(kind.is_rope.astype(np.int32))[k]] for kind, k in zip(kinds, ids, strict=True)]
+        valid = jnp.arange(found.first.size) < found.count
+        return Pairs(jnp.concatenate(corners), jnp.where(valid, own[0] + own[1], NO_PAIR))
+
+    return AllPairs(pairs(True) if len(elements.triangles) else None, pairs(False))
+
+
+def find(scene: "ThinScene", x: Vec3, with_triangles: bool) -> CloseElements:
+    """Close pairs of vertices with triangles, or of edges. Gradient: none."""
+    law, elements = _parts(scene)
+    skin = 2.0 * law.max_speed * law.every * scene.dt
+    lengths = jnp.stack([0.5 * jnp.asarray(law.thickness), 0.5 * jnp.asarray(law.rope()), jnp.asarray(skin)])
+    capacity = elements.capacity(with_triangles, law.pairs_per_element)
+    return find_pairs(elements, x, lengths, with_triangles=with_triangles, capacity=capacity)
+
+
+# --- Forces -----------------------------------------------------------------------------------------------------------
+
+
+def self_forces(scene: "ThinScene", x: Vec3, v: Vec3, pairs: AllPairs) -> Vec3:
+    """Forces of self-contact on the vertices [N]; they sum to zero. Gradient: exact."""
+    law = pair_law.numbers(_parts(scene)[0])
+    kinds = ((pair_law.vertex_triangle_force, pairs.triangles), (pair_law.segments_force, pairs.edges))
+    total = cp.vector(lambda i: jnp.zeros_like(x[i]))
+    for force, kind in kinds:
+        if kind is None:
+            continue
+        flat = to_corners(kind.corners, (*x, *v))
+        at, moving = (tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:]))
+        each = force(law, (at, moving, kind.thickness))
+        values = tuple(corner[i] for i in cp.AXES for corner in each)
+        total = cp.add(total, to_vertices(kind.corners, values, x[0].shape[-1]))  # pyright: ignore[reportArgumentType]
+    return total
+
+
+def scan_rounds(
+    substep: Callable[[T, Any, AllPairs], T],
+    search: Callable[[T], AllPairs],
+    carry: T,
+    intervals: Any,
+    store_every: int | None,
+    every: int,
+) -> T:
+    """``numerics.substeps.scan_substeps`` with a search for pairs before each round of at most ``every`` substeps."""
+    total = jax.tree.leaves(intervals)[0].shape[0]
+    if store_every is not None:
+        check_store_every(store_every, total)
+    chunk = total if store_every in (None, 1) else store_every
+    each = max(d for d in range(1, min(every, chunk) + 1) if chunk % d == 0)
+
+    def one_round(carry: T, intervals: Any) -> tuple[T, None]:
+        pairs = search(carry)
+        return jax.lax.scan(lambda c, interval: (substep(c, interval, pairs), None), carry, intervals)[0], None
+
+    def one_chunk(carry: T, rounds: Any) -> tuple[T, None]:
+        return jax.lax.scan(one_round, carry, rounds)
+
+    chunks = jax.tree.map(lambda a: a.reshape(total // chunk, chunk // each, each, *a.shape[1:]), intervals)
+    if chunk == total and store_every in (None, 1):
+        return one_chunk(carry, jax.tree.map(lambda a: a[0], chunks))[0]
+    return jax.lax.scan(jax.checkpoint(one_chunk), carry, chunks)[0]
+
+
+def _parts(scene: "ThinScene") -> tuple[SelfContact, ContactElements]:
+    assert scene.self_contact is not None and scene.contact_elements is not None
+    return scene.self_contact, scene.contact_elements
+
+
+__all__ = ["AllPairs", "Pairs", "close_pairs", "find", "scan_rounds", "self_forces"]

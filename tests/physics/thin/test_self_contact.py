@@ -1,0 +1,51 @@
+"""Self-contact in motion: derivatives, and layers that stay apart."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from self_contact_bodies import RUN, crossings, folded
+
+from rewax.physics import thin
+
+
+def measured(scene, state):
+    end = thin.step(scene, state, thin.static_poses(8, dtype=state.x.dtype), store_every=4)
+    weights = jnp.cos(jnp.arange(end.x.size)).reshape(end.x.shape)
+    return jnp.sum(weights * (end.x + 0.1 * end.v))
+
+
+def test_reverse_is_forward_is_finite_difference_in_self_contact(x64):
+    scene, state = folded()
+    slopes = jax.jit(jax.grad(measured, argnums=(0, 1)))(scene, state)
+    forward = jax.jit(lambda args, along: jax.jvp(measured, args, along)[1])
+    value, rng = jax.jit(measured), np.random.default_rng(2)
+    zero = jax.tree.map(jnp.zeros_like, (scene, state))
+    changed = jax.tree.map(lambda a: a * (1.0 + 0.5 * rng.random()), scene.self_contact).replace(max_speed=0.0)
+    noise = jax.tree.map(lambda a: jnp.asarray(rng.standard_normal(a.shape)), state)
+    for name, along in {"law": (zero[0].replace(self_contact=changed), zero[1]), "state": (zero[0], noise)}.items():
+        reverse = sum(float(jnp.sum(a * b)) for a, b in zip(*map(jax.tree.leaves, (slopes, along)), strict=True))
+        ends = [value(*jax.tree.map(lambda a, d, s=s: a + s * 1e-7 * d, (scene, state), along)) for s in (1.0, -1.0)]
+        assert abs(reverse) > 1e-7, name
+        np.testing.assert_allclose(reverse, forward((scene, state), along), rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(reverse, float(ends[0] - ends[1]) / 2e-7, rtol=1e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_halves_thrown_at_each_other_cross_only_without_self_contact(x64, apart):
+    scene, state = folded(size=1e-4, max_speed=0.9)
+    mesh = thin.sheet(0.4, 0.2, 8, 4)
+    above = jnp.asarray(np.asarray(mesh.vertices)[:, 0] > 0.21)
+    start = state.replace(v=jnp.where(above[:, None], jnp.array([0.0, -0.25, 0.0]), jnp.array([0.0, 0.25, 0.0])))
+    assert crossings(mesh, np.asarray(start.x)) == 0
+    scene = scene if apart else scene.replace(self_contact=None)
+    most, poses = 0, thin.static_poses(40, dtype=float)
+    for _ in range(25):
+        start = RUN(scene, start, poses)
+        most = max(most, crossings(mesh, np.asarray(start.x)))
+        if apart and most:
+            break
+    assert (most == 0) == apart
+    if apart:
+        fast = scene.replace(self_contact=scene.self_contact.replace(max_speed=2.0))  # the fold springs
+        assert thin.check_status(fast, start) == 0

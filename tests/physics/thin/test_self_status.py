@@ -1,0 +1,22 @@
+"""What ``check_status`` says about self-contact."""
+
+import jax.numpy as jnp
+import numpy as np
+from self_contact_bodies import crossings, folded
+
+from rewax.physics import thin
+from rewax.status import Status
+
+
+def test_status_names_crossed_layers_speed_and_full_lists(x64):
+    scene, state = folded()
+    assert thin.check_status(scene, state) == 0
+    fast = state.replace(v=state.v.at[0, 1].set(2.0))
+    assert thin.check_status(scene, fast) == Status.CROSSED
+    moving = state.replace(v=state.v + jnp.array([5.0, 0.0, 0.0]))  # all alike: nothing comes closer
+    assert thin.check_status(scene, moving) == 0
+    through = state.x.at[40:, 1].add(jnp.where(jnp.arange(5) % 2 == 0, -0.03, 0.0))
+    assert crossings(thin.sheet(0.4, 0.2, 8, 4), np.asarray(through)) > 0
+    assert thin.check_status(scene, state.replace(x=through)) & Status.CROSSED
+    few = scene.replace(self_contact=scene.self_contact.replace(pairs_per_element=1, thickness=0.1))
+    assert thin.check_status(few, state) & Status.FULL_PAIRS
