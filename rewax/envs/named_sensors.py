@@ -46,7 +46,7 @@ def list_sensors(env: Any = None) -> list[str]:
     """The names of all registered sensors, sorted; none if an environment is given that sensors cannot see."""
     if env is not None and not callable(getattr(getattr(env, "unwrapped", env), "world", None)):
         return []
-    feels = env is None or hasattr(getattr(env, "unwrapped", env), "feeling_bodies")
+    feels = env is None or _can_feel(getattr(env, "unwrapped", env))
     return sorted(name for name, factory in _FACTORIES.items() if feels or factory is not _touch)
 
 
@@ -122,6 +122,14 @@ def _factory(name: str) -> Callable[[Any, int], Sensor]:
     if found is None:
         raise ValueError(f"the factory of {name!r} is {factory!r}, but {module} has no {function}: correct it")
     return found
+
+
+def _can_feel(bare: Any) -> bool:
+    """Whether an environment says which bodies can feel contact, and has any."""
+    try:
+        return bool(getattr(bare, "feeling_bodies", None))
+    except NotImplementedError:
+        return False
 
 
 def _touch(env: Any, resolution: int) -> Sensor:
