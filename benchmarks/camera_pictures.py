@@ -1,9 +1,10 @@
-"""What a camera sees of some tasks: depth, bodies and normals side by side, docs/pictures/cameras.jpg.
+"""What cameras see of tasks: depth, bodies and normals of some, and the default cameras of all.
 
-python benchmarks/camera_pictures.py --out docs/pictures/cameras.jpg
+python benchmarks/camera_pictures.py --out docs/pictures/cameras.jpg --defaults docs/pictures/default_cameras.jpg
 """
 
 from pathlib import Path
+from typing import Annotated
 
 import jax
 import matplotlib
@@ -11,6 +12,7 @@ import numpy as np
 import tyro
 
 import rewax
+from rewax.envs.named_sensors import default_camera
 from rewax.sensors import Camera, View
 
 matplotlib.use("Agg")
@@ -38,8 +40,28 @@ def seen(name: str, distance: float) -> tuple[View, Camera]:
     return jax.jit(lambda physics: camera.view(env.world(physics, up)))(physics), camera
 
 
-def main(out: Path = Path("cameras.jpg")) -> None:
-    """Write the picture."""
+def defaults(out: Path) -> None:
+    """Draw depth and bodies at the beginning of every task, as its default camera sees them."""
+    names = rewax.list_envs()
+    figure, axes = plt.subplots(-(-len(names) // 4), 4, figsize=(11.0, 1.6 * -(-len(names) // 4)))
+    for axis in axes.flat:
+        axis.set_axis_off()
+    for axis, name in zip(axes.flat, names, strict=False):
+        env = rewax.make(name, scale="small")
+        camera, up = default_camera(env, 160), np.asarray(env.up)
+        physics = jax.jit(env.reset)(jax.random.key(0)).physics
+        view = jax.jit(lambda physics, env=env, up=up, camera=camera: camera.view(env.world(physics, up)))(physics)
+        label = np.asarray(view.label)
+        near = 1.0 - (np.asarray(view.depth) - camera.near) / (camera.far - camera.near)
+        bodies = plt.get_cmap("tab20")(label % 20)[..., :3] * (label >= 0)[..., None]
+        axis.imshow(np.concatenate([np.repeat(near[..., None], 3, axis=-1).clip(0.0, 1.0), bodies], axis=1))
+        axis.set_title(name, fontsize=8, pad=2)
+    figure.tight_layout(pad=0.3)
+    figure.savefig(out, dpi=90, pil_kwargs={"quality": 85})
+
+
+def some(out: Path) -> None:
+    """Draw depth, bodies and normals of a few tasks."""
     figure, axes = plt.subplots(len(TASKS), 3, figsize=(7.5, 2.5 * len(TASKS)))
     for row, (name, distance) in zip(axes, TASKS.items(), strict=True):
         view, camera = seen(name, distance)
@@ -54,6 +76,14 @@ def main(out: Path = Path("cameras.jpg")) -> None:
         axis.set(xticks=[], yticks=[])
     figure.tight_layout()
     figure.savefig(out, dpi=80, pil_kwargs={"quality": 85})
+
+
+def main(out: Path | None = None, defaults_out: Annotated[Path | None, tyro.conf.arg(name="defaults")] = None) -> None:
+    """Write one picture or both."""
+    if out is not None:
+        some(out)
+    if defaults_out is not None:
+        defaults(defaults_out)
 
 
 if __name__ == "__main__":

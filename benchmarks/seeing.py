@@ -40,6 +40,7 @@ from rewax.agents.presets import ppo_preset, sapo_preset
 from rewax.agents.sapo import make_sapo
 from rewax.envs import Randomized
 from rewax.envs.latency import Latency
+from rewax.envs.named_sensors import default_camera
 from rewax.envs.randomize import Choice, Constant, Per, Shift, Turn, Uniform, camera, hook
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import _Wrapper
@@ -84,18 +85,6 @@ class Told(_Wrapper):
         vector = state.obs["vector"]
         mark = vector[14:16] + vector[jnp.array([0, 2])]
         return state.replace(obs={**state.obs, "robot": jnp.concatenate([vector[8:14], mark])})
-
-
-def camera_of(env: Any) -> Camera:
-    """A camera above the front of the soft body that shows it and what is around it."""
-    state = env.reset(jax.random.key(0))
-    up, x = np.asarray(inner(env).up), np.asarray(inner(env).particles(state.physics))
-    middle, size, side = x.mean(0), np.ptp(x, axis=0).max() + 0.15, np.array([0.0, 0.0, 1.0])
-    eye = middle + size * (side + 1.4 * up + 0.3 * np.cross(up, side))
-    away = float(np.linalg.norm(eye - middle))
-    return Camera.look_at(
-        middle - 0.02 * up, eye=eye, up=up, near=away - 0.8 * size, far=away + 1.2 * size, field_of_view=40.0
-    )
 
 
 def task_of(name: str) -> Any:
@@ -173,7 +162,7 @@ def agent_of(name: str, column: str, env: Any, bare: Any) -> tuple[Any, Any]:
 def run_cell(name: str, column: str, seed: int, keep: Path | None) -> list[dict[str, Any]]:
     """Train one policy; the rows of its evaluations."""
     bare = task_of(name)
-    seen = camera_of(bare)
+    seen = default_camera(bare)
     env = seeing(bare, seen, column)
     agent, config = agent_of(name, column, env, bare)
     began, ts = time.perf_counter(), agent.init(jax.random.key(seed))
@@ -206,7 +195,7 @@ def folder(keep: Path, name: str, column: str, seed: int) -> Path:
 def film(name: str, column: str, seed: int, keep: Path, out: Path) -> None:
     """Draw an episode of a kept policy: a video, and a page beside it."""
     bare = task_of(name)
-    env = seeing(bare, camera_of(bare), column)
+    env = seeing(bare, default_camera(bare), column)
     agent, _ = agent_of(name, column, env, bare)
     ts = checkpoint.restore(folder(keep, name, column, seed), jax.eval_shape(agent.init, jax.random.key(seed)))
     recording = record(env, agent.policy, ts, jax.random.key(99), name=f"{name}, {column}")

@@ -14,7 +14,7 @@ from rewax.testing import check_env
 from rewax.training import TrainConfig, train_and_compare
 
 SPACING = 0.025
-FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almost a cell below its position
+FLOOR = 4 * SPACING  # nodes below a floor obey it: material may rest almost a cell below its position
 
 # Geoms in contact with particles are at least one cell thick. Joint ranges are the limits of the robot.
 ARM = f"""<mujoco><option gravity="0 -9.81 0"/><compiler autolimits="true"/><default>

@@ -18,7 +18,7 @@ from rewax.training import TrainConfig, train_and_compare
 from rewax.types import Array
 
 SPACING = 0.025
-FLOOR = 4 * SPACING  # nodes at or below a wall obey it: material may rest almost a cell below its position
+FLOOR = 4 * SPACING  # nodes below a floor obey it: material may rest almost a cell below its position
 
 
 @struct.dataclass

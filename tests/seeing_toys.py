@@ -8,7 +8,7 @@ from rewax import struct
 from rewax.envs.sensing import Sensing
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Sphere
-from rewax.sensors import Camera, Solid, World, half_space
+from rewax.sensors import Camera, DepthCloud, DepthNoise, Labels, Solid, World, half_space
 
 
 @struct.dataclass
@@ -39,3 +39,12 @@ def front_camera(**options):
 def sensing(length=5, **options):
     """The point mass with that camera as ``depth``."""
     return Sensing(env=visible(length), sensors={"depth": front_camera(**options)})
+
+
+def each_kind():
+    """A sensor of each kind, by its observation."""
+    camera = front_camera()
+    noisy = camera.replace(noise=DepthNoise(constant=0.5, dropout=0.1))
+    return {
+        "depth": camera, "noisy": noisy, "labels": Labels(camera=camera), "cloud": DepthCloud(camera=camera, num_points=8)
+    }  # fmt: skip

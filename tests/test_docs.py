@@ -201,6 +201,9 @@ def test_the_page_of_cameras_runs(capsys):
     depth = np.asarray(names["state"].obs["depth"])
     assert depth.min() < 0.9 < depth.max() == 1.0, "the camera sees the cart"
     assert names["agent"].config.observe == ("depth",) and "depth" not in names["agent"].config.critic_observe
+    assert {name: names["touched"][name].shape for name in ("touch", "palm", "floor")} == {
+        "touch": (108,), "palm": (24,), "floor": (6,),
+    }  # fmt: skip
 
 
 def test_the_torus_of_the_shapes_page_pushes_is_filled_and_is_drawn(tmp_path, monkeypatch, capsys):

@@ -23,3 +23,9 @@ def test_the_page_of_policies_that_see_runs_and_shows_its_rows():
         (ROOT / "docs/policies_that_see.md").read_text(),
     )
     assert len(rows) > 100 and all(table in text for table in benchmark["tables"](rows).split("\n\n"))
+
+
+def test_the_page_shows_the_rows_of_blind_dough():
+    benchmark = runpy.run_path(str(ROOT / "benchmarks" / "blind_dough.py"))
+    rows, text = benchmark["read"](ROOT / "docs/suites/blind_dough/results.csv"), ROOT / "docs/policies_that_see.md"
+    assert rows and benchmark["table"](rows) in text.read_text()

@@ -3,7 +3,10 @@
 import runpy
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
+import toys
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -25,3 +28,27 @@ def test_identification_refuses_to_record_what_its_substeps_do_not_allow():
     names = example("identify_material")
     with pytest.raises(ValueError, match=r"status .*INVALID_PARAMETERS: give a larger max_modulus"):
         names["main"](names["Args"](true_modulus=5000.0, steps=1))
+
+
+def test_ilqr_takes_a_point_to_its_target_as_fast_as_the_actions_allow():
+    names = example("ilqr")
+    env = toys.point_mass()
+    state = env.reset(jax.random.key(3))
+    start, plan = float(state.physics[0]), np.zeros((4, 1), np.float32)
+    for _ in range(6):
+        plan = names["improved"](env, state, plan, 1e-6)
+    x, best = start, 0.0
+    for _ in range(4):
+        x -= 0.5 * min(1.0, x / 0.5)
+        best -= x**2
+    assert start > 0.5 and float(names["returns"](env, state, plan[None])[0]) == pytest.approx(best, abs=0.01)
+    assert plan[0] == -1.0 and np.abs(plan).max() <= 1.0
+
+
+def test_ilqr_of_the_rolling_pin_earns_more_than_no_action():
+    names = example("ilqr")
+    args = {"horizon": 5, "first_iterations": 2, "steps": 8}
+    still = names["main"](names["Args"](**args | {"first_iterations": 0, "iterations": 0}))
+    assert names["main"](names["Args"](**args)) > still + 0.03
+    with pytest.raises(ValueError, match="the largest reward of Hopper is not known here: give --bound"):
+        names["main"](names["Args"](env="Hopper"))

@@ -18,7 +18,7 @@ from rewax.testing import where_it_runs
 
 RULES = ("value", "tangent", "cotangent")
 SOFT = {"mpm.stepping._moved", "mpm.stepping.stress_and_momentum"}
-TOOL = SOFT | {"contact.colliders._velocity_after"}
+TOOL = SOFT | {"contact.colliders.velocity_after"}
 RIGID = {"rigid.stepping._accelerate"}
 TETS = {"contact.penalty._ground_force", "tets.stepping._columns.columns", "tets.stepping._moved"}
 FUNCTIONS = {

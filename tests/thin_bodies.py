@@ -35,6 +35,7 @@ def run(scene, state, num_substeps):
 
 KINDS = {
     "StVK": lambda **k: (cloth_scene(**k), SHEET),
+    "hinges": lambda **k: (cloth_scene(bending_law=thin.BendingLaw.HINGES, **k), SHEET),
     "neo-Hookean": lambda **k: (cloth_scene(law=thin.MembraneLaw.NEO_HOOKEAN, **k), SHEET),
     "rope": lambda **k: (rope_scene(**k), LINE),
 }

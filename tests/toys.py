@@ -1,5 +1,6 @@
 """A point mass on a line and a learner of one number: small enough to know every result by hand."""
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import Any
@@ -154,3 +155,21 @@ TINY = [
     "--train.no-baselines", "--train.no-tensorboard", "--train.num-eval-episodes=2",
 ]  # fmt: skip
 """Options of the smallest run of ``rewax train``."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ToyConfig:
+    """The toy's hyper-parameters."""
+
+    num_envs: int = 4
+    horizon: int = 3
+    num_iterations: int = 2
+
+
+def make_configured(env: Any, config: ToyConfig) -> Agent:
+    """``make_toy`` with a configuration."""
+    return make_toy(env, num_envs=config.num_envs, horizon=config.horizon)
+
+
+QUICK_RUN = ["--train.no-plots", "--train.no-baselines", "--train.num-eval-episodes=2", "--train.no-tensorboard"]
+"""Options of ``rewax train`` without pictures."""

@@ -2,9 +2,10 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 import jax
+import jax.numpy as jnp
 import optax
 
 from rewax.agents.base import Agent, Metrics, bind
@@ -17,6 +18,7 @@ from rewax.agents.rollout import Policy
 from rewax.agents.run_state import PolicyState, partition
 from rewax.envs.base import ArraySpec, Env
 from rewax.envs.leaves import EnvLeaves
+from rewax.envs.memory import MEMORY, Remembered, remembered
 from rewax.envs.randomized import Randomize
 from rewax.envs.registry import did_you_mean
 from rewax.types import Array, Key, Observation, PyTree
@@ -54,21 +56,47 @@ class Actor(Generic[P]):
 
     def distribution(self, params: PyTree, normalized: Observation) -> TanhNormal:
         """The action distribution for an observation that ``normalize`` returned."""
-        mean, log_std = cast(tuple[Array, Array], self.network.apply(params, normalized))
-        return TanhNormal(mean=mean, log_std=log_std)
+        return self.decide(params, normalized)[0]
+
+    def decide(self, params: PyTree, normalized: Observation) -> tuple[TanhNormal, Array | None]:
+        """The action distribution, and the memory after an observation that ``normalize`` returned; None without."""
+        mean, log_std, *memory = cast(tuple[Array, ...], self.network.apply(params, normalized))
+        return TanhNormal(mean=mean, log_std=log_std), memory[0] if memory else None
+
+    def distributions(self, params: PyTree, normalized: Observation, begins: Array) -> TanhNormal:
+        """The action distributions of a sequence; the memory goes from each step to the next.
+
+        Args:
+          params: parameters of the policy.
+          normalized: observations that ``normalize`` returned, leading axis of time.
+          begins: where the memory of the observation counts: the first step, and the first of each episode, shape
+            (T,), bool. Elsewhere it is that of the step before.
+
+        Gradient: exact, through time.
+        """
+
+        def step(memory: Array, given: tuple[Observation, Array]) -> tuple[Array, TanhNormal]:
+            obs, begins = given
+            distribution, new = self.decide(params, {**obs, MEMORY: jnp.where(begins, obs[MEMORY], memory)})
+            assert new is not None, "distributions needs a policy with memory"
+            return new, distribution
+
+        return jax.lax.scan(step, jnp.zeros_like(normalized[MEMORY][0]), (normalized, begins))[1]
 
     def sampling(self, params: PyTree, statistics: RunningStatistics) -> Policy:
         """A policy for ``rollout`` that samples its actions. Gradient: with respect to params and obs."""
 
         def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-            return self.action_distribution(params, statistics, obs).sample(key), {}
+            distribution, memory = self.decide(params, self.normalize(statistics, obs))
+            return remembered(distribution.sample(key), memory), {}
 
         return policy
 
-    def policy(self, state: PolicyState, obs: Observation, key: Key, deterministic: bool = False) -> Array:
-        """``Agent.policy`` of every algorithm with a policy network."""
-        distribution = self.action_distribution(state.actor_params, state.environments.statistics, obs)
-        return distribution.mode() if deterministic else distribution.sample(key)
+    def policy(self, state: PolicyState, obs: Observation, key: Key, deterministic: bool = False) -> Any:
+        """``Agent.policy`` of every algorithm with a policy network; ``PolicyWithMemory`` where it has a memory."""
+        normalized = self.normalize(state.environments.statistics, obs)
+        distribution, memory = self.decide(state.actor_params, normalized)
+        return remembered(distribution.mode() if deterministic else distribution.sample(key), memory)
 
     @property
     def actor_optimizer(self) -> optax.GradientTransformation:
@@ -105,6 +133,29 @@ class Actor(Generic[P]):
         The step is multiplied by ``scale``. Non-finite components of the gradient are replaced by zero.
         """
         return apply(self.optimizer(learning_rate), finite_or_zero(grad), opt_state, params, scale=scale)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PolicyWithMemory:
+    """``Agent.policy`` of an algorithm whose policy has a memory.
+
+    The observation has the memory under the name ``memory``; the result is ``Remembered(action, memory)``.
+    """
+
+    actor: Actor[AnyPolicyConfig]
+
+    def __call__(self, state: PolicyState, obs: Observation, key: Key, deterministic: bool = False) -> Remembered:
+        """One environment's action, and the memory of its next step."""
+        if MEMORY not in obs:
+            raise ValueError(
+                f"the observation has no {MEMORY!r}, but the policy has one: add policy.initial_memory() at the first "
+                "step of an episode, and what the policy returned at later ones"
+            )
+        return self.actor.policy(state, obs, key, deterministic)
+
+    def initial_memory(self) -> Array:
+        """The memory at the beginning of an episode, shape (size,)."""
+        return jnp.zeros(self.actor.config.memory)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,8 +212,9 @@ def actor_agent(
       init, train_step, donate: see ``bind``.
       randomize: ``(key, env) -> env``, called at each reset to draw new parameters of the environment.
     """
-    leaves = partition(env, config.num_envs, randomize)
-    policy = make_actor(leaves.first(), config).policy
+    leaves = partition(env, config.num_envs, randomize, memory=config.memory)
+    actor = make_actor(leaves.first(), config)
+    policy = PolicyWithMemory(actor) if config.memory else actor.policy
     return bind(name, config, leaves, init=init, train_step=train_step, policy=policy, donate=donate)
 
 
@@ -202,4 +254,5 @@ def _network(env: Env, config: AnyPolicyConfig) -> GaussianActor:
         config.initial_log_std,
         config.state_dependent_std,
         config.action_gain,
+        config.memory,
     )

@@ -28,6 +28,7 @@ import jax.numpy as jnp
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
+from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, combined, rollout_loss
 from rewax.agents.ivw import IVWState, check_entropy_of_steps, discounts, measured_actor_update, start
 from rewax.agents.legal import Positive, Share
@@ -54,6 +55,7 @@ class AGPOConfig(SAPOConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        no_memory("AGPO mixes gradients of states, of which a memory is none").check("memory", self.memory)
         check_entropy_of_steps(self)
         if self.truncate_every is not None or self.state_gradient_decay != 1.0:
             raise ValueError(

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Hashable
-from typing import Generic, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import jax
 
@@ -23,8 +23,8 @@ T = TypeVar("T")
 class Act(Protocol):
     """The type of ``Agent.policy``."""
 
-    def __call__(self, state: TrainState, obs: Observation, key: Key, /, deterministic: bool = False) -> Array:
-        """The action for one environment."""
+    def __call__(self, state: TrainState, obs: Observation, key: Key, /, deterministic: bool = False) -> Any:
+        """The action for one environment; with memory, ``rewax.envs.memory.Remembered(action, memory)``."""
         ...
 
 
@@ -36,6 +36,7 @@ class Agent(NamedTuple, Generic[S]):
       train_step: ``TrainState -> (TrainState, Metrics)``; one iteration, jitted. The input stays usable unless
         ``consumes`` is set.
       policy: ``(TrainState, obs, key, deterministic=False) -> action`` for one environment; ``vmap`` over obs and key.
+        A policy with memory has the method ``initial_memory()``, see ``rewax.envs.memory``.
       name: the algorithm's name in ``rewax.agents.registry``; empty if it is not registered.
       config: the frozen dataclass of hyper-parameters.
       consumes: ``train_step`` donates its input, which cannot be used afterwards.

@@ -14,12 +14,14 @@ from rewax.agents.legal import (
     Count,
     Decay,
     Interval,
+    Legal,
     Natural,
     NonNegative,
     Positive,
     Share,
     Widths,
     check_fields,
+    is_whole,
 )
 from rewax.agents.rollout import Differentiation
 from rewax.envs.base import Env
@@ -33,6 +35,13 @@ Activation = Literal["silu", "elu", "relu", "tanh"]
 
 Gain = Annotated[float | None, POSITIVE.or_none("give a positive number, or None for initial_gain")]
 Limit = Annotated[float | None, POSITIVE.or_none("give a positive number, or None for no limit")]
+
+
+def no_memory(why: str) -> Legal:
+    """Legal values of ``memory`` of an algorithm that cannot train one; ``why``: what follows a "because"."""
+    return Legal(
+        f"give 0, because {why}; sapo, shac, apg, ahac, rpo and ppo train a memory", lambda v: is_whole(v) and v == 0
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -85,6 +94,7 @@ class PolicyOptions:
       actor_widths, point_widths, point_features, vector_features: network sizes. With ``vector_features`` 0, vectors go
         to the policy and the critics without an encoder.
       picture_widths, picture_features: channels of each layer of the encoder of pictures, and its outputs.
+      memory: size of the policy's recurrent state, a GRU behind its encoder, see ``rewax.envs.memory``; 0: none.
       activation: ``silu``, ``elu``, ``relu`` or ``tanh``.
       initial_gain: gain of the orthogonal initialisers of all layers.
       action_gain: gain of the policy's last layer; None: ``initial_gain``.
@@ -112,6 +122,7 @@ class PolicyOptions:
     vector_features: Natural = 128
     picture_widths: Widths = (16, 32, 32)
     picture_features: Count = 64
+    memory: Natural = 0
     activation: Activation = "silu"
     initial_gain: Positive = 1.0
     action_gain: Gain = None

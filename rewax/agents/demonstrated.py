@@ -26,6 +26,7 @@ from rewax import struct
 from rewax.agents import sapo, trajopt
 from rewax.agents.actor_critic import actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
+from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, critic_update, start_actor_critic
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Count, Positive, Share
@@ -57,6 +58,10 @@ class DemonstratedConfig(SAPOConfig):
     sequence_learning_rate: Positive = 1e-2
     cloning_learning_rate: Positive = 2e-3
     cloning_passes: Count = 16
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        no_memory("the actor imitates single steps of the sequence").check("memory", self.memory)
 
     def demonstrations(self, env: Env) -> int:
         """Number of iterations of the first phase."""

@@ -29,6 +29,7 @@ from rewax import struct
 from rewax.agents import sapo
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
+from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, actor_step, rollout_loss, start_actor_critic
 from rewax.agents.gradients import Loss, per_env_gradients
 from rewax.agents.legal import Positive, Share
@@ -57,6 +58,7 @@ class IVWConfig(SAPOConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        no_memory("the weights of steps assume that a step's action is all that it does").check("memory", self.memory)
         check_entropy_of_steps(self)
 
 

@@ -27,6 +27,10 @@ class Legal(NamedTuple):
     remedy: str
     holds: Callable[[Any], bool]
 
+    def __repr__(self) -> str:
+        """The remedy alone, so that ``help`` of a configuration stays readable."""
+        return f"Legal({self.remedy})"
+
     def check(self, name: str, value: object) -> None:
         """Raises ValueError unless the value is legal."""
         if not self.holds(value):

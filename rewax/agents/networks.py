@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.lax import DotDimensionNumbers
 from jax.typing import DTypeLike
 
+from rewax.envs.memory import MEMORY
 from rewax.types import Array, Key, Observation
 
 Activation = Callable[[Array], Array]
@@ -159,11 +160,49 @@ class Encoder(nn.Module):
         return jnp.concatenate(features)
 
 
+class GRU(nn.Module):
+    """A gated recurrent unit: the memory after an input, shape (size,).
+
+        keep = sigmoid(W_k x + U_k m),  reset = sigmoid(W_r x + U_r m),  new = tanh(W_n x + reset * U_n m)
+        m' = keep * m + (1 - keep) * new,   each sum with a bias
+
+    Every component stays in (-1, 1). Memories of 0 are where an episode begins. The bias of ``keep`` begins as 1, so an
+    untrained memory fades over some steps.
+
+    Source: Cho et al. 2014, with the reset gate after the product, as in cuDNN. The bias is an addition.
+    """
+
+    size: int
+    gain: float
+
+    @nn.compact
+    def __call__(self, memory: Array, x: Array) -> Array:
+        def three(gain: float) -> nn.initializers.Initializer:
+            def init(key: Key, shape: Sequence[int], dtype: DTypeLike = jnp.float32, *_: object) -> Array:
+                one = (shape[0], self.size)
+                return jnp.concatenate([orthogonal(gain)(k, one, dtype) for k in jax.random.split(key, 3)], axis=1)
+
+            return init
+
+        def bias(_: Key, shape: Sequence[int], dtype: DTypeLike = jnp.float32) -> Array:
+            return jnp.zeros(shape, dtype).at[: self.size].set(1.0)
+
+        given = nn.Dense(3 * self.size, kernel_init=three(self.gain), bias_init=bias, name="input")(x)
+        old = nn.Dense(3 * self.size, kernel_init=three(1.0), name="recurrent")(memory)
+        (keep, reset, new), (keep_old, reset_old, new_old) = jnp.split(given, 3), jnp.split(old, 3)
+        kept = jax.nn.sigmoid(keep + keep_old)
+        new = jnp.tanh(new + jax.nn.sigmoid(reset + reset_old) * new_old)
+        return kept * memory + (1.0 - kept) * new
+
+
 class GaussianActor(nn.Module):
     """Observation -> mean and clamped log standard deviation of the action before its tanh.
 
     ``head_gain`` is the last layer's gain; None: ``gain``. The standard deviation depends on the observation; with
     ``state_dependent_std=False`` it is a parameter.
+
+    With ``memory`` > 0, its size, a ``GRU`` takes the encoder's features and the observation ``memory``. The layers see
+    the features and the new memory, which is the third result.
     """
 
     encoder: Encoder
@@ -175,10 +214,17 @@ class GaussianActor(nn.Module):
     initial_log_std: float = 0.0
     state_dependent_std: bool = True
     head_gain: float | None = None
+    memory: int = 0
 
     @nn.compact
-    def __call__(self, obs: Observation) -> tuple[Array, Array]:
-        x = MLP(self.widths, self.activation, self.gain)(self.encoder(obs))
+    def __call__(self, obs: Observation) -> tuple[Array, ...]:
+        if self.memory:
+            features = self.encoder({name: value for name, value in obs.items() if name != MEMORY})
+            memory = (GRU(self.memory, self.gain, name="memory")(obs[MEMORY], features),)
+            features = jnp.concatenate([features, *memory])
+        else:
+            features, memory = self.encoder(obs), ()
+        x = MLP(self.widths, self.activation, self.gain)(features)
         init = orthogonal(self.gain if self.head_gain is None else self.head_gain)
         mean = nn.Dense(self.action_size, kernel_init=init, name="mean")(x)
         bias = nn.initializers.constant(self.initial_log_std)
@@ -186,7 +232,7 @@ class GaussianActor(nn.Module):
             log_std = nn.Dense(self.action_size, kernel_init=init, bias_init=bias, name="log_std")(x)
         else:
             log_std = self.param("log_std", bias, (self.action_size,))
-        return mean, jnp.clip(log_std, *self.log_std_range)
+        return mean, jnp.clip(log_std, *self.log_std_range), *memory
 
 
 class Critics(nn.Module):

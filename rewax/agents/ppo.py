@@ -12,6 +12,8 @@ Schulman et al. 2016; settings as in Xing, Luk and Oh 2025. Differences from the
   and are clipped.
 - At a time limit, the value is that of the last observation of the episode.
 - Failed steps are masked.
+- A policy with memory is recomputed through time: minibatches are whole environments, and the memory begins as it was
+  at the first step of the rollout.
 """
 
 import dataclasses
@@ -34,6 +36,7 @@ from rewax.agents.rollout import Transition, masked, rollout
 from rewax.agents.run_state import PolicyState, run_keys, start_environments
 from rewax.envs.base import ArraySpec, Env, State
 from rewax.envs.leaves import EnvLeaves
+from rewax.envs.memory import remembered
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
@@ -87,6 +90,11 @@ class PPOConfig(ActorCriticConfig):
                 f"minibatches is {self.minibatches}, which does not divide num_envs * horizon = {self.samples}: "
                 "choose a divisor"
             )
+        if self.memory and self.num_envs % self.minibatches:
+            raise ValueError(
+                f"minibatches is {self.minibatches}, which does not divide num_envs = {self.num_envs}: choose a "
+                "divisor, because a minibatch of a policy with memory is the sequences of whole environments"
+            )
 
 
 Networks: TypeAlias = ActorCritic[PPOConfig]
@@ -116,7 +124,7 @@ def make_ppo(env: Env, config: PPOConfig | None = None, *, randomize: Randomize 
 
 
 class Batch(NamedTuple):
-    """Samples of a rollout, leading axes (num_envs, T), or (n,) in a minibatch.
+    """Samples of a rollout, leading axes (num_envs, T), or (n,) in a minibatch; with memory, (n, T).
 
     Attributes:
       obs: normalised observations.
@@ -125,6 +133,7 @@ class Batch(NamedTuple):
       target: target of the critic.
       advantage: normalised advantage.
       weight: 0 for masked samples, else 1.
+      begins: with memory, whether the memory of the observation counts, see ``Actor.distributions``; else None.
     """
 
     obs: Observation
@@ -135,6 +144,7 @@ class Batch(NamedTuple):
     target: Array
     advantage: Array
     weight: Array
+    begins: Array | None = None
 
 
 def init(config: PPOConfig, leaves: EnvLeaves, key: Key) -> PPOState:
@@ -174,10 +184,11 @@ def act(
     """Rollout of one environment."""
 
     def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-        distribution = networks.action_distribution(common.actor_params, common.environments.statistics, obs)
+        normalized = networks.normalize(common.environments.statistics, obs)
+        distribution, memory = networks.decide(common.actor_params, normalized)
         raw = distribution.sample_raw(key)
         aux = {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
-        return jnp.tanh(raw), {**aux, "log_prob": distribution.log_prob_raw(raw)}
+        return remembered(jnp.tanh(raw), memory), {**aux, "log_prob": distribution.log_prob_raw(raw)}
 
     return rollout(env, env_state, policy, key, horizon=networks.config.horizon, differentiate="none")
 
@@ -210,6 +221,7 @@ def make_batch(networks: Networks, state: PPOState, t: Transition) -> tuple[Batc
         target=jnp.where(t.valid, (returns - statistics.mean["value"]) / _scale(statistics), 0.0),
         advantage=jnp.where(t.valid, (advantage - mean) / (deviation + 1e-8), 0.0),
         weight=t.valid.astype(returns.dtype),
+        begins=t.begins if config.memory else None,
     )
     return batch, statistics
 
@@ -223,7 +235,7 @@ def epochs(networks: Networks, state: PPOState, batch: Batch, key: Key) -> tuple
     config = networks.config
 
     def epoch(state: PPOState, key: Key) -> tuple[PPOState, Metrics]:
-        parts = shuffled(key, batch, config.minibatches)
+        parts = shuffled(key, batch, config.minibatches, sequences=config.memory > 0)
         state, rows = jax.lax.scan(functools.partial(update, networks), state, parts)
         if config.target_kl is not None:
             kl, (low, high) = rows["kl"].mean(), config.learning_rate_range
@@ -259,7 +271,11 @@ def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch)
     """
     config, (actor_params, critic_params) = networks.config, params
 
-    now = jax.vmap(lambda obs: networks.distribution(actor_params, obs))(batch.obs)
+    if batch.begins is None:
+        now = jax.vmap(lambda obs: networks.distribution(actor_params, obs))(batch.obs)
+    else:
+        through_time = functools.partial(networks.distributions, actor_params)
+        now, batch = _joined((jax.vmap(through_time)(batch.obs, batch.begins), batch))
     before = TanhNormal(mean=batch.mean, log_std=batch.log_std)
     log_prob = jax.vmap(TanhNormal.log_prob_raw)(now, batch.raw)
     kl = jax.vmap(TanhNormal.kl_divergence)(before, now)
@@ -278,17 +294,23 @@ def ppo_loss(params: tuple[PyTree, PyTree], *, networks: Networks, batch: Batch)
     return loss - config.entropy_coefficient * metrics["entropy"], metrics  # minus eq. 9
 
 
-def shuffled(key: Key, batch: PyTree, num_parts: int) -> PyTree:
+def _joined(tree: PyTree) -> PyTree:
+    """The first two axes as one."""
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), tree)
+
+
+def shuffled(key: Key, batch: PyTree, num_parts: int, *, sequences: bool = False) -> PyTree:
     """Samples in random order, split into equal minibatches.
 
     Args:
       key: draws the order.
       batch: arrays with two leading axes (num_envs, T).
       num_parts: number of minibatches, a divisor of num_envs * T.
+      sequences: keep the samples of an environment together, in order; num_parts is a divisor of num_envs.
 
     Returns:
-      Arrays with leading axes (num_parts, num_envs * T / num_parts).
+      Arrays with leading axes (num_parts, num_envs * T / num_parts), or (num_parts, num_envs / num_parts, T).
     """
-    flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), batch)
+    flat = batch if sequences else _joined(batch)
     order = jax.random.permutation(key, len(jax.tree.leaves(flat)[0]))
     return jax.tree.map(lambda a: a[order].reshape(num_parts, -1, *a.shape[1:]), flat)

@@ -1,7 +1,7 @@
 """A policy acting in one environment, differentiably."""
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,8 @@ class Transition(NamedTuple):
     """One step. ``rollout`` returns transitions with a leading axis of time."""
 
     obs: Observation
-    action: Array
+    action: Any
+    """What the policy returned: an action, or ``Remembered(action, memory)``."""
     reward: Array
     next_obs: Observation
     """After the step, before any reset."""
@@ -45,13 +46,19 @@ class Transition(NamedTuple):
         return (self.status & int(FATAL)) != 0
 
     @property
+    def begins(self) -> Array:
+        """The step is the first of the rollout or of an episode; the last axis is time."""
+        return jnp.roll(self.done, 1, axis=-1).at[..., 0].set(True)
+
+    @property
     def valid(self) -> Array:
         """The step is active and did not fail. A failed step has no reward and no next value."""
         return self.active & ~self.failed
 
 
-Policy = Callable[..., tuple[Array, dict[str, Array]]]
-"""``(obs, key) -> (action, aux)``, or ``(obs, key, input) -> (action, aux)`` in a rollout with ``inputs``."""
+Policy = Callable[..., tuple[Any, dict[str, Array]]]
+"""``(obs, key) -> (action, aux)``, or ``(obs, key, input) -> (action, aux)`` in a rollout with ``inputs``. With memory,
+``Remembered(action, memory)`` takes the place of ``action``."""
 
 
 def rollout(

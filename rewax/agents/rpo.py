@@ -33,6 +33,7 @@ from rewax.agents.rollout import rollout
 from rewax.agents.run_state import ActorCriticState
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
+from rewax.envs.memory import remembered
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
@@ -116,9 +117,13 @@ def shifted_loss(
     config, statistics = networks.config, common.environments.statistics
 
     def policy(obs: Observation, key: Key, shift: Array) -> tuple[Array, dict[str, Array]]:
-        distribution = networks.action_distribution(common.actor_params, statistics, obs)
+        distribution, memory = networks.decide(common.actor_params, networks.normalize(statistics, obs))
         raw = distribution.sample_raw(key) + shift
-        return jnp.tanh(raw), {"raw": raw, "mean": distribution.mean, "log_std": distribution.log_std}
+        return remembered(jnp.tanh(raw), memory), {
+            "raw": raw,
+            "mean": distribution.mean,
+            "log_std": distribution.log_std,
+        }
 
     end, t = rollout(env, env_state, policy, key, horizon=config.horizon, inputs=shift, **config.gradient_flow)
     return rollout_loss(networks, common, end, t, t.reward)
@@ -144,6 +149,7 @@ def actor_epochs(
         aux=t.aux,
         by_action=by_action,
         counts=finite[:, None] & t.valid,
+        begins=t.begins if networks.config.memory else None,
     )
 
     def epoch(carry: tuple[PyTree, PyTree], _: None) -> tuple[tuple[PyTree, PyTree], Metrics]:
@@ -159,7 +165,14 @@ def actor_epochs(
 
 
 def surrogate_loss(
-    params: PyTree, *, networks: Networks, obs: Observation, aux: dict[str, Array], by_action: Array, counts: Array
+    params: PyTree,
+    *,
+    networks: Networks,
+    obs: Observation,
+    aux: dict[str, Array],
+    by_action: Array,
+    counts: Array,
+    begins: Array | None = None,
 ) -> tuple[Array, Metrics]:
     """Loss of an epoch: the reused derivatives times the actions, plus the KL divergence, minus the entropy.
 
@@ -170,11 +183,15 @@ def surrogate_loss(
       aux: ``raw``, ``mean`` and ``log_std`` of the policy that acted, the same axes.
       by_action: derivative of the loss with respect to the actions before the tanh, the same axes.
       counts: mask of the samples to use, shape (num_envs, T), bool.
+      begins: with memory, ``Transition.begins``; the actions are functions of all observations since then.
 
     Source: Zhong et al. 2025, sections on the surrogate objective, the clipped policy gradient and the KL divergence.
     """
     config = networks.config
-    now = jax.vmap(jax.vmap(lambda obs: networks.distribution(params, obs)))(obs)
+    if begins is None:
+        now = jax.vmap(jax.vmap(lambda obs: networks.distribution(params, obs)))(obs)
+    else:
+        now = jax.vmap(functools.partial(networks.distributions, params))(obs, begins)
     before = TanhNormal(mean=aux["mean"], log_std=aux["log_std"])
     log_ratio = jnp.sum(jnp.subtract(now.base.log_prob(aux["raw"]), before.base.log_prob(aux["raw"])), axis=-1)
     ratio = jax.lax.stop_gradient(jnp.exp(jnp.clip(log_ratio, -_MAX_LOG_RATIO, _MAX_LOG_RATIO)))

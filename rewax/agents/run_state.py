@@ -15,6 +15,7 @@ from rewax.agents.normalization import RunningStatistics, init_statistics, updat
 from rewax.agents.rollout import Transition
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
+from rewax.envs.memory import MEMORY, remembering
 from rewax.envs.randomized import Randomize, Randomized, check_hook
 from rewax.envs.wrappers import AutoReset, Vmap
 from rewax.types import Array, Key, Observation, PyTree
@@ -164,18 +165,23 @@ def run_keys(key: Key) -> RunKeys:
     return RunKeys(*jax.random.split(key, 5))
 
 
-def partition(env: Env, num_envs: int, randomize: Randomize | None = None) -> EnvLeaves:
+def partition(env: Env, num_envs: int, randomize: Randomize | None = None, *, memory: int = 0) -> EnvLeaves:
     """The parameters of an environment, or of a batch (``Vmap(env=..., env_axis=0)``), separated from its program.
 
+    With ``memory`` > 0 the environments carry a memory of this size.
+
     Raises:
-      ValueError: the batch size is not ``num_envs``, or ``randomize`` does not fit the environment.
+      ValueError: the batch size is not ``num_envs``, or ``randomize`` or ``memory`` does not fit the environment.
     """
+    batched = isinstance(env, Vmap) and env.env_axis is not None
+    one: Any = env.env if batched else env  # type: ignore[attr-defined]
     if randomize is not None:
         check_hook(EnvLeaves.of(env).first(), randomize)
-        if isinstance(env, Vmap) and env.env_axis is not None:
-            env = Vmap(env=Randomized(env=env.env, randomize=randomize), env_axis=0)
-        else:
-            env = Randomized(env=env, randomize=randomize)
+        one = Randomized(env=one, randomize=randomize)
+    if memory:
+        one = remembering(one, memory)
+    if randomize is not None or memory:
+        env = Vmap(env=one, env_axis=0) if batched else one
     leaves = EnvLeaves.of(env)
     leaves.check_size(num_envs)
     return leaves
@@ -191,8 +197,10 @@ def start_environments(config: RunConfig, env: EnvLeaves, keys: RunKeys) -> Envi
       keys: the run's keys.
     """
     num_envs, first = config.num_envs, env.first()
+    remembers = isinstance(config, PolicyOptions) and config.memory > 0
     state = _reset(env, jax.random.split(keys.environments, num_envs))
-    statistics = init_statistics(first.observation_spec)
+    seen = {name: spec for name, spec in first.observation_spec.items() if not (remembers and name == MEMORY)}
+    statistics = init_statistics(seen)
     if _normalizes(config):
         statistics = update_statistics(statistics, state.obs, jnp.ones(num_envs, bool))
     new = Environments(env=env, state=state, statistics=statistics, episode_return=jnp.zeros(num_envs))

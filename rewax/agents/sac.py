@@ -11,7 +11,7 @@ Differences from their code:
 
 import dataclasses
 import functools
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ from rewax import struct
 from rewax.agents import replay as replays
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import ActorCriticConfig
+from rewax.agents.config import ActorCriticConfig, no_memory
 from rewax.agents.legal import Count, Natural, Positive, Share
 from rewax.agents.normalization import RunningStatistics
 from rewax.agents.replay import Replay, Sample, Step
@@ -61,6 +61,7 @@ class SACConfig(ActorCriticConfig):
     adam_b2: float = 0.999
     initial_gain: float = 2.0**0.5
     observation_clip: float | None = 5.0
+    memory: Annotated[int, no_memory("SAC learns from single transitions")] = 0
     replay_size: Count = 1_000_000
     batch_size: Count = 1024
     updates: Count = 8

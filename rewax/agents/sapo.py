@@ -31,6 +31,7 @@ from rewax.agents.rollout import Policy, rollout
 from rewax.agents.temperature import SoftState, normalized_entropy, start_temperature, update_temperature
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
+from rewax.envs.memory import remembered
 from rewax.envs.randomized import Randomize
 from rewax.envs.wrappers import AutoReset
 from rewax.types import Array, Key, Observation, PyTree
@@ -142,10 +143,10 @@ def soft_policy(networks: Networks, actor_params: PyTree, statistics: RunningSta
     """A policy that samples an action and, in aux, an estimate of the entropy from a second sample."""
 
     def policy(obs: Observation, key: Key) -> tuple[Array, dict[str, Array]]:
-        distribution = networks.action_distribution(actor_params, statistics, obs)
+        distribution, memory = networks.decide(actor_params, networks.normalize(statistics, obs))
         action_key, entropy_key = jax.random.split(key)
         _, log_prob = distribution.sample_and_log_prob(entropy_key)  # an independent sample
-        return distribution.sample(action_key), {"entropy": -log_prob}
+        return remembered(distribution.sample(action_key), memory), {"entropy": -log_prob}
 
     return policy
 

@@ -9,7 +9,7 @@ with Adam. The actions are clipped to their bounds after each update, because be
 
 import dataclasses
 import functools
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ import optax
 
 from rewax import struct
 from rewax.agents.base import Agent, Metrics, bind
-from rewax.agents.config import GradientOptions, RunConfig
+from rewax.agents.config import GradientOptions, RunConfig, no_memory
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Decay, Positive
 from rewax.agents.optimizers import apply
@@ -37,6 +37,7 @@ class TrajOptConfig(GradientOptions, RunConfig):
     Attributes:
       horizon: must be 0, for whole episodes.
       learning_rate, adam_b1, adam_b2: settings of Adam.
+      memory: must be 0: a sequence of actions observes nothing.
     """
 
     least_horizon: ClassVar[int] = 0
@@ -45,6 +46,7 @@ class TrajOptConfig(GradientOptions, RunConfig):
     learning_rate: Positive = 1e-2
     adam_b1: Decay = 0.9
     adam_b2: Decay = 0.999
+    memory: Annotated[int, no_memory("TrajOpt learns a sequence of actions, which observes nothing")] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

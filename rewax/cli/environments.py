@@ -57,7 +57,9 @@ def run(argv: Sequence[str]) -> int:
 
 
 def describe(name: str, scale: str) -> str:
-    """A description: a sentence, observations, actions, length of an episode, arguments of ``rewax.make``."""
+    """A description: a sentence, observations, actions, length of an episode, sensors, arguments of ``rewax.make``."""
+    from rewax.envs.named_sensors import list_sensors
+
     env: Any = build_env(name, scale)
     observations = ", ".join(f"{key} {spec.shape}" for key, spec in env.observation_spec.items())
     action, dt = env.action_spec, getattr(env, "control_dt", None)
@@ -66,6 +68,7 @@ def describe(name: str, scale: str) -> str:
         "observations": observations,
         "actions": f"{action.shape}, from {action.low:g} to {action.high:g}",
         "episode": f"{env.episode_length} control steps{seconds}",
+        "sensors": ", ".join(list_sensors(env)) or "none",
         "arguments": ", ".join(_arguments(_factory(name, scale), defaults=True)) or "none",
     }
     title = f"{name} at scale {scale}: {summary(name)}"

@@ -32,6 +32,7 @@ class Options:
       step: iteration of the checkpoint, the newest by default.
       settings: evaluate in environments with these values of a physical parameter, and print a table; repeated, all
         combinations. youngs_modulus stands for the one parameter whose name ends so.
+      baselines: also evaluate doing nothing (all actions zero) and random actions, from the same initial states.
       json: file for the numbers; by default eval.json in the run's directory.
       video: record an episode with deterministic actions as a video.
       video_path: .mp4 file of the video; by default episode.mp4 in the run's directory, or <task>.mp4 in
@@ -49,6 +50,7 @@ class Options:
     seed: Seed = 0
     step: Natural | None = None
     settings: _Settings = ()
+    baselines: bool = False
     json: str | None = None
     video: bool = True
     video_path: str | None = None
@@ -98,6 +100,8 @@ def _checked(options: Options) -> str:
     where = options.run or options.run_dir
     if where is None or (options.run and options.run_dir):
         raise ValueError("rewax eval needs one run directory or task: rewax eval HandFlip")
+    if options.baselines and options.settings:
+        raise ValueError("--baselines evaluates without --set: leave one of them out")
     if any(pixels < 2 or pixels % 2 for pixels in options.video_size):
         raise ValueError(f"video-size is {' '.join(map(str, options.video_size))}: give even numbers from 2 on")
     for name, ending in (("json", ".json"), ("video_path", ".mp4")):
@@ -110,18 +114,25 @@ def _checked(options: Options) -> str:
 def _print_results(saved: Any, options: Options) -> dict[str, Any]:
     """Evaluate in the run's own environment: a line for each kind of actions, with a 95 % bootstrap interval."""
     import jax
+    import jax.numpy as jnp
 
-    from rewax.training.evaluation.episodes import make_evaluate
+    from rewax.training.evaluation.episodes import constant_policy, make_evaluate, uniform_policy
 
-    evaluate, found = make_evaluate(saved.env, saved.agent.policy, options.episodes), {}
-    for name, deterministic in _MODES.items():
+    env, found = saved.env, {}
+    trained = make_evaluate(env, saved.agent.policy, options.episodes)
+    evaluations = {name: (trained, deterministic) for name, deterministic in _MODES.items()}
+    if options.baselines:
+        still, random = constant_policy(jnp.zeros(env.action_spec.shape)), uniform_policy(env)
+        evaluations["no action"] = make_evaluate(env, still, options.episodes), True
+        evaluations["random actions"] = make_evaluate(env, random, options.episodes), False
+    for name, (evaluate, deterministic) in evaluations.items():
         key = jax.random.key(options.seed)
         numbers = found[name] = _numbers(evaluate(saved.train_state, key, deterministic=deterministic))
         low, high = numbers["interval"]
         spread = ", ".join(f"{what} {numbers[what]:.4g}" for what in ("std", "min", "max"))
         success = f", {numbers['success']:.0%} succeeded" if "success" in numbers else ""
         mean = f"mean {numbers['mean']:.4g} [{low:.4g}, {high:.4g}]"
-        print(f"{name:13s} {mean}, {spread}{success}, {numbers['failed']} of {options.episodes} failed")
+        print(f"{name:14s} {mean}, {spread}{success}, {numbers['failed']} of {options.episodes} failed")
     return found
 
 

@@ -1,6 +1,7 @@
 """``rewax identify``: physical parameters of an environment from a record, with their uncertainty."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -38,6 +39,7 @@ class Options:
       seed: of the starts.
       out: JSON file of the result; by default beside the record.
       picture: draw the fit beside the result.
+      video: write a video of what was seen beside the simulation, with this many frames a second; 0: none.
       imports: module or .py file that registers environments.
     """
 
@@ -52,6 +54,7 @@ class Options:
     seed: Seed = 0
     out: str | None = None
     picture: bool = True
+    video: Natural = 4
     imports: Imports = ()
 
 
@@ -63,6 +66,7 @@ def run(argv: Sequence[str]) -> int:
     """
     from rewax.identify import identify, load
     from rewax.identify.picture import draw
+    from rewax.training.evaluation.pictures import attempt
     from rewax.training.storage.cache import enable_compilation_cache
 
     quiet()
@@ -81,6 +85,8 @@ def run(argv: Sequence[str]) -> int:
     console.print(f"wrote {found.save(out)}")
     if options.picture:
         console.print(f"wrote {draw(found, record, out.with_suffix('.png'))}")
+    if options.video:
+        console.print(attempt(out.with_suffix(".mp4"), functools.partial(_film, found, record, options.video)))
     return 0
 
 
@@ -112,6 +118,15 @@ def priors(unknowns: Sequence[str], env: Any) -> dict[Any, Any]:
             raise ValueError(f"--unknown is {text!r}: give each parameter once, as parameter=low,high")
         found[name] = LogUniform(*ends) if ends[0] > 0.0 else Uniform(*ends)
     return found
+
+
+def _film(found: Any, record: Any, rate: int, path: Path) -> str:
+    from rewax.identify.film import film
+    from rewax.viz.video import write_video
+
+    size = (420, 960)
+    write_video(film(found, record, size=size), path, rate=rate, size=size)
+    return ""
 
 
 def _print(console: Console, found: Any) -> None:

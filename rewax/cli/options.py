@@ -59,14 +59,14 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
     return filled
 
 
-def build_env(name: str, scale: str) -> Env:
+def build_env(name: str, scale: str, **kwargs: Any) -> Env:
     """A registered environment.
 
     Raises:
       ValueError: in one sentence: there is none of this name or scale, or its factory raised an exception.
     """
     try:
-        return registry.make(name, scale=scale)
+        return registry.make(name, scale=scale, **kwargs)
     except ValueError:
         raise
     except Exception as error:

@@ -108,7 +108,16 @@ def _script(options: Options, env: Any) -> Any:
         from rewax.training.storage.policies import open_run
 
         saved = open_run(options.policy, scale=options.scale)
-        return lambda state, key: saved.act(state.obs)
+        memory = saved.initial_memory
+        if memory is None:
+            return lambda state, key: saved.act(state.obs)
+
+        def acting(state: Any, key: Any) -> Any:
+            nonlocal memory
+            action, memory = saved.act(state.obs, memory=memory)
+            return action
+
+        return acting
     if options.script:
         path = Path(options.script)
         if not path.is_file():

@@ -15,8 +15,9 @@ from rich.console import Console
 from rewax.agents.legal import NATURAL, Count, Natural, Seed
 from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
+from rewax.cli.env_from import DEFAULT_ENV, env_arguments, sentences
 from rewax.cli.options import Imports, build_env, import_modules, parse
-from rewax.envs import registry
+from rewax.envs.registry import default_scale
 
 _PROG = "rewax train"
 _FAILED_RUN = 1
@@ -48,8 +49,11 @@ def run(argv: Sequence[str]) -> int:
     _set_devices(first, console)
     modules = import_modules(first.imports) or _recorded_modules(first)
     chosen = algorithm(first.algo)
-    scale = first.scale or registry.default_scale()
-    env = build_env(first.env, scale)
+    use = "values" if first.env_from_values else "draws"
+    made_by = env_arguments(first.env, first.scale, first.env_from, use, _recorded(first))
+    first.env, scale = made_by.env, made_by.scale
+    kwargs = {**made_by.kwargs, **_sensor_arguments(first)}
+    env = build_env(first.env, scale, **kwargs)
     preset = _preset(first, scale, chosen)
     options = _options(first, scale, preset)
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))
@@ -57,7 +61,13 @@ def run(argv: Sequence[str]) -> int:
         raise ValueError(f"num-seeds is {args.num_seeds}: with --distributed train one seed, and start a run for each")
 
     agent_config, num_iterations, num_steps = _length(with_options(preset, getattr(args, first.algo)), env, args.steps)
-    say(console, _scale_sentence(scale, first.scale))
+    say(console, _scale_sentence(scale, first.scale or first.env_from))
+    if "identified" in kwargs:
+        for sentence in sentences(env.env if kwargs.get("sensors") else env, kwargs["identified"]):
+            say(console, sentence)
+    if kwargs.get("sensors"):
+        observed = ", ".join(f"{name} {spec.shape}" for name, spec in env.observation_spec.items())
+        say(console, f"observations: {observed}; --{first.algo}.observe chooses those of the policy")
     if scale == "paper" and (cost := cost_sentence(env, agent_config, num_steps)):
         say(console, cost)
     configs = _configs(args, first, scale, num_iterations, num_steps)
@@ -69,7 +79,9 @@ def run(argv: Sequence[str]) -> int:
     describe = {"env": first.env, "scale": scale, "agent": first.algo, first.algo: agent_config}
     if modules:
         describe["imports"] = modules
-    build_ahead(transfers=hasattr(env, "particles"))
+    if kwargs:
+        describe["env_kwargs"] = kwargs
+    build_ahead(transfers=hasattr(getattr(env, "unwrapped", env), "particles"))
     agent = build_agent(first.algo, env, agent_config)
     if args.num_seeds == 1:
         results = [train(agent, env, configs[0], describe={**describe, "seed": args.seed}, console=console)]
@@ -119,7 +131,7 @@ def _run_dir(args: Any, first: Any, scale: str, seed: int) -> str:
     if args.run_dir:
         return args.run_dir if args.num_seeds == 1 else f"{args.run_dir}/{seed}"
     algorithm_name = "" if first.algo == "sapo" else f"-{first.algo}"
-    return f"runs/{first.env}-{scale}{algorithm_name}-{seed}"
+    return f"runs/{first.env or DEFAULT_ENV}-{scale}{algorithm_name}-{seed}"
 
 
 def cores_as_devices(num_devices: int = 0) -> None:
@@ -145,19 +157,35 @@ def quiet() -> None:
 def _look_ahead(argv: Sequence[str]) -> Any:
     """Options that the defaults of the others depend on: ``env``, ``scale``, ``algo``, ``imports`` and so on."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--env", default="RollingFlat")
+    parser.add_argument("--env", default=None)
+    parser.add_argument("--env-from", default="")
+    parser.add_argument("--env-from-values", action="store_true")
+    parser.add_argument("--sensors", nargs="*", default=[])
+    parser.add_argument("--resolution", type=int, default=None)
     parser.add_argument("--scale", default=None)
     parser.add_argument("--algo", default="sapo")
     parser.add_argument("--devices", type=int, default=0)
     parser.add_argument("--distributed", action="store_true")
     parser.add_argument("--import", dest="imports", action="append", default=[])
     parser.add_argument("--run-dir", default=None)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--num-seeds", "--num_seeds", type=int, default=1)
     parser.add_argument("--resume", action="store_true")
     try:
         known, _ = parser.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
         raise ValueError(f"{error}; {_PROG} --help lists the options") from None
     return known
+
+
+def _sensor_arguments(first: Any) -> dict[str, Any]:
+    """Arguments of ``rewax.make`` for the sensors of the command line; a resumed run keeps its own."""
+    if first.resolution is not None and not first.sensors:
+        raise ValueError("--resolution is that of sensors: name them, for example --sensors camera")
+    if not first.sensors:
+        return {}
+    size = {} if first.resolution is None else {"resolution": first.resolution}
+    return {"sensors": list(first.sensors), **size}
 
 
 def _preset(first: Any, scale: str, chosen: Algorithm) -> Any:
@@ -170,16 +198,22 @@ def _preset(first: Any, scale: str, chosen: Algorithm) -> Any:
 
 def _recorded_modules(first: Any) -> list[dict[str, str]]:
     """The modules that the run to be resumed was started with; they are imported."""
-    from rewax.training.storage.description import read_config
     from rewax.training.storage.modules import import_recorded
 
-    if not (first.resume and first.run_dir):
-        return []
-    if not os.path.isdir(first.run_dir):
-        raise ValueError(f"there is no run directory {first.run_dir}: check the path, or start a new run there")
-    stored = read_config(first.run_dir)
-    import_recorded(stored, first.run_dir)
+    if stored := _recorded(first):
+        import_recorded(stored, first.run_dir or "the run")
     return stored.get("imports", [])
+
+
+def _recorded(first: Any) -> dict[str, Any]:
+    """``config.json`` of the run to be resumed; empty for a new run."""
+    from rewax.training.storage.description import read_config
+
+    if not first.resume:
+        return {}
+    if first.run_dir and not os.path.isdir(first.run_dir):
+        raise ValueError(f"there is no run directory {first.run_dir}: check the path, or start a new run there")
+    return read_config(_run_dir(first, first, first.scale or default_scale(), first.seed))
 
 
 def _options(first: Any, scale: str, agent_config: Any) -> type:
@@ -195,6 +229,10 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
         [
             ("env", str, first.env),
             ("scale", str, scale),
+            ("env_from", str, ""),
+            ("env_from_values", tyro.conf.FlagCreatePairsOff[bool], False),
+            ("sensors", tuple[str, ...], ()),
+            ("resolution", Count | None, None),
             ("algo", str, first.algo),
             ("imports", Imports, ()),
             ("seed", Seed, 0),
@@ -216,6 +254,11 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
     Attributes:
       env: name of the environment.
       scale: small (made for a CPU) or paper (the constants of the paper, for an accelerator); follows the device.
+      env_from: JSON file of rewax identify: the environment draws the parameters that it found, with their
+        uncertainty, at every reset; env, scale and num_substeps are those of the fit unless given.
+      env_from_values: take the values found instead of draws.
+      sensors: names of sensors whose observations are added, camera or cloud for example; rewax envs NAME lists them.
+      resolution: pixels along each side of their pictures, by default 64.
       algo: name of the algorithm.
       imports: module or .py file that registers environments or algorithms.
       seed: of all random numbers of the run.

@@ -5,6 +5,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import jax
@@ -51,7 +52,13 @@ def default_scale() -> Scale:
     return "small" if jax.default_backend() == "cpu" else "paper"
 
 
-def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
+def make(
+    name: str,
+    *,
+    scale: Scale | None = None,
+    identified: str | Path | Mapping[str, Any] | None = None,
+    **kwargs: Any,
+) -> Env:
     """Build a registered environment.
 
     The attribute ``made_by`` of the environment is a dict with the keys ``env``, ``scale`` and ``kwargs``: the
@@ -61,16 +68,24 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
     Args:
       name: one of ``list_envs()``.
       scale: ``"paper"``, ``"small"``, or None for the one that suits the device (``default_scale``).
+      identified: JSON file that ``rewax identify`` wrote: the environment has the values found. ``made_by`` holds them,
+        not the name of the file. To draw parameters instead, see ``rewax.envs.randomize.identified``.
       **kwargs: options of the environment. Every task of rewax takes ``dt``, a substep [s], and ``num_substeps``, which
-        keep the control step: a shorter substep takes more of them. Both together change the control step.
+        keep the control step: a shorter substep takes more of them. Both together change the control step. Every
+        environment with ``world(physics, up)`` takes ``sensors``, names of ``rewax.envs.named_sensors.list_sensors()``:
+        their observations are added. Then it also takes ``resolution``, pixels along each side of pictures.
 
     Raises:
       ValueError: a name, a scale or an option is unknown, or an option has an illegal value.
+
+    Example:
+      >>> env = make("RollingFlat", sensors=("camera",), resolution=64)
     """
     jax_versions.warn_if_untested()
     scale = default_scale() if scale is None else scale
     chosen = factory_of(name, scale)
-    given = kwargs if isinstance(_FACTORIES[name], Mapping) else {"scale": scale, **kwargs}
+    sensing, own = _sensor_options(chosen, kwargs)
+    given = own if isinstance(_FACTORIES[name], Mapping) else {"scale": scale, **own}
     _check_keywords(name, chosen, given)
     env = _call(name, chosen, given)
     if missing := [method for method in ("reset", "step") if not callable(getattr(env, method, None))]:
@@ -78,6 +93,15 @@ def make(name: str, *, scale: Scale | None = None, **kwargs: Any) -> Env:
             f"the factory of {name!r} returned {str(env)[:80]!r}, which has no method {missing[0]}: return an "
             "environment, see rewax.envs.base.Env"
         )
+    if identified is not None:
+        from rewax.envs.randomize.stored import part_for_environments, with_result
+
+        kwargs = {**kwargs, "identified": part_for_environments(identified)}
+        env = with_result(env, kwargs["identified"])
+    if sensing:
+        from rewax.envs.named_sensors import with_sensors
+
+        env = with_sensors(env, **sensing)
     _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
     return env
 
@@ -129,6 +153,24 @@ def _imported(name: str, factory: Factory) -> Callable[..., Env]:
     return found
 
 
+def _sensor_options(factory: Callable[..., Env], given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The arguments of ``with_sensors``, empty for no sensors, and those of a factory, which may have such itself."""
+    if "sensors" not in given or "sensors" in _keywords(factory):
+        return {}, dict(given)
+    own = dict(given)
+    names = own.pop("sensors")
+    resolution = None if "resolution" in _keywords(factory) else own.pop("resolution", None)
+    return {"names": names, "resolution": resolution} if names else {}, own
+
+
+def _keywords(factory: Callable[..., Env]) -> set[str]:
+    """Names of the parameters of a factory; some callables written in C have none."""
+    try:
+        return set(inspect.signature(factory).parameters)
+    except (TypeError, ValueError):
+        return set()
+
+
 def _check_keywords(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> None:
     """Raises ValueError unless the factory takes these keywords. A factory with ``**kwargs`` takes any."""
     try:
@@ -141,6 +183,8 @@ def _check_keywords(name: str, factory: Callable[..., Env], given: Mapping[str, 
     for keyword in () if takes_any else [keyword for keyword in given if keyword not in legal]:
         if keyword == "scale":
             raise ValueError(f"the factory of {name!r} takes no scale: define it as factory(*, scale, ...)")
+        if keyword == "resolution":
+            raise ValueError("resolution is that of pictures: give it together with sensors=('camera',)")
         raise ValueError(_no_option(name, keyword, [known for known in legal if known != "scale"]))
     missing = [keyword for keyword, required in legal.items() if required and keyword not in given]
     if missing:

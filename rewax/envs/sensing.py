@@ -1,5 +1,6 @@
 """Environments with sensors: pictures, clouds and touch as further named observations."""
 
+import math
 from typing import Any, Protocol
 
 import jax
@@ -8,6 +9,8 @@ import numpy as np
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
 from rewax.envs.wrappers import _Wrapper
+from rewax.physics.contact import Patches
+from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
 from rewax.types import Array, Key, Observation
 
@@ -16,7 +19,10 @@ _STREAM = 0x5E45
 
 
 class Sensor(Protocol):
-    """What can be added to an environment: a pytree with one method."""
+    """What can be added to an environment: a pytree with one method.
+
+    It may also have ``bounds``, the least and the largest number that the observation can hold.
+    """
 
     def see(self, world: World, key: Key) -> Array:
         """The observation of one state.
@@ -50,9 +56,13 @@ class Sensing(struct.Replaceable, _Wrapper):
     up: tuple[float, float, float] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
+        bare = getattr(self.env, "unwrapped", self.env)
+        placed = {
+            name: sensor.on(bare) if isinstance(sensor, Touch) else sensor for name, sensor in self.sensors.items()
+        }
+        object.__setattr__(self, "sensors", placed)
         if self.up is not None:  # checked before
             return
-        bare = getattr(self.env, "unwrapped", self.env)
         if not callable(getattr(bare, "world", None)):
             raise ValueError(
                 f"{type(bare).__name__} has no world(physics, up), which says what sensors can see: define it, see "
@@ -69,11 +79,11 @@ class Sensing(struct.Replaceable, _Wrapper):
         object.__setattr__(self, "up", tuple(float(a) for a in np.asarray(bare.up)))
 
     def reset(self, key: Key) -> State:
-        return self._sensed(self.env.reset(key))
+        return self._sensed(self._feeling.reset(key))
 
     def step(self, state: State, action: Array) -> State:
         own = {name: value for name, value in state.obs.items() if name not in self.sensors}
-        return self._sensed(self.env.step(state.replace(obs=own), action))
+        return self._sensed(self._feeling.step(state.replace(obs=own), action))
 
     def world(self, physics: Any, up: np.ndarray | None = None) -> World:
         """The world that the sensors see, by default with ``self.up``. Gradient: exact."""
@@ -88,8 +98,17 @@ class Sensing(struct.Replaceable, _Wrapper):
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:
         state = jax.eval_shape(self.reset, jax.random.key(0))
-        added = {name: ArraySpec(tuple(state.obs[name].shape)) for name in self.sensors}
+        added = {
+            name: ArraySpec(tuple(state.obs[name].shape), *getattr(sensor, "bounds", (-math.inf, math.inf)))
+            for name, sensor in self.sensors.items()
+        }
         return {**self.env.observation_spec, **added}
+
+    @property
+    def _feeling(self) -> Any:
+        """The environment; with a ``Touch`` among the sensors its physics keeps what is felt."""
+        touch = {name: sensor.patches for name, sensor in self.sensors.items() if isinstance(sensor, Touch)}
+        return _with_touch(self.env, touch) if touch else self.env
 
     def _sensed(self, state: State) -> State:
         return state.replace(obs={**state.obs, **self._see(state)})
@@ -98,7 +117,18 @@ class Sensing(struct.Replaceable, _Wrapper):
         world = self.world(state.physics)
         key = jax.random.fold_in(jax.random.fold_in(state.key, _STREAM), state.step_count)
         keys = jax.random.split(key, max(len(self.sensors), 1))
-        return {name: self.sensors[name].see(world, keys[i]) for i, name in enumerate(sorted(self.sensors))}
+        felt = getattr(state.physics, "felt", None) or {}
+        return {
+            name: self.sensors[name].see(world.replace(felt=felt[name]) if name in felt else world, keys[i])
+            for i, name in enumerate(sorted(self.sensors))
+        }
+
+
+def _with_touch(env: Any, touch: dict[str, Patches]) -> Any:
+    """The environment, inside all wrappers, with patches that feel beside those that it has."""
+    if hasattr(env, "unwrapped"):
+        return env.replace(env=_with_touch(env.env, touch))
+    return env.replace(touch={**(env.touch or {}), **touch})
 
 
 __all__ = ["Sensing", "Sensor"]

@@ -1,6 +1,7 @@
 """Identification: from what a camera saw to the parameters of an environment, with their uncertainty."""
 
 from rewax.identify.adam import Minimum, minimize
+from rewax.identify.body import with_body
 from rewax.identify.fit import identify
 from rewax.identify.losses import (
     chamfer,
@@ -22,5 +23,5 @@ from rewax.identify.surface import surface_residuals
 __all__ = [
     "Identified", "Minimum", "Record", "SavedResult", "chamfer", "check_record", "depth_picture", "huber", "identify",
     "load", "load_result", "matched", "minimize", "occupancy", "one_sided_chamfer", "over_time", "read_folder",
-    "record", "save", "sinkhorn_divergence", "surface_residuals",
+    "record", "save", "sinkhorn_divergence", "surface_residuals", "with_body",
 ]  # fmt: skip

@@ -1,5 +1,6 @@
 """``identify``: the parameters with which an environment shows what a record shows."""
 
+import functools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from rewax.envs.randomize import Draw
 from rewax.identify import levenberg_marquardt as lm
 from rewax.identify.evaluation import Evaluation, Residuals
-from rewax.identify.record_checks import check_against, check_record
+from rewax.identify.record_checks import check_against, check_record, tool_remarks
 from rewax.identify.records import Record
 from rewax.identify.result import Identified
 from rewax.identify.simulate import data_of, points_of, without_reset_noise
@@ -42,6 +43,7 @@ def identify(
     shake: float = 0.4,
     seed: int = 0,
     side_by_side: int = 2,
+    limit: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Identified:
     """Fit unknown parameters of an environment to a record, by Levenberg-Marquardt from several starts.
@@ -53,8 +55,9 @@ def identify(
 
     Args:
       env: an environment, with ``particles(physics)``; its reset noise is left out. Or several of the same scene with
-        different resolutions, the finest last: the starts are divided among them. The finest gives the result, and its
-        difference from the others is part of the uncertainty.
+        different resolutions, the finest last: the starts are divided among them. The search begins with the first, and
+        each of the others begins where the one before ended. The finest gives the result, and its difference from the
+        others is part of the uncertainty.
       record: what was seen.
       unknowns: priors by the names of parameters, see ``unknowns.space_of``.
       starts: number of starts.
@@ -69,6 +72,8 @@ def identify(
         so that the scatter of the fits tells what the placement of particles does; 0: none.
       seed: of the starts, their placements and the reset.
       side_by_side: starts that one program computes; more need more memory.
+      limit: with several environments of particles: spacing of the grid to which the result is extrapolated [m], along
+        the line through the coarsest and the finest; 0: matter itself. None: the result is that of the finest.
       progress: called with a line for each iteration.
 
     Raises:
@@ -80,34 +85,42 @@ def identify(
     given = env if isinstance(env, (list, tuple)) else (env,)
     _check_options(starts, len(given), horizons, shake, frame_weights, record)
     envs = [without_reset_noise(one) for one in given]
-    env = envs[0]
-    first = np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics))
-    check_against(record, env, first)
-    space = space_of(unknowns, env)
+    first = np.asarray(points_of(envs[0], jax.jit(envs[0].reset)(jax.random.key(seed)).physics))
+    check_against(record, envs[0], first)
+    spacings = None if limit is None else _spacings(envs, limit)
+    space = space_of(unknowns, envs[0])
     low, high, remarks = stable_bounds(space, envs)
-    spacing = particle_spacing(first)
-    data = data_of(record, _WIDTH * spacing if width is None else width, REGIONS, seed)
-    placed = [placements_of(one, starts, shake, spacing, seed) for one in envs]
-    search, history = search_from(
-        spread_starts(space, starts, low, high, seed), program(envs, space, data, residuals, side_by_side, placed),
-        _stages(record, horizons, frame_weights, max_iterations), deviations=(max(noise, 0.1 * spacing), noise),
-        space=space, bounds=(low, high), say=progress or (lambda line: None),
-        stable=lambda p: all(is_stable(space.place(one, jnp.asarray(p))) for one in envs),
-    )  # fmt: skip
-    if not search.evaluation.ok.any():
-        bits = int(np.bitwise_or.reduce(search.evaluation.status))
-        raise ValueError(f"no start has a valid simulation, status {describe(bits)}: give priors of softer materials")
+    groups = _groups(starts, len(envs))
+    stages = _stages(record, horizons, frame_weights, max_iterations)
+    points, deviation, searches, histories = spread_starts(space, starts, low, high, seed), 0.0, [], []
+    for i, one in enumerate(envs):
+        spacing = particle_spacing(np.asarray(points_of(one, jax.jit(one.reset)(jax.random.key(seed)).physics)))
+        data = data_of(record, _WIDTH * spacing if width is None else width, REGIONS, seed)
+        placed = placements_of(one, starts, shake, spacing, seed)
+        own = None if placed is None else placed[groups == i]
+        search, history = search_from(
+            points[groups == i], program(one, space, data, residuals, side_by_side, own),
+            stages if i == 0 else stages[-1:], deviations=(deviation or max(noise, 0.1 * spacing), noise), space=space,
+            bounds=(low, high), say=progress or (lambda line: None),
+            stable=functools.partial(lambda env, p: is_stable(space.place(env, jnp.asarray(p))), one),
+        )  # fmt: skip
+        points, deviation = _end_of(search, space, noise)
+        points = np.tile(points, (starts, 1))
+        searches.append(search)
+        histories.append(history)
+    search, history = lm.joined(searches), np.concatenate(histories)
     total = search.total(space.precision)
-    kept = _kept(total, len(envs))
-    groups = np.arange(starts) % len(envs)
-    latent, between = combined(search.latents[kept], groups[kept])
+    kept = _kept(total, groups)
+    latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit)
+    latent = np.clip(latent, *space.bounds)
+    remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, low, high)
     finest = kept & (groups == groups[kept].max())
     found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between)
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
         undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[-1],
-        remarks=remarks + _remarks(search, space, latent, kept, low, high), residual_by_frame=found.by_frame,
+        remarks=remarks, residual_by_frame=found.by_frame,
         starts=search.latents, costs=total, history=history, failed=int(search.rejected.sum()),
         seconds=time.perf_counter() - began,
     )  # fmt: skip
@@ -127,9 +140,36 @@ def _stages(
     return [(h, w, iterations if h == 1.0 else max(2, iterations // 3)) for h, w in every if w.any() or h == 1.0]
 
 
-def _kept(total: np.ndarray, count: int) -> np.ndarray:
+def _groups(starts: int, count: int) -> np.ndarray:
+    """The environment of each start, shape (starts,): equal numbers, the first has the rest."""
+    others = np.repeat(np.arange(1, count), starts // count)
+    return np.concatenate([np.zeros(starts - len(others), int), others])
+
+
+def _spacings(envs: Sequence[Any], limit: float) -> np.ndarray:
+    """Spacings of the grids [m], shape (num_envs,), for an extrapolation to ``limit``."""
+    grids = [getattr(getattr(getattr(env, "unwrapped", env), "scene", None), "grid", None) for env in envs]
+    found = np.array([np.nan if grid is None else float(grid.spacing) for grid in grids])
+    if len(found) < 2 or not (np.diff(found) < 0.0).all() or not 0.0 <= limit < found[-1]:
+        raise ValueError(
+            f"limit is {limit} with spacings of the grid of {', '.join(f'{s:.4g}' for s in found)} m: give at least "
+            "two environments of particles, the finest last, and a limit from 0 to below its spacing"
+        )
+    return found
+
+
+def _end_of(search: lm.Starts, space: Space, noise: float) -> tuple[np.ndarray, float]:
+    """The mean of the starts that fit about equally well, and the standard deviation of their residuals [m]."""
+    if not search.evaluation.ok.any():
+        bits = int(np.bitwise_or.reduce(search.evaluation.status))
+        raise ValueError(f"no start has a valid simulation, status {describe(bits)}: give priors of softer materials")
+    kept = _kept(search.total(space.precision), np.zeros(len(search.latents), int))
+    return search.latents[kept].mean(0), max(noise, float(search.evaluation.spread[kept].mean()))
+
+
+def _kept(total: np.ndarray, groups: np.ndarray) -> np.ndarray:
     """Which starts reached about the lowest cost of their environment, shape (S,), bool."""
-    lowest = np.array([total[i::count].min() for i in range(count)])[np.arange(len(total)) % count]
+    lowest = np.array([total[groups == g].min() for g in groups])
     return np.isfinite(total) & (total <= lowest * (1.0 + _ALIKE))
 
 

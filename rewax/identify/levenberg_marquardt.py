@@ -5,7 +5,7 @@ simulation. What it calls is one compiled program.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,13 @@ class Starts:
 
 def total_cost(evaluation: Evaluation, latents: np.ndarray, precision: np.ndarray) -> np.ndarray:
     return np.where(evaluation.ok, evaluation.cost + 0.5 * (precision * latents**2).sum(-1), np.inf)
+
+
+def joined(searches: Sequence[Starts]) -> Starts:
+    """The starts of several searches, one after the other."""
+    fields = {f.name: [getattr(one, f.name) for one in searches] for f in dataclasses.fields(Starts)}
+    evaluation = Evaluation(*(np.concatenate(arrays) for arrays in zip(*fields.pop("evaluation"), strict=True)))
+    return Starts(evaluation=evaluation, **{name: np.concatenate(arrays) for name, arrays in fields.items()})
 
 
 def begin(latents: np.ndarray, evaluation: Evaluation, rejected: np.ndarray | None = None) -> Starts:
@@ -142,4 +149,4 @@ def _chosen(accepted: np.ndarray, new: Any, old: Any) -> Evaluation:
     return Evaluation(*(pick(np.asarray(a), np.asarray(b)) for a, b in zip(new, old, strict=True)))
 
 
-__all__ = ["Starts", "begin", "iterate", "total_cost"]
+__all__ = ["Starts", "begin", "iterate", "joined", "total_cost"]

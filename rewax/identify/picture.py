@@ -21,7 +21,7 @@ def draw(result: Identified, record: Record, path: str | Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(13.0, 6.5), layout="constrained")
     grid = figure.add_gridspec(2, 4)
-    frames = _simulated(result, record)
+    frames = simulated(result, record)
     shown = np.linspace(0, record.num_frames - 1, 4).round().astype(int)
     across, up = _axes(result, record)
     for column, n in enumerate(shown):
@@ -54,7 +54,8 @@ def _draw_parameters(axes: Any, result: Identified) -> None:
     axes.legend(fontsize=8)
 
 
-def _simulated(result: Identified, record: Record) -> np.ndarray:
+def simulated(result: Identified, record: Record) -> np.ndarray:
+    """Particles at the times of a record, with the values found [m], shape (num_frames, num_particles, 3)."""
     latent = jnp.asarray(result.latent, jnp.float32)
     env = without_reset_noise(result.env)
     simulate = jax.jit(lambda z: simulated_frames(env, result.space, z, data_of(record, 1.0, 1))[0])
@@ -69,4 +70,4 @@ def _axes(result: Identified, record: Record) -> tuple[int, int]:
     return int(np.argmax(extent)), up
 
 
-__all__ = ["draw"]
+__all__ = ["draw", "simulated"]

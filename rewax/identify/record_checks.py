@@ -1,5 +1,6 @@
 """What is wrong with a record, in one sentence."""
 
+import math
 from typing import Any
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.identify.records import UNITS, VERSION, Record
-from rewax.physics.contact.colliders import shape_pose
+from rewax.physics.contact.colliders import MIN_INFLUENCE, shape_pose
 from rewax.physics.numerics.pose import body_pose
 from rewax.physics.shapes import signed_distance
 
@@ -163,4 +164,20 @@ def tool_distance(record: Record, env: Any) -> float | None:
     return float(jax.jit(jax.vmap(nearest))(bodies, clouds, jnp.asarray(record.mask)).min())
 
 
-__all__ = ["check_against", "check_record", "tool_distance"]
+def tool_remarks(env: Any) -> list[str]:
+    """A sentence if the contact of a tool reaches less than half a cell: the values then depend on the grid."""
+    scene = getattr(getattr(env, "unwrapped", env), "scene", None)
+    spacing = getattr(getattr(scene, "grid", None), "spacing", None)
+    softness = [np.max(c.softness) for c in getattr(scene, "colliders", ()) if c.softness is not None]
+    if spacing is None or not softness:
+        return []
+    reach, cell = -math.log(MIN_INFLUENCE) / float(max(softness)), float(spacing)
+    if reach >= 0.5 * cell:
+        return []
+    return [
+        f"The contact of a tool reaches {1e3 * reach:.2g} mm and a cell of the grid is {1e3 * cell:.2g} mm: the body "
+        "sinks into the tool, and the values depend on the grid. For real material give Collider(softness=None)."
+    ]
+
+
+__all__ = ["check_against", "check_record", "tool_distance", "tool_remarks"]

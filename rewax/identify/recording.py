@@ -1,5 +1,6 @@
 """Records made from an environment: a script or a policy moves the tool, a camera with noise and occlusion looks on."""
 
+import functools
 import json
 from collections.abc import Callable
 from typing import Any
@@ -59,13 +60,12 @@ def record(
     camera = camera_for(np.asarray(points_of(env, state.physics)), np.asarray(env.up)) if camera is None else camera
     camera = camera.replace(noise=DepthNoise(constant=noise))
     up = np.asarray(env.up)
-    view = jax.jit(lambda physics: camera.view(env.world(physics, up)))
     names = env.world(state.physics, up).names
     body = [i for i, name in enumerate(names) if name not in ("tool", "floor")]
     frames = list(range(0, len(actions) + 1, every))
     clouds, masks = [], []
     for n in frames:
-        seen = view(states[n].physics)
+        seen = _view(env, camera, states[n].physics, tuple(up.tolist()))
         depth = np.asarray(camera.with_noise(seen.depth, jax.random.fold_in(noise_key, n)))
         chosen = np.isin(np.asarray(seen.label), body)
         chosen &= ~_hidden(np.asarray(camera.points(seen.depth)), chosen, occlusion, hide_key)
@@ -104,13 +104,12 @@ def camera_for(points: np.ndarray, up: np.ndarray, *, pixels: int = 64) -> Camer
 
 
 def _episode(env: Any, script: Script, state: Any, key: Key, num_steps: int | None) -> tuple[list[Any], np.ndarray]:
-    step = jax.jit(env.step)
     policy = script if callable(script) else None
     count = (num_steps or env.episode_length) if policy else len(script)  # type: ignore[arg-type]
     states, actions = [state], []
     for n in range(count):
         action = policy(state, jax.random.fold_in(key, n)) if policy else jnp.asarray(script[n], jnp.float32)  # type: ignore[index]
-        state = step(state, action)
+        state = _step(env, state, action)
         bits = int(state.status)
         if bits & FATAL:
             raise ValueError(
@@ -119,6 +118,17 @@ def _episode(env: Any, script: Script, state: Any, key: Key, num_steps: int | No
         states.append(state)
         actions.append(np.asarray(action))
     return states, np.asarray(actions, np.float32)
+
+
+@jax.jit
+def _step(env: Any, state: Any, action: Array) -> Any:
+    """A control step; environments of one structure share the program."""
+    return env.step(state, action)
+
+
+@functools.partial(jax.jit, static_argnames="up")
+def _view(env: Any, camera: Camera, physics: Any, up: tuple[float, ...]) -> Any:
+    return camera.view(env.world(physics, np.asarray(up)))
 
 
 def _hidden(points: np.ndarray, chosen: np.ndarray, share: float, key: Key) -> np.ndarray:

@@ -8,13 +8,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.envs.randomize import LeafDraws, LogNormal, LogUniform, Normal, Scale, Shift, Uniform
+from rewax.envs.randomize import LeafDraws, LogNormal, Normal, Scale, Shift, with_numbers
+from rewax.envs.randomize.stored import FORMAT, change_of, draws_of, read_result, told
 from rewax.identify.uncertainty import short
 from rewax.identify.unknowns import Space
 
-_DISTRIBUTIONS = {kind.__name__: kind for kind in (LogNormal, LogUniform, Normal, Uniform)}
 _Z95 = 1.959964
-_FORMAT = "rewax identified 1"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,14 +76,18 @@ class Identified:
         return self.space.place(self.env, jnp.asarray(self.latent, jnp.float32))
 
     def draws(self) -> LeafDraws:
-        """The posterior of each unknown as a hook for ``randomize=``; correlations between unknowns are left out."""
+        """The posterior of each unknown as a hook for ``randomize=``, cut off at the bounds of the search.
+
+        Correlations between unknowns are left out.
+        """
         found = []
-        for i, ((names, draw), prior) in enumerate(zip(self.space.draws, self.space.priors, strict=True)):
+        ends = [self.space.numbers(np.clip(bound, *self.space.bounds)) for bound in self.bounds]
+        for i, (names, draw) in enumerate(self.space.draws):
             if names[0].startswith("initial."):
                 continue
             std = max(float(np.sqrt(self.covariance[i, i])) * self.space.scale_of(i), 1e-6)
             value = self.values[names[0]]
-            within: dict[str, Any] = {"low": prior.low, "high": prior.high}  # type: ignore[attr-defined]
+            within: dict[str, Any] = {"low": float(ends[0][i]), "high": float(ends[1][i])}
             posterior = LogNormal(value, std, **within) if self.space.is_log[i] else Normal(value, std, **within)
             wrapped = type(draw)(posterior) if isinstance(draw, (Scale, Shift)) else posterior
             found.append((names, wrapped))
@@ -111,13 +114,13 @@ class Identified:
 
     def _json(self) -> dict[str, Any]:
         kept = [
-            {"names": list(names), "change": _change(draw), "prior": _told(draw), "posterior": _told(after)}
+            {"names": list(names), "change": change_of(draw), "prior": told(draw), "posterior": told(after)}
             for (names, draw), (_, after) in zip(
                 [d for d in self.space.draws if not d[0][0].startswith("initial.")], self.draws().draws, strict=True
             )
         ]
         return {
-            "format": _FORMAT, "made_by": getattr(self.env, "made_by", None), "values": self.values,
+            "format": FORMAT, "made_by": getattr(self.env, "made_by", None), "values": self.values,
             "intervals": {name: list(ends) for name, ends in self.intervals.items()}, "unknowns": kept,
             "covariance": self.covariance.tolist(), "undetermined": self.undetermined, "remarks": self.remarks,
             "times": self.times.tolist(), "residual_by_frame": self.residual_by_frame.tolist(), "failed": self.failed,
@@ -142,8 +145,6 @@ class SavedResult:
 
     def apply(self, env: Any) -> Any:
         """An environment with the values found."""
-        from rewax.envs.randomize import with_numbers
-
         numbers = [jnp.float32(self.values[names[0]]) for names, _ in self.draws.draws]
         return with_numbers(env, self.draws, numbers)
 
@@ -154,37 +155,8 @@ def load_result(path: str | Path) -> SavedResult:
     Raises:
       ValueError: in one sentence: there is no such file, or it is no result.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"there is no result {str(path)!r}: give the JSON file that `rewax identify` wrote")
-    try:
-        found = json.loads(path.read_text())
-        if found["format"] != _FORMAT:
-            raise KeyError("format")
-        draws = tuple((tuple(one["names"]), _read(one["posterior"], one["change"])) for one in found["unknowns"])
-        values = {name: float(value) for name, value in found["values"].items()}
-        return SavedResult(found["made_by"], LeafDraws(draws), values)
-    except (json.JSONDecodeError, KeyError, TypeError, UnicodeDecodeError):
-        raise ValueError(
-            f"{str(path)!r} is no result of this version: give the JSON file that `rewax identify` wrote"
-        ) from None
-
-
-def _change(draw: Any) -> str:
-    return type(draw).__name__ if isinstance(draw, (Scale, Shift)) else ""
-
-
-def _told(draw: Any) -> dict[str, Any]:
-    """A distribution as a dictionary of plain numbers; infinite bounds are left out."""
-    by = draw.by if isinstance(draw, (Scale, Shift)) else draw
-    fields = {f.name: getattr(by, f.name) for f in dataclasses.fields(by) if f.name != "per"}
-    return {"kind": type(by).__name__, **{name: v for name, v in fields.items() if np.isfinite(v)}}
-
-
-def _read(told: dict[str, Any], change: str) -> Any:
-    fields = dict(told)
-    distribution = _DISTRIBUTIONS[fields.pop("kind")](**fields)
-    return {"Scale": Scale, "Shift": Shift}[change](distribution) if change else distribution
+    found = read_result(path)
+    return SavedResult(found["made_by"], draws_of(found["unknowns"]), found["values"])
 
 
 __all__ = ["Identified", "SavedResult", "load_result"]

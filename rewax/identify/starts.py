@@ -64,20 +64,19 @@ def search_from(
 
 
 def program(
-    envs: Sequence[Any], space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placed: Sequence[Any]
+    env: Any, space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placed: np.ndarray | None
 ) -> Callable[..., Evaluation]:
     """``evaluate`` of points, which of them are needed, weights and deviation, as arrays of NumPy.
 
-    Start s belongs to environment s % len(envs). Points of one environment are computed a few at a time, always the
-    same number, so that there is one program for each environment.
+    Points are computed a few at a time, always the same number, so that there is one program.
     """
-    every = [EnvLeaves.of(one) for one in envs]
+    leaves = EnvLeaves.of(env)
 
-    def some(i: int, chosen: np.ndarray, latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
+    def some(chosen: np.ndarray, latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
         full = np.resize(chosen, side_by_side)  # repeats points where there are too few
-        rest = None if placed[i] is None else jnp.asarray(placed[i][full], jnp.float32)
+        rest = None if placed is None else jnp.asarray(placed[full], jnp.float32)
         found = evaluate(
-            jnp.asarray(latents[full], jnp.float32), rest, every[i], data, jnp.asarray(weights, jnp.float32),
+            jnp.asarray(latents[full], jnp.float32), rest, leaves, data, jnp.asarray(weights, jnp.float32),
             jnp.float32(deviation), space=space, residuals=residuals, num_regions=REGIONS**2,
         )  # fmt: skip
         return Evaluation(*(np.asarray(a)[: len(chosen)] for a in found))
@@ -87,13 +86,11 @@ def program(
     ) -> Evaluation:
         wanted = np.arange(len(points)) if needed is None else np.flatnonzero(needed)
         total: list[np.ndarray] = []
-        for i in range(len(envs)):
-            own = wanted[wanted % len(envs) == i]
-            for chosen in (own[n : n + side_by_side] for n in range(0, len(own), side_by_side)):
-                found = some(i, chosen, points, weights, deviation)
-                total = total or [np.zeros((len(points), *a.shape[1:]), _wide(a.dtype)) for a in found]
-                for into, array in zip(total, found, strict=True):
-                    into[chosen] = array
+        for chosen in (wanted[n : n + side_by_side] for n in range(0, len(wanted), side_by_side)):
+            found = some(chosen, points, weights, deviation)
+            total = total or [np.zeros((len(points), *a.shape[1:]), _wide(a.dtype)) for a in found]
+            for into, array in zip(total, found, strict=True):
+                into[chosen] = array
         return Evaluation(*total)
 
     return run

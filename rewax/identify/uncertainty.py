@@ -41,17 +41,25 @@ def posterior(hessian: np.ndarray, scores: np.ndarray, between: np.ndarray) -> n
     return np.linalg.inv(np.eye(k) + 0.5 * (total + total.T))
 
 
-def combined(latents: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def combined(
+    latents: np.ndarray, groups: np.ndarray, spacings: np.ndarray | None = None, limit: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """The result of fits with different placements and resolutions, and the covariance of what they differ by.
 
-    The result is the mean of the last group, the finest resolution. Its covariance is that of the placements, for a
-    body whose own placement is one more draw, and the mean square of the other groups' differences from it. The former
-    is enlarged by the squared ratio of the quantiles of Student's and of the normal distribution at 97.5 %, so that
-    1.96 standard deviations are an interval of 95 % although few fits tell the covariance.
+    Without spacings, the result is the mean of the last group, the finest resolution. Its covariance is that of the
+    placements, for a body whose own placement is one more draw, and the mean square of the other groups' differences
+    from it. The former is enlarged by the squared ratio of the quantiles of Student's and of the normal distribution at
+    97.5 %, so that 1.96 standard deviations are an interval of 95 % although few fits tell the covariance.
+
+    With spacings of the grids, the result is that of the line through the first and the last mean, at ``limit``: the
+    error of a simulation is taken as proportional to the spacing. The covariance of the placements is enlarged as the
+    line enlarges it, and half of the step from the finest mean to the limit counts as an error of this assumption.
 
     Args:
       latents: of the fits, shape (S, k).
       groups: number of the environment of each, rising with its resolution, shape (S,).
+      spacings: of the grid of each environment, falling [m]; None: no extrapolation.
+      limit: spacing at which the result is wanted [m], below the finest; 0: matter.
 
     Returns:
       The mean, shape (k,), and the covariance, shape (k, k).
@@ -61,14 +69,21 @@ def combined(latents: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.nd
     apart = latents - means[np.searchsorted(names, groups)]
     covariance = np.zeros((latents.shape[1],) * 2)
     free, z = len(latents) - len(names), 1.959964
+    step, counts = 0.0, [int((groups == g).sum()) for g in (names[0], names[-1])]
+    if spacings is not None and len(names) > 1:
+        first, last = spacings[names[0]], spacings[names[-1]]
+        step = (last - limit) / (first - last)
     if free > 0:
         student = z + (z**3 + z) / (4.0 * free) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * free**2)
-        finest = int((groups == names[-1]).sum())
-        covariance = (student / z) ** 2 * (1.0 + 1.0 / finest) * apart.T @ apart / free
-    if len(names) > 1:
+        share = 1.0 + (1.0 + step) ** 2 / counts[1] + step**2 / counts[0]
+        covariance = (student / z) ** 2 * share * apart.T @ apart / free
+    moved = step * (means[-1] - means[0])
+    if spacings is not None:
+        covariance = covariance + 0.25 * np.outer(moved, moved)
+    elif len(names) > 1:
         coarser = means[:-1] - means[-1]
         covariance = covariance + coarser.T @ coarser / len(coarser)
-    return means[-1], covariance
+    return means[-1] + moved, covariance
 
 
 def undetermined(space: Space, covariance: np.ndarray) -> list[str]:

@@ -138,13 +138,18 @@ class Camera(struct.Replaceable):
         """A picture as the camera's ``noise`` leaves it [m], shape (height, width)."""
         return depth if self.noise is None else self.noise.apply(depth, self.far, key)
 
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of what ``see`` returns. Only noise makes depth smaller than ``near``."""
+        return (0.0 if self.noise is None else -self.near / (self.far - self.near)), 1.0
+
     def see(self, world: World, key: Key) -> Array:
         """Depth as an observation, with noise: 0 at ``near``, 1 at ``far`` and beyond, shape (height, width, 1).
 
         Gradient: none, unless ``gradient``.
         """
         depth = self.with_noise(self.depth(world), key)
-        return ((depth - self.near) / (self.far - self.near))[..., None]
+        return jnp.clip((depth - self.near) / (self.far - self.near), *self.bounds)[..., None]
 
     def view(self, world: World) -> View:
         """Depth, labels and normals.

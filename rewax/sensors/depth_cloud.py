@@ -53,18 +53,13 @@ class DepthCloud(struct.Replaceable):
         depth = self.camera.with_noise(depth, noise_key)
         chosen = depth < self.camera.far
         if label is not None:
-            chosen &= jnp.isin(label, jnp.asarray([self._label(world, name) for name in self.of or ()]))
+            chosen &= jnp.isin(label, jnp.asarray([world.label(name) for name in self.of or ()]))
         points = self.camera.points(depth, world).reshape(-1, 3)
         rank = jnp.where(chosen.reshape(-1), jax.random.uniform(draw_key, (pixels,)), -1.0)
         _, order = jax.lax.top_k(rank, self.num_points)
         count = jnp.minimum(chosen.sum(), self.num_points)
         index = order[jnp.arange(self.num_points) % jnp.maximum(count, 1)]
         return jnp.where(count > 0, points[index], self.camera.pose_in(world).position)
-
-    def _label(self, world: World, name: str) -> int:
-        if name not in world.names:
-            raise ValueError(f"of has {name!r}, which nothing is named: use {', '.join(world.names)}")
-        return world.names.index(name)
 
 
 __all__ = ["DepthCloud"]

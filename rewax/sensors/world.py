@@ -8,6 +8,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.physics.contact.colliders import Collider, shape_pose
+from rewax.physics.contact.patches import Wrench
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.shapes import Plane, Shape
 from rewax.types import Array, Scalar
@@ -70,12 +71,14 @@ class World(struct.Replaceable):
     Attributes:
       solids, balls, triangles: what there is.
       bodies: poses of all bodies, shapes (num_bodies, 3) and (num_bodies, 3, 3); None: none can carry a sensor.
+      felt: mean force and torque of the last control step on the patches of one ``Touch``; None for other sensors.
     """
 
     solids: tuple[Solid, ...] = ()
     balls: tuple[Balls, ...] = ()
     triangles: tuple[Triangles, ...] = ()
     bodies: Pose | None = None
+    felt: Wrench | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -86,6 +89,16 @@ class World(struct.Replaceable):
             *(surface.name for surface in self.triangles),
         ]
         return tuple(dict.fromkeys(every))
+
+    def label(self, name: str) -> int:
+        """The index of a name.
+
+        Raises:
+          ValueError: nothing has this name.
+        """
+        if name not in self.names:
+            raise ValueError(f"of has {name!r}, which nothing is named: use {', '.join(self.names)}")
+        return self.names.index(name)
 
     def body(self, index: int) -> Pose:
         """Pose of one body.

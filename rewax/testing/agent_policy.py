@@ -6,6 +6,7 @@ import numpy as np
 
 from rewax.agents.base import Agent, TrainState
 from rewax.envs.base import Env
+from rewax.envs.memory import action_of, stage
 from rewax.testing.agent_states import compiled
 from rewax.testing.functions import check_same
 from rewax.testing.traced import traced_reset
@@ -16,7 +17,7 @@ _NUM_OBSERVATIONS = 4
 
 def check_policy(agent: Agent, env: Env, state: TrainState, key: Key, tolerance: float) -> None:
     """Actions keep the spec; ``deterministic`` ignores the key; ``vmap`` is a loop."""
-    reset = traced_reset(env)
+    reset = traced_reset(stage(env, agent.policy))
     keys = jax.random.split(key, _NUM_OBSERVATIONS)
     observations = [reset(k).obs for k in keys]
     stacked = jax.tree.map(lambda *rows: jnp.stack(rows), *observations)
@@ -24,7 +25,7 @@ def check_policy(agent: Agent, env: Env, state: TrainState, key: Key, tolerance:
         how = f"policy(..., deterministic={deterministic})"
 
         def policy(obs: Observation, key: Key, deterministic: bool = deterministic) -> Array:
-            return agent.policy(state, obs, key, deterministic=deterministic)
+            return action_of(agent.policy(state, obs, key, deterministic=deterministic))
 
         actions = [policy(obs, k) for obs, k in zip(observations, keys, strict=True)]
         for action in actions:
@@ -34,7 +35,7 @@ def check_policy(agent: Agent, env: Env, state: TrainState, key: Key, tolerance:
         batch = compiled(f"vmap({how})", jax.jit(jax.vmap(policy)), stacked, keys)
         what = f"vmap of {how}, and a loop over observations,"
         check_same(batch, jnp.stack(actions), tolerance, what, remedy, of="the action")
-    again = agent.policy(state, observations[0], keys[1], deterministic=True)
+    again = action_of(agent.policy(state, observations[0], keys[1], deterministic=True))
     assert np.array_equal(again, actions[0]), (
         "policy(..., deterministic=True) gives different actions for different keys: return the mode or the mean"
     )

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import seeing_toys
 from toys import PointMass, point_mass, subprocess_environment
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'rewax[gymnasium]'")
@@ -19,6 +20,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 import rewax  # noqa: E402
 from rewax.adapters import gymnasium_ids  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv  # noqa: E402
+from rewax.envs.sensing import Sensing  # noqa: E402
 
 
 class EndsBeyondTwo(PointMass):
@@ -32,6 +34,22 @@ class EndsBeyondTwo(PointMass):
 @pytest.mark.filterwarnings("ignore:.*Box.*infinity:UserWarning", "ignore:.*render.*:UserWarning")
 def test_gymnasiums_checker_passes():
     check_env(GymnasiumEnv(point_mass()), skip_render_check=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*Box.*infinity:UserWarning", "ignore:.*render.*:UserWarning")
+def test_gymnasiums_checker_passes_with_pictures_clouds_and_masks():
+    env = Sensing(env=seeing_toys.visible(3), sensors=seeing_toys.each_kind())
+    seen = GymnasiumEnv(env)
+    check_env(seen, skip_render_check=True)
+    spaces = seen.observation_space
+    for name, shape in (("depth", (24, 32, 1)), ("labels", (24, 32, 2))):
+        assert spaces[name].shape == shape and (spaces[name].low == 0).all() and (spaces[name].high == 1).all()
+    assert spaces["noisy"].low.min() == np.float32(-1.0 / 3.0) and spaces["cloud"].shape == (8, 3)
+    many = GymnasiumVectorEnv(env, 2)
+    obs, _ = many.reset(seed=0)
+    for _ in range(4):  # beyond the end of an episode
+        assert many.observation_space.contains(obs)
+        obs, *_ = many.step(np.ones((2, 1), np.float32))
 
 
 def test_an_episode_is_that_of_the_environment():

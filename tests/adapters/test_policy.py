@@ -1,5 +1,7 @@
 """Policies for other libraries: the actions of the run, one observation or many at a time."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -35,6 +37,24 @@ def test_drawn_actions_follow_the_seed(run):
     first, same, other = (np.array([act(obs), act(obs)]) for act in draws)
     np.testing.assert_array_equal(first, same)
     assert not np.allclose(first, other) and not np.allclose(first[0], first[1])
+
+
+def test_a_memory_goes_from_call_to_call_and_begins_anew_where_an_episode_ended(run):
+    agent = make_sapo(run.env, dataclasses.replace(run.agent.config, memory=3))
+    remembering = SavedRun(run.env, agent, agent.init(jax.random.key(0)), {})
+    act, steps = numpy_policy(remembering), np.linspace(-1.0, 1.0, 8, dtype=np.float32).reshape(4, 2, 1)
+    ended = [np.array(pair) for pair in ([False, False], [False, True], [False, False])]
+    found = [act({"x": steps[0]}), *(act({"x": x}, done) for x, done in zip(steps[1:], ended, strict=True))]
+    for i in range(2):
+        memory = None
+        for t, x in enumerate(steps[:, i]):
+            if t and ended[t - 1][i]:
+                memory = None
+            action, memory = remembering.act({"x": x}, memory=memory)
+            np.testing.assert_allclose(found[t][i], action, rtol=1e-5, atol=1e-6)
+    act.reset()
+    np.testing.assert_array_equal(act({"x": steps[0]}), found[0])
+    assert not np.allclose(act({"x": steps[0]}), found[0])
 
 
 def test_another_observation_is_refused(run):

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+import seeing_toys
 import toys
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'rewax[stable-baselines3]'")
@@ -12,6 +13,7 @@ from benchmarks import stable_baselines as comparison  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv  # noqa: E402
 from rewax.adapters.stable_baselines3 import StableBaselinesVecEnv  # noqa: E402
 from rewax.agents.registry import algorithm  # noqa: E402
+from rewax.envs.sensing import Sensing  # noqa: E402
 
 
 def test_its_ppo_runs_on_rolling_flat():
@@ -23,6 +25,16 @@ def test_its_ppo_runs_on_rolling_flat():
     assert any((a != b.detach().numpy()).any() for a, b in zip(before, learner.policy.parameters(), strict=True))
     action, _ = learner.predict(env.reset(seed=0)[0])
     assert np.isfinite(env.step(action)[1])
+
+
+def test_its_ppo_learns_from_pictures_clouds_and_masks():
+    env = Sensing(env=seeing_toys.visible(3), sensors=seeing_toys.each_kind())
+    envs = StableBaselinesVecEnv(env, num_envs=2, seed=0)
+    learner = stable_baselines3.PPO("MultiInputPolicy", envs, n_steps=4, batch_size=4, n_epochs=1, seed=0)
+    learner.learn(total_timesteps=16)
+    assert learner.num_timesteps == 16 and envs.observation_space.contains(
+        {name: value[0] for name, value in envs.reset().items()}
+    )
 
 
 @pytest.mark.parametrize("name", ["ppo", "sac"])

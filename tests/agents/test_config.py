@@ -137,3 +137,8 @@ def test_numpys_numbers_become_pythons():
 def test_types_and_ranges_are_checked(changes, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}$"):
         FirstOrderConfig(**changes)
+
+
+def test_help_of_a_configuration_names_legal_values_without_the_functions_that_check_them():
+    signature = str(inspect.signature(TrainConfig))
+    assert "Legal(give an integer of at least 1)" in signature and "<function" not in signature

@@ -29,9 +29,20 @@ def test_numbers_are_printed_and_kept_as_json(run, capsys):
     assert (kept["iteration"], kept["episodes"], kept["seed"]) == (1, 3, 0)
     for name in ("sampled", "deterministic"):
         numbers = kept[name]
-        assert f"{name:13s} mean {numbers['mean']:.4g} [" in text
+        assert f"{name:14s} mean {numbers['mean']:.4g} [" in text
         assert numbers["mean"] == pytest.approx(sum(numbers["returns"]) / 3) and len(numbers["returns"]) == 3
         assert numbers["interval"][0] <= numbers["mean"] <= numbers["interval"][1]
+
+
+def test_baselines_are_those_of_the_same_starts(run, tmp_path, capsys):
+    out = tmp_path / "with_baselines.json"
+    assert main(["eval", str(run), "--episodes=3", "--no-video", "--baselines", f"--json={out}"]) == 0
+    text, kept = capsys.readouterr().out, json.loads(out.read_text())
+    assert main(["eval", str(run), "--episodes=3", "--no-video", "--set=gain=0", f"--json={out}"]) == 0
+    powerless = json.loads(out.read_text())["grid"][0]["deterministic"]["returns"]
+    assert kept["no action"]["returns"] == pytest.approx(powerless, rel=1e-5)
+    assert kept["random actions"]["returns"] != pytest.approx(powerless, rel=1e-5)
+    assert f"{'random actions':14s} mean {kept['random actions']['mean']:.4g} [" in text
 
 
 def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
@@ -50,6 +61,7 @@ def test_a_grid_of_a_parameter_is_a_table(run, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("argv", "sentence"),
     [
+        (["--baselines", "--set=gain=1"], "--baselines evaluates without --set: leave one of them out"),
         (["--color-by=smell"], "particles cannot be coloured by 'smell': use one of material, height"),
         (["--set=gain"], "--set is 'gain': write parameter=value or parameter=value1,value2,..."),
         (["--set=gain=fast"], "--set gives gain the value 'fast': give a finite number"),

@@ -2,6 +2,7 @@
 
 import json
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -29,6 +30,14 @@ def test_from_a_push_to_a_material(tmp_path, capsys):
     assert 5.0 <= float(env.scene.material.plasticity.yield_stress) <= 80.0
     assert len(json.loads((tmp_path / "push.json").read_text())["residual_by_frame"]) == 3
     assert np.ptp(imread(tmp_path / "push.png")) > 0.5
+    reader = imageio_ffmpeg.read_frames(str(tmp_path / "push.mp4"))
+    assert next(reader)["size"] == (960, 420)
+    frames = [np.frombuffer(frame, np.uint8).reshape(420, 960, 3) for frame in reader]
+    assert len(frames) == 3
+    blue = [(frame.astype(int)[..., 2] - frame[..., 0] > 60).reshape(420, 2, 480).sum((0, 2)) for frame in frames]
+    assert np.min(blue) > 50  # the cloud is on both sides; the simulation on one
+    tan = [(frame.astype(int)[..., 0] - frame[..., 2] > 40).reshape(420, 2, 480).sum((0, 2)) for frame in frames]
+    assert np.all(np.array(tan)[:, 1] > 20 * np.array(tan)[:, 0])
 
 
 @pytest.mark.parametrize(

@@ -78,15 +78,18 @@ def test_failed_simulations_are_rejected_and_counted():
         identify(sliding_block.block(limit=0.01), record, BOTH)
 
 
-def test_several_environments_share_the_starts():
+def test_a_finer_environment_goes_on_where_the_coarser_one_ended():
     """One of them is told that particles grip 20 % better, as another resolution would: the interval covers both."""
     record = sliding_block.seen(sliding_block.block(gain=1.5))
     unknowns = {"gain": LogUniform(0.2, 5.0)}
     alone = identify(sliding_block.block(), record, unknowns, shake=0.0)
     both = identify([sliding_block.block(), sliding_block.block(grip=1.2)], record, unknowns, shake=0.0)
-    np.testing.assert_allclose(both.starts[0::2] - both.starts[1::2], np.log(1.2) / (np.log(25) / 12**0.5), atol=0.02)
+    np.testing.assert_allclose(both.starts[:3] - both.starts[3:], np.log(1.2) / (np.log(25) / 12**0.5), atol=0.02)
     assert both.intervals["gain"][0] < 1.5 / 1.2 < 1.5 < both.intervals["gain"][1]
     assert both.covariance[0, 0] > 4.0 * alone.covariance[0, 0]
+    assert both.values["gain"] == pytest.approx(1.5 / 1.2, rel=0.02)  # that of the last
+    three = identify(3 * [sliding_block.block()], record, unknowns, starts=4, shake=0.0)
+    assert len(three.starts) == 4 and three.values["gain"] == pytest.approx(1.5, rel=0.02)
 
 
 def test_a_frame_of_weight_zero_counts_for_nothing():
@@ -138,6 +141,7 @@ def test_adam_finds_the_same_with_a_loss_of_the_user(fitted):
         ({"horizons": (0.5,)}, "rising shares above 0 that end with 1"),
         ({"shake": 1.0}, "shake is 1.0"),
         ({"frame_weights": np.ones(3)}, "give 5 numbers"),
+        ({"limit": 0.0}, "limit is 0.0 with spacings of the grid of nan m: give at least two environments"),
         ({"unknowns": {"weight": LogUniform(1.0, 2.0)}}, "has no parameter 'weight'"),
         ({"unknowns": {"initial.spin": Uniform(1.0, 2.0)}}, "is no unknown of the first state"),
     ],

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import record_cases
 
-from rewax.identify.record_checks import check_against, check_record, tool_distance
+import rewax
+from rewax.identify.record_checks import check_against, check_record, tool_distance, tool_remarks
 from rewax.identify.records import load, save
 
 
@@ -99,3 +100,12 @@ def test_files_that_are_no_records_are_refused(tmp_path):
         load(tmp_path / "objects.npz")
     with pytest.raises(ValueError, match="version of the record is 3"):
         save(dataclasses.replace(record_cases.pushed(), version=3), tmp_path / "a.npz")
+
+
+def test_a_tool_that_the_body_sinks_into_is_told():
+    env = rewax.make("RollingFlat", scale="small")
+    (said,) = tool_remarks(env)
+    assert "reaches 3.5 mm and a cell of the grid is 42 mm" in said
+    pins = tuple(pin.replace(softness=np.log(10.0) / env.scene.grid.spacing) for pin in env.scene.colliders)
+    assert tool_remarks(env.replace(scene=env.scene.replace(colliders=pins))) == []
+    assert tool_remarks(record_cases.pusher()) == [] == tool_remarks(object())

@@ -73,3 +73,24 @@ def test_the_finest_environment_gives_the_result_and_the_others_doubt():
     mean, covariance = combined(latents, groups)
     assert mean[0] == 3.0 and covariance[0, 0] > 1.5**2
     np.testing.assert_allclose(combined(np.array([[1.0], [3.0]]), np.array([0, 1]))[1], [[4.0]])
+
+
+def test_errors_in_proportion_to_the_spacing_are_extrapolated_away():
+    spacings, groups = np.array([0.04, 0.03]), np.array([0, 0, 1, 1])
+    latents = np.array([2.0, -1.0]) + 50.0 * np.outer(spacings[groups], [1.0, 0.0])
+    for limit, truth in ((0.0, [2.0, -1.0]), (0.02, [3.0, -1.0])):
+        mean, covariance = combined(latents, groups, spacings, limit)
+        np.testing.assert_allclose(mean, truth, atol=1e-12)
+        np.testing.assert_allclose(covariance, np.diag([0.25 * (50.0 * (0.03 - limit)) ** 2, 0.0]), atol=1e-12)
+    alone, _ = combined(latents[2:], groups[2:], spacings, 0.0)  # the coarser one has failed: nothing to extrapolate
+    np.testing.assert_allclose(alone, latents[3])
+
+
+def test_the_interval_of_an_extrapolation_holds_for_one_more_draw():
+    generator, held = np.random.Generator(np.random.PCG64(2)), []
+    groups, spacings = np.repeat([0, 1], 4), np.array([0.04, 0.03])
+    for _ in range(4000):
+        draws = generator.normal(size=(9, 1))
+        mean, covariance = combined(draws[1:], groups, spacings, 0.02)
+        held.append(abs(draws[0, 0] - mean[0]) < 1.96 * np.sqrt(covariance[0, 0]))
+    assert 0.94 < np.mean(held) < 0.98  # half of the step counts as well

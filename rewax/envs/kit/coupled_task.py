@@ -15,8 +15,10 @@ from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.rigid_task import ActuatedTask
 from rewax.envs.kit.soft_body import Scene, Soft, SoftBodyTask, check_list_every, soft_at_rest, soft_status
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
+from rewax.envs.kit.touching import untouched
 from rewax.envs.kit.worlds import soft_world
 from rewax.physics import rigid
+from rewax.physics.contact import WALLS, Patches
 from rewax.physics.coupling import Wrench, articulated, no_wrench
 from rewax.physics.rigid import RigidModel, RigidState
 from rewax.sensors.robots import with_robot
@@ -34,6 +36,7 @@ class CoupledPhysics(struct.Replaceable):
       touch: mean force and torque of the soft body on each body of the robot in the last control step.
       action: the last action, within [-1, 1]; zero after a reset, shape (num_actions,).
       task: further state of the task, a goal for example, or None.
+      felt: mean force and torque of the last control step on the task's ``touch``, by name; None without it.
     """
 
     rigid: RigidState
@@ -41,6 +44,7 @@ class CoupledPhysics(struct.Replaceable):
     touch: Wrench
     action: Vector
     task: PyTree = None
+    felt: dict[str, Wrench] | None = None
 
 
 @struct.dataclass
@@ -59,6 +63,7 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
       max_steps: control steps per episode (static).
       list_every: for particles, the substeps of the robot for which one list of active nodes serves, a divisor of
         num_substeps; None: a whole control step (static).
+      touch: patches of bodies that feel contact, by the name of a sensor; None: nothing is felt. ``Sensing`` sets it.
     """
 
     model: RigidModel
@@ -69,6 +74,7 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
     num_substeps: int = struct.static_field()
     max_steps: int = struct.static_field()
     list_every: int | None = struct.static_field(default=None)
+    touch: dict[str, Patches] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,21 +101,34 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
         parts = ("the robot", "the soft body", "the state of the task")
         bodies, soft, task = checked_start(self, self.start(positions, start_key), parts)
         action, touch = jnp.zeros(self.num_actions, soft.x.dtype), no_wrench(self.model.num_bodies, soft.x)
-        return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task), key
+        felt = untouched(self.touch, soft.x)
+        return CoupledPhysics(rigid=bodies, soft=soft, touch=touch, action=action, task=task, felt=felt), key
 
     def advance(self, physics: CoupledPhysics, action: Array) -> tuple[CoupledPhysics, Array]:
         control, every = self.control(action), self.list_every or self.num_substeps
 
-        def move(carry: tuple[Soft, RigidState], _: None) -> tuple[tuple[Soft, RigidState], tuple[Wrench, Array]]:
+        def move(carry: tuple[Soft, RigidState], _: None) -> tuple[tuple[Soft, RigidState], tuple[Any, Array]]:
             before, bodies = carry
-            soft, bodies, touch = articulated.step(self.scene, self.model, before, bodies, control, num_substeps=every)  # pyright: ignore[reportArgumentType]
-            return (soft, bodies), (touch, soft_status(self.scene, soft, start=before))
+            bodily = (self.scene, self.model, before, bodies, control)
+            if self.touch is None:
+                soft, bodies, touch = articulated.step(*bodily, num_substeps=every)  # pyright: ignore[reportArgumentType]
+                felt = None
+            else:
+                soft, bodies, touch, felt = articulated.step_with_touch(*bodily, patches=self.touch, num_substeps=every)  # pyright: ignore[reportArgumentType]
+            return (soft, bodies), ((touch, felt), soft_status(self.scene, soft, start=before))
 
         start = (physics.soft, physics.rigid)
-        (soft, bodies), (touch, status) = jax.lax.scan(move, start, None, length=self.num_substeps // every)
+        (soft, bodies), (mean, status) = jax.lax.scan(move, start, None, length=self.num_substeps // every)
         status = jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,)) | rigid.check_status(bodies, self.model)
-        touch = jax.tree.map(lambda a: a.mean(0), touch)
-        return physics.replace(rigid=bodies, soft=soft, touch=touch, action=action), status
+        touch, felt = jax.tree.map(lambda a: a.mean(0), mean)
+        return physics.replace(rigid=bodies, soft=soft, touch=touch, action=action, felt=felt), status
+
+    @property
+    def feeling_bodies(self) -> dict[str, int]:
+        found = rigid.touching_bodies(self.model)
+        own = {collider.body for collider in self.scene.colliders}
+        names = {rigid.body_name(self.model, body): body for body in sorted({*found.values(), *own})}
+        return {**names, "walls": WALLS}
 
     def render_shapes(self, physics: CoupledPhysics) -> list[dict[str, Any]]:
         """Drawings of the robot, see ``rewax.viz.shapes``."""

@@ -13,7 +13,9 @@ import numpy as np
 from rewax import struct
 from rewax.envs.kit.checks import checked_start
 from rewax.envs.kit.task import Task, against
+from rewax.envs.kit.touching import untouched
 from rewax.physics import rigid
+from rewax.physics.contact import Patches, Wrench
 from rewax.physics.rigid import RigidModel, RigidState
 from rewax.sensors.robots import with_robot
 from rewax.sensors.world import World
@@ -31,11 +33,13 @@ class RigidPhysics(struct.Replaceable):
       rigid: positions and velocities of the bodies.
       action: the last action, within [-1, 1]; zero after a reset, shape (num_actions,).
       task: further state of the task, a goal for example, or None.
+      felt: mean force and torque of the last control step on the task's ``touch``, by name; None without it.
     """
 
     rigid: RigidState
     action: Vector
     task: PyTree = None
+    felt: dict[str, Wrench] | None = None
 
 
 class ActuatedTask(Task):
@@ -52,6 +56,10 @@ class ActuatedTask(Task):
         return self.model.num_actuators
 
     @property
+    def feeling_bodies(self) -> dict[str, int]:
+        return rigid.touching_bodies(self.model)
+
+    @property
     def control_dt(self) -> float:
         """Duration of a control step [s]."""
         return self.num_substeps * self.model.dt
@@ -66,11 +74,13 @@ class RigidTask(ActuatedTask):
         over them.
       num_substeps: substeps per control step (static).
       max_steps: control steps per episode (static).
+      touch: patches of bodies that feel contact, by the name of a sensor; None: nothing is felt. ``Sensing`` sets it.
     """
 
     model: RigidModel
     num_substeps: int = struct.static_field()
     max_steps: int = struct.static_field()
+    touch: dict[str, Patches] | None = None
 
     # --- Methods that a task defines ---
 
@@ -84,11 +94,16 @@ class RigidTask(ActuatedTask):
         key, start_key = jax.random.split(key)
         bodies, task = checked_start(self, self.start(start_key), ("the bodies", "the state of the task"))
         action = jnp.zeros(self.action_spec.shape, bodies.qpos.dtype)
-        return RigidPhysics(rigid=bodies, action=action, task=task), key
+        felt = untouched(self.touch, bodies.qpos)
+        return RigidPhysics(rigid=bodies, action=action, task=task, felt=felt), key
 
     def advance(self, physics: RigidPhysics, action: Array) -> tuple[RigidPhysics, Array]:
-        bodies = rigid.step(self.model, physics.rigid, self.control(action), num_substeps=self.num_substeps)
-        return physics.replace(rigid=bodies, action=action), rigid.check_status(bodies, self.model)
+        options, felt = {"ctrl": self.control(action), "num_substeps": self.num_substeps}, None
+        if self.touch is None:
+            bodies = rigid.step(self.model, physics.rigid, **options)
+        else:
+            bodies, felt = rigid.step_with_touch(self.model, physics.rigid, patches=self.touch, **options)
+        return physics.replace(rigid=bodies, action=action, felt=felt), rigid.check_status(bodies, self.model)
 
     def world(self, physics: RigidPhysics, up: np.ndarray) -> World:
         """What sensors can see: the geoms by the names of their bodies."""

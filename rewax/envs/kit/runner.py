@@ -35,6 +35,8 @@ class Runner(RigidTask):
     fallen_height: Vector
     target: Vector
 
+    camera_body = 1
+
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         """The model's pose with uniform noise: position 0.1 m, rotation 7.5 degrees, joints 0.2 rad, velocity 0.25."""
         keys = jax.random.split(key, 4)

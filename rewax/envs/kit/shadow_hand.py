@@ -32,6 +32,10 @@ class HandTask(SoftTask):
         return rigid.poses(self.hand, joint_q)
 
     @property
+    def tools(self) -> dict[str, int]:
+        return {rigid.body_name(self.hand, body): body for body in sorted({c.body for c in self.scene.colliders})}
+
+    @property
     def camera(self) -> dict[str, Any]:
         return {"azimuth": 60.0, "elevation": 40.0}
 

@@ -16,9 +16,10 @@ from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_body import Scene, Soft, SoftBodyTask, check_list_every, soft_at_rest, soft_status
 from rewax.envs.kit.start_noise import ResetNoise, no_noise
+from rewax.envs.kit.touching import felt_step, named_tools, untouched
 from rewax.envs.kit.worlds import soft_world, with_tools
 from rewax.physics import mpm, tets
-from rewax.physics.contact import drawings
+from rewax.physics.contact import WALLS, Patches, Wrench, drawings
 from rewax.physics.mpm import MPMState
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import TetScene, TetState
@@ -36,6 +37,7 @@ class SoftPhysics(struct.Replaceable):
       joint_qd: motion of the joints in the last control step, in units of ``joint_step``, shape (num_joints,).
       action: the last action, within [-1, 1]; zero after a reset, shape (num_actions,).
       task: further state of the task, a goal for example, or None.
+      felt: mean force and torque of the last control step on the task's ``touch``, by name; None without it.
     """
 
     soft: Soft
@@ -43,6 +45,7 @@ class SoftPhysics(struct.Replaceable):
     joint_qd: Vector
     action: Vector
     task: PyTree = None
+    felt: dict[str, Wrench] | None = None
 
 
 @struct.dataclass
@@ -65,6 +68,7 @@ class SoftTask(SoftBodyTask):
       list_every: for particles, the substeps for which one list of active nodes serves, a divisor of num_substeps;
         None: a whole control step (static).
       store_every: substeps between stored states in the backward pass, see ``mpm.step`` (static).
+      touch: patches of tools that feel contact, by the name of a sensor; None: nothing is felt. ``Sensing`` sets it.
     """
 
     scene: Scene
@@ -80,6 +84,7 @@ class SoftTask(SoftBodyTask):
     exact_limits: bool = struct.static_field(default=False)
     list_every: int | None = struct.static_field(default=None)
     store_every: int = struct.static_field(default=1)
+    touch: dict[str, Patches] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -145,6 +150,7 @@ class SoftTask(SoftBodyTask):
             joint_qd=jnp.zeros_like(self.joint_start),
             action=jnp.zeros(self.num_actions, soft.x.dtype),
             task=task,
+            felt=untouched(self.touch, soft.x),
         )
         return physics, key
 
@@ -160,8 +166,9 @@ class SoftTask(SoftBodyTask):
         motion = jnp.clip(motion, self.joint_lower - before, self.joint_upper - before)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
         poses = checked_poses(self, self.poses(q + fraction[:, None] * motion), len(fraction))
-        soft, status = self._move(self.actuated(action), physics.soft, poses)
-        moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=motion / self.joint_step, action=action)
+        soft, felt, status = self._move(self.actuated(action), physics.soft, poses)
+        rate = motion / self.joint_step
+        moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=rate, action=action, felt=felt)
         return moved, status
 
     def at_rest(self, positions: Array) -> Soft:
@@ -183,25 +190,36 @@ class SoftTask(SoftBodyTask):
         bodies = jax.tree.map(lambda a: a[0], self.poses(physics.joint_q[None]))
         return with_tools(soft_world(self.scene, physics.soft, up), self.scene.colliders, bodies)
 
-    def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Array]:
-        """Soft bodies after the substeps between poses, and their status bits.
+    @property
+    def feeling_bodies(self) -> dict[str, int]:
+        return {**self.tools, "walls": WALLS}
+
+    @property
+    def tools(self) -> dict[str, int]:
+        """The bodies of the colliders by name: ``tool``, or ``tool_0``, ``tool_1``, ... of several."""
+        return named_tools(self.scene.colliders)
+
+    def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Any, Array]:
+        """Soft bodies after the substeps between poses, what the tools felt, and status bits.
 
         Each ``list_every`` substeps have their own list of active nodes, because fast particles leave the nodes of an
         older list. The status checks every list.
         """
         if isinstance(scene, TetScene):
             assert isinstance(soft, TetState)
-            vertices = tets.step(scene, soft, poses, store_every=self.store_every)
-            return vertices, soft_status(scene, vertices, start=soft, poses=poses)
+            vertices, felt = felt_step(tets, scene, soft, poses, self.touch, self.store_every)
+            return vertices, felt, soft_status(scene, vertices, start=soft, poses=poses)
 
-        def move(particles: MPMState, poses: Pose) -> tuple[MPMState, Array]:
-            end = mpm.step(scene, particles, poses, store_every=self.store_every)
-            return end, soft_status(scene, end, start=particles, poses=poses)
+        def move(particles: MPMState, poses: Pose) -> tuple[MPMState, tuple[Any, Array]]:
+            end, felt = felt_step(mpm, scene, particles, poses, self.touch, self.store_every)
+            return end, (felt, soft_status(scene, end, start=particles, poses=poses))
 
         assert isinstance(soft, MPMState)
         every = self.list_every or self.num_substeps
         if every == self.num_substeps:
-            return move(soft, poses)
+            particles, (felt, status) = move(soft, poses)
+            return particles, felt, status
         boundaries = np.arange(0, self.num_substeps, every)[:, None] + np.arange(every + 1)
-        particles, status = jax.lax.scan(move, soft, jax.tree.map(lambda a: a[boundaries], poses))
-        return particles, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))
+        particles, (felt, status) = jax.lax.scan(move, soft, jax.tree.map(lambda a: a[boundaries], poses))
+        felt = jax.tree.map(lambda a: a.mean(0), felt)
+        return particles, felt, jax.lax.reduce(status, np.int32(0), jax.lax.bitwise_or, (0,))

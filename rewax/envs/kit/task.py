@@ -1,6 +1,6 @@
 """Base of all tasks: reset and control step, composed of methods that a kind of physics and a task define."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,8 @@ from rewax.envs.base import ArraySpec, State, first_state, next_state
 from rewax.envs.kit.checks import check_action, check_key, checked_observation, checked_reward
 from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.task_repr import task_repr
+from rewax.physics.contact import Patches
+from rewax.sensors.camera import Camera
 from rewax.types import Array, Key, Observation, PyTree
 
 _COUNTS = {
@@ -22,11 +24,13 @@ _COUNTS = {
 class Task(struct.Replaceable):
     """Base of ``RigidTask``, ``SoftTask`` and ``CoupledTask``, which add fields, ``begin``, ``advance`` and pictures.
 
-    Their physics has the fields ``action`` and ``task``.
+    Their physics has the fields ``action``, ``task`` and ``felt``. With the field ``touch``, patches of bodies by the
+    name of a sensor, ``felt`` holds the mean force and torque on them in the last control step; without it, None.
     """
 
     num_substeps: int
     max_steps: int
+    touch: dict[str, Patches] | None
 
     def __post_init__(self) -> None:
         for name in ("num_substeps", "max_steps"):
@@ -57,7 +61,22 @@ class Task(struct.Replaceable):
         """Camera of pictures; ``rewax.viz.camera.frame_recording`` lists the keys, all optional."""
         return {}
 
+    camera_body: ClassVar[int | None] = None
+
+    @property
+    def default_camera(self) -> Camera | None:
+        """The camera of ``make(..., sensors=("camera",))``; None: one that shows all of the first state.
+
+        The body ``camera_body`` then carries it, unless that is None.
+        """
+        return None
+
     # --- Methods that a kind of physics defines ---
+
+    @property
+    def feeling_bodies(self) -> dict[str, int]:
+        """Bodies that can feel contact, by name; ``contact.WALLS`` for walls and ground."""
+        raise NotImplementedError(f"{type(self).__name__} has no feeling_bodies: define it")
 
     @property
     def num_actions(self) -> int:

@@ -15,8 +15,9 @@ from rewax.envs.randomize.distributions import (
     Uniform,
 )
 from rewax.envs.randomize.hooks import Draw, LeafDraws, hook, leaves, with_numbers
+from rewax.envs.randomize.stored import identified
 
 __all__ = [
     "Choice", "Constant", "Distribution", "Draw", "LeafDraws", "LogNormal", "LogUniform", "Normal", "Per", "Scale",
-    "Shift", "Turn", "Uniform", "camera", "hook", "leaves", "with_numbers",
+    "Shift", "Turn", "Uniform", "camera", "hook", "identified", "leaves", "with_numbers",
 ]  # fmt: skip

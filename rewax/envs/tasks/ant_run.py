@@ -35,6 +35,8 @@ class AntRun(Runner):
     def advance(self, physics: RigidPhysics, action: Array) -> tuple[RigidPhysics, Array]:
         if not self.stale_mass_matrix:
             return super().advance(physics, action)
+        if self.touch is not None:
+            raise ValueError("stale_mass_matrix is True, and its steps feel no contacts: give False, or no Touch")
         torques = self.control(action)
         bodies = rigid.step_with_stale_mass(self.model, physics.rigid, torques, num_substeps=self.num_substeps)
         return physics.replace(rigid=bodies, action=action), rigid.check_status(bodies, self.model)

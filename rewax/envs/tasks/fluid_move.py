@@ -25,6 +25,8 @@ from rewax.physics.mpm import Grid, MPMScene, WallKind
 from rewax.physics.numerics import Pose
 from rewax.physics.numerics.checks import Legal
 from rewax.physics.shapes import Box
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Key, Observation, PyTree, Scalar, Vector
 
 REFERENCE = {
@@ -121,6 +123,10 @@ class FluidMove(SoftTask):
     @property
     def camera(self) -> dict[str, Any]:
         return {"elevation": 28.0}
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.5, 0.25, 0.5), 0.55, up=self.up)
 
 
 def container(

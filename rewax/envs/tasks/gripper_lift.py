@@ -17,6 +17,8 @@ from rewax.envs.kit.soft_parts import lattice_box
 from rewax.envs.kit.start_noise import reset_noise
 from rewax.physics import mpm, rigid
 from rewax.physics.mpm import Grid, Material, NeoHookean, Wall, WallKind, Walls
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Observation, Scalar
 
 SIZE = (0.08, 0.08, 0.08)
@@ -61,6 +63,10 @@ class GripperLift(CoupledTask):
         reward = lifted - self.reach * gap - self.effort * jnp.sum(physics.action**2)
         success = (jnp.abs(self.target - height) < 0.02).astype(height.dtype)
         return reward, {"height": height, "gap": gap, "success": success}
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.19014966, 0.11, 0.20163015), 0.22, up=self.up)
 
 
 def _gripper_lift(

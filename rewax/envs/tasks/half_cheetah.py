@@ -24,6 +24,8 @@ class HalfCheetah(RigidTask):
     Height is relative to that of the torso in the model, 1 m. Episodes end at their time limit only.
     """
 
+    camera_body = 1
+
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         position_key, velocity_key = jax.random.split(key)
         qpos = _START + uniform(position_key, 9, 0.1)

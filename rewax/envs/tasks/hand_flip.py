@@ -18,6 +18,8 @@ from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
 from rewax.physics import mpm
 from rewax.physics.mpm import Grid
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Key, PyTree
 
 REFERENCE = {
@@ -89,6 +91,10 @@ class HandFlip(HandTask):
         """D0 [m], shape (). Gradient: none."""
         now = jax.lax.stop_gradient(self.pair_distance(physics))
         return jnp.where(physics.task > 0.0, physics.task, now)
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.47, 0.3, 0.6), 0.4, up=self.up)
 
 
 def mirrored_disc(center: tuple[float, ...], radius: float, half_thickness: float, num_particles: int) -> Array:

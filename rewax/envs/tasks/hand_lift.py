@@ -16,6 +16,8 @@ from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import no_noise, reset_noise
 from rewax.physics import mpm
 from rewax.physics.mpm import Grid, WallKind
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Vector
 
 REFERENCE = {
@@ -60,6 +62,10 @@ class HandLift(HandTask):
         """(h - datum) / unit, with h the mean height of all particles [m]."""
         height = physics.soft.x[:, 1].mean()
         return (height - self.datum) / self.unit, {"height": height}
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.48522618, 0.26500002, 0.50244516), 0.22500005, up=self.up)
 
 
 def _hand_lift(*, grid: Grid, steps: Substeps, softness: float, walls: dict, scene: dict, **changes) -> HandLift:

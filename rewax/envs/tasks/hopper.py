@@ -27,6 +27,8 @@ class Hopper(RigidTask):
 
     fallen_height: Vector
 
+    camera_body = 1
+
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         position_key, velocity_key = jax.random.split(key)
         return rigid.initial_state(self.model, uniform(position_key, 6, 0.05), uniform(velocity_key, 6, 0.05)), None

@@ -52,6 +52,8 @@ class Quadruped(RigidTask):
     fallen_height: Vector
     fallen_upright: Vector
 
+    camera_body = 1
+
     def start(self, key: Key) -> tuple[RigidState, PyTree]:
         turn_key, joint_key, velocity_key = jax.random.split(key, 3)
         position = self.model.home[:3] + np.array([0.0, 0.0, 0.01])

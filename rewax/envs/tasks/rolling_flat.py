@@ -19,6 +19,8 @@ from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Capsule
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Observation, Vector
 
 _Y_TO_Z = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
@@ -59,6 +61,10 @@ class RollingFlat(SoftTask):
         variance = y.var(ddof=1)
         reward = (1.0 / (1.0 + d)) ** 2 * jnp.where(d <= 0.33, 2.0, 1.0) - variance
         return reward, {"flatness": d, "height_variance": variance}
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.4076329, 0.13050984, 0.49906272), 0.44976023, up=self.up)
 
 
 def _pin(radius: float, half_length: float, *, offset: tuple[float, float, float], friction: float) -> Collider:

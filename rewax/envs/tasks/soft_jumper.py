@@ -17,6 +17,8 @@ from rewax.envs.kit.start_noise import reset_noise
 from rewax.physics import tets
 from rewax.physics.contact import Ground, PenaltyContact
 from rewax.physics.tets import TetScene
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Observation, Scalar
 
 REFERENCE = {
@@ -91,6 +93,10 @@ class SoftJumper(SoftTask):
         effort = self.effort * jnp.sum(physics.action**2)
         reward = REFERENCE["forward"] * speed + REFERENCE["upward"] * (height - self.start_height) - effort
         return reward, {"speed": speed, "height": height, "effort": effort}
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.5, 1.0, 0.15), 5.5, up=self.up)
 
 
 def _soft_jumper(

@@ -19,11 +19,14 @@ from rewax import struct
 from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.start_noise import reset_noise
+from rewax.envs.kit.touching import moved_origin
 from rewax.envs.tasks.soft_jumper import REFERENCE, SoftJumper
 from rewax.physics import mpm, tets
 from rewax.physics.mpm import Grid, Material, MPMScene, MPMState, Muscle, NeoHookean, Newtonian, Wall, WallKind, Walls
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import tetmesh
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Key, PyTree
 
 BOX = (5.6, 6.4, 5.6)
@@ -76,12 +79,16 @@ class SoftJumperMPM(SoftJumper):
         extent, rest = (jnp.ptp(x[:, 0]) for x in (positions, self.rest_positions))
         return soft.replace(F=soft.F * (extent / rest)), None
 
-    def _move(self, scene: MPMScene, soft: MPMState, poses: Pose) -> tuple[MPMState, Array]:
+    def _move(self, scene: MPMScene, soft: MPMState, poses: Pose) -> tuple[MPMState, Any, Array]:
         """The same substeps in a box that is shifted by whole cells to the table, which changes nothing else."""
         away = jax.lax.stop_gradient(soft.x.mean(0)) * jnp.array([1.0, 0.0, 1.0])
         shift = jnp.round(away / scene.grid.spacing) * scene.grid.spacing
-        end, status = super()._move(scene, soft.replace(x=soft.x - shift), poses)
-        return end.replace(x=end.x + shift), status
+        end, felt, status = super()._move(scene, soft.replace(x=soft.x - shift), poses)
+        return end.replace(x=end.x + shift), moved_origin(felt, shift), status
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.5, 1.0, 0.15), 5.5, up=self.up)
 
 
 @functools.cache

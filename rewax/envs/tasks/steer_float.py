@@ -23,6 +23,8 @@ from rewax.physics.contact import Collider
 from rewax.physics.mpm import Grid, Material, NeoHookean, WallKind
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box
+from rewax.sensors.camera import Camera
+from rewax.sensors.framing import overlooking
 from rewax.types import Array, Key, Observation, PyTree, Scalar, Vector
 
 BASIN = ((0.05, 0.45), (0.075, 0.3), (0.05, 0.35))
@@ -90,6 +92,10 @@ class SteerFloat(SoftTask):
     @property
     def camera(self) -> dict[str, Any]:
         return {"azimuth": 15.0, "elevation": 38.0}
+
+    @property
+    def default_camera(self) -> Camera:
+        return overlooking((0.25538552, 0.105260946, 0.2), 0.53, up=self.up)
 
 
 def _steer_float(

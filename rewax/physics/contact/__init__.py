@@ -11,9 +11,11 @@ from rewax.physics.contact.colliders import (
     with_softness,
 )
 from rewax.physics.contact.motion import Placed
+from rewax.physics.contact.patches import WALLS, Patches, Wrench
 from rewax.physics.contact.penalty import Ground, PenaltyContact, collider_force, ground_force, penalty_force
 
 __all__ = [
-    "Collider", "Ground", "Overlap", "PenaltyContact", "Placed", "apply_colliders", "check_bodies", "collider_force",
-    "drawings", "ground_force", "penalty_force", "place", "shape_pose", "with_softness",
+    "WALLS", "Collider", "Ground", "Overlap", "Patches", "PenaltyContact", "Placed", "Wrench", "apply_colliders",
+    "check_bodies", "collider_force", "drawings", "ground_force", "penalty_force", "place", "shape_pose",
+    "with_softness",
 ]  # fmt: skip

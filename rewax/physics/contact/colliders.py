@@ -111,7 +111,7 @@ def apply_colliders(
     """
     colliders = [(collider.replace(body=0), placed) for collider, placed in colliders]
     if overlap is Overlap.SEQUENTIAL or len(colliders) < 2:
-        if len(colliders) < _LONG_RUN:
+        if len(colliders) < LONG_RUN:
             return _in_turn(colliders, position, velocity)
         # XLA on a CPU compiles a kernel for each step of each collider; on a GPU one kernel holds many colliders.
         return jax.lax.platform_dependent(colliders, position, velocity, cpu=_in_loops, default=_in_turn)
@@ -209,24 +209,24 @@ def touch(collider: Collider, position: Vec3, placed: Placed) -> Touch:
 _touch_of_kind = jax.jit(touch)
 """``jit`` traces it once per kind of shape. (``apply_colliders`` sets the static body index to 0.)"""
 
-_LONG_RUN = 4
+LONG_RUN = 4
 """Shortest run of one kind that is evaluated in a loop."""
 
 
 @pointwise
 @jax.jit
-def _velocity_after(moving: tuple[Collider, Placed], nodes: tuple[Vec3, Vec3]) -> Vec3:
+def velocity_after(moving: tuple[Collider, Placed], nodes: tuple[Vec3, Vec3]) -> Vec3:
     collider, placed = moving
     position, velocity = nodes
     return contact_velocity(touch(collider, position, placed), velocity)
 
 
-_recomputed_velocity_after = recomputed(_velocity_after)
+recomputed_velocity_after = recomputed(velocity_after)
 
 
 def _in_turn(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velocity: Vec3) -> Vec3:
     for moving in colliders:
-        velocity = _velocity_after(moving, (position, velocity))
+        velocity = velocity_after(moving, (position, velocity))
     return velocity
 
 
@@ -234,11 +234,11 @@ def _in_loops(colliders: Sequence[tuple[Collider, Placed]], position: Vec3, velo
     """``_in_turn`` with loops over long runs: less code to compile, less memory for the backward pass."""
     for where in runs([collider for collider, _ in colliders]):
         run = colliders[where]
-        if len(run) < _LONG_RUN:
+        if len(run) < LONG_RUN:
             velocity = _in_turn(run, position, velocity)
             continue
         velocity, _ = jax.lax.scan(
-            lambda v, c: (_recomputed_velocity_after(c, (position, v)), None), velocity, stacked(run)
+            lambda v, c: (recomputed_velocity_after(c, (position, v)), None), velocity, stacked(run)
         )
     return velocity
 

@@ -20,6 +20,7 @@ import numpy as np
 from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion
+from rewax.physics.contact.patches import accumulated, check_patches, felt, no_touch
 from rewax.physics.coupling.exchange import SoftContact, Wrench, no_wrench
 from rewax.physics.coupling.soft import Scene, Soft, solver_of
 from rewax.physics.numerics.pose import Pose
@@ -29,6 +30,7 @@ from rewax.physics.rigid.forces import kinematics, tree_parameters
 from rewax.physics.rigid.kinematics import Kinematics, body_velocities, generalized_forces, integrate
 from rewax.physics.rigid.solver import implicit_correction, solve_spd
 from rewax.physics.rigid.stepping import checked_inputs, rates
+from rewax.physics.rigid.touch import felt_contacts
 from rewax.physics.rigid.tree_dynamics import mass_matrix
 from rewax.types import Array
 
@@ -39,6 +41,8 @@ class _Carry(NamedTuple):
     qvel: Array
     received: Wrench
     """Accumulated impulse and angular impulse on each body."""
+    felt: Any = None
+    """The same on each patch; None: nobody asked."""
 
 
 def step(
@@ -75,6 +79,46 @@ def step(
     Raises:
       ValueError: ``scene.dt`` does not divide ``model.dt``, or a shape does not fit.
     """
+    return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, None)[:3]
+
+
+def step_with_touch(
+    scene: Scene,
+    model: RigidModel,
+    state: Soft,
+    bodies: RigidState,
+    ctrl: Array | None = None,
+    *,
+    patches: Any,
+    num_substeps: int = 1,
+    wrenches: Array | None = None,
+) -> tuple[Soft, RigidState, Wrench, Any]:
+    """``step``, and the mean force and torque on patches of bodies: of the soft body, and of contacts of the robot.
+
+    Args:
+      scene, model, state, bodies, ctrl, num_substeps, wrenches: as for ``step``.
+      patches: ``contact.Patches``, or a dict of them; ``contact.WALLS`` are walls and ground of the scene.
+
+    Returns:
+      The results of ``step``. Force [N] and torque [N m] on each patch, see ``mpm.step_with_touch`` and
+      ``rigid.step_with_touch``.
+
+    Gradient: exact, as for ``step``. None by which patch a contact point is nearest to.
+    """
+    check_patches(patches, model.num_bodies)
+    return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, patches)
+
+
+def _advanced(
+    scene: Scene,
+    model: RigidModel,
+    state: Soft,
+    bodies: RigidState,
+    ctrl: Array | None,
+    num_substeps: int,
+    wrenches: Array | None,
+    patches: Any,
+) -> tuple[Soft, RigidState, Wrench, Any]:
     dtype = state.x.dtype
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, dtype)
     each, solver = soft_substeps(scene, model), solver_of(scene)
@@ -85,18 +129,22 @@ def step(
         inner, act, qacc = carry
         robot = RigidState(qpos=inner.qpos, qvel=inner.qvel, act=act, qacc=qacc)
         rate, after = rates(model, robot, ctrl, wrenches)
+        if patches is not None:
+            contacts = felt_contacts(model, robot, after.qacc, ctrl, wrenches, patches)
+            inner = inner._replace(felt=accumulated(inner.felt, contacts, model.dt))
 
         def substep(inner: _Carry, _: None) -> tuple[_Carry, None]:
-            return _substep(scene, model, constants, rate, inner), None
+            return _substep(scene, model, constants, rate, inner, patches), None
 
         inner = jax.lax.scan(substep, inner, None, length=each)[0]
         return (inner, after.act, after.qacc), None
 
-    start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, state.x))
+    untouched = None if patches is None else no_touch(patches, state.x)
+    start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, state.x), untouched)
     carry = (start, bodies.act, bodies.qacc)
     (end, act, qacc), _ = jax.lax.scan(rigid_substep, carry, None, length=num_substeps)
-    mean = jax.tree.map(lambda a: a / (num_substeps * each * scene.dt), end.received)
-    return solver.join(end.soft), RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean
+    mean, felt = jax.tree.map(lambda a: a / (num_substeps * each * scene.dt), (end.received, end.felt))
+    return solver.join(end.soft), RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean, felt
 
 
 def soft_substeps(scene: Scene, model: RigidModel) -> int:
@@ -114,9 +162,11 @@ def soft_substeps(scene: Scene, model: RigidModel) -> int:
     return round(each)
 
 
-def _exchanging_substep(scene: Scene, model: RigidModel, constants: Any, rate: Array, carry: _Carry) -> _Carry:
+def _exchanging_substep(
+    scene: Scene, model: RigidModel, constants: Any, rate: Array, carry: _Carry, patches: Any
+) -> _Carry:
     """One soft substep; ``rate`` is the joints' acceleration by the robot's own forces."""
-    soft, qpos, before, received = carry
+    soft, qpos, before, received, touch = carry
     contact, dt = solver_of(scene).begin(scene, constants, soft), scene.dt
 
     with jax.default_matmul_precision("highest"):
@@ -132,7 +182,10 @@ def _exchanging_substep(scene: Scene, model: RigidModel, constants: Any, rate: A
         qpos = integrate(model.static.topology, qpos, qvel, dt)
 
     about_frame = moment + jnp.cross(kin.tree_com - kin.position, impulse)
-    return _Carry(contact.finish(), qpos, qvel, Wrench(received.force + impulse, received.torque + about_frame))
+    received = Wrench(received.force + impulse, received.torque + about_frame)
+    if patches is not None:
+        touch = accumulated(touch, felt(patches, *contact.given(), poses))
+    return _Carry(contact.finish(), qpos, qvel, received, touch)
 
 
 _substep = recomputed(_exchanging_substep)
@@ -167,4 +220,4 @@ def _solve(matrix: Array, right: Array) -> Array:
     return found - implicit_correction(matrix, matrix @ found - right)
 
 
-__all__ = ["soft_substeps", "step"]
+__all__ = ["soft_substeps", "step", "step_with_touch"]

@@ -15,20 +15,13 @@ import jax.numpy as jnp
 
 from rewax.lowering.fusion import materialize
 from rewax.physics.contact.motion import Motion
+from rewax.physics.contact.patches import Wrench
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.fields import checked, instance, integer
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.types import Array
-
-
-class Wrench(NamedTuple):
-    """Force [N] and torque about the body's origin [N m] on each body, shapes (num_bodies, 3)."""
-
-    force: Array
-    torque: Array
-
 
 WRENCH = instance(Wrench, "give a Wrench(force, torque), or None")
 
@@ -132,4 +125,11 @@ class SoftContact(Protocol):
 
     def finish(self) -> Any:
         """The soft body at the end of the substep."""
+        ...
+
+    def given(self) -> tuple[Vec3, list[tuple[int, Vec3]]]:
+        """After ``exchange``: contact points [m], and pairs of a body and the impulses [N s] that it receives there.
+
+        One pair for each collider, and one of ``WALLS``.
+        """
         ...

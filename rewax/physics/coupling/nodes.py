@@ -23,6 +23,7 @@ from rewax.physics.contact.colliders import (
     touch,
 )
 from rewax.physics.contact.motion import Motion, Placed, placed, velocity_at
+from rewax.physics.contact.patches import WALLS
 from rewax.physics.coupling.exchange import Received, System, add_contact, no_system
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.scene import MPMScene
@@ -47,6 +48,8 @@ class NodeContact(NamedTuple):
     """Velocity of each node [m/s]."""
     touches: tuple[Touch, ...] = ()
     """Values of each collider at the nodes."""
+    lost: tuple[Vec3, ...] = ()
+    """Momentum that the nodes lost to each collider [kg m/s]."""
 
     def meet(self, poses: Pose, now: Sequence[Motion], before: Callable[[], Sequence[Motion]]) -> Self:
         del before
@@ -80,20 +83,29 @@ class NodeContact(NamedTuple):
         touches, velocity, position = self._moving(motions), self.velocity, self.nodes.position
         received = Received(*[jnp.zeros_like(origins)] * 2)
         if self.scene.overlap is Overlap.SEQUENTIAL or len(touches) < 2:
+            every = []
             for c, t in zip(self.scene.colliders, touches, strict=True):
                 velocity, lost = _after(t.friction, (_without_friction(t), velocity, self.mass))
                 received = received.and_from(position, lost, c.body, origins)
-            return self._replace(velocity=velocity), received
+                every.append(lost)
+            return self._replace(velocity=velocity, lost=tuple(every)), received
         best, shares = nearest(touches)
         after, lost = _after(None, (best, velocity, self.mass))
-        for c, share in zip(self.scene.colliders, shares, strict=True):
-            part = cp.vector(lambda i, share=share: share * lost[i])
+        every = [cp.vector(lambda i, share=share: share * lost[i]) for share in shares]
+        for c, part in zip(self.scene.colliders, every, strict=True):
             received = received.and_from(position, part, c.body, origins)
-        return self._replace(velocity=after), received
+        return self._replace(velocity=after, lost=tuple(every)), received
 
     def finish(self) -> Array:
-        velocity = apply_walls(self.scene.walls, self.scene.grid, self.nodes.index, self.velocity)
-        return from_nodes(self.scene, self.nodes, self.particles, where_mass(self.has_mass, velocity))
+        return from_nodes(self.scene, self.nodes, self.particles, where_mass(self.has_mass, self._inside_walls()))
+
+    def given(self) -> tuple[Vec3, list[tuple[int, Vec3]]]:
+        to_walls = cp.scale(self.mass, cp.subtract(self.velocity, self._inside_walls()))
+        bodies = [collider.body for collider in self.scene.colliders]
+        return self.nodes.position, [*zip(bodies, self.lost, strict=True), (WALLS, to_walls)]
+
+    def _inside_walls(self) -> Vec3:
+        return apply_walls(self.scene.walls, self.scene.grid, self.nodes.index, self.velocity)
 
     def _moving(self, motions: Sequence[Motion | None]) -> list[Touch]:
         """The touches with new motions of their bodies; None: unchanged."""

@@ -33,7 +33,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.tets.scene import TetScene
-from rewax.physics.tets.stepping import Rest, Vertices, contact_forces, moved, vertex_forces
+from rewax.physics.tets.stepping import Rest, Vertices, contact_forces, each_contact_force, moved, vertex_forces
 from rewax.types import Array
 
 
@@ -71,6 +71,8 @@ class VertexContact(NamedTuple):
     """Forces of the ground on the vertices [N]; ``exchange`` adds those of colliders."""
     touches: tuple[VertexTouch, ...] = ()
     """Values of each collider at the vertices."""
+    forces: tuple[Vec3, ...] = ()
+    """Forces of each collider on the vertices [N]."""
 
     def meet(self, poses: Pose, now: Sequence[Motion], before: Callable[[], Sequence[Motion]]) -> Self:
         x, v = self.vertices
@@ -94,17 +96,24 @@ class VertexContact(NamedTuple):
 
     def exchange(self, motions: Sequence[Motion | None], origins: Array) -> tuple[Self, Received]:
         x, total = self.vertices.x, self.contact
-        received = Received(*[jnp.zeros_like(origins)] * 2)
+        received, forces = Received(*[jnp.zeros_like(origins)] * 2), []
         for c, t in zip(self.scene.colliders, self.touches, strict=True):
             motion = motions[c.body]
             change = t.pushed if motion is None else cp.subtract(_velocity(motion, x), t.surface)
             force = materialize(t.force_at(change))
             received = received.and_from(x, cp.scale(-self.scene.dt, force), c.body, origins)
             total = cp.add(total, force)
-        return self._replace(contact=total), received
+            forces.append(force)
+        return self._replace(contact=total, forces=tuple(forces)), received
 
     def finish(self) -> Vertices:
         return moved(self.scene, self.rest, self.vertices, self.internal, self.contact)
+
+    def given(self) -> tuple[Vec3, list[tuple[int, Vec3]]]:
+        x, v = self.vertices
+        every = [(c.body, force) for c, force in zip(self.scene.colliders, self.forces, strict=True)]
+        every += each_contact_force(self.scene, x, v, None)
+        return x, [(body, cp.scale(-self.scene.dt, force)) for body, force in every]
 
 
 def begin(scene: TetScene, rest: Rest, vertices: Vertices) -> VertexContact:

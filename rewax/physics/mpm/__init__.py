@@ -17,6 +17,7 @@ from rewax.physics.mpm.scene import (
     particle_mass,
 )
 from rewax.physics.mpm.stepping import check_status, deform, nodes_of_step, step, substep
+from rewax.physics.mpm.touch import step_with_touch
 from rewax.physics.mpm.walls import Wall, WallKind, Walls
 from rewax.physics.numerics.pose import static_poses
 
@@ -24,6 +25,6 @@ __all__ = [
     "STABLE_COURANT_NUMBER", "Grid", "MPMScene", "MPMState", "Material", "Wall", "WallKind", "Walls",
     "check_placement", "check_status", "count_nodes", "deform", "initial_state", "invariants", "largest_stable_dt",
     "laws", "make_scene", "nodes_of_step", "particle_mass", "predict_peak_bytes", "sound_speed", "static_poses",
-    "step", "substep",
+    "step", "step_with_touch", "substep",
 ]  # fmt: skip
 __all__ += laws.__all__

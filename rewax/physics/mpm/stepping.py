@@ -279,7 +279,7 @@ def grid_velocity(scene: MPMScene, nodes: ActiveNodes, fields: GridFields, place
     every leaf of the scene.
     """
     has_mass, velocity = free_velocity(scene, fields)
-    colliders = _colliders(scene, nodes, has_mass, placed)
+    colliders = colliders_at(scene, nodes, has_mass, placed)
     velocity = apply_colliders(colliders, nodes.position, velocity, overlap=scene.overlap)
     velocity = apply_walls(scene.walls, scene.grid, nodes.index, velocity)
     return where_mass(has_mass, velocity)
@@ -291,7 +291,7 @@ def where_mass(has_mass: Array, velocity: Vec3) -> Vec3:
     return cp.vector(lambda i: jnp.where(has_mass, velocity[i], 0.0))
 
 
-def _colliders(scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Placed) -> list[tuple[Collider, Placed]]:
+def colliders_at(scene: MPMScene, nodes: ActiveNodes, has_mass: Array, placed: Placed) -> list[tuple[Collider, Placed]]:
     """The colliders to evaluate, with their placements."""
     colliders = scene.sized_colliders
     if scene.max_near_colliders is None or len(colliders) <= scene.max_near_colliders:
@@ -357,6 +357,7 @@ __all__ = [
     "Particles",
     "check_placement",
     "check_status",
+    "colliders_at",
     "deform",
     "free_velocity",
     "from_nodes",

@@ -39,7 +39,7 @@ from rewax.physics.rigid.model import RigidModel, RigidState
 from rewax.physics.rigid.small_products import compose, cross, dot, rotate, scatter, select
 from rewax.physics.rigid.solver import Rows
 from rewax.physics.rigid.sphere_box import sphere_box
-from rewax.physics.rigid.spring_contacts import Penalty, contact_wrenches, limit_forces
+from rewax.physics.rigid.spring_contacts import Penalty, PointForces, limit_forces, point_forces
 from rewax.physics.rigid.weld import weld_drifts
 from rewax.types import Array
 
@@ -196,7 +196,7 @@ def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
 
 
 class _Contacts(NamedTuple):
-    """Inputs of ``spring_contacts.contact_wrenches`` for all pairs that may touch."""
+    """Inputs of ``spring_contacts.point_forces`` for all pairs that may touch."""
 
     distance: Array
     margin: Array
@@ -251,11 +251,18 @@ def _contact_wrenches(
     """Wrenches of all contacts on all bodies under the penalty law, shape (num_bodies, 6)."""
     if not model.static.has_contacts:
         return jnp.zeros_like(twist)
+    return spring_forces(model, penalty, kin, m, d, twist).wrenches()
+
+
+def spring_forces(
+    model: RigidModel, penalty: Penalty, kin: Kinematics, m: mjx.Model, d: mjx.Data, twist: Array
+) -> PointForces:
+    """Forces of all contacts under the penalty law. Gradient: exact; see ``penalty.penalty_force``."""
     found = contacts(model, m, d)
     mj = model.static.mj
     bodies = jnp.asarray(mj.geom_bodyid)[found.geoms]
     trees = jnp.asarray(mj.body_rootid)[bodies]
-    return contact_wrenches(
+    return point_forces(
         penalty,
         kin,
         twist,
@@ -271,6 +278,11 @@ def _contact_wrenches(
 
 def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data) -> Rows:
     """Constraint rows of limits, contacts, dry friction and equalities; no rows under a penalty law."""
+    return rows_and_contacts(model, kin, m, d)[0]
+
+
+def rows_and_contacts(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Data) -> tuple[Rows, mjx.Contact | None]:
+    """``constraint_rows``, and the contacts that the last of them belong to; None without contacts."""
     if model.penalty is None:
         contact = collide(model.static.collisions, m, d) if model.static.has_contacts else None
         if model.static.mj.ntendon:
@@ -287,6 +299,6 @@ def constraint_rows(model: RigidModel, kin: Kinematics, m: mjx.Model, d: mjx.Dat
         if model.static.has_welds:
             drifts = jnp.concatenate([drifts, weld_drifts(*held, d.xquat, m.site_quat, sites)])
         target = target.at[: len(drifts)].add(-drifts)
-        return Rows(jacobian, stiffness, target, lower, upper)
+        return Rows(jacobian, stiffness, target, lower, upper), contact
     none = jnp.zeros(0, d.qpos.dtype)
-    return Rows(jnp.zeros((0, model.num_dofs), d.qpos.dtype), none, none, none, none)
+    return Rows(jnp.zeros((0, model.num_dofs), d.qpos.dtype), none, none, none, none), None

@@ -110,6 +110,24 @@ def _mesh(static: Any, mesh: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mj.mesh_vert[vertices]), np.array(mj.mesh_face[triangles])
 
 
+def body_name(model: RigidModel, body: int) -> str:
+    """The name of a body; ``body_3`` for body 3 if it has none."""
+    return model.static.mj.body(body).name or f"body_{body}"
+
+
+def touching_bodies(model: RigidModel) -> dict[str, int]:
+    """Bodies by name that have geoms in pairs that may touch; ``world`` among them if fixed geoms are."""
+    mj, groups = model.static.mj, model.static.collisions.groups
+    geoms = [np.asarray(group.geoms).ravel() for group in groups]
+    geoms += [
+        np.asarray(pair).ravel()
+        for found in (model.static.sphere_boxes, model.static.capsules, model.static.boxes)
+        for pair in found[1:]
+    ]
+    bodies = np.unique(mj.geom_bodyid[np.concatenate([np.zeros(0, int), *geoms]).astype(int)])
+    return {body_name(model, int(body)): int(body) for body in bodies}
+
+
 def contact_distances(model: RigidModel, state: RigidState, *, body: str | None = None) -> Array:
     """Signed distances of all pairs that may touch [m], negative inside, shape (num_contacts,); 1 in unused slots.
 

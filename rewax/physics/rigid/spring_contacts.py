@@ -2,6 +2,9 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,7 +97,24 @@ def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
             )
 
 
-def contact_wrenches(
+class PointForces(NamedTuple):
+    """Forces of n contacts on the second bodies, then on the first."""
+
+    body: Array
+    """Indices of bodies, shape (2n,)."""
+    point: Array
+    """Where the force acts [m], world, shape (2n, 3)."""
+    force: Array
+    """[N], world axes, shape (2n, 3)."""
+    wrenches_of: Callable[[Array], Array]
+    """``kinematics.moving_points``: from forces to wrenches on the bodies."""
+
+    def wrenches(self) -> Array:
+        """Wrenches on all bodies, for ``kinematics.generalized_forces``, shape (num_bodies, 6)."""
+        return self.wrenches_of(self.force)
+
+
+def point_forces(
     penalty: Penalty,
     kin: Kinematics,
     velocities: Array,
@@ -106,8 +126,8 @@ def contact_wrenches(
     bodies: Array,
     half_gap: Array | None = None,
     of_one_tree: Array | None = None,
-) -> Array:
-    """Wrenches of contacts on all bodies, for ``kinematics.generalized_forces``, shape (num_bodies, 6).
+) -> PointForces:
+    """Forces of contacts on the bodies.
 
     Args:
       penalty: the law.
@@ -135,7 +155,7 @@ def contact_wrenches(
     if penalty.among is not None and of_one_tree is not None:
         law = jax.tree.map(lambda a, b: jnp.where(of_one_tree, a, b), penalty.among.contact(), law)
     force = join_vector(penalty_force(law, distance, split_vector(normal), split_vector(sliding), friction))
-    return wrenches(jnp.concatenate([force, -force]))
+    return PointForces(body, acts_at, jnp.concatenate([force, -force]), wrenches)
 
 
 def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) -> Array:
@@ -152,4 +172,4 @@ def limit_forces(penalty: Penalty, limits: Array, position: Array, rate: Array) 
     return jnp.where(beyond != 0, -penalty.limit_stiffness * beyond - penalty.limit_damping * rate, 0.0)
 
 
-__all__ = ["Penalty", "check_penalty", "contact_wrenches", "limit_forces", "penalty_numbers"]
+__all__ = ["Penalty", "PointForces", "check_penalty", "limit_forces", "penalty_numbers", "point_forces"]

@@ -5,7 +5,7 @@ tets, gravity, penalty contact with the ground and with moving shapes, symplecti
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +15,7 @@ from rewax.lowering.fusion import materialize
 from rewax.lowering.kernels import joined, pointwise, separated
 from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
+from rewax.physics.contact.patches import WALLS
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Mat3, Vec3
@@ -191,15 +192,24 @@ def _columns(damping_law: DampingLaw) -> Callable[[Any, Any], Mat3]:
 
 def contact_forces(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose] | None) -> Vec3:
     """``contact_force`` by components; with ``interval`` None that of the ground alone."""
-    nothing = cp.vector(lambda i: jnp.zeros_like(x[i]))
+    return total_force([force for _, force in each_contact_force(scene, x, v, interval)], x)
+
+
+def each_contact_force(scene: TetScene, x: Vec3, v: Vec3, interval: tuple[Pose, Pose] | None) -> list[tuple[int, Vec3]]:
+    """Bodies, and the forces of each on the vertices [N]; the ground's body is ``WALLS``. Gradient: exact."""
     if scene.contact is None:
-        return nothing
-    forces = [] if scene.ground is None else [ground_force(scene.ground, scene.contact, x, v)]
+        return []
+    forces = [] if scene.ground is None else [(WALLS, ground_force(scene.ground, scene.contact, x, v))]
     if interval is not None:
         for collider in scene.colliders:
             start, end = (body_pose(pose, collider.body) for pose in interval)
-            forces.append(collider_force(collider, scene.contact, x, v, start, end, scene.dt))
-    return functools.reduce(cp.add, forces) if forces else nothing
+            forces.append((collider.body, collider_force(collider, scene.contact, x, v, start, end, scene.dt)))
+    return forces
+
+
+def total_force(forces: Sequence[Vec3], x: Vec3) -> Vec3:
+    """Sum of forces on the vertices at x; zero for none."""
+    return functools.reduce(cp.add, forces) if forces else cp.vector(lambda i: jnp.zeros_like(x[i]))
 
 
 def rest(scene: TetScene) -> Rest:
@@ -224,6 +234,7 @@ __all__ = [
     "contact_force",
     "contact_forces",
     "deformation_gradient",
+    "each_contact_force",
     "internal_force",
     "join",
     "moved",
@@ -231,5 +242,6 @@ __all__ = [
     "split",
     "step",
     "substep",
+    "total_force",
     "vertex_forces",
 ]

@@ -1,4 +1,4 @@
-"""Cloth and ropes: shells of constant-strain triangles with hinges, and polylines with stretch and bending."""
+"""Cloth and ropes: shells of constant-strain triangles that bend at hinges, and polylines with stretch and bending."""
 
 from rewax.physics.numerics.pose import static_poses
 from rewax.physics.thin.invariants import (
@@ -8,7 +8,7 @@ from rewax.physics.thin.invariants import (
     kinetic_energy,
     momentum,
 )
-from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope, isotropic_cloth
+from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope, isotropic_cloth
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
 from rewax.physics.thin.scene import ThinScene, ThinState, initial_state, make_scene
 from rewax.physics.thin.stable_dt import largest_stable_dt
@@ -16,7 +16,7 @@ from rewax.physics.thin.stepping import check_status, contact_force, internal_fo
 from rewax.physics.thin.thinmesh import ThinMesh, check_thinmesh, rope, sheet
 
 __all__ = [
-    "Cloth", "MembraneLaw", "RestShape", "Rope", "ThinMesh", "ThinScene", "ThinState", "angular_momentum",
+    "BendingLaw", "Cloth", "MembraneLaw", "RestShape", "Rope", "ThinMesh", "ThinScene", "ThinState", "angular_momentum",
     "check_status", "check_thinmesh", "contact_force", "elastic_energy", "gravitational_energy", "initial_state",
     "internal_force", "isotropic_cloth", "kinetic_energy", "largest_stable_dt", "make_scene", "momentum", "rest_shape",
     "rope", "sheet", "static_poses", "step", "vertex_mass",

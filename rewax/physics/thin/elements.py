@@ -108,7 +108,7 @@ def square_area_ratio(strain: Strain) -> Array:
 
 def membrane_force(cloth: Cloth, law: MembraneLaw, x: Corners, v: Corners, inverse: Inverse, area: Array) -> Corners:
     """Forces of the membrane on the corners of triangles [N]. Gradient: exact."""
-    shared, own = separated(cloth.replace(bending=None))
+    shared, own = separated(cloth.replace(bending=None, bending_ratio=None))
     return _membrane(law)(shared, (own, x, v, inverse, area))
 
 
@@ -142,6 +142,30 @@ def _hinge(shared: Any, given: tuple[Any, Corners, Corners, Array, Array]) -> Co
     stiffness, damping = joined(shared, own)
     theta, rate, pull = _linearized(hinge_angle, x, v)
     return pull(-stiffness * weight * (theta - angle + damping * rate))
+
+
+def hinge_turn(damping: Scalar, x: Corners, v: Corners, angle: Array) -> Array:
+    """Angle of hinges minus that at rest, plus damping times its rate [rad]. Gradient: exact."""
+    return _hinge_turn((damping,), (x, v, angle))
+
+
+@pointwise
+def _hinge_turn(shared: Any, given: tuple[Corners, Corners, Array]) -> Array:
+    x, v, angle = given
+    theta, rate = jax.jvp(hinge_angle, (x,), (v,))
+    return theta - angle + shared[0] * rate
+
+
+def hinge_pull(x: Corners, moment: Array) -> Corners:
+    """Forces of moments [N m] on the corners of hinges [N]: -moment dtheta/dx. Gradient: exact."""
+    return _hinge_pull((), (x, moment))
+
+
+@pointwise
+def _hinge_pull(shared: Any, given: tuple[Corners, Array]) -> Corners:
+    del shared
+    x, moment = given
+    return jax.vjp(hinge_angle, x)[1](-moment)[0]
 
 
 def segment_force(rope: Rope, x: Corners, v: Corners, length: Array) -> Corners:
@@ -180,6 +204,7 @@ def _linearized(strain: Callable[[Corners], Any], x: Corners, v: Corners) -> tup
 
 
 __all__ = [
-    "bend_force", "green_strain", "half_square_curvature", "hinge_angle", "hinge_force", "membrane_energy",
+    "bend_force", "green_strain", "half_square_curvature", "hinge_angle", "hinge_force", "hinge_pull",
+    "hinge_turn", "membrane_energy",
     "membrane_force", "membrane_stress", "segment_force", "segment_strain", "square_area_ratio",
 ]  # fmt: skip

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin import elements
+from rewax.physics.thin.bending import bending_energy
 from rewax.physics.thin.scene import ThinScene, ThinState
 from rewax.physics.thin.stencils import corners
 from rewax.physics.thin.stepping import inverse_edges
@@ -17,8 +18,8 @@ def elastic_energy(scene: ThinScene, state: ThinState) -> Array:
     if scene.cloth is not None:
         strain = elements.green_strain(corners(topology.triangles, x), inverse_edges(scene))
         energy += jnp.sum(rest.area * elements.membrane_energy(strain, scene.cloth, scene.law))
-        turned = elements.hinge_angle(corners(topology.hinges, x)) - rest.angle
-        energy += 0.5 * jnp.sum(scene.cloth.bending * rest.hinge_weight * turned**2)
+        if len(topology.hinges):
+            energy += bending_energy(scene, x)
     if scene.rope is not None:
         stretch = elements.segment_strain(corners(topology.segments, x), rest.length)
         energy += 0.5 * jnp.sum(scene.rope.stretch * rest.length * stretch**2)

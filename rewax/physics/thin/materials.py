@@ -18,15 +18,27 @@ class MembraneLaw(enum.Enum):
     ``warp`` and ``weft`` must be coupling + 2 shear."""
 
 
+class BendingLaw(enum.Enum):
+    """Energy of bending of cloth."""
+
+    PLATE = "plate"
+    """An isotropic thin plate: its deflections converge under refinement on every mesh, see ``thin/plate.py``."""
+    HINGES = "hinges"
+    """One spring per edge (Grinspun et al. 2003): cheaper, but its stiffness depends on the mesh, and Poisson's ratio
+    has no effect."""
+
+
 @struct.dataclass
 class Cloth(struct.Replaceable):
-    """A shell's material. Parameters are numbers, or arrays (num_triangles,), of ``bending`` (num_hinges,).
+    """A shell's material. Parameters are numbers, or arrays (num_triangles,), of ``bending`` (num_hinges,) for
+    ``BendingLaw.HINGES``.
 
     Attributes:
       warp, weft: membrane stiffness along the first and second axis [N/m].
       coupling: stress along one axis per strain along the other [N/m].
       shear: shear stiffness [N/m].
       bending: flexural rigidity [N m].
+      bending_ratio: Poisson's ratio of bending [-], in (-1, 1): moment along one axis per curvature along the other.
       density: mass per area [kg/m^2].
       damping: Kelvin-Voigt time [s]: stress of strain rates is damping times the stiffness. Hinges take the largest.
     """
@@ -36,6 +48,7 @@ class Cloth(struct.Replaceable):
     coupling: Scalar = struct.number(FINITE, "give a stiffness in N/m, 0 without Poisson effect", default=0.0)
     shear: Scalar = struct.number(POSITIVE, "give a stiffness in N/m, shear modulus times thickness")
     bending: Scalar = struct.number(NOT_NEGATIVE, "give a flexural rigidity in N m, 0 for none", default=0.0)
+    bending_ratio: Scalar = struct.number(Legal(-1.0, 1.0), "take 0.3, 0 for none", default=0.0)
     density: Scalar = struct.number(POSITIVE, "give a mass per area in kg/m^2")
     damping: Scalar = struct.number(NOT_NEGATIVE, "give a time in s, 0 for none", default=0.0)
 
@@ -74,8 +87,8 @@ def isotropic_cloth(
       damping: Kelvin-Voigt time [s].
 
     Returns:
-      warp = weft = E h / (1 - nu^2), coupling = nu warp, shear = E h / (2 (1 + nu)), bending = E h^3 / (12 (1 - nu^2)).
-      They are legal for both laws. Gradient: exact.
+      warp = weft = E h / (1 - nu^2), coupling = nu warp, shear = E h / (2 (1 + nu)), bending = E h^3 / (12 (1 - nu^2)),
+      bending_ratio = nu. They are legal for both laws. Gradient: exact.
     """
     warp = youngs_modulus * thickness / (1.0 - poissons_ratio**2)
     return Cloth(
@@ -84,9 +97,10 @@ def isotropic_cloth(
         coupling=poissons_ratio * warp,
         shear=0.5 * (1.0 - poissons_ratio) * warp,
         bending=warp * thickness**2 / 12.0,
+        bending_ratio=poissons_ratio,
         density=density * thickness,
         damping=damping,
     )
 
 
-__all__ = ["Cloth", "MembraneLaw", "Rope", "isotropic_cloth"]
+__all__ = ["BendingLaw", "Cloth", "MembraneLaw", "Rope", "isotropic_cloth"]

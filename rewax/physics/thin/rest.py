@@ -8,6 +8,7 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin.elements import hinge_angle
 from rewax.physics.thin.materials import Cloth, Rope
+from rewax.physics.thin.plate import PlateRest, plate_rest
 from rewax.physics.thin.stencils import Topology
 from rewax.types import Array
 
@@ -22,6 +23,7 @@ class RestShape(struct.Replaceable):
       area: of triangles [m^2], shape (num_triangles,).
       angle: of hinges [rad], shape (num_hinges,).
       hinge_weight: edge squared over the area of both triangles [-], shape (num_hinges,).
+      plate: sizes for ``BendingLaw.PLATE``; None without hinges.
       length: of segments [m], shape (num_segments,).
       bend_length: half of both segments' length [m], shape (num_bends,).
     """
@@ -30,6 +32,7 @@ class RestShape(struct.Replaceable):
     area: Array
     angle: Array
     hinge_weight: Array
+    plate: PlateRest | None
     length: Array
     bend_length: Array
 
@@ -67,6 +70,7 @@ def rest_shape(topology: Topology, vertices: Any, *, pattern: Any = None, warp: 
         edges = jnp.stack([first[:, :2], second[:, :2]], axis=-1)
     a, b, c, d = edges[:, 0, 0], edges[:, 0, 1], edges[:, 1, 0], edges[:, 1, 1]
     inverse = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-c, a], axis=-1)], axis=-2)
+    inverse = inverse / (a * d - b * c)[:, None, None]
     at = [flat[hinges[:, k]] for k in range(4)]
     edge = at[1] - at[0]
     both = 0.5 * sum(_length(jnp.cross(edge, at[k] - at[0])) for k in (2, 3))
@@ -74,10 +78,11 @@ def rest_shape(topology: Topology, vertices: Any, *, pattern: Any = None, warp: 
     segments, bends = topology.segments.indices, topology.bends.indices
     near = [_length(x[bends[:, k + 1]] - x[bends[:, k]]) for k in (0, 1)]
     return RestShape(
-        inverse_edges=inverse / (a * d - b * c)[:, None, None],
+        inverse_edges=inverse,
         area=0.5 * twice_area,
         angle=angle,
         hinge_weight=jnp.sum(edge**2, axis=-1) / both,
+        plate=plate_rest(topology, inverse) if len(hinges) else None,
         length=_length(x[segments[:, 1]] - x[segments[:, 0]]),
         bend_length=0.5 * (near[0] + near[1]),
     )

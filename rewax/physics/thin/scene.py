@@ -13,7 +13,7 @@ from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_indices
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
-from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope
+from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
 from rewax.physics.thin.scene_checks import check_lengths, check_materials, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
@@ -22,6 +22,7 @@ from rewax.physics.thin.thinmesh import ThinMesh, bends, check_thinmesh, hinges
 from rewax.types import Array, Scalar, Vector
 
 _LAW = member(MembraneLaw)
+_BENDING = member(BendingLaw)
 _SCENE = {
     "mesh": instance(ThinMesh, "give a ThinMesh, from thin.sheet or thin.rope for example"),
     "dt": static(POSITIVE, "give the duration of a substep in seconds"),
@@ -30,6 +31,7 @@ _SCENE = {
     "contact": optional(instance(PenaltyContact, "give a PenaltyContact(stiffness=...)")),
     "colliders": COLLIDERS,
     "law": _LAW,
+    "bending_law": _BENDING,
     "warp": real(FINITE, "give a direction", shape=(3,)),
 }
 
@@ -64,6 +66,7 @@ class ThinScene(struct.Replaceable):
       ground: the ground, or None.
       colliders: moving shapes.
       law: the membrane's law (static).
+      bending_law: the law of bending of cloth (static).
     """
 
     topology: Topology = struct.static_field()
@@ -79,9 +82,11 @@ class ThinScene(struct.Replaceable):
     ground: Ground | None = None
     colliders: tuple[Collider, ...] = ()
     law: MembraneLaw = struct.static_field(default=MembraneLaw.SAINT_VENANT_KIRCHHOFF)
+    bending_law: BendingLaw = struct.static_field(default=BendingLaw.PLATE)
 
     def __post_init__(self) -> None:
         _LAW("law", self.law)
+        _BENDING("bending_law", self.bending_law)
 
 
 SCENE = instance(ThinScene, "give a scene of thin.make_scene")
@@ -109,6 +114,7 @@ def make_scene(
     ground: Ground | None = None,
     colliders: tuple[Collider, ...] = (),
     law: MembraneLaw = MembraneLaw.SAINT_VENANT_KIRCHHOFF,
+    bending_law: BendingLaw = BendingLaw.PLATE,
     warp: Any = (1.0, 0.0, 0.0),
 ) -> ThinScene:
     """A checked ``ThinScene`` of a mesh.
@@ -140,7 +146,7 @@ def make_scene(
         check_ground(ground)
     check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
     check_rotations(colliders)
-    check_lengths(topology, cloth, rope, contact)
+    check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)
     with jax.ensure_compile_time_eval():
         rest = rest_shape(topology, mesh.vertices, pattern=mesh.pattern, warp=warp)
@@ -158,6 +164,7 @@ def make_scene(
         ground=ground,
         colliders=tuple(colliders),
         law=law,
+        bending_law=bending_law,
     )
     check_dt(dt, largest_stable_dt(scene))
     return scene

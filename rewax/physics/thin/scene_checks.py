@@ -11,7 +11,7 @@ from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.contact.vertex_checks import check_length, contact_numbers, gravity_number
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, numbers_of
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope
+from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.stencils import Topology
 
 
@@ -35,12 +35,14 @@ def scene_numbers(
     ]
 
 
-def check_lengths(topology: Topology, cloth: Cloth | None, rope: Rope | None, contact: PenaltyContact | None) -> None:
+def check_lengths(
+    topology: Topology, cloth: Cloth | None, rope: Rope | None, contact: PenaltyContact | None, law: BendingLaw
+) -> None:
     """Raises ValueError for parameters that are neither numbers nor one per element."""
     for part, name, count in ((cloth, "cloth.", topology.triangles), (rope, "rope.", topology.segments)):
         for number in [] if part is None else numbers_of(part, name):
-            hinged = topology.hinges if part is cloth else topology.bends
-            check_length(number, len(hinged if number.name.endswith("bending") else count))
+            at = topology.bends if part is rope else topology.hinges if law is BendingLaw.HINGES else count
+            check_length(number, len(at if number.name.endswith("bending") else count))
     for number in [] if contact is None else penalty_numbers(contact):
         check_length(number, topology.triangles.num_vertices)
 

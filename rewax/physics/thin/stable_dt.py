@@ -2,12 +2,10 @@
 
 from typing import TYPE_CHECKING
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rewax.physics.numerics import components as cp
-from rewax.physics.thin.elements import hinge_angle
+from rewax.physics.thin.bending import bending_stiffness
 from rewax.types import Array, Scalar
 
 if TYPE_CHECKING:
@@ -22,9 +20,9 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
 
     The stiffness at a vertex is at most the sum K of the largest eigenvalues of its elements' stiffness matrices, plus
     the contact's stiffness. Those are, or are at most: area M sum_k |grad N_k|^2 of a triangle with the largest modulus
-    M; bending weight |d theta/dx|^2 of a hinge; 2 stretch / length of a segment; bending / length |d theta/dx|^2 of a
-    bend. With the damping C bounded alike, symplectic Euler is stable up to 4 / (c + sqrt(c^2 + 4 w^2)) with w^2 = K/m
-    and c = C/m + drag. The result is 0.8 of the smallest bound of all vertices that move.
+    M; ``bending.bending_stiffness``; 2 stretch / length of a segment; bending / length |d theta/dx|^2 of a bend. With
+    the damping C bounded alike, symplectic Euler is stable up to 4 / (c + sqrt(c^2 + 4 w^2)) with w^2 = K/m and
+    c = C/m + drag. The result is 0.8 of the smallest bound of all vertices that move.
 
     Tension adds stiffness that this bound, of a body at rest, does not include; strains above 0.5 need a margin.
     Friction damping is not included, and contact is included once, although several bodies can push one vertex.
@@ -43,10 +41,11 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
         slopes = jnp.sum(B**2, axis=(1, 2)) + jnp.sum(jnp.sum(B, axis=1) ** 2, axis=1)
         modulus = jnp.maximum(jnp.maximum(cloth.warp, cloth.weft) + jnp.abs(cloth.coupling), 2.0 * cloth.shear)
         triangle = rest.area * slopes * modulus
-        hinge = cloth.bending * rest.hinge_weight * _hinge_slopes(scene)
-        stiffness = added(added(stiffness, topology.triangles.indices, triangle), topology.hinges.indices, hinge)
+        stiffness = added(stiffness, topology.triangles.indices, triangle)
         damping = added(damping, topology.triangles.indices, triangle * cloth.damping)
-        damping = added(damping, topology.hinges.indices, hinge * jnp.max(cloth.damping))
+        if len(topology.hinges):
+            bending = bending_stiffness(scene)
+            stiffness, damping = stiffness + bending, damping + bending * jnp.max(cloth.damping)
     if scene.rope is not None:
         rope, ends, inner = scene.rope, topology.segments.indices, topology.bends.indices
         segment = 2.0 * rope.stretch / rest.length
@@ -62,40 +61,6 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
     if scene.mobility is not None:
         limit = jnp.where(scene.mobility > 0, limit, jnp.inf)
     return STABLE_FRACTION * jnp.min(limit)
-
-
-def _hinge_slopes(scene: "ThinScene") -> Array:
-    """|d theta/dx|^2 of hinges at rest [1/m^2], from their triangles unfolded into a plane."""
-    angle, pull = jax.vjp(hinge_angle, _unfolded(scene))
-    (slopes,) = pull(jnp.ones_like(angle))
-    return jnp.asarray(sum(cp.dot(s, s) for s in slopes))
-
-
-def _unfolded(scene: "ThinScene") -> tuple:
-    """Corners of hinges in a plane, with the lengths and areas at rest."""
-    hinges, triangles = scene.topology.hinges.indices, scene.topology.triangles.indices
-    edges = jnp.linalg.inv(scene.rest.inverse_edges)
-    origin = jnp.zeros_like(edges[:, :, 0])
-    flat = jnp.stack([origin, edges[:, :, 0], edges[:, :, 1]], axis=1)
-    owner = {}
-    for t, triangle in enumerate(triangles.tolist()):
-        for k in range(3):
-            owner[triangle[k], triangle[(k + 1) % 3]] = (t, k)
-    corners = []
-    for a, b, *_ in hinges.tolist():
-        corners.append((*owner[a, b], *owner[b, a]))
-    index = jnp.asarray(corners, int).reshape(-1, 4)
-    zero = jnp.zeros(len(hinges), edges.dtype)
-    sides = []
-    for t, k, start, end in ((index[:, 0], index[:, 1], 0, 1), (index[:, 2], index[:, 3], 1, 0)):
-        p, q, r = (flat[t, (k + j) % 3] for j in (start, end, 2))
-        edge, other = q - p, r - p
-        length = jnp.sqrt(jnp.sum(edge**2, axis=-1))
-        along = jnp.sum(edge * other, axis=-1) / length
-        across = jnp.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]) / length
-        sides.append((length, along, across))
-    (length, along, across), (_, beside, below) = sides
-    return (zero, zero, zero), (length, zero, zero), (along, across, zero), (beside, -below, zero)
 
 
 __all__ = ["largest_stable_dt"]

@@ -73,6 +73,16 @@ def scatter(stencil: Stencil, values: tuple[Vec3, ...]) -> Vec3:
     return (flat[0], flat[1], flat[2])
 
 
+def gather(stencil: Stencil, a: Array) -> Arrays:
+    """The numbers at the corners of each element, as ``corners`` for vectors. Gradient: exact."""
+    return linear_call(_gather, _assemble, stencil, (), (a,))
+
+
+def sum_corners(stencil: Stencil, values: Arrays) -> Array:
+    """Sum numbers at the corners of elements, as ``scatter`` for vectors. Gradient: exact."""
+    return linear_call(_assemble, _gather, stencil, (), values)[0]
+
+
 def _gather(stencil: Stencil, residuals: Arrays, linear: Arrays) -> Arrays:
     del residuals
     columns = stencil.indices.T
@@ -83,11 +93,12 @@ def _assemble(stencil: Stencil, residuals: Arrays, linear: Arrays) -> Arrays:
     del residuals
     where = np.ascontiguousarray(stencil.indices.T).reshape(-1)
     out: list[Array] = []
-    for i in range(3):
-        pieces = jnp.concatenate(linear[i::3], axis=-1)
+    components = len(linear) // stencil.indices.shape[1]
+    for i in range(components):
+        pieces = jnp.concatenate(linear[i::components], axis=-1)
         zeros = jnp.zeros((*pieces.shape[:-1], stencil.num_vertices), pieces.dtype)
         out.append(zeros.at[..., where].add(pieces, mode="promise_in_bounds"))
     return tuple(out)
 
 
-__all__ = ["Stencil", "Topology", "corners", "scatter"]
+__all__ = ["Stencil", "Topology", "corners", "gather", "scatter", "sum_corners"]

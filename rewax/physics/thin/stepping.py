@@ -1,6 +1,6 @@
 """Cloth and ropes: substep, step, forces, status.
 
-One substep: forces of membrane, hinges, segments and bends, gravity, drag, penalty contact with the ground and with
+One substep: forces of membrane, bending, segments and bends, gravity, drag, penalty contact with the ground and with
 moving shapes, symplectic Euler. Held vertices keep their velocity or follow prescribed positions.
 """
 
@@ -22,6 +22,7 @@ from rewax.physics.numerics.fields import checked, instance, optional, poses, re
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements
+from rewax.physics.thin.bending import bending_forces
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
@@ -180,9 +181,7 @@ def vertex_forces(scene: ThinScene, x: Vec3, v: Vec3) -> Vec3:
         each = elements.membrane_force(scene.cloth, scene.law, *now, inverse_edges(scene), rest.area)
         forces.append(scatter(topology.triangles, each))
         if len(topology.hinges):
-            now, damping = at(topology.hinges), jnp.max(scene.cloth.damping)
-            each = elements.hinge_force(scene.cloth.bending, damping, *now, rest.angle, rest.hinge_weight)
-            forces.append(scatter(topology.hinges, each))
+            forces.append(bending_forces(scene, x, v))
     if scene.rope is not None:
         each = elements.segment_force(scene.rope, *at(topology.segments), rest.length)
         forces.append(scatter(topology.segments, each))

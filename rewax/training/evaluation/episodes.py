@@ -9,14 +9,16 @@ import jax
 import jax.numpy as jnp
 
 from rewax.envs.base import Env, State
+from rewax.envs.memory import stage
 from rewax.envs.wrappers import select
 from rewax.status import FATAL, Status
 from rewax.types import Array, Key, PyTree
 
 Policy: TypeAlias = Callable[..., Array]
 """``policy(train_state, obs, key, deterministic=False) -> action``, for one environment. If the policy has a parameter
-``step``, it receives the number of control steps since the episode began."""
-_Act: TypeAlias = Callable[[State, Array, Key], Array]
+``step``, it receives the number of control steps since the episode began. If it has ``initial_memory()``, it finds its
+memory in ``obs["memory"]`` and returns ``Remembered(action, memory)``, see ``rewax.envs.memory``."""
+_Act: TypeAlias = Callable[[State, Array, Key], Any]
 
 Evaluation: TypeAlias = dict[str, Array]
 """Results of the evaluated episodes:
@@ -52,7 +54,7 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
         def act(state: State, step: Array, key: Key) -> Array:
             return policy_at(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)
 
-        return _evaluate(env, act, key, num_episodes)
+        return _evaluate(stage(env, policy), act, key, num_episodes)
 
     return evaluate
 
@@ -73,7 +75,7 @@ def make_evaluate_in(policy: Policy, num_episodes: int) -> Callable[..., Evaluat
         def act(state: State, step: Array, key: Key) -> Array:
             return policy_at(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)
 
-        return _evaluate(env, act, key, num_episodes)
+        return _evaluate(stage(env, policy), act, key, num_episodes)
 
     return evaluate
 
@@ -162,14 +164,14 @@ def _episode(env: Env, act: _Act, key: Key) -> tuple[Array, Array, Array, dict[s
     return total, length, status, metrics
 
 
-def with_step(policy: Policy) -> Callable[[PyTree, Any, Key, Array, bool], Array]:
+def with_step(policy: Policy) -> Callable[[PyTree, Any, Key, Array, bool], Any]:
     """Wrap a policy as ``(train_state, obs, key, step, deterministic) -> action``.
 
     ``step`` is passed on only if the policy has a parameter of this name.
     """
     asks = "step" in inspect.signature(policy).parameters
 
-    def policy_at(train_state: PyTree, obs: Any, key: Key, step: Array, deterministic: bool) -> Array:
+    def policy_at(train_state: PyTree, obs: Any, key: Key, step: Array, deterministic: bool) -> Any:
         more = {"step": step} if asks else {}
         return policy(train_state, obs, key, deterministic=deterministic, **more)
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.envs.base import Env
+from rewax.envs.memory import with_memory_of
 from rewax.training.evaluation.episodes import Policy, make_evaluate, with_step
 from rewax.types import Array, Key, PyTree
 
@@ -84,8 +85,8 @@ def _shifted(policy: Policy, name: str) -> Policy:
     """The policy of ``(train_state, params)``, which uses these parameters in place of the state's."""
     policy_at = with_step(policy)
 
-    def shifted(state_and_params: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> Array:
+    def shifted(state_and_params: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> Any:
         train_state, params = state_and_params
         return policy_at(train_state.replace(**{name: params}), obs, key, step, deterministic)
 
-    return shifted
+    return with_memory_of(policy, shifted)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax.envs.base import Env
+from rewax.envs.memory import MEMORY, initial_memory, remembered, with_memory_of
 from rewax.training.config import ReportConfig
 from rewax.training.evaluation.cameras import as_recorded
 from rewax.training.evaluation.episodes import Policy, make_evaluate, uniform_policy, with_step
@@ -83,19 +84,27 @@ def any_of(env: Env, policy: Policy) -> Policy:
     Its first argument is ``(train_state, mode)``, where ``mode`` is an index into ``MODES``.
     """
     random, policy_at = uniform_policy(env), with_step(policy)
+    remembers = initial_memory(policy) is not None
 
-    def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> jax.Array:
+    def choose(state_and_mode: Any, obs: Any, key: Key, deterministic: bool = False, step: Any = 0) -> Any:
         train_state, mode = state_and_mode
         shape, dtype = env.action_spec.shape, jnp.result_type(float)
+
+        def learnt(deterministic: bool) -> Any:
+            return jax.tree.map(lambda a: a.astype(dtype), policy_at(train_state, obs, key, step, deterministic))
+
+        def baseline(action: jax.Array) -> Any:
+            return remembered(action.astype(dtype), obs[MEMORY].astype(dtype) if remembers else None)
+
         branches = (
-            lambda: policy_at(train_state, obs, key, step, False).astype(dtype),
-            lambda: policy_at(train_state, obs, key, step, True).astype(dtype),
-            lambda: jnp.zeros(shape, dtype),
-            lambda: random(None, obs, key).astype(dtype),
+            lambda: learnt(False),
+            lambda: learnt(True),
+            lambda: baseline(jnp.zeros(shape, dtype)),
+            lambda: baseline(random(None, obs, key)),
         )
         return jax.lax.switch(mode, branches)
 
-    return choose
+    return with_memory_of(policy, choose)
 
 
 __all__ = ["MODES", "Programs", "any_of"]

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from rewax.envs.base import Env, State
+from rewax.envs.memory import action_of, stage
 from rewax.envs.wrappers import select
 from rewax.training.evaluation.cameras import make_pixels, seen_by
 from rewax.training.evaluation.episodes import Policy, with_step
@@ -90,6 +91,7 @@ def make_record(
         raise ValueError(f"max_frames is {max_frames}: use 2 or more")
     if not can_record(env):
         raise ValueError(_NOTHING)
+    env = stage(env, policy)
     every = max(1, -(-env.episode_length // (max_frames - 1)))
     reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
     bare = _bare(env)
@@ -152,10 +154,10 @@ def _make_advance(env: Env, policy: Policy, every: int, deterministic: bool) -> 
     def advance(train_state: PyTree, state: State, act_key: Key) -> tuple[State, dict[str, Any]]:
         def body(state: State, _: None) -> tuple[State, dict[str, Any]]:
             step = state.step_count
-            action = policy_at(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
+            moved = policy_at(train_state, state.obs, jax.random.fold_in(act_key, step), step, deterministic)
             over = state.done | (step >= env.episode_length)
-            new = select(over, state, env.step(state, action))
-            logged = {"rewards": new.reward, "status": new.status, "actions": action, "metrics": new.metrics}
+            new = select(over, state, env.step(state, moved))
+            logged = {"rewards": new.reward, "status": new.status, "actions": action_of(moved), "metrics": new.metrics}
             return new, logged
 
         return jax.lax.scan(body, state, None, length=every)

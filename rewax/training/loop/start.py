@@ -46,7 +46,18 @@ def first_state(
             return fresh
         say(console, f"beginning with what {config.init_from} has learnt")
         return warm_started(fresh, config.init_from, agent.name)
-    differences = changes(read_config(run_dir), plain(description))
+    stored, wanted = read_config(run_dir), plain(description)
+    if _identified(stored) != _identified(wanted):
+        raise ValueError(
+            f"{run_dir} holds a run with other identified parameters: give the environment of its start, on the "
+            "command line the same --env-from, or --run-dir without --env-from"
+        )
+    if _sensors(stored) != _sensors(wanted):
+        raise ValueError(
+            f"{run_dir} holds a run with sensors {_sensors(stored)}, not {_sensors(wanted)}: resume it with its own, "
+            "on the command line without --sensors"
+        )
+    differences = changes(stored, wanted)
     for name, old, new in differences:
         if name in _FLAGS:
             raise ValueError(f"{run_dir} holds a run with {name} {old}, not {new}: resume it with {_FLAGS[name]} {old}")
@@ -61,6 +72,19 @@ def first_state(
             say(console, f"note: resuming with {name} {new}, it was {old}")
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
+
+
+def _identified(config: Mapping[str, Any]) -> Any:
+    """The parameters of ``rewax identify`` in a run's environment, or None."""
+    kwargs = config.get("env_kwargs")
+    return kwargs.get("identified") if isinstance(kwargs, Mapping) else None
+
+
+def _sensors(config: Mapping[str, Any]) -> list[Any]:
+    """Names of the sensors that ``rewax.make`` added to a run's environment, and their resolution if it was given."""
+    kwargs = config.get("env_kwargs")
+    kwargs = kwargs if isinstance(kwargs, Mapping) else {}
+    return [*(kwargs.get("sensors") or ()), *(kwargs[name] for name in ("resolution",) if name in kwargs)]
 
 
 def _other_options(run_dir: Path, differences: list[tuple[str, Any, Any]], error: ValueError) -> ValueError:

@@ -15,6 +15,7 @@ from rewax.agents.actor_critic import Actor, make_actor
 from rewax.agents.config import AnyPolicyConfig
 from rewax.agents.normalization import EPSILON
 from rewax.agents.registry import algorithm
+from rewax.envs.memory import MEMORY, remembered
 from rewax.training.storage import numpy_policy
 from rewax.training.storage.saved import SavedRun, agent_config
 from rewax.types import Array, Observation
@@ -33,6 +34,10 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
         exported = jax.export.deserialize(bytearray(Path("policy.stablehlo").read_bytes()))
         action = exported.call(obs, noise)        # with a leading axis of environments
 
+    A policy with memory takes the memory too, zeros of shape (b, size) at first, and returns the next one:
+
+        action, memory = exported.call(obs, noise, memory)
+
     Args:
       run: from ``load_run``.
       out: folder, made if missing.
@@ -48,15 +53,19 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
 
-    def action(obs: Observation, noise: Array) -> Array:
-        distribution = actor.action_distribution(params, statistics, obs)
-        return jnp.tanh(distribution.mean + jnp.exp(distribution.log_std) * noise)
+    def action(obs: Observation, noise: Array, *memory: Array) -> Any:
+        obs = {**obs, MEMORY: memory[0]} if memory else obs
+        distribution, new = actor.decide(params, actor.normalize(statistics, obs))
+        moved = remembered(jnp.tanh(distribution.mean + jnp.exp(distribution.log_std) * noise), new)
+        return tuple(moved) if memory else moved
 
     (batch,) = export.symbolic_shape("b")
     shapes = _observed(actor)
     obs = {name: jax.ShapeDtypeStruct((batch, *shape), jnp.float32) for name, shape in shapes.items()}
     noise = jax.ShapeDtypeStruct((batch, actor.action_size), jnp.float32)
-    exported = export.export(jax.jit(jax.vmap(action)), platforms=PLATFORMS)(obs, noise)
+    size = actor.config.memory
+    memory = [jax.ShapeDtypeStruct((batch, size), jnp.float32)] if size else []
+    exported = export.export(jax.jit(jax.vmap(action)), platforms=PLATFORMS)(obs, noise, *memory)
     described = _description(run, actor)
     files = {name: out / name for name in ("policy.stablehlo", "weights.npz", "numpy_policy.py", "policy.json")}
     files["policy.stablehlo"].write_bytes(exported.serialize())
@@ -91,6 +100,7 @@ def _description(run: SavedRun, actor: Actor) -> dict[str, Any]:
         "iteration": int(run.train_state.iteration),
         "observation": {name: list(shape) for name, shape in _observed(actor).items()},
         "action_size": actor.action_size,
+        "memory": actor.config.memory,
         "activation": actor.config.activation,
         "log_std_range": list(actor.config.log_std_range),
         "observation_clip": actor.config.observation_clip,

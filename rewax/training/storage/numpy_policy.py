@@ -3,6 +3,11 @@
 policy = NumpyPolicy("weights.npz")
 action = policy(observation)                    # a dict of arrays of one environment; deterministic
 action = policy(observation, noise)             # noise: standard normal numbers, one per action component
+
+A policy with memory takes and returns it:
+
+memory = policy.initial_memory()                # at the first step of an episode
+action, memory = policy(observation, memory=memory)
 """
 
 import json
@@ -25,7 +30,7 @@ class NumpyPolicy:
 
     Attributes:
       describes: dict with the task, the algorithm, the iteration, ``observation`` (the shape of each array that the
-        policy needs, by name) and ``action_size``.
+        policy needs, by name), ``action_size``, and ``memory``, the size of the policy's memory, 0 for none.
     """
 
     def __init__(self, path):
@@ -34,17 +39,23 @@ class NumpyPolicy:
         self.describes = json.loads(str(self.weights.pop("describes")))
         self.activation = ACTIVATIONS[self.describes["activation"]]
 
-    def __call__(self, observation, noise=0.0):
-        """The action tanh(mean + std * noise), shape (action_size,), within [-1, 1].
+    def initial_memory(self):
+        """The memory at the first step of an episode: zeros; None if the policy has none."""
+        return np.zeros(self._size, np.float32) if self._size else None
+
+    def __call__(self, observation, noise=0.0, memory=None):
+        """The action tanh(mean + std * noise), shape (action_size,), within [-1, 1]; with memory, (action, memory).
 
         Args:
           observation: arrays by name, those of one environment; further names are ignored.
           noise: 0 for the deterministic action, or standard normal numbers of shape (action_size,) for a sampled one.
+          memory: what the policy returned at the step before; at the first step of an episode ``initial_memory()``.
 
         Raises:
           ValueError: an array is missing or has another shape than ``describes["observation"]`` says.
         """
         self._check(observation)
+        self._check_memory(memory)
         seen, features = self._normalized(observation), []
         for name in sorted(seen):
             if seen[name].ndim == 2:
@@ -57,10 +68,27 @@ class NumpyPolicy:
             joined = np.concatenate(vectors)
             whole = "encoder/vectors/Dense_0/kernel" not in self.weights
             features.append(joined if whole else self._layer("encoder/vectors/", joined))
-        x = self._layers("MLP_0/", np.concatenate(features))
+        x = np.concatenate(features)
+        if self._size:
+            memory = self._remember(x, memory)
+            x = np.concatenate([x, memory])
+        x = self._layers("MLP_0/", x)
         log_std = self.weights["log_std"] if "log_std" in self.weights else self._linear("log_std/", x)
         std = np.exp(np.clip(log_std, *self.describes["log_std_range"]))
-        return np.tanh(self._linear("mean/", x) + std * noise)
+        action = np.tanh(self._linear("mean/", x) + std * noise)
+        return (action, memory) if self._size else action
+
+    @property
+    def _size(self):
+        return self.describes.get("memory", 0)
+
+    def _remember(self, x, memory):
+        """A gated recurrent unit."""
+        keep, reset, new = np.split(self._linear("memory/input/", x), 3)
+        old_keep, old_reset, old_new = np.split(self._linear("memory/recurrent/", np.asarray(memory, np.float32)), 3)
+        keep = 1.0 / (1.0 + np.exp(-(keep + old_keep)))
+        new = np.tanh(new + old_new / (1.0 + np.exp(-(reset + old_reset))))
+        return keep * memory + (1.0 - keep) * new
 
     def _check(self, observation):
         expected = {name: tuple(shape) for name, shape in self.describes["observation"].items()}
@@ -76,6 +104,13 @@ class NumpyPolicy:
                 raise ValueError(
                     f"{name!r} of the observation has shape {found}: give {shape}, that of one environment"
                 )
+
+    def _check_memory(self, memory):
+        if not self._size and memory is not None:
+            raise ValueError("memory is given, but this policy has none: leave it out")
+        if self._size and (memory is None or np.shape(memory) != (self._size,)):
+            given = "None" if memory is None else f"of shape {np.shape(memory)}"
+            raise ValueError(f"memory is {given}: give shape ({self._size},), at first initial_memory()")
 
     def _normalized(self, observation):
         seen = {name: np.asarray(observation[name], np.float32) for name in self.describes["observation"]}

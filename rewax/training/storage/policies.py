@@ -16,6 +16,7 @@ import numpy as np
 from rewax.agents.registry import algorithm, build_agent
 from rewax.envs import registry
 from rewax.envs.base import Env
+from rewax.envs.memory import stage
 from rewax.training.storage.description import plain
 from rewax.training.storage.leaves import from_numpy, named_leaves, to_numpy
 from rewax.training.storage.saved import SavedRun, agent_config, load_run
@@ -148,7 +149,7 @@ def save_policy(run: SavedRun, folder: str | Path, card: Mapping[str, Any]) -> P
 
 def _leaves_read(run: SavedRun) -> set[str]:
     """Names of the leaves of the training state that the policy reads, sampled or deterministic."""
-    obs = jax.eval_shape(run.env.reset, jax.random.key(0)).obs
+    obs = jax.eval_shape(stage(run.env, run.agent.policy).reset, jax.random.key(0)).obs
 
     def both(train_state: Any, obs: Any, key: Any) -> Any:
         return [run.agent.policy(train_state, obs, key, deterministic=chosen) for chosen in (False, True)]

@@ -12,6 +12,7 @@ from rewax.agents.base import Agent
 from rewax.agents.registry import algorithm, build_agent, list_algorithms
 from rewax.envs import registry
 from rewax.envs.base import Env
+from rewax.envs.memory import MEMORY, Remembered, initial_memory
 from rewax.training.storage.description import read_config
 from rewax.training.storage.modules import import_recorded
 from rewax.types import Array, Key, Observation
@@ -38,17 +39,31 @@ class SavedRun(NamedTuple):
         """Whether the policy depends on observations; a learnt sequence of actions depends on the step only."""
         return "step" not in inspect.signature(self.agent.policy).parameters
 
-    def act(self, obs: Observation, key: Key | None = None) -> Array:
+    @property
+    def initial_memory(self) -> Array | None:
+        """The policy's memory at the beginning of an episode, shape (size,); None if it has none."""
+        return initial_memory(self.agent.policy)
+
+    def act(self, obs: Observation, key: Key | None = None, *, memory: Array | None = None) -> Array | Remembered:
         """The action for one environment: sampled with ``key``, deterministic without it; ``vmap`` for several.
 
+        A policy with memory returns ``Remembered(action, memory)``. ``memory`` is what it returned at the step before,
+        None at the first step of an episode:
+
+            action, memory = run.act(state.obs, memory=memory)
+
         Raises:
-          ValueError: the run learnt a sequence of actions.
+          ValueError: the run learnt a sequence of actions, or a memory is given to a policy without one.
         """
         if not self.looks:
             raise ValueError(
                 "this run learnt a sequence of actions: call agent.policy(train_state, obs, key, step=...) instead"
             )
-        drawn = jax.random.key(0) if key is None else key
+        first, drawn = self.initial_memory, jax.random.key(0) if key is None else key
+        if first is not None:
+            obs = {**obs, MEMORY: first if memory is None else memory}
+        elif memory is not None:
+            raise ValueError("memory is given, but this policy has none: leave it out")
         return self.agent.policy(self.train_state, obs, drawn, deterministic=key is None)
 
 

@@ -7,6 +7,7 @@ import pytest
 from flat_materials import flat_material
 
 from rewax.physics import coupling, mpm, rigid
+from rewax.physics.contact import WALLS, Patches
 from rewax.physics.coupling import articulated, free_body
 from rewax.physics.mpm import Grid, VonMises, Wall, WallKind, Walls, invariants
 from rewax.physics.shapes.sampling import fill_box
@@ -113,6 +114,26 @@ def test_torques_are_about_the_frames_origins(x64):
     position = rigid.body_poses(model, robot).position
     given = scene.dt * (wrench.torque + jnp.cross(position, wrench.force)).sum(0)
     np.testing.assert_allclose(given, lost, atol=1e-3 * float(jnp.abs(lost).max()))
+
+
+def test_patches_feel_the_wrenches_of_their_bodies_and_walls_the_rest(x64):
+    model = model_of(FINGER.format(mass=0.03))
+    scene, state = dough_under(model, walls=True)
+    scene, state = scene.replace(gravity=jnp.array([0.0, -9.81, 0.0])), state.replace(v=state.v - 0.1)
+    halves = Patches(body=(1, 1), center=[[0.01, 0.0, 0.0], [-0.01, 0.0, 0.0]])
+    patches = {"whole": Patches(body=(1, 2, WALLS)), "halves": halves}
+    felt_step = jax.jit(articulated.step_with_touch, static_argnames="num_substeps")
+    after, robot, wrench, felt = felt_step(scene, model, state, thrown(model), patches=patches, num_substeps=50)
+    expected = RUN(scene, model, state, thrown(model), num_substeps=50)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-10), (after, robot, wrench), expected)
+    for found, body in zip(felt["whole"], wrench, strict=True):
+        np.testing.assert_allclose(found[:2], body[1:], atol=1e-9)
+    for found, body in zip(felt["halves"], wrench, strict=True):
+        np.testing.assert_allclose(found.sum(0), body[1], atol=1e-9)
+    mass = 1000.0 * 0.08 * 0.04 * 0.08
+    change = (invariants.momentum(scene, after) - invariants.momentum(scene, state)) / (50 * scene.dt)
+    np.testing.assert_allclose(felt["whole"].force.sum(0), mass * scene.gravity - change, atol=1e-8)
+    assert felt["whole"].force[2, 1] < -0.1
 
 
 @pytest.mark.parametrize("mass", [*(pytest.param(mass, marks=pytest.mark.slow) for mass in (1e-2, 1e-4)), 1e-6])

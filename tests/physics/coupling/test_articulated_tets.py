@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rewax.physics import coupling, rigid, tets
-from rewax.physics.contact import Ground, PenaltyContact
+from rewax.physics.contact import WALLS, Ground, Patches, PenaltyContact
 from rewax.physics.coupling import articulated, free_body
 from rewax.physics.tets import DampingLaw, tetmesh
 
@@ -154,3 +154,16 @@ def test_gradients_are_those_of_differences(x64):
         np.testing.assert_allclose(forward(point, along)[1], found, rtol=1e-9)
         np.testing.assert_allclose((ahead - behind) / (2 * h), found, rtol=1e-5)
     assert all(float(jnp.abs(a).max()) > 1e-4 for a in slope.values())
+
+
+def test_patches_feel_the_wrenches_of_their_bodies_and_the_ground_the_rest(x64):
+    model = claw()
+    scene, state = block_under(model, height=-0.039)
+    felt_step = jax.jit(articulated.step_with_touch, static_argnames="num_substeps")
+    patches = Patches(body=(1, 2, WALLS))
+    after, _, wrench, felt = felt_step(scene, model, state, thrown(model), patches=patches, num_substeps=20)
+    for found, body in zip(felt, wrench, strict=True):
+        np.testing.assert_allclose(found[:2], body[1:], atol=1e-9)
+    change = scene.mass @ (after.v - state.v) / (20 * DT)
+    np.testing.assert_allclose(felt.force.sum(0), -change, atol=1e-8)
+    assert np.abs(felt.force).max(axis=1).min() > 1e-3

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rewax.physics import rigid
 from rewax.physics.rigid.kinematic_tree import TreeParameters, tree_topology
 from rewax.physics.rigid.kinematics import body_velocities, kinematics
-from rewax.physics.rigid.spring_contacts import Penalty, contact_wrenches, limit_forces
+from rewax.physics.rigid.spring_contacts import Penalty, limit_forces, point_forces
 
 LAW = Penalty(stiffness=2000.0, damping=30.0, friction_damping=12.0, onset=0.004)
 PAIR = """<mujoco><worldbody>
@@ -34,7 +34,7 @@ def tree():
         kin = kinematics(topology, TreeParameters(**numbers), q)
         twist = body_velocities(topology, kin, v)
         contacts = {"distance": distance, "point": point, "normal": normal, "friction": friction, "bodies": bodies}
-        return kin, twist, contact_wrenches(law, kin, twist, **contacts)
+        return kin, twist, point_forces(law, kin, twist, **contacts).wrenches()
 
     return mj, wrenches
 

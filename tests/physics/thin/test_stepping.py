@@ -132,7 +132,11 @@ def test_every_program_of_a_step_runs_in_cpp():
         with recorded() as decisions:
             jax.jit(jax.grad(total, argnums=(0, 1))).lower(scene, state)
         found = {d.function.rsplit(".", 1)[-1] for d in decisions}
-        assert found >= ({"membrane", "_hinge", "_moved"} if mesh is SHEET else {"_segment", "_bend", "_moved"})
+        assert found >= (
+            {"membrane", "_hinge_turn", "_moment", "_hinge_pull", "_moved"}
+            if mesh is SHEET
+            else {"_segment", "_bend", "_moved"}
+        )
         assert not [d for d in decisions if d.reason], decisions
 
 

@@ -10,6 +10,7 @@ import toys
 
 from rewax import struct
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask
+from rewax.envs.memory import MEMORY, Remembered
 from rewax.physics import rigid
 from rewax.training.evaluation.episodes import constant_policy
 from rewax.training.evaluation.recording import can_record, record, snapshots
@@ -56,6 +57,18 @@ def test_every_step_is_on_the_path_and_rewards_are_those_of_the_steps():
     np.testing.assert_allclose(found.actions, np.full((6, 1), 0.2), rtol=1e-6)
     assert all(len(values) == 6 for values in found.metrics.values())
     np.testing.assert_allclose(found.totals, np.concatenate([[0.0], np.cumsum(-(x[1:] ** 2))]), rtol=1e-5)
+
+
+def test_a_policy_with_memory_is_recorded_with_the_actions_that_it_remembers():
+    def counting(train_state, obs, key, deterministic=False):
+        """It counts its steps and moves by their number."""
+        del train_state, key, deterministic
+        return Remembered(0.1 * obs[MEMORY], obs[MEMORY] + 1.0)
+
+    counting.initial_memory = lambda: jnp.zeros(1)
+    found = record(toys.point_mass(length=6), counting, None, KEY)
+    np.testing.assert_allclose(found.actions[:, 0], 0.1 * np.arange(6), rtol=1e-6)
+    np.testing.assert_allclose(np.diff(found.particles[:, 0, 0]), 0.05 * np.arange(6), atol=1e-6)
 
 
 def test_long_episodes_are_shown_every_few_steps_and_no_reward_is_lost():

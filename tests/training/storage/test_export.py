@@ -97,6 +97,38 @@ def test_they_act_as_the_run_does(name, changes, tmp_path):
         np.testing.assert_allclose(np.load(tmp_path / f"{how}.npy"), expected, rtol=1e-4, atol=2e-5)
 
 
+def test_a_policy_with_memory_acts_as_the_run_does_step_by_step(tmp_path):
+    run = saved("sapo", memory=5)
+    export_policy(run, tmp_path)
+    exported = jax.export.deserialize(bytearray((tmp_path / "policy.stablehlo").read_bytes()))
+    policy, noise = NumpyPolicy(tmp_path / "weights.npz"), jnp.zeros((3, 2))
+    memory = jnp.zeros((3, 5))
+    alone, own = [policy.initial_memory()] * 3, None
+    act = jax.vmap(lambda obs, memory: run.act(obs, memory=memory))
+    for step in range(4):
+        obs = batch(3, seed=step)
+        action, now = act(obs, memory)
+        for found, expected in zip(exported.call(obs, noise, memory), (action, now), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-4, atol=2e-5)
+        for i in range(3):
+            found, alone[i] = policy({name: a[i] for name, a in obs.items()}, memory=alone[i])
+            np.testing.assert_allclose(found, action[i], rtol=1e-4, atol=2e-5)
+            np.testing.assert_allclose(alone[i], now[i], rtol=1e-4, atol=2e-5)
+        moved, own = run.act({name: a[0] for name, a in obs.items()}, memory=own)
+        np.testing.assert_allclose(moved, action[0], rtol=1e-5, atol=1e-6)
+        assert np.abs(now - memory).max() > 1e-3
+        memory = now
+    first = {name: a[0] for name, a in batch(1).items()}
+    with pytest.raises(ValueError, match=r"memory is None: give shape \(5,\), at first initial_memory\(\)"):
+        policy(first)
+    plain = NumpyPolicy(weights(tmp_path))
+    assert plain.initial_memory() is None
+    with pytest.raises(ValueError, match="memory is given, but this policy has none: leave it out"):
+        plain(first, memory=np.zeros(5))
+    with pytest.raises(ValueError, match="memory is given, but this policy has none: leave it out"):
+        saved("sapo").act(first, memory=np.zeros(5))
+
+
 def test_noise_is_that_of_the_policys_distribution(tmp_path):
     run = saved("sapo", initial_log_std=-1.0)
     export_policy(run, tmp_path)

@@ -1,5 +1,6 @@
 """Policies that the package brings: all of them load and act, and what does not fit is a sentence."""
 
+import dataclasses
 import json
 
 import jax
@@ -81,6 +82,19 @@ def test_a_policy_acts_as_the_run_did_and_keeps_nothing_else(toy, shipped):
     assert jax.tree.leaves(loaded.train_state.actor_params) and not jax.tree.leaves(loaded.train_state.critic_params)
     with np.load(policies.FOLDER / "ToyToShip-small.npz") as file:
         assert all("critic" not in name and "_opt" not in name for name in file.files)
+
+
+def test_a_policy_with_memory_is_kept_and_loaded_too(toy, tmp_path):
+    config = dataclasses.replace(CONFIG, memory=3)
+    agent = make_sapo(toy.env, config)
+    run = SavedRun(toy.env, agent, agent.init(jax.random.key(5)), {**toy.config, "sapo": config})
+    save_policy(run, tmp_path, {})
+    loaded, obs = load_policy("ToyToShip", folder=tmp_path), toy.env.reset(jax.random.key(1)).obs
+    assert loaded.initial_memory.tolist() == [0.0, 0.0, 0.0]
+    first = run.act(obs)
+    for memory in (None, first.memory):
+        jax.tree.map(np.testing.assert_array_equal, loaded.act(obs, memory=memory), run.act(obs, memory=memory))
+    assert not np.array_equal(run.act(obs, memory=first.memory).action, first.action)
 
 
 def test_a_task_that_has_changed_is_named_with_what_changed(shipped, monkeypatch):

@@ -1,0 +1,140 @@
+"""What pictures cost: seconds of depth and of its encoder beside those of a whole train step.
+
+    python benchmarks/seeing_speed.py
+    python benchmarks/seeing_speed.py --task GripperLift --envs 8 --resolution 64 --repeats 5
+
+One process measures all of it, in turns; each number is the least of the repeats. SAPO's policy sees depth and the
+critics see the state. An environment renders twice in a control step: its own picture, and that of a fresh episode.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+import rewax
+from rewax.agents.networks import PictureEncoder
+from rewax.agents.presets import sapo_preset
+from rewax.agents.sapo import make_sapo
+from rewax.envs.named_sensors import default_camera
+from rewax.training import enable_compilation_cache
+
+
+class Convolutions(nn.Module):
+    """The layers of ``PictureEncoder`` by ``flax.linen.Conv``."""
+
+    widths: tuple[int, ...]
+    features: int
+
+    @nn.compact
+    def __call__(self, x: Any) -> Any:
+        for i, width in enumerate(self.widths):
+            size, stride = ((4, 4), (4, 4)) if i == 0 else ((3, 3), (2, 2))
+            x = nn.silu(nn.LayerNorm()(nn.Conv(width, size, stride)(x)))
+        return nn.silu(nn.LayerNorm()(nn.Dense(self.features)(x.reshape(-1))))
+
+
+@dataclasses.dataclass(frozen=True)
+class Args:
+    """Options of the benchmark.
+
+    Attributes:
+      task: at scale ``small``.
+      envs: environments in the batch.
+      resolution: pixels along each side.
+      repeats: measurements of each number.
+    """
+
+    task: str = "RollingFlat"
+    envs: int = 8
+    resolution: int = 64
+    repeats: int = 5
+
+
+def train_step(args: Args, *, sees: bool) -> tuple[Callable[[], Any], int]:
+    """A function that trains for one iteration, and the control steps of an environment in it."""
+    options = {"sensors": ("camera",), "resolution": args.resolution} if sees else {}
+    env: Any = rewax.make(args.task, scale="small", **options)
+    state = tuple(name for name in env.observation_spec if name != "camera")
+    seen = ("camera", *(name for name in state if name.startswith("joint"))) if sees else state
+    config = dataclasses.replace(
+        sapo_preset(args.task, "small"), num_envs=args.envs, observe=seen, critic_observe=state
+    )
+    agent = make_sapo(env, config)
+    kept = [agent.init(jax.random.key(0))]
+
+    def run() -> Any:
+        kept[0], metrics = agent.train_step(kept[0])
+        return metrics
+
+    return run, config.steps_in(env)
+
+
+def pictures(args: Args, count: int) -> Callable[[], Any]:
+    """A function that renders ``count`` pictures of each environment, one after another."""
+    env: Any = rewax.make(args.task, scale="small")
+    camera, up = default_camera(env, args.resolution), np.asarray(env.up)
+    physics = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), args.envs)).physics
+
+    def render(physics: Any) -> Any:
+        def again(total: Any, _: Any) -> Any:
+            # The sum enters the next picture, so that no picture is computed once for all.
+            moved = jax.tree.map(
+                lambda a: a + 1e-12 * total[0, 0] if jnp.issubdtype(a.dtype, jnp.inexact) else a, physics
+            )
+            return camera.depth(env.world(moved, up)), None
+
+        return jax.lax.scan(again, jnp.zeros((args.resolution,) * 2), length=count)[0]
+
+    program = jax.jit(jax.vmap(render))
+    return lambda: program(physics)
+
+
+def encoder(args: Args, network: nn.Module, count: int) -> Callable[[], Any]:
+    """A function that encodes a batch of pictures, with the gradient of the parameters."""
+    batch = jax.random.uniform(jax.random.key(1), (args.envs * count, args.resolution, args.resolution, 1))
+    weights: Any = network.init(jax.random.key(2), batch[0])
+    program = jax.jit(jax.grad(lambda w: jnp.sum(jax.vmap(lambda x: network.apply(w, x))(batch) ** 2)))
+    return lambda: program(weights)
+
+
+def least(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Least seconds of each function; they run in turns."""
+    found = dict.fromkeys(functions, np.inf)
+    for repeat in range(repeats + 1):
+        for name, function in functions.items():
+            began = time.perf_counter()
+            jax.block_until_ready(function())
+            if repeat:  # the first compiles
+                found[name] = min(found[name], time.perf_counter() - began)
+    return found
+
+
+def main(args: Args) -> None:
+    enable_compilation_cache()
+    seeing, steps = train_step(args, sees=True)
+    blind, _ = train_step(args, sees=False)
+    preset = sapo_preset(args.task, "small")
+    widths, features = preset.picture_widths, preset.picture_features
+    functions = {
+        "train step with depth": seeing,
+        "train step from the state": blind,
+        f"pictures of {steps} control steps": pictures(args, 2 * steps),
+        "PictureEncoder, forward and backward": encoder(args, PictureEncoder(widths, features, nn.silu, 1.0), steps),
+        "the same by flax.linen.Conv": encoder(args, Convolutions(widths, features), steps),
+    }
+    print(f"{args.task} small, {args.envs} environments, {args.resolution} x {args.resolution} pixels, {steps} steps")
+    print("| what | seconds | share of the train step |\n|---|---|---|")
+    found = least(functions, args.repeats)
+    for name, seconds in found.items():
+        print(f"| {name} | {seconds:.3f} | {seconds / found['train step with depth']:.0%} |")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))

@@ -1,0 +1,110 @@
+"""Memory of a policy, carried by the environment that it acts in: an observation that only the policy writes."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.envs.base import ArraySpec, Env, State
+from rewax.envs.wrappers import _Wrapper
+from rewax.status import FATAL
+from rewax.types import Array, Key
+
+MEMORY = "memory"
+"""The name of the observation that holds the memory."""
+
+
+class Remembered(NamedTuple):
+    """What a policy with memory returns: an action, and the memory that it has at the next step."""
+
+    action: Array
+    memory: Array
+
+
+@struct.dataclass
+class Remembering(struct.Replaceable, _Wrapper):
+    """An environment that carries the memory of a policy as the observation ``memory``.
+
+    ``reset`` sets it to zeros. ``step`` takes ``Remembered(action, memory)`` and shows this memory beside the next
+    observation. Behind ``AutoReset`` a new episode therefore begins with zeros, in its own environment only, and the
+    memory is a part of the state that checkpoints and devices hold. After a numerical failure the memory keeps its
+    value, as all observations do.
+
+    Attributes:
+      env: an environment without auto-reset.
+      size: number of components of the memory (static).
+
+    Gradient: exact, through the memory to the steps that wrote it.
+    """
+
+    size: int = struct.static_field(default=1)
+
+    @property
+    def observation_spec(self) -> dict[str, ArraySpec]:
+        return {**self.env.observation_spec, MEMORY: ArraySpec((self.size,))}
+
+    def reset(self, key: Key) -> State:
+        state = self.env.reset(key)
+        return state.replace(obs={**state.obs, MEMORY: jnp.zeros(self.size, state.reward.dtype)})
+
+    def step(self, state: State, action: Remembered) -> State:  # type: ignore[override]
+        if not isinstance(action, Remembered):
+            raise ValueError(
+                f"the policy returned {type(action).__name__}, but it has a memory of {self.size}: let it return "
+                "Remembered(action, memory), or give memory=0"
+            )
+        own = {name: value for name, value in state.obs.items() if name != MEMORY}
+        new = self.env.step(state.replace(obs=own), action.action)
+        failed = (new.status & int(FATAL)) != 0
+        memory = jnp.where(failed, state.obs[MEMORY], action.memory.astype(state.obs[MEMORY].dtype))
+        return new.replace(obs={**new.obs, MEMORY: memory})
+
+
+def remembering(env: Env, size: int) -> Remembering:
+    """The environment with a memory.
+
+    Raises:
+      ValueError: it has an observation of that name already.
+    """
+    if MEMORY in env.observation_spec:
+        raise ValueError(
+            f"the environment has an observation named {MEMORY!r}, the name of a policy's memory: rename it, or give "
+            "memory=0"
+        )
+    return Remembering(env=env, size=size)
+
+
+def remembered(action: Array, memory: Array | None) -> Any:
+    """What a policy returns: the action alone, if it has no memory."""
+    return action if memory is None else Remembered(action, memory)
+
+
+def action_of(moved: Any) -> Array:
+    """The action that a policy returned, with or without memory."""
+    return moved.action if isinstance(moved, Remembered) else moved
+
+
+def initial_memory(policy: Callable[..., Any]) -> Array | None:
+    """The memory with which a policy begins an episode; None if it has none."""
+    start = getattr(policy, "initial_memory", None)
+    return None if start is None else start()
+
+
+def stage(env: Any, policy: Callable[..., Any]) -> Any:
+    """The environment as a policy acts in it: with a memory, if the policy has one."""
+    memory = initial_memory(policy)
+    return env if memory is None else remembering(env, len(memory))
+
+
+def with_memory_of(policy: Callable[..., Any], function: Callable[..., Any]) -> Callable[..., Any]:
+    """``function``, marked as a policy that has the memory of ``policy``."""
+    if hasattr(policy, "initial_memory"):
+        cast(Any, function).initial_memory = cast(Any, policy).initial_memory
+    return function
+
+
+__all__ = [
+    "MEMORY", "Remembered", "Remembering", "action_of", "initial_memory", "remembered", "remembering", "stage",
+    "with_memory_of",
+]  # fmt: skip

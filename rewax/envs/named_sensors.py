@@ -1,0 +1,129 @@
+"""Sensors by name: what ``rewax.make(..., sensors=("camera",))`` adds to a task."""
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import jax
+import numpy as np
+
+from rewax.envs.sensing import Sensing, Sensor
+from rewax.sensors.camera import Camera
+from rewax.sensors.depth_cloud import DepthCloud
+from rewax.sensors.framing import carried, framing
+from rewax.sensors.labels import Labels
+
+RESOLUTION = 64
+"""Pixels along each side of a picture, unless ``make`` is told otherwise."""
+_CLOUD = 256
+"""Points of the sensor ``cloud``."""
+
+SensorFactory: TypeAlias = Callable[[Any, int], Sensor] | str
+"""A function ``(env, resolution) -> sensor``, or its name: ``"package.module:function"``."""
+
+_FACTORIES: dict[str, SensorFactory] = {}
+
+
+def register_sensor(name: str, factory: SensorFactory) -> None:
+    """Make a sensor available to ``make(..., sensors=(name,))`` and to the command line.
+
+    Args:
+      name: of the sensor and of its observation.
+      factory: called as ``factory(env, resolution)`` with an environment and the pixels along a side of its pictures.
+
+    Raises:
+      ValueError: the name is taken by another factory, or a string is not of that form.
+    """
+    if isinstance(factory, str) and factory.count(":") != 1:
+        raise ValueError(f"the factory of {name!r} is {factory!r}: give a function or 'package.module:function'")
+    if _FACTORIES.get(name, factory) != factory:
+        raise ValueError(f"a sensor named {name!r} is registered already: choose another name")
+    _FACTORIES[name] = factory
+
+
+def list_sensors(env: Any = None) -> list[str]:
+    """The names of all registered sensors, sorted; none if an environment is given that sensors cannot see."""
+    if env is not None and not callable(getattr(getattr(env, "unwrapped", env), "world", None)):
+        return []
+    return sorted(_FACTORIES)
+
+
+def with_sensors(env: Any, names: Sequence[str], resolution: int | None = None) -> Sensing:
+    """An environment with registered sensors; their observations have the sensors' names.
+
+    Args:
+      env: an environment with the method ``world(physics, up)``.
+      names: of registered sensors.
+      resolution: pixels along each side of pictures; None: ``RESOLUTION``.
+
+    Raises:
+      ValueError: there is no such sensor, the environment cannot have it, or the resolution is no positive integer.
+    """
+    names = check_names(names)
+    size = RESOLUTION if resolution is None else resolution
+    if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
+        raise ValueError(f"resolution is {resolution!r}: give a whole number of pixels, at least 1")
+    return Sensing(env=env, sensors={name: _factory(name)(env, int(size)) for name in names})
+
+
+def check_names(names: Any) -> tuple[str, ...]:
+    """Names of sensors as a tuple.
+
+    Raises:
+      ValueError: no sensor has one of these names, or one comes twice.
+    """
+    from rewax.envs.registry import did_you_mean
+
+    listed = (names,) if isinstance(names, str) else tuple(names)
+    for name in listed:
+        if not isinstance(name, str) or name not in _FACTORIES:
+            raise ValueError(
+                f"there is no sensor named {name!r}: {did_you_mean(name, _FACTORIES)}known are "
+                f"{', '.join(list_sensors())}; add others with Sensing(env=..., sensors=...)"
+            )
+    if len(set(listed)) < len(listed):
+        raise ValueError(f"sensors is {listed}, with a name twice: give each once")
+    return listed
+
+
+def default_camera(env: Any, resolution: int = RESOLUTION) -> Camera:
+    """The camera of a task: its ``default_camera``, or else one that shows all of the first state of ``key(0)``.
+
+    Raises:
+      ValueError: the environment says neither where to look nor what can be seen.
+    """
+    bare = getattr(env, "unwrapped", env)
+    camera = getattr(bare, "default_camera", None)
+    if camera is None:
+        if not callable(getattr(bare, "world", None)):
+            raise ValueError(f"{type(bare).__name__} has neither a default_camera nor world(physics, up): define one")
+        up = np.asarray(bare.up)
+        world = bare.world(jax.jit(env.reset)(jax.random.key(0)).physics, up)
+        camera = carried(framing(world, up), world, getattr(bare, "camera_body", None))
+    return camera.replace(height=resolution, width=resolution)
+
+
+def _cloud(env: Any, resolution: int) -> DepthCloud:
+    return DepthCloud(camera=default_camera(env, resolution), num_points=min(_CLOUD, resolution**2))
+
+
+def _labels(env: Any, resolution: int) -> Labels:
+    return Labels(camera=default_camera(env, resolution))
+
+
+def _factory(name: str) -> Callable[[Any, int], Sensor]:
+    factory = _FACTORIES[name]
+    if not isinstance(factory, str):
+        return factory
+    module, function = factory.split(":")
+    found = getattr(importlib.import_module(module), function, None)
+    if found is None:
+        raise ValueError(f"the factory of {name!r} is {factory!r}, but {module} has no {function}: correct it")
+    return found
+
+
+register_sensor("camera", default_camera)
+register_sensor("cloud", _cloud)
+register_sensor("labels", _labels)
+
+__all__ = ["RESOLUTION", "SensorFactory", "default_camera", "list_sensors", "register_sensor", "with_sensors"]

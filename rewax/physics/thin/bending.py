@@ -1,0 +1,61 @@
+"""Bending of cloth: forces, energy and stiffness of a scene's hinges, by either law."""
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.thin import elements
+from rewax.physics.thin.materials import BendingLaw
+from rewax.physics.thin.plate import patch, plate_energy, plate_moment, plate_stiffness
+from rewax.physics.thin.stencils import corners, gather, scatter, sum_corners
+from rewax.physics.thin.unfolded import hinge_sizes, unfolded
+from rewax.types import Array
+
+if TYPE_CHECKING:
+    from rewax.physics.thin.scene import ThinScene
+
+
+def bending_forces(scene: "ThinScene", x: Vec3, v: Vec3) -> Vec3:
+    """Forces of bending on the vertices [N], by components. Gradient: exact."""
+    hinges, rest, cloth = scene.topology.hinges, scene.rest, scene.cloth
+    assert cloth is not None
+    now, damping = (corners(hinges, x), corners(hinges, v)), jnp.max(cloth.damping)
+    if scene.bending_law is BendingLaw.HINGES:
+        each = elements.hinge_force(cloth.bending, damping, *now, rest.angle, rest.hinge_weight)
+        return scatter(hinges, each)
+    turned = elements.hinge_turn(damping, *now, rest.angle)
+    around = patch(scene.topology)
+    moments = plate_moment(cloth.bending, cloth.bending_ratio, rest.plate, gather(around, turned))
+    return scatter(hinges, elements.hinge_pull(now[0], sum_corners(around, moments)))
+
+
+def bending_energy(scene: "ThinScene", x: Vec3) -> Array:
+    """Energy of bending [J], shape (). Gradient: exact."""
+    rest, cloth = scene.rest, scene.cloth
+    assert cloth is not None
+    turned = elements.hinge_angle(corners(scene.topology.hinges, x)) - rest.angle
+    if scene.bending_law is BendingLaw.HINGES:
+        return 0.5 * jnp.sum(cloth.bending * rest.hinge_weight * turned**2)
+    angle = gather(patch(scene.topology), turned)
+    return jnp.sum(plate_energy(cloth.bending, cloth.bending_ratio, rest.plate, angle))
+
+
+def bending_stiffness(scene: "ThinScene") -> Array:
+    """An upper bound of the stiffness of bending at the vertices of a body at rest [N/m], shape (num_vertices,): the
+    matrix of these numbers minus the stiffness matrix has no negative eigenvalue. Gradient: exact."""
+    hinges, rest, cloth = scene.topology.hinges, scene.rest, scene.cloth
+    assert cloth is not None
+    angle, pull = jax.vjp(elements.hinge_angle, unfolded(hinge_sizes(scene.topology, rest.inverse_edges)))
+    (slopes,) = pull(jnp.ones_like(angle))
+    zero = jnp.zeros_like(scene.mass)
+    if scene.bending_law is BendingLaw.HINGES:
+        each = cloth.bending * rest.hinge_weight * sum(cp.dot(s, s) for s in slopes)
+        return zero.at[hinges.indices].add(jnp.broadcast_to(each, angle.shape)[:, None])
+    heights = jnp.stack([s[2] for s in slopes], axis=-1)
+    return plate_stiffness(cloth.bending, cloth.bending_ratio, rest.plate, scene.topology, heights)
+
+
+__all__ = ["bending_energy", "bending_forces", "bending_stiffness"]

@@ -1,0 +1,71 @@
+"""The environment carries the memory that the policy returned, zeros at first, and keeps it where a step fails."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import toys
+
+from rewax.envs import AutoReset, Vmap
+from rewax.envs.memory import MEMORY, Remembered, Remembering, remembering
+
+SIZE = 3
+
+
+def remembers(length=4):
+    return remembering(toys.point_mass(length), SIZE)
+
+
+def batch(env, num=3):
+    return Vmap(env=AutoReset(env=env)).reset(jax.random.split(jax.random.key(0), num))
+
+
+def drawn(seed, num=3):
+    keys = jax.random.split(jax.random.key(seed))
+    return Remembered(0.1 * jax.random.normal(keys[0], (num, 1)), jax.random.normal(keys[1], (num, SIZE)))
+
+
+def test_the_memory_is_zero_at_first_and_then_what_the_policy_returned():
+    env, plain = remembers(), toys.point_mass(4)
+    state = env.reset(jax.random.key(1))
+    np.testing.assert_array_equal(state.obs[MEMORY], np.zeros(SIZE))
+    moved = Remembered(jnp.array([0.2]), jnp.arange(3.0))
+    after, without = env.step(state, moved), plain.step(plain.reset(jax.random.key(1)), moved.action)
+    np.testing.assert_array_equal(after.obs.pop(MEMORY), moved.memory)
+    jax.tree.map(np.testing.assert_array_equal, (after.obs, after.physics, after.reward), (
+        without.obs, without.physics, without.reward,
+    ))  # fmt: skip
+    assert env.observation_spec[MEMORY].shape == (SIZE,) and env.episode_length == 4
+
+
+def test_the_reset_of_one_environment_leaves_the_memory_of_the_others_as_it_is_to_the_bit():
+    env = remembers()
+    step = jax.jit(Vmap(env=AutoReset(env=env)).step)
+    state = step(batch(env), drawn(0))
+    late = state.replace(step_count=state.step_count.at[1].set(3))  # the next step truncates the second environment
+    some, none = step(late, drawn(1)), step(state, drawn(1))
+    assert some.truncated.tolist() == [False, True, False] and not none.truncated.any()
+    np.testing.assert_array_equal(some.obs[MEMORY][1], np.zeros(SIZE))
+    np.testing.assert_array_equal(some.final_obs[MEMORY][1], drawn(1).memory[1])
+    for others in (0, 2):
+        np.testing.assert_array_equal(some.obs[MEMORY][others], drawn(1).memory[others])
+        jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[others], b[others]), some.obs, none.obs)
+
+
+def test_a_failed_step_keeps_the_memory_and_the_next_episode_begins_with_zeros():
+    env = remembers()
+    state = batch(env)
+    state = Vmap(env=AutoReset(env=env)).step(state, drawn(0))
+    spoilt = drawn(1)._replace(memory=jnp.full((3, SIZE), jnp.nan), action=jnp.full((3, 1), jnp.nan))
+    after = Vmap(env=AutoReset(env=env)).step(state, spoilt)
+    assert after.terminated.all()
+    np.testing.assert_array_equal(after.final_obs[MEMORY], drawn(0).memory)
+    np.testing.assert_array_equal(after.obs[MEMORY], np.zeros((3, SIZE)))
+
+
+def test_an_action_without_memory_and_a_taken_name_are_sentences():
+    env = remembers()
+    with pytest.raises(ValueError, match="but it has a memory of 3: let it return Remembered"):
+        env.step(env.reset(jax.random.key(0)), jnp.zeros(1))
+    with pytest.raises(ValueError, match="has an observation named 'memory', the name of a policy's memory: rename it"):
+        remembering(Remembering(env=toys.point_mass(), size=2), SIZE)
