@@ -36,9 +36,7 @@ def main() -> None:
     picture = parser.parse_args().picture
     camera = Camera.look_at(TARGET, eye=EYE, up=UP, near=NEAR, far=FAR, height=HEIGHT, width=WIDTH)
     pairs = []
-    print(
-        "| scene | pixels that show a body | within 1 mm of the renderer | median error | within 1 mm of the rays |"
-    )
+    print("| scene | pixels that show a body | within 1 mm of the renderer | median error | within 1 mm of the rays |")
     print("|---|---|---|---|---|")
     for scene in SCENES:
         model = rigid.load(mjcf(scene), dt=1e-3)
