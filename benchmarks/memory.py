@@ -10,7 +10,7 @@ the same starts. Its row is written when it is finished, and finished cells are 
     Cartpole    CartpoleSwingUp; the velocity of the cart and the rate of the pole's angle are hidden
     Goal        a point reaches a goal in the plane, which it is shown at the first of 32 steps only
 
-The critics of all columns see the full observation. Columns say what the policy sees:
+The critics of all columns get the full observation. The columns name the observations of the policy:
 
     full        everything: the velocities, the goal at every step
     one         the observation of this step

@@ -3,8 +3,8 @@
     python benchmarks/seeing_speed.py
     python benchmarks/seeing_speed.py --task GripperLift --envs 8 --resolution 64 --repeats 5
 
-One process measures all of it, in turns; each number is the least of the repeats. SAPO's policy sees depth and the
-critics see the state. An environment renders twice in a control step: its own picture, and that of a fresh episode.
+One process measures all of it, in turns; each number is the least of the repeats. SAPO's policy observes depth and the
+critics observe the state. An environment renders twice in a control step: its own picture, and that of a fresh episode.
 """
 
 import dataclasses

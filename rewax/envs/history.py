@@ -20,8 +20,8 @@ class History(struct.Replaceable, _Wrapper):
     Attributes:
       env: an environment; put ``History`` around ``Sensing`` and ``Latency``.
       steps: number of observations (static).
-      of: names of the observations; None: all. Leave out what only critics see, and a ``DepthCloud``, whose points are
-        other ones at each step (static).
+      of: names of the observations; None: all. Leave out observations of critics alone, and a ``DepthCloud``, because
+        it has other points at each step (static).
 
     Example:
       >>> env = History(env=make("CartpoleSwingUp"), steps=4)

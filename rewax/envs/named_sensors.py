@@ -64,7 +64,7 @@ def with_sensors(env: Any, names: Sequence[str], resolution: int | None = None) 
     names = check_names(names)
     size = RESOLUTION if resolution is None else resolution
     if isinstance(size, bool) or not isinstance(size, (int, np.integer)) or size < 1:
-        raise ValueError(f"resolution is {resolution!r}: give a whole number of pixels, at least 1")
+        raise ValueError(f"resolution is {resolution!r}: give an integer of pixels, at least 1")
     return Sensing(env=env, sensors={name: _factory(name)(env, int(size)) for name in names})
 
 

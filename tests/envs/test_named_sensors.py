@@ -39,8 +39,8 @@ def test_no_sensors_are_the_environment_alone(sensors):
             r"there is no sensor named 'camra': did you mean 'camera'\? known are camera, cloud, ",
         ),
         ({"sensors": ["camera", "camera"]}, "sensors is .*, with a name twice: give each once"),
-        ({"sensors": ["camera"], "resolution": 0}, "resolution is 0: give a whole number of pixels, at least 1"),
-        ({"sensors": ["camera"], "resolution": True}, "resolution is True: give a whole number"),
+        ({"sensors": ["camera"], "resolution": 0}, "resolution is 0: give an integer of pixels, at least 1"),
+        ({"sensors": ["camera"], "resolution": True}, "resolution is True: give an integer"),
         ({"resolution": 64}, r"resolution is that of pictures: give it together with sensors=\('camera',\)"),
     ],
 )
