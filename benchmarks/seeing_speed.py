@@ -100,8 +100,8 @@ def encoder(args: Args, network: nn.Module, count: int) -> Callable[[], Any]:
     """A function that encodes a batch of pictures, with the gradient of the parameters."""
     batch = jax.random.uniform(jax.random.key(1), (args.envs * count, args.resolution, args.resolution, 1))
     weights: Any = network.init(jax.random.key(2), batch[0])
-    program = jax.jit(jax.grad(lambda w: jnp.sum(jax.vmap(lambda x: network.apply(w, x))(batch) ** 2)))
-    return lambda: program(weights)
+    program = jax.jit(jax.grad(lambda w, batch: jnp.sum(jax.vmap(lambda x: network.apply(w, x))(batch) ** 2)))
+    return lambda: program(weights, batch)
 
 
 def least(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
