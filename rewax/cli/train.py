@@ -53,7 +53,7 @@ def run(argv: Sequence[str]) -> int:
     made_by = env_arguments(first.env, first.scale, first.env_from, use, _recorded(first))
     first.env, scale = made_by.env, made_by.scale
     kwargs = {**made_by.kwargs, **_sensor_arguments(first)}
-    env = build_env(first.env, scale, **kwargs)
+    env: Any = build_env(first.env, scale, **kwargs)
     preset = _preset(first, scale, chosen)
     options = _options(first, scale, preset)
     args: Any = parse(options, argv, prog=_PROG, description=_description(first.algo, first.env, scale))

@@ -24,11 +24,11 @@ def overlooking(middle: Any, size: float, *, up: Any, **fields: Any) -> Camera:
       up: unit vector against gravity, shape (3,).
       **fields: of ``Camera``.
     """
-    middle, size, up = np.asarray(middle, np.float32), np.float32(size), np.asarray(up)
+    middle, up, across = np.asarray(middle, np.float32), np.asarray(up), np.float32(size)
     side = np.array([0.0, -1.0, 0.0]) if abs(up[2]) > 0.5 else np.array([0.0, 0.0, 1.0])
-    eye = middle + size * (side + _ABOVE * up + _RIGHT * np.cross(up, side))
+    eye = middle + across * (side + _ABOVE * up + _RIGHT * np.cross(up, side))
     away = float(np.linalg.norm(eye - middle))
-    placed = {"near": float(away - 0.8 * size), "far": float(away + 1.2 * size), "field_of_view": 40.0, **fields}
+    placed = {"near": float(away - 0.8 * across), "far": float(away + 1.2 * across), "field_of_view": 40.0, **fields}
     return Camera.look_at(middle - 0.02 * up, eye=eye, up=up, **placed)
 
 

@@ -160,7 +160,7 @@ def _shares(owner: np.ndarray, position: Vec3, center: Array) -> Array:
     """1 where a patch is the nearest of its body's, else 0, shape (num_patches, num_points)."""
     center, position = jax.lax.stop_gradient((center, position))
     # Computed once: fused copies may round differently, and a point would be felt twice or not at all.
-    square = compute_once(sum((position[i] - center[:, i, None]) ** 2 for i in cp.AXES))
+    square: Any = compute_once(sum((position[i] - center[:, i, None]) ** 2 for i in cp.AXES))
     shares: list[Any] = [None] * len(owner)
     for body in np.unique(owner):
         own = np.flatnonzero(owner == body)

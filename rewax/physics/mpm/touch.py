@@ -99,7 +99,8 @@ def _grid_velocity(
     owner = jnp.asarray([c.body for c in scene.colliders], jnp.int32)
     near = colliders_at(scene, nodes, has_mass, _Owned(*placed, owner))  # pyright: ignore[reportArgumentType]
     every = len(near) == len(scene.colliders)  # else the broad phase chose some
-    owners = [c.body if every else given.body for c, given in zip(scene.colliders, [p for _, p in near], strict=False)]
+    placed_near: list[Any] = [p for _, p in near]
+    owners = [c.body if every else given.body for c, given in zip(scene.colliders, placed_near, strict=False)]
     colliders = [(collider, Placed(*given[:3])) for collider, given in near]
     velocity, lost = velocity_losses(colliders, nodes.position, velocity, overlap=scene.overlap)
     received = [(body, cp.scale(mass, change)) for body, change in zip(owners, lost, strict=True)]

@@ -58,7 +58,7 @@ def step_with_touch(
 
     def substep(carry: tuple[RigidState, Any], _: None) -> tuple[tuple[RigidState, Any], None]:
         state, total = carry
-        _, after = rates(model, state, ctrl, wrenches)
+        after = rates(model, state, ctrl, wrenches)[1]
         contacts = felt_contacts(model, state, after.qacc, ctrl, wrenches, patches)
         return (after, accumulated(total, contacts, 1.0 / num_substeps)), None
 
@@ -125,6 +125,7 @@ def _contacts(
             found = _PointForces(*spring_forces(model, model.penalty, kin, m, d, twist)[:3], None)
         else:
             rows, contact = rows_and_contacts(model, kin, m, d)
+            assert contact is not None, "a model without contacts feels nothing"
             if derivative:
                 applied, _ = applied_forces(model, kin, m, d, wrenches)
                 mass = mass_matrix(topology, *jax.lax.stop_gradient((parameters, kin)))

@@ -26,6 +26,7 @@ def bending_forces(scene: "ThinScene", x: Vec3, v: Vec3) -> Vec3:
     if scene.bending_law is BendingLaw.HINGES:
         each = elements.hinge_force(cloth.bending, damping, *now, rest.angle, rest.hinge_weight)
         return scatter(hinges, each)
+    assert rest.plate is not None
     turned = elements.hinge_turn(damping, *now, rest.angle)
     around = patch(scene.topology)
     moments = plate_moment(cloth.bending, cloth.bending_ratio, rest.plate, gather(around, turned))
@@ -39,6 +40,7 @@ def bending_energy(scene: "ThinScene", x: Vec3) -> Array:
     turned = elements.hinge_angle(corners(scene.topology.hinges, x)) - rest.angle
     if scene.bending_law is BendingLaw.HINGES:
         return 0.5 * jnp.sum(cloth.bending * rest.hinge_weight * turned**2)
+    assert rest.plate is not None
     angle = gather(patch(scene.topology), turned)
     return jnp.sum(plate_energy(cloth.bending, cloth.bending_ratio, rest.plate, angle))
 
@@ -54,6 +56,7 @@ def bending_stiffness(scene: "ThinScene") -> Array:
     if scene.bending_law is BendingLaw.HINGES:
         each = cloth.bending * rest.hinge_weight * sum(cp.dot(s, s) for s in slopes)
         return zero.at[hinges.indices].add(jnp.broadcast_to(each, angle.shape)[:, None])
+    assert rest.plate is not None
     heights = jnp.stack([s[2] for s in slopes], axis=-1)
     return plate_stiffness(cloth.bending, cloth.bending_ratio, rest.plate, scene.topology, heights)
 

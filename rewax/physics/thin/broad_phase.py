@@ -7,7 +7,7 @@ level keeps a list of fixed length. ``Found.excess`` says by how much the fulles
 Gradient: none; which pairs are close is a constant.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -71,7 +71,8 @@ def overlapping(first: Boxes, second: Boxes | None, orders: tuple, levels: int, 
     i, j = (k.reshape(-1) for k in np.indices((a[-1].lower.shape[1], b[-1].lower.shape[1])))
     if same:
         i, j = i[i <= j], j[i <= j]
-    i, j, valid, excess = jnp.asarray(i), jnp.asarray(j), True, jnp.int32(-(2**30))
+    valid: Any = True
+    i, j, excess = jnp.asarray(i), jnp.asarray(j), jnp.int32(-(2**30))
     child_i, child_j = (k.reshape(-1) for k in np.indices((_ARITY, _ARITY)))
     for level in reversed(range(levels + 1)):
         overlap = _overlap(a[level], b[level], i, j) & valid

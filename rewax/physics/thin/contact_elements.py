@@ -68,7 +68,8 @@ class ContactElements:
         """Vertices and triangles, or edges twice."""
         vertices, edges, triangles = self.orders
         if not with_triangles:
-            return (Kind(self.edges, self.is_rope, edges),) * 2
+            both = Kind(self.edges, self.is_rope, edges)
+            return both, both
         flat = np.zeros(len(self.triangles), bool)
         return Kind(self._vertices, self.in_rope, vertices), Kind(self.triangles, flat, triangles)
 

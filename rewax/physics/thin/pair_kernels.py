@@ -37,7 +37,7 @@ class CloseElements(NamedTuple):
     first: Array
     second: Array
     """Indices, int32 of shape (capacity,); 0 beyond the last pair."""
-    count: Array
+    count: Array  # pyright: ignore[reportIncompatibleMethodOverride]
     """Number of pairs that are close, shape (), int32; above the capacity, some are missing."""
 
 

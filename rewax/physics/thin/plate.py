@@ -94,7 +94,7 @@ def _weights(topology: Topology, hinges: Hinges) -> Array:
     x0, x1, h1, x2, h2 = hinges
     a, b = _points(-0.5 * x0, 0.0), _points(0.5 * x0, 0.0)
     c, d = _points(x1 - 0.5 * x0, h1), _points(x2 - 0.5 * x0, -h2)
-    bend = sum(_side(x0, x - 0.5 * x0, h, sign) for x, h, sign in ((x1, h1, 1.0), (x2, h2, -1.0)))
+    bend: Any = sum(_side(x0, x - 0.5 * x0, h, sign) for x, h, sign in ((x1, h1, 1.0), (x2, h2, -1.0)))
     rows = [bend]
     for k, edge in enumerate((c - b, a - c, d - a, b - d), start=1):
         u, v = jnp.moveaxis(edge / jnp.sqrt(jnp.sum(edge**2, axis=-1, keepdims=True)), -1, 0)
@@ -151,7 +151,8 @@ def plate_energy(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, angle
     """Energy of triangles [J]; arguments as for ``plate_moment``."""
     alpha = _alpha(rest, angle)
     moment = _solve(bending, poissons_ratio, rest, alpha)
-    return 0.5 * sum(a * m for a, m in zip(alpha, moment, strict=True))
+    total: Any = sum(a * m for a, m in zip(alpha, moment, strict=True))
+    return 0.5 * total
 
 
 def plate_stiffness(
@@ -175,8 +176,8 @@ def plate_stiffness(
         steep.append(jnp.zeros(vertices.shape, slope.dtype).at[rows, at].add(shares.reshape(count, -1)))
     one, zero = jnp.ones_like(rest.trace[0]), jnp.zeros_like(rest.trace[0])
     columns = [_solve(bending, poissons_ratio, rest, [one if j == k else zero for j in range(3)]) for k in range(3)]
-    moments = [sum(columns[j][k][:, None] * steep[j] for j in range(3)) for k in range(3)]
-    matrix = sum(a[:, :, None] * m[:, None, :] for a, m in zip(steep, moments, strict=True))
+    moments: list[Any] = [sum(columns[j][k][:, None] * steep[j] for j in range(3)) for k in range(3)]
+    matrix: Any = sum(a[:, :, None] * m[:, None, :] for a, m in zip(steep, moments, strict=True))
     bound = jnp.sum(jnp.abs(matrix), axis=-1)
     return jnp.zeros(topology.triangles.num_vertices, slope.dtype).at[vertices].add(bound)
 
@@ -196,11 +197,11 @@ def _corners_of_patches(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
 
 def _spread(w: Array, moment: list[Array]) -> tuple[Array, ...]:
     """Transpose of ``_alpha``."""
-    inner = [sum(w[5 * k + (j - k) % 3] * moment[k] for k in range(3)) for j in range(3)]
+    inner: list[Any] = [sum(w[5 * k + (j - k) % 3] * moment[k] for k in range(3)) for j in range(3)]
     return (*inner, *(w[5 * k + j] * moment[k] for k in range(3) for j in (3, 4)))
 
 
-def _alpha(rest: PlateRest, angle: tuple[Array, ...]) -> list[Array]:
+def _alpha(rest: PlateRest, angle: tuple[Array, ...]) -> list[Any]:
     w = rest.weights
     return [
         sum(w[5 * k + j] * angle[(k + j) % 3] for j in range(3))

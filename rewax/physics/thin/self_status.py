@@ -46,7 +46,7 @@ def cloth_crossed(elements: ContactElements, x: Vec3, capacity: int) -> tuple[Ar
     at = jnp.stack(x)
     edges, triangles = elements.kinds(False)[0], elements.kinds(True)[1]
     boxes = [broad_phase.boxes_of(at, kind.corners, jnp.zeros((), at.dtype)) for kind in (edges, triangles)]
-    found = broad_phase.overlapping(*boxes, (edges.order, triangles.order), elements.levels, 4 * capacity)
+    found = broad_phase.overlapping(boxes[0], boxes[1], (edges.order, triangles.order), elements.levels, 4 * capacity)
     ends = broad_phase.gather_corners(at, edges, found.first)
     corners = broad_phase.gather_corners(at, triangles, found.second)
     shares = jnp.bool_(False)
