@@ -197,7 +197,7 @@ def test_the_tutorial_of_a_soft_task_runs(capsys):
 
 def test_the_page_of_cameras_runs(capsys):
     names = run_page("docs/sensors.md")
-    assert capsys.readouterr().out.splitlines()[0] == "(64, 64, 1)"
+    assert capsys.readouterr().out.splitlines()[:2] == ["(64, 64, 1) (256, 3)", "(64, 64, 1)"]
     depth = np.asarray(names["state"].obs["depth"])
     assert depth.min() < 0.9 < depth.max() == 1.0, "the camera sees the cart"
     assert names["agent"].config.observe == ("depth",) and "depth" not in names["agent"].config.critic_observe
