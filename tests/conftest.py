@@ -79,6 +79,17 @@ def few_programs() -> Iterator[None]:
         jax.clear_caches()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def algorithms_of_rewax() -> Iterator[None]:
+    """Algorithms that a module registers, as pages of the manual do, are gone for the next one in the same process."""
+    from rewax.agents import registry
+
+    before = dict(registry._ALGORITHMS)
+    yield
+    registry._ALGORITHMS.clear()
+    registry._ALGORITHMS.update(before)
+
+
 @pytest.fixture(scope="session")
 def sharing_programs() -> dict[str, str]:
     """The environment of another Python that keeps compiled programs where the tests do."""
