@@ -113,10 +113,11 @@ def identify(
     kept = _kept(total, groups)
     latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit)
     latent = np.clip(latent, *space.bounds)
-    remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, low, high)
     finest = kept & (groups == groups[kept].max())
     found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between)
+    remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, low, high)
+    remarks += cut_off(space, latent, covariance)
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
         undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[-1],
@@ -207,4 +208,18 @@ def _remarks(
     return said
 
 
-__all__ = ["identify"]
+def cut_off(space: Space, latent: np.ndarray, covariance: np.ndarray) -> list[str]:
+    """Sentences about unknowns whose 95 % interval is cut off at an end of the prior."""
+    reach = 1.96 * np.sqrt(np.diag(covariance))
+    low, high = space.bounds
+    ends = np.where(latent - reach < low, "lower", np.where(latent + reach > high, "upper", ""))
+    both = (latent - reach < low) & (latent + reach > high)
+    return [
+        f"The interval of {short(label)} ends at {'both ends' if two else f'the {end} end'} of its prior: a wider "
+        "prior gives a wider interval."
+        for label, end, two in zip(space.labels, ends, both, strict=True)
+        if end
+    ]
+
+
+__all__ = ["cut_off", "identify"]

@@ -9,6 +9,7 @@ import sliding_block
 from rewax.envs.randomize import LogNormal, LogUniform, Normal, Uniform
 from rewax.identify import identify, load_result, minimize, one_sided_chamfer
 from rewax.identify.evaluation import evaluate
+from rewax.identify.fit import cut_off
 from rewax.identify.starts import spread_starts
 from rewax.identify.unknowns import space_of
 
@@ -168,3 +169,19 @@ def test_latent_coordinates_are_standard_under_the_prior():
     np.testing.assert_allclose(latent.mean(0), 0.0, atol=0.06)
     np.testing.assert_allclose(latent.std(0), 1.0, atol=0.04)
     np.testing.assert_allclose(np.stack(space.numbers(latent), -1), draws, rtol=1e-5)
+
+
+def test_an_interval_that_ends_at_the_end_of_its_prior_is_named():
+    space = space_of({"gain": LogUniform(0.1, 1.0)}, sliding_block.block())
+    low, high = (bound.item() for bound in space.bounds)
+    middle, width = 0.5 * (low + high), high - low
+
+    def said(latent, std):
+        return cut_off(space, np.array([latent]), np.array([[std**2]]))
+
+    assert said(middle, 0.1 * width) == []
+    assert said(high - 0.1 * width, 0.1 * width) == [
+        "The interval of gain ends at the upper end of its prior: a wider prior gives a wider interval."
+    ]
+    assert "the lower end of its prior" in said(low + 0.1 * width, 0.1 * width)[0]
+    assert "both ends of its prior" in said(middle, width)[0]
