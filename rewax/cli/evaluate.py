@@ -125,6 +125,7 @@ def _print_results(saved: Any, options: Options) -> dict[str, Any]:
         still, random = constant_policy(jnp.zeros(env.action_spec.shape)), uniform_policy(env)
         evaluations["no action"] = make_evaluate(env, still, options.episodes), True
         evaluations["random actions"] = make_evaluate(env, random, options.episodes), False
+    width = max(map(len, evaluations))
     for name, (evaluate, deterministic) in evaluations.items():
         key = jax.random.key(options.seed)
         numbers = found[name] = _numbers(evaluate(saved.train_state, key, deterministic=deterministic))
@@ -132,7 +133,7 @@ def _print_results(saved: Any, options: Options) -> dict[str, Any]:
         spread = ", ".join(f"{what} {numbers[what]:.4g}" for what in ("std", "min", "max"))
         success = f", {numbers['success']:.0%} succeeded" if "success" in numbers else ""
         mean = f"mean {numbers['mean']:.4g} [{low:.4g}, {high:.4g}]"
-        print(f"{name:14s} {mean}, {spread}{success}, {numbers['failed']} of {options.episodes} failed")
+        print(f"{name:{width}s} {mean}, {spread}{success}, {numbers['failed']} of {options.episodes} failed")
     return found
 
 

@@ -57,7 +57,7 @@ def test_a_failing_run_to_its_end_is_no_success(tmp_path):
     result, text = run(tmp_path, FRAGILE, AGENT, num_iterations=2)
     assert "episodes failed numerically in the last 2 iterations" in result.failure and result.failure in text
     assert "sampled (2 of 2 episodes failed), " in text and "deterministic (2 of 2 episodes failed)" in text
-    assert "warning: 4 of 4 episodes failed numerically and ended there" in text
+    assert "warning: 4 of 4 episodes failed numerically and ended early" in text
     assert result.evaluation["sampled_failed"] == 2
 
 
