@@ -29,7 +29,7 @@ def test_numbers_are_printed_and_kept_as_json(run, capsys):
     assert (kept["iteration"], kept["episodes"], kept["seed"]) == (1, 3, 0)
     for name in ("sampled", "deterministic"):
         numbers = kept[name]
-        assert f"{name:14s} mean {numbers['mean']:.4g} [" in text
+        assert f"{name:13s} mean {numbers['mean']:.4g} [" in text
         assert numbers["mean"] == pytest.approx(sum(numbers["returns"]) / 3) and len(numbers["returns"]) == 3
         assert numbers["interval"][0] <= numbers["mean"] <= numbers["interval"][1]
 
