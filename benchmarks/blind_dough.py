@@ -14,7 +14,6 @@ finished. The critics of all columns observe the state and the weight. Columns s
     told      joints, and the weight: the bound of what touch could tell
 """
 
-import csv
 import dataclasses
 import time
 from pathlib import Path
@@ -24,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from rows import append, mean, read
 
 import rewax
 from rewax import struct
@@ -144,30 +144,12 @@ class Args:
     time: bool = False
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(path.open())) if path.is_file() else []
-
-
-def write(rows: list[dict[str, Any]], path: Path) -> None:
-    """Replace the file in one step, so that it is whole at all times."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".writing")
-    with unfinished.open("w", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    unfinished.replace(path)
-
-
 def table(rows: list[dict[str, str]]) -> str:
     """Markdown: mean return of the seeds by column and weight."""
     lines = ["| policy observes | " + " | ".join(WEIGHTS) + " |", "|" + "---|" * (len(WEIGHTS) + 1)]
     for column in COLUMNS:
-        cells = []
-        for at in WEIGHTS:
-            some = [float(row["return"]) for row in rows if (row["column"], row["at"]) == (column, at)]
-            cells.append(f"{np.mean(some):.1f} ({len(some)})" if some else "-")
-        lines.append(f"| {column} | " + " | ".join(cells) + " |")
+        found = [mean(rows, column=column, at=at) for at in WEIGHTS]
+        lines.append(f"| {column} | " + " | ".join(found) + " |")
     return "\n".join(lines)
 
 
@@ -186,7 +168,7 @@ def main(args: Args) -> None:
                 continue
             rows = run_cell(column, seed)
             jax.clear_caches()
-            write([*read(args.out), *({**row, **where} for row in rows)], args.out)
+            append(({**row, **where} for row in rows), FIELDS, args.out)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ The critics of all columns get the full observation. The columns name the observ
     none        not a policy: zeros as actions
 """
 
-import csv
 import dataclasses
 import time
 from pathlib import Path
@@ -30,6 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from rows import append, read, returns
 
 import rewax
 from rewax import struct
@@ -185,27 +185,11 @@ class Args:
     table: bool = False
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(path.open())) if path.is_file() else []
-
-
-def write(rows: list[dict[str, Any]], path: Path) -> None:
-    """Replace the file in one step, so that it is whole at all times."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".writing")
-    with unfinished.open("w", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    unfinished.replace(path)
-
-
 def table(rows: list[dict[str, str]]) -> str:
     """Markdown: mean and standard deviation of the seeds' returns, with their number in brackets."""
 
     def cell(task: str, algorithm: str, column: str) -> str:
-        wanted = {"task": task, "algorithm": algorithm, "column": column}
-        some = [float(row["return"]) for row in rows if all(row[key] == value for key, value in wanted.items())]
+        some = returns(rows, task=task, algorithm=algorithm, column=column)
         return f"{np.mean(some):.2f} ± {np.std(some):.2f} ({len(some)})" if some else "-"
 
     lines = ["| task | algorithm | " + " | ".join(COLUMNS) + " |", "|" + "---|" * (len(COLUMNS) + 2)]
@@ -236,7 +220,7 @@ def main(args: Args) -> None:
                         **where,
                     }
                     print(", ".join(map(str, row.values())), flush=True)
-                    write([*read(args.out), row], args.out)
+                    append([row], FIELDS, args.out)
                     jax.clear_caches()
 
 

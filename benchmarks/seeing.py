@@ -22,7 +22,6 @@ from the same starts. Its rows are written when it is finished, and finished cel
 ``depth`` and ``varied`` are evaluated at the ends of the ranges too: noise, latency and pose alone and all together.
 """
 
-import csv
 import dataclasses
 import time
 from pathlib import Path
@@ -32,6 +31,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from rows import append, mean, read
 
 import rewax
 from rewax import struct
@@ -225,37 +225,18 @@ class Args:
     table: bool = False
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(path.open())) if path.is_file() else []
-
-
-def write(rows: list[dict[str, Any]], path: Path) -> None:
-    """Replace the file in one step, so that it is whole at all times."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".writing")
-    with unfinished.open("w", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    unfinished.replace(path)
-
-
 def tables(rows: list[dict[str, str]]) -> str:
     """Markdown: mean return of the seeds by task and column, and by the end of the ranges."""
-
-    def cell(**wanted: str) -> str:
-        some = [float(row["return"]) for row in rows if all(row[key] == value for key, value in wanted.items())]
-        return f"{np.mean(some):.1f} ({len(some)})" if some else "-"
 
     tasks = list(dict.fromkeys(row["task"] for row in rows))
     lines = ["| trained | " + " | ".join(tasks) + " |", "|" + "---|" * (len(tasks) + 1)]
     for column in COLUMNS:
-        found = [cell(task=task, column=column, at="nominal") for task in tasks]
+        found = [mean(rows, task=task, column=column, at="nominal") for task in tasks]
         lines.append(f"| {column} | " + " | ".join(found) + " |")
     lines += ["", "| task | trained | " + " | ".join(ENDS) + " |", "|" + "---|" * (len(ENDS) + 2)]
     for task in tasks:
         for column in ("depth", "varied"):
-            found = [cell(task=task, column=column, at=at) for at in ENDS]
+            found = [mean(rows, task=task, column=column, at=at) for at in ENDS]
             if any(value != "-" for value in found):
                 lines.append(f"| {task} | {column} | " + " | ".join(found) + " |")
     return "\n".join(lines)
@@ -280,7 +261,7 @@ def main(args: Args) -> None:
                     continue
                 rows = run_cell(task, column, seed, args.keep)
                 jax.clear_caches()  # compiled programs of all cells together exhaust the process's memory maps
-                write([*read(args.out), *({**row, **where} for row in rows)], args.out)
+                append(({**row, **where} for row in rows), FIELDS, args.out)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """The Python code of the documentation's pages."""
 
 import re
+import runpy
+import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -17,3 +19,13 @@ def run_page(page, needs=""):
     names = {}
     exec(compile(code(page, needs), page, "exec"), names)
     return names
+
+
+def run_benchmark(name):
+    """The names of a file of ``benchmarks/``, which finds its neighbours there."""
+    folder = str(ROOT / "benchmarks")
+    sys.path.append(folder)  # the last place: a file there has the name of a module of Python
+    try:
+        return runpy.run_path(f"{folder}/{name}.py")
+    finally:
+        sys.path.remove(folder)

@@ -1,10 +1,8 @@
 """The page of policies that see runs, and shows the rows of its benchmark."""
 
-import runpy
-
 import jax
 import numpy as np
-from doc_pages import ROOT, run_page
+from doc_pages import ROOT, run_benchmark, run_page
 
 
 def test_the_page_of_policies_that_see_runs_and_shows_its_rows():
@@ -17,7 +15,7 @@ def test_the_page_of_policies_that_see_runs_and_shows_its_rows():
     assert (late.observation, late.action, late.of) == ((0, 2), (0, 1), ("depth",))
     assert names["robust"].config.observe == ("depth", "joint_q", "joint_qd")
     assert set(names["robust"].config.critic_observe) == set(env.env.observation_spec)
-    benchmark = runpy.run_path(str(ROOT / "benchmarks" / "seeing.py"))
+    benchmark = run_benchmark("seeing")
     rows, text = (
         benchmark["read"](ROOT / "docs/suites/seeing/results.csv"),
         (ROOT / "docs/policies_that_see.md").read_text(),
@@ -26,6 +24,6 @@ def test_the_page_of_policies_that_see_runs_and_shows_its_rows():
 
 
 def test_the_page_shows_the_rows_of_blind_dough():
-    benchmark = runpy.run_path(str(ROOT / "benchmarks" / "blind_dough.py"))
+    benchmark = run_benchmark("blind_dough")
     rows, text = benchmark["read"](ROOT / "docs/suites/blind_dough/results.csv"), ROOT / "docs/policies_that_see.md"
     assert rows and benchmark["table"](rows) in text.read_text()

@@ -1,0 +1,39 @@
+"""Rows of a benchmark's cells in a CSV file, written as the cells are finished."""
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    """The rows that are there, none if there is no file."""
+    return list(csv.DictReader(path.open())) if path.is_file() else []
+
+
+def append(rows: Iterable[Mapping[str, Any]], fields: Sequence[str], path: Path) -> None:
+    """Add rows. The file is replaced in one step, so that it is whole at all times."""
+    every = [*read(path), *rows]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".writing")
+    with unfinished.open("w", newline="") as file:
+        writer = csv.DictWriter(file, fields, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(every)
+    unfinished.replace(path)
+
+
+def returns(rows: Iterable[Mapping[str, str]], **wanted: str) -> list[float]:
+    """The returns of the rows with these values."""
+    return [float(row["return"]) for row in rows if all(row[key] == value for key, value in wanted.items())]
+
+
+def mean(rows: Iterable[Mapping[str, str]], **wanted: str) -> str:
+    """The mean return of those rows, and their number in brackets; a dash if there are none."""
+    found = returns(rows, **wanted)
+    return f"{np.mean(found):.1f} ({len(found)})" if found else "-"
+
+
+__all__ = ["append", "mean", "read", "returns"]
