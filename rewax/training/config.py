@@ -50,6 +50,9 @@ class ReportConfig:
 class TrainConfig(ReportConfig):
     """A run: its length, seed, directory and reports.
 
+    The options of its reports (``eval_every``, ``num_eval_episodes``, ``checkpoint_every``, ``video``, ...) are explained
+    in ``rewax.training.ReportConfig``.
+
     Attributes:
       num_iterations: total number of iterations, including those before a resume.
       num_steps: total number of control steps of all environments: the run ends with the iteration that reaches it.
