@@ -50,8 +50,8 @@ class ReportConfig:
 class TrainConfig(ReportConfig):
     """A run: its length, seed, directory and reports.
 
-    The options of its reports (``eval_every``, ``num_eval_episodes``, ``checkpoint_every``, ``video``, ...) are explained
-    in ``rewax.training.ReportConfig``.
+    ``rewax.training.ReportConfig`` explains the options of its reports: ``eval_every``, ``num_eval_episodes``,
+    ``checkpoint_every``, ``plots``, ``video`` and others.
 
     Attributes:
       num_iterations: total number of iterations, including those before a resume.
