@@ -154,7 +154,19 @@ def _spoiled(rng: random.Random, tree: Any, where: str = "") -> tuple[Any, str, 
 
 def _wrong_values(good: Any) -> list[Any]:
     """Values that no scene takes in the place of a good one."""
-    wrong: list[Any] = [object(), "abc", {}, {"a": 1}, b"x", 1 + 2j, [[]], ["a"], {1}, ("a", "b", "c"), np.full((2, 5), 1.0)]
+    wrong: list[Any] = [
+        object(),
+        "abc",
+        {},
+        {"a": 1},
+        b"x",
+        1 + 2j,
+        [[]],
+        ["a"],
+        {1},
+        ("a", "b", "c"),
+        np.full((2, 5), 1.0),
+    ]
     if not isinstance(good, Number):
         return [*wrong, 3.5, True, -1]
     numbers = [nan, inf, -inf, *([] if good.signed else [-1.0, -1e-9])]
