@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from identify_worlds import KINDS, RADIUS, Kind, world
 
+from rewax import replace_leaf
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomize import LogUniform
 from rewax.identify import record
@@ -45,10 +46,18 @@ def seen_in(kind: Kind, cells: int, case: int) -> Record:
 
 
 def ratios(
-    kind: Kind, cells: int, case: int, seen: Record, placements: int, steps: int, further: dict[str, Any]
+    kind: Kind,
+    cells: int,
+    case: int,
+    seen: Record,
+    placements: int,
+    steps: int,
+    further: dict[str, Any],
+    thinner: float,
 ) -> np.ndarray:
     """Found / true of each unknown after some steps from the truth, shape (placements, num_unknowns)."""
     env = without_reset_noise(world(kind, cells, spacing_of_particles(cells)))
+    env = replace_leaf(env, next(iter(PIN)), RADIUS - thinner)
     space = space_of(kind.priors | further, env)
     truth = space.latent([*kind.truth(case).values(), *[RADIUS for _ in further]])
     spacing = particle_spacing(np.asarray(env.rest_positions))
@@ -77,6 +86,9 @@ def main() -> None:
     parser.add_argument("--placements", type=int, default=2)
     parser.add_argument("--steps", type=int, default=1, help="Gauss-Newton steps; of more than one each is limited")
     parser.add_argument("--radius", action="store_true", help="the pin's radius is a further unknown")
+    parser.add_argument(
+        "--thinner", type=float, default=0.0, help="the fit's pin is thinner by this share of the difference in spacing"
+    )
     args = parser.parse_args()
     further: dict[str, Any] = PIN if args.radius else {}
     enable_compilation_cache()
@@ -85,8 +97,8 @@ def main() -> None:
         for case in range(args.cases):
             seen = seen_in(kind, real, case)
             for cells in args.cells:
-                found = ratios(kind, cells, case, seen, args.placements, args.steps, further)
                 apart = 1.0 / cells - 1.0 / real
+                found = ratios(kind, cells, case, seen, args.placements, args.steps, further, args.thinner * apart)
                 texts = []
                 for name, own in zip([*kind.priors, *further], found.T, strict=True):
                     slope = f", {np.log(own).mean() / apart:.0f} per m" if apart else ""
