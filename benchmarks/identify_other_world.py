@@ -7,9 +7,9 @@
 The pushes, the priors, the true numbers, the camera's noise, the occlusion and the grids of the fits are those of
 ``identify_cases.py``. The record comes from ``identify_in_warp.py``, with 64 cells a metre and eight particles in each,
 at random places. Its elastic block is fixed corotated, and so is that of the fits. Its pin acts on the nodes inside of
-it, whereas a pin of rewax acts on nodes up to a cell away; ``--gaps`` measures what that changes. Therefore the pin of
-the fits is half a cell thinner (``--thinner 0.5``). Rows are those of ``docs/suites/identify/other_world.csv``. A second
-call goes on where the first stopped, with the records that it finds in ``--records``.
+it, whereas a pin of rewax acts on nodes up to a cell away. ``--gaps`` measures what that changes, and a pin of the fits
+that is 6 mm thinner makes up for it (``--thinner 0.006``). Rows are those of ``docs/suites/identify/other_world.csv``. A
+second call goes on where the first stopped, with the records that it finds in ``--records``.
 """
 
 import argparse
@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=["elastic", "dough"], choices=["elastic", "dough"])
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--records", type=Path, default=Path("identify_records"))
-    parser.add_argument("--thinner", type=float, default=0.5, help="cells by which the pin of the fits is thinner")
+    parser.add_argument("--thinner", type=float, default=0.0, help="what the fits' pin lacks in radius [m]")
     parser.add_argument("--report", action="store_true")
     parser.add_argument("--gaps", action="store_true")
     parser.add_argument("--verbose", action="store_true")
@@ -159,13 +159,10 @@ def main() -> None:
             if args.gaps:
                 print(f"{name} {case}\n{gaps(kind, case, args.python)}", flush=True)
                 continue
-            label = f"{name}, pin {args.thinner:g} cells thinner" if args.thinner else name
+            label = f"{name}, pin {1e3 * args.thinner:g} mm thinner" if args.thinner else name
             if (label, case) in done:
                 continue
-            fits = [
-                world(kind, cells, spacing, thinner=args.thinner / cells)
-                for cells, spacing in (cases.COARSE, cases.FINE)
-            ]
+            fits = [world(kind, *grid, thinner=args.thinner) for grid in (cases.COARSE, cases.FINE)]
             records = seen(real_world(kind, case), name, case, args)
             rows = cases.rows_of(kind, (label, case), fits, records, limit=1.0 / CELLS, verbose=args.verbose)
             stored.append(rows, cases.COLUMNS, args.out)
