@@ -8,8 +8,8 @@ The pushes, the priors, the true numbers, the camera's noise, the occlusion and 
 ``identify_cases.py``. The record comes from ``identify_in_warp.py``, with 64 cells a metre and eight particles in each,
 at random places. Its elastic block is fixed corotated, and so is that of the fits. Its pin acts on the nodes inside of
 it, whereas a pin of rewax acts on nodes up to a cell away. ``--gaps`` measures what that changes, and a pin of the fits
-that is 6 mm thinner makes up for it (``--thinner 0.006``). Rows are those of ``docs/suites/identify/other_world.csv``. A
-second call goes on where the first stopped, with the records that it finds in ``--records``.
+that is 6 mm thinner makes up for it (``--thinner 0.006``). Rows are those of ``docs/suites/identify/other_world.csv``.
+A second call goes on where the first stopped, with the records that it finds in ``--records``.
 """
 
 import argparse
