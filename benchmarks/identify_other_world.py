@@ -8,7 +8,7 @@ The pushes, the priors, the true numbers, the camera's noise, the occlusion and 
 ``identify_cases.py``. The record comes from ``identify_in_warp.py``, with 64 cells a metre and eight particles in each,
 at random places. Its elastic block is fixed corotated, and so is that of the fits. Its pin acts on the nodes inside of
 it, whereas a pin of rewax acts on nodes up to a cell away. ``--gaps`` measures what that changes, and a pin of the fits
-that is 6 mm thinner makes up for it (``--thinner 0.006``). Rows are those of ``docs/suites/identify/other_world.csv``.
+that is 5 mm thinner makes up for it (``--thinner 0.005``). Rows are those of ``docs/suites/identify/other_world.csv``.
 A second call goes on where the first stopped, with the records that it finds in ``--records``.
 """
 
@@ -27,6 +27,7 @@ import rows as stored
 from identify_worlds import FLOOR, KINDS, RADIUS, Kind, world
 
 from rewax.identify import Record, load, record_states, save
+from rewax.identify.simulate import without_reset_noise
 from rewax.identify.unknowns import space_of
 from rewax.physics import mpm
 from rewax.training import enable_compilation_cache
@@ -49,7 +50,7 @@ def real_world(kind: Kind, case: int) -> Any:
     """An environment with the particles, the grid and the numbers of the Warp world; it shows what a camera sees."""
     env = world(kind, CELLS, 0.5 / CELLS, shake=0.9, seed=case)
     space = space_of(kind.priors, env)
-    return space.place(env, cases.latent_of(space, kind.truth(case)))
+    return without_reset_noise(space.place(env, cases.latent_of(space, kind.truth(case))))
 
 
 def warp_states(env: Any, actions: np.ndarray, python: str) -> list[Any]:
@@ -112,7 +113,7 @@ def gaps(kind: Kind, case: int, python: str) -> str:
     for cells in (24, 36, CELLS):
         own = world(kind, cells, 0.5 / cells, shake=0.9, seed=case)
         space = space_of(kind.priors, own)
-        own = space.place(own, cases.latent_of(space, kind.truth(case)))
+        own = without_reset_noise(space.place(own, cases.latent_of(space, kind.truth(case))))
         state, states = jax.jit(own.reset)(jax.random.key(0)), []
         for action in [None, *actions]:
             state = state if action is None else _step(own, state, jnp.asarray(action))
