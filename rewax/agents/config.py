@@ -6,7 +6,7 @@ subclasses one of these and adds options and defaults of its own. The type of an
 """
 
 import dataclasses
-from typing import Annotated, ClassVar, Literal, TypeAlias, TypedDict
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias, TypedDict
 
 from rewax.agents.legal import (
     COUNT,
@@ -68,6 +68,19 @@ class RunConfig:
         check_fields(self)
         if self.horizon != 0 or self.least_horizon > 0:
             COUNT.check("horizon", self.horizon)
+
+    @classmethod
+    def given(cls, config: Self | None) -> Self:
+        """The configuration that an algorithm was given, or its defaults for None.
+
+        Raises:
+          ValueError: it is that of another algorithm.
+        """
+        if config is not None and not isinstance(config, cls):
+            raise ValueError(
+                f"config is of type {type(config).__name__}: give a {cls.__name__}, or None for its defaults"
+            )
+        return cls() if config is None else config
 
     @property
     def samples(self) -> int:
