@@ -141,7 +141,7 @@ def report(rows: list[dict[str, str]]) -> str:
     """Two tables: the numbers of each case, and how well its second push is predicted."""
     lines = ["| world | unknown | true | found, 95 % interval | of the finest grid alone |", "|---|---|---|---|---|"]
     for row in rows:
-        numbers = {name: f"{float(row[name]):.3g}" for name in ("true", "found", "low", "high", "finest")}
+        numbers = {name: f"{float(row[name]):.4g}" for name in ("true", "found", "low", "high", "finest")}
         found = "{found}, {low} to {high} | {finest}".format(**numbers)
         lines.append(f"| {row['kind']}, case {row['case']} | {row['unknown']} | {numbers['true']} | {found} |")
     lines += [
