@@ -62,10 +62,10 @@ def step(
 
     Args:
       scene: particles, tetrahedra, or cloth and ropes. Its colliders and grasps belong to bodies of the model
-        (``rigid.colliders``); body 0 is the world. ``scene.dt`` divides ``model.dt``. Gravity, walls and ground of the scene act on the soft body, the
-        model's gravity on the robot.
+        (``rigid.colliders``); body 0 is the world. ``scene.dt`` divides ``model.dt``. Gravity, walls and ground of the
+        scene act on the soft body, the model's gravity on the robot.
       model: the robot.
-      state: particles or vertices.
+      state: state of the soft body.
       bodies: the robot's state.
       ctrl: controls, constant in the step, shape (num_actuators,); None: zero.
       num_substeps: number of rigid substeps, at least 1 (static).

@@ -56,10 +56,10 @@ def step(
     """Advance a soft body and free rigid bodies together by the substeps between ``poses``.
 
     Args:
-      scene: particles, tetrahedra, or cloth and ropes. ``Collider.body`` and ``Grasp.body`` counts the free bodies from 0, then the bodies with prescribed
-        motion. Gravity acts on the free bodies too; walls and ground do not.
+      scene: particles, tetrahedra, or cloth and ropes. ``Collider.body`` and ``Grasp.body`` count the free bodies from
+        0, then the bodies with prescribed motion. Gravity acts on the free bodies too; walls and ground do not.
       inertia: mass properties of the free bodies.
-      state: particles or vertices.
+      state: state of the soft body.
       bodies: free bodies.
       poses: poses of the bodies with prescribed motion, shapes (num_substeps + 1, num_prescribed, ...). If there are no
         such bodies, give ``mpm.static_poses(num_substeps)``.

@@ -21,7 +21,11 @@ from rewax.physics.thin.stepping import Prescribed, Vertices, moved, vertex_forc
 
 
 def begin(
-    scene: ThinScene, pairs: AllPairs | None, vertices: Vertices, prescribed: Prescribed, extra: Vec3 | None = None
+    scene: ThinScene,
+    pairs: AllPairs | None,
+    vertices: Vertices,
+    prescribed: Prescribed = Prescribed(),
+    extra: Vec3 | None = None,
 ) -> VertexContact:
     """First part of a substep: the forces of cloth and ropes, ground and self-contact.
 

@@ -24,8 +24,10 @@ from rewax.physics.thin.stepping import split as split_thin
 Scene = MPMScene | TetScene | ThinScene
 Soft = TypeVar("Soft", MPMState, TetState, ThinState)
 C = TypeVar("C")
-SCENE = instance((MPMScene, TetScene, ThinScene), "give a scene of mpm, tets or thin.make_scene")
-STATE = instance((MPMState, TetState, ThinState), "give a state of mpm, tets or thin.initial_state")
+SCENE = instance((MPMScene, TetScene, ThinScene), "give a scene of mpm.make_scene, tets.make_scene or thin.make_scene")
+STATE = instance(
+    (MPMState, TetState, ThinState), "give a state of mpm.initial_state, tets.initial_state or thin.initial_state"
+)
 
 
 class Solver(NamedTuple):
@@ -37,8 +39,8 @@ class Solver(NamedTuple):
     """``state -> soft``."""
     join: Callable[[Any], Any]
     """``soft -> state``."""
-    begin: Callable[[Any, Any, Any, Prescribed], SoftContact]
-    """``(scene, constants, soft, prescribed) -> contact``: the part of a substep before contact with bodies."""
+    begin: Callable[..., SoftContact]
+    """``(scene, constants, soft, prescribed=Prescribed()) -> contact``: the part of a substep before contact with bodies."""
     every: Callable[[Any], int | None] = lambda scene: None
     """``scene -> every``: constants are searched anew after this number of substeps; None: never."""
     search: Callable[[Any, Any, Any], Any] = lambda scene, constants, soft: constants
@@ -49,13 +51,13 @@ PARTICLES = Solver(
     lambda scene, state: nodes_of_step(scene, state.x),
     split_particles,
     join_particles,
-    lambda scene, constants, soft, prescribed: nodes.begin(scene, constants, soft),
+    lambda scene, constants, soft, prescribed=None: nodes.begin(scene, constants, soft),
 )
 TETRAHEDRA = Solver(
     lambda scene, state: rest(scene),
     split_vertices,
     join_vertices,
-    lambda scene, constants, soft, prescribed: vertices.begin(scene, constants, soft),
+    lambda scene, constants, soft, prescribed=None: vertices.begin(scene, constants, soft),
 )
 THIN = Solver(
     lambda scene, state: None,
@@ -95,7 +97,7 @@ def prescribed_of(scene: Scene, state: Any, pins: Any, grips: Any, num_substeps:
         return checked_prescribed(scene, state, pins, grips, num_substeps, num_bodies)
     if pins is not None or grips is not None:
         raise ValueError(
-            f"{'grips' if pins is None else 'pins'} is given, but the scene is no scene of cloth and ropes: leave it out"
+            f"{'grips' if pins is None else 'pins'} is given, but the scene has no cloth and no ropes: leave it out"
         )
     return Prescribed()
 
