@@ -93,6 +93,31 @@ def step(
     return solver.join(end.soft), end.bodies, mean
 
 
+def step_prescribed(
+    scene: Scene,
+    state: Soft,
+    poses: Pose,
+    *,
+    pins: Array | None = None,
+    grips: Array | None = None,
+    store_every: int | None = 1,
+) -> Soft:
+    """``step`` without free bodies: the step of a mixed scene whose bodies all move as prescribed.
+
+    Args:
+      scene, state, poses, pins, grips, store_every: as for ``step``.
+
+    Returns:
+      The soft body.
+
+    Gradient: exact, as for ``step``.
+    """
+    zeros = jnp.zeros_like(state.x, shape=(0, 3))
+    none = Inertia(mass=zeros[:, 0], moment=jnp.zeros_like(zeros, shape=(0, 3, 3)))
+    bodies = free_body.bodies_at_rest(zeros)
+    return step(scene, none, state, bodies, poses, pins=pins, grips=grips, store_every=store_every)[0]
+
+
 def _substep(scene: Scene, inertia: Inertia, wrench: Wrench, constants: Any, carry: _Carry, given: Interval) -> _Carry:
     (soft, bodies, received), (interval, prescribed) = carry, given
     contact, dt = solver_of(scene).begin(scene, constants, soft, prescribed), scene.dt

@@ -95,25 +95,31 @@ def contact_forces(
     Gradient: exact.
     """
     num_particles, num_vertices = particles[0][0].shape[-1], vertices[0][0].shape[-1]
-    fields = [jnp.concatenate([a, b]) for p, v in zip(particles, vertices, strict=True) for a, b in zip(p, v, strict=True)]
-    flat = to_corners(pairs.corners, tuple(fields))
-    at, moving = (tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:]))
+    at, moving = _at_corners(pairs, particles, vertices)
     each = _pair_force(numbers(law), (at, moving, pairs.thickness, pairs.shares))
     values = tuple(corner[i] for i in cp.AXES for corner in each)
     total = to_vertices(pairs.corners, values, num_particles + num_vertices)
-    return tuple(cp.vector(lambda i, where=where: total[i][where]) for where in _parts(num_particles))  # pyright: ignore[reportReturnType]
+    on_particles = cp.vector(lambda i: total[i][:num_particles])
+    return on_particles, cp.vector(lambda i: total[i][num_particles:])
 
 
-def relative_speed(pairs: ParticlePairs, particles: Vec3, vertices: Vec3, at: tuple[Vec3, Vec3]) -> Array:
+def relative_speed(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> Array:
     """Largest speed of a particle relative to the closest point of a triangle of its pairs [m/s], shape ().
 
-    ``particles`` and ``vertices`` are velocities [m/s], ``at`` positions [m]. Gradient: none.
+    Arguments as for ``contact_forces``. Gradient: none.
     """
-    fields = [jnp.concatenate([a, b]) for p, v in ((at[0], at[1]), (particles, vertices)) for a, b in zip(p, v, strict=True)]
-    flat = to_corners(pairs.corners, tuple(fields))
-    x, v = (tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:]))
+    x, v = _at_corners(pairs, particles, vertices)
     speed = cp.norm(closest.weighted(closest.vertex_triangle(x), v))
     return jnp.max(jnp.where(pairs.thickness > 0, speed, 0.0))
+
+
+def _at_corners(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> list[Any]:
+    """Positions and velocities of the particle and the corners of each pair."""
+    both = [
+        cp.vector(lambda i, p=p, v=v: jnp.concatenate([p[i], v[i]])) for p, v in zip(particles, vertices, strict=True)
+    ]
+    flat = to_corners(pairs.corners, (*both[0], *both[1]))
+    return [tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:])]
 
 
 @pointwise
@@ -149,10 +155,6 @@ def _at_corner(x: Sequence[Vec3], k: int) -> closest.Weights:
 def numbers(law: ParticleContact) -> ParticleContact:
     """The law without what only the search needs."""
     return law.replace(thickness=1.0, max_speed=1.0, every=1, pairs_per_particle=1)
-
-
-def _parts(num_particles: int) -> tuple[slice, slice]:
-    return slice(None, num_particles), slice(num_particles, None)
 
 
 def stopping_energy(law: ParticleContact) -> Scalar:

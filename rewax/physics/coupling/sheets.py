@@ -17,14 +17,14 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import grasp_forces
 from rewax.physics.thin.scene import ThinScene
 from rewax.physics.thin.self_contact import AllPairs, self_forces
-from rewax.physics.thin.stepping import Prescribed, Vertices, moved, vertex_forces
+from rewax.physics.thin.stepping import NOTHING_PRESCRIBED, Prescribed, Vertices, moved, vertex_forces
 
 
 def begin(
     scene: ThinScene,
     pairs: AllPairs | None,
     vertices: Vertices,
-    prescribed: Prescribed = Prescribed(),
+    prescribed: Prescribed = NOTHING_PRESCRIBED,
     extra: Vec3 | None = None,
 ) -> VertexContact:
     """First part of a substep: the forces of cloth and ropes, ground and self-contact.

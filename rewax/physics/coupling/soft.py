@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
-from rewax.physics.coupling import nodes, sheets, vertices
+from rewax.physics.coupling import mixed_contact, nodes, sheets, vertices
 from rewax.physics.coupling.exchange import SoftContact
+from rewax.physics.coupling.mixed import MixedScene, MixedState
 from rewax.physics.mpm.packing import join as join_particles
 from rewax.physics.mpm.packing import split as split_particles
 from rewax.physics.mpm.scene import MPMScene, MPMState
@@ -21,12 +22,16 @@ from rewax.physics.thin.stepping import Prescribed, checked_prescribed
 from rewax.physics.thin.stepping import join as join_thin
 from rewax.physics.thin.stepping import split as split_thin
 
-Scene = MPMScene | TetScene | ThinScene
-Soft = TypeVar("Soft", MPMState, TetState, ThinState)
+Scene = MPMScene | TetScene | ThinScene | MixedScene
+Soft = TypeVar("Soft", MPMState, TetState, ThinState, MixedState)
 C = TypeVar("C")
-SCENE = instance((MPMScene, TetScene, ThinScene), "give a scene of mpm.make_scene, tets.make_scene or thin.make_scene")
+SCENE = instance(
+    (MPMScene, TetScene, ThinScene, MixedScene),
+    "give a scene of mpm.make_scene, tets.make_scene, thin.make_scene or coupling.make_mixed_scene",
+)
 STATE = instance(
-    (MPMState, TetState, ThinState), "give a state of mpm.initial_state, tets.initial_state or thin.initial_state"
+    (MPMState, TetState, ThinState, MixedState),
+    "give a state of mpm.initial_state, tets.initial_state or thin.initial_state, or a MixedState",
 )
 
 
@@ -40,7 +45,7 @@ class Solver(NamedTuple):
     join: Callable[[Any], Any]
     """``soft -> state``."""
     begin: Callable[..., SoftContact]
-    """``(scene, constants, soft, prescribed=Prescribed()) -> contact``: the part of a substep before contact with bodies."""
+    """``(scene, constants, soft, prescribed) -> contact``: the part of a substep before contact with bodies."""
     every: Callable[[Any], int | None] = lambda scene: None
     """``scene -> every``: constants are searched anew after this number of substeps; None: never."""
     search: Callable[[Any, Any, Any], Any] = lambda scene, constants, soft: constants
@@ -67,6 +72,14 @@ THIN = Solver(
     lambda scene: None if scene.self_contact is None else scene.self_contact.every,
     lambda scene, constants, soft: close_pairs(scene, soft.x),
 )
+MIXED = Solver(
+    mixed_contact.constants_of,
+    mixed_contact.split,
+    mixed_contact.join,
+    mixed_contact.begin,
+    mixed_contact.every_of,
+    mixed_contact.search,
+)
 
 
 def solver_of(scene: Scene) -> Solver:
@@ -76,14 +89,13 @@ def solver_of(scene: Scene) -> Solver:
       ValueError: it is no scene.
     """
     SCENE("scene", scene)
-    if isinstance(scene, ThinScene):
-        return THIN
-    return PARTICLES if isinstance(scene, MPMScene) else TETRAHEDRA
+    solvers = {MPMScene: PARTICLES, TetScene: TETRAHEDRA, ThinScene: THIN, MixedScene: MIXED}
+    return next(solver for kind, solver in solvers.items() if isinstance(scene, kind))
 
 
 def touched_bodies(scene: Scene) -> list[int]:
     """Bodies that act on a soft body, ascending."""
-    grasps = scene.grasps if isinstance(scene, ThinScene) else ()
+    grasps = scene.grasps if isinstance(scene, ThinScene | MixedScene) else ()
     return sorted({part.body for part in (*scene.colliders, *grasps)})
 
 
@@ -93,6 +105,8 @@ def prescribed_of(scene: Scene, state: Any, pins: Any, grips: Any, num_substeps:
     Raises:
       ValueError: another shape than ``thin.step`` says, or pins or grips for a soft body that has none.
     """
+    if isinstance(scene, MixedScene):
+        scene, state = scene.thin, state.thin
     if isinstance(scene, ThinScene):
         return checked_prescribed(scene, state, pins, grips, num_substeps, num_bodies)
     if pins is not None or grips is not None:
@@ -125,5 +139,5 @@ def scan_soft(
     return scan_rounds(substep, search, carry, intervals, store_every, every)
 
 
-__all__ = ["PARTICLES", "SCENE", "STATE", "TETRAHEDRA", "THIN", "Scene", "Soft", "Solver", "prescribed_of",
+__all__ = ["MIXED", "PARTICLES", "SCENE", "STATE", "TETRAHEDRA", "THIN", "Scene", "Soft", "Solver", "prescribed_of",
            "scan_soft", "solver_of", "touched_bodies"]  # fmt: skip

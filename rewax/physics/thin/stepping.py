@@ -54,6 +54,9 @@ class Prescribed(NamedTuple):
     """Grips of the grasps, (num_grasps,)."""
 
 
+NOTHING_PRESCRIBED = Prescribed()
+
+
 class Interval(NamedTuple):
     """What is prescribed during a substep."""
 
