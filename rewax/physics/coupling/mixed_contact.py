@@ -1,6 +1,6 @@
 """The substep of particles and cloth together, for ``soft.Solver``.
 
-Both advance with one dt. The forces of contact between them act at the substep's beginning: on the particles as impulses
+Both advance with one dt. The forces between them act at the substep's beginning: on the particles as impulses
 before their momentum goes to the grid (P2G), on the vertices beside the cloth's own forces. Then each meets colliders,
 walls and grasps as it does alone.
 

@@ -126,7 +126,7 @@ def robot_with_cloth(gravity=0.0, **changes):
 @pytest.mark.slow
 def test_a_hand_feels_the_weight_of_the_cloth_that_it_holds(x64):
     """The spring of the lift carries hand and cloth; once the hand opens, the hand alone."""
-    model, scene, state, robot = robot_with_cloth(-GRAVITY, drag=5.0)
+    model, scene, state, robot = robot_with_cloth(-GRAVITY, drag=30.0)
     step = jax.jit(articulated.step, static_argnames="num_substeps")
     for _ in range(10):
         state, robot, wrench = step(scene, model, state, robot, grips=jnp.ones(1), num_substeps=500)
