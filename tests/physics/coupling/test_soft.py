@@ -53,5 +53,5 @@ def test_a_substep_without_bodies_is_that_of_the_solver(body):
 
 
 def test_what_is_no_scene_is_refused():
-    with pytest.raises(ValueError, match=r"^scene is \{\}: give a scene of mpm\.make_scene, tets\.make_scene or thin"):
+    with pytest.raises(ValueError, match=r"^scene is \{\}: give a scene of mpm\.make_scene, tets\.make_scene, thin"):
         solver_of({})
