@@ -85,7 +85,7 @@ def test_without_damping_the_work_around_a_closed_path_is_zero(x64):
     """The force is the gradient of an energy: particles and vertices move around a loop and gain nothing."""
     particles, vertices = around_a_crumpled_sheet(1, 20)
     rng = np.random.default_rng(5)
-    one, two = ([jnp.asarray(0.003 * rng.standard_normal(a.shape)) for a in (particles[0], vertices[0])] for _ in "ab")
+    one, two = ([jnp.asarray(3e-4 * rng.standard_normal(a.shape)) for a in (particles[0], vertices[0])] for _ in "ab")
 
     def power(angle):
         now = [a + jnp.cos(angle) * b + jnp.sin(angle) * c
@@ -95,8 +95,8 @@ def test_without_damping_the_work_around_a_closed_path_is_zero(x64):
         return sum(jnp.sum(f * v) for f, v in zip(found, speed, strict=True))
 
     powers = jax.lax.map(power, jnp.linspace(0.0, 2.0 * jnp.pi, 401)[:-1])
-    assert float(jnp.abs(powers).mean()) > 1e-3
-    assert abs(float(powers.mean())) < 2e-5 * float(jnp.abs(powers).mean())
+    assert float(jnp.abs(powers).mean()) > 1e-4
+    assert abs(float(powers.mean())) < 1e-4 * float(jnp.abs(powers).mean())
 
 
 def test_friction_is_bounded_by_coulomb_and_opposes_sliding(x64):
