@@ -9,7 +9,7 @@ import thin_bodies
 from flat_materials import flat_material
 
 from rewax.physics import mpm, tets, thin
-from rewax.physics.coupling.soft import PARTICLES, TETRAHEDRA, THIN, solver_of
+from rewax.physics.coupling.soft import PARTICLES, TETRAHEDRA, THIN, prescribed_of, solver_of
 from rewax.physics.mpm import Grid
 
 
@@ -55,3 +55,10 @@ def test_a_substep_without_bodies_is_that_of_the_solver(body):
 def test_what_is_no_scene_is_refused():
     with pytest.raises(ValueError, match=r"^scene is \{\}: give a scene of mpm\.make_scene, tets\.make_scene, thin"):
         solver_of({})
+
+
+def test_pins_and_grips_are_for_cloth_alone():
+    for given in ({"pins": np.zeros((1, 1, 3)), "grips": None}, {"pins": None, "grips": np.zeros(1)}):
+        name = "grips" if given["pins"] is None else "pins"
+        with pytest.raises(ValueError, match=f"^{name} is given, but the scene has no cloth"):
+            prescribed_of(*vertices(), **given, num_substeps=1, num_bodies=0)
