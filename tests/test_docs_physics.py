@@ -10,7 +10,7 @@ def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
     assert (
         float(names["lifted"](names["hand"], np.ones((200, 1), np.float32))) > 0.03
     )  # the closed hand takes the corner along
-    assert 0.3 < float(names["wrench"].force[0, 1])  # the sheet pushes the box up
+    assert float(names["wrench"].force[0, 1]) > 0.3  # the sheet pushes the box up
     assert float(names["landed"].velocity[0, 1]) > -1.9  # and brakes its fall
     fallen = np.asarray(names["poured"].particles.x)[:, 1]
     assert -5e-3 < fallen.min() < 9e-3 and names["poured"].thin.v.shape == (81, 3)
