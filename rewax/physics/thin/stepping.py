@@ -45,12 +45,23 @@ class Vertices(NamedTuple):
     holds: tuple[grasp_forces.HoldParts, ...] = ()
 
 
+class Prescribed(NamedTuple):
+    """What is prescribed beside the bodies' motion, in one substep or with a leading axis for several."""
+
+    pins: Array | None = None
+    """Positions of the held vertices at the end [m], (num_held, 3)."""
+    grips: Array | None = None
+    """Grips of the grasps, (num_grasps,)."""
+
+
+NOTHING_PRESCRIBED = Prescribed()
+
+
 class Interval(NamedTuple):
     """What is prescribed during a substep."""
 
     poses: tuple[Pose, Pose]
-    pins: Array | None
-    grips: Array | None = None
+    prescribed: Prescribed
 
 
 @checked(
@@ -87,14 +98,13 @@ def step(
     """
     num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
     check_bodies(scene.colliders, num_bodies)
-    _check_pins(scene, poses, pins)
-    grips = checked_grips(scene, state.holds, grips, num_substeps, num_bodies)
+    prescribed = checked_prescribed(scene, state, pins, grips, num_substeps, num_bodies)
     one = _substep if store_every is None else _recomputed_substep
 
     def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
         return one(scene, vertices, interval, pairs)
 
-    intervals = Interval(both_ends(poses), pins, grips)
+    intervals = Interval(both_ends(poses), prescribed)
     if scene.self_contact is None:
         return join(scan_substeps(body, split(state), intervals, store_every))
     every = scene.self_contact.every
@@ -171,7 +181,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
 
 
 def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: AllPairs | None) -> Vertices:
-    vertices = materialize(vertices)
+    vertices, (pins, grips) = materialize(vertices), interval.prescribed
     x, v, holds = vertices
     with jax.named_scope("thin"):
         force = vertex_forces(scene, x, v)
@@ -180,13 +190,13 @@ def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: Al
     if pairs is not None:
         with jax.named_scope("self_contact"):
             contact = cp.add(contact, self_forces(scene, x, v, pairs))
-    if interval.grips is not None:
+    if grips is not None:
         with jax.named_scope("grasps"):
-            holds = grasp_forces.followed(scene, holds, x, interval.poses[0], interval.grips)
+            holds = grasp_forces.followed(scene, holds, x, interval.poses[0], grips)
             moving = grasp_forces.body_velocities(scene, x, interval.poses)
-            for pull in grasp_forces.pulls(scene, holds, x, v, interval.poses[0], moving, interval.grips):
+            for pull in grasp_forces.pulls(scene, holds, x, v, interval.poses[0], moving, grips):
                 contact = cp.add(contact, pull.force)
-    return moved(scene, Vertices(x, v, holds), force, contact, interval.pins)
+    return moved(scene, Vertices(x, v, holds), force, contact, pins)
 
 
 _recomputed_substep = recomputed(_substep)
@@ -269,13 +279,17 @@ def join(vertices: Vertices) -> ThinState:
     )
 
 
-def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
-    want = (poses.position.shape[0] - 1, len(scene.topology.held), 3)
+def checked_prescribed(
+    scene: ThinScene, state: ThinState, pins: Any, grips: Any, num_substeps: int, num_bodies: int
+) -> Prescribed:
+    """Pins and grips of every substep. Raises ValueError for those of another shape, see ``step``."""
+    want = (num_substeps, len(scene.topology.held), 3)
     if pins is not None and (jnp.shape(pins) != want or not want[1]):
         raise ValueError(
             f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"
             f": give shape {want}, and make_scene the vertices to be held"
         )
+    return Prescribed(pins, checked_grips(scene, state.holds, grips, num_substeps, num_bodies))
 
 
 @checked(scene=SCENE, state=STATE)
