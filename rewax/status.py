@@ -45,6 +45,8 @@ class Status(enum.IntFlag):
     CROSSED = 512
     """Cloth or a rope passes through itself or another one, or a vertex is faster than the scene's
     ``self_contact.max_speed``, above which it may. Not fatal."""
+    UNSOLVED = 1024
+    """An implicit step of cloth or ropes ended with a larger error than the scene's ``stepper.tolerance``. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
@@ -58,6 +60,7 @@ _REMEDIES = {
     Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
     Status.FULL_PAIRS: "a larger self_contact.pairs_per_element",
     Status.CROSSED: "slower motion, or a stiffer or thicker self_contact with a larger max_speed",
+    Status.UNSOLVED: "a smaller dt, or more stepper.newton_iterations and cg_iterations",
     Status.PENETRATION: "a slower tool or more room for the body",
 }
 

@@ -1,6 +1,7 @@
 """Cloth and ropes: shells of constant-strain triangles that bend at hinges, and polylines with stretch and bending."""
 
 from rewax.physics.numerics.pose import static_poses
+from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.invariants import (
     angular_momentum,
     elastic_energy,
@@ -18,7 +19,7 @@ from rewax.physics.thin.stepping import check_status, contact_force, internal_fo
 from rewax.physics.thin.thinmesh import ThinMesh, check_thinmesh, rope, sheet
 
 __all__ = [
-    "BendingLaw", "Cloth", "MembraneLaw", "RestShape", "Rope", "SelfContact", "ThinMesh", "ThinScene", "ThinState",
+    "BendingLaw", "Cloth", "Implicit", "MembraneLaw", "RestShape", "Rope", "SelfContact", "ThinMesh", "ThinScene", "ThinState",
     "angular_momentum", "check_status", "check_thinmesh", "contact_force", "elastic_energy", "gravitational_energy",
     "initial_state", "internal_force", "isotropic_cloth", "kinetic_energy", "largest_safe_speed", "largest_stable_dt",
     "make_scene", "momentum", "rest_shape", "rope", "self_contact_force", "sheet", "static_poses", "step",

@@ -14,11 +14,12 @@ from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_in
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
 from rewax.physics.thin.contact_elements import ContactElements
+from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.pair_law import SelfContact
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
 from rewax.physics.thin.safe_speed import check_max_speed, check_self_contact
-from rewax.physics.thin.scene_checks import check_lengths, check_materials, scene_numbers
+from rewax.physics.thin.scene_checks import check_lengths, check_materials, check_stepper, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, Topology
 from rewax.physics.thin.thinmesh import ThinMesh, bends, check_thinmesh, hinges
@@ -37,6 +38,7 @@ _SCENE = {
     "law": _LAW,
     "bending_law": _BENDING,
     "warp": real(FINITE, "give a direction", shape=(3,)),
+    "stepper": optional(instance(Implicit, "give a thin.Implicit(), or None for explicit steps")),
 }
 
 
@@ -47,10 +49,13 @@ class ThinState(struct.Replaceable):
     Attributes:
       x: position [m], shape (num_vertices, 3).
       v: velocity [m/s], shape (num_vertices, 3).
+      error: largest error of velocities that an implicit step of the last ``step`` left [m/s], shape (); None before an
+        implicit step and for explicit ones.
     """
 
     x: Array
     v: Array
+    error: Array | None = None
 
 
 @struct.dataclass
@@ -73,6 +78,7 @@ class ThinScene(struct.Replaceable):
       bending_law: the law of bending of cloth (static).
       self_contact: law of contact with itself, or None.
       contact_elements: what touches in self-contact (static).
+      stepper: settings of implicit steps (static); None: explicit ones.
     """
 
     topology: Topology = struct.static_field()
@@ -91,6 +97,7 @@ class ThinScene(struct.Replaceable):
     bending_law: BendingLaw = struct.static_field(default=BendingLaw.PLATE)
     self_contact: SelfContact | None = None
     contact_elements: ContactElements | None = struct.static_field(default=None)
+    stepper: Implicit | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
         _LAW("law", self.law)
@@ -125,6 +132,7 @@ def make_scene(
     bending_law: BendingLaw = BendingLaw.PLATE,
     warp: Any = (1.0, 0.0, 0.0),
     self_contact: SelfContact | None = None,
+    stepper: Implicit | None = None,
 ) -> ThinScene:
     """A checked ``ThinScene`` of a mesh.
 
@@ -157,6 +165,7 @@ def make_scene(
     check_rotations(colliders)
     check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)
+    check_stepper(stepper, contact)
     with jax.ensure_compile_time_eval():
         rest = rest_shape(topology, mesh.vertices, pattern=mesh.pattern, warp=warp)
     scene = ThinScene(
@@ -176,6 +185,7 @@ def make_scene(
         bending_law=bending_law,
         self_contact=self_contact,
         contact_elements=check_self_contact(topology, mesh, self_contact),
+        stepper=stepper,
     )
     check_dt(dt, largest_stable_dt(scene))
     check_max_speed(scene)

@@ -11,6 +11,7 @@ from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.contact.vertex_checks import check_length, contact_numbers, gravity_number
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, numbers_of
 from rewax.physics.numerics.pose import Pose
+from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.stencils import Topology
 
@@ -70,9 +71,20 @@ def check_materials(topology: Topology, cloth: Cloth | None, rope: Rope | None, 
         )
 
 
+def check_stepper(stepper: Implicit | None, contact: PenaltyContact | None) -> None:
+    """Raises ValueError for implicit steps with a normal force that jumps. Traced numbers are not checked."""
+    if stepper is None or contact is None or isinstance(contact.damping, Tracer) or isinstance(contact.onset, Tracer):
+        return
+    if np.any((np.asarray(contact.damping) > 0) & ~(np.asarray(contact.onset) > 0)):
+        raise ValueError(
+            "contact.damping is positive and contact.onset is 0, so that the force jumps where a vertex touches, and an "
+            "implicit step may have no solution: give contact.onset a depth in m, or take depth_damping"
+        )
+
+
 def cloth_is_unstable(cloth: Cloth) -> Any:
     """Whether a strain of the membrane has no positive energy. Gradient: none."""
     return cloth.coupling**2 >= cloth.warp * cloth.weft
 
 
-__all__ = ["check_lengths", "check_materials", "cloth_is_unstable", "scene_numbers"]
+__all__ = ["check_lengths", "check_materials", "check_stepper", "cloth_is_unstable", "scene_numbers"]

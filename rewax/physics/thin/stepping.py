@@ -23,6 +23,8 @@ from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements
 from rewax.physics.thin.bending import bending_forces
+from rewax.physics.thin.implicit_step import Step, implicit_step, reach
+from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
 from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
@@ -61,6 +63,8 @@ def step(
 ) -> ThinState:
     """Advance vertices by the substeps between ``poses``: v' = v + dt (f(x, v) / m + g - drag v), x' = x + dt v'.
 
+    With ``scene.stepper`` forces and drag are those of x' and v', see ``implicit_step``.
+
     Args:
       scene: the scene.
       state: vertices.
@@ -76,6 +80,8 @@ def step(
     """
     check_bodies(scene.colliders, poses.position.shape[1])
     _check_pins(scene, poses, pins)
+    if scene.stepper is not None:
+        return _implicit(scene, state, Interval(both_ends(poses), pins), store_every)
     one = _substep if store_every is None else _recomputed_substep
 
     def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
@@ -106,8 +112,8 @@ def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose)
 
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
-    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, and with
-    self-contact full lists of pairs (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit steps
+    that missed their tolerance in the last ``step`` (``UNSOLVED``), and with self-contact full lists of pairs (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
 
     Args:
       scene: the scene.
@@ -136,12 +142,33 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     soft = jnp.bool_(False) if scene.cloth is None else jnp.any(cloth_is_unstable(scene.cloth))
     # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
+    missed = jnp.bool_(False)
+    if scene.stepper is not None and state.error is not None:
+        missed = ~(state.error <= scene.stepper.tolerance)
     return (
-        flag(~all_finite(state), Status.NAN)
+        flag(~all_finite((state.x, state.v)), Status.NAN)
+        | flag(missed, Status.UNSOLVED)
         | flag(flat, Status.INVERTED)
         | flag(any_illegal(numbers) | soft | too_long, Status.INVALID_PARAMETERS)
         | self_status(scene, state)
     )
+
+
+def _implicit(scene: ThinScene, state: ThinState, intervals: Interval, store_every: int | None) -> ThinState:
+    """``step`` by implicit substeps."""
+    bound = reach(scene)
+
+    def body(carry: Step, interval: Interval, pairs: AllPairs | None = None) -> Step:
+        new = implicit_step(scene, bound, carry, interval.poses, interval.pins, pairs)
+        return new._replace(error=jnp.maximum(carry.error, new.error))
+
+    carry = Step(*split(state), jnp.zeros((), state.x.dtype))
+    if scene.self_contact is None:
+        end = scan_substeps(body, carry, intervals, store_every)
+    else:
+        every = scene.self_contact.every
+        end = scan_rounds(body, lambda s: close_pairs(scene, s.x), carry, intervals, store_every, every)
+    return join(Vertices(end.x, end.v)).replace(error=jax.lax.stop_gradient(end.error))
 
 
 # --- One substep, by components ---------------------------------------------------------------------------------------
@@ -213,12 +240,6 @@ def contact_forces(scene: ThinScene, x: Vec3, v: Vec3, poses: tuple[Pose, Pose])
         start, end = (body_pose(pose, collider.body) for pose in poses)
         forces.append(collider_force(collider, scene.contact, x, v, start, end, scene.dt))
     return functools.reduce(cp.add, forces) if forces else nothing
-
-
-def inverse_edges(scene: ThinScene) -> tuple[Array, Array, Array, Array]:
-    """Inverse edge matrices of the triangles at rest, row by row."""
-    B = scene.rest.inverse_edges
-    return B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1]
 
 
 def split(state: ThinState) -> Vertices:
