@@ -46,7 +46,7 @@ class Status(enum.IntFlag):
     """Cloth or a rope passes through itself or another one, or a vertex is faster than the scene's
     ``self_contact.max_speed``, above which it may. Not fatal."""
     UNSOLVED = 1024
-    """An implicit step of cloth or ropes ended with a larger error than the scene's ``stepper.tolerance``. Not fatal."""
+    """An implicit step of cloth or ropes left a larger error than the scene's ``stepper.tolerance``. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from self_contact_bodies import folded
-from thin_bodies import SHEET, KINDS, shaken
+from thin_bodies import KINDS, SHEET, shaken
 
 from rewax.physics import thin
 from rewax.physics.contact.colliders import Collider
@@ -32,13 +32,23 @@ def touched(kind="StVK", **changes):
     }
     scene, mesh = KINDS[kind](**given | changes)
     position = jnp.asarray([[[0.2, -0.09, 0.1]], [[0.201, -0.089, 0.1]]])
-    return scene, shaken(mesh, size=0.005), Pose(position, jnp.broadcast_to(jnp.eye(3), (2, 1, 3, 3)))
+    return (
+        scene,
+        remembered(scene, shaken(mesh, size=0.005)),
+        Pose(position, jnp.broadcast_to(jnp.eye(3), (2, 1, 3, 3))),
+    )
 
 
 def met():
     """A sheet folded on itself: scene, state, poses of one step."""
     scene, state = folded()
-    return scene.replace(stepper=TIGHT, dt=1e-3), state, thin.static_poses(1, dtype=float)
+    scene = scene.replace(stepper=TIGHT, dt=1e-3)
+    return scene, remembered(scene, state), thin.static_poses(1, dtype=float)
+
+
+def remembered(scene, state):
+    """The state with what the scene remembers."""
+    return thin.initial_state(state.x, scene).replace(v=state.v)
 
 
 def known(scene, state, poses):

@@ -152,7 +152,10 @@ def _touch_blocks(shared: Any, given: Any) -> Blocks:
 
 
 def friction_slope(sliding: Sliding, u: Vec3, dt: Array) -> Vec3:
-    """Minus the force of friction after a relative displacement u [N]. Gradient: exact, that of sticking at the limit."""
+    """Minus the force of friction after a relative displacement u [N].
+
+    Gradient: exact; at Coulomb's limit that of sticking.
+    """
     along = _tangential(sliding.normal, u)
     return cp.scale(friction_stiffness(sliding, u, dt), along)
 

@@ -168,9 +168,7 @@ def _kernels(with_triangles: bool) -> Kernels:
         distance, along = rise(x, thickness)
         push = push_at(law, dt, begun, thickness, distance)
         drag = friction_slope(sliding, slid(weights, start, x), dt)
-        return tuple(
-            cp.subtract(cp.scale(w, drag), cp.scale(push, a)) for w, a in zip(weights, along, strict=True)
-        )
+        return tuple(cp.subtract(cp.scale(w, drag), cp.scale(push, a)) for w, a in zip(weights, along, strict=True))
 
     @pointwise
     def product(shared: Any, given: Any) -> tuple[Vec3, ...]:

@@ -127,9 +127,7 @@ def _finished(scene: "ThinScene", at: Step, x: Vec3, error: Array) -> Step:
     return Step(x, cp.vector(lambda i: (x[i] - at.x[i]) / scene.dt), error)
 
 
-def _known(
-    scene: "ThinScene", at: Step, poses: tuple[Pose, Pose], pins: Array | None, pairs: AllPairs | None
-) -> Known:
+def _known(scene: "ThinScene", at: Step, poses: tuple[Pose, Pose], pins: Array | None, pairs: AllPairs | None) -> Known:
     x, v, dt = at.x, at.v, scene.dt
     there = contact.surfaces(scene, poses)
     held = cp.vector(lambda i: x[i] + dt * v[i])

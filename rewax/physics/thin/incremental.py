@@ -130,8 +130,10 @@ def _locals(scene: "ThinScene", before: Before) -> list[tuple[Local, Stencil, An
     """The local elements of a scene: kind, corners, parameters, sizes."""
     topology, rest, found = scene.topology, scene.rest, []
     if scene.cloth is not None:
-        cloth = scene.cloth.replace(bending=None, bending_ratio=None)
-        found.append((_membrane(scene.law), topology.triangles, cloth, (inverse_edges(scene), rest.area, before.membrane)))
+        cloth = scene.cloth.replace(bending=None, bending_ratio=None, yield_curvature=None)
+        found.append(
+            (_membrane(scene.law), topology.triangles, cloth, (inverse_edges(scene), rest.area, before.membrane))
+        )
     if scene.rope is not None:
         rope = scene.rope
         found.append((_SEGMENT, topology.segments, (rope.stretch, rope.damping), (rest.length, before.segment)))
@@ -254,9 +256,7 @@ def _moments(scene: "ThinScene", before: Before, at: Corners) -> Array:
     """Moments of hinges [N m]."""
     assert before.angle is not None
     angle = hinge_angles(at)
-    return hinge_moments(
-        scene, angle - scene.rest.angle + _hinge_damping(scene) / scene.dt * (angle - before.angle)
-    )
+    return hinge_moments(scene, angle - scene.rest.angle + _hinge_damping(scene) / scene.dt * (angle - before.angle))
 
 
 def _hinge_damping(scene: "ThinScene") -> Array:

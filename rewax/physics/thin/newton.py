@@ -58,9 +58,7 @@ def inner(a: Vec3, b: Vec3) -> Array:
     return jnp.sum(cp.dot(a, b))
 
 
-def conjugate_gradients(
-    matrix: Linear, b: Vec3, precondition: Linear, *, tolerance: Scalar, iterations: int
-) -> Solved:
+def conjugate_gradients(matrix: Linear, b: Vec3, precondition: Linear, *, tolerance: Scalar, iterations: int) -> Solved:
     """Solution of ``matrix(x) = b`` for a symmetric matrix.
 
     It ends where the preconditioned residual is below ``tolerance`` times its first norm, after ``iterations``, or at a

@@ -14,6 +14,7 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.stencils import Topology
+from rewax.types import Array
 
 
 def scene_numbers(
@@ -43,7 +44,10 @@ def check_lengths(
     for part, name, count in ((cloth, "cloth.", topology.triangles), (rope, "rope.", topology.segments)):
         for number in [] if part is None else numbers_of(part, name):
             at = topology.bends if part is rope else topology.hinges if law is BendingLaw.HINGES else count
-            check_length(number, len(at if number.name.endswith("bending") else count))
+            if number.name == "cloth.yield_curvature":
+                at = topology.hinges
+            own = number.name.endswith("bending") or number.name == "cloth.yield_curvature"
+            check_length(number, len(at if own else count))
     for number in [] if contact is None else penalty_numbers(contact):
         check_length(number, topology.triangles.num_vertices)
 
@@ -77,9 +81,24 @@ def check_stepper(stepper: Implicit | None, contact: PenaltyContact | None) -> N
         return
     if np.any((np.asarray(contact.damping) > 0) & ~(np.asarray(contact.onset) > 0)):
         raise ValueError(
-            "contact.damping is positive and contact.onset is 0, so that the force jumps where a vertex touches, and an "
+            "contact.damping is positive and contact.onset is 0, so that the force jumps where a vertex touches and an "
             "implicit step may have no solution: give contact.onset a depth in m, or take depth_damping"
         )
+
+
+def check_memory(
+    cloth: Cloth | None, stepper: Implicit | None, topology: Topology, crease: Array | None, error: Array | None
+) -> None:
+    """Raises ValueError for a state without what a scene's substeps need from the one before."""
+    remedy = "begin with thin.initial_state(x, scene)"
+    if stepper is not None and error is None:
+        raise ValueError(f"state.error is None, but the scene has implicit steps: {remedy}")
+    yields = cloth is not None and cloth.yield_curvature is not None
+    if yields != (crease is not None):
+        found = "None, but the cloth yields" if yields else "given, but the cloth does not yield"
+        raise ValueError(f"state.crease is {found}: {remedy}")
+    if crease is not None and crease.shape != (len(topology.hinges),):
+        raise ValueError(f"state.crease has shape {crease.shape}: give shape ({len(topology.hinges)},)")
 
 
 def cloth_is_unstable(cloth: Cloth) -> Any:
@@ -87,4 +106,4 @@ def cloth_is_unstable(cloth: Cloth) -> Any:
     return cloth.coupling**2 >= cloth.warp * cloth.weft
 
 
-__all__ = ["check_lengths", "check_materials", "check_stepper", "cloth_is_unstable", "scene_numbers"]
+__all__ = ["check_lengths", "check_materials", "check_memory", "check_stepper", "cloth_is_unstable", "scene_numbers"]

@@ -23,10 +23,11 @@ from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements
 from rewax.physics.thin.bending import bending_forces
+from rewax.physics.thin.creases import creased, yield_angle, yielded
 from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
-from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
+from rewax.physics.thin.scene_checks import check_memory, cloth_is_unstable, scene_numbers
 from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
 from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
@@ -43,6 +44,23 @@ class Vertices(NamedTuple):
 
     x: Vec3
     v: Vec3
+
+
+class Creased(NamedTuple):
+    """Vertices with the creases of cloth that yields."""
+
+    x: Vec3
+    v: Vec3
+    crease: Array
+
+
+class Solved(NamedTuple):
+    """Vertices after an implicit substep."""
+
+    x: Vec3
+    v: Vec3
+    error: Array
+    crease: Array | None
 
 
 class Interval(NamedTuple):
@@ -80,18 +98,17 @@ def step(
     """
     check_bodies(scene.colliders, poses.position.shape[1])
     _check_pins(scene, poses, pins)
+    check_memory(scene.cloth, scene.stepper, scene.topology, state.crease, state.error)
     if scene.stepper is not None:
         return _implicit(scene, state, Interval(both_ends(poses), pins), store_every)
+    if state.crease is not None:
+        return _creasing(scene, state, Interval(both_ends(poses), pins), store_every)
     one = _substep if store_every is None else _recomputed_substep
 
     def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
         return one(scene, vertices, interval, pairs)
 
-    intervals = Interval(both_ends(poses), pins)
-    if scene.self_contact is None:
-        return join(scan_substeps(body, split(state), intervals, store_every))
-    every = scene.self_contact.every
-    return join(scan_rounds(body, lambda s: close_pairs(scene, s.x), split(state), intervals, store_every, every))
+    return join(_scanned(scene, body, split(state), Interval(both_ends(poses), pins), store_every))
 
 
 @checked(scene=SCENE, state=STATE)
@@ -100,7 +117,8 @@ def internal_force(scene: ThinScene, state: ThinState) -> Array:
 
     Without damping they are minus the gradient of ``elastic_energy``. Gradient: exact.
     """
-    return cp.join_vector(vertex_forces(scene, *split(state)))
+    x, v = split(state)
+    return cp.join_vector(vertex_forces(creased(scene, x, state.crease), x, v))
 
 
 @checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
@@ -112,8 +130,9 @@ def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose)
 
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
-    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit steps
-    that missed their tolerance in the last ``step`` (``UNSOLVED``), and with self-contact full lists of pairs (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit
+    substeps of the last ``step`` that missed their tolerance (``UNSOLVED``), and with self-contact full lists of pairs
+    (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
 
     Args:
       scene: the scene.
@@ -146,7 +165,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     if scene.stepper is not None and state.error is not None:
         missed = ~(state.error <= scene.stepper.tolerance)
     return (
-        flag(~all_finite((state.x, state.v)), Status.NAN)
+        flag(~all_finite((state.x, state.v, state.crease)), Status.NAN)
         | flag(missed, Status.UNSOLVED)
         | flag(flat, Status.INVERTED)
         | flag(any_illegal(numbers) | soft | too_long, Status.INVALID_PARAMETERS)
@@ -155,20 +174,39 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
 
 
 def _implicit(scene: ThinScene, state: ThinState, intervals: Interval, store_every: int | None) -> ThinState:
-    """``step`` by implicit substeps."""
+    """``step`` by implicit substeps. Creases yield at the end of each."""
     bound = reach(scene)
+    limit = None if state.crease is None else yield_angle(scene)
 
-    def body(carry: Step, interval: Interval, pairs: AllPairs | None = None) -> Step:
-        new = implicit_step(scene, bound, carry, interval.poses, interval.pins, pairs)
-        return new._replace(error=jnp.maximum(carry.error, new.error))
+    def body(at: Solved, interval: Interval, pairs: AllPairs | None = None) -> Solved:
+        now = creased(scene, at.x, at.crease)
+        new = implicit_step(now, bound, Step(at.x, at.v, at.error), interval.poses, interval.pins, pairs)
+        crease = None if limit is None or at.crease is None else yielded(scene, limit, new.x, at.crease)
+        return Solved(new.x, new.v, jnp.maximum(at.error, new.error), crease)
 
-    carry = Step(*split(state), jnp.zeros((), state.x.dtype))
+    start = Solved(*split(state), jnp.zeros((), state.x.dtype), state.crease)
+    end = _scanned(scene, body, start, intervals, store_every)
+    return join(Vertices(end.x, end.v)).replace(error=jax.lax.stop_gradient(end.error), crease=end.crease)
+
+
+def _creasing(scene: ThinScene, state: ThinState, intervals: Interval, store_every: int | None) -> ThinState:
+    """``step`` by explicit substeps of cloth that yields, each after its creases."""
+    assert state.crease is not None
+    limit = yield_angle(scene)
+    one = _creased_substep if store_every is None else _recomputed_creased_substep
+
+    def body(at: Creased, interval: Interval, pairs: AllPairs | None = None) -> Creased:
+        return one(scene, limit, at, interval, pairs)
+
+    end = _scanned(scene, body, Creased(*split(state), state.crease), intervals, store_every)
+    return join(Vertices(end.x, end.v)).replace(crease=end.crease)
+
+
+def _scanned(scene: ThinScene, body: Any, start: Any, intervals: Interval, store_every: int | None) -> Any:
     if scene.self_contact is None:
-        end = scan_substeps(body, carry, intervals, store_every)
-    else:
-        every = scene.self_contact.every
-        end = scan_rounds(body, lambda s: close_pairs(scene, s.x), carry, intervals, store_every, every)
-    return join(Vertices(end.x, end.v)).replace(error=jax.lax.stop_gradient(end.error))
+        return scan_substeps(body, start, intervals, store_every)
+    every = scene.self_contact.every
+    return scan_rounds(body, lambda s: close_pairs(scene, s.x), start, intervals, store_every, every)
 
 
 # --- One substep, by components ---------------------------------------------------------------------------------------
@@ -193,6 +231,17 @@ def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: Al
 
 
 _recomputed_substep = recomputed(_substep)
+
+
+def _creased_substep(
+    scene: ThinScene, limit: Array, at: Creased, interval: Interval, pairs: AllPairs | None
+) -> Creased:
+    crease = yielded(scene, limit, at.x, at.crease)
+    new = _substep(creased(scene, at.x, crease), Vertices(at.x, at.v), interval, pairs)
+    return Creased(new.x, new.v, crease)
+
+
+_recomputed_creased_substep = recomputed(_creased_substep)
 
 
 @pointwise

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from implicit_cases import CASES, TIGHT, known, met, noise, touched
-from thin_bodies import LINE, SHEET, STEP, cloth_scene, rope_scene, run
+from thin_bodies import LINE, SHEET, cloth_scene, rope_scene, run
 
 from rewax.physics import thin
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin import implicit_step, newton
-from rewax.physics.thin.stepping import split
 
 
 @pytest.mark.parametrize("kind", CASES)
@@ -31,28 +30,32 @@ def test_the_curvature_is_the_derivative_of_the_slope_and_its_approximation_is_p
     scale = float(jnp.abs(jnp.stack(expected)).max())
     np.testing.assert_allclose(jnp.stack(along), jnp.stack(expected), atol=1e-9 * scale)
     np.testing.assert_allclose(newton.inner(along, q), newton.inner(across, p), rtol=1e-9)
-    matrix = jax.jit(jax.vmap(lambda flat: jnp.stack(implicit_step.curvature(scene, there, x, jnp.zeros(()))(
-        cp.split_vector(flat.reshape(-1, 3))), axis=-1).reshape(-1)))
+    matrix = jax.jit(
+        jax.vmap(
+            lambda flat: jnp.stack(
+                implicit_step.curvature(scene, there, x, jnp.zeros(()))(cp.split_vector(flat.reshape(-1, 3))), axis=-1
+            ).reshape(-1)
+        )
+    )
     H = np.asarray(matrix(jnp.eye(state.x.size)))
     np.testing.assert_allclose(H, H.T, atol=1e-9 * scale)
     assert np.linalg.eigvalsh(H)[0] > 0.9 * float(scene.mass.min()) / scene.dt**2
     found = jax.jit(lambda: implicit_step.blocks(scene, implicit_step.reach(scene), there, x))()
     own = H.reshape(len(state.x), 3, len(state.x), 3)[np.arange(len(state.x)), :, np.arange(len(state.x))]
-    if kind in ("rope", "self-contact"):  # without the bending of cloth the blocks are exact
+    if kind in ("rope", "self-contact"):  # the others are dominated by the bound of bending
         bending = implicit_step.reach(scene)
         for i in range(3):
-            np.testing.assert_allclose(found.diagonal[i] - bending, own[:, i, i], rtol=0.02)
-            np.testing.assert_allclose(
-                found.mixed[i], own[:, (i + 1) % 3, (i + 2) % 3], atol=0.02 * own[:, i, i].max()
-            )
+            np.testing.assert_allclose(found.diagonal[i] - bending, own[:, i, i], rtol=0.1)
+            np.testing.assert_allclose(found.mixed[i], own[:, (i + 1) % 3, (i + 2) % 3], atol=0.1 * own[:, i, i].max())
 
 
 @pytest.mark.parametrize("kind", ["cloth", "rope"])
 def test_it_approaches_the_explicit_step_at_first_order(x64, kind):
     make, mesh = (cloth_scene, SHEET) if kind == "cloth" else (rope_scene, LINE)
     x = np.asarray(mesh.vertices)
-    state = thin.initial_state(x * [1.02, 1.0, 1.0] + 0.02 * np.cos(9 * x[:, :1]) * [0, 1.0, 0])
-    exact = run(make(mesh, dt=1e-5, damping=1e-4), state, 2000).x
+    x = x * [1.02, 1.0, 1.0] + 0.02 * np.cos(9 * x[:, :1]) * [0, 1.0, 0]
+    state = thin.initial_state(x, make(mesh, stepper=TIGHT))
+    exact = run(make(mesh, dt=1e-5, damping=1e-4), state.replace(error=None), 2000).x
     ends = [run(make(mesh, dt=4e-4 / n, damping=1e-4, stepper=TIGHT), state, 50 * n) for n in (1, 2, 4)]
     errors = [float(jnp.abs(end.x - exact).max()) for end in ends]
     assert all(1.6 < a / b < 2.4 for a, b in itertools.pairwise(errors)), errors
@@ -68,8 +71,10 @@ def pushed(scene, state, pins, vertices, poses):
     return jnp.sum(weights * (end.x + 0.1 * end.v))
 
 
-@pytest.mark.parametrize(("kind", "bar"), [("StVK", 1e-4), ("hinges", 1e-4), ("neo-Hookean", 1e-4), ("rope", 1e-4),
-                                           ("smooth", 1e-6), ("self-contact", 1e-4)])
+@pytest.mark.parametrize(
+    ("kind", "bar"),
+    [("StVK", 1e-4), ("hinges", 1e-4), ("neo-Hookean", 1e-4), ("rope", 1e-4), ("smooth", 1e-6), ("self-contact", 1e-4)],
+)
 def test_reverse_is_forward_is_finite_difference(x64, kind, bar):
     if kind == "self-contact":
         scene, state, poses = met()
@@ -79,8 +84,11 @@ def test_reverse_is_forward_is_finite_difference(x64, kind, bar):
         scene, state, poses = touched(kind)
     held = scene.topology.held.indices[:, 0]
     pins = jnp.broadcast_to(state.x[held], (2, len(held), 3)) + 0.001 if len(held) else None
-    vertices = jnp.asarray({"rope": LINE.vertices}.get(kind, SHEET.vertices) if kind != "self-contact" else
-                           thin.sheet(0.4, 0.2, 8, 4).vertices)
+    vertices = jnp.asarray(
+        {"rope": LINE.vertices}.get(kind, SHEET.vertices)
+        if kind != "self-contact"
+        else thin.sheet(0.4, 0.2, 8, 4).vertices
+    )
     args = (scene, state, pins, vertices)
 
     def value(*args):
