@@ -34,7 +34,7 @@ def touched(kind="StVK", **changes):
     position = jnp.asarray([[[0.2, -0.09, 0.1]], [[0.201, -0.089, 0.1]]])
     return (
         scene,
-        remembered(scene, shaken(mesh, size=0.005)),
+        shaken(mesh, size=0.005),
         Pose(position, jnp.broadcast_to(jnp.eye(3), (2, 1, 3, 3))),
     )
 
@@ -43,10 +43,10 @@ def met():
     """A sheet folded on itself: scene, state, poses of one step."""
     scene, state = folded()
     scene = scene.replace(stepper=TIGHT, dt=1e-3)
-    return scene, remembered(scene, state), thin.static_poses(1, dtype=float)
+    return scene, state, thin.static_poses(1, dtype=float)
 
 
-def remembered(scene, state):
+def state:
     """The state with what the scene remembers."""
     return thin.initial_state(state.x, scene).replace(v=state.v)
 

@@ -55,7 +55,7 @@ def free_sheet(substeps: int) -> dict[str, np.ndarray]:
     scene = thin.make_scene(mesh=mesh, dt=1e-4, cloth=cloth, gravity=NOTHING)
     rng = np.random.default_rng(0)
     x, v = (s * rng.standard_normal(mesh.vertices.shape) for s in (5e-3, 0.2))
-    state = thin.initial_state(mesh.vertices + x).replace(v=jnp.asarray(v + [1.0, 0.5, -0.3]))
+    state = thin.initial_state(mesh.vertices + x).replace(v=jnp.asarray(v + np.array([1.0, 0.5, -0.3])))
     poses = thin.static_poses(substeps // 100, dtype=float)
 
     @jax.jit

@@ -13,7 +13,7 @@ from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope, i
 from rewax.physics.thin.pair_law import SelfContact
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
 from rewax.physics.thin.safe_speed import largest_safe_speed
-from rewax.physics.thin.scene import ThinScene, ThinState, initial_state, make_scene
+from rewax.physics.thin.scene import ThinScene, ThinState, initial_state, make_scene, no_creases
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stepping import check_status, contact_force, internal_force, self_contact_force, step
 from rewax.physics.thin.thinmesh import ThinMesh, check_thinmesh, rope, sheet
@@ -22,6 +22,6 @@ __all__ = [
     "BendingLaw", "Cloth", "Implicit", "MembraneLaw", "RestShape", "Rope", "SelfContact", "ThinMesh", "ThinScene",
     "ThinState", "angular_momentum", "check_status", "check_thinmesh", "contact_force", "elastic_energy",
     "gravitational_energy", "initial_state", "internal_force", "isotropic_cloth", "kinetic_energy",
-    "largest_safe_speed", "largest_stable_dt", "make_scene", "momentum", "rest_shape", "rope", "self_contact_force",
+    "largest_safe_speed", "largest_stable_dt", "make_scene", "momentum", "no_creases", "rest_shape", "rope", "self_contact_force",
     "sheet", "static_poses", "step", "vertex_mass",
 ]  # fmt: skip

@@ -49,14 +49,15 @@ class ThinState(struct.Replaceable):
     Attributes:
       x: position [m], shape (num_vertices, 3).
       v: velocity [m/s], shape (num_vertices, 3).
-      error: largest error of velocities that the implicit steps of the last ``step`` left [m/s], shape (); None for
-        explicit ones.
-      crease: plastic part of the rest angle of hinges [rad], shape (num_hinges,); None for cloth that does not yield.
+      error: largest error of velocities that the implicit substeps of the last ``step`` left [m/s], shape ().
+        Gradient: none.
+      crease: plastic part of the rest angle of hinges [rad], shape (num_hinges,), see ``no_creases``; None for cloth
+        that does not yield.
     """
 
     x: Array
     v: Array
-    error: Array | None = None
+    error: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     crease: Array | None = None
 
 
@@ -110,23 +111,18 @@ SCENE = instance(ThinScene, "give a scene of thin.make_scene")
 STATE = instance(ThinState, "give a state of thin.initial_state or thin.step")
 
 
-@checked(
-    x=real(FINITE, "give positions in metres", shape=("num_vertices", 3)),
-    scene=optional(instance(ThinScene, "give a scene of thin.make_scene, or None")),
-)
-def initial_state(x: Any, scene: ThinScene | None = None) -> ThinState:
-    """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones.
-
-    Scenes with implicit steps or with cloth that yields need more in the state: give the scene.
-    """
+@checked(x=real(FINITE, "give positions in metres", shape=("num_vertices", 3)))
+def initial_state(x: Any) -> ThinState:
+    """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones."""
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    error = crease = None
-    if scene is not None and scene.stepper is not None:
-        error = jnp.zeros((), x.dtype)
-    if scene is not None and scene.cloth is not None and scene.cloth.yield_curvature is not None:
-        crease = jnp.zeros(len(scene.topology.hinges), x.dtype)
-    return ThinState(x=x, v=jnp.zeros_like(x), error=error, crease=crease)
+    return ThinState(x=x, v=jnp.zeros_like(x), error=jnp.zeros((), x.dtype))
+
+
+@checked(scene=SCENE, state=STATE)
+def no_creases(scene: ThinScene, state: ThinState) -> ThinState:
+    """The state without creases. Scenes of cloth with a ``yield_curvature`` begin with it."""
+    return state.replace(crease=jnp.zeros(len(scene.topology.hinges), state.x.dtype))
 
 
 def make_scene(
@@ -205,4 +201,4 @@ def make_scene(
     return scene
 
 
-__all__ = ["ThinScene", "ThinState", "initial_state", "make_scene"]
+__all__ = ["ThinScene", "ThinState", "initial_state", "make_scene", "no_creases"]

@@ -86,17 +86,13 @@ def check_stepper(stepper: Implicit | None, contact: PenaltyContact | None) -> N
         )
 
 
-def check_memory(
-    cloth: Cloth | None, stepper: Implicit | None, topology: Topology, crease: Array | None, error: Array | None
-) -> None:
-    """Raises ValueError for a state without what a scene's substeps need from the one before."""
-    remedy = "begin with thin.initial_state(x, scene)"
-    if stepper is not None and error is None:
-        raise ValueError(f"state.error is None, but the scene has implicit steps: {remedy}")
+def check_creases(cloth: Cloth | None, topology: Topology, crease: Array | None) -> None:
+    """Raises ValueError for a state that has creases although the cloth does not yield, or none although it does."""
     yields = cloth is not None and cloth.yield_curvature is not None
-    if yields != (crease is not None):
-        found = "None, but the cloth yields" if yields else "given, but the cloth does not yield"
-        raise ValueError(f"state.crease is {found}: {remedy}")
+    if yields and crease is None:
+        raise ValueError("state.crease is None, but the cloth yields: begin with thin.no_creases(scene, state)")
+    if crease is not None and not yields:
+        raise ValueError("state.crease is given, but the cloth does not yield: take state.replace(crease=None)")
     if crease is not None and crease.shape != (len(topology.hinges),):
         raise ValueError(f"state.crease has shape {crease.shape}: give shape ({len(topology.hinges)},)")
 
@@ -106,4 +102,4 @@ def cloth_is_unstable(cloth: Cloth) -> Any:
     return cloth.coupling**2 >= cloth.warp * cloth.weft
 
 
-__all__ = ["check_lengths", "check_materials", "check_memory", "check_stepper", "cloth_is_unstable", "scene_numbers"]
+__all__ = ["check_creases", "check_lengths", "check_materials", "check_stepper", "cloth_is_unstable", "scene_numbers"]

@@ -27,7 +27,7 @@ from rewax.physics.thin.creases import creased, yield_angle, yielded
 from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
-from rewax.physics.thin.scene_checks import check_memory, cloth_is_unstable, scene_numbers
+from rewax.physics.thin.scene_checks import check_creases, cloth_is_unstable, scene_numbers
 from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
 from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
@@ -98,7 +98,7 @@ def step(
     """
     check_bodies(scene.colliders, poses.position.shape[1])
     _check_pins(scene, poses, pins)
-    check_memory(scene.cloth, scene.stepper, scene.topology, state.crease, state.error)
+    check_creases(scene.cloth, scene.topology, state.crease)
     if scene.stepper is not None:
         return _implicit(scene, state, Interval(both_ends(poses), pins), store_every)
     if state.crease is not None:
@@ -108,7 +108,8 @@ def step(
     def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
         return one(scene, vertices, interval, pairs)
 
-    return join(_scanned(scene, body, split(state), Interval(both_ends(poses), pins), store_every))
+    end = _scanned(scene, body, split(state), Interval(both_ends(poses), pins), store_every)
+    return join(end).replace(error=state.error)
 
 
 @checked(scene=SCENE, state=STATE)
@@ -162,7 +163,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
     missed = jnp.bool_(False)
-    if scene.stepper is not None and state.error is not None:
+    if scene.stepper is not None:
         missed = ~(state.error <= scene.stepper.tolerance)
     return (
         flag(~all_finite((state.x, state.v, state.crease)), Status.NAN)
@@ -199,7 +200,7 @@ def _creasing(scene: ThinScene, state: ThinState, intervals: Interval, store_eve
         return one(scene, limit, at, interval, pairs)
 
     end = _scanned(scene, body, Creased(*split(state), state.crease), intervals, store_every)
-    return join(Vertices(end.x, end.v)).replace(crease=end.crease)
+    return join(Vertices(end.x, end.v)).replace(error=state.error, crease=end.crease)
 
 
 def _scanned(scene: ThinScene, body: Any, start: Any, intervals: Interval, store_every: int | None) -> Any:
