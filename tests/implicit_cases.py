@@ -46,11 +46,6 @@ def met():
     return scene, state, thin.static_poses(1, dtype=float)
 
 
-def state:
-    """The state with what the scene remembers."""
-    return thin.initial_state(state.x, scene).replace(v=state.v)
-
-
 def known(scene, state, poses):
     """``implicit_step.Known`` of the step that begins with a state."""
     pairs = None if scene.self_contact is None else close_pairs(scene, split(state).x)

@@ -39,7 +39,7 @@ def accelerations(angles: np.ndarray, implicit: bool) -> np.ndarray:
         down, into = GRAVITY * jnp.sin(angle), GRAVITY * jnp.cos(angle)
         there = scene.replace(gravity=jnp.stack([down, -into, jnp.zeros(())]))
         x = jnp.asarray(mesh.vertices).at[:, 1].add(-scene.mass * into / STIFFNESS)
-        end = thin.step(there, thin.initial_state(x, scene), poses, store_every=None)
+        end = thin.step(there, thin.initial_state(x), poses, store_every=None)
         return jnp.sum(scene.mass * end.v[:, 0]) / jnp.sum(scene.mass) / DURATION
 
     return np.asarray(jax.jit(jax.vmap(slide))(jnp.radians(jnp.asarray(angles, float))))
