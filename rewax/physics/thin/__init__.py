@@ -22,6 +22,6 @@ __all__ = [
     "BendingLaw", "Cloth", "Implicit", "MembraneLaw", "RestShape", "Rope", "SelfContact", "ThinMesh", "ThinScene",
     "ThinState", "angular_momentum", "check_status", "check_thinmesh", "contact_force", "elastic_energy",
     "gravitational_energy", "initial_state", "internal_force", "isotropic_cloth", "kinetic_energy",
-    "largest_safe_speed", "largest_stable_dt", "make_scene", "momentum", "no_creases", "rest_shape", "rope", "self_contact_force",
-    "sheet", "static_poses", "step", "vertex_mass",
+    "largest_safe_speed", "largest_stable_dt", "make_scene", "momentum", "no_creases", "rest_shape", "rope",
+    "self_contact_force", "sheet", "static_poses", "step", "vertex_mass",
 ]  # fmt: skip

@@ -10,6 +10,7 @@ from implicit_cases import CASES, TIGHT, known, met, noise, touched
 from thin_bodies import LINE, SHEET, cloth_scene, rope_scene, run
 
 from rewax.physics import thin
+from rewax.physics.contact.penalty import PenaltyContact
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin import implicit_step, newton
 
@@ -120,3 +121,68 @@ def test_reverse_is_forward_is_finite_difference(x64, kind, bar):
         assert abs(reverse) > 1e-6, name
         np.testing.assert_allclose(reverse, forward(args, along), rtol=1e-8, err_msg=name)
         np.testing.assert_allclose(reverse, difference, rtol=bar, err_msg=name)
+
+
+def stiff_sheet(**changes):
+    """Young's modulus 10 MPa: the largest explicit dt is below 20 us."""
+    cloth = thin.isotropic_cloth(youngs_modulus=1e7, poissons_ratio=0.3, thickness=5e-4, density=300.0, damping=1e-4)
+    given = {"mesh": thin.sheet(0.4, 0.4, 6, 6), "dt": 5e-3, "cloth": cloth, "held": [0, 6]}
+    return thin.make_scene(**given | {"stepper": thin.Implicit()} | changes)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_stiff_cloth_takes_long_steps(x64, dtype):
+    scene = stiff_sheet()
+    with pytest.raises(ValueError, match="largest stable"):
+        stiff_sheet(stepper=None, dt=2e-5)
+    scene, state = jax.tree.map(
+        lambda a: a.astype(dtype), (scene, thin.initial_state(thin.sheet(0.4, 0.4, 6, 6).vertices))
+    )
+    lows = []
+    for _ in range(4):
+        state = STEP(scene, state, thin.static_poses(10, dtype=dtype), store_every=None)
+        assert thin.check_status(scene, state) == 0
+        lows.append(float(state.x[:, 1].min()))
+    assert state.x.dtype == dtype
+    assert -0.42 < lows[-1] < -0.15  # it swings down and does not stretch
+    lengths = jnp.linalg.norm(state.x[jnp.array([1, 2, 3])] - state.x[jnp.array([0, 1, 2])], axis=-1)
+    np.testing.assert_allclose(lengths, 0.4 / 6, rtol=0.01)
+
+
+def test_an_unsolved_step_says_so_and_others_of_the_batch_do_not(x64):
+    scene = stiff_sheet(stepper=thin.Implicit(newton_iterations=2))
+    rest = thin.initial_state(thin.sheet(0.4, 0.4, 6, 6).vertices)
+    torn = rest.replace(x=rest.x * jnp.array([1.3, 1.0, 1.0]))
+    lost = rest.replace(x=rest.x.at[10].set(jnp.nan))
+    states = jax.tree.map(lambda *a: jnp.stack(a), rest, torn, lost)
+    scene = scene.replace(gravity=jnp.zeros(3))
+
+    def one(state):
+        end = thin.step(scene, state, thin.static_poses(2, dtype=float))
+        return end, thin.check_status(scene, end)
+
+    ends, status = jax.jit(jax.vmap(one))(states)
+    assert status[0] == Status.OK
+    assert status[1] & Status.UNSOLVED
+    assert status[2] & Status.UNSOLVED and status[2] & Status.NAN
+    np.testing.assert_allclose(ends.x[0], rest.x, atol=1e-12)
+    alone = jax.jit(one)(torn)[0]
+    np.testing.assert_allclose(alone.x, ends.x[1], rtol=1e-9, atol=1e-12)
+
+
+def test_a_step_without_motion_is_an_equilibrium_of_the_explicit_forces(x64):
+    mesh = thin.rope(np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 11))
+    x = mesh.vertices * [0.8, 1, 1] - 0.25 * np.sin(np.pi * mesh.vertices[:, :1]) * [0, 1.0, 0]
+    scene = rope_scene(mesh, bending=1e-3, dt=0.05, drag=4.0, gravity=(0, -9.81, 0), held=[0, 10], stepper=TIGHT)
+    end = STEP(scene, thin.initial_state(x), thin.static_poses(200, dtype=float), store_every=None)
+    force = thin.internal_force(scene, end.replace(v=jnp.zeros_like(end.v))) + scene.mass[:, None] * scene.gravity
+    np.testing.assert_allclose(force[1:-1], 0.0, atol=1e-6 * float(scene.mass.sum()) * 9.81)
+    assert float(end.x[:, 1].min()) < -0.2
+
+
+def test_a_normal_damping_without_an_onset_is_refused():
+    contact = PenaltyContact(stiffness=50.0, damping=0.1)
+    with pytest.raises(ValueError, match="contact.onset is 0.*give contact.onset a depth"):
+        cloth_scene(contact=contact, stepper=thin.Implicit())
+    with pytest.raises(ValueError, match="stepper.tolerance is -1.0"):
+        thin.Implicit(tolerance=-1.0)
