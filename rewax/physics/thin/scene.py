@@ -14,6 +14,7 @@ from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_in
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
 from rewax.physics.thin.contact_elements import ContactElements
+from rewax.physics.thin.grasps import GRASPS, Grasp, Hold, check_grasps
 from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.pair_law import SelfContact
@@ -39,6 +40,7 @@ _SCENE = {
     "bending_law": _BENDING,
     "warp": real(FINITE, "give a direction", shape=(3,)),
     "stepper": optional(instance(Implicit, "give a thin.Implicit(), or None for explicit steps")),
+    "grasps": GRASPS,
 }
 
 
@@ -53,12 +55,14 @@ class ThinState(struct.Replaceable):
         Gradient: none.
       crease: plastic part of the rest angle of hinges [rad], shape (num_hinges,), see ``no_creases``; None for cloth
         that does not yield.
+      holds: where each grasp of the scene holds its vertices, see ``open_grasps``; () without grasps.
     """
 
     x: Array
     v: Array
     error: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     crease: Array | None = None
+    holds: tuple[Hold, ...] = ()
 
 
 @struct.dataclass
@@ -82,6 +86,7 @@ class ThinScene(struct.Replaceable):
       self_contact: law of contact with itself, or None.
       contact_elements: what touches in self-contact (static).
       stepper: settings of implicit steps (static); None: explicit ones.
+      grasps: grippers that hold vertices.
     """
 
     topology: Topology = struct.static_field()
@@ -101,6 +106,7 @@ class ThinScene(struct.Replaceable):
     self_contact: SelfContact | None = None
     contact_elements: ContactElements | None = struct.static_field(default=None)
     stepper: Implicit | None = struct.static_field(default=None)
+    grasps: tuple[Grasp, ...] = ()
 
     def __post_init__(self) -> None:
         _LAW("law", self.law)
@@ -142,6 +148,7 @@ def make_scene(
     warp: Any = (1.0, 0.0, 0.0),
     self_contact: SelfContact | None = None,
     stepper: Implicit | None = None,
+    grasps: tuple[Grasp, ...] = (),
 ) -> ThinScene:
     """A checked ``ThinScene`` of a mesh.
 
@@ -172,9 +179,10 @@ def make_scene(
         check_ground(ground)
     check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
     check_rotations(colliders)
+    check_grasps(grasps, count)
     check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)
-    check_stepper(stepper, contact)
+    check_stepper(stepper, contact, grasps)
     with jax.ensure_compile_time_eval():
         rest = rest_shape(topology, mesh.vertices, pattern=mesh.pattern, warp=warp)
     scene = ThinScene(
@@ -195,6 +203,7 @@ def make_scene(
         self_contact=self_contact,
         contact_elements=check_self_contact(topology, mesh, self_contact),
         stepper=stepper,
+        grasps=tuple(grasps),
     )
     check_dt(dt, largest_stable_dt(scene))
     check_max_speed(scene)

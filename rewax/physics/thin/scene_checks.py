@@ -75,8 +75,11 @@ def check_materials(topology: Topology, cloth: Cloth | None, rope: Rope | None, 
         )
 
 
-def check_stepper(stepper: Implicit | None, contact: PenaltyContact | None) -> None:
-    """Raises ValueError for implicit steps with a normal force that jumps. Traced numbers are not checked."""
+def check_stepper(stepper: Implicit | None, contact: PenaltyContact | None, grasps: tuple) -> None:
+    """Raises ValueError for implicit steps with grasps, or with a normal force that jumps. Traced numbers are not
+    checked."""
+    if stepper is not None and grasps:
+        raise ValueError("stepper is a thin.Implicit, but the scene has grasps, which need explicit steps: take None")
     if stepper is None or contact is None or isinstance(contact.damping, Tracer) or isinstance(contact.onset, Tracer):
         return
     if np.any((np.asarray(contact.damping) > 0) & ~(np.asarray(contact.onset) > 0)):
