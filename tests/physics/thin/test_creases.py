@@ -15,6 +15,7 @@ from rewax.status import Status
 POINTS = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.1, 0.0, 0.05], [-0.1, 0.0, 0.05]])
 PAIR = thin.ThinMesh(vertices=POINTS, triangles=np.asarray([[0, 1, 2], [1, 0, 3]], np.int32))
 YIELD = 0.5
+IMPLICIT = thin.Implicit(tolerance=1e-11, cg_tolerance=1e-4, gradient_tolerance=1e-12)
 
 
 def folding(**changes):
@@ -79,8 +80,10 @@ def test_below_the_yield_angle_bits_are_those_of_elastic_cloth(x64):
     np.testing.assert_array_equal(plastic.v, elastic.v)
 
 
-@pytest.mark.parametrize("law", thin.BendingLaw)
-@pytest.mark.parametrize("stepper", [None, thin.Implicit(tolerance=1e-11, cg_tolerance=1e-4, gradient_tolerance=1e-12)])
+@pytest.mark.parametrize(
+    ("law", "stepper"),
+    [(thin.BendingLaw.PLATE, None), (thin.BendingLaw.HINGES, None), (thin.BendingLaw.PLATE, IMPLICIT)],
+)
 def test_reverse_is_forward_is_finite_difference_on_both_sides(x64, law, stepper):
     scene = cloth_scene(damping=1e-4, bending_law=law, stepper=stepper)
     scene = scene.replace(cloth=scene.cloth.replace(yield_curvature=2.0))
@@ -104,10 +107,10 @@ def test_reverse_is_forward_is_finite_difference_on_both_sides(x64, law, stepper
         "state and crease": (zero[0], noise),
         "yield curvature": (zero[0].replace(cloth=zero[0].cloth.replace(yield_curvature=jnp.ones(()))), zero[1]),
     }
-    value = jax.jit(measured)
+    value, along_of = jax.jit(measured), jax.jit(lambda along: jax.jvp(measured, (scene, state), along)[1])
     for name, along in directions.items():
         reverse = sum(float(jnp.sum(a * b)) for a, b in zip(*map(jax.tree.leaves, (slopes, along)), strict=True))
-        forward = jax.jit(lambda along: jax.jvp(measured, (scene, state), along)[1])(along)
+        forward = along_of(along)
         apart = [value(*jax.tree.map(lambda a, d, s=s: a + s * 1e-7 * d, (scene, state), along)) for s in (1.0, -1.0)]
         assert abs(reverse) > 1e-6, name
         np.testing.assert_allclose(reverse, forward, rtol=1e-8, err_msg=name)
