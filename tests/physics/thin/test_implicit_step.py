@@ -1,5 +1,6 @@
 """The implicit step: its equation, its agreement with the explicit one, its derivatives."""
 
+import dataclasses
 import itertools
 
 import jax
@@ -73,13 +74,24 @@ def pushed(scene, state, pins, vertices, poses):
     return jnp.sum(weights * (end.x + 0.1 * end.v))
 
 
+SLOW = pytest.mark.slow
+
+
 @pytest.mark.parametrize(
     ("kind", "bar"),
-    [("StVK", 1e-4), ("hinges", 1e-4), ("neo-Hookean", 1e-4), ("rope", 1e-4), ("smooth", 1e-6), ("self-contact", 1e-4)],
+    [
+        ("StVK", 1e-4),
+        pytest.param("hinges", 1e-4, marks=SLOW),
+        pytest.param("neo-Hookean", 1e-4, marks=SLOW),
+        ("rope", 1e-4),
+        ("smooth", 1e-6),
+        ("self-contact", 1e-4),
+    ],
 )
 def test_reverse_is_forward_is_finite_difference(x64, kind, bar):
     if kind == "self-contact":
         scene, state, poses = met()
+        scene = scene.replace(stepper=dataclasses.replace(TIGHT, tolerance=1e-12))
     elif kind == "smooth":
         scene, state, poses = touched(contact=None, ground=None, colliders=())
     else:
@@ -116,7 +128,7 @@ def test_reverse_is_forward_is_finite_difference(x64, kind, bar):
     }
     for name, along in directions.items():
         reverse = sum(float(jnp.sum(a * b)) for a, b in zip(*map(jax.tree.leaves, (slopes, along)), strict=True))
-        size = 1e-7
+        size = 1e-8 if kind == "self-contact" else 1e-7  # some closest points move across an edge
         ends = [value(*jax.tree.map(lambda a, d, s=s: a + s * size * d, args, along)) for s in (1, -1)]
         difference = float(ends[0] - ends[1]) / (2 * size)
         assert abs(reverse) > 1e-6, name
