@@ -96,13 +96,36 @@ def _corrected(
     pairs: AllPairs | None,
 ) -> Step:
     """The result, with the derivative of the implicit function theorem."""
-    settings = scene.stepper
-    assert settings is not None
     known = _known(scene, at, poses, pins, pairs)
     x = jax.lax.stop_gradient(result.x)
-    fixed, there = jax.lax.stop_gradient((scene, known))
-    matrix = curvature(fixed, there, x, jnp.ones_like(result.error))
-    inverse = newton.inverse_blocks(blocks(fixed, jax.lax.stop_gradient(bound), there, x))
+    context = Context(*jax.lax.stop_gradient((scene, bound, known)), x)
+    change = _correction(slope(scene, known, x), context)
+    return _finished(scene, at, cp.subtract(x, change), jax.lax.stop_gradient(result.error))
+
+
+class Context(NamedTuple):
+    """What the linear system of a derivative needs."""
+
+    scene: Any
+    bound: Array
+    known: Known
+    x: Vec3
+
+
+@jax.custom_jvp
+def _correction(residual: Vec3, context: Context) -> Vec3:
+    """Returns zero. Its derivative is that of ``solve(curvature, residual)``: the implicit function theorem gives the
+    derivative of a converged residual, which is itself zero."""
+    del context
+    return cp.vector(lambda i: jnp.zeros_like(residual[i]))
+
+
+@_correction.defjvp
+def _correction_jvp(primals: tuple[Vec3, Context], tangents: tuple[Vec3, Context]) -> tuple[Vec3, Vec3]:
+    residual, (scene, bound, known, x) = primals
+    settings = scene.stepper
+    matrix = curvature(scene, known, x, jnp.ones_like(bound[0]))
+    inverse = newton.inverse_blocks(blocks(scene, bound, known, x))
 
     def solve(matrix: Linear, b: Vec3) -> Vec3:
         found = newton.conjugate_gradients(
@@ -114,8 +137,8 @@ def _corrected(
         )
         return cp.vector(lambda i: jnp.where(found.solved, found.x[i], jnp.nan))
 
-    change = jax.lax.custom_linear_solve(matrix, slope(scene, known, x), solve, symmetric=True)
-    return _finished(scene, at, cp.subtract(x, change), jax.lax.stop_gradient(result.error))
+    change = jax.lax.custom_linear_solve(matrix, tangents[0], solve, symmetric=True)
+    return cp.vector(lambda i: jnp.zeros_like(residual[i])), change
 
 
 implicit_step = recomputed(_solve, derivative_of=_corrected)
