@@ -50,7 +50,7 @@ def known(scene, state, poses):
     """``implicit_step.Known`` of the step that begins with a state."""
     pairs = None if scene.self_contact is None else close_pairs(scene, split(state).x)
     ends = jax.tree.map(lambda a: a[0], poses), jax.tree.map(lambda a: a[1], poses)
-    at = implicit_step.Step(*split(state), jnp.zeros(()))
+    at = implicit_step.Step(*split(state)[:2], jnp.zeros(()))
     return implicit_step._known(scene, at, ends, None, pairs)
 
 

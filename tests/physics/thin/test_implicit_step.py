@@ -136,7 +136,7 @@ def test_reverse_is_forward_is_finite_difference(x64, kind, bar):
 
 
 def stiff_sheet(**changes):
-    """Young's modulus 10 MPa: the largest explicit dt is below 20 us."""
+    """Young's modulus 10 MPa: the largest explicit dt is below 100 us."""
     cloth = thin.isotropic_cloth(youngs_modulus=1e7, poissons_ratio=0.3, thickness=5e-4, density=300.0, damping=1e-4)
     given = {"mesh": thin.sheet(0.4, 0.4, 6, 6), "dt": 5e-3, "cloth": cloth, "held": [0, 6]}
     return thin.make_scene(**given | {"stepper": thin.Implicit()} | changes)
@@ -146,7 +146,7 @@ def stiff_sheet(**changes):
 def test_stiff_cloth_takes_long_steps(x64, dtype):
     scene = stiff_sheet()
     with pytest.raises(ValueError, match="largest stable"):
-        stiff_sheet(stepper=None, dt=2e-5)
+        stiff_sheet(stepper=None, dt=1e-4)
     scene, state = jax.tree.map(
         lambda a: a.astype(dtype), (scene, thin.initial_state(thin.sheet(0.4, 0.4, 6, 6).vertices))
     )
