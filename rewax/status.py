@@ -47,6 +47,8 @@ class Status(enum.IntFlag):
     """Cloth or a rope passes through itself or another one, or a vertex is faster than the scene's
     ``self_contact.max_speed``, above which it may. In a mixed scene also: a particle meets cloth faster than
     ``contact.max_speed``. Not fatal."""
+    UNSOLVED = 1024
+    """An implicit step of cloth or ropes left a larger error than the scene's ``stepper.tolerance``. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
@@ -60,6 +62,7 @@ _REMEDIES = {
     Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
     Status.FULL_PAIRS: "a larger self_contact.pairs_per_element",
     Status.CROSSED: "slower motion, or a stiffer or thicker self_contact with a larger max_speed",
+    Status.UNSOLVED: "a smaller dt, or more stepper.newton_iterations and cg_iterations",
     Status.PENETRATION: "a slower tool or more room for the body",
 }
 

@@ -17,6 +17,7 @@ from rewax.physics.tets.stepping import join as join_vertices
 from rewax.physics.tets.stepping import rest
 from rewax.physics.tets.stepping import split as split_vertices
 from rewax.physics.thin.scene import ThinScene, ThinState
+from rewax.physics.thin.scene_checks import check_can_couple
 from rewax.physics.thin.self_contact import close_pairs, scan_rounds
 from rewax.physics.thin.stepping import Prescribed, checked_prescribed
 from rewax.physics.thin.stepping import join as join_thin
@@ -103,11 +104,13 @@ def prescribed_of(scene: Scene, state: Any, pins: Any, grips: Any, num_substeps:
     """Pins and grips of every substep of the soft body.
 
     Raises:
-      ValueError: another shape than ``thin.step`` says, or pins or grips for a soft body that has none.
+      ValueError: another shape than ``thin.step`` says, pins or grips for a soft body that has none, or cloth with
+        implicit steps or creases.
     """
     if isinstance(scene, MixedScene):
         scene, state = scene.thin, state.thin
     if isinstance(scene, ThinScene):
+        check_can_couple(scene.stepper, scene.cloth)
         return checked_prescribed(scene, state, pins, grips, num_substeps, num_bodies)
     if pins is not None or grips is not None:
         raise ValueError(

@@ -62,3 +62,12 @@ def test_pins_and_grips_are_for_cloth_alone():
         name = "grips" if given["pins"] is None else "pins"
         with pytest.raises(ValueError, match=f"^{name} is given, but the scene has no cloth"):
             prescribed_of(*vertices(), **given, num_substeps=1, num_bodies=0)
+
+
+def test_implicit_steps_and_creases_are_not_coupled():
+    scene, state = cloth()
+    with pytest.raises(ValueError, match=r"stepper is a thin\.Implicit, but coupled bodies take explicit steps"):
+        prescribed_of(scene.replace(stepper=thin.Implicit()), state, None, None, 1, 1)
+    yielding = scene.cloth.replace(yield_curvature=jnp.float32(10.0))
+    with pytest.raises(ValueError, match="cloth that is coupled with bodies or particles cannot keep creases"):
+        prescribed_of(scene.replace(cloth=yielding), state, None, None, 1, 1)
