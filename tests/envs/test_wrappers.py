@@ -86,6 +86,43 @@ def test_gradient_is_cut_exactly_at_the_boundary_for_that_environment_alone():
     np.testing.assert_array_equal(slope[1, :, 0], [0.0, 0.0])
 
 
+def test_a_reset_is_computed_only_in_steps_that_end_an_episode():
+    resets = []
+
+    @struct.dataclass
+    class Counted(toys.PointMass):
+        def reset(self, key):
+            jax.debug.callback(resets.append, jax.random.key_data(key))
+            return super().reset(key)
+
+    env = Vmap(env=AutoReset(env=Counted(gain=jnp.float32(0.5), length=LENGTH)))
+    state = Vmap(env=AutoReset(env=toys.point_mass(LENGTH))).reset(jax.random.split(jax.random.key(0), 2))
+    states = jax.jit(lambda state: rollout(env, state, jnp.zeros((LENGTH + 1, 2, 1))))(state)
+    jax.effects_barrier()
+    assert states.done.tolist() == [[False] * 2, [False] * 2, [True] * 2, [False] * 2]
+    assert len(resets) == 2
+
+
+def test_a_step_without_a_reset_has_the_numbers_of_a_step_with_one():
+    """The others of a batch decide whether a reset is computed, and never what it is."""
+    env = Vmap(env=AutoReset(env=toys.point_mass(LENGTH)))
+    state = env.reset(jax.random.split(jax.random.key(0), 2))
+
+    def step(state, actions):
+        return env.step(state, actions).reward.sum(), env.step(state, actions)
+
+    run = jax.jit(jax.value_and_grad(step, argnums=1, has_aux=True))
+    some = run(state.replace(step_count=jnp.array([0, LENGTH - 1])), jnp.full((2, 1), 0.3))
+    none = run(state, jnp.full((2, 1), 0.3))
+    (_, a), slope_a = some
+    (_, b), slope_b = none
+    assert a.done.tolist() == [False, True] and not b.done.any()
+    for name in ("physics", "obs", "final_obs", "reward", "metrics", "step_count"):
+        for one, other in zip(*(jax.tree.leaves(getattr(s, name)) for s in (a, b)), strict=True):
+            np.testing.assert_array_equal(one[0], other[0])
+    np.testing.assert_array_equal(slope_a, slope_b)
+
+
 def test_gradient_with_respect_to_the_environment():
     def total(env):
         state = env.reset(jax.random.key(0))
