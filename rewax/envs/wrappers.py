@@ -113,10 +113,15 @@ class AutoReset(_Wrapper):
         state = self.env.step(state.replace(final_obs=None), action)
         key, reset_key = jax.random.split(state.key)
         kept = _of_episode(state)
+
+        def constant(fresh: PyTree) -> PyTree:
+            # The choice is made in both branches, which then agree on the mesh axes along which values differ.
+            return jax.lax.stop_gradient(select(state.done, fresh, kept))
+
         fresh = jax.lax.cond(
             any_in_batch(state.done),
-            lambda: jax.lax.stop_gradient(_of_episode(self.env.reset(reset_key).replace(key=key))),
-            lambda: jax.lax.stop_gradient(kept),
+            lambda: constant(_of_episode(self.env.reset(reset_key).replace(key=key))),
+            lambda: constant(kept),
         )
         return state.replace(**select(state.done, fresh, kept), final_obs=state.obs)
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys
+from sharded import traced_under_shard_map
 
 from rewax import struct
 from rewax.envs import registry
@@ -121,6 +122,31 @@ def test_a_step_without_a_reset_has_the_numbers_of_a_step_with_one():
         for one, other in zip(*(jax.tree.leaves(getattr(s, name)) for s in (a, b)), strict=True):
             np.testing.assert_array_equal(one[0], other[0])
     np.testing.assert_array_equal(slope_a, slope_b)
+
+
+def test_a_batch_of_batches_is_reset_as_its_environments_alone():
+    one = AutoReset(env=toys.point_mass(LENGTH))
+    keys = jax.random.split(jax.random.key(0), (2, 3))
+    state = jax.vmap(jax.vmap(one.reset))(keys)
+    state = state.replace(step_count=jnp.array([[0, LENGTH - 1, 0], [0, 0, 0]]))
+    new = jax.vmap(jax.vmap(one.step))(state, jnp.full((2, 3, 1), 0.3))
+    assert new.done.tolist() == [[False, True, False], [False] * 3]
+    for i in np.ndindex(2, 3):
+        alone = one.step(jax.tree.map(lambda a, i=i: a[i], state), jnp.full(1, 0.3))
+        np.testing.assert_array_equal(new.physics[i], alone.physics)
+        assert new.step_count[i] == alone.step_count
+
+
+def test_resets_and_their_gradient_are_traced_on_a_mesh():
+    env = AutoReset(env=toys.point_mass(LENGTH))
+    start = env.reset(jax.random.key(0))
+
+    def slope(key_data, actions):
+        state = start.replace(key=jax.random.wrap_key_data(key_data), physics=start.physics + 0.0 * actions[0])
+        return jax.grad(lambda actions: rollout(env, env.step(state, actions[0]), actions).reward.sum())(actions)
+
+    shape = traced_under_shard_map(slope, jax.random.key_data(start.key), jnp.ones((4, 1)))
+    assert shape.shape == (1, 4, 1)
 
 
 def test_gradient_with_respect_to_the_environment():
