@@ -4,7 +4,8 @@
     python benchmarks/seeing_speed.py --task GripperLift --envs 8 --resolution 64 --repeats 5
 
 One process measures all of it, in turns; each number is the least of the repeats. SAPO's policy observes depth and the
-critics observe the state. An environment renders twice in a control step: its own picture, and that of a fresh episode.
+critics observe the state. The row of pictures counts two for each control step, its own and that of a new episode; an
+environment renders the second one only in steps in which an episode of the batch ends.
 """
 
 import dataclasses
