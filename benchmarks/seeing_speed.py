@@ -58,7 +58,7 @@ class Args:
       repeats: measurements of each number.
       beside: another checkout: only the train step with depth runs, in turns in both; printed are seconds of the
         processor, which other programs disturb less.
-      worker: what a process of ``beside`` runs.
+      worker: answer as a process of ``beside`` does.
     """
 
     task: str = "RollingFlat"
@@ -66,7 +66,7 @@ class Args:
     resolution: int = 64
     repeats: int = 5
     beside: Path | None = None
-    worker: tyro.conf.Suppress[bool] = False
+    worker: bool = False
 
 
 def train_step(args: Args, *, sees: bool) -> tuple[Callable[[], Any], int]:
