@@ -104,7 +104,7 @@ def _law(own: dict[str, Any], thickness: float, mass: float) -> thin.SelfContact
     rate = mass / own["spring"]
     return thin.SelfContact(
         thickness=thickness, stiffness=rate / own["spring"], damping=own["pair_damping"] * rate, friction=own["friction"],
-        friction_damping=0.2 * rate, max_speed=1e-9, every=EVERY, pairs_per_element=48,
+        friction_damping=0.2 * rate, max_speed=1e-9, every=EVERY, pairs_per_element=16,
     )  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def _sheet_motion(scene: Any, own: dict[str, Any], num_cells: int) -> Case:
         v = _velocity_field(rng, x, size) * limit
     if kind != "corners":
         scene = scene.replace(mobility=jnp.ones_like(scene.mobility))
-    drive = Drive(*(jnp.asarray(n, jnp.float32) for n in (held, walls, v, (0.3 if kind == "walls" else 0.6) * limit)))
+    drive = Drive(*(jnp.asarray(n, jnp.float32) for n in (held, walls, v, 0.5 * limit)))
     about = {"group": f"{num_cells} x {num_cells}", "kind": kind, "size": size, "thickness": own["thickness"] * a}
     return Case(scene, thin.initial_state(jnp.asarray(x, jnp.float32)), drive, about | {"max_speed": limit})
 

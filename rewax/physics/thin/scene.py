@@ -47,10 +47,15 @@ class ThinState(struct.Replaceable):
     Attributes:
       x: position [m], shape (num_vertices, 3).
       v: velocity [m/s], shape (num_vertices, 3).
+      filled: largest number of close pairs over the length of their list [-], of all steps with self-contact since
+        ``initial_state``, shape (); above 1, pairs were missed. Gradient: none.
+      speed: largest speed of a vertex relative to the mean velocity [m/s], likewise.
     """
 
     x: Array
     v: Array
+    filled: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
+    speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
 
 
 @struct.dataclass
@@ -106,7 +111,8 @@ def initial_state(x: Any) -> ThinState:
     """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones."""
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    return ThinState(x=x, v=jnp.zeros_like(x))
+    nothing = jnp.zeros((), x.dtype)
+    return ThinState(x=x, v=jnp.zeros_like(x), filled=nothing, speed=nothing)
 
 
 def make_scene(

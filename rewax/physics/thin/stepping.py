@@ -25,7 +25,7 @@ from rewax.physics.thin import elements
 from rewax.physics.thin.bending import bending_forces
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
-from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
+from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces
 from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, corners, scatter
@@ -83,9 +83,9 @@ def step(
 
     intervals = Interval(both_ends(poses), pins)
     if scene.self_contact is None:
-        return join(scan_substeps(body, split(state), intervals, store_every))
-    every = scene.self_contact.every
-    return join(scan_rounds(body, lambda s: close_pairs(scene, s.x), split(state), intervals, store_every, every))
+        return remembered(state, join(scan_substeps(body, split(state), intervals, store_every)))
+    end, seen = scan_rounds(scene, body, split(state), intervals, store_every)
+    return remembered(state, join(end), seen)
 
 
 @checked(scene=SCENE, state=STATE)
@@ -108,6 +108,9 @@ def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose)
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
     """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, and with
     self-contact full lists of pairs (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+
+    Full lists and fast vertices are remembered from all steps since ``initial_state``; ``state.replace(filled=0.0,
+    speed=0.0)`` forgets them. Crossed layers are those of this state.
 
     Args:
       scene: the scene.
@@ -231,6 +234,14 @@ def join(vertices: Vertices) -> ThinState:
     return ThinState(x=cp.join_vector(vertices.x), v=cp.join_vector(vertices.v))
 
 
+def remembered(before: ThinState, after: ThinState, seen: Seen | None = None) -> ThinState:
+    """The state after a step, with the extremes of self-contact of all steps. Gradient: none."""
+    known = [before.filled, before.speed]
+    if seen is not None:
+        known = [jnp.maximum(old, new) for old, new in zip(known, seen, strict=True)]
+    return after.replace(**dict(zip(("filled", "speed"), jax.lax.stop_gradient(known), strict=True)))
+
+
 def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
     want = (poses.position.shape[0] - 1, len(scene.topology.held), 3)
     if pins is not None and (jnp.shape(pins) != want or not want[1]):
@@ -250,7 +261,7 @@ def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
     x, v = split(state)
     if scene.self_contact is None:
         return jnp.zeros_like(state.x)
-    return cp.join_vector(self_forces(scene, x, v, close_pairs(scene, x)))
+    return cp.join_vector(self_forces(scene, x, v, close_pairs(scene, x)[0]))
 
 
 __all__ = ["check_status", "contact_force", "internal_force", "self_contact_force", "step"]

@@ -1,0 +1,103 @@
+"""A worker for ``thin_speed.py``: its scene through Newton's ``SolverSemiImplicit``, Warp's cloth, on a CPU.
+
+It needs ``newton`` and ``warp-lang``, not rewax. Collisions with the sphere are found every 8 substeps, as Newton's
+examples do it once per frame. ``self`` adds ``enable_tri_contact``, Warp's contact of the cloth with itself.
+
+    python -P thin_newton.py NUM_TRIANGLES [self]
+
+``-P`` keeps this folder's ``profile.py`` from hiding Python's own.
+"""
+
+import sys
+from pathlib import Path
+
+import newton  # pyright: ignore[reportMissingImports]
+import numpy as np
+import warp as wp  # pyright: ignore[reportMissingImports]
+
+sys.path.append(str(Path(__file__).parent))
+import thin_scene as scene  # noqa: E402
+
+EVERY = 8
+
+
+@wp.kernel
+def mean_height(x: wp.array(dtype=wp.vec3), share: float, loss: wp.array(dtype=float)):  # pyright: ignore
+    wp.atomic_add(loss, 0, share * x[wp.tid()][1])
+
+
+class Worker:
+    """One sheet and its sphere."""
+
+    def __init__(self, num_triangles: int, with_self: bool) -> None:
+        wp.init()
+        self.starts = [scene.start(num_triangles, flat) for flat in (False, True)]
+        touch, a = scene.contact(num_triangles), scene.cell(num_triangles)
+        builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=scene.GRAVITY)
+        config = newton.ModelBuilder.ShapeConfig(
+            ke=touch["stiffness"], kd=touch["damping"], kf=touch["friction_damping"], mu=touch["friction"], margin=0.0
+        )
+        builder.add_shape_sphere(body=-1, radius=scene.RADIUS, cfg=config)
+        rest = scene.start(num_triangles, True)[0]
+        builder.add_cloth_mesh(
+            pos=wp.vec3(0.0), rot=wp.quat_identity(), scale=1.0, vel=wp.vec3(0.0), vertices=[wp.vec3(*p) for p in rest],
+            indices=scene.triangles(num_triangles).reshape(-1).tolist(), density=scene.DENSITY, tri_ke=scene.STIFFNESS,
+            tri_ka=scene.STIFFNESS, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0, edge_ke=scene.BENDING / a, edge_kd=0.0,
+            particle_radius=scene.TOUCH,
+        )  # fmt: skip
+        self.model = builder.finalize(device="cpu", requires_grad=True)
+        self.model.soft_contact_ke, self.model.soft_contact_kd = touch["stiffness"], touch["damping"]
+        self.model.soft_contact_kf, self.model.soft_contact_mu = touch["friction_damping"], touch["friction"]
+        self.model.particle_grid = None
+        self.solver = newton.solvers.SolverSemiImplicit(self.model, enable_tri_contact=with_self)
+        self.pipeline = newton.CollisionPipeline(self.model, soft_contact_margin=2.0 * scene.TOUCH)
+        self.control = self.model.control()
+        self.states: list = []
+        self.contacts: list = []
+        self.loss = wp.zeros(1, dtype=float, device="cpu", requires_grad=True)
+
+    def prepare(self, count: int, flat: bool = False) -> None:
+        while len(self.states) < count + 1:
+            self.states.append(self.model.state())
+        while len(self.contacts) < -(-count // EVERY):
+            self.contacts.append(self.pipeline.contacts())
+        x, v = self.starts[flat]
+        self.states[0].particle_q.assign(x)
+        self.states[0].particle_qd.assign(v)
+
+    def advance(self, count: int, keep: bool) -> wp.array:
+        """Final positions; ``keep`` uses a state for each substep, as the tape needs it, else two in turns."""
+        now = self.states[0]
+        for t in range(count):
+            other = self.states[t + 1 if keep else 1 - t % 2]
+            if t % EVERY == 0:
+                contacts = self.contacts[t // EVERY if keep else 0]
+                self.pipeline.collide(now, contacts)
+            now.clear_forces()
+            self.solver.step(now, other, self.control, contacts, scene.DT)
+            now = other
+        return now.particle_q
+
+    def forward(self, count: int) -> dict:
+        self.prepare(1)
+        return {"height": float(self.advance(count, False).numpy()[:, 1].mean())}
+
+    def backward(self, count: int, flat: bool = False) -> dict:
+        self.prepare(count, flat)
+        self.loss.zero_()
+        tape = wp.Tape()
+        with tape:
+            x = self.advance(count, True)
+            wp.launch(mean_height, self.model.particle_count, inputs=[x, 1.0 / self.model.particle_count, self.loss])
+        tape.backward(self.loss)
+        slope = self.states[0].particle_qd.grad.numpy().astype(np.float64)
+        height = float(self.loss.numpy()[0])
+        tape.zero()
+        return {"height": height, "gradient": slope.sum(axis=0).tolist()}
+
+    def flat(self, count: int) -> dict:
+        return self.backward(count, True)
+
+
+if __name__ == "__main__":
+    scene.serve(Worker(int(sys.argv[1]), "self" in sys.argv))
