@@ -1,11 +1,8 @@
-"""Random crumples of a sheet and random knots of a rope, in batches of equal shape, for ``crumples.py``.
+"""Random crumples of a sheet and random knots of a rope for ``crumples.py``, as batches whose scenes differ in numbers.
 
-A case draws its size, material, contact law and motion. Its ``max_speed`` is ``thin.largest_safe_speed``. ``scale`` says
-how fast it is driven: at 1, as fast as ``max_speed`` or slower.
+A case draws its size, material, contact law and motion. Its ``max_speed`` is ``thin.largest_safe_speed``.
 """
 
-import dataclasses
-import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -23,110 +20,170 @@ EVERY = 8
 SEGMENTS = 40
 WAYPOINTS = 6
 KINDS = ("walls", "corners", "throw")
+UNIT = thin.Cloth(warp=1.0, weft=1.0, shear=0.35, coupling=0.3, density=1.0)
 
 
 class Drive(NamedTuple):
     """The motion that is prescribed, at scale 1."""
 
-    held: jax.Array
+    held: np.ndarray
     """Waypoints of the held vertices [m], shape (num_waypoints, num_held, 3)."""
-    walls: jax.Array
+    walls: np.ndarray
     """Distance of the walls from the middle at the start and at the end [m], shape (2,)."""
-    v: jax.Array
+    v: np.ndarray
     """Velocity of the vertices at the start [m/s], shape (num_vertices, 3)."""
-    speed: jax.Array
+    speed: np.ndarray
     """Speed of walls and held vertices [m/s], shape ()."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Case:
-    """One case, and what its row says about it."""
+class Batch(NamedTuple):
+    """Cases along the first axis of all arrays."""
 
     scene: Any
-    state: Any
+    x: np.ndarray
+    """Positions at the start [m]."""
     drive: Drive
-    about: dict[str, Any]
+    rows: list[dict[str, Any]]
+    """What the rows say about the cases."""
 
 
-def between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Uniform in the logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+# --- Numbers ----------------------------------------------------------------------------------------------------------
+
+
+class Numbers(NamedTuple):
+    """What a case draws; arrays over the cases."""
+
+    cell: np.ndarray
+    """Side of a cell or length of a segment [m]."""
+    thickness: np.ndarray
+    """Over ``cell``."""
+    density: np.ndarray
+    """[kg/m^2], or [kg/m] of a rope."""
+    wave: np.ndarray
+    """Time in which a wave of stretch crosses a cell [s]."""
+    spring: np.ndarray
+    """sqrt(mass of a vertex / stiffness of contact) [s]."""
+    bending: np.ndarray
+    """Flexural rigidity over stretch times cell^2."""
+    damping: np.ndarray
+    """Kelvin-Voigt time over ``wave``."""
+    pair_damping: np.ndarray
+    """Over mass / spring."""
+    friction: np.ndarray
+    points: np.ndarray
+    """Vertices at rest [m]."""
+
+
+def drawn(rng: np.random.Generator, count: int, thickness: tuple[float, float], points: Any) -> Numbers:
+    """Sizes and times are uniform in the logarithm, ratios uniform."""
+
+    def size(low: float, high: float) -> np.ndarray:
+        return np.exp(rng.uniform(np.log(low), np.log(high), count))
+
+    cell = size(0.01, 0.05)
+    return Numbers(
+        cell=cell, thickness=rng.uniform(*thickness, count), density=size(0.05, 0.5), wave=size(8e-4, 2e-3),
+        spring=size(6e-4, 1.8e-3), bending=size(1e-5, 1e-2), damping=rng.uniform(0.0, 0.1, count),
+        pair_damping=rng.uniform(0.0, 0.5, count), friction=rng.uniform(0.0, 0.6, count),
+        points=np.stack([a * points() for a in cell]),
+    )  # fmt: skip
+
+
+def scenes(template: Any, numbers: Numbers) -> Any:
+    """The template with the numbers of each case, 0.9 of the smallest stable dt of all, and each one's safe speed."""
+
+    def one(own: Numbers) -> Any:
+        is_rope = template.rope is not None
+        mass = own.density * own.cell ** (1 if is_rope else 2)
+        stretch = own.density * (own.cell / own.wave) ** 2
+        bending, damping = own.bending * stretch * own.cell**2, own.damping * own.wave
+        rest = thin.rest_shape(template.topology, own.points)
+        cloth = rope = None
+        if is_rope:
+            rope = thin.Rope(stretch=stretch, bending=bending, density=own.density, damping=damping)
+        else:
+            cloth = UNIT.replace(
+                warp=stretch, weft=stretch, coupling=0.3 * stretch, shear=0.35 * stretch, bending=bending,
+                bending_ratio=0.3, density=own.density, damping=damping,
+            )  # fmt: skip
+        rate = mass / own.spring
+        law = template.self_contact.replace(
+            thickness=own.thickness * own.cell, stiffness=rate / own.spring, damping=own.pair_damping * rate,
+            friction=own.friction, friction_damping=0.2 * rate,
+        )  # fmt: skip
+        contact = PenaltyContact(stiffness=rate / own.spring, damping=0.3 * rate, friction_damping=0.2 * rate)
+        mass_of = thin.vertex_mass(template.topology, rest, cloth, rope)
+        return template.replace(
+            rest=rest, mass=mass_of, cloth=cloth, rope=rope, self_contact=law, contact=contact if cloth else None
+        )
+
+    single = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), numbers)
+    found, stable = jax.jit(jax.vmap(lambda n: (one(n), thin.largest_stable_dt(one(n)))))(single)
+    found = found.replace(dt=0.9 * float(stable.min()))
+    safe = jax.jit(jax.vmap(lambda scene: 0.999 * thin.largest_safe_speed(scene)))(found)
+    return found.replace(self_contact=found.self_contact.replace(max_speed=safe))
+
+
+def _law(thickness: float) -> thin.SelfContact:
+    return thin.SelfContact(
+        thickness=thickness,
+        stiffness=1e-3,
+        damping=0.0,
+        friction=0.0,
+        friction_damping=0.0,
+        max_speed=1e-6,
+        every=EVERY,
+    )
+
+
+def _rows(batch: Any, numbers: Numbers, group: str, kinds: list[str]) -> list[dict[str, Any]]:
+    limits = np.asarray(batch.self_contact.max_speed)
+    values = zip(kinds, numbers.cell, numbers.thickness * numbers.cell, limits, strict=True)
+    return [
+        {"group": group, "kind": kind, "cell": f"{a:.4g}", "thickness": f"{h:.4g}", "max_speed": f"{v:.4g}"}
+        for kind, a, h, v in values
+    ]
 
 
 # --- Sheets -----------------------------------------------------------------------------------------------------------
 
 
-def crumples(num_cells: int, count: int, seed: int) -> list[Case]:
+def crumples(num_cells: int, count: int, seed: int) -> Batch:
     """Sheets of ``num_cells`` x ``num_cells`` cells, all kinds in turn."""
     rng = np.random.default_rng((seed, num_cells))
-    drawn = [_sheet_numbers(rng, num_cells, KINDS[n % 3]) for n in range(count)]
-    build = functools.partial(_sheet_scene, num_cells)
-    return _with_common_dt(build, drawn, lambda scene, own: _sheet_motion(scene, own, num_cells))
-
-
-def _sheet_numbers(rng: np.random.Generator, num_cells: int, kind: str) -> dict[str, Any]:
-    """Times are those of a membrane's wave across a cell, and of the contact's spring with a vertex's mass."""
-    return {
-        "rng": rng.spawn(1)[0],
-        "kind": kind,
-        "cell": between(rng, 0.01, 0.05),
-        "thickness": rng.uniform(0.12, 0.33),
-        "density": between(rng, 0.05, 0.5),
-        "wave": between(rng, 1e-3, 3e-3),
-        "spring": between(rng, 8e-4, 3e-3),
-        "bending": between(rng, 1e-5, 1e-2),
-        "damping": rng.uniform(0.0, 0.1),
-        "pair_damping": rng.uniform(0.0, 0.5),
-        "friction": rng.uniform(0.0, 0.6),
-    }
-
-
-def _sheet_scene(num_cells: int, own: dict[str, Any]) -> Any:
-    a, mass = own["cell"], own["density"] * own["cell"] ** 2
-    stretch = own["density"] * (a / own["wave"]) ** 2
-    cloth = thin.Cloth(
-        warp=stretch, weft=stretch, coupling=0.3 * stretch, shear=0.35 * stretch, bending=own["bending"] * stretch * a**2,
-        bending_ratio=0.3, density=own["density"], damping=own["damping"] * own["wave"],
+    mesh = thin.sheet(float(num_cells), float(num_cells), num_cells, num_cells)
+    template = thin.make_scene(
+        mesh=mesh, dt=1e-5, cloth=UNIT, drag=0.5, gravity=(0.0, 0.0, 0.0), held=[0, len(mesh.vertices) - 1],
+        contact=PenaltyContact(stiffness=1e-3), self_contact=_law(0.3),
+        colliders=tuple(Collider(shape=Plane(), body=k, friction=0.2) for k in range(6)),
     )  # fmt: skip
-    spring = mass / own["spring"] ** 2
-    contact = PenaltyContact(
-        stiffness=spring, damping=0.3 * mass / own["spring"], friction_damping=0.2 * mass / own["spring"]
-    )
-    walls = tuple(Collider(shape=Plane(), body=k, friction=0.2) for k in range(6))
-    return thin.make_scene(
-        mesh=thin.sheet(num_cells * a, num_cells * a, num_cells, num_cells),
-        dt=1e-9, cloth=cloth, drag=0.5, gravity=(0.0, 0.0, 0.0), held=[0, (num_cells + 1) ** 2 - 1],
-        contact=contact, colliders=walls, self_contact=_law(own, own["thickness"] * a, mass),
-    )  # fmt: skip
+    numbers = drawn(rng, count, (0.12, 0.33), lambda: np.asarray(mesh.vertices))
+    batch = scenes(template, numbers)
+    kinds = [KINDS[n % 3] for n in range(count)]
+    limits = np.asarray(batch.self_contact.max_speed)
+    each = [_motion(rng, num_cells, *own) for own in zip(kinds, numbers.cell, numbers.thickness, limits, strict=True)]
+    free = jnp.asarray([kind != "corners" for kind in kinds])[:, None]
+    batch = batch.replace(mobility=jnp.where(free, 1.0, batch.mobility))
+    x, drive = jax.tree.map(lambda *a: np.stack(a).astype(np.float32), *each)
+    return Batch(batch, x, drive, _rows(batch, numbers, f"{num_cells} x {num_cells}", kinds))
 
 
-def _law(own: dict[str, Any], thickness: float, mass: float) -> thin.SelfContact:
-    rate = mass / own["spring"]
-    return thin.SelfContact(
-        thickness=thickness, stiffness=rate / own["spring"], damping=own["pair_damping"] * rate, friction=own["friction"],
-        friction_damping=0.2 * rate, max_speed=1e-9, every=EVERY, pairs_per_element=16,
-    )  # fmt: skip
-
-
-def _sheet_motion(scene: Any, own: dict[str, Any], num_cells: int) -> Case:
-    rng, kind, a = own["rng"], own["kind"], own["cell"]
-    size, limit = num_cells * a, float(scene.self_contact.max_speed)
+def _motion(
+    rng: np.random.Generator, num_cells: int, kind: str, a: float, thickness: float, limit: float
+) -> tuple[np.ndarray, Drive]:
+    size = num_cells * a
     mesh = thin.sheet(size, size, num_cells, num_cells)
-    x = np.asarray(mesh.vertices) - [size / 2, 0.0, size / 2] + 0.03 * a * rng.standard_normal(mesh.vertices.shape)
-    v, far = np.zeros_like(x), 10.0 * size
-    walls, held = np.array([far, far]), np.repeat(x[None, [0, -1]], WAYPOINTS, axis=0)
+    x = np.asarray(mesh.vertices) - [size / 2, 0.0, size / 2]
+    x = x + 0.03 * a * rng.standard_normal(x.shape)
+    v, walls, held = np.zeros_like(x), np.full(2, 10.0 * size), np.repeat(x[None, [0, -1]], WAYPOINTS, axis=0)
     if kind == "walls":
-        room = (size**2 * own["thickness"] * a / rng.uniform(0.08, 0.2)) ** (1 / 3)
+        room = (size**2 * thickness * a / rng.uniform(0.08, 0.2)) ** (1 / 3)
         walls = np.array([0.5 * size + a, 0.5 * min(room, size)])
     elif kind == "corners":
         held = _waypoints(rng, x[[0, -1]], 0.4 * size, 3.0 * a)
     else:
         v = _velocity_field(rng, x, size) * limit
-    if kind != "corners":
-        scene = scene.replace(mobility=jnp.ones_like(scene.mobility))
-    drive = Drive(*(jnp.asarray(n, jnp.float32) for n in (held, walls, v, 0.5 * limit)))
-    about = {"group": f"{num_cells} x {num_cells}", "kind": kind, "size": size, "thickness": own["thickness"] * a}
-    return Case(scene, thin.initial_state(jnp.asarray(x, jnp.float32)), drive, about | {"max_speed": limit})
+    return x, Drive(held, walls, v, np.asarray(0.5 * limit))
 
 
 def _waypoints(rng: np.random.Generator, start: np.ndarray, radius: float, apart: float) -> np.ndarray:
@@ -151,39 +208,43 @@ def _velocity_field(rng: np.random.Generator, x: np.ndarray, size: float) -> np.
     return v / np.linalg.norm(v, axis=1).max()
 
 
+def wall_poses(distance: jax.Array) -> Pose:
+    """Poses of six walls at ``distance`` [m] from the middle, shape (num,); their normals point to the middle."""
+    turns = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            y, x = sign * np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
+            turns.append(np.stack([x, y, np.cross(x, y)], axis=1))
+    rotation = jnp.asarray(np.stack(turns), jnp.float32)
+    position = -rotation[:, :, 1] * distance[:, None, None]
+    return Pose(position, jnp.broadcast_to(rotation, (len(distance), 6, 3, 3)))
+
+
 # --- Ropes ------------------------------------------------------------------------------------------------------------
 
 
-def knots(thickness: float, count: int, seed: int) -> list[Case]:
-    """Ropes in a loose overhand knot.
+def knots(thickness: tuple[float, float], count: int, seed: int) -> Batch:
+    """Ropes in a loose overhand knot, whose ends are pulled apart.
 
     Args:
-      thickness: over the length of a segment; each case has up to 8 % more or less.
+      thickness: its range, over the length of a segment; elements that are neighbours must be the same in all of it.
     """
-    rng = np.random.default_rng((seed, round(100 * thickness)))
-    drawn = [_rope_numbers(rng, thickness) for _ in range(count)]
-    return _with_common_dt(_rope_scene, drawn, _rope_motion)
-
-
-def _rope_numbers(rng: np.random.Generator, thickness: float) -> dict[str, Any]:
-    segment = between(rng, 0.005, 0.05)
-    shape = np.array([2.0, 0.9, 1.2]) * rng.uniform(0.92, 1.08, 3)
-    return {
-        "rng": rng.spawn(1)[0],
-        "segment": segment,
-        "thickness": thickness * rng.uniform(0.92, 1.08),
-        "points": overhand(*shape) * segment,
-        "density": between(rng, 0.01, 0.1),
-        "wave": between(rng, 5e-4, 2e-3),
-        "spring": between(rng, 5e-4, 2e-3),
-        "bending": between(rng, 1e-4, 1e-2),
-        "pair_damping": rng.uniform(0.0, 0.5),
-        "friction": rng.uniform(0.0, 0.4),
-    }
+    rng = np.random.default_rng((seed, round(100 * thickness[0])))
+    template = thin.make_scene(
+        mesh=thin.rope(overhand(2.0, 0.9, 1.2)), dt=1e-5, rope=thin.Rope(stretch=1.0, density=1.0), drag=5.0,
+        gravity=(0.0, 0.0, 0.0), held=[0, SEGMENTS], self_contact=_law(float(np.mean(thickness))),
+    )  # fmt: skip
+    numbers = drawn(rng, count, thickness, lambda: overhand(*(np.array([2.0, 0.9, 1.2]) * rng.uniform(0.92, 1.08, 3))))
+    batch = scenes(template, numbers)
+    x, away = numbers.points, SEGMENTS * numbers.cell[:, None, None] * np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    held = np.stack([x[:, [0, -1]], x[:, [0, -1]] + away], axis=1)
+    drive = Drive(held, np.zeros((count, 2)), np.zeros_like(x), 0.95 * np.asarray(batch.self_contact.max_speed))
+    x, drive = jax.tree.map(lambda a: np.asarray(a, np.float32), (x, drive))
+    return Batch(batch, x, drive, _rows(batch, numbers, f"{thickness[0]:g} to {thickness[1]:g}", ["knot"] * count))
 
 
 def overhand(far: float, near: float, high: float) -> np.ndarray:
-    """A trefoil on a torus, opened at its outside, with ends that point away; segments of length 1."""
+    """A trefoil on a torus, opened at its outside, with ends that point away; segments of about length 1."""
     t = np.linspace(0.2, 2.0 * np.pi - 0.2, 4001)
     radius = far + near * np.cos(3.0 * t)
     p = np.stack([radius * np.cos(2.0 * t), radius * np.sin(2.0 * t), high * np.sin(3.0 * t)], axis=-1)
@@ -194,61 +255,4 @@ def overhand(far: float, near: float, high: float) -> np.ndarray:
     return np.stack([np.interp(at, along, p[:, k]) for k in range(3)], axis=-1) / at[1]
 
 
-def _rope_scene(own: dict[str, Any]) -> Any:
-    a, mass = own["segment"], own["density"] * own["segment"]
-    stretch = own["density"] * (a / own["wave"]) ** 2
-    rope = thin.Rope(stretch=stretch, bending=own["bending"] * stretch * a**2, density=own["density"], damping=1e-4)
-    law = _law(own, own["thickness"] * a, mass)
-    return thin.make_scene(
-        mesh=thin.rope(own["points"]), dt=1e-9, rope=rope, drag=5.0, gravity=(0.0, 0.0, 0.0), held=[0, SEGMENTS],
-        self_contact=law,
-    )  # fmt: skip
-
-
-def _rope_motion(scene: Any, own: dict[str, Any]) -> Case:
-    limit, x = float(scene.self_contact.max_speed), own["points"]
-    away = SEGMENTS * own["segment"] * np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
-    held = np.stack([x[[0, -1]], x[[0, -1]] + away])
-    drive = Drive(*(jnp.asarray(n, jnp.float32) for n in (held, (0.0, 0.0), np.zeros_like(x), 0.95 * limit)))
-    thickness = own["thickness"] * own["segment"]
-    about = {"group": f"knot {own['thickness']:.1f}", "kind": "knot", "size": SEGMENTS * own["segment"]}
-    state = thin.initial_state(jnp.asarray(x, jnp.float32))
-    return Case(scene, state, drive, about | {"thickness": thickness, "max_speed": limit})
-
-
-# --- Batches ----------------------------------------------------------------------------------------------------------
-
-
-def _with_common_dt(build: Any, drawn: list[dict[str, Any]], motion: Any) -> list[Case]:
-    """Cases whose scenes differ in numbers alone: one dt, 0.9 of the smallest stable one, and one tree for the search."""
-    scenes = [build(own) for own in drawn]
-    dt = 0.9 * min(float(thin.largest_stable_dt(scene)) for scene in scenes)
-    scenes = [_at_limit(scene.replace(dt=dt)) for scene in scenes]
-    first = scenes[0].contact_elements
-    for scene in scenes:
-        own = scene.contact_elements
-        assert np.array_equal(own.near_edges, first.near_edges) and np.array_equal(own.near_triangles, first.near_triangles)
-    same = [scene.replace(contact_elements=first, topology=scenes[0].topology) for scene in scenes]
-    return [motion(scene, own) for scene, own in zip(same, drawn, strict=True)]
-
-
-def _at_limit(scene: Any) -> Any:
-    """The scene with the largest speed that ``make_scene`` accepts."""
-    limit = 0.999 * float(thin.largest_safe_speed(scene))
-    return scene.replace(self_contact=scene.self_contact.replace(max_speed=limit))
-
-
-def wall_poses(distance: jax.Array) -> Pose:
-    """Poses of six walls at ``distance`` [m] from the middle, shape (num,); their normals point to the middle."""
-    turns = []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            y = sign * np.eye(3)[axis]
-            x = np.eye(3)[(axis + 1) % 3]
-            turns.append(np.stack([x, y, np.cross(x, y)], axis=1))
-    rotation = jnp.asarray(np.stack(turns), jnp.float32)
-    position = -rotation[:, :, 1] * distance[:, None, None]
-    return Pose(position, jnp.broadcast_to(rotation, (len(distance), 6, 3, 3)))
-
-
-__all__ = ["EVERY", "KINDS", "Case", "Drive", "crumples", "knots", "overhand", "wall_poses"]
+__all__ = ["EVERY", "KINDS", "Batch", "Drive", "crumples", "knots", "wall_poses"]

@@ -3,17 +3,19 @@
     python benchmarks/crumples.py                  # what has no row yet
     python benchmarks/crumples.py --table          # the table of the rows that are there
 
-Each case is driven by shrinking walls, by two held corners that move at random, or by a random velocity field; a knot by
-its two ends. Its ``max_speed`` is ``thin.largest_safe_speed``, and it is driven as fast as keeps every vertex below that:
-it runs again with another scale until the fastest vertex of the run reaches 0.75 to 1 of the limit. A second run drives
-it at 5 times the speed. ``crossing_referee.py`` counts crossings in each frame of 8 substeps; ``check_status`` is asked
-every 5 frames, as an environment asks it after each control step.
+Each case is driven by shrinking walls, by two held corners that move at random, or by a random velocity field; a knot
+by its two ends. Its ``max_speed`` is ``thin.largest_safe_speed``. It runs again with another scale until its fastest
+vertex reaches 0.75 to 1 of that limit, and then once more at five times that scale. ``crossing_referee.py`` counts
+crossings in each frame of 8 substeps. ``check_status`` is asked every 5 frames, as an environment asks it after each
+control step.
 
-Columns of the rows: the fastest vertex over the limit, frames in which something has crossed, the same at five times the
-speed, and whether ``check_status`` set ``CROSSED`` in each run.
+Columns of the rows: the fastest vertex over the limit (``peak``), the number of frames in which something has crossed,
+all bits of ``check_status``, the largest share of vertices that touch another layer (``pressed``), and the length that a
+knot holds over the rope's thickness (``excess``). Those with ``_5`` are of the run at five times the speed.
 """
 
 import dataclasses
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from crossing_referee import ClothReferee, RopeReferee
-from crumple_cases import EVERY, Case, crumples, knots, wall_poses
+from crumple_cases import EVERY, KINDS, Batch, Drive, crumples, knots, wall_poses
 from rows import append, read
 
 from rewax.physics import thin
@@ -30,18 +32,19 @@ from rewax.status import Status
 from rewax.training import enable_compilation_cache
 from rewax.training.storage.description import provenance
 
-SHEETS = {8: 67, 10: 67, 12: 66}
+SHEETS = {8: 120, 10: 50, 12: 30}
 """Cells along a side, and number of cases."""
-KNOTS = {0.5: 10, 0.75: 10, 1.0: 10, 1.2: 10, 1.5: 10}
-"""Thickness over the length of a segment, and number of cases."""
-BATCH = 12
-FRAMES = {"cloth": 150, "rope": 250}
+KNOTS = {(0.7, 1.3): 30, (1.35, 1.6): 20}
+"""Range of the thickness over the length of a segment, and number of cases."""
+BATCH = 20
+FRAMES = {"cloth": 100, "rope": 250}
 PER_CHECK = 5
 SLOWEST = 0.75
 """Fastest vertex over the limit from which a run counts as one at the limit."""
+TRIES = 4
 TAUT = 0.02
 """Mean strain of a rope at which its ends are no longer pulled."""
-FIELDS = ("case", "group", "kind", "size", "thickness", "max_speed", "scale", "peak", "crossings", "status", "pressed",
+FIELDS = ("case", "group", "kind", "cell", "thickness", "max_speed", "scale", "peak", "crossings", "status", "pressed",
           "excess", "peak_5", "crossings_5", "status_5", "commit")  # fmt: skip
 
 
@@ -53,11 +56,11 @@ class Args:
     seed: int = 0
     table: bool = False
     groups: tuple[str, ...] = ()
-    """Only these, such as "8" or "0.5"; none: all."""
+    """Only these, such as "8 x 8" or "0.7 to 1.3"; none: all."""
 
 
 @jax.jit
-def film(scene: Any, state: Any, drive: Any, scale: jax.Array) -> Any:
+def film(scene: Any, x: jax.Array, drive: Drive, scale: jax.Array) -> Any:
     """Positions after each frame, the fastest vertex of each over the limit, the status and how many vertices touch."""
     held = scene.topology.held.indices[:, 0]
     step = drive.speed * scale * scene.dt
@@ -91,110 +94,111 @@ def film(scene: Any, state: Any, drive: Any, scale: jax.Array) -> Any:
         pressed = jnp.mean(jnp.any(thin.self_contact_force(scene, state) != 0.0, axis=-1))
         return carry, (x, peak, thin.check_status(scene, state), pressed)
 
-    start = state.replace(v=scale * drive.v)
-    return jax.lax.scan(check, (start, drive.walls[0], 0), length=FRAMES["cloth" if scene.rope is None else "rope"] // PER_CHECK)[1]
+    start = thin.initial_state(x).replace(v=scale * drive.v)
+    checks = FRAMES["cloth" if scene.rope is None else "rope"] // PER_CHECK
+    return jax.lax.scan(check, (start, drive.walls[0], 0), length=checks)[1]
 
 
 BATCHED = jax.jit(jax.vmap(film))
 
 
-def run(cases: list[Case], scales: np.ndarray) -> list[dict[str, Any]]:
-    """One run of each case."""
-    stacked = [jax.tree.map(lambda *a: jnp.stack(a), *(getattr(c, name) for c in cases)) for name in ("scene", "state", "drive")]
-    x, peak, status, pressed = (np.asarray(a) for a in BATCHED(*stacked, jnp.asarray(scales, jnp.float32)))
-    found = []
-    for k, case in enumerate(cases):
-        frames = np.concatenate([np.asarray(case.state.x)[None], x[k].reshape(-1, *x.shape[3:])])
-        found.append(
-            {
-                "peak": float(peak[k].max()),
-                "status": int(np.bitwise_or.reduce(status[k])),
-                "pressed": float(pressed[k].max()),
-                "crossings": crossings(case.scene, frames),
-                "excess": excess(case, frames[-1]),
-            }
+class Cases:
+    """Cases of one batch that wait for a run: first for one at the limit, then for one at five times its speed."""
+
+    def __init__(self, batch: Batch, names: list[str], out: Path) -> None:
+        self.batch, self.names, self.out = batch, names, out
+        self.is_rope = batch.scene.rope is not None
+        topology = batch.scene.topology
+        self.cloth = None if self.is_rope else ClothReferee(topology.triangles.indices)
+        self.rope = RopeReferee(len(topology.segments)) if self.is_rope else None
+        done = {row["case"] for row in read(out)}
+        self.scale = {k: 1.0 if self.is_rope else 0.35 for k, name in enumerate(names) if name not in done}
+        self.tried: dict[int, list[dict[str, Any]]] = {k: [] for k in self.scale}
+
+    def run(self) -> bool:
+        """One run of as many cases as fit; whether any was left."""
+        at = list(self.scale)[:BATCH]
+        if not at:
+            return False
+        full = np.resize(at, BATCH)
+        chosen = jax.tree.map(lambda a: a[full], (self.batch.scene, self.batch.x, self.batch.drive))
+        x, peak, status, pressed = map(
+            np.asarray, BATCHED(*chosen, jnp.asarray([self.scale[k] for k in full], jnp.float32))
         )
-    return found
+        for n, k in enumerate(at):
+            frames = np.concatenate([self.batch.x[k][None], x[n].reshape(-1, *x.shape[3:])])
+            found = {
+                "scale": self.scale[k], "peak": float(peak[n].max()), "status": int(np.bitwise_or.reduce(status[n])),
+                "pressed": float(pressed[n].max()),
+            }  # fmt: skip
+            self.judge(k, found, frames)
+        return True
 
+    def judge(self, k: int, found: dict[str, Any], frames: np.ndarray) -> None:
+        """Write the row, or say at which scale the case runs next."""
+        best = next((row for row in self.tried[k] if row.get("last")), None)
+        if best is not None:
+            beyond = {"peak_5": found["peak"], "status_5": found["status"], "crossings_5": self.crossings(frames)}
+            worst = max(row["crossings"] for row in self.tried[k] if row["peak"] <= 1.0)
+            own = {**self.batch.rows[k], **best, "crossings": worst, **beyond, "case": self.names[k]}
+            row = {name: own.get(name, "") for name in FIELDS} | {"commit": provenance()["commit"]}
+            append([row], FIELDS, self.out)
+            print({name: row[name] for name in FIELDS[:-1]}, flush=True)
+            del self.scale[k]
+            return
+        if found["peak"] <= 1.0:
+            found |= {"crossings": self.crossings(frames), "excess": self.excess(k, frames[-1])}
+        self.tried[k].append(found)
+        slow = [row for row in self.tried[k] if row["peak"] <= 1.0]
+        if slow and (max(row["peak"] for row in slow) >= SLOWEST or len(self.tried[k]) >= TRIES):
+            best = max(slow, key=lambda row: row["peak"])
+            best["last"] = True
+            self.scale[k] = 5.0 * best["scale"]
+        else:
+            self.scale[k] *= float(np.clip(0.9 / found["peak"], 0.3, 1.6))
 
-def crossings(scene: Any, frames: np.ndarray) -> int:
-    """Frames in which an edge passes through a triangle, or before which segments have passed through each other."""
-    if not np.isfinite(frames).all():
-        return -1
-    if scene.rope is None:
-        referee = ClothReferee(scene.topology.triangles.indices)
-        return sum(referee.crossings(x) > 0 for x in frames)
-    referee = RopeReferee(len(scene.topology.segments))
-    return sum(referee.crossings(*pair) > 0 for pair in zip(frames[:-1], frames[1:], strict=True))
+    def crossings(self, frames: np.ndarray) -> int:
+        """Frames in which an edge passes through a triangle, or before which segments passed through each other."""
+        frames = frames[: np.isfinite(frames).all(axis=(1, 2)).argmin() or len(frames)]
+        if self.cloth is not None:
+            return sum(self.cloth.crossings(x) > 0 for x in frames)
+        return sum(self.rope.crossings(*pair) > 0 for pair in itertools.pairwise(frames))
 
-
-def excess(case: Case, x: np.ndarray) -> float | str:
-    """Length of a rope that its knot holds, over the thickness; 0 for a straight rope."""
-    if case.scene.rope is None:
-        return ""
-    along = np.linalg.norm(np.diff(x, axis=0), axis=1).sum()
-    return float((along - np.linalg.norm(x[-1] - x[0])) / case.about["thickness"])
-
-
-def measure(cases: list[Case], names: list[str], args: Args) -> None:
-    scales = np.full(len(cases), 0.35 if cases[0].scene.rope is None else 1.0)
-    best: list[dict[str, Any] | None] = [None] * len(cases)
-    worst = np.zeros(len(cases), int)
-    for _ in range(4):
-        for k, row in enumerate(run(cases, scales)):
-            slow = row["peak"] <= 1.0
-            if slow or row["crossings"] < 0:
-                worst[k] = max(worst[k], row["crossings"], key=abs)
-            if slow and (best[k] is None or row["peak"] > best[k]["peak"]):
-                best[k] = {**row, "scale": scales[k]}
-            scales[k] *= 1.0 if SLOWEST <= row["peak"] <= 1.0 else np.clip(0.9 / row["peak"], 0.4, 1.6)
-        if all(b is not None and b["peak"] >= SLOWEST for b in best):
-            break
-    final = np.array([1.0 if b is None else b["scale"] for b in best])
-    fast = run(cases, 5.0 * final)
-    rows = []
-    for k, (case, row, other) in enumerate(zip(cases, best, fast, strict=True)):
-        row = row or {name: "" for name in ("peak", "status", "pressed", "excess", "scale")}
-        beyond = {f"{name}_5": other[name] for name in ("peak", "crossings", "status")}
-        about = {**case.about, "case": names[k], "commit": provenance()["commit"]}
-        rows.append({**about, **row, "crossings": worst[k], **beyond})
-    append(rows, FIELDS, args.out)
-    print("\n".join(str({k: r[k] for k in FIELDS[:-1]}) for r in rows), flush=True)
+    def excess(self, k: int, x: np.ndarray) -> float | str:
+        """Length of a rope that its knot holds, over the thickness; 0 for a straight rope."""
+        along = np.linalg.norm(np.diff(x, axis=0), axis=1).sum() - np.linalg.norm(x[-1] - x[0])
+        return round(float(along) / float(self.batch.rows[k]["thickness"]), 2) if self.is_rope else ""
 
 
 def table(rows: list[dict[str, str]]) -> None:
-    print("| cases | number | fastest vertex over the limit | crossed | unreported | 5 times: crossed | unreported |")
+    print(
+        "| driven by | cases | fastest vertex over the limit | crossed | unreported | at 5 times: crossed | unreported |"
+    )
     print("|---|---|---|---|---|---|---|")
-    for kind in ("walls", "corners", "throw", "knot"):
-        own = [r for r in rows if r["kind"] == kind and r["peak"]]
-        crossed, beyond = ([r for r in own if int(r[f"crossings{s}"]) != 0] for s in ("", "_5"))
-        silent = [sum(not int(r[f"status{s}"]) & Status.CROSSED for r in rs) for s, rs in (("", crossed), ("_5", beyond))]
-        peaks = [float(r["peak"]) for r in own] or [0.0]
-        print(
-            f"| {kind} | {len(own)} | {min(peaks):.2f} to {max(peaks):.2f}, median {np.median(peaks):.2f} | "
-            f"{len(crossed)} | {silent[0]} | {len(beyond)} | {silent[1]} |"
-        )
+    for kind in (*KINDS, "knot"):
+        own = [row for row in rows if row["kind"] == kind]
+        counts = []
+        for suffix in ("", "_5"):
+            crossed = [row for row in own if int(row[f"crossings{suffix}"])]
+            counts += [len(crossed), sum(not int(row[f"status{suffix}"]) & Status.CROSSED for row in crossed)]
+        peaks = [float(row["peak"]) for row in own] or [0.0]
+        spread = f"{min(peaks):.2f} to {max(peaks):.2f}, median {np.median(peaks):.2f}"
+        print(f"| {kind} | {len(own)} | {spread} | " + " | ".join(map(str, counts)) + " |")
 
 
 def main(args: Args) -> None:
     if args.table:
-        return table(read(args.out))
+        table(read(args.out))
+        return
     enable_compilation_cache()
-    groups = [(f"{n}", n, count, crumples) for n, count in SHEETS.items()]
-    groups += [(f"{d}", d, count, knots) for d, count in KNOTS.items()]
-    done = {row["case"] for row in read(args.out)}
+    groups = [(f"{d[0]:g} to {d[1]:g}", d, count, knots) for d, count in KNOTS.items()]
+    groups += [(f"{n} x {n}", n, count, crumples) for n, count in SHEETS.items()]
     for name, size, count, draw in groups:
-        names = [f"{name}-{args.seed}-{k}" for k in range(count)]
-        if (args.groups and name not in args.groups) or done.issuperset(names):
-            continue
-        cases = draw(size, count, args.seed)
-        # Batches of one length share a program; the last one begins earlier and its first rows are not kept twice.
-        for start in range(0, count, BATCH):
-            at = range(max(0, min(start, count - BATCH)), min(start + BATCH, count))
-            left = [k for k in at if names[k] not in done]
-            if left:
-                measure([cases[k] for k in at], [names[k] for k in at], args)
-                done.update(names[k] for k in at)
+        if not args.groups or name in args.groups:
+            names = [f"{name} {args.seed} {k}" for k in range(count)]
+            cases = Cases(draw(size, count, args.seed), names, args.out)
+            while cases.run():
+                pass
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp  # pyright: ignore[reportMissingImports]
 
 sys.path.append(str(Path(__file__).parent))
-import thin_scene as scene  # noqa: E402
+import thin_scene as scene
 
 EVERY = 8
 
@@ -33,7 +33,7 @@ class Worker:
         wp.init()
         self.starts = [scene.start(num_triangles, flat) for flat in (False, True)]
         touch, a = scene.contact(num_triangles), scene.cell(num_triangles)
-        builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=scene.GRAVITY)
+        builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, scene.GRAVITY, 0.0))
         config = newton.ModelBuilder.ShapeConfig(
             ke=touch["stiffness"], kd=touch["damping"], kf=touch["friction_damping"], mu=touch["friction"], margin=0.0
         )
