@@ -54,6 +54,7 @@ class Worker:
         self.control = self.model.control()
         self.states: list = []
         self.contacts: list = []
+        self.by_sphere = 0.0
         self.loss = wp.zeros(1, dtype=float, device="cpu", requires_grad=True)
 
     def prepare(self, count: int, flat: bool = False) -> None:
@@ -92,11 +93,25 @@ class Worker:
         tape.backward(self.loss)
         slope = self.states[0].particle_qd.grad.numpy().astype(np.float64)
         height = float(self.loss.numpy()[0])
+        self.by_sphere = float(self.model.shape_transform.grad.numpy()[0][1])
         tape.zero()
         return {"height": height, "gradient": slope.sum(axis=0).tolist()}
 
     def flat(self, count: int) -> dict:
         return self.backward(count, True)
+
+    def sphere(self, count: int) -> dict:
+        """The derivative of the mean height by the sphere's height: by the tape, and by central differences."""
+        transforms, ends = self.model.shape_transform, []
+        self.backward(count)
+        before = transforms.numpy().copy()
+        for sign in (1.0, -1.0):
+            moved = before.copy()
+            moved[0, 1] += sign * scene.STEP
+            transforms.assign(moved)
+            ends.append(self.forward(count)["height"])
+        transforms.assign(before)
+        return {"gradient": self.by_sphere, "difference": (ends[0] - ends[1]) / (2.0 * scene.STEP)}
 
 
 if __name__ == "__main__":

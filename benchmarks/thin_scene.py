@@ -33,6 +33,9 @@ GRAVITY = -9.81
 SPEED = -0.5
 """Velocity of the sheet at the start, along y [m/s]."""
 
+STEP = 2e-4
+"""Of central differences by the sphere's height [m]."""
+
 
 def cell(num_triangles: int) -> float:
     """Side of a cell [m]."""
