@@ -22,22 +22,26 @@ EVERY = 8
 
 
 @wp.kernel
-def mean_height(x: wp.array(dtype=wp.vec3), share: float, loss: wp.array(dtype=float)):  # pyright: ignore
-    wp.atomic_add(loss, 0, share * x[wp.tid()][1])
+def mean(x: wp.array(dtype=wp.vec3), axis: int, share: float, loss: wp.array(dtype=float)):  # pyright: ignore
+    wp.atomic_add(loss, 0, share * x[wp.tid()][axis])
 
 
 class Worker:
     """One sheet and its sphere."""
 
-    def __init__(self, num_triangles: int, with_self: bool) -> None:
+    def __init__(self, num_triangles: int, with_self: bool = False, on_floor: bool = False) -> None:
         wp.init()
-        self.starts = [scene.start(num_triangles, flat) for flat in (False, True)]
+        self.num_triangles = num_triangles
+        self.x, self.v = scene.start(num_triangles, on_floor)
         touch, a = scene.contact(num_triangles), scene.cell(num_triangles)
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, scene.GRAVITY, 0.0))
         config = newton.ModelBuilder.ShapeConfig(
             ke=touch["stiffness"], kd=touch["damping"], kf=touch["friction_damping"], mu=touch["friction"], margin=0.0
         )
-        builder.add_shape_sphere(body=-1, radius=scene.RADIUS, cfg=config)
+        if on_floor:
+            builder.add_ground_plane(height=scene.RADIUS, cfg=config)
+        else:
+            builder.add_shape_sphere(body=-1, radius=scene.RADIUS, cfg=config)
         rest = scene.start(num_triangles, True)[0]
         builder.add_cloth_mesh(
             pos=wp.vec3(0.0), rot=wp.quat_identity(), scale=1.0, vel=wp.vec3(0.0), vertices=[wp.vec3(*p) for p in rest],
@@ -57,14 +61,13 @@ class Worker:
         self.by_sphere = 0.0
         self.loss = wp.zeros(1, dtype=float, device="cpu", requires_grad=True)
 
-    def prepare(self, count: int, flat: bool = False) -> None:
+    def prepare(self, count: int) -> None:
         while len(self.states) < count + 1:
             self.states.append(self.model.state())
         while len(self.contacts) < -(-count // EVERY):
             self.contacts.append(self.pipeline.contacts())
-        x, v = self.starts[flat]
-        self.states[0].particle_q.assign(x)
-        self.states[0].particle_qd.assign(v)
+        self.states[0].particle_q.assign(self.x)
+        self.states[0].particle_qd.assign(self.v)
 
     def advance(self, count: int, keep: bool) -> wp.array:
         """Final positions; ``keep`` uses a state for each substep, as the tape needs it, else two in turns."""
@@ -79,17 +82,17 @@ class Worker:
             now = other
         return now.particle_q
 
-    def forward(self, count: int) -> dict:
+    def forward(self, count: int, axis: int = 1) -> dict:
         self.prepare(1)
-        return {"height": float(self.advance(count, False).numpy()[:, 1].mean())}
+        return {"height": float(self.advance(count, False).numpy()[:, axis].mean(dtype=np.float64))}
 
-    def backward(self, count: int, flat: bool = False) -> dict:
-        self.prepare(count, flat)
+    def backward(self, count: int, axis: int = 1) -> dict:
+        self.prepare(count)
         self.loss.zero_()
         tape = wp.Tape()
         with tape:
             x = self.advance(count, True)
-            wp.launch(mean_height, self.model.particle_count, inputs=[x, 1.0 / self.model.particle_count, self.loss])
+            wp.launch(mean, self.model.particle_count, inputs=[x, axis, 1.0 / self.model.particle_count, self.loss])
         tape.backward(self.loss)
         slope = self.states[0].particle_qd.grad.numpy().astype(np.float64)
         height = float(self.loss.numpy()[0])
@@ -97,11 +100,8 @@ class Worker:
         tape.zero()
         return {"height": height, "gradient": slope.sum(axis=0).tolist()}
 
-    def flat(self, count: int) -> dict:
-        return self.backward(count, True)
-
     def sphere(self, count: int) -> dict:
-        """The derivative of the mean height by the sphere's height: by the tape, and by central differences."""
+        """The derivative of the mean height by the sphere's height, by the tape and by central differences."""
         transforms, ends = self.model.shape_transform, []
         self.backward(count)
         before = transforms.numpy().copy()
@@ -112,6 +112,15 @@ class Worker:
             ends.append(self.forward(count)["height"])
         transforms.assign(before)
         return {"gradient": self.by_sphere, "difference": (ends[0] - ends[1]) / (2.0 * scene.STEP)}
+
+    def slide(self, count: int) -> dict:
+        """The derivative of the mean x by a velocity along x of all vertices, as a flat sheet lands on a floor."""
+        other, ends = Worker(self.num_triangles, on_floor=True), []
+        gradient = other.backward(count, 0)["gradient"][0]
+        for sign in (1.0, -1.0):
+            other.v = self.v * [0.0, 0.0, 0.0] + [sign * scene.STEP, scene.SPEED, 0.0]
+            ends.append(other.forward(count, 0)["height"])
+        return {"gradient": gradient, "difference": (ends[0] - ends[1]) / (2.0 * scene.STEP)}
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ Newton's. ``thin_scene.py`` is the scene, ``thin_newton.py`` the opponent. Worke
     hinges, plate            rewax with the same law of bending as Newton's, and with its default
     self                     hinges and contact of the cloth with itself
 
-The last line is a gradient: of the mean height by the sphere's height, beside central differences of the same program.
+The last lines are gradients beside central differences of the same program: of the mean height by the sphere's height
+(``sphere``), and of the mean x of a flat sheet that lands on a floor by a velocity along x (``slide``).
 """
 
 import argparse
@@ -28,7 +29,7 @@ import thin_scene as numbers
 HERE = Path(__file__).resolve().parent
 SUBSTEPS = 64
 LONG = 400
-"""Substeps of the gradient by the sphere's height."""
+"""Substeps of the gradients beside differences."""
 WORKERS = ("newton", "hinges", "plate", "self", "newton self")
 
 
@@ -41,7 +42,7 @@ class Rewax:
 
         from rewax.physics import thin
         from rewax.physics.contact.colliders import Collider
-        from rewax.physics.contact.penalty import PenaltyContact
+        from rewax.physics.contact.penalty import Ground, PenaltyContact
         from rewax.physics.shapes import Sphere
         from rewax.training import enable_compilation_cache
 
@@ -56,6 +57,7 @@ class Rewax:
         cloth = thin.Cloth(
             warp=3 * k, weft=3 * k, coupling=k, shear=k, bending=numbers.BENDING, density=numbers.DENSITY
         )
+        self.thin, self.ground = thin, Ground(normal=(0.0, 1.0, 0.0), height=numbers.RADIUS)
         self.scene = thin.make_scene(
             mesh=thin.sheet(nx * a, nz * a, nx, nz), dt=numbers.DT, cloth=cloth, gravity=(0.0, numbers.GRAVITY, 0.0),
             contact=PenaltyContact(**touch, radius=numbers.TOUCH),
@@ -63,7 +65,8 @@ class Rewax:
             bending_law=thin.BendingLaw.PLATE if kind == "plate" else thin.BendingLaw.HINGES,
             self_contact=law if kind == "self" else None,
         )  # fmt: skip
-        self.starts = [tuple(map(jnp.asarray, numbers.start(num_triangles, flat))) for flat in (False, True)]
+        self.x, self.v = map(jnp.asarray, numbers.start(num_triangles))
+        self.flat = jnp.asarray(numbers.start(num_triangles, flat=True)[0])
 
         def height(v: Any, x: Any, lift: Any, count: int) -> Any:
             scene = self.scene
@@ -72,23 +75,37 @@ class Rewax:
             end = thin.step(scene.replace(colliders=(moved,)), state, thin.static_poses(count, 1))
             return jnp.mean(end.x[:, 1])
 
+        def drift(push: Any, count: int) -> Any:
+            """Mean x of a flat sheet that lands on a floor."""
+            law = self.scene.contact.replace(friction=friction)
+            scene = self.scene.replace(colliders=(), ground=self.ground, contact=law)
+            v = jnp.stack([push, numbers.SPEED, 0.0]) + jnp.zeros_like(self.flat)
+            end = thin.step(scene, thin.initial_state(self.flat).replace(v=v), thin.static_poses(count, 1))
+            return jnp.mean(end.x[:, 0] - self.flat[:, 0])
+
         self.height = jax.jit(height, static_argnums=3)
         self.slope = jax.jit(jax.value_and_grad(height), static_argnums=3)
         self.by_sphere = jax.jit(jax.grad(height, argnums=2), static_argnums=3)
+        self.drift = jax.jit(drift, static_argnums=1)
+        self.by_push = jax.jit(jax.grad(drift), static_argnums=1)
 
     def forward(self, count: int) -> dict:
-        x, v = self.starts[0]
-        return {"height": float(self.height(v, x, 0.0, count))}
+        return {"height": float(self.height(self.v, self.x, 0.0, count))}
 
-    def backward(self, count: int, flat: bool = False) -> dict:
-        x, v = self.starts[flat]
-        height, slope = self.slope(v, x, 0.0, count)
+    def backward(self, count: int) -> dict:
+        height, slope = self.slope(self.v, self.x, 0.0, count)
         return {"height": float(height), "gradient": [float(g) for g in slope.sum(axis=0)]}
 
     def sphere(self, count: int) -> dict:
-        (x, v), h = self.starts[0], numbers.STEP
-        ends = [float(self.height(v, x, sign * h, count)) for sign in (1.0, -1.0)]
-        return {"gradient": float(self.by_sphere(v, x, 0.0, count)), "difference": (ends[0] - ends[1]) / (2.0 * h)}
+        h = numbers.STEP
+        ends = [float(self.height(self.v, self.x, sign * h, count)) for sign in (1.0, -1.0)]
+        gradient = float(self.by_sphere(self.v, self.x, 0.0, count))
+        return {"gradient": gradient, "difference": (ends[0] - ends[1]) / (2.0 * h)}
+
+    def slide(self, count: int) -> dict:
+        h = numbers.STEP
+        ends = [float(self.drift(sign * h, count)) for sign in (1.0, -1.0)]
+        return {"gradient": float(self.by_push(0.0, count)), "difference": (ends[0] - ends[1]) / (2.0 * h)}
 
 
 def started(kind: str, size: int, newton: str) -> subprocess.Popen:
@@ -135,8 +152,9 @@ def compare(size: int, args: argparse.Namespace) -> None:
                 flush=True,
             )
     if size == 1000:
-        for kind in ("newton", "hinges"):
-            print(kind, "by the sphere's height", asked(workers[kind], "sphere", LONG), flush=True)
+        for operation in ("sphere", "slide"):
+            for kind in ("newton", "hinges"):
+                print(f"| {operation} | {kind} | {asked(workers[kind], operation, LONG)} |", flush=True)
     for worker in workers.values():
         worker.stdin.close()
         worker.wait()
