@@ -80,12 +80,12 @@ def drawn(rng: np.random.Generator, count: int, thickness: tuple[float, float], 
     def size(low: float, high: float) -> np.ndarray:
         return np.exp(rng.uniform(np.log(low), np.log(high), count))
 
-    cell = size(0.01, 0.05)
+    cell, ratio = size(0.01, 0.05), rng.uniform(*thickness, count)
     return Numbers(
-        cell=cell, thickness=rng.uniform(*thickness, count), density=size(0.05, 0.5), wave=size(8e-4, 2e-3),
-        spring=size(6e-4, 1.8e-3), bending=size(1e-5, 1e-2), damping=rng.uniform(0.0, 0.1, count),
+        cell=cell, thickness=ratio, density=size(0.05, 0.5), wave=size(1.3e-3, 2e-3),
+        spring=size(8e-4, 1.6e-3), bending=size(1e-5, 3e-3), damping=rng.uniform(0.0, 0.05, count),
         pair_damping=rng.uniform(0.0, 0.5, count), friction=rng.uniform(0.0, 0.6, count),
-        points=np.stack([a * points() for a in cell]),
+        points=np.stack([a * points(h) for a, h in zip(cell, ratio, strict=True)]),
     )  # fmt: skip
 
 
@@ -133,6 +133,7 @@ def _law(thickness: float) -> thin.SelfContact:
         friction_damping=0.0,
         max_speed=1e-6,
         every=EVERY,
+        pairs_per_element=12,
     )
 
 
@@ -155,30 +156,54 @@ def crumples(num_cells: int, count: int, seed: int) -> Batch:
     template = thin.make_scene(
         mesh=mesh, dt=1e-5, cloth=UNIT, drag=0.5, gravity=(0.0, 0.0, 0.0), held=[0, len(mesh.vertices) - 1],
         contact=PenaltyContact(stiffness=1e-3), self_contact=_law(0.3),
-        colliders=tuple(Collider(shape=Plane(), body=k, friction=0.2) for k in range(6)),
+        colliders=tuple(Collider(shape=Plane(), body=k, friction=0.2) for k in range(4)),
     )  # fmt: skip
-    numbers = drawn(rng, count, (0.12, 0.33), lambda: np.asarray(mesh.vertices))
+    numbers = drawn(rng, count, (0.12, 0.33), lambda thickness: rolled(rng, num_cells, thickness))
     batch = scenes(template, numbers)
     kinds = [KINDS[n % 3] for n in range(count)]
     limits = np.asarray(batch.self_contact.max_speed)
-    each = [_motion(rng, num_cells, *own) for own in zip(kinds, numbers.cell, numbers.thickness, limits, strict=True)]
+    own = zip(kinds, numbers.cell, numbers.thickness, limits, numbers.points, strict=True)
+    each = [_motion(rng, num_cells, *one) for one in own]
     free = jnp.asarray([kind != "corners" for kind in kinds])[:, None]
     batch = batch.replace(mobility=jnp.where(free, 1.0, batch.mobility))
     x, drive = jax.tree.map(lambda *a: np.stack(a).astype(np.float32), *each)
     return Batch(batch, x, drive, _rows(batch, numbers, f"{num_cells} x {num_cells}", kinds))
 
 
+def rolled(rng: np.random.Generator, num_cells: int, thickness: float) -> np.ndarray:
+    """A sheet of cells of side 1 that is rolled up, or folded in zigzag, its layers a little more than touching apart.
+
+    Cells along x keep their length.
+    """
+    turns, pitch = [0.0], 0.25 + rng.uniform(1.1, 1.6) * thickness
+    if rng.random() < 0.5:
+        for _ in range(num_cells - 1):
+            radius = 0.8 + pitch * turns[-1] / (2.0 * np.pi)
+            turns.append(turns[-1] + 1.0 / radius)
+        angles = np.asarray(turns)
+    else:
+        panel = rng.integers(2, 4)
+        slope = np.arccos(min(0.9, pitch / panel))
+        angles = slope * np.where(np.arange(num_cells) // panel % 2 == 0, 1.0, -1.0)
+    steps = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    line = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    line -= line.mean(axis=0)
+    along = np.arange(num_cells + 1.0) - num_cells / 2
+    grid = np.stack(
+        [np.repeat(line, num_cells + 1, axis=0).T[k] for k in (0, 1)] + [np.tile(along, num_cells + 1)], axis=-1
+    )
+    return grid
+
+
 def _motion(
-    rng: np.random.Generator, num_cells: int, kind: str, a: float, thickness: float, limit: float
+    rng: np.random.Generator, num_cells: int, kind: str, a: float, thickness: float, limit: float, rest: np.ndarray
 ) -> tuple[np.ndarray, Drive]:
     size = num_cells * a
-    mesh = thin.sheet(size, size, num_cells, num_cells)
-    x = np.asarray(mesh.vertices) - [size / 2, 0.0, size / 2]
-    x = x + 0.03 * a * rng.standard_normal(x.shape)
+    x = rest + 0.03 * thickness * a * rng.standard_normal(rest.shape)
     v, walls, held = np.zeros_like(x), np.full(2, 10.0 * size), np.repeat(x[None, [0, -1]], WAYPOINTS, axis=0)
     if kind == "walls":
-        room = (size**2 * thickness * a / rng.uniform(0.08, 0.2)) ** (1 / 3)
-        walls = np.array([0.5 * size + a, 0.5 * min(room, size)])
+        room = np.sqrt(size * thickness * a / rng.uniform(0.35, 0.6))
+        walls = np.array([np.abs(x[:, :2]).max() + 0.2 * a, 0.5 * room])
     elif kind == "corners":
         held = _waypoints(rng, x[[0, -1]], 0.4 * size, 3.0 * a)
     else:
@@ -209,15 +234,15 @@ def _velocity_field(rng: np.random.Generator, x: np.ndarray, size: float) -> np.
 
 
 def wall_poses(distance: jax.Array) -> Pose:
-    """Poses of six walls at ``distance`` [m] from the middle, shape (num,); their normals point to the middle."""
+    """Poses of four walls around the z axis at ``distance`` [m], shape (num,); their normals point to the axis."""
     turns = []
-    for axis in range(3):
+    for axis in range(2):
         for sign in (1.0, -1.0):
             y, x = sign * np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
             turns.append(np.stack([x, y, np.cross(x, y)], axis=1))
     rotation = jnp.asarray(np.stack(turns), jnp.float32)
     position = -rotation[:, :, 1] * distance[:, None, None]
-    return Pose(position, jnp.broadcast_to(rotation, (len(distance), 6, 3, 3)))
+    return Pose(position, jnp.broadcast_to(rotation, (len(distance), 4, 3, 3)))
 
 
 # --- Ropes ------------------------------------------------------------------------------------------------------------
@@ -234,7 +259,9 @@ def knots(thickness: tuple[float, float], count: int, seed: int) -> Batch:
         mesh=thin.rope(overhand(2.0, 0.9, 1.2)), dt=1e-5, rope=thin.Rope(stretch=1.0, density=1.0), drag=5.0,
         gravity=(0.0, 0.0, 0.0), held=[0, SEGMENTS], self_contact=_law(float(np.mean(thickness))),
     )  # fmt: skip
-    numbers = drawn(rng, count, thickness, lambda: overhand(*(np.array([2.0, 0.9, 1.2]) * rng.uniform(0.92, 1.08, 3))))
+    numbers = drawn(
+        rng, count, thickness, lambda _: overhand(*(np.array([2.0, 0.9, 1.2]) * rng.uniform(0.92, 1.08, 3)))
+    )
     batch = scenes(template, numbers)
     x, away = numbers.points, SEGMENTS * numbers.cell[:, None, None] * np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
     held = np.stack([x[:, [0, -1]], x[:, [0, -1]] + away], axis=1)
