@@ -1,9 +1,10 @@
 """A worker for ``thin_speed.py``: its scene through Newton's ``SolverSemiImplicit``, Warp's cloth, on a CPU.
 
 It needs ``newton`` and ``warp-lang``, not rewax. Collisions with the sphere are found every 8 substeps, as Newton's
-examples do it once per frame. ``self`` adds ``enable_tri_contact``, Warp's contact of the cloth with itself.
+examples do it once per frame. ``self`` adds ``enable_tri_contact``, Warp's contact of the cloth with itself; ``vbd`` and
+``xpbd`` are Newton's other solvers of cloth.
 
-    python -P thin_newton.py NUM_TRIANGLES [self]
+    python -P thin_newton.py NUM_TRIANGLES [self | vbd | xpbd]
 
 ``-P`` keeps this folder's ``profile.py`` from hiding Python's own.
 """
@@ -29,7 +30,7 @@ def mean(x: wp.array(dtype=wp.vec3), axis: int, share: float, loss: wp.array(dty
 class Worker:
     """One sheet and its sphere."""
 
-    def __init__(self, num_triangles: int, with_self: bool = False, on_floor: bool = False) -> None:
+    def __init__(self, num_triangles: int, kind: str = "", on_floor: bool = False) -> None:
         wp.init()
         self.num_triangles = num_triangles
         self.x, self.v = scene.start(num_triangles, on_floor)
@@ -49,11 +50,18 @@ class Worker:
             tri_ka=scene.STIFFNESS, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0, edge_ke=scene.BENDING / a, edge_kd=0.0,
             particle_radius=scene.TOUCH,
         )  # fmt: skip
+        if kind == "vbd":
+            builder.color(include_bending=True)
         self.model = builder.finalize(device="cpu", requires_grad=True)
         self.model.soft_contact_ke, self.model.soft_contact_kd = touch["stiffness"], touch["damping"]
         self.model.soft_contact_kf, self.model.soft_contact_mu = touch["friction_damping"], touch["friction"]
         self.model.particle_grid = None
-        self.solver = newton.solvers.SolverSemiImplicit(self.model, enable_tri_contact=with_self)
+        if kind == "vbd":
+            self.solver = newton.solvers.SolverVBD(self.model)
+        elif kind == "xpbd":
+            self.solver = newton.solvers.SolverXPBD(self.model)
+        else:
+            self.solver = newton.solvers.SolverSemiImplicit(self.model, enable_tri_contact=kind == "self")
         self.pipeline = newton.CollisionPipeline(self.model, soft_contact_margin=2.0 * scene.TOUCH)
         self.control = self.model.control()
         self.states: list = []
@@ -124,4 +132,4 @@ class Worker:
 
 
 if __name__ == "__main__":
-    scene.serve(Worker(int(sys.argv[1]), "self" in sys.argv))
+    scene.serve(Worker(int(sys.argv[1]), *sys.argv[2:]))
