@@ -50,7 +50,7 @@ class Rewax:
         (nx, nz), a, touch = numbers.CELLS[num_triangles], numbers.cell(num_triangles), numbers.contact(num_triangles)
         friction = touch.pop("friction")
         law = thin.SelfContact(
-            thickness=0.2 * a, stiffness=touch["stiffness"], damping=touch["damping"], friction=friction,
+            thickness=0.2 * a, stiffness=5.0 * touch["stiffness"], damping=touch["damping"], friction=friction,
             friction_damping=touch["friction_damping"], max_speed=0.5, every=8,
         )  # fmt: skip
         k = numbers.STIFFNESS
