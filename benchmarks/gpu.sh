@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # All that the docs want to know of a GPU, in at most 25 minutes: agreement with the CPU, rates and memory, the paper's
-# table, train steps, a short training. The most important comes first, and everything is written as it comes, so a run
-# that is cut off loses nothing.
+# table, train steps, kernels, a short training. The most important comes first, and everything is written as it comes,
+# so a run that is cut off loses nothing. The first part compiles all programs side by side on all cores, untimed.
 #
 #   benchmarks/gpu.sh                         # results in $OUT, or ./gpu_results
 #   benchmarks/gpu.sh results                 # ... in ./results
 #   PYTHON=python3.12 benchmarks/gpu.sh       # with this Python, which has jax with CUDA and rewax's dependencies
 #   QUICK=1 benchmarks/gpu.sh                 # tiny sizes on a CPU: does every part run to its end?
+#   CACHE=/tmp/c PARTS=table benchmarks/gpu.sh  # one part; compiled programs are kept for the next call
 #
 # Without PYTHON it makes a virtual environment and installs into it, if pip can reach an index; else it takes python3.
 # BUDGET: seconds in all (default 1500; QUICK 3600, for busy machines). PARTS: which parts (default: all, in the order below).
@@ -15,14 +16,14 @@ cd "$(dirname "$0")/.." || exit 1
 OUT=${1:-${OUT:-gpu_results}}
 BUDGET=${BUDGET:-$([ -n "${QUICK:-}" ] && echo 3600 || echo 1500)}
 QUICK=${QUICK:-}
-PARTS=${PARTS:-agreement step scaling table train_steps training}
+PARTS=${PARTS:-compile agreement table step train_steps profile scaling training}
 TASKS="RollingFlat AntRun HandFlip FluidMove SoftJumper HandReorient GripperLift SteerFloat"
 mkdir -p "$OUT" && OUT=$(cd "$OUT" && pwd) || exit 1
 WORK=$(mktemp -d)
 trap 'rm -rf "$WORK"' EXIT
 BEGAN=$SECONDS
 export PYTHONUNBUFFERED=1 PYTHONPATH="$PWD:$PWD/benchmarks${PYTHONPATH:+:$PYTHONPATH}" TF_CPP_MIN_LOG_LEVEL=2
-export JAX_COMPILATION_CACHE_DIR="$WORK/cache"
+export JAX_COMPILATION_CACHE_DIR=${CACHE:-$WORK/cache} XLA_PYTHON_CLIENT_PREALLOCATE=false
 unset JAX_PLATFORMS  # both a GPU and the CPU that it is compared with
 [ -n "$QUICK" ] && export JAX_PLATFORMS=cpu
 
@@ -40,6 +41,12 @@ part() {
     code=$?
     FAILED=$((FAILED + (code != 0)))
     say "$name: exit code $code after $((SECONDS - began)) s ($([ $code = 124 ] && echo "cut off at $limit s; ")${file##*/})"
+}
+
+# compile_all COMMAND...: runs the commands side by side, one per core, for the compiled programs that they leave behind
+compile_all() {
+    printf '%s\n' "$@" >"$WORK/commands"
+    part compile 300 compile.txt xargs -a "$WORK/commands" -P "$(nproc)" -I{} bash -c 'b=$SECONDS; {} >"$0/$$" 2>&1; echo "$?, $((SECONDS - b)) s: {}"' "$WORK"
 }
 
 find_python() {
@@ -74,22 +81,34 @@ if [ -z "$QUICK" ] && ! timeout 120 "$PYTHON" -c 'import jax; assert jax.default
 fi
 
 if [ -n "$QUICK" ]; then
+    compile_all "$PYTHON benchmarks/speed.py --worker forward:RollingFlat:small --repeats 1"
     part agreement 600 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py --tasks RollingFlat --scale small --warm-up 2
     part step:RollingFlat 300 step.txt "$PYTHON" benchmarks/speed.py --worker forward:RollingFlat:small --repeats 2
     part scaling 300 scaling.txt "$PYTHON" benchmarks/scaling.py --envs 1 2 --particles 1000 --particles-per-env 500 --substeps 4 --repeats 1 --out "$OUT/scaling"
     part table 300 table.txt "$PYTHON" benchmarks/gpu_table.py --particles 2500 --envs 1 --repeats 1 --no-backward
     part train_steps:AntRun 900 train_steps.txt "$PYTHON" benchmarks/speed.py --worker train_step:AntRun:small --repeats 1
+    part profile 300 profile.txt "$PYTHON" benchmarks/gpu_profile.py --what forward --scale small --num-envs 1 --top 3
     part training 900 training.txt "$PYTHON" -m rewax train --env RollingFlat --scale small --run-dir "$WORK/run" --sapo.num-iterations 2 --train.num-eval-episodes 2 --train.no-plots
 else
-    part agreement 300 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py
+    commands=()
+    for task in $TASKS; do commands+=("$PYTHON benchmarks/speed.py --worker train_step:$task:paper --repeats 1"); done
+    for envs in 1 2 4 8 16 32; do commands+=("$PYTHON benchmarks/gpu_table.py --repeats 1 --envs $envs"); done
+    for pass in forward backward; do commands+=("$PYTHON benchmarks/speed.py --worker $pass:RollingFlat:paper --num-envs 32 --repeats 1"); done
+    for task in RollingFlat AntRun SoftJumper FluidMove HandFlip; do  # compares values, so the others may run beside it
+        part "agreement:$task" 300 agreement.txt "$PYTHON" benchmarks/gpu_agreement.py --tasks "$task" &
+    done
+    compile_all "${commands[@]}"
+    wait
+    part table 240 table.txt "$PYTHON" benchmarks/gpu_table.py
     for pass in forward backward; do
         part "step:$pass" 100 step.txt "$PYTHON" benchmarks/speed.py --worker "$pass:RollingFlat:paper" --num-envs 32 --repeats 5
     done
-    part scaling 300 scaling.txt "$PYTHON" benchmarks/scaling.py --out "$OUT/scaling"
-    part table 240 table.txt "$PYTHON" benchmarks/gpu_table.py
     for task in $TASKS; do
         part "train_steps:$task" 150 train_steps.txt "$PYTHON" benchmarks/speed.py --worker "train_step:$task:paper" --repeats 3
     done
+    part profile:RollingFlat 100 profile.txt "$PYTHON" benchmarks/gpu_profile.py
+    part profile:AntRun 100 profile.txt "$PYTHON" benchmarks/gpu_profile.py --what train_step --task AntRun
+    part scaling 300 scaling.txt "$PYTHON" benchmarks/scaling.py --out "$OUT/scaling"
     part training 240 training.txt "$PYTHON" -m rewax train --env RollingFlat --scale small --run-dir "$WORK/run" --train.no-plots
 fi
 [ -f "$WORK/run/metrics.csv" ] && cp "$WORK/run/metrics.csv" "$OUT/training.csv"

@@ -1,10 +1,11 @@
 """Does a GPU compute what a CPU computes? Values and gradients of control steps of several tasks, on both.
 
 Random actions bring tools and material together on the CPU; from there both devices take one control step and
-differentiate its reward and the mean of the state's numbers by actions and state. For each array: the largest
-difference over the largest number on the CPU. Single precision, and on a GPU the order of sums varies, so 1e-5 is
-agreement, and 1e-3 is enough where contact amplifies; the repeat on one device beside it says how much of a difference
-is the order of sums alone.
+differentiate its reward and the mean of the state's numbers by actions and state. For each group of arrays: the largest
+difference over the array's largest number, and the array that has it. Single precision, and on a GPU the order of sums
+varies, so 1e-5 is agreement, and 1e-3 is enough where contact amplifies; the repeat on one device beside it says how
+much of a difference is the order of sums alone. An array whose numbers are all rounding errors of zero differs by 1:
+the velocity gradients of a body that falls freely, a reward for progress before any.
 
     python benchmarks/gpu_agreement.py
     python benchmarks/gpu_agreement.py --tasks RollingFlat --scale small --warm-up 2
@@ -74,15 +75,19 @@ def start(args: Args, task: str, device: Any) -> tuple[Any, Any]:
         return state, actions[-1]
 
 
-def difference(a: Any, b: Any) -> float:
-    """Largest over all arrays: the largest difference over the largest number."""
-    found = [0.0]
-    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating):
+def difference(a: Any, b: Any) -> tuple[float, str]:
+    """The largest difference of an array over its largest number, and the array; NaN if there is one."""
+    worst, where = 0.0, ""
+    others = jax.tree.leaves(b)
+    for (path, x), y in zip(jax.tree_util.tree_leaves_with_path(a), others, strict=True):
+        if jnp.issubdtype(jnp.asarray(x).dtype, jnp.floating) and x.size:
             x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
-            if x.size:
-                found.append(float(np.abs(x - y).max() / max(np.abs(x).max(), 1e-30)))
-    return float("nan") if np.isnan(found).any() else max(found)
+            apart = float(np.abs(x - y).max() / max(np.abs(x).max(), 1e-30))
+            if np.isnan(apart):
+                return apart, jax.tree_util.keystr(path)
+            if apart > worst:
+                worst, where = apart, jax.tree_util.keystr(path)
+    return worst, where
 
 
 def main(args: Args) -> None:
@@ -99,8 +104,8 @@ def main(args: Args) -> None:
             print(f"{task:14s} failed: {type(error).__name__}: {str(error).splitlines()[0][:160]}", flush=True)
             continue
         for name in ("reward", "state", "gradient by action", "gradient by state"):
-            apart, noise = difference(first[name], second[name]), difference(second[name], again[name])
-            print(f"{task:14s} {name:20s} {apart:15.1e} {noise:15.1e}", flush=True)
+            (apart, where), (noise, _) = difference(first[name], second[name]), difference(second[name], again[name])
+            print(f"{task:14s} {name:20s} {apart:15.1e} {noise:15.1e}  {where}", flush=True)
         bits = [describe(int(np.bitwise_or.reduce(r["status"]))) for r in (first, second)]
         print(f"{task:14s} {'status':20s} {bits[0]:>15s} {bits[1]:>15s}", flush=True)
 

@@ -11,7 +11,6 @@ simulation is compared with the world's, beside those with the priors' medians a
 """
 
 import argparse
-import csv
 import functools
 import os
 import time
@@ -21,7 +20,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from identify_worlds import KINDS, world
+import rows as stored
+from identify_worlds import KINDS, Kind, world
 
 from rewax.identify import identify, record
 from rewax.identify.records import Record
@@ -34,7 +34,7 @@ RESULTS = Path(__file__).resolve().parent.parent / "docs/suites/identify/results
 WORLD, COARSE, FINE = (48, 0.0125), (24, 0.0213), (36, 0.0163)
 """Cells a metre, and spacing of the particles [m]."""
 NOISE, OCCLUSION, POINTS, STARTS = 0.002, 0.3, 384, 5
-_COLUMNS: tuple[str, ...] = (
+COLUMNS: tuple[str, ...] = (
     "kind", "case", "unknown", "true", "found", "low", "high", "left", "finest", "residual_mm", "held_out_mm",
     "held_out_prior_mm", "held_out_true_mm", "failed", "seconds", "cpus", "load", "remarks",
 )  # fmt: skip
@@ -43,14 +43,31 @@ _COLUMNS: tuple[str, ...] = (
 def run_case(name: str, case: int, verbose: bool = False) -> list[dict[str, Any]]:
     """Rows of one case, one for each unknown."""
     kind = KINDS[name]
-    true, fits = kind.truth(case), [world(kind, *COARSE), world(kind, *FINE)]
-    space = space_of(kind.priors, fits[-1])
-    real = space.place(world(kind, *WORLD, shake=0.9, seed=case), _latent(space, true))
+    fits = [world(kind, *COARSE), world(kind, *FINE)]
+    real = space_of(kind.priors, fits[-1])
+    real = real.place(world(kind, *WORLD, shake=0.9, seed=case), latent_of(real, kind.truth(case)))
     see = functools.partial(record, real, key=jax.random.key(case), every=2, num_points=POINTS)
     seen, held_out = see(kind.actions(), noise=NOISE, occlusion=OCCLUSION), see(kind.actions(held_out=True))
+    return rows_of(kind, (name, case), fits, (seen, held_out), limit=1.0 / WORLD[0], verbose=verbose)
+
+
+def rows_of(
+    kind: Kind, labels: tuple[str, int], fits: list[Any], records: tuple[Record, Record], *, limit: float, verbose: bool
+) -> list[dict[str, Any]]:
+    """Rows of a fit to the first record, the second one predicted.
+
+    Args:
+      kind: of the world, with the priors and the true numbers.
+      labels: name of the kind and number of the case.
+      fits: the coarse environment and the fine one.
+      records: of the fitted push and of the one that is held out.
+      limit: see ``identify`` [m].
+      verbose: print the iterations and what was found.
+    """
+    true, (seen, held_out), space = kind.truth(labels[1]), records, space_of(kind.priors, fits[-1])
     began = time.perf_counter()
     found = identify(
-        fits, seen, kind.priors, noise=NOISE, starts=STARTS, limit=1.0 / WORLD[0], progress=print if verbose else None
+        fits, seen, kind.priors, noise=NOISE, starts=STARTS, limit=limit, progress=print if verbose else None
     )
     seconds = time.perf_counter() - began
     if verbose:
@@ -58,8 +75,9 @@ def run_case(name: str, case: int, verbose: bool = False) -> list[dict[str, Any]
     finest = space.numbers(found.starts[-(STARTS // 2) :].mean(0))
     predicted = _errors(fits[-1], space, held_out, (found.values, kind.median(), true))
     told = {
-        "kind": name, "case": case, "residual_mm": f"{1e3 * _root_mean_square(found.residual_by_frame[1:]):.3f}",
-        **{column: f"{1e3 * error:.3f}" for column, error in zip(_COLUMNS[10:13], predicted, strict=True)},
+        "kind": labels[0], "case": labels[1],
+        "residual_mm": f"{1e3 * _root_mean_square(found.residual_by_frame[1:]):.3f}",
+        **{column: f"{1e3 * error:.3f}" for column, error in zip(COLUMNS[10:13], predicted, strict=True)},
         "failed": found.failed, "seconds": f"{seconds:.1f}", "cpus": os.cpu_count(),
         "load": f"{os.getloadavg()[0]:.1f}", "remarks": " ".join(found.remarks + found.undetermined),
     }  # fmt: skip
@@ -77,7 +95,7 @@ def _errors(env: Any, space: Space, held_out: Record, choices: tuple[dict[str, f
     """Root mean square distance of a record from the simulated surface, for each choice of numbers [m]."""
     env = without_reset_noise(env)
     data = data_of(held_out, 0.5 * particle_spacing(np.asarray(env.rest_positions)), 1)
-    return [_root_mean_square(_distances(env, _latent(space, chosen), data, space=space)) for chosen in choices]
+    return [_root_mean_square(_distances(env, latent_of(space, chosen), data, space=space)) for chosen in choices]
 
 
 @functools.partial(jax.jit, static_argnames="space")
@@ -94,29 +112,12 @@ def _distances(env: Any, latent: jax.Array, data: Data, *, space: Space) -> jax.
     return jax.lax.map(of_frame, (frames, data.clouds, data.mask))[1:]
 
 
-def _latent(space: Space, numbers: dict[str, float]) -> jax.Array:
+def latent_of(space: Space, numbers: dict[str, float]) -> jax.Array:
     return jnp.asarray(space.latent([numbers[label] for label in space.labels]), jnp.float32)
 
 
 def _root_mean_square(values: Any) -> float:
     return float(np.sqrt((np.asarray(values) ** 2).mean()))
-
-
-def read_rows(path: Path) -> list[dict[str, str]]:
-    if not path.is_file():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def append(path: Path, rows: list[dict[str, Any]]) -> None:
-    new = not path.is_file()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, _COLUMNS, lineterminator="\n")
-        if new:
-            writer.writeheader()
-        writer.writerows(rows)
 
 
 def report(rows: list[dict[str, str]]) -> str:
@@ -140,9 +141,7 @@ def report(rows: list[dict[str, str]]) -> str:
     lines += ["", "| world | held-out push: identified | prior's median | true numbers |", "|---|---|---|---|"]
     for kind in dict.fromkeys(row["kind"] for row in rows):
         own = list({row["case"]: row for row in rows if row["kind"] == kind}.values())
-        lines.append(
-            f"| {kind} | " + " | ".join(f"{np.median(_column(own, c)):.1f} mm" for c in _COLUMNS[10:13]) + " |"
-        )
+        lines.append(f"| {kind} | " + " | ".join(f"{np.median(_column(own, c)):.1f} mm" for c in COLUMNS[10:13]) + " |")
     return "\n".join(lines)
 
 
@@ -160,16 +159,16 @@ def main() -> None:
     parser.add_argument("--verbose", action="store_true")
     args = parser.parse_args()
     if args.report:
-        print(report(read_rows(args.out)))
+        print(report(stored.read(args.out)))
         return
     enable_compilation_cache()
-    done = {(row["kind"], int(row["case"])) for row in read_rows(args.out)}
+    done = {(row["kind"], int(row["case"])) for row in stored.read(args.out)}
     for case in range(args.first, args.cases):
         for name in args.kinds:
             if (name, case) in done:
                 continue
             rows = run_case(name, case, args.verbose)
-            append(args.out, rows)
+            stored.append(rows, COLUMNS, args.out)
             for r in rows:
                 said = f"{name:8s} {case:3d} {r['unknown']:15s} true {r['true']:>8s} found {r['found']:>8s}"
                 print(f"{said} [{r['low']}, {r['high']}] {r['seconds']} s", flush=True)

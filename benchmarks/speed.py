@@ -59,17 +59,8 @@ def measure(args: Args, what: str, task: str, scale: str) -> dict[str, float]:
     env: Any = rewax.make(task, scale=scale)
     if what == "train_step":
         return measure_train_step(args, env, task, scale)
-    spec = env.action_spec
-    keys = jax.random.split(jax.random.key(0), args.num_envs)
-    state = jax.vmap(env.reset)(keys)
-    action = jax.vmap(lambda key: jax.random.uniform(key, spec.shape, minval=-1.0, maxval=1.0))(keys)
-
-    def step(state: Any, action: jax.Array) -> tuple[jax.Array, Any]:
-        new = jax.vmap(env.step)(state, action)
-        return new.reward.sum(), new
-
-    backward = jax.value_and_grad(lambda s, a: step(s, a)[0], argnums=1)
-    run, compile_s = compiled(step if what == "forward" else backward, state, action)
+    function, (state, action) = control_step(env, what, args.num_envs)
+    run, compile_s = compiled(function, state, action)
     run()
     seconds = min((timed(run) for _ in range(args.repeats)), default=math.inf)
     numbers = {"compile_s": compile_s, "run_ms": 1e3 * seconds, "peak_gb": peak_gb()}
@@ -79,16 +70,30 @@ def measure(args: Args, what: str, task: str, scale: str) -> dict[str, float]:
     return numbers
 
 
-def measure_train_step(args: Args, env: Any, task: str, scale: str) -> dict[str, float]:
-    """SAPO's train step; once it is compiled, beside its physics alone, taking turns."""
+def control_step(env: Any, what: str, num_envs: int) -> tuple[Callable[..., Any], tuple[Any, Any]]:
+    """A control step of all environments, or its value and gradient by the actions, with states and random actions."""
     import jax
-    import jax.numpy as jnp
+
+    spec = env.action_spec
+    keys = jax.random.split(jax.random.key(0), num_envs)
+    state = jax.vmap(env.reset)(keys)
+    action = jax.vmap(lambda key: jax.random.uniform(key, spec.shape, minval=-1.0, maxval=1.0))(keys)
+
+    def step(state: Any, action: jax.Array) -> tuple[jax.Array, Any]:
+        new = jax.vmap(env.step)(state, action)
+        return new.reward.sum(), new
+
+    backward = jax.value_and_grad(lambda s, a: step(s, a)[0], argnums=1)
+    return (step if what == "forward" else backward), (state, action)
+
+
+def sapo(env: Any, task: str, scale: str) -> tuple[Any, Any, Any, float]:
+    """The preset, the first training state, the compiled train step, and the seconds that compiling took."""
+    import jax
     from rich.console import Console
 
     from rewax.agents.presets import sapo_preset
-    from rewax.agents.rollout import rollout
     from rewax.agents.sapo import make_sapo
-    from rewax.envs.wrappers import AutoReset
     from rewax.training import compile_train_step
 
     config = sapo_preset(task, scale)
@@ -96,7 +101,30 @@ def measure_train_step(args: Args, env: Any, task: str, scale: str) -> dict[str,
     ts = jax.block_until_ready(agent.init(jax.random.key(0)))
     began = time.perf_counter()
     program = compile_train_step(agent, ts, Console(quiet=True))
-    compile_s = time.perf_counter() - began
+    return config, ts, program, time.perf_counter() - began
+
+
+def program(what: str, env: Any, task: str, scale: str, num_envs: int) -> tuple[Any, Callable[[], Any]]:
+    """The compiled control step, its gradient or train step, and a call that runs it."""
+    import jax
+
+    if what == "train_step":
+        _, ts, program, _ = sapo(env, task, scale)
+        return program, lambda: jax.block_until_ready(program(ts))
+    function, inputs = control_step(env, what, num_envs)
+    program = jax.jit(function).lower(*inputs).compile()
+    return program, lambda: jax.block_until_ready(program(*inputs))
+
+
+def measure_train_step(args: Args, env: Any, task: str, scale: str) -> dict[str, float]:
+    """SAPO's train step; once it is compiled, beside its physics alone, taking turns."""
+    import jax
+    import jax.numpy as jnp
+
+    from rewax.agents.rollout import rollout
+    from rewax.envs.wrappers import AutoReset
+
+    config, ts, program, compile_s = sapo(env, task, scale)
     train_step = lambda: jax.block_until_ready(program(ts))  # noqa: E731
     numbers = {"compile_s": compile_s, "run_ms": math.inf, "peak_gb": peak_gb()}
     if args.repeats == 0:

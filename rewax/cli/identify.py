@@ -5,7 +5,7 @@ import functools
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import tyro
 from rich.console import Console
@@ -33,6 +33,11 @@ class Options:
         parameter alone stands for a decade around its present value. youngs_modulus stands for the one parameter whose
         name ends so.
       num_substeps: substeps of a control step; 0: those of the environment. Stiffer materials need more.
+      body: particles fill the body of the first cloud, not that of the environment. ``height``: everything between the
+        floor and the highest points; ``hull``: the convex hull of the points and of their shadow on the floor.
+      cells: cells per metre of the grid. Of several, rising, each is fitted, and their difference is part of the
+        interval. By default the environment's grid.
+      limit: with several --cells: spacing of the grid to which the result is extrapolated [m]; 0: matter.
       starts: starts of the search.
       iterations: of the whole horizon.
       noise: smallest standard deviation of a seen point [m].
@@ -48,6 +53,9 @@ class Options:
     scale: str = "small"
     unknowns: Unknowns = ()
     num_substeps: Natural = 0
+    body: Literal["height", "hull"] | None = None
+    cells: tuple[float, ...] = ()
+    limit: float | None = None
     starts: Count = 6
     iterations: Count = 12
     noise: float = 0.002
@@ -77,9 +85,11 @@ def run(argv: Sequence[str]) -> int:
     env = task(options.env, options.scale, options.num_substeps)
     console = Console(highlight=False, markup=False)
     found = identify(
-        env, record, priors(options.unknowns, env), starts=options.starts, max_iterations=options.iterations,
-        noise=options.noise, seed=options.seed, progress=console.print,
+        grids(env, record, options), record, priors(options.unknowns, env), starts=options.starts,
+        max_iterations=options.iterations, noise=options.noise, seed=options.seed, limit=options.limit,
+        progress=console.print,
     )  # fmt: skip
+    found = dataclasses.replace(found, made_by=getattr(env, "made_by", None))
     _print(console, found)
     out = Path(options.out) if options.out else Path(options.record).with_suffix(".json")
     console.print(f"wrote {found.save(out)}")
@@ -88,6 +98,25 @@ def run(argv: Sequence[str]) -> int:
     if options.video:
         console.print(attempt(out.with_suffix(".mp4"), functools.partial(_film, found, record, options.video)))
     return 0
+
+
+def grids(env: Any, record: Any, options: Options) -> list[Any]:
+    """The environment on each grid, with the body of the first cloud if that is asked for.
+
+    Raises:
+      ValueError: cells do not rise, or there is a limit with fewer than two; the body or a grid cannot be made.
+    """
+    from rewax.identify import with_body, with_cells
+
+    if list(options.cells) != sorted(set(options.cells)):
+        raise ValueError(f"--cells is {' '.join(map(str, options.cells))}: give rising numbers, the finest last")
+    if options.limit is not None and len(options.cells) < 2:
+        raise ValueError(f"--limit is {options.limit:g} with fewer than two grids: give --cells, for example 24 36")
+    envs = [with_cells(env, cells) for cells in options.cells] or [env]
+    if options.body is None:
+        return envs
+    cloud = record.clouds[0][record.mask[0]]
+    return [with_body(one, cloud, kind=options.body) for one in envs]
 
 
 def priors(unknowns: Sequence[str], env: Any) -> dict[Any, Any]:
@@ -145,4 +174,4 @@ def _print(console: Console, found: Any) -> None:
     )
 
 
-__all__ = ["Options", "priors", "run"]
+__all__ = ["Options", "grids", "priors", "run"]

@@ -14,8 +14,9 @@ from rewax.identify.losses import (
 )
 from rewax.identify.readers import read_folder
 from rewax.identify.record_checks import check_record
-from rewax.identify.recording import record
+from rewax.identify.recording import record, record_states
 from rewax.identify.records import Record, load, save
+from rewax.identify.resolution import with_cells
 from rewax.identify.result import Identified, SavedResult, load_result
 from rewax.identify.sinkhorn import sinkhorn_divergence
 from rewax.identify.surface import surface_residuals
@@ -23,5 +24,5 @@ from rewax.identify.surface import surface_residuals
 __all__ = [
     "Identified", "Minimum", "Record", "SavedResult", "chamfer", "check_record", "depth_picture", "huber", "identify",
     "load", "load_result", "matched", "minimize", "occupancy", "one_sided_chamfer", "over_time", "read_folder",
-    "record", "save", "sinkhorn_divergence", "surface_residuals", "with_body",
+    "record", "record_states", "save", "sinkhorn_divergence", "surface_residuals", "with_body", "with_cells",
 ]  # fmt: skip

@@ -26,10 +26,7 @@ def with_body(env: Any, cloud: np.ndarray, *, kind: str = "height", floor: float
     Raises:
       ValueError: in one sentence: the environment or the cloud cannot be used.
     """
-    rest = getattr(env, "rest_positions", None)
-    scene: Any = getattr(env, "scene", None)
-    if rest is None or not hasattr(scene, "particle_volume"):
-        raise ValueError(f"{type(env).__name__} has no particles at rest_positions: build its body by hand")
+    rest, scene = particles_at_rest(env)
     if kind not in KINDS:
         raise ValueError(f"kind is {kind!r}: give one of {', '.join(map(repr, KINDS))}")
     up = np.asarray(env.up, float)
@@ -48,6 +45,21 @@ def with_body(env: Any, cloud: np.ndarray, *, kind: str = "height", floor: float
     return env.replace(scene=scene, rest_positions=jnp.asarray(points, rest.dtype))
 
 
+def particles_at_rest(env: Any) -> tuple[np.ndarray, Any]:
+    """The particles of an environment at rest [m], shape (n, 3), and its scene.
+
+    Raises:
+      ValueError: it has none, or particles of different volumes.
+    """
+    rest = getattr(env, "rest_positions", None)
+    scene: Any = getattr(env, "scene", None)
+    if rest is None or not hasattr(scene, "particle_volume"):
+        raise ValueError(f"{type(env).__name__} has no particles at rest_positions: build its body by hand")
+    if jnp.ndim(scene.particle_volume) > 0:
+        raise ValueError(f"the particles of {type(env).__name__} have different volumes: build its body by hand")
+    return np.asarray(rest), scene
+
+
 def filled(cloud: np.ndarray, floor: float, axis: int, count: int, kind: str) -> tuple[np.ndarray, float]:
     """``count`` points inside a body [m], shape (count, 3), evenly spread, and its volume [m^3]."""
     low, high = cloud.min(0), cloud.max(0)
@@ -61,7 +73,7 @@ def filled(cloud: np.ndarray, floor: float, axis: int, count: int, kind: str) ->
         raise ValueError(
             f"the body of the cloud has room for {len(inside)} particles, {count} are needed: check floor, {floor:g}"
         )
-    return _spread(inside, count), len(inside) * spacing**3
+    return evenly_spread(inside, count), len(inside) * spacing**3
 
 
 def _below_heights(lattice: np.ndarray, cloud: np.ndarray, floor: float, axis: int) -> np.ndarray:
@@ -99,13 +111,13 @@ def _hull_vertices(points: np.ndarray) -> np.ndarray:
         raise ValueError("the points of the cloud lie on a line or in a plane: a body needs more") from None
 
 
-def _spread(points: np.ndarray, count: int) -> np.ndarray:
-    """A subset of evenly spread points: those of a low-discrepancy order of their box."""
+def evenly_spread(points: np.ndarray, count: int) -> np.ndarray:
+    """A subset of evenly spread points: one of each cell of their box, and others at random up to the count."""
     low, size = points.min(0), np.maximum(np.ptp(points, axis=0), 1e-9)
     generator = np.random.Generator(np.random.PCG64(0))
     cells = max(1.0, (len(points) / count) ** (1.0 / 3.0))
-    step = size / np.maximum(1, np.round(size / (cells * (size.prod() / len(points)) ** (1.0 / 3.0))))
-    number = np.floor((points - low) / step).astype(int)
+    bins = np.maximum(1, np.round(size / (cells * (size.prod() / len(points)) ** (1.0 / 3.0)))).astype(int)
+    number = np.minimum(np.floor((points - low) * (bins / size)).astype(int), bins - 1)
     order = generator.permutation(len(points))
     _, first = np.unique(number[order], axis=0, return_index=True)  # one of each cell
     chosen = order[np.sort(first)]
@@ -114,4 +126,4 @@ def _spread(points: np.ndarray, count: int) -> np.ndarray:
     return points[np.sort(chosen[:count])]
 
 
-__all__ = ["KINDS", "filled", "with_body"]
+__all__ = ["KINDS", "evenly_spread", "filled", "particles_at_rest", "with_body"]

@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -50,35 +50,76 @@ def record(
     Raises:
       ValueError: an option is illegal, or a step failed: the status is named.
     """
-    if not 0.0 <= occlusion < 1.0 or noise < 0.0 or every < 1:
-        raise ValueError(f"occlusion is {occlusion}, noise {noise}, every {every}: give [0, 1), at least 0, at least 1")
+    _check_options(occlusion, noise, every)
     source = source or json.dumps(getattr(env, "made_by", None))
     env = without_reset_noise(env)
-    reset_key, policy_key, noise_key, hide_key = jax.random.split(key, 4)
+    reset_key, policy_key, *_ = jax.random.split(key, 4)
     state = jax.jit(env.reset)(reset_key)
     states, actions = _episode(env, script, state, policy_key, num_steps)
-    camera = camera_for(np.asarray(points_of(env, state.physics)), np.asarray(env.up)) if camera is None else camera
-    camera = camera.replace(noise=DepthNoise(constant=noise))
+    return record_states(
+        env, [state.physics for state in states], actions, key, every=every, camera=camera, num_points=num_points,
+        noise=noise, occlusion=occlusion, source=source,
+    )  # fmt: skip
+
+
+def record_states(
+    env: Any,
+    states: Sequence[Any],
+    actions: np.ndarray,
+    key: Key,
+    *,
+    every: int = 1,
+    camera: Camera | None = None,
+    num_points: int = 256,
+    noise: float = 0.0,
+    occlusion: float = 0.0,
+    source: str = "",
+) -> Record:
+    """A record of states that are known, for example those of another simulator.
+
+    Args:
+      env: one environment with ``particles`` and ``world``, which shows what states look like.
+      states: the ``physics`` of each state: before the first action and after each.
+      actions: shape (num_steps, num_actions).
+      key: of noise and occlusion. With the key of ``record`` they are the same.
+      every, camera, num_points, noise, occlusion, source: as in ``record``.
+
+    Raises:
+      ValueError: an option is illegal, or the numbers of states and actions do not match.
+    """
+    _check_options(occlusion, noise, every)
+    if len(states) != len(actions) + 1:
+        raise ValueError(
+            f"there are {len(states)} states with {len(actions)} actions: give one before the first and one after each"
+        )
+    *_, noise_key, hide_key = jax.random.split(key, 4)
     up = np.asarray(env.up)
-    names = env.world(state.physics, up).names
+    camera = camera_for(np.asarray(points_of(env, states[0])), up) if camera is None else camera
+    camera = camera.replace(noise=DepthNoise(constant=noise))
+    names = env.world(states[0], up).names
     body = [i for i, name in enumerate(names) if name not in ("tool", "floor")]
     frames = list(range(0, len(actions) + 1, every))
     clouds, masks = [], []
     for n in frames:
-        seen = _view(env, camera, states[n].physics, tuple(up.tolist()))
+        seen = _view(env, camera, states[n], tuple(up.tolist()))
         depth = np.asarray(camera.with_noise(seen.depth, jax.random.fold_in(noise_key, n)))
         chosen = np.isin(np.asarray(seen.label), body)
         chosen &= ~_hidden(np.asarray(camera.points(seen.depth)), chosen, occlusion, hide_key)
         cloud, mask = cloud_of_depth(camera, depth, num_points, chosen=chosen)
         clouds.append(cloud)
         masks.append(mask)
-    joints = [s.physics.joint_q for s in states] if hasattr(state.physics, "joint_q") else None
+    joints = [s.joint_q for s in states] if hasattr(states[0], "joint_q") else None
     dt = float(env.control_dt)
     return Record(
         times=np.asarray(frames) * dt, clouds=np.stack(clouds), mask=np.stack(masks), actions=np.asarray(actions),
         control_dt=dt, joint_q=None if joints is None else np.asarray(joints), camera=camera_numbers(camera),
         source=source,
     )  # fmt: skip
+
+
+def _check_options(occlusion: float, noise: float, every: int) -> None:
+    if not 0.0 <= occlusion < 1.0 or noise < 0.0 or every < 1:
+        raise ValueError(f"occlusion is {occlusion}, noise {noise}, every {every}: give [0, 1), at least 0, at least 1")
 
 
 def camera_for(points: np.ndarray, up: np.ndarray, *, pixels: int = 64) -> Camera:
@@ -140,4 +181,4 @@ def _hidden(points: np.ndarray, chosen: np.ndarray, share: float, key: Key) -> n
     return along > np.quantile(along[chosen], 1.0 - share)
 
 
-__all__ = ["Script", "camera_for", "record"]
+__all__ = ["Script", "camera_for", "record", "record_states"]

@@ -35,6 +35,7 @@ class Identified:
       failed: number of simulations that failed and were rejected.
       seconds: wall clock of the search, compilation included.
       env: the environment before the fit, with its reset noise; of several the last.
+      made_by: how ``rewax.make`` built the environment that the result is for, by default ``env``.
     """
 
     space: Space
@@ -51,6 +52,7 @@ class Identified:
     failed: int
     seconds: float
     env: Any = None
+    made_by: dict[str, Any] | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -120,7 +122,7 @@ class Identified:
             )
         ]
         return {
-            "format": FORMAT, "made_by": getattr(self.env, "made_by", None), "values": self.values,
+            "format": FORMAT, "made_by": self.made_by or getattr(self.env, "made_by", None), "values": self.values,
             "intervals": {name: list(ends) for name, ends in self.intervals.items()}, "unknowns": kept,
             "covariance": self.covariance.tolist(), "undetermined": self.undetermined, "remarks": self.remarks,
             "times": self.times.tolist(), "residual_by_frame": self.residual_by_frame.tolist(), "failed": self.failed,

@@ -72,3 +72,25 @@ def test_priors_are_ranges_or_a_decade():
     ):
         with pytest.raises(ValueError, match=sentence):
             priors(texts, env)
+
+
+def test_the_body_of_the_first_cloud_is_fitted_on_two_grids(tmp_path, capsys):
+    path = tmp_path / "push.npz"
+    assert main(["record", *PUSH, "--out", str(path)]) == 0
+    fit = ["identify", str(path), "--env=RollingFlat", "--unknown", "yield_stress=5,80", "--no-picture", "--video", "0"]
+    assert (
+        main([*fit, "--body", "hull", "--cells", "16", "20", "--limit", "0", "--starts", "2", "--iterations", "1"]) == 0
+    )
+    saved = json.loads((tmp_path / "push.json").read_text())
+    assert saved["made_by"] == {"env": "RollingFlat", "scale": "small", "kwargs": {}}
+    coarse, fine = (np.log(start["scene.material.plasticity.yield_stress"]) for start in saved["starts"])
+    step = (1 / 20) / (1 / 16 - 1 / 20)
+    expected = np.clip(fine + step * (fine - coarse), np.log(5.0), np.log(80.0))
+    assert np.log(saved["values"]["scene.material.plasticity.yield_stress"]) == pytest.approx(expected, abs=1e-3)
+    for wrong, sentence in (
+        (["--limit", "0"], "--limit is 0 with fewer than two grids"),
+        (["--cells", "24", "20"], "--cells is 24.0 20.0: give rising numbers"),
+    ):
+        capsys.readouterr()
+        assert main([*fit, *wrong]) == 2
+        assert sentence in capsys.readouterr().err

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import rewax
-from rewax.identify import load, record, save
+from rewax.identify import load, record, record_states, save
 from rewax.identify.recording import camera_for
 from rewax.identify.records import camera_of
 from rewax.identify.simulate import regions
@@ -61,6 +61,19 @@ def test_a_policy_may_move_the_tool_and_frames_may_be_rarer(env):
     np.testing.assert_allclose(seen.times, env.control_dt * np.array([0, 2, 4]))
     part = seen.first(env.control_dt * 2.5)
     assert part.num_frames == 2 and len(part.actions) == 2 and len(part.joint_q) == 3
+
+
+def test_states_that_are_known_give_the_record_of_their_episode(env, seen):
+    step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(5))
+    at_rest = state.physics.soft.replace(x=env.rest_positions)
+    states = [state.replace(physics=state.physics.replace(soft=at_rest))]
+    for action in ACTIONS:
+        states.append(step(states[-1], action))
+    same = record_states(env, [s.physics for s in states], ACTIONS, jax.random.key(0))
+    for name in ("times", "clouds", "mask", "actions", "joint_q", "camera"):
+        np.testing.assert_allclose(getattr(same, name), getattr(seen, name), atol=1e-6)
+    with pytest.raises(ValueError, match="there are 3 states with 3 actions"):
+        record_states(env, [s.physics for s in states[1:]], ACTIONS, jax.random.key(0))
 
 
 def test_bad_options_and_failed_steps_are_told(env):

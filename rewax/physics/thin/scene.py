@@ -14,6 +14,7 @@ from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_in
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
 from rewax.physics.thin.contact_elements import ContactElements
+from rewax.physics.thin.grasps import GRASPS, Grasp, Hold, check_grasps
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.pair_law import SelfContact
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
@@ -37,6 +38,7 @@ _SCENE = {
     "law": _LAW,
     "bending_law": _BENDING,
     "warp": real(FINITE, "give a direction", shape=(3,)),
+    "grasps": GRASPS,
 }
 
 
@@ -50,12 +52,14 @@ class ThinState(struct.Replaceable):
       filled: largest number of close pairs over the length of their list [-], of all steps with self-contact since
         ``initial_state``, shape (); above 1, pairs were missed. Gradient: none.
       speed: largest speed of a vertex relative to the mean velocity [m/s], likewise.
+      holds: where each grasp of the scene holds its vertices, see ``open_grasps``; () without grasps.
     """
 
     x: Array
     v: Array
     filled: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
+    holds: tuple[Hold, ...] = ()
 
 
 @struct.dataclass
@@ -78,6 +82,7 @@ class ThinScene(struct.Replaceable):
       bending_law: the law of bending of cloth (static).
       self_contact: law of contact with itself, or None.
       contact_elements: what touches in self-contact (static).
+      grasps: grippers that hold vertices.
     """
 
     topology: Topology = struct.static_field()
@@ -96,6 +101,7 @@ class ThinScene(struct.Replaceable):
     bending_law: BendingLaw = struct.static_field(default=BendingLaw.PLATE)
     self_contact: SelfContact | None = None
     contact_elements: ContactElements | None = struct.static_field(default=None)
+    grasps: tuple[Grasp, ...] = ()
 
     def __post_init__(self) -> None:
         _LAW("law", self.law)
@@ -131,6 +137,7 @@ def make_scene(
     bending_law: BendingLaw = BendingLaw.PLATE,
     warp: Any = (1.0, 0.0, 0.0),
     self_contact: SelfContact | None = None,
+    grasps: tuple[Grasp, ...] = (),
 ) -> ThinScene:
     """A checked ``ThinScene`` of a mesh.
 
@@ -161,6 +168,7 @@ def make_scene(
         check_ground(ground)
     check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
     check_rotations(colliders)
+    check_grasps(grasps, count)
     check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)
     with jax.ensure_compile_time_eval():
@@ -182,6 +190,7 @@ def make_scene(
         bending_law=bending_law,
         self_contact=self_contact,
         contact_elements=check_self_contact(topology, mesh, self_contact),
+        grasps=tuple(grasps),
     )
     check_dt(dt, largest_stable_dt(scene))
     check_max_speed(scene)
