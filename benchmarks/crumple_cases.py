@@ -203,7 +203,8 @@ def _motion(
     v, walls, held = np.zeros_like(x), np.full(2, 10.0 * size), np.repeat(x[None, [0, -1]], WAYPOINTS, axis=0)
     if kind == "walls":
         room = np.sqrt(size * thickness * a / rng.uniform(0.35, 0.6))
-        walls = np.array([np.abs(x[:, :2]).max() + 0.2 * a, 0.5 * room])
+        near = np.abs(x[:, :2]).max()
+        walls = np.array([near + 0.2 * a, min(0.5 * room, 0.8 * near)])
     elif kind == "corners":
         held = _waypoints(rng, x[[0, -1]], 0.4 * size, 3.0 * a)
     else:

@@ -4,10 +4,10 @@
     python benchmarks/crumples.py --table          # the table of the rows that are there
 
 A sheet starts rolled up or folded in zigzag. It is driven by four walls that close in, by two held corners that move at
-random, or by a random velocity field; a knot by its two ends. Its ``max_speed`` is ``thin.largest_safe_speed``. It runs
-again with another scale until its fastest vertex reaches 0.6 to 1 of that limit, and then once more at five times that
-scale. ``crossing_referee.py`` counts crossings in each frame of 8 substeps. ``check_status`` is asked every 5 frames, as
-an environment asks it after each control step.
+random, or by a random velocity field; a knot by its two ends. Its ``max_speed`` is ``thin.largest_safe_speed``. It
+runs again with another scale until its fastest vertex reaches 0.6 to 1 of that limit, four times at most, and then once
+more at five times that scale. ``crossing_referee.py`` counts crossings in each frame of 8 substeps. ``check_status`` is
+asked every 5 frames, as an environment asks it after each control step.
 
 Columns of the rows: the fastest vertex over the limit (``peak``), the number of frames in which something has crossed,
 all bits of ``check_status``, the largest share of vertices that touch another layer (``pressed``), and the length that
