@@ -189,10 +189,7 @@ def rolled(rng: np.random.Generator, num_cells: int, thickness: float) -> np.nda
     line = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     line -= line.mean(axis=0)
     along = np.arange(num_cells + 1.0) - num_cells / 2
-    grid = np.stack(
-        [np.repeat(line, num_cells + 1, axis=0).T[k] for k in (0, 1)] + [np.tile(along, num_cells + 1)], axis=-1
-    )
-    return grid
+    return np.concatenate([np.repeat(line, num_cells + 1, axis=0), np.tile(along, num_cells + 1)[:, None]], axis=1)
 
 
 def _motion(
