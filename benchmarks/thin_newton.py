@@ -1,8 +1,8 @@
 """A worker for ``thin_speed.py``: its scene through Newton's ``SolverSemiImplicit``, Warp's cloth, on a CPU.
 
 It needs ``newton`` and ``warp-lang``, not rewax. Collisions with the sphere are found every 8 substeps, as Newton's
-examples do it once per frame. ``self`` adds ``enable_tri_contact``, Warp's contact of the cloth with itself; ``vbd`` and
-``xpbd`` are Newton's other solvers of cloth.
+examples do it once per frame. ``self`` adds ``enable_tri_contact``, Warp's contact of the cloth with itself. ``vbd``
+and ``xpbd`` are Newton's other solvers of cloth.
 
     python -P thin_newton.py NUM_TRIANGLES [self | vbd | xpbd]
 

@@ -54,7 +54,7 @@ class AllPairs(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Extremes of self-contact, from which ``check_status`` tells whether a pair may have been missed. Gradient: none."""
+    """Extremes of self-contact: they tell ``check_status`` whether a pair may have been missed. Gradient: none."""
 
     filled: Array
     """Largest number of close pairs over the length of their list [-], shape ()."""
