@@ -55,7 +55,8 @@ class Worker:
         self.model = builder.finalize(device="cpu", requires_grad=True)
         self.model.soft_contact_ke, self.model.soft_contact_kd = touch["stiffness"], touch["damping"]
         self.model.soft_contact_kf, self.model.soft_contact_mu = touch["friction_damping"], touch["friction"]
-        self.model.particle_grid = None
+        if kind != "xpbd":
+            self.model.particle_grid = None
         if kind == "vbd":
             self.solver = newton.solvers.SolverVBD(self.model)
         elif kind == "xpbd":
