@@ -96,7 +96,7 @@ def vertex_triangle_force(law: SelfContact, pairs: tuple[Any, Any, Array]) -> tu
     x, v, thickness = pairs
     weights = closest.vertex_triangle(x)
     between = closest.weighted(weights, x)
-    return _shared_out(law, weights, between, cp.dot(between, between), v, thickness)
+    return shared_out(law, weights, between, cp.dot(between, between), v, thickness)
 
 
 @pointwise
@@ -107,7 +107,7 @@ def segments_force(law: SelfContact, pairs: tuple[Any, Any, Array]) -> tuple[Vec
     weights = closest.segments(x, smoothing)
     between = closest.weighted(weights, x)
     square = smoothed_square(weights, between, smoothing)
-    return _shared_out(law, weights, between, square, v, thickness)
+    return shared_out(law, weights, between, square, v, thickness)
 
 
 def smoothed_square(weights: closest.Weights, between: Vec3, smoothing: Array) -> Array:
@@ -124,7 +124,7 @@ def pair_energy(law: SelfContact, square: Array, thickness: Array) -> Array:
     return law.stiffness * (before**3 / (6.0 * onset) + 0.5 * onset * beyond + 0.5 * beyond**2)
 
 
-def _shared_out(
+def shared_out(
     law: SelfContact, weights: closest.Weights, between: Vec3, square: Array, v: tuple[Vec3, ...], thickness: Array
 ) -> tuple[Vec3, ...]:
     """The force of each pair on its four corners."""

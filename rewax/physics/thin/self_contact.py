@@ -29,7 +29,8 @@ class Moving(Protocol):
     def v(self) -> Vec3: ...
 
 
-T = TypeVar("T", bound=Moving)
+T = TypeVar("T")
+M = TypeVar("M", bound=Moving)
 
 NO_PAIR = -1.0
 """Thickness of entries of a list that are no pairs: nothing is that close."""
@@ -65,11 +66,16 @@ class Seen(NamedTuple):
 # --- Search -----------------------------------------------------------------------------------------------------------
 
 
-def close_pairs(scene: "ThinScene", x: Vec3) -> tuple[AllPairs, Array]:
-    """The pairs that can touch within the next ``every`` substeps, and ``Seen.filled``.
+def close_pairs(scene: "ThinScene", x: Vec3) -> AllPairs:
+    """The pairs that can touch within the next ``every`` substeps.
 
     Gradient: exact with respect to the thickness. The choice of pairs is a constant.
     """
+    return _pairs_and_filled(scene, x)[0]
+
+
+def _pairs_and_filled(scene: "ThinScene", x: Vec3) -> tuple[AllPairs, Array]:
+    """``close_pairs`` and ``Seen.filled``."""
     law, elements = _parts(scene)
     halves = 0.5 * jnp.stack([jnp.asarray(law.thickness), jnp.asarray(law.rope())]).astype(x[0].dtype)
 
@@ -118,40 +124,64 @@ def self_forces(scene: "ThinScene", x: Vec3, v: Vec3, pairs: AllPairs) -> Vec3:
 
 
 def scan_rounds(
-    scene: "ThinScene",
-    substep: Callable[[T, Any, AllPairs], T],
+    substep: Callable[[T, Any, Any], T],
+    search: Callable[[T], Any],
     carry: T,
     intervals: Any,
     store_every: int | None,
-) -> tuple[T, Seen]:
-    """``numerics.substeps.scan_substeps`` with a search for pairs before each round of at most ``every`` substeps.
+    every: int,
+) -> T:
+    """``numerics.substeps.scan_substeps`` with a search for pairs before each round of at most ``every`` substeps."""
+
+    def one_round(carry: T, intervals: Any) -> tuple[T, None]:
+        pairs = search(carry)
+        return jax.lax.scan(lambda c, interval: (substep(c, interval, pairs), None), carry, intervals)[0], None
+
+    return _scan(one_round, carry, *_in_rounds(intervals, store_every, every))[0]
+
+
+def watched_rounds(
+    scene: "ThinScene",
+    substep: Callable[[M, Any, AllPairs], M],
+    carry: M,
+    intervals: Any,
+    store_every: int | None,
+) -> tuple[M, Seen]:
+    """``scan_rounds`` with ``close_pairs``, and the extremes of all rounds.
 
     Args:
       carry: its ``x`` and ``v`` are the vertices by components.
-
-    Returns:
-      The last carry, and the extremes of all rounds.
     """
+    rounds, plain = _in_rounds(intervals, store_every, _parts(scene)[0].every)
+    substeps = jax.tree.leaves(rounds)[0].shape[2]
+
+    def one_round(carry: M, intervals: Any) -> tuple[M, Seen]:
+        pairs, filled = _pairs_and_filled(scene, carry.x)
+        end = jax.lax.scan(lambda c, interval: (substep(c, interval, pairs), None), carry, intervals)[0]
+        return end, Seen(filled, _round_speed(scene, carry, end, substeps))
+
+    end, seen = _scan(one_round, carry, rounds, plain)
+    return end, jax.tree.map(jnp.max, seen)
+
+
+def _in_rounds(intervals: Any, store_every: int | None, every: int) -> tuple[Any, bool]:
+    """Intervals by (chunk, round, substep), and whether there is but one chunk, of which nothing is recomputed."""
     total = jax.tree.leaves(intervals)[0].shape[0]
     if store_every is not None:
         check_store_every(store_every, total)
     chunk = total if store_every in (None, 1) else store_every
-    each = max(d for d in range(1, min(_parts(scene)[0].every, chunk) + 1) if chunk % d == 0)
+    each = max(d for d in range(1, min(every, chunk) + 1) if chunk % d == 0)
+    chunks = jax.tree.map(lambda a: a.reshape(total // chunk, chunk // each, each, *a.shape[1:]), intervals)
+    return chunks, chunk == total and store_every in (None, 1)
 
-    def one_round(carry: T, intervals: Any) -> tuple[T, Seen]:
-        pairs, filled = close_pairs(scene, carry.x)
-        end = jax.lax.scan(lambda c, interval: (substep(c, interval, pairs), None), carry, intervals)[0]
-        return end, Seen(filled, _round_speed(scene, carry, end, each))
 
-    def one_chunk(carry: T, rounds: Any) -> tuple[T, Seen]:
+def _scan(one_round: Callable[[T, Any], tuple[T, Any]], carry: T, chunks: Any, plain: bool) -> tuple[T, Any]:
+    def one_chunk(carry: T, rounds: Any) -> tuple[T, Any]:
         return jax.lax.scan(one_round, carry, rounds)
 
-    chunks = jax.tree.map(lambda a: a.reshape(total // chunk, chunk // each, each, *a.shape[1:]), intervals)
-    if chunk == total and store_every in (None, 1):
-        end, seen = one_chunk(carry, jax.tree.map(lambda a: a[0], chunks))
-    else:
-        end, seen = jax.lax.scan(jax.checkpoint(one_chunk), carry, chunks)
-    return end, jax.tree.map(jnp.max, seen)
+    if plain:
+        return one_chunk(carry, jax.tree.map(lambda a: a[0], chunks))
+    return jax.lax.scan(jax.checkpoint(one_chunk), carry, chunks)
 
 
 def _round_speed(scene: "ThinScene", start: Moving, end: Moving, substeps: int) -> Array:
@@ -173,4 +203,5 @@ def _parts(scene: "ThinScene") -> tuple[SelfContact, ContactElements]:
     return scene.self_contact, scene.contact_elements
 
 
-__all__ = ["AllPairs", "Pairs", "Seen", "close_pairs", "find", "relative_speed", "scan_rounds", "self_forces"]
+__all__ = ["AllPairs", "Pairs", "Seen", "close_pairs", "find", "relative_speed", "scan_rounds", "self_forces",
+           "watched_rounds"]  # fmt: skip
