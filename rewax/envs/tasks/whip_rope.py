@@ -142,7 +142,7 @@ def _whip_rope(steps: Substeps, *, num_segments: int, stretch: float, max_steps:
         joint_start=HAND,
         joint_lower=(-0.25, 0.95, -0.25),
         joint_upper=(0.25, 1.45, 0.25),
-        joint_step=(0.05, 0.05, 0.05),
+        joint_step=(0.06, 0.06, 0.06),
         distance=(0.75, 0.95),
         azimuth=(-0.5, 0.5),
         elevation=(-0.35, 0.5),
@@ -157,10 +157,10 @@ def _whip_rope(steps: Substeps, *, num_segments: int, stretch: float, max_steps:
 def paper(*, dt: float | None = None, num_substeps: int | None = None) -> WhipRope:
     """A rope of 64 segments."""
     return _whip_rope(
-        substeps(dt, num_substeps, Substeps(1e-4, 200)),
+        substeps(dt, num_substeps, Substeps(1e-4, 250)),
         num_segments=64,
         stretch=300.0,
-        max_steps=100,
+        max_steps=80,
         cloud=PointCloud(num_points=65),
     )
 
@@ -168,9 +168,9 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> WhipRo
 def small(*, dt: float | None = None, num_substeps: int | None = None) -> WhipRope:
     """A rope of 16 segments, for two cores."""
     return _whip_rope(
-        substeps(dt, num_substeps, Substeps(6.25e-4, 32)),
+        substeps(dt, num_substeps, Substeps(6.25e-4, 40)),
         num_segments=16,
         stretch=200.0,
-        max_steps=50,
+        max_steps=48,
         cloud=PointCloud(num_points=17),
     )
