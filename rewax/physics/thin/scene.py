@@ -14,6 +14,7 @@ from rewax.physics.contact.vertex_checks import check_dt, check_has_law, held_in
 from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIVE, check_numbers
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
 from rewax.physics.thin.contact_elements import ContactElements
+from rewax.physics.thin.grasps import GRASPS, Grasp, Hold, check_grasps
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.pair_law import SelfContact
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
@@ -37,6 +38,7 @@ _SCENE = {
     "law": _LAW,
     "bending_law": _BENDING,
     "warp": real(FINITE, "give a direction", shape=(3,)),
+    "grasps": GRASPS,
 }
 
 
@@ -47,10 +49,12 @@ class ThinState(struct.Replaceable):
     Attributes:
       x: position [m], shape (num_vertices, 3).
       v: velocity [m/s], shape (num_vertices, 3).
+      holds: where each grasp of the scene holds its vertices, see ``open_grasps``; () without grasps.
     """
 
     x: Array
     v: Array
+    holds: tuple[Hold, ...] = ()
 
 
 @struct.dataclass
@@ -73,6 +77,7 @@ class ThinScene(struct.Replaceable):
       bending_law: the law of bending of cloth (static).
       self_contact: law of contact with itself, or None.
       contact_elements: what touches in self-contact (static).
+      grasps: grippers that hold vertices.
     """
 
     topology: Topology = struct.static_field()
@@ -91,6 +96,7 @@ class ThinScene(struct.Replaceable):
     bending_law: BendingLaw = struct.static_field(default=BendingLaw.PLATE)
     self_contact: SelfContact | None = None
     contact_elements: ContactElements | None = struct.static_field(default=None)
+    grasps: tuple[Grasp, ...] = ()
 
     def __post_init__(self) -> None:
         _LAW("law", self.law)
@@ -125,6 +131,7 @@ def make_scene(
     bending_law: BendingLaw = BendingLaw.PLATE,
     warp: Any = (1.0, 0.0, 0.0),
     self_contact: SelfContact | None = None,
+    grasps: tuple[Grasp, ...] = (),
 ) -> ThinScene:
     """A checked ``ThinScene`` of a mesh.
 
@@ -155,6 +162,7 @@ def make_scene(
         check_ground(ground)
     check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
     check_rotations(colliders)
+    check_grasps(grasps, count)
     check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)
     with jax.ensure_compile_time_eval():
@@ -176,6 +184,7 @@ def make_scene(
         bending_law=bending_law,
         self_contact=self_contact,
         contact_elements=check_self_contact(topology, mesh, self_contact),
+        grasps=tuple(grasps),
     )
     check_dt(dt, largest_stable_dt(scene))
     check_max_speed(scene)

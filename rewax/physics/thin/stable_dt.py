@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.thin.bending import bending_stiffness
+from rewax.physics.thin.grasps import grasp_stiffness
 from rewax.physics.thin.pair_law import pair_stiffness
 from rewax.types import Array, Scalar
 
@@ -27,7 +28,7 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
 
     Tension adds stiffness that this bound, of a body at rest, does not include; strains above 0.5 need a margin.
     Friction damping is not included, and contact is included once, although several bodies can push one vertex.
-    Self-contact is included for ``pair_law.CROWD`` pairs at a vertex.
+    Self-contact is included for ``pair_law.CROWD`` pairs at a vertex, and every grasp as if it were closed.
 
     Gradient: exact.
     """
@@ -60,6 +61,9 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
         stiffness, damping = stiffness + scene.contact.stiffness, damping + scene.contact.damping
     if scene.self_contact is not None:
         spring, damper = pair_stiffness(scene.self_contact)
+        stiffness, damping = stiffness + spring, damping + damper
+    if scene.grasps:
+        spring, damper = grasp_stiffness(scene)
         stiffness, damping = stiffness + spring, damping + damper
     w2, c = stiffness / scene.mass, damping / scene.mass + scene.drag
     limit = 4.0 / (c + jnp.sqrt(c * c + 4.0 * w2))

@@ -1,7 +1,7 @@
 """Cloth and ropes: substep, step, forces, status.
 
 One substep: forces of membrane, bending, segments and bends, gravity, drag, penalty contact with the ground and with
-moving shapes, symplectic Euler. Held vertices keep their velocity or follow prescribed positions.
+moving shapes, grasps, symplectic Euler. Held vertices keep their velocity or follow prescribed positions.
 """
 
 import functools
@@ -21,8 +21,9 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.fields import checked, instance, optional, poses, real
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
-from rewax.physics.thin import elements
+from rewax.physics.thin import elements, grasp_forces
 from rewax.physics.thin.bending import bending_forces
+from rewax.physics.thin.grasps import checked_grips, grasp_numbers
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
 from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
@@ -41,6 +42,7 @@ class Vertices(NamedTuple):
 
     x: Vec3
     v: Vec3
+    holds: tuple[grasp_forces.HoldParts, ...] = ()
 
 
 class Interval(NamedTuple):
@@ -48,6 +50,7 @@ class Interval(NamedTuple):
 
     poses: tuple[Pose, Pose]
     pins: Array | None
+    grips: Array | None = None
 
 
 @checked(
@@ -57,7 +60,13 @@ class Interval(NamedTuple):
     pins=optional(real(FINITE, "give positions of held vertices in metres", shape=("num_substeps", "num_held", 3))),
 )
 def step(
-    scene: ThinScene, state: ThinState, poses: Pose, *, pins: Array | None = None, store_every: int | None = 1
+    scene: ThinScene,
+    state: ThinState,
+    poses: Pose,
+    *,
+    pins: Array | None = None,
+    grips: Array | None = None,
+    store_every: int | None = 1,
 ) -> ThinState:
     """Advance vertices by the substeps between ``poses``: v' = v + dt (f(x, v) / m + g - drag v), x' = x + dt v'.
 
@@ -68,24 +77,37 @@ def step(
         3) and (num_substeps + 1, num_bodies, 3, 3); ``thin.static_poses`` for a scene without bodies.
       pins: positions of the held vertices at the end of each substep [m], shape (num_substeps, num_held, 3), in the
         order of ``make_scene``'s ``held``; None: they keep their velocity.
+      grips: how far each grasp of the scene is closed, from 0 (open) to 1, shape (num_substeps, num_grasps), or
+        (num_grasps,) for the whole step; None for a scene without grasps. Numbers beyond count as 0 and 1.
       store_every: the backward pass stores vertices every ``store_every`` substeps and recomputes the rest; None: it
         stores everything.
 
-    Gradient: exact with respect to the state, the poses, the pins and every array of the scene, forward and reverse;
-      one-sided at the onset of contact and at Coulomb's limit, see ``penalty.penalty_force``.
+    Gradient: exact with respect to the state, the poses, the pins, the grips and every array of the scene, forward
+      and reverse; one-sided at the onset of contact and at Coulomb's limit, see ``penalty.penalty_force``.
     """
-    check_bodies(scene.colliders, poses.position.shape[1])
+    num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
+    check_bodies(scene.colliders, num_bodies)
     _check_pins(scene, poses, pins)
+    grips = checked_grips(scene, state.holds, grips, num_substeps, num_bodies)
     one = _substep if store_every is None else _recomputed_substep
 
     def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
         return one(scene, vertices, interval, pairs)
 
-    intervals = Interval(both_ends(poses), pins)
+    intervals = Interval(both_ends(poses), pins, grips)
     if scene.self_contact is None:
         return join(scan_substeps(body, split(state), intervals, store_every))
     every = scene.self_contact.every
     return join(scan_rounds(body, lambda s: close_pairs(scene, s.x), split(state), intervals, store_every, every))
+
+
+@checked(scene=SCENE, state=STATE, poses=poses("num_bodies"))
+def open_grasps(scene: ThinScene, state: ThinState, poses: Pose) -> ThinState:
+    """The state with all grasps open, given the poses of all bodies, shapes (num_bodies, 3), (num_bodies, 3, 3).
+
+    Scenes with grasps begin with it. Gradient: exact.
+    """
+    return state.replace(holds=grasp_forces.open_holds(scene, state.x, poses))
 
 
 @checked(scene=SCENE, state=STATE)
@@ -94,14 +116,14 @@ def internal_force(scene: ThinScene, state: ThinState) -> Array:
 
     Without damping they are minus the gradient of ``elastic_energy``. Gradient: exact.
     """
-    return cp.join_vector(vertex_forces(scene, *split(state)))
+    return cp.join_vector(vertex_forces(scene, *split(state)[:2]))
 
 
 @checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose) -> Array:
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3), given the poses of all bodies at the
     beginning and end of a substep. Gradient: exact."""
-    return cp.join_vector(contact_forces(scene, *split(state), (before, after)))
+    return cp.join_vector(contact_forces(scene, *split(state)[:2], (before, after)))
 
 
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
@@ -129,6 +151,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
             scene.cloth, scene.rope, scene.drag, scene.gravity, scene.contact, scene.ground, scene.colliders, poses
         ),
         *([] if scene.self_contact is None else numbers_of(scene.self_contact, "self_contact.")),
+        *grasp_numbers(scene.grasps),
         Number("mass", scene.mass, POSITIVE, "give the vertices' masses in kg"),
         Number("rest.area", scene.rest.area, POSITIVE, "give the triangles' areas in m^2"),
         Number("rest.length", scene.rest.length, POSITIVE, "give the segments' lengths in m"),
@@ -149,7 +172,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
 
 def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: AllPairs | None) -> Vertices:
     vertices = materialize(vertices)
-    x, v = vertices
+    x, v, holds = vertices
     with jax.named_scope("thin"):
         force = vertex_forces(scene, x, v)
     with jax.named_scope("contact"):
@@ -157,22 +180,35 @@ def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: Al
     if pairs is not None:
         with jax.named_scope("self_contact"):
             contact = cp.add(contact, self_forces(scene, x, v, pairs))
-    with jax.named_scope("update"):
-        shared = (scene.gravity, scene.drag, scene.dt)
-        target = None
-        if interval.pins is not None:
-            target = scatter(scene.topology.held, (cp.split_vector(interval.pins),))
-        return _moved(shared, (vertices, force, contact, scene.mass, scene.mobility, target))
+    if interval.grips is not None:
+        with jax.named_scope("grasps"):
+            holds = grasp_forces.followed(scene, holds, x, interval.poses[0], interval.grips)
+            moving = grasp_forces.body_velocities(scene, x, interval.poses)
+            for pull in grasp_forces.pulls(scene, holds, x, v, interval.poses[0], moving, interval.grips):
+                contact = cp.add(contact, pull.force)
+    return moved(scene, Vertices(x, v, holds), force, contact, interval.pins)
 
 
 _recomputed_substep = recomputed(_substep)
+
+
+def moved(scene: ThinScene, vertices: Vertices, force: Vec3, contact: Vec3, pins: Array | None) -> Vertices:
+    """Vertices a substep later, given the internal and external forces [N] and the positions of held ones [m].
+
+    Gradient: exact.
+    """
+    with jax.named_scope("update"):
+        shared = (scene.gravity, scene.drag, scene.dt)
+        target = None if pins is None else scatter(scene.topology.held, (cp.split_vector(pins),))
+        given = (vertices._replace(holds=()), force, contact, scene.mass, scene.mobility, target)
+        return _moved(shared, given)._replace(holds=vertices.holds)
 
 
 @pointwise
 def _moved(
     shared: tuple[Array, Scalar, Scalar], given: tuple[Vertices, Vec3, Vec3, Array, Array | None, Vec3 | None]
 ) -> Vertices:
-    (g, drag, dt), ((x, v), force, contact, mass, mobility, target) = shared, given
+    (g, drag, dt), ((x, v, _), force, contact, mass, mobility, target) = shared, given
     gain = 1.0 if mobility is None else mobility
     new = cp.vector(lambda i: v[i] + dt * gain * ((force[i] + contact[i]) / mass + g[i] - drag * v[i]))
     if target is None or mobility is None:
@@ -223,12 +259,14 @@ def inverse_edges(scene: ThinScene) -> tuple[Array, Array, Array, Array]:
 
 def split(state: ThinState) -> Vertices:
     """Components of a state."""
-    return Vertices(cp.split_vector(state.x), cp.split_vector(state.v))
+    return Vertices(cp.split_vector(state.x), cp.split_vector(state.v), grasp_forces.split_holds(state.holds))
 
 
 def join(vertices: Vertices) -> ThinState:
     """Inverse of ``split``."""
-    return ThinState(x=cp.join_vector(vertices.x), v=cp.join_vector(vertices.v))
+    return ThinState(
+        x=cp.join_vector(vertices.x), v=cp.join_vector(vertices.v), holds=grasp_forces.join_holds(vertices.holds)
+    )
 
 
 def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
@@ -247,10 +285,10 @@ def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
 
     Gradient: exact.
     """
-    x, v = split(state)
+    x, v, _ = split(state)
     if scene.self_contact is None:
         return jnp.zeros_like(state.x)
     return cp.join_vector(self_forces(scene, x, v, close_pairs(scene, x)))
 
 
-__all__ = ["check_status", "contact_force", "internal_force", "self_contact_force", "step"]
+__all__ = ["check_status", "contact_force", "internal_force", "moved", "open_grasps", "self_contact_force", "step"]
