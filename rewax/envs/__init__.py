@@ -15,6 +15,7 @@ register("SoftJumperMPM", {scale: f"rewax.envs.tasks.soft_jumper_mpm:{scale}" fo
 register("GripperLift", {scale: f"rewax.envs.tasks.gripper_lift:{scale}" for scale in ("paper", "small")})
 register("SteerFloat", {scale: f"rewax.envs.tasks.steer_float:{scale}" for scale in ("paper", "small")})
 register("WhipRope", {scale: f"rewax.envs.tasks.whip_rope:{scale}" for scale in ("paper", "small")})
+register("CoverBox", {scale: f"rewax.envs.tasks.cover_box:{scale}" for scale in ("paper", "small")})
 register("AntRun", "rewax.envs.tasks.ant_run:make_ant_run")
 register("HandReorient", "rewax.envs.tasks.hand_reorient:make_hand_reorient")
 register("Ant", "rewax.envs.tasks.ant_run:make_ant")
