@@ -7,6 +7,10 @@ from doc_pages import run_page
 
 def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
     names = run_page("docs/cloth_and_ropes.md")
+    assert (
+        float(names["lifted"](names["hand"], np.ones((200, 1), np.float32))) > 0.03
+    )  # the closed hand takes the corner along
+    assert np.abs(names["by_grip"]).max() > 1e-6 and np.abs(names["by_hand"]).max() > 0.1
     assert np.linalg.norm(names["draped"].x - np.array([0.2, -0.11, 0.2]), axis=1).min() > 0.098  # outside of the ball
     assert np.isfinite(names["slope"]).all() and np.abs(names["slope"]).max() > 0 and names["swung"].x[-1, 1] < -0.02
 
