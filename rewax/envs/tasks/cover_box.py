@@ -96,11 +96,11 @@ def _cover_box(steps: Substeps, *, cells: int, cloud: PointCloud, max_steps: int
         mesh=mesh,
         dt=steps.dt,
         cloth=thin.isotropic_cloth(
-            youngs_modulus=3e4, poissons_ratio=0.3, thickness=2e-3, density=200.0, damping=2e-4
-        ),
-        drag=0.5,
+            youngs_modulus=3e4, poissons_ratio=0.3, thickness=2e-3, density=200.0, damping=3e-4
+        ).replace(bending=3e-4),
+        drag=1.0,
         contact=PenaltyContact(
-            stiffness=2e4 * mass, damping=30.0 * mass, friction_damping=300.0 * mass, friction=0.5, radius=0.012
+            stiffness=2e4 * mass, damping=30.0 * mass, friction_damping=300.0 * mass, friction=0.5, radius=0.018
         ),
         ground=Ground(normal=[0.0, 1.0, 0.0]),
         colliders=(Collider(shape=Box(half_size=HALF_SIZE), body=STILL, offset=(0.0, HALF_SIZE[1], 0.0), friction=0.4),),
@@ -119,8 +119,8 @@ def _cover_box(steps: Substeps, *, cells: int, cloud: PointCloud, max_steps: int
         joint_upper=(reach, 0.65, reach, reach, 0.65, reach, 1.0),
         joint_step=(*[SPEED] * 6, 0.25),
         spots=spots_of_box(HALF_SIZE, 0.05),
-        near=0.012 + 0.75 * spacing,
-        softness=0.06,
+        near=0.018 + 0.75 * spacing,
+        softness=0.04,
         thickness=0.012,
         cloud=cloud,
         num_substeps=steps.num,

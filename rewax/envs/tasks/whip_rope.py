@@ -31,10 +31,17 @@ HIT = 0.05
 
 @struct.dataclass
 class Aim(struct.Replaceable):
-    """What an episode keeps: the target [m], shape (3,), and how near the free end has come to it so far [m]."""
+    """What an episode keeps.
+
+    Attributes:
+      target: [m], shape (3,).
+      nearest: least distance of the free end from it so far [m].
+      soft_nearest: a smooth minimum of the distances so far [m], see ``WhipRope.reward``.
+    """
 
     target: Vector
     nearest: Scalar
+    soft_nearest: Scalar
 
 
 @struct.dataclass
@@ -47,12 +54,14 @@ class WhipRope(ThinTask):
       distance, azimuth, elevation: range of the target around the start of the hand [m, rad], shape (2,); azimuth 0
         is along x, and elevation 0 is level.
       unit: how much nearer the free end has to come for a reward of 1 [m].
+      blur: distances that differ by less count alike in the smooth minimum [m].
     """
 
     distance: Vector
     azimuth: Vector
     elevation: Vector
     unit: Scalar
+    blur: Scalar
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         draws = [
@@ -65,7 +74,8 @@ class WhipRope(ThinTask):
         level = away * jnp.cos(above)
         shift = jnp.stack([level * jnp.cos(around), away * jnp.sin(above), level * jnp.sin(around)])
         target = self.joint_start + shift
-        return self.at_rest(positions), Aim(target=target, nearest=_distance(positions[-1], target))
+        distance = _distance(positions[-1], target)
+        return self.at_rest(positions), Aim(target=target, nearest=distance, soft_nearest=distance)
 
     def pins(self, physics: SoftPhysics, joint_q: Array) -> Array:
         del physics
@@ -82,26 +92,32 @@ class WhipRope(ThinTask):
                 physics.joint_qd,
                 physics.task.target - hand,
                 physics.task.target - x[-1],
-                physics.task.nearest[None],
+                physics.task.soft_nearest[None],
             ]
         )
         return {"particle_q": self.observed(physics) - hand, "vector": vector}
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """max(m - d, 0) / unit, with d the distance between free end and target, and m its minimum so far [m].
+        """(m - m') / unit, with m = -blur log(sum_t exp(-d_t / blur)) before and m' after the control step.
 
-        The return is (d_0 - min d) / unit. 1 cm below a distance of d = sqrt(|x - target|^2 + (1 cm)^2) nothing is left
-        to earn.
+        d_t = sqrt(|x - target|^2 + (1 cm)^2) is the distance of the free end from the target after control step t. m is
+        a smooth minimum of all distances so far. So the return is about (d_0 - min d) / unit; time near the minimum
+        adds up to blur log(1 + num_steps) / unit.
         """
-        distance, nearest = _distance(physics.soft.x[-1], physics.task.target), physics.task.nearest
-        hit = jnp.minimum(distance, nearest) < HIT
+        distance, aim = _distance(physics.soft.x[-1], physics.task.target), physics.task
+        hit = jnp.minimum(distance, aim.nearest) < HIT
         metrics = {"distance": distance, "success": hit.astype(distance.dtype)}
-        return jnp.maximum(nearest - distance, 0.0) / self.unit, metrics
+        return (aim.soft_nearest - self._soft_nearest(aim, distance)) / self.unit, metrics
 
     def next_task(self, physics: SoftPhysics, key: Key) -> PyTree:
         del key
-        aim = physics.task
-        return aim.replace(nearest=jnp.minimum(aim.nearest, _distance(physics.soft.x[-1], aim.target)))
+        aim, distance = physics.task, _distance(physics.soft.x[-1], physics.task.target)
+        return aim.replace(
+            nearest=jnp.minimum(aim.nearest, distance), soft_nearest=self._soft_nearest(aim, distance)
+        )
+
+    def _soft_nearest(self, aim: Aim, distance: Array) -> Array:
+        return -self.blur * jnp.logaddexp(-aim.soft_nearest / self.blur, -distance / self.blur)
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         target = {"kind": "sphere", "center": physics.task.target, "radius": HIT, "color": MARKER, "opacity": 0.7}
@@ -140,13 +156,14 @@ def _whip_rope(steps: Substeps, *, num_segments: int, stretch: float, max_steps:
         scene=scene,
         rest_positions=points,
         joint_start=HAND,
-        joint_lower=(-0.25, 0.95, -0.25),
-        joint_upper=(0.25, 1.45, 0.25),
-        joint_step=(0.06, 0.06, 0.06),
+        joint_lower=(-0.3, 0.9, -0.3),
+        joint_upper=(0.3, 1.5, 0.3),
+        joint_step=(0.12, 0.12, 0.12),
         distance=(0.75, 0.95),
         azimuth=(-0.5, 0.5),
         elevation=(-0.35, 0.5),
         unit=0.1,
+        blur=0.03,
         thickness=0.02,
         cloud=cloud,
         num_substeps=steps.num,
@@ -157,10 +174,10 @@ def _whip_rope(steps: Substeps, *, num_segments: int, stretch: float, max_steps:
 def paper(*, dt: float | None = None, num_substeps: int | None = None) -> WhipRope:
     """A rope of 64 segments."""
     return _whip_rope(
-        substeps(dt, num_substeps, Substeps(1e-4, 250)),
+        substeps(dt, num_substeps, Substeps(1e-4, 500)),
         num_segments=64,
         stretch=300.0,
-        max_steps=80,
+        max_steps=60,
         cloud=PointCloud(num_points=65),
     )
 
@@ -168,9 +185,9 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> WhipRo
 def small(*, dt: float | None = None, num_substeps: int | None = None) -> WhipRope:
     """A rope of 16 segments, for two cores."""
     return _whip_rope(
-        substeps(dt, num_substeps, Substeps(6.25e-4, 40)),
+        substeps(dt, num_substeps, Substeps(6.25e-4, 80)),
         num_segments=16,
         stretch=200.0,
-        max_steps=48,
+        max_steps=32,
         cloud=PointCloud(num_points=17),
     )
