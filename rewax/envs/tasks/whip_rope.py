@@ -48,12 +48,15 @@ class Aim(struct.Replaceable):
 class WhipRope(ThinTask):
     """The task; ``rewax.make("WhipRope", scale=...)`` builds it.
 
-    The joints are the position of the hand [m], which holds the first vertex. ``physics.task`` is an ``Aim``.
+    The joints are the position of the hand [m], which holds the first vertex. An action is a set point between the
+    limits of the joints. The hand moves towards it as a critically damped oscillator. So its velocity has no jumps, which
+    would send waves through the rope. ``joint_qd`` is its velocity [m/s]. ``physics.task`` is an ``Aim``.
 
     Attributes:
       distance, azimuth, elevation: range of the target around the start of the hand [m, rad], shape (2,); azimuth 0
         is along x, and elevation 0 is level.
       unit: how much nearer the free end has to come for a reward of 1 [m].
+      rate: angular frequency of the hand [rad/s].
       blur: distances that differ by less count alike in the smooth minimum [m].
     """
 
@@ -62,6 +65,7 @@ class WhipRope(ThinTask):
     elevation: Vector
     unit: Scalar
     blur: Scalar
+    rate: Scalar
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         draws = [
@@ -77,6 +81,21 @@ class WhipRope(ThinTask):
         distance = _distance(positions[-1], target)
         return self.at_rest(positions), Aim(target=target, nearest=distance, soft_nearest=distance)
 
+    def advance(self, physics: SoftPhysics, action: Array) -> tuple[SoftPhysics, Array]:
+        """With the set point p*, the hand moves as p = p* + (e + (v + rate e) t) exp(-rate t), e = p(0) - p*, v = p'(0).
+
+        Gradient: exact.
+        """
+        aim = self.joint_lower + 0.5 * (1.0 + action) * (self.joint_upper - self.joint_lower)
+        time = jnp.linspace(0.0, self.control_dt, self.num_substeps + 1, dtype=action.dtype)[:, None]
+        away, speed = physics.joint_q - aim, physics.joint_qd
+        approach = speed + self.rate * away
+        path = aim + (away + approach * time) * jnp.exp(-self.rate * time)
+        soft, felt, status = self._driven(physics, action, path)
+        last = (speed - self.rate * approach * self.control_dt) * jnp.exp(-self.rate * self.control_dt)
+        moved = physics.replace(soft=soft, joint_q=path[-1], joint_qd=last, action=action, felt=felt)
+        return moved, status
+
     def pins(self, physics: SoftPhysics, joint_q: Array) -> Array:
         del physics
         return joint_q[:, None]
@@ -89,7 +108,7 @@ class WhipRope(ThinTask):
                 (x[some] - hand).reshape(-1),
                 0.2 * v[some].reshape(-1),
                 hand - self.joint_start,
-                physics.joint_qd,
+                0.2 * physics.joint_qd,
                 physics.task.target - hand,
                 physics.task.target - x[-1],
                 physics.task.soft_nearest[None],
@@ -148,8 +167,8 @@ def _whip_rope(steps: Substeps, *, num_segments: int, stretch: float, max_steps:
     scene = thin.make_scene(
         mesh=mesh,
         dt=steps.dt,
-        rope=thin.Rope(stretch=stretch, bending=2e-4, density=0.1, damping=1e-4),
-        drag=0.2,
+        rope=thin.Rope(stretch=stretch, bending=5e-3, density=0.1, damping=2e-4),
+        drag=0.5,
         held=[0],
     )
     return WhipRope(
@@ -158,7 +177,8 @@ def _whip_rope(steps: Substeps, *, num_segments: int, stretch: float, max_steps:
         joint_start=HAND,
         joint_lower=(-0.3, 0.9, -0.3),
         joint_upper=(0.3, 1.5, 0.3),
-        joint_step=(0.12, 0.12, 0.12),
+        joint_step=(0.3, 0.3, 0.3),
+        rate=10.0,
         distance=(0.75, 0.95),
         azimuth=(-0.5, 0.5),
         elevation=(-0.35, 0.5),
@@ -174,7 +194,7 @@ def _whip_rope(steps: Substeps, *, num_segments: int, stretch: float, max_steps:
 def paper(*, dt: float | None = None, num_substeps: int | None = None) -> WhipRope:
     """A rope of 64 segments."""
     return _whip_rope(
-        substeps(dt, num_substeps, Substeps(1e-4, 500)),
+        substeps(dt, num_substeps, Substeps(6.25e-5, 800)),
         num_segments=64,
         stretch=300.0,
         max_steps=60,
