@@ -24,7 +24,7 @@ from rewax.types import Array, Key, PyTree, Scalar
 
 EDGE = 0.4
 """Edge of the towel [m]."""
-RADIUS = 0.008
+RADIUS = 0.005
 """Distance of vertices on the ground from the ground, and thickness of the towel in self-contact [m]."""
 SPEED = 0.025
 """Largest motion of a hand in a control step [m]."""
@@ -158,16 +158,12 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> FoldCl
         cells=24,
         cloud=PointCloud(num_points=209, stride=3),
         max_steps=120,
-        self_contact=_layers(EDGE / 24, 1.0),
+        self_contact=_layers(EDGE / 24, 0.7),
     )
 
 
 def small(*, dt: float | None = None, num_substeps: int | None = None) -> FoldCloth:
     """A towel of 128 triangles, for two cores."""
     return _fold_cloth(
-        substeps(dt, num_substeps, Substeps(5e-4, 80)),
-        cells=8,
-        cloud=PointCloud(num_points=81),
-        max_steps=50,
-        self_contact=_layers(EDGE / 8, 1.0),
+        substeps(dt, num_substeps, Substeps(1e-3, 40)), cells=8, cloud=PointCloud(num_points=81), max_steps=50
     )
