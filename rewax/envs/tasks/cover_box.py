@@ -103,7 +103,9 @@ def _cover_box(steps: Substeps, *, cells: int, cloud: PointCloud, max_steps: int
             stiffness=2e4 * mass, damping=30.0 * mass, friction_damping=300.0 * mass, friction=0.5, radius=0.018
         ),
         ground=Ground(normal=[0.0, 1.0, 0.0]),
-        colliders=(Collider(shape=Box(half_size=HALF_SIZE), body=STILL, offset=(0.0, HALF_SIZE[1], 0.0), friction=0.4),),
+        colliders=(
+            Collider(shape=Box(half_size=HALF_SIZE), body=STILL, offset=(0.0, HALF_SIZE[1], 0.0), friction=0.4),
+        ),
         grasps=hands_at(mesh, corners, radius=1.1 * spacing, stiffness=3e4 * mass),
     )
     u, w = mesh.vertices[:, 0], mesh.vertices[:, 2] - 0.5 * EDGE
@@ -141,5 +143,8 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> CoverB
 def small(*, dt: float | None = None, num_substeps: int | None = None) -> CoverBox:
     """A cloth of 200 triangles, for two cores."""
     return _cover_box(
-        substeps(dt, num_substeps, Substeps(1e-3, 25)), cells=10, cloud=PointCloud(num_points=61, stride=2), max_steps=60
+        substeps(dt, num_substeps, Substeps(1e-3, 25)),
+        cells=10,
+        cloud=PointCloud(num_points=61, stride=2),
+        max_steps=60,
     )

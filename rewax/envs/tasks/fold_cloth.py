@@ -59,14 +59,16 @@ class FoldCloth(TwoHands):
             u[:, 1, None, None] * count + phase[1]
         )
         size = self.wrinkle * jax.random.uniform(amplitude_key, shape) / (WAVES + 1)
-        height = jnp.sum(size * (1.0 + waves), axis=(1, 2))
-        return self.at_rest(positions + height[:, None] * jnp.array([0.0, 1.0, 0.0])), None
+        height = jnp.sum(size * waves, axis=(1, 2))
+        up = (height - height.min())[:, None] * jnp.array([0.0, 1.0, 0.0])
+        return self.at_rest(positions + up), None
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """(D_0 - D) / D_0 - flatness h / edge - spread |A - A_0| / A_0.
+        """(D_0 - D) / D_0 - flatness h / edge - spread |1 - A|.
 
-        D is the mean distance in the plane between the vertices of one half and their mirror images on the other, D_0
-        that of the flat towel. h is the mean height of all vertices, and A the area under the half that is not moved.
+        D is the mean distance between the vertices of one half and their mirror images on the other, D_0 that of the
+        flat towel. h is the mean height of all vertices above the ground. A is the area from above of the surface in the
+        middle between both halves, over half of the towel's area.
         """
         n = self.cells + 1
         grid = physics.soft.x.reshape(n, n, 3)
@@ -74,18 +76,17 @@ class FoldCloth(TwoHands):
         gap = jnp.sqrt(jnp.sum((left - right) ** 2, axis=-1) + 1e-6).mean()
         height = physics.soft.x[:, 1].mean() - RADIUS
         area = self._area(grid)
-        reward = 1.0 - gap / (0.5 * EDGE) - self.flatness * height / EDGE - self.spread * jnp.abs(1.0 - area)
+        flat = EDGE * (self.cells + 2) / (2 * self.cells)
+        reward = 1.0 - gap / flat - self.flatness * height / EDGE - self.spread * jnp.abs(1.0 - area)
         success = (gap < SUCCESS) & (height < 0.5 * SUCCESS) & (area > 0.8)
         return reward, {"gap": gap, "height": height, "area": area, "success": success.astype(gap.dtype)}
 
     def _area(self, grid: Array) -> Array:
-        """Area of the folded towel from above over half of the towel's, from the mean of the two halves [-]."""
+        """Area from above of the surface in the middle between both halves, over half of the towel's area [-]."""
         n = self.cells + 1
         half = 0.5 * (grid[: n // 2 + 1] + grid[::-1][: n // 2 + 1])
-        a, b = (half[1:, :-1] - half[:-1, 1:])[..., jnp.array([0, 2])], (half[1:, 1:] - half[:-1, :-1])[
-            ..., jnp.array([0, 2])
-        ]
-        cells = 0.5 * (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+        a, b = half[1:, :-1] - half[:-1, 1:], half[1:, 1:] - half[:-1, :-1]  # diagonals of the cells
+        cells = 0.5 * (a[..., 0] * b[..., 2] - a[..., 2] * b[..., 0])
         return jnp.sum(cells) / (0.5 * EDGE**2)
 
     @property

@@ -70,9 +70,7 @@ class WhipRope(ThinTask):
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         draws = [
             jax.random.uniform(k, (), minval=bounds[0], maxval=bounds[1])
-            for k, bounds in zip(
-                jax.random.split(key, 3), (self.distance, self.azimuth, self.elevation), strict=True
-            )
+            for k, bounds in zip(jax.random.split(key, 3), (self.distance, self.azimuth, self.elevation), strict=True)
         ]
         away, around, above = draws
         level = away * jnp.cos(above)
@@ -131,9 +129,7 @@ class WhipRope(ThinTask):
     def next_task(self, physics: SoftPhysics, key: Key) -> PyTree:
         del key
         aim, distance = physics.task, _distance(physics.soft.x[-1], physics.task.target)
-        return aim.replace(
-            nearest=jnp.minimum(aim.nearest, distance), soft_nearest=self._soft_nearest(aim, distance)
-        )
+        return aim.replace(nearest=jnp.minimum(aim.nearest, distance), soft_nearest=self._soft_nearest(aim, distance))
 
     def _soft_nearest(self, aim: Aim, distance: Array) -> Array:
         return -self.blur * jnp.logaddexp(-aim.soft_nearest / self.blur, -distance / self.blur)

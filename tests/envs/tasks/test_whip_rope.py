@@ -35,7 +35,9 @@ def test_the_hand_approaches_its_set_point_and_the_rope_follows():
     for i in (0, 4, 23):
         turn = 10.0 * 0.05 * (i + 1)
         gone = 1.0 - (1.0 + turn) * np.exp(-turn)
-        np.testing.assert_allclose(states[i].physics.soft.x[0] - np.array(HAND), [0.3 * gone, 0.0, -0.15 * gone], atol=1e-5)
+        np.testing.assert_allclose(
+            states[i].physics.soft.x[0] - np.array(HAND), [0.3 * gone, 0.0, -0.15 * gone], atol=1e-5
+        )
         speed = 0.3 * 10.0 * turn * np.exp(-turn)
         np.testing.assert_allclose(states[i].physics.joint_qd, [speed, 0.0, -0.5 * speed], atol=1e-5)
         np.testing.assert_allclose(states[i].physics.soft.v[0], states[i].physics.joint_qd, atol=0.02)
