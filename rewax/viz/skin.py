@@ -112,12 +112,11 @@ def tube(x: np.ndarray, line: np.ndarray, radius: float) -> Skin:
     first = np.arange(len(line) - 1)[:, None] * _CORNERS
     a, b, c, d = first + corner, first + following, first + following + _CORNERS, first + corner + _CORNERS
     tip = np.full(_CORNERS, last + _CORNERS)
-    triangles = [np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1), np.stack([tip, following, corner], axis=-1),
-                 np.stack([tip + 1, last + corner, last + following], axis=-1)]  # fmt: skip
+    parts = [(a, b, c), (a, c, d), (tip, following, corner), (tip + 1, last + corner, last + following)]
     owners = np.concatenate([np.repeat(line, _CORNERS), line[:1], line[-1:]])
     return Skin(
         vertices=np.concatenate([*rings, *ends], axis=1),
-        triangles=np.concatenate([part.reshape(-1, 3) for part in triangles]),
+        triangles=np.concatenate([np.stack(part, axis=-1).reshape(-1, 3) for part in parts]),
         owners=owners,
         back=np.zeros(len(owners), bool),
     )

@@ -199,7 +199,7 @@ class SoftTask(SoftBodyTask):
         return named_tools(self.scene.colliders)
 
     def _driven(self, physics: SoftPhysics, action: Array, path: Array) -> tuple[Soft, Any, Array]:
-        """What ``_move`` returns, for positions of the joints at the boundaries of the substeps, shape (n, num_joints)."""
+        """What ``_move`` returns, for joints at the boundaries of the substeps, shape (n, num_joints)."""
         poses = checked_poses(self, self.poses(path), len(path))
         return self._move(self.actuated(action), physics.soft, poses)
 

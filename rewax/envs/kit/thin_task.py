@@ -23,8 +23,9 @@ GRIPPER = (0.25, 0.28, 0.33)
 
 @struct.dataclass
 class ThinTask(SoftTask):
-    """A ``SoftTask`` on one ``ThinScene``. Subclasses define ``reward``, ``pins`` if vertices are held, and ``poses`` and
-    ``grips`` if bodies grasp.
+    """A ``SoftTask`` on one ``ThinScene``.
+
+    Subclasses define ``reward``, ``pins`` if vertices are held, and ``poses`` and ``grips`` if bodies grasp.
 
     Joints move held vertices, bodies with grasps, and colliders.
 

@@ -47,7 +47,7 @@ class CoverBox(TwoHands):
     softness: Scalar
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
-        """Mean over the spots of 1 / (1 + (max(d - near, 0) / softness)^2), with d the distance to the nearest vertex."""
+        """Mean over the spots of 1 / (1 + (max(d - near, 0) / softness)^2), d the distance to the nearest vertex."""
         square = jnp.sum((self.spots[:, None] - physics.soft.x) ** 2, axis=-1).min(axis=1)
         beyond = jnp.maximum(jnp.sqrt(square + 1e-8) - self.near, 0.0) / self.softness
         reward = jnp.mean(1.0 / (1.0 + beyond**2))

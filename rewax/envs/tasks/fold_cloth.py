@@ -67,8 +67,8 @@ class FoldCloth(TwoHands):
         """(D_0 - D) / D_0 - flatness h / edge - spread |1 - A|.
 
         D is the mean distance between the vertices of one half and their mirror images on the other, D_0 that of the
-        flat towel. h is the mean height of all vertices above the ground. A is the area from above of the surface in the
-        middle between both halves, over half of the towel's area.
+        flat towel. h is the mean height of all vertices above the ground. A is the area from above of the surface in
+        the middle between both halves, over half of the towel's area.
         """
         n = self.cells + 1
         grid = physics.soft.x.reshape(n, n, 3)

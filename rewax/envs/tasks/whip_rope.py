@@ -49,8 +49,8 @@ class WhipRope(ThinTask):
     """The task; ``rewax.make("WhipRope", scale=...)`` builds it.
 
     The joints are the position of the hand [m], which holds the first vertex. An action is a set point between the
-    limits of the joints. The hand moves towards it as a critically damped oscillator. So its velocity has no jumps, which
-    would send waves through the rope. ``joint_qd`` is its velocity [m/s]. ``physics.task`` is an ``Aim``.
+    limits of the joints. The hand moves towards it as a critically damped oscillator. So its velocity has no jumps,
+    which would send waves through the rope. ``joint_qd`` is its velocity [m/s]. ``physics.task`` is an ``Aim``.
 
     Attributes:
       distance, azimuth, elevation: range of the target around the start of the hand [m, rad], shape (2,); azimuth 0
@@ -80,7 +80,7 @@ class WhipRope(ThinTask):
         return self.at_rest(positions), Aim(target=target, nearest=distance, soft_nearest=distance)
 
     def advance(self, physics: SoftPhysics, action: Array) -> tuple[SoftPhysics, Array]:
-        """With the set point p*, the hand moves as p = p* + (e + (v + rate e) t) exp(-rate t), e = p(0) - p*, v = p'(0).
+        """The hand moves as p* + (e + (v + rate e) t) exp(-rate t): p* the set point, e its offset, v its velocity.
 
         Gradient: exact.
         """

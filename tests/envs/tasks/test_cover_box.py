@@ -6,7 +6,6 @@ import pytest
 import soft_tasks
 from soft_tasks import make
 
-
 from rewax.envs.tasks.cover_box import HALF_SIZE, spots_of_box
 
 ENV = make("CoverBox")
