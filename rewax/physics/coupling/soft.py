@@ -50,8 +50,8 @@ class Solver(NamedTuple):
     every: Callable[[Any], int | None] = lambda scene: None
     """``scene -> every``: constants are searched anew after this number of substeps; None: never."""
     search: Callable[[Any, Any, Any], tuple[Any, Any]] = lambda scene, constants, soft: (constants, None)
-    """``(scene, constants, soft) -> constants, watch``: those for the next substeps, and ``watch(end, substeps)`` for the
-    numbers to be remembered of them, see ``scan_rounds``."""
+    """``(scene, constants, soft) -> constants, watch``: those for the next substeps, and ``watch(end, substeps)`` for
+    the numbers to be remembered of them, see ``scan_rounds``."""
     remember: Callable[[Any, Any, Any], Any] = lambda before, after, seen: after
     """``(before, after, seen) -> after``: the state after a step that keeps the largest numbers of all searches."""
 
