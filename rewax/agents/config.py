@@ -118,7 +118,7 @@ class PolicyOptions:
       state_dependent_std: the standard deviation is an output of the network; else it is a parameter.
       log_std_range: clamp of the log standard deviation.
       initial_log_std: initial log standard deviation. If it depends on the state, this is the bias of its output.
-      normalize_observations: running normalisation of vector observations.
+      normalize_observations: running normalisation of vector observations and pictures.
       observation_clip: clamp of normalised observations, with zero gradient beyond; None: no limit. The default acts
         only in a task's first rollout and on outliers.
       stagger_episodes: start environments at random times of their episodes, so that they do not reset together.
