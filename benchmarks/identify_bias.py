@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from identify_worlds import KINDS, RADIUS, Kind, world
 
-from rewax import replace_leaf
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomize import LogUniform
 from rewax.identify import record
@@ -55,9 +54,11 @@ def ratios(
     further: dict[str, Any],
     thinner: float,
 ) -> np.ndarray:
-    """Found / true of each unknown after some steps from the truth, shape (placements, num_unknowns)."""
-    env = without_reset_noise(world(kind, cells, spacing_of_particles(cells)))
-    env = replace_leaf(env, next(iter(PIN)), RADIUS - thinner)
+    """Found / true of each unknown after some steps from the truth, shape (placements, num_unknowns).
+
+    ``further`` are priors of other unknowns, and ``thinner`` is what the fit's pin lacks in radius [m].
+    """
+    env = without_reset_noise(world(kind, cells, spacing_of_particles(cells), thinner=thinner))
     space = space_of(kind.priors | further, env)
     truth = space.latent([*kind.truth(case).values(), *[RADIUS for _ in further]])
     spacing = particle_spacing(np.asarray(env.rest_positions))

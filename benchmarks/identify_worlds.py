@@ -106,8 +106,9 @@ KINDS = {
 
 
 def world(
-    kind: Kind, cells: int, spacing: float, *, shake: float = 0.0, seed: int = 0, softness: float | None = None
-) -> Any:
+    kind: Kind, cells: int, spacing: float, *, shake: float = 0.0, seed: int = 0, softness: float | None = None,
+    thinner: float = 0.0,
+) -> Any:  # fmt: skip
     """A world on a grid of ``cells`` a metre.
 
     Args:
@@ -117,6 +118,7 @@ def world(
       shake: displacement of particles in cells of their lattice; 0: a lattice.
       seed: of the displacement.
       softness: of the pin, see ``Collider`` [1/m].
+      thinner: by how much the radius of the pin is below ``RADIUS`` [m].
     """
     substeps = round(kind.substeps * cells / 24)
     env: Any = rewax.make("RollingFlat", scale="small", num_substeps=substeps)
@@ -126,12 +128,15 @@ def world(
     generator = np.random.Generator(np.random.PCG64(seed))
     rest = rest + shake * generator.uniform(-0.5, 0.5, rest.shape) * np.asarray(kind.size) / np.asarray(counts)
     dx = 1.0 / cells
+    pins = tuple(
+        c.replace(softness=softness, shape=c.shape.replace(radius=RADIUS - thinner)) for c in env.scene.colliders
+    )
     low, reach = np.array([0.0625, FLOOR - 2.0 * dx, 0.125]), np.array([0.9, 0.36, 0.76])
     shape = [int(np.ceil(length * cells)) for length in reach]
     scene = mpm.make_scene(
         grid=mpm.Grid(shape=(shape[0], shape[1], shape[2]), spacing=dx, origin=tuple(low)),
         dt=env.scene.dt, material=kind.material, particle_volume=float(np.prod(kind.size)) / len(rest),
-        gravity=(0.0, -kind.gravity, 0.0), colliders=tuple(c.replace(softness=softness) for c in env.scene.colliders),
+        gravity=(0.0, -kind.gravity, 0.0), colliders=pins,
         walls=box_walls(floor=FLOOR, lower=(0.15, 0.25), upper=(0.85, 0.75)),
     )  # fmt: skip
     x, height = kind.start

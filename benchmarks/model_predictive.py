@@ -1,7 +1,7 @@
 """iLQR of ``examples/ilqr.py`` beside TrajOpt and SAPO: returns and seconds at scale ``small``.
 
     python benchmarks/model_predictive.py --seeds 3
-    python benchmarks/model_predictive.py --report    # the table of docs/mpc.md
+    python benchmarks/model_predictive.py --report  # the table of docs/mpc.md
 
 Rows of iLQR are those of ``docs/suites/mpc/results.csv``; a second call goes on where the first stopped. An episode of
 iLQR is one start, seconds are those of planning and acting, with compiled programs. The other rows are those of the
@@ -43,7 +43,7 @@ def run(task: str, seed: int) -> dict[str, object]:
 
 def report(own: list[dict[str, str]], others: list[dict[str, str]]) -> str:
     """The table of all rows, by task."""
-    lines = ["| task, scale `small` | method | return of an episode | seconds |", "|---|---|---|---|"]
+    lines = ["| task | method | return of an episode | seconds |", "|---|---|---|---|"]
     for task, horizon in HORIZONS.items():
         mine = [row for row in own if row["task"] == task]
         if mine:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, Env, State
+from rewax.short_repr import short_repr
 from rewax.types import Array, Key, PyTree
 
 
@@ -82,15 +83,34 @@ class _Wrapper:
         return self.env.episode_length
 
     @property
+    def control_dt(self) -> Any:
+        """Duration of a control step [s]; an AttributeError if the environment has none."""
+        return self.env.control_dt
+
+    @property
     def unwrapped(self) -> Env:
         """The innermost environment."""
         return getattr(self.env, "unwrapped", self.env)
+
+    def __repr__(self) -> str:
+        return short_repr(self, first=_own_observation(self))
 
     def reset(self, key: Key) -> State:
         return self.env.reset(key)
 
     def step(self, state: State, action: Array) -> State:
         return self.env.step(state, action)
+
+
+def _own_observation(wrapper: _Wrapper) -> list[str]:
+    """The shapes of a wrapper's observation, for its text, if they are not those of its environment."""
+    try:
+        own, inner = (
+            {name: spec.shape for name, spec in env.observation_spec.items()} for env in (wrapper, wrapper.env)
+        )
+    except Exception:  # a batch of environments, a tree without arrays: their text must not raise
+        return []
+    return [] if own == inner else [f"observation={own}"]
 
 
 @struct.dataclass

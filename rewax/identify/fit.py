@@ -24,6 +24,8 @@ from rewax.status import FATAL, describe
 
 _WIDTH = 0.5
 """Of the weights of the surface, in spacings of the particles."""
+_AT_BOUND = 1e-3
+"""Coordinates that are nearer to a bound of the search lie at it."""
 _ALIKE = 1.0
 """Starts whose cost exceeds the lowest by less than this share count for the result. Costs differ by placement, too."""
 
@@ -111,13 +113,14 @@ def identify(
     search, history = lm.joined(searches), np.concatenate(histories)
     total = search.total(space.precision)
     kept = _kept(total, groups)
-    latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit)
+    cut = _cut_off(search.latents[kept & (groups == groups[kept].min())].mean(0), low, high)
+    latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit, cut)
     latent = np.clip(latent, *space.bounds)
     finest = kept & (groups == groups[kept].max())
     found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between)
     remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, low, high)
-    remarks += cut_off(space, latent, covariance)
+    remarks += cut_off(space, latent, covariance) + ([] if spacings is None else _not_extrapolated(space, cut))
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=(low, high),
         undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[-1],
@@ -201,11 +204,25 @@ def _remarks(
     if bits:
         said.append(f"The best simulations have status {describe(bits)}, so their numbers are less reliable.")
     for i, label in enumerate(space.labels):
-        if min(latent[i] - low[i], high[i] - latent[i]) < 1e-3:
+        if _cut_off(latent, low, high)[i]:
             said.append(f"{short(label)} lies at a bound of the search: widen its prior, or doubt the model.")
     if search.active.any():
         said.append(f"{int(search.active.sum())} of {len(search.active)} starts had not converged.")
     return said
+
+
+def _cut_off(latent: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Which coordinates lie at a bound of the search, shape (k,), bool."""
+    return np.minimum(latent - low, high - latent) < _AT_BOUND
+
+
+def _not_extrapolated(space: Space, cut: np.ndarray) -> list[str]:
+    return [
+        f"{short(label)} lies at a bound of the search on the coarsest grid, so it is that of the finest grid, not "
+        "extrapolated: widen its prior, or fit on finer grids."
+        for label, at in zip(space.labels, cut, strict=True)
+        if at
+    ]
 
 
 def cut_off(space: Space, latent: np.ndarray, covariance: np.ndarray) -> list[str]:

@@ -42,7 +42,11 @@ def posterior(hessian: np.ndarray, scores: np.ndarray, between: np.ndarray) -> n
 
 
 def combined(
-    latents: np.ndarray, groups: np.ndarray, spacings: np.ndarray | None = None, limit: float = 0.0
+    latents: np.ndarray,
+    groups: np.ndarray,
+    spacings: np.ndarray | None = None,
+    limit: float = 0.0,
+    cut: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The result of fits with different placements and resolutions, and the covariance of what they differ by.
 
@@ -53,13 +57,16 @@ def combined(
 
     With spacings of the grids, the result is that of the line through the first and the last mean, at ``limit``: the
     error of a simulation is taken as proportional to the spacing. The covariance of the placements is enlarged as the
-    line enlarges it, and half of the step from the finest mean to the limit counts as an error of this assumption.
+    line enlarges it, and half of the step from the finest mean to the limit counts as an error of this assumption. A
+    coordinate that a bound of the search cut off on the coarsest grid has no known slope: its value is that of the
+    finest grid.
 
     Args:
       latents: of the fits, shape (S, k).
       groups: number of the environment of each, rising with its resolution, shape (S,).
       spacings: of the grid of each environment, falling [m]; None: no extrapolation.
       limit: spacing at which the result is wanted [m], below the finest; 0: matter.
+      cut: coordinates without a known slope, shape (k,), bool; None: there are none.
 
     Returns:
       The mean, shape (k,), and the covariance, shape (k, k).
@@ -83,7 +90,7 @@ def combined(
     elif len(names) > 1:
         coarser = means[:-1] - means[-1]
         covariance = covariance + coarser.T @ coarser / len(coarser)
-    return means[-1] + moved, covariance
+    return means[-1] + (moved if cut is None else np.where(cut, 0.0, moved)), covariance
 
 
 def undetermined(space: Space, covariance: np.ndarray) -> list[str]:
