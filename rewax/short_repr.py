@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -19,10 +20,14 @@ _MOST_CHARACTERS = 80
 """Of the text of any other object."""
 
 
-def short_repr(tree: Any) -> str:
-    """``Name(field=value, ...)`` of a dataclass: arrays by type and shape, short ones by value, None left out."""
+def short_repr(tree: Any, *, first: Sequence[str] = ()) -> str:
+    """``Name(field=value, ...)`` of a dataclass: arrays by type and shape, short ones by value, None left out.
+
+    ``first`` are further entries, which precede the fields.
+    """
     values = ((field.name, getattr(tree, field.name, None)) for field in dataclasses.fields(tree))
-    return f"{type(tree).__name__}({', '.join(f'{name}={_text(v)}' for name, v in values if v is not None)})"
+    entries = [*first, *(f"{name}={_text(v)}" for name, v in values if v is not None)]
+    return f"{type(tree).__name__}({', '.join(entries)})"
 
 
 def _text(value: Any) -> str:

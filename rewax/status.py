@@ -40,11 +40,15 @@ class Status(enum.IntFlag):
     tears or crushes a body that cannot give way. Leave room for the body, or slow the tool. A tool that
     is thinner than three cells cannot set it. Not fatal."""
     FULL_PAIRS = 256
-    """More elements of cloth and ropes are close to each other than the scene's ``self_contact.pairs_per_element``:
-    some contacts may have been left out. Give a larger number. Not fatal."""
+    """More elements of cloth and ropes are, or were in a substep, close to each other than the scene's
+    ``self_contact.pairs_per_element``, or more particles to triangles than ``contact.pairs_per_particle`` of a mixed
+    scene: some contacts may have been left out. Give a larger number. Not fatal."""
     CROSSED = 512
-    """Cloth or a rope passes through itself or another one, or a vertex is faster than the scene's
-    ``self_contact.max_speed``, above which it may. Not fatal."""
+    """Cloth or a rope passes through itself or another one, or a vertex is, or was, faster than the scene's
+    ``self_contact.max_speed``, above which it may. In a mixed scene also: a particle meets cloth faster than
+    ``contact.max_speed``. Not fatal."""
+    UNSOLVED = 1024
+    """An implicit step of cloth or ropes left a larger error than the scene's ``stepper.tolerance``. Not fatal."""
 
 
 FATAL = Status.NAN | Status.INVALID_PARAMETERS
@@ -58,6 +62,7 @@ _REMEDIES = {
     Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
     Status.FULL_PAIRS: "a larger self_contact.pairs_per_element",
     Status.CROSSED: "slower motion, or a stiffer or thicker self_contact with a larger max_speed",
+    Status.UNSOLVED: "a smaller dt, or more stepper.newton_iterations and cg_iterations",
     Status.PENETRATION: "a slower tool or more room for the body",
 }
 

@@ -1,4 +1,5 @@
-"""Bad inputs, drawn with a seed: command lines, configurations, edited config.json. Each must cost one clear sentence.
+"""Bad inputs, drawn with a seed: command lines, configurations, edited config.json, scenes, MJCF. Each must cost one
+clear sentence.
 
     python tests/input_fuzzer.py --cases 1500 --seed 1
 
@@ -16,12 +17,14 @@ import random
 import string
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
 import toys
+from scene_fuzzer import bad_models, bad_scenes
 
 from rewax.agents.registry import algorithm, list_algorithms
 from rewax.cli import main as command_line
@@ -215,28 +218,37 @@ def outcome(call: Any) -> str:
 
 
 def findings(cases: int, seed: int) -> list[Finding]:
-    """Try so many inputs, a third of each kind; those that were not refused as they should be."""
+    """Try so many inputs, a fifth of each kind; those that were not refused as they should be."""
     rng, found = random.Random(seed), []
-    lines, configs = command_lines(rng), configurations(rng)
     good = {"env": ENV, "scale": "small", "agent": "sapo", "env_kwargs": {}}
     good["sapo"] = json.loads(json.dumps(dataclasses.asdict(algorithm("sapo").config_type())))
-    texts = edited_configs(rng, good)
+    kinds = (
+        ((f"rewax {' '.join(argv)}", partial(command_line.main, argv)) for argv in command_lines(rng)),
+        ((f"{kind.__name__}({given})", partial(_configure, kind, given)) for kind, given in configurations(rng)),
+        ((text, partial(_load, text)) for text in edited_configs(rng, good)),
+        ((case, partial(_built, build)) for case, build in bad_scenes(rng)),
+        ((case, partial(_built, load)) for case, load in bad_models(rng)),
+    )
     for i in range(cases):
-        if i % 3 == 0:
-            argv = next(lines)
-            case, what = f"rewax {' '.join(argv)}", outcome(lambda argv=argv: command_line.main(argv))
-        elif i % 3 == 1:
-            kind, changes = next(configs)
-            given = {"num_iterations": 1, "run_dir": "a", **changes} if kind is TrainConfig else changes
-            case = f"{kind.__name__}({changes})"
-            what = outcome(lambda kind=kind, given=given: (kind(**given), _accept()))
-        else:
-            case = next(texts)
-            Path("run", "config.json").write_text(case)
-            what = outcome(lambda: load_run("run"))
-        if what:
+        case, call = next(kinds[i % len(kinds)])
+        if what := outcome(call):
             found.append(Finding(case, what))
     return found
+
+
+def _configure(kind: type, given: dict[str, Any]) -> None:
+    kind(**({"num_iterations": 1, "run_dir": "a", **given} if kind is TrainConfig else given))
+    raise Accepted
+
+
+def _load(text: str) -> None:
+    Path("run", "config.json").write_text(text)
+    load_run("run")
+
+
+def _built(build: Callable[[], Any]) -> None:
+    build()
+    raise Accepted
 
 
 @contextlib.contextmanager

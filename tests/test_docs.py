@@ -57,6 +57,18 @@ def test_readme_runs_and_does_what_it_says(tmp_path, monkeypatch):
     assert (tmp_path / "runs" / "mine" / "episode.png").is_file()
 
 
+def test_start_page_trains_compares_and_resumes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    long, names = "num_iterations=200, seed=seed", {}
+    source = code("docs/start.md").replace("num_episodes=64", "num_episodes=2")
+    assert source.count(long) == 1
+    short = "num_iterations=2, seed=seed, plots=False, baselines=False, eval_every=0, num_eval_episodes=1"
+    exec(compile(source.replace(long, short), "docs/start.md", "exec"), names)
+    assert sorted(names["returns"]) == ["nothing", "random", "trained", "untrained"]
+    assert len(set(names["returns"].values())) == 4 and np.isfinite(list(names["returns"].values())).all()
+    assert int(names["run"].train_state.iteration) == 2 and names["result"].failure == ""
+
+
 def test_rolling_flat_page_runs_and_does_what_it_says():
     env = run_page("docs/rolling_flat.md")["env"]
     assert env.scene.max_active_nodes is None and env.scene.grid.shape == (49, 49, 49)

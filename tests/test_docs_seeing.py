@@ -4,6 +4,8 @@ import jax
 import numpy as np
 from doc_pages import ROOT, run_benchmark, run_page
 
+import rewax
+
 
 def test_the_page_of_policies_that_see_runs_and_shows_its_rows():
     names = run_page("docs/policies_that_see.md")
@@ -15,6 +17,10 @@ def test_the_page_of_policies_that_see_runs_and_shows_its_rows():
     assert (late.observation, late.action, late.of) == ((0, 2), (0, 1), ("depth",))
     assert names["robust"].config.observe == ("depth", "joint_q", "joint_qd")
     assert set(names["robust"].config.critic_observe) == set(env.env.observation_spec)
+    moving = rewax.make("MovingCamera", scale="small")
+    poses = [np.asarray(jax.jit(moving.reset)(jax.random.key(i)).drawn[".sensors['depth'].position"]) for i in range(2)]
+    assert 0.0 < np.abs(poses[0] - poses[1]).max() <= 0.1
+    assert 0.05 < names["picture"].min() < 0.4
     benchmark = run_benchmark("seeing")
     rows, text = (
         benchmark["read"](ROOT / "docs/suites/seeing/results.csv"),

@@ -20,6 +20,10 @@ from benchmarks.validation import (
     identification,
     incline,
     sand_column,
+    thin_bending,
+    thin_catenary,
+    thin_contact,
+    thin_motion,
     wave_speed,
     yielding_bar,
 )
@@ -38,6 +42,10 @@ CASES: dict[str, ModuleType] = {
     "dam_break": dam_break,
     "sand_column": sand_column,
     "identification": identification,
+    "thin_catenary": thin_catenary,
+    "thin_bending": thin_bending,
+    "thin_motion": thin_motion,
+    "thin_contact": thin_contact,
 }
 
 __all__ = ["CASES", "Check"]

@@ -16,6 +16,7 @@ from rewax.envs.base import Env
 
 try:
     from gymnasium import spaces
+    from stable_baselines3.common.monitor import Monitor  # pyright: ignore[reportMissingImports]
     from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
 except ImportError as error:
     raise missing("stable_baselines3", "stable-baselines3") from error
@@ -71,7 +72,8 @@ class StableBaselinesVecEnv(VecEnv):
         return [getattr(self.env, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False for _ in self._get_indices(indices)]
+        """False, except for ``Monitor``, because ``infos`` has the returns and lengths that it adds."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
 
 __all__ = ["StableBaselinesVecEnv"]

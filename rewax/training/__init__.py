@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from rewax.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from rewax.training.config import TrainConfig
+    from rewax.training.config import ReportConfig, TrainConfig
     from rewax.training.evaluation.episodes import constant_policy, evaluate_actions, make_evaluate, uniform_policy
     from rewax.training.evaluation.recording import record
     from rewax.training.loop.compare import train_and_compare
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rewax.training.suites.suite import Suite, read_suite
 
 _HOMES = {
-    "TrainConfig": "rewax.training.config",
+    **dict.fromkeys(("ReportConfig", "TrainConfig"), "rewax.training.config"),
     "train": "rewax.training.loop.train",
     "train_and_compare": "rewax.training.loop.compare",
     "compile_train_step": "rewax.training.loop.compilation",
@@ -34,6 +34,7 @@ _HOMES = {
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 __all__ = [
-    "Suite", "TrainConfig", "compile_train_step", "constant_policy", "enable_compilation_cache", "evaluate_actions",
-    "load_run", "make_evaluate", "read_csv", "read_suite", "record", "train", "train_and_compare", "uniform_policy",
+    "ReportConfig", "Suite", "TrainConfig", "compile_train_step", "constant_policy", "enable_compilation_cache",
+    "evaluate_actions", "load_run", "make_evaluate", "read_csv", "read_suite", "record", "train", "train_and_compare",
+    "uniform_policy",
 ]  # fmt: skip

@@ -50,6 +50,9 @@ class ReportConfig:
 class TrainConfig(ReportConfig):
     """A run: its length, seed, directory and reports.
 
+    ``rewax.training.ReportConfig`` explains the options of its reports: ``eval_every``, ``num_eval_episodes``,
+    ``checkpoint_every``, ``plots``, ``video`` and others.
+
     Attributes:
       num_iterations: total number of iterations, including those before a resume.
       num_steps: total number of control steps of all environments: the run ends with the iteration that reaches it.

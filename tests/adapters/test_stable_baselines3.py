@@ -8,6 +8,8 @@ import toys
 
 stable_baselines3 = pytest.importorskip("stable_baselines3", reason="pip install 'rewax[stable-baselines3]'")
 
+from stable_baselines3.common import evaluation  # noqa: E402
+
 import rewax  # noqa: E402
 from benchmarks import stable_baselines as comparison  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv  # noqa: E402
@@ -96,6 +98,14 @@ def test_its_ppo_runs_on_a_batch_and_logs_returns(flat):
     learner.learn(total_timesteps=128)
     assert learner.num_timesteps == 128 and len(learner.ep_info_buffer) == 4 * (128 // 4 // 5)
     assert np.isfinite([episode["r"] for episode in learner.ep_info_buffer]).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_its_evaluation_takes_the_returns_of_the_infos():
+    envs = StableBaselinesVecEnv(toys.point_mass(), 2, flat=True)
+    learner = stable_baselines3.PPO("MlpPolicy", envs, n_steps=8, batch_size=16, seed=0, device="cpu")
+    returns, lengths = evaluation.evaluate_policy(learner, envs, n_eval_episodes=4, return_episode_rewards=True)
+    assert lengths == [5] * 4 and len(set(returns)) == 4 and np.isfinite(returns).all()
 
 
 def test_a_seed_gives_the_same_episodes():

@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toys
 
 import rewax
+from rewax.envs.randomized import Randomized
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import AutoReset
 from rewax.sensors import Camera, DepthNoise
@@ -62,6 +64,20 @@ def test_the_specification_has_what_sensors_see(bare, sensing):
     spec = sensing.observation_spec
     assert spec["depth"].shape == (24, 32, 1) and {**spec, **bare.observation_spec} == spec
     assert sensing.action_spec == bare.action_spec and sensing.episode_length == bare.episode_length
+
+
+def test_the_text_of_a_wrapped_task_names_what_it_observes(bare, sensing):
+    drawn = Randomized(env=sensing, randomize=lambda key, env: env)
+    assert repr(drawn).startswith("Randomized(env=Sensing(observation={'")
+    assert (
+        "'depth': (24, 32, 1)" in repr(drawn) and repr(drawn).count("observation=") == 2
+    )  # the camera's and the task's
+    assert repr(AutoReset(env=bare)) == f"AutoReset(env={bare!r})"  # it observes the same
+
+
+def test_a_wrapped_task_has_the_control_step_of_the_task(bare, sensing):
+    assert AutoReset(env=Randomized(env=sensing, randomize=lambda key, env: env)).control_dt == bare.control_dt
+    assert not hasattr(AutoReset(env=toys.point_mass()), "control_dt")
 
 
 def test_a_cameras_place_is_a_parameter_of_the_environment(sensing):

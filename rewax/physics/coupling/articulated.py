@@ -22,7 +22,7 @@ from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.motion import Motion
 from rewax.physics.contact.patches import accumulated, check_patches, felt, no_touch
 from rewax.physics.coupling.exchange import SoftContact, Wrench, no_wrench
-from rewax.physics.coupling.soft import Scene, Soft, solver_of
+from rewax.physics.coupling.soft import Scene, Soft, prescribed_of, scan_soft, solver_of, touched_bodies
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.physics.rigid import RigidModel, RigidState
@@ -32,6 +32,7 @@ from rewax.physics.rigid.solver import implicit_correction, solve_spd
 from rewax.physics.rigid.stepping import checked_inputs, rates
 from rewax.physics.rigid.touch import felt_contacts
 from rewax.physics.rigid.tree_dynamics import mass_matrix
+from rewax.physics.thin.stepping import Prescribed
 from rewax.types import Array
 
 
@@ -54,19 +55,22 @@ def step(
     *,
     num_substeps: int = 1,
     wrenches: Array | None = None,
+    pins: Array | None = None,
+    grips: Array | None = None,
 ) -> tuple[Soft, RigidState, Wrench]:
     """Advance a soft body and a robot together by ``num_substeps`` rigid substeps of ``model.dt``.
 
     Args:
-      scene: particles or tetrahedra. Its colliders belong to bodies of the model (``rigid.colliders``); body 0 is the
-        world. ``scene.dt`` divides ``model.dt``. Gravity, walls and ground of the scene act on the soft body, the
-        model's gravity on the robot.
+      scene: particles, tetrahedra, or cloth and ropes. Its colliders and grasps belong to bodies of the model
+        (``rigid.colliders``); body 0 is the world. ``scene.dt`` divides ``model.dt``. Gravity, walls and ground of the
+        scene act on the soft body, the model's gravity on the robot.
       model: the robot.
-      state: particles or vertices.
+      state: state of the soft body.
       bodies: the robot's state.
       ctrl: controls, constant in the step, shape (num_actuators,); None: zero.
       num_substeps: number of rigid substeps, at least 1 (static).
       wrenches: further forces and torques on the bodies, as for ``rigid.step``.
+      pins, grips: as for ``thin.step``, with one entry for each of the soft body's substeps.
 
     Returns:
       The soft body, the robot, and the mean force and torque of the soft body on every body, about the origin of the
@@ -79,7 +83,7 @@ def step(
     Raises:
       ValueError: ``scene.dt`` does not divide ``model.dt``, or a shape does not fit.
     """
-    return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, None)[:3]
+    return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, None, (pins, grips))[:3]
 
 
 def step_with_touch(
@@ -92,11 +96,13 @@ def step_with_touch(
     patches: Any,
     num_substeps: int = 1,
     wrenches: Array | None = None,
+    pins: Array | None = None,
+    grips: Array | None = None,
 ) -> tuple[Soft, RigidState, Wrench, Any]:
     """``step``, and the mean force and torque on patches of bodies: of the soft body, and of contacts of the robot.
 
     Args:
-      scene, model, state, bodies, ctrl, num_substeps, wrenches: as for ``step``.
+      scene, model, state, bodies, ctrl, num_substeps, wrenches, pins, grips: as for ``step``.
       patches: ``contact.Patches``, or a dict of them; ``contact.WALLS`` are walls and ground of the scene.
 
     Returns:
@@ -106,7 +112,7 @@ def step_with_touch(
     Gradient: exact, as for ``step``. None by which patch a contact point is nearest to.
     """
     check_patches(patches, model.num_bodies)
-    return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, patches)
+    return _advanced(scene, model, state, bodies, ctrl, num_substeps, wrenches, patches, (pins, grips))
 
 
 def _advanced(
@@ -118,14 +124,17 @@ def _advanced(
     num_substeps: int,
     wrenches: Array | None,
     patches: Any,
+    given: tuple[Array | None, Array | None],
 ) -> tuple[Soft, RigidState, Wrench, Any]:
     dtype = state.x.dtype
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, dtype)
     each, solver = soft_substeps(scene, model), solver_of(scene)
     check_bodies(scene.colliders, model.num_bodies)
     constants = solver.constants(scene, state)
+    prescribed = prescribed_of(scene, state, *given, num_substeps * each, model.num_bodies)
+    prescribed = jax.tree.map(lambda a: a.reshape(num_substeps, each, *a.shape[1:]), prescribed)
 
-    def rigid_substep(carry: tuple[_Carry, Array, Array], _: None) -> tuple[tuple[_Carry, Array, Array], None]:
+    def rigid_substep(carry: tuple[_Carry, Array, Array], now: Prescribed) -> tuple[tuple[_Carry, Array, Array], Any]:
         inner, act, qacc = carry
         robot = RigidState(qpos=inner.qpos, qvel=inner.qvel, act=act, qacc=qacc)
         rate, after = rates(model, robot, ctrl, wrenches)
@@ -133,18 +142,19 @@ def _advanced(
             contacts = felt_contacts(model, robot, after.qacc, ctrl, wrenches, patches)
             inner = inner._replace(felt=accumulated(inner.felt, contacts, model.dt))
 
-        def substep(inner: _Carry, _: None) -> tuple[_Carry, None]:
-            return _substep(scene, model, constants, rate, inner, patches), None
+        def substep(inner: _Carry, interval: tuple[Array, Prescribed], constants: Any) -> _Carry:
+            return _substep(scene, model, constants, rate, inner, patches, interval[1])
 
-        inner = jax.lax.scan(substep, inner, None, length=each)[0]
-        return (inner, after.act, after.qacc), None
+        inner, seen = scan_soft(scene, constants, substep, inner, (jnp.arange(each), now), None)
+        return (inner, after.act, after.qacc), seen
 
     untouched = None if patches is None else no_touch(patches, state.x)
     start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, state.x), untouched)
     carry = (start, bodies.act, bodies.qacc)
-    (end, act, qacc), _ = jax.lax.scan(rigid_substep, carry, None, length=num_substeps)
+    (end, act, qacc), seen = jax.lax.scan(rigid_substep, carry, prescribed, length=num_substeps)
     mean, felt = jax.tree.map(lambda a: a / (num_substeps * each * scene.dt), (end.received, end.felt))
-    return solver.join(end.soft), RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean, felt
+    soft = solver.remember(state, solver.join(end.soft), jax.tree.map(jnp.max, seen))
+    return soft, RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean, felt
 
 
 def soft_substeps(scene: Scene, model: RigidModel) -> int:
@@ -163,11 +173,11 @@ def soft_substeps(scene: Scene, model: RigidModel) -> int:
 
 
 def _exchanging_substep(
-    scene: Scene, model: RigidModel, constants: Any, rate: Array, carry: _Carry, patches: Any
+    scene: Scene, model: RigidModel, constants: Any, rate: Array, carry: _Carry, patches: Any, prescribed: Prescribed
 ) -> _Carry:
     """One soft substep; ``rate`` is the joints' acceleration by the robot's own forces."""
     soft, qpos, before, received, touch = carry
-    contact, dt = solver_of(scene).begin(scene, constants, soft), scene.dt
+    contact, dt = solver_of(scene).begin(scene, constants, soft, prescribed), scene.dt
 
     with jax.default_matmul_precision("highest"):
         kin = kinematics(model, qpos)
@@ -203,7 +213,7 @@ def _predicted_change(scene: Scene, model: RigidModel, contact: SoftContact, kin
     """Predicted change of joint velocities by contact, shape (num_dofs,); see ``exchange.System``."""
     matrix, right = inertia, jnp.zeros_like(inertia[0])
     moves = model.static.topology.moves
-    for body in sorted({collider.body for collider in scene.colliders}):
+    for body in touched_bodies(scene):
         if not np.any(moves[body]):
             continue
         system = contact.system(body, kin.tree_com[body])

@@ -16,12 +16,13 @@ from rewax.physics.contact.motion import Motion, chord_motion
 from rewax.physics.coupling import free_body
 from rewax.physics.coupling.exchange import WRENCH, SoftContact, System, Wrench, no_wrench
 from rewax.physics.coupling.free_body import INERTIA, FreeBodies, Inertia, inertia_numbers, solve3
-from rewax.physics.coupling.soft import SCENE, STATE, Scene, Soft, solver_of
+from rewax.physics.coupling.soft import SCENE, STATE, Scene, Soft, prescribed_of, scan_soft, solver_of
 from rewax.physics.numerics.checks import check_numbers
 from rewax.physics.numerics.fields import checked, instance, optional
 from rewax.physics.numerics.fields import poses as poses_of
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.numerics.substeps import both_ends, scan_substeps
+from rewax.physics.numerics.substeps import both_ends
+from rewax.physics.thin.stepping import Interval
 from rewax.types import Array
 
 
@@ -48,19 +49,22 @@ def step(
     poses: Pose,
     *,
     wrench: Wrench | None = None,
+    pins: Array | None = None,
+    grips: Array | None = None,
     store_every: int | None = 1,
 ) -> tuple[Soft, FreeBodies, Wrench]:
     """Advance a soft body and free rigid bodies together by the substeps between ``poses``.
 
     Args:
-      scene: particles or tetrahedra. ``Collider.body`` counts the free bodies from 0, then the bodies with prescribed
-        motion. Gravity acts on the free bodies too; walls and ground do not.
+      scene: particles, tetrahedra, or cloth and ropes. ``Collider.body`` and ``Grasp.body`` count the free bodies from
+        0, then the bodies with prescribed motion. Gravity acts on the free bodies too; walls and ground do not.
       inertia: mass properties of the free bodies.
-      state: particles or vertices.
+      state: state of the soft body.
       bodies: free bodies.
       poses: poses of the bodies with prescribed motion, shapes (num_substeps + 1, num_prescribed, ...). If there are no
         such bodies, give ``mpm.static_poses(num_substeps)``.
       wrench: additional forces and torques on the free bodies, constant during the step; None: none.
+      pins, grips: as for ``thin.step``.
       store_every: as for ``mpm.step``.
 
     Returns:
@@ -75,37 +79,61 @@ def step(
     num_bodies = num_free + poses.position.shape[1]
     _check(scene, inertia, num_free, num_bodies)
     solver = solver_of(scene)
-    constants = solver.constants(scene, state)
+    prescribed = prescribed_of(scene, state, pins, grips, num_substeps, num_bodies)
     wrench = no_wrench(num_free, state.x) if wrench is None else wrench
     one = _substep if store_every is None else _recomputed_substep
 
-    def body(carry: _Carry, interval: tuple[Pose, Pose]) -> _Carry:
+    def body(carry: _Carry, interval: Interval, constants: Any) -> _Carry:
         return one(scene, inertia, wrench, constants, carry, interval)
 
     start = _Carry(solver.split(state), bodies, no_wrench(num_bodies, state.x))
-    end = scan_substeps(body, start, both_ends(poses), store_every)
+    intervals = Interval(both_ends(poses), prescribed)
+    end, seen = scan_soft(scene, solver.constants(scene, state), body, start, intervals, store_every)
     mean = jax.tree.map(lambda a: a / (num_substeps * scene.dt), end.received)
-    return solver.join(end.soft), end.bodies, mean
+    return solver.remember(state, solver.join(end.soft), seen), end.bodies, mean
 
 
-def _substep(
-    scene: Scene, inertia: Inertia, wrench: Wrench, constants: Any, carry: _Carry, interval: tuple[Pose, Pose]
-) -> _Carry:
-    soft, bodies, received = carry
-    contact, dt = solver_of(scene).begin(scene, constants, soft), scene.dt
+def step_prescribed(
+    scene: Scene,
+    state: Soft,
+    poses: Pose,
+    *,
+    pins: Array | None = None,
+    grips: Array | None = None,
+    store_every: int | None = 1,
+) -> Soft:
+    """``step`` without free bodies: the step of a mixed scene whose bodies all move as prescribed.
+
+    Args:
+      scene, state, poses, pins, grips, store_every: as for ``step``.
+
+    Returns:
+      The soft body.
+
+    Gradient: exact, as for ``step``.
+    """
+    zeros = jnp.zeros_like(state.x, shape=(0, 3))
+    none = Inertia(mass=zeros[:, 0], moment=jnp.zeros_like(zeros, shape=(0, 3, 3)))
+    bodies = free_body.bodies_at_rest(zeros)
+    return step(scene, none, state, bodies, poses, pins=pins, grips=grips, store_every=store_every)[0]
+
+
+def _substep(scene: Scene, inertia: Inertia, wrench: Wrench, constants: Any, carry: _Carry, given: Interval) -> _Carry:
+    (soft, bodies, received), (interval, prescribed) = carry, given
+    contact, dt = solver_of(scene).begin(scene, constants, soft, prescribed), scene.dt
     forced = Wrench(dt * (wrench.force + inertia.mass[:, None] * scene.gravity), dt * wrench.torque)
     pushed = free_body.push(bodies, inertia, *forced)
 
     num_free = bodies.position.shape[0]
     starts = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), free_body.poses(pushed), interval[0])
-    prescribed = _prescribed(interval, dt)
-    contact = contact.meet(starts, [*_motions(pushed), *prescribed], lambda: [*_motions(bodies), *prescribed])
+    driven = _prescribed(interval, dt)
+    contact = contact.meet(starts, [*_motions(pushed), *driven], lambda: [*_motions(bodies), *driven])
     predicted = _motions(_predict(contact, pushed, inertia))
-    contact, given = contact.exchange([*predicted, *[None] * len(prescribed)], starts.position)
+    contact, gained = contact.exchange([*predicted, *[None] * len(driven)], starts.position)
 
-    pushed = free_body.push(pushed, inertia, *(a[:num_free] for a in given))
+    pushed = free_body.push(pushed, inertia, *(a[:num_free] for a in gained))
     bodies = free_body.move(pushed, inertia, dt)
-    return _Carry(contact.finish(), bodies, Wrench(received.force + given.impulse, received.torque + given.moment))
+    return _Carry(contact.finish(), bodies, Wrench(received.force + gained.impulse, received.torque + gained.moment))
 
 
 _recomputed_substep = recomputed(_substep)

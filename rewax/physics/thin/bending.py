@@ -26,11 +26,21 @@ def bending_forces(scene: "ThinScene", x: Vec3, v: Vec3) -> Vec3:
     if scene.bending_law is BendingLaw.HINGES:
         each = elements.hinge_force(cloth.bending, damping, *now, rest.angle, rest.hinge_weight)
         return scatter(hinges, each)
-    assert rest.plate is not None
     turned = elements.hinge_turn(damping, *now, rest.angle)
+    return scatter(hinges, elements.hinge_pull(now[0], hinge_moments(scene, turned)))
+
+
+def hinge_moments(scene: "ThinScene", turned: Array) -> Array:
+    """Derivative of the energy of bending with respect to the angles of hinges [N m], linear in the angles minus those
+    at rest [rad], shape (num_hinges,). Gradient: exact."""
+    rest, cloth = scene.rest, scene.cloth
+    assert cloth is not None
+    if scene.bending_law is BendingLaw.HINGES:
+        return cloth.bending * rest.hinge_weight * turned
+    assert rest.plate is not None
     around = patch(scene.topology)
     moments = plate_moment(cloth.bending, cloth.bending_ratio, rest.plate, gather(around, turned))
-    return scatter(hinges, elements.hinge_pull(now[0], sum_corners(around, moments)))
+    return sum_corners(around, moments)
 
 
 def bending_energy(scene: "ThinScene", x: Vec3) -> Array:
@@ -61,4 +71,4 @@ def bending_stiffness(scene: "ThinScene") -> Array:
     return plate_stiffness(cloth.bending, cloth.bending_ratio, rest.plate, scene.topology, heights)
 
 
-__all__ = ["bending_energy", "bending_forces", "bending_stiffness"]
+__all__ = ["bending_energy", "bending_forces", "bending_stiffness", "hinge_moments"]

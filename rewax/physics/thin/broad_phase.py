@@ -66,8 +66,8 @@ def overlapping(first: Boxes, second: Boxes | None, orders: tuple, levels: int, 
       capacity: length of the list of pairs.
     """
     same = second is None
-    a = _levels(first, orders[0], levels)
-    b = a if second is None else _levels(second, orders[1], levels)
+    a = box_levels(first, orders[0], levels)
+    b = a if second is None else box_levels(second, orders[1], levels)
     i, j = (k.reshape(-1) for k in np.indices((a[-1].lower.shape[1], b[-1].lower.shape[1])))
     if same:
         i, j = i[i <= j], j[i <= j]
@@ -136,7 +136,7 @@ def first_true(mask: Array, size: int) -> tuple[Array, Array, Array]:
     return jnp.where(valid, where, 0), valid, total[-1]
 
 
-def _levels(boxes: Boxes, order: np.ndarray, levels: int) -> list[Boxes]:
+def box_levels(boxes: Boxes, order: np.ndarray, levels: int) -> list[Boxes]:
     """Boxes of all levels, the elements first; places without an element have an empty box."""
     there = order >= 0
     lower = jnp.where(there, boxes.lower[:, np.maximum(order, 0)], jnp.inf)
@@ -154,4 +154,4 @@ def _overlap(a: Boxes, b: Boxes, i: Array, j: Array) -> Array:
     return pairs[0] & pairs[1] & pairs[2]
 
 
-__all__ = ["Boxes", "Found", "boxes_of", "find_pairs", "first_true", "gather_corners", "overlapping"]
+__all__ = ["Boxes", "Found", "box_levels", "boxes_of", "find_pairs", "first_true", "gather_corners", "overlapping"]

@@ -108,7 +108,7 @@ def square_area_ratio(strain: Strain) -> Array:
 
 def membrane_force(cloth: Cloth, law: MembraneLaw, x: Corners, v: Corners, inverse: Inverse, area: Array) -> Corners:
     """Forces of the membrane on the corners of triangles [N]. Gradient: exact."""
-    shared, own = separated(cloth.replace(bending=None, bending_ratio=None))
+    shared, own = separated(cloth.replace(bending=None, bending_ratio=None, yield_curvature=None))
     return _membrane(law)(shared, (own, x, v, inverse, area))
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin import elements
 from rewax.physics.thin.bending import bending_energy
+from rewax.physics.thin.creases import creased
 from rewax.physics.thin.scene import ThinScene, ThinState
 from rewax.physics.thin.stencils import corners
 from rewax.physics.thin.stepping import inverse_edges
@@ -13,7 +14,9 @@ from rewax.types import Array
 
 def elastic_energy(scene: ThinScene, state: ThinState) -> Array:
     """Elastic energy [J], shape (); zero at rest. Gradient: exact."""
-    topology, rest, x = scene.topology, scene.rest, cp.split_vector(state.x)
+    x = cp.split_vector(state.x)
+    scene = creased(scene, x, state.crease)
+    topology, rest = scene.topology, scene.rest
     energy = jnp.zeros((), state.x.dtype)
     if scene.cloth is not None:
         strain = elements.green_strain(corners(topology.triangles, x), inverse_edges(scene))

@@ -41,6 +41,8 @@ class Cloth(struct.Replaceable):
       bending_ratio: Poisson's ratio of bending [-], in (-1, 1): moment along one axis per curvature along the other.
       density: mass per area [kg/m^2].
       damping: Kelvin-Voigt time [s]: stress of strain rates is damping times the stiffness. Hinges take the largest.
+      yield_curvature: curvature beyond which bending leaves a crease [1/m], also as an array (num_hinges,); None: it
+        never does. A hinge yields at this curvature times its width, see ``creases.yield_angle``.
     """
 
     warp: Scalar = struct.number(POSITIVE, "give a stiffness in N/m, Young's modulus times thickness")
@@ -51,6 +53,9 @@ class Cloth(struct.Replaceable):
     bending_ratio: Scalar = struct.number(Legal(-1.0, 1.0), "take 0.3, 0 for none", default=0.0)
     density: Scalar = struct.number(POSITIVE, "give a mass per area in kg/m^2")
     damping: Scalar = struct.number(NOT_NEGATIVE, "give a time in s, 0 for none", default=0.0)
+    yield_curvature: Scalar | None = struct.number(
+        POSITIVE, "give a curvature in 1/m, or None for cloth that stays elastic", default=None
+    )
 
 
 @struct.dataclass

@@ -8,7 +8,9 @@ depth c = h - D, the onset o = h/4, and v_n and v_t the normal and tangential re
 
 where r(c) = c^2 / (2 o) up to c = o and c - o/2 beyond. The force of one element acts on its corners with the weights
 of the closest point, the opposite force on the other's. So forces sum to zero, and without friction torques do too. The
-two friction forces of a pair act at its two closest points: their torque is the distance times the friction.
+two friction forces of a pair act at its two closest points: their torque is the distance times the friction. To act at
+one point between the layers, they would have to bend the layers, which the corners of a pair cannot express: a vertex
+and a segment have no normal of their own.
 
 D of two segments is sqrt(|difference|^2 + (h/5)^2 ((2 s - 1)^2 + (2 t - 1)^2)) at its minimum over points s and t. The
 difference is not the true distance except in the middle of both segments, but it makes the force continuous where
@@ -94,7 +96,7 @@ def vertex_triangle_force(law: SelfContact, pairs: tuple[Any, Any, Array]) -> tu
     x, v, thickness = pairs
     weights = closest.vertex_triangle(x)
     between = closest.weighted(weights, x)
-    return _shared_out(law, weights, between, cp.dot(between, between), v, thickness)
+    return shared_out(law, weights, between, cp.dot(between, between), v, thickness)
 
 
 @pointwise
@@ -105,7 +107,7 @@ def segments_force(law: SelfContact, pairs: tuple[Any, Any, Array]) -> tuple[Vec
     weights = closest.segments(x, smoothing)
     between = closest.weighted(weights, x)
     square = smoothed_square(weights, between, smoothing)
-    return _shared_out(law, weights, between, square, v, thickness)
+    return shared_out(law, weights, between, square, v, thickness)
 
 
 def smoothed_square(weights: closest.Weights, between: Vec3, smoothing: Array) -> Array:
@@ -122,7 +124,7 @@ def pair_energy(law: SelfContact, square: Array, thickness: Array) -> Array:
     return law.stiffness * (before**3 / (6.0 * onset) + 0.5 * onset * beyond + 0.5 * beyond**2)
 
 
-def _shared_out(
+def shared_out(
     law: SelfContact, weights: closest.Weights, between: Vec3, square: Array, v: tuple[Vec3, ...], thickness: Array
 ) -> tuple[Vec3, ...]:
     """The force of each pair on its four corners."""

@@ -15,11 +15,12 @@ from rewax.physics.numerics.checks import FINITE, GRAVITY, NOT_NEGATIVE, POSITIV
 from rewax.physics.numerics.fields import check_fields, checked, instance, member, optional, real, static
 from rewax.physics.thin.contact_elements import ContactElements
 from rewax.physics.thin.grasps import GRASPS, Grasp, Hold, check_grasps
+from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.pair_law import SelfContact
 from rewax.physics.thin.rest import RestShape, rest_shape, vertex_mass
 from rewax.physics.thin.safe_speed import check_max_speed, check_self_contact
-from rewax.physics.thin.scene_checks import check_lengths, check_materials, scene_numbers
+from rewax.physics.thin.scene_checks import check_lengths, check_materials, check_stepper, scene_numbers
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, Topology
 from rewax.physics.thin.thinmesh import ThinMesh, bends, check_thinmesh, hinges
@@ -38,6 +39,7 @@ _SCENE = {
     "law": _LAW,
     "bending_law": _BENDING,
     "warp": real(FINITE, "give a direction", shape=(3,)),
+    "stepper": optional(instance(Implicit, "give a thin.Implicit(), or None for explicit steps")),
     "grasps": GRASPS,
 }
 
@@ -49,11 +51,22 @@ class ThinState(struct.Replaceable):
     Attributes:
       x: position [m], shape (num_vertices, 3).
       v: velocity [m/s], shape (num_vertices, 3).
+      error: largest error of velocities that the implicit substeps of the last ``step`` left [m/s], shape ().
+        Gradient: none.
+      crease: plastic part of the rest angle of hinges [rad], shape (num_hinges,), see ``no_creases``; None for cloth
+        that does not yield.
+      filled: largest number of close pairs over the length of their list [-], of all steps with self-contact since
+        ``initial_state``, shape (); above 1, pairs were missed. Gradient: none.
+      speed: largest speed of a vertex relative to the mean velocity [m/s], likewise.
       holds: where each grasp of the scene holds its vertices, see ``open_grasps``; () without grasps.
     """
 
     x: Array
     v: Array
+    error: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
+    crease: Array | None = None
+    filled: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
+    speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     holds: tuple[Hold, ...] = ()
 
 
@@ -77,6 +90,7 @@ class ThinScene(struct.Replaceable):
       bending_law: the law of bending of cloth (static).
       self_contact: law of contact with itself, or None.
       contact_elements: what touches in self-contact (static).
+      stepper: settings of implicit steps (static); None: explicit ones.
       grasps: grippers that hold vertices.
     """
 
@@ -96,6 +110,7 @@ class ThinScene(struct.Replaceable):
     bending_law: BendingLaw = struct.static_field(default=BendingLaw.PLATE)
     self_contact: SelfContact | None = None
     contact_elements: ContactElements | None = struct.static_field(default=None)
+    stepper: Implicit | None = struct.static_field(default=None)
     grasps: tuple[Grasp, ...] = ()
 
     def __post_init__(self) -> None:
@@ -112,7 +127,14 @@ def initial_state(x: Any) -> ThinState:
     """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones."""
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    return ThinState(x=x, v=jnp.zeros_like(x))
+    nothing = jnp.zeros((), x.dtype)
+    return ThinState(x=x, v=jnp.zeros_like(x), error=nothing, filled=nothing, speed=nothing)
+
+
+@checked(scene=SCENE, state=STATE)
+def no_creases(scene: ThinScene, state: ThinState) -> ThinState:
+    """The state without creases. Scenes of cloth with a ``yield_curvature`` begin with it."""
+    return state.replace(crease=jnp.zeros(len(scene.topology.hinges), state.x.dtype))
 
 
 def make_scene(
@@ -131,6 +153,7 @@ def make_scene(
     bending_law: BendingLaw = BendingLaw.PLATE,
     warp: Any = (1.0, 0.0, 0.0),
     self_contact: SelfContact | None = None,
+    stepper: Implicit | None = None,
     grasps: tuple[Grasp, ...] = (),
 ) -> ThinScene:
     """A checked ``ThinScene`` of a mesh.
@@ -165,6 +188,7 @@ def make_scene(
     check_grasps(grasps, count)
     check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)
+    check_stepper(stepper, contact, grasps)
     with jax.ensure_compile_time_eval():
         rest = rest_shape(topology, mesh.vertices, pattern=mesh.pattern, warp=warp)
     scene = ThinScene(
@@ -184,6 +208,7 @@ def make_scene(
         bending_law=bending_law,
         self_contact=self_contact,
         contact_elements=check_self_contact(topology, mesh, self_contact),
+        stepper=stepper,
         grasps=tuple(grasps),
     )
     check_dt(dt, largest_stable_dt(scene))
@@ -191,4 +216,4 @@ def make_scene(
     return scene
 
 
-__all__ = ["ThinScene", "ThinState", "initial_state", "make_scene"]
+__all__ = ["ThinScene", "ThinState", "initial_state", "make_scene", "no_creases"]

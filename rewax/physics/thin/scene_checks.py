@@ -11,8 +11,10 @@ from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.contact.vertex_checks import check_length, contact_numbers, gravity_number
 from rewax.physics.numerics.checks import NOT_NEGATIVE, Number, numbers_of
 from rewax.physics.numerics.pose import Pose
+from rewax.physics.thin.implicit import Implicit
 from rewax.physics.thin.materials import BendingLaw, Cloth, MembraneLaw, Rope
 from rewax.physics.thin.stencils import Topology
+from rewax.types import Array
 
 
 def scene_numbers(
@@ -42,7 +44,10 @@ def check_lengths(
     for part, name, count in ((cloth, "cloth.", topology.triangles), (rope, "rope.", topology.segments)):
         for number in [] if part is None else numbers_of(part, name):
             at = topology.bends if part is rope else topology.hinges if law is BendingLaw.HINGES else count
-            check_length(number, len(at if number.name.endswith("bending") else count))
+            if number.name == "cloth.yield_curvature":
+                at = topology.hinges
+            own = number.name.endswith("bending") or number.name == "cloth.yield_curvature"
+            check_length(number, len(at if own else count))
     for number in [] if contact is None else penalty_numbers(contact):
         check_length(number, topology.triangles.num_vertices)
 
@@ -70,9 +75,46 @@ def check_materials(topology: Topology, cloth: Cloth | None, rope: Rope | None, 
         )
 
 
+def check_stepper(stepper: Implicit | None, contact: PenaltyContact | None, grasps: tuple) -> None:
+    """Raises ValueError for implicit steps with grasps, or with a normal force that jumps. Traced numbers are not
+    checked."""
+    if stepper is not None and grasps:
+        raise ValueError("stepper is a thin.Implicit, but the scene has grasps, which need explicit steps: take None")
+    if stepper is None or contact is None or isinstance(contact.damping, Tracer) or isinstance(contact.onset, Tracer):
+        return
+    if np.any((np.asarray(contact.damping) > 0) & ~(np.asarray(contact.onset) > 0)):
+        raise ValueError(
+            "contact.damping is positive and contact.onset is 0, so that the force jumps where a vertex touches and an "
+            "implicit step may have no solution: give contact.onset a depth in m, or take depth_damping"
+        )
+
+
+def check_can_couple(stepper: Implicit | None, cloth: Cloth | None) -> None:
+    """Raises ValueError for implicit steps and for cloth that yields: a coupled step has neither."""
+    if stepper is not None:
+        raise ValueError("stepper is a thin.Implicit, but coupled bodies take explicit steps: make the scene without")
+    if cloth is not None and cloth.yield_curvature is not None:
+        raise ValueError(
+            "cloth.yield_curvature is given, but cloth that is coupled with bodies or particles cannot keep creases: "
+            "take None"
+        )
+
+
+def check_creases(cloth: Cloth | None, topology: Topology, crease: Array | None) -> None:
+    """Raises ValueError for a state that has creases although the cloth does not yield, or none although it does."""
+    yields = cloth is not None and cloth.yield_curvature is not None
+    if yields and crease is None:
+        raise ValueError("state.crease is None, but the cloth yields: begin with thin.no_creases(scene, state)")
+    if crease is not None and not yields:
+        raise ValueError("state.crease is given, but the cloth does not yield: take state.replace(crease=None)")
+    if crease is not None and crease.shape != (len(topology.hinges),):
+        raise ValueError(f"state.crease has shape {crease.shape}: give shape ({len(topology.hinges)},)")
+
+
 def cloth_is_unstable(cloth: Cloth) -> Any:
     """Whether a strain of the membrane has no positive energy. Gradient: none."""
     return cloth.coupling**2 >= cloth.warp * cloth.weft
 
 
-__all__ = ["check_lengths", "check_materials", "cloth_is_unstable", "scene_numbers"]
+__all__ = ["check_can_couple", "check_creases", "check_lengths", "check_materials", "check_stepper",
+           "cloth_is_unstable", "scene_numbers"]  # fmt: skip

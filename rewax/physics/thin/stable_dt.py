@@ -30,8 +30,12 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
     Friction damping is not included, and contact is included once, although several bodies can push one vertex.
     Self-contact is included for ``pair_law.CROWD`` pairs at a vertex, and every grasp as if it were closed.
 
+    Implicit steps have no limit: the result is infinite.
+
     Gradient: exact.
     """
+    if scene.stepper is not None:
+        return jnp.full((), jnp.inf, scene.mass.dtype)
     topology, rest = scene.topology, scene.rest
     stiffness = damping = jnp.zeros_like(scene.mass)
 

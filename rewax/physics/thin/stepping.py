@@ -23,10 +23,13 @@ from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements, grasp_forces
 from rewax.physics.thin.bending import bending_forces
+from rewax.physics.thin.creases import creased, yield_angle, yielded
 from rewax.physics.thin.grasps import checked_grips, grasp_numbers
+from rewax.physics.thin.implicit_step import Step, implicit_step, reach
+from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
-from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
-from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
+from rewax.physics.thin.scene_checks import check_creases, cloth_is_unstable, scene_numbers
+from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces, watched_pairs
 from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, corners, scatter
@@ -45,12 +48,41 @@ class Vertices(NamedTuple):
     holds: tuple[grasp_forces.HoldParts, ...] = ()
 
 
+class Prescribed(NamedTuple):
+    """What is prescribed beside the bodies' motion, in one substep or with a leading axis for several."""
+
+    pins: Array | None = None
+    """Positions of the held vertices at the end [m], (num_held, 3)."""
+    grips: Array | None = None
+    """Grips of the grasps, (num_grasps,)."""
+
+
+NOTHING_PRESCRIBED = Prescribed()
+
+
+class Creased(NamedTuple):
+    """Vertices with the creases of cloth that yields."""
+
+    x: Vec3
+    v: Vec3
+    holds: tuple[grasp_forces.HoldParts, ...]
+    crease: Array
+
+
+class Solved(NamedTuple):
+    """Vertices after an implicit substep."""
+
+    x: Vec3
+    v: Vec3
+    error: Array
+    crease: Array | None
+
+
 class Interval(NamedTuple):
     """What is prescribed during a substep."""
 
     poses: tuple[Pose, Pose]
-    pins: Array | None
-    grips: Array | None = None
+    prescribed: Prescribed
 
 
 @checked(
@@ -70,6 +102,8 @@ def step(
 ) -> ThinState:
     """Advance vertices by the substeps between ``poses``: v' = v + dt (f(x, v) / m + g - drag v), x' = x + dt v'.
 
+    With ``scene.stepper`` forces and drag are those of x' and v', see ``implicit_step``.
+
     Args:
       scene: the scene.
       state: vertices.
@@ -87,18 +121,20 @@ def step(
     """
     num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
     check_bodies(scene.colliders, num_bodies)
-    _check_pins(scene, poses, pins)
-    grips = checked_grips(scene, state.holds, grips, num_substeps, num_bodies)
+    prescribed = checked_prescribed(scene, state, pins, grips, num_substeps, num_bodies)
+    check_creases(scene.cloth, scene.topology, state.crease)
+    intervals = Interval(both_ends(poses), prescribed)
+    if scene.stepper is not None:
+        return _implicit(scene, state, intervals, store_every)
+    if state.crease is not None:
+        return _creasing(scene, state, intervals, store_every)
     one = _substep if store_every is None else _recomputed_substep
 
     def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
         return one(scene, vertices, interval, pairs)
 
-    intervals = Interval(both_ends(poses), pins, grips)
-    if scene.self_contact is None:
-        return join(scan_substeps(body, split(state), intervals, store_every))
-    every = scene.self_contact.every
-    return join(scan_rounds(body, lambda s: close_pairs(scene, s.x), split(state), intervals, store_every, every))
+    end, seen = _scanned(scene, body, split(state), intervals, store_every)
+    return remembered(state, join(end), seen).replace(error=state.error)
 
 
 @checked(scene=SCENE, state=STATE, poses=poses("num_bodies"))
@@ -116,7 +152,8 @@ def internal_force(scene: ThinScene, state: ThinState) -> Array:
 
     Without damping they are minus the gradient of ``elastic_energy``. Gradient: exact.
     """
-    return cp.join_vector(vertex_forces(scene, *split(state)[:2]))
+    x, v = split(state)[:2]
+    return cp.join_vector(vertex_forces(creased(scene, x, state.crease), x, v))
 
 
 @checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
@@ -128,8 +165,12 @@ def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose)
 
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
-    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, and with
-    self-contact full lists of pairs (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit
+    substeps of the last ``step`` that missed their tolerance (``UNSOLVED``), and with self-contact full lists of pairs
+    (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+
+    Full lists and fast vertices are remembered from all steps since ``initial_state``; ``state.replace(filled=0.0,
+    speed=0.0)`` forgets them. Crossed layers are those of this state.
 
     Args:
       scene: the scene.
@@ -159,19 +200,62 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     soft = jnp.bool_(False) if scene.cloth is None else jnp.any(cloth_is_unstable(scene.cloth))
     # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
+    missed = jnp.bool_(False)
+    if scene.stepper is not None:
+        missed = ~(state.error <= scene.stepper.tolerance)
     return (
-        flag(~all_finite(state), Status.NAN)
+        flag(~all_finite((state.x, state.v, state.holds, state.crease)), Status.NAN)
+        | flag(missed, Status.UNSOLVED)
         | flag(flat, Status.INVERTED)
         | flag(any_illegal(numbers) | soft | too_long, Status.INVALID_PARAMETERS)
         | self_status(scene, state)
     )
 
 
+def _implicit(scene: ThinScene, state: ThinState, intervals: Interval, store_every: int | None) -> ThinState:
+    """``step`` by implicit substeps. Creases yield at the end of each."""
+    bound = reach(scene)
+    limit = None if state.crease is None else yield_angle(scene)
+
+    def body(at: Solved, interval: Interval, pairs: AllPairs | None = None) -> Solved:
+        now = creased(scene, at.x, at.crease)
+        new = implicit_step(now, bound, Step(at.x, at.v, at.error), interval.poses, interval.prescribed.pins, pairs)
+        crease = None if limit is None or at.crease is None else yielded(scene, limit, new.x, at.crease)
+        return Solved(new.x, new.v, jnp.maximum(at.error, new.error), crease)
+
+    start = Solved(*split(state)[:2], jnp.zeros((), state.x.dtype), state.crease)
+    end, seen = _scanned(scene, body, start, intervals, store_every)
+    after = remembered(state, join(Vertices(end.x, end.v)), seen)
+    return after.replace(error=jax.lax.stop_gradient(end.error), crease=end.crease)
+
+
+def _creasing(scene: ThinScene, state: ThinState, intervals: Interval, store_every: int | None) -> ThinState:
+    """``step`` by explicit substeps of cloth that yields, each after its creases."""
+    assert state.crease is not None
+    limit = yield_angle(scene)
+    one = _creased_substep if store_every is None else _recomputed_creased_substep
+
+    def body(at: Creased, interval: Interval, pairs: AllPairs | None = None) -> Creased:
+        return one(scene, limit, at, interval, pairs)
+
+    end, seen = _scanned(scene, body, Creased(*split(state), state.crease), intervals, store_every)
+    return remembered(state, join(Vertices(*end[:3])), seen).replace(error=state.error, crease=end.crease)
+
+
+def _scanned(
+    scene: ThinScene, body: Any, start: Any, intervals: Interval, store_every: int | None
+) -> tuple[Any, Seen | None]:
+    if scene.self_contact is None:
+        return scan_substeps(body, start, intervals, store_every), None
+    every = scene.self_contact.every
+    return scan_rounds(body, lambda at: watched_pairs(scene, at), start, intervals, store_every, every)
+
+
 # --- One substep, by components ---------------------------------------------------------------------------------------
 
 
 def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: AllPairs | None) -> Vertices:
-    vertices = materialize(vertices)
+    vertices, (pins, grips) = materialize(vertices), interval.prescribed
     x, v, holds = vertices
     with jax.named_scope("thin"):
         force = vertex_forces(scene, x, v)
@@ -180,16 +264,27 @@ def _substep(scene: ThinScene, vertices: Vertices, interval: Interval, pairs: Al
     if pairs is not None:
         with jax.named_scope("self_contact"):
             contact = cp.add(contact, self_forces(scene, x, v, pairs))
-    if interval.grips is not None:
+    if grips is not None:
         with jax.named_scope("grasps"):
-            holds = grasp_forces.followed(scene, holds, x, interval.poses[0], interval.grips)
+            holds = grasp_forces.followed(scene, holds, x, interval.poses[0], grips)
             moving = grasp_forces.body_velocities(scene, x, interval.poses)
-            for pull in grasp_forces.pulls(scene, holds, x, v, interval.poses[0], moving, interval.grips):
+            for pull in grasp_forces.pulls(scene, holds, x, v, interval.poses[0], moving, grips):
                 contact = cp.add(contact, pull.force)
-    return moved(scene, Vertices(x, v, holds), force, contact, interval.pins)
+    return moved(scene, Vertices(x, v, holds), force, contact, pins)
 
 
 _recomputed_substep = recomputed(_substep)
+
+
+def _creased_substep(
+    scene: ThinScene, limit: Array, at: Creased, interval: Interval, pairs: AllPairs | None
+) -> Creased:
+    crease = yielded(scene, limit, at.x, at.crease)
+    new = _substep(creased(scene, at.x, crease), Vertices(at.x, at.v, at.holds), interval, pairs)
+    return Creased(*new, crease)
+
+
+_recomputed_creased_substep = recomputed(_creased_substep)
 
 
 def moved(scene: ThinScene, vertices: Vertices, force: Vec3, contact: Vec3, pins: Array | None) -> Vertices:
@@ -251,31 +346,44 @@ def contact_forces(scene: ThinScene, x: Vec3, v: Vec3, poses: tuple[Pose, Pose])
     return functools.reduce(cp.add, forces) if forces else nothing
 
 
-def inverse_edges(scene: ThinScene) -> tuple[Array, Array, Array, Array]:
-    """Inverse edge matrices of the triangles at rest, row by row."""
-    B = scene.rest.inverse_edges
-    return B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1]
-
-
 def split(state: ThinState) -> Vertices:
     """Components of a state."""
     return Vertices(cp.split_vector(state.x), cp.split_vector(state.v), grasp_forces.split_holds(state.holds))
 
 
 def join(vertices: Vertices) -> ThinState:
-    """Inverse of ``split``."""
+    """Inverse of ``split``. The state has no error of implicit steps, no creases and no memory of self-contact."""
+    nothing = jnp.zeros_like(vertices.x[0][0])
     return ThinState(
-        x=cp.join_vector(vertices.x), v=cp.join_vector(vertices.v), holds=grasp_forces.join_holds(vertices.holds)
+        x=cp.join_vector(vertices.x),
+        v=cp.join_vector(vertices.v),
+        holds=grasp_forces.join_holds(vertices.holds),
+        error=nothing,
+        filled=nothing,
+        speed=nothing,
     )
 
 
-def _check_pins(scene: ThinScene, poses: Pose, pins: Array | None) -> None:
-    want = (poses.position.shape[0] - 1, len(scene.topology.held), 3)
+def remembered(before: ThinState, after: ThinState, seen: Seen | None) -> ThinState:
+    """The state after a step, with the extremes of self-contact of all steps. Gradient: none."""
+    known = [before.filled, before.speed]
+    if seen is not None:
+        known = [jnp.maximum(old, new) for old, new in zip(known, seen, strict=True)]
+    filled, speed = jax.lax.stop_gradient(known)
+    return after.replace(filled=filled, speed=speed)
+
+
+def checked_prescribed(
+    scene: ThinScene, state: ThinState, pins: Any, grips: Any, num_substeps: int, num_bodies: int
+) -> Prescribed:
+    """Pins and grips of every substep. Raises ValueError for those of another shape, see ``step``."""
+    want = (num_substeps, len(scene.topology.held), 3)
     if pins is not None and (jnp.shape(pins) != want or not want[1]):
         raise ValueError(
             f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"
             f": give shape {want}, and make_scene the vertices to be held"
         )
+    return Prescribed(pins, checked_grips(scene, state.holds, grips, num_substeps, num_bodies))
 
 
 @checked(scene=SCENE, state=STATE)
@@ -291,4 +399,7 @@ def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
     return cp.join_vector(self_forces(scene, x, v, close_pairs(scene, x)))
 
 
-__all__ = ["check_status", "contact_force", "internal_force", "moved", "open_grasps", "self_contact_force", "step"]
+__all__ = [
+    "check_status", "contact_force", "internal_force", "moved", "open_grasps", "remembered", "self_contact_force",
+    "step",
+]  # fmt: skip

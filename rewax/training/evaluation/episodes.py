@@ -44,7 +44,18 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
       policy: ``policy(train_state, obs, key, deterministic=...) -> action`` for one environment.
       num_episodes: at least 1.
 
+    Returns:
+      The function. Its result is a dict: ``mean``, ``std``, ``min`` and ``max`` of the undiscounted returns, shape ();
+      ``returns`` and ``lengths`` of the episodes, shape (num_episodes,); the number of episodes that ``failed``
+      numerically, and that set each ``status/<BIT>``; ``success``, a share, for tasks with this metric.
+
     Gradient: none.
+
+    Example:
+      >>> evaluate = make_evaluate(env, agent.policy, 64)  # doctest: +SKIP
+      >>> evaluate(train_state, jax.random.key(7), deterministic=True)["mean"]  # doctest: +SKIP
+      >>> nothing = constant_policy(jnp.zeros(env.action_spec.shape))  # doctest: +SKIP
+      >>> make_evaluate(env, nothing, 64)(None, jax.random.key(7))["mean"]  # doctest: +SKIP
     """
     _check_num_episodes(num_episodes)
     policy_at = with_step(policy)
@@ -88,6 +99,9 @@ def evaluate_actions(env: Env, actions: Array, key: Key, num_episodes: int) -> E
       actions: shape (env.episode_length, *action_shape).
       key: draws the initial states. They equal those of ``make_evaluate`` with the same key.
       num_episodes: at least 1.
+
+    Returns:
+      The dict that ``make_evaluate`` describes.
 
     Raises:
       ValueError: actions have another shape.

@@ -227,7 +227,8 @@ class Run:
             done = f"stopped after iteration {self.iteration} of {self._last_iteration}"
             ended = self.config.over(self.iteration, self.env_steps)
             rest = "does the final evaluation of" if ended else "continues from"
-            self.say(f"{done}: the same command with --resume {rest} {self.run_dir}")
+            again = "the same command with --resume"
+            self.say(f"{done}: {again} {rest} {self.run_dir} (in Python: TrainConfig(..., resume=True))")
         return TrainResult(self.train_state, row, stop.signum, self.failure)
 
     def _how_it_failed(self) -> str:

@@ -39,7 +39,8 @@ def first_state(
         metrics = run_dir / "metrics.csv"
         if checkpoint.latest_step(run_dir) is not None or (metrics.is_file() and metrics.stat().st_size):
             raise ValueError(
-                f"{run_dir} holds a run already: resume it (--resume) or choose another directory (--run-dir)"
+                f"{run_dir} holds a run already: resume it (--resume, in Python resume=True) or choose another "
+                "directory (--run-dir, run_dir)"
             )
         fresh = jax.jit(agent.init)(key)
         if not config.init_from:

@@ -61,6 +61,10 @@ def train(
     loss is not finite as often. It stops at once when a learnt parameter is not finite. No checkpoint holds such a
     parameter, and the newest checkpoint from before the failures is kept.
 
+    Ctrl-C, SIGTERM and SIGHUP end the run after its present iteration: it saves a checkpoint and draws its pictures. A
+    second signal ends the process at once. The first one raises nothing here: ``train`` returns, with the signal in
+    ``TrainResult.signum``. A loop over runs should test it, or it goes on to the next run.
+
     With several processes (``jax.distributed.initialize``) each of them calls this function: the first one does
     everything described here, and the others compute their shard of the environments.
 
@@ -71,6 +75,10 @@ def train(
       describe: further entries of ``config.json``, beside ``config`` and the descriptions of agent and env; ``env``,
         ``scale`` and ``agent`` must be the same on resuming.
       console: to print to; standard output by default.
+
+    Returns:
+      ``train_state``, the last one; ``evaluation``, a dict of the final evaluation's row (``deterministic_mean``,
+      ``sampled_mean``, ...), empty after an early stop; ``signum``; and ``failure``, a sentence if the run failed.
 
     Raises:
       ValueError: ``run_dir`` cannot be used, another process uses it, it holds a run already and ``resume`` is off,

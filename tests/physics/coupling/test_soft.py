@@ -5,10 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tet_bodies
+import thin_bodies
 from flat_materials import flat_material
 
-from rewax.physics import mpm, tets
-from rewax.physics.coupling.soft import PARTICLES, TETRAHEDRA, solver_of
+from rewax.physics import mpm, tets, thin
+from rewax.physics.coupling.soft import PARTICLES, TETRAHEDRA, THIN, prescribed_of, solver_of
 from rewax.physics.mpm import Grid
 
 
@@ -24,7 +25,12 @@ def vertices():
     return scene, tet_bodies.shaken(state)
 
 
-@pytest.mark.parametrize(("body", "solver"), [(particles, PARTICLES), (vertices, TETRAHEDRA)])
+def cloth():
+    scene = thin_bodies.cloth_scene()
+    return jax.tree.map(lambda a: a.astype(jnp.float32), (scene, thin_bodies.shaken(thin_bodies.SHEET)))
+
+
+@pytest.mark.parametrize(("body", "solver"), [(particles, PARTICLES), (vertices, TETRAHEDRA), (cloth, THIN)])
 def test_a_scene_has_its_solver(body, solver):
     scene, state = body()
     assert solver_of(scene) is solver
@@ -32,7 +38,7 @@ def test_a_scene_has_its_solver(body, solver):
     jax.tree.map(np.testing.assert_array_equal, back, state)
 
 
-@pytest.mark.parametrize("body", [particles, vertices])
+@pytest.mark.parametrize("body", [particles, vertices, cloth])
 def test_a_substep_without_bodies_is_that_of_the_solver(body):
     scene, state = body()
     solver = solver_of(scene)
@@ -41,10 +47,27 @@ def test_a_substep_without_bodies_is_that_of_the_solver(body):
     def coupled(scene, state):
         return solver.join(solver.begin(scene, solver.constants(scene, state), solver.split(state)).finish())
 
-    alone = jax.jit(mpm.step if body is particles else tets.step)(scene, state, mpm.static_poses(1))
+    step = {particles: mpm.step, vertices: tets.step, cloth: thin.step}[body]
+    alone = jax.jit(step)(scene, state, mpm.static_poses(1))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), coupled(scene, state), alone)
 
 
 def test_what_is_no_scene_is_refused():
-    with pytest.raises(ValueError, match=r"^scene is \{\}: give a scene of mpm\.make_scene or tets\.make_scene"):
+    with pytest.raises(ValueError, match=r"^scene is \{\}: give a scene of mpm\.make_scene, tets\.make_scene, thin"):
         solver_of({})
+
+
+def test_pins_and_grips_are_for_cloth_alone():
+    for given in ({"pins": np.zeros((1, 1, 3)), "grips": None}, {"pins": None, "grips": np.zeros(1)}):
+        name = "grips" if given["pins"] is None else "pins"
+        with pytest.raises(ValueError, match=f"^{name} is given, but the scene has no cloth"):
+            prescribed_of(*vertices(), **given, num_substeps=1, num_bodies=0)
+
+
+def test_implicit_steps_and_creases_are_not_coupled():
+    scene, state = cloth()
+    with pytest.raises(ValueError, match=r"stepper is a thin\.Implicit, but coupled bodies take explicit steps"):
+        prescribed_of(scene.replace(stepper=thin.Implicit()), state, None, None, 1, 1)
+    yielding = scene.cloth.replace(yield_curvature=jnp.float32(10.0))
+    with pytest.raises(ValueError, match="cloth that is coupled with bodies or particles cannot keep creases"):
+        prescribed_of(scene.replace(cloth=yielding), state, None, None, 1, 1)

@@ -115,6 +115,13 @@ def test_deterministic_and_sampled_differ_and_repeat():
     np.testing.assert_allclose(deterministic["returns"], -5 * starts(env, key, 4) ** 2, rtol=1e-5)
 
 
+def test_help_names_every_entry_of_the_result():
+    env = toys.point_mass()
+    result = evaluate.make_evaluate(env, evaluate.constant_policy(jnp.zeros(1)), 2)(None, jax.random.key(0))
+    for name in {name.split("/")[0] for name in result}:
+        assert f"``{name}" in evaluate.make_evaluate.__doc__, name
+
+
 def test_uniform_policy_fills_the_bounds():
     env = toys.point_mass()
     policy = evaluate.uniform_policy(env)

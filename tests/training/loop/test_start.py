@@ -38,7 +38,7 @@ def run(run_dir, *, options=None, describe=None, **changes):
 
 def test_a_directory_with_a_run_is_refused(tmp_path):
     run(tmp_path)
-    with pytest.raises(ValueError, match=r"holds a run already: resume it .* or choose another directory"):
+    with pytest.raises(ValueError, match=r"holds a run already: resume it .*resume=True.* or choose another directory"):
         run(tmp_path)
     with pytest.raises(ValueError, match="there is no run directory"):
         run(tmp_path / "nowhere", resume=True)

@@ -1,0 +1,167 @@
+"""Contact of particles with the triangles of a cloth: one force law on both sides of the cloth, with friction.
+
+A particle at the distance D < h from the surface is pushed away from it, and the three corners of the closest triangle
+receive the opposite force with the weights of the closest point; ``thin.pair_law`` has the force. So forces sum to
+zero, torques do too without friction, and without damping and friction the force is minus the gradient of an energy.
+
+The energy of one particle is the sum over triangles, minus the sum over inner edges, plus the sum over inner corners,
+each at its own distance. On a flat sheet this is the energy of one plane, everywhere: particles slide over edges
+without a bump. In a fold both sides push.
+
+Source: Li et al. 2023, Convergent incremental potential contact, for the sum; a polynomial in place of their barrier.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from rewax import struct
+from rewax.lowering.kernels import pointwise
+from rewax.physics.coupling.triangle_tree import EDGES, TriangleTree, close_to_triangles
+from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, static_integer
+from rewax.physics.numerics.components import Vec3
+from rewax.physics.thin import closest
+from rewax.physics.thin.pair_kernels import to_corners, to_vertices
+from rewax.physics.thin.pair_law import pair_energy, shared_out
+from rewax.physics.thin.self_contact import NO_PAIR
+from rewax.types import Array, Scalar
+
+
+@struct.dataclass
+class ParticleContact(struct.Replaceable):
+    """Contact of particles with cloth.
+
+    Attributes:
+      thickness: distance between the middles of particle and cloth below which they touch [m].
+      stiffness: normal force of one particle per depth [N/m].
+      damping: normal force per approaching speed [N s/m].
+      friction: Coulomb coefficient [-].
+      friction_damping: tangential force per sliding speed below Coulomb's limit [N s/m].
+      max_speed: relative speed of particles and cloth up to which no pair is missed [m/s]; see
+        ``largest_safe_particle_speed``.
+      every: close pairs are searched every ``every`` substeps (static), or the largest divisor of the number of
+        substeps below it.
+      pairs_per_particle: capacity of the list of close pairs for each particle, on average (static).
+    """
+
+    thickness: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
+    stiffness: Scalar = struct.number(POSITIVE, "give a force per depth in N/m", shape=())
+    damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
+    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient", shape=(), default=0.0)
+    friction_damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
+    max_speed: Scalar = struct.number(POSITIVE, "give a speed in m/s", shape=(), default=1.0)
+    every: int = struct.static_field(default=8)
+    pairs_per_particle: int = struct.static_field(default=8)
+
+    def __post_init__(self) -> None:
+        for name in ("every", "pairs_per_particle"):
+            static_integer(name, getattr(self, name), 1, "give an integer of at least 1")
+
+
+class ParticlePairs(NamedTuple):
+    """Close pairs of a particle and a triangle, in lists of fixed length."""
+
+    corners: Array
+    """The particle, and the vertices counted after all particles, int32 of shape (4, capacity)."""
+    thickness: Array
+    """Distance at which a pair touches [m], shape (capacity,); negative beyond the last pair."""
+    shares: tuple[Array, ...]
+    """``TriangleTree.shares`` of each pair, six arrays (capacity,)."""
+    full: Array
+    """Whether pairs are missing, shape (), bool."""
+
+
+def particle_pairs(law: ParticleContact, tree: TriangleTree, dt: float, particles: Vec3, x: Vec3) -> ParticlePairs:
+    """The pairs that can touch within the next ``every`` substeps of duration dt [s].
+
+    Gradient: exact with respect to the thickness. The choice of pairs is a constant.
+    """
+    num_particles, dtype = particles[0].shape[-1], x[0].dtype
+    reach = jnp.asarray(law.thickness + law.max_speed * law.every * dt, dtype)
+    found = close_to_triangles(tree, particles, x, reach, law.pairs_per_particle * num_particles)
+    corners = num_particles + jnp.asarray(tree.triangles.T)[:, found.triangles]
+    thickness = jnp.where(found.valid, jnp.asarray(law.thickness, dtype), NO_PAIR)
+    shares = tuple(jnp.asarray(column, dtype)[found.triangles] for column in tree.shares.T)
+    return ParticlePairs(jnp.concatenate([found.points[None], corners]), thickness, shares, found.full)
+
+
+def contact_forces(
+    law: ParticleContact, pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]
+) -> tuple[Vec3, Vec3]:
+    """Forces on the particles and on the vertices [N], given positions [m] and velocities [m/s] of both.
+
+    Gradient: exact.
+    """
+    num_particles, num_vertices = particles[0][0].shape[-1], vertices[0][0].shape[-1]
+    at, moving = _at_corners(pairs, particles, vertices)
+    each = _pair_force(numbers(law), (at, moving, pairs.thickness, pairs.shares))
+    values = tuple(corner[i] for i in cp.AXES for corner in each)
+    total = to_vertices(pairs.corners, values, num_particles + num_vertices)
+    on_particles = cp.vector(lambda i: total[i][:num_particles])
+    return on_particles, cp.vector(lambda i: total[i][num_particles:])
+
+
+def relative_speed(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> Array:
+    """Largest speed of a particle relative to the closest point of a triangle of its pairs [m/s], shape ().
+
+    Arguments as for ``contact_forces``. Gradient: none.
+    """
+    x, v = _at_corners(pairs, particles, vertices)
+    speed = cp.norm(closest.weighted(closest.vertex_triangle(x), v))
+    return jnp.max(jnp.where(pairs.thickness > 0, speed, 0.0))
+
+
+def _at_corners(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> list[Any]:
+    """Positions and velocities of the particle and the corners of each pair."""
+    both = [
+        cp.vector(lambda i, p=p, v=v: jnp.concatenate([p[i], v[i]])) for p, v in zip(particles, vertices, strict=True)
+    ]
+    flat = to_corners(pairs.corners, (*both[0], *both[1]))
+    return [tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:])]
+
+
+@pointwise
+def _pair_force(law: ParticleContact, pairs: tuple[Any, Any, Array, tuple[Array, ...]]) -> tuple[Vec3, ...]:
+    """Forces on a particle and the corners of a triangle [N]."""
+    x, v, thickness, shares = pairs
+
+    def force(weights: closest.Weights) -> tuple[Vec3, ...]:
+        between = closest.weighted(weights, x)
+        return shared_out(law, weights, between, cp.dot(between, between), v, thickness)  # pyright: ignore[reportArgumentType]
+
+    total = force(closest.vertex_triangle(x))
+    features = [_on_edge(x, *edge) for edge in EDGES] + [_at_corner(x, k) for k in (1, 2, 3)]
+    for share, weights in zip(shares, features, strict=True):
+        total = tuple(cp.add(t, cp.scale(share, f)) for t, f in zip(total, force(weights), strict=True))
+    return total
+
+
+def _on_edge(x: Sequence[Vec3], i: int, j: int) -> closest.Weights:
+    """Weights for the vertex x[0] and the segment from x[i] to x[j], see ``closest.Weights``."""
+    along = cp.subtract(x[j], x[i])
+    t = jnp.clip(cp.dot(along, cp.subtract(x[0], x[i])) / cp.dot(along, along), 0.0, 1.0)
+    weights = [jnp.ones_like(t), jnp.zeros_like(t), jnp.zeros_like(t), jnp.zeros_like(t)]
+    weights[i], weights[j] = t - 1.0, -t
+    return tuple(weights)  # pyright: ignore[reportReturnType]
+
+
+def _at_corner(x: Sequence[Vec3], k: int) -> closest.Weights:
+    one, zero = jnp.ones_like(x[0][0]), jnp.zeros_like(x[0][0])
+    return tuple(one if i == 0 else -one if i == k else zero for i in range(4))  # pyright: ignore[reportReturnType]
+
+
+def numbers(law: ParticleContact) -> ParticleContact:
+    """The law without what only the search needs."""
+    return law.replace(thickness=1.0, max_speed=1.0, every=1, pairs_per_particle=1)
+
+
+def stopping_energy(law: ParticleContact) -> Scalar:
+    """Energy [J] that one particle needs to reach the middle of the cloth. Gradient: exact."""
+    zero = jnp.zeros_like(jnp.asarray(law.thickness))
+    return pair_energy(law, zero, jnp.asarray(law.thickness))  # pyright: ignore[reportArgumentType]
+
+
+__all__ = ["ParticleContact", "ParticlePairs", "contact_forces", "numbers", "particle_pairs", "relative_speed",
+           "stopping_energy"]  # fmt: skip

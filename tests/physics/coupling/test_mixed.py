@@ -1,0 +1,77 @@
+"""Sand in a cloth bag: nothing escapes; scenes refuse what is illegal; status."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mixed_bodies import RUN, SPACING, bag_mesh, both, cloth_scene, sand_scene, side
+
+from rewax.physics import coupling, thin
+from rewax.physics.coupling import mixed
+from rewax.physics.shapes import fill_box
+from rewax.status import Status
+
+
+def test_500_particles_of_sand_stay_in_a_held_bag_for_half_a_second():
+    """They fall from 2 cm above into the bag, and hop as it gives way."""
+    mesh, rim = bag_mesh()
+    grains = fill_box((0.0, -0.01, 0.0), (0.05, 0.05, 0.05), SPACING)
+    assert len(grains) >= 500
+    scene, state = both(mesh, grains, thin_scene=cloth_scene(mesh, held=rim, drag=5.0))
+    up = np.sign(side([[0.0, 0.0, 0.0]], mesh.vertices, mesh.triangles))
+    for _ in range(10):
+        state = RUN(scene, state, coupling.static_poses(500), store_every=None)
+        assert (up * side(state.particles.x, state.thin.x, mesh.triangles)).min() > 0.0
+        assert not int(mixed.check_status(scene, state)) & (Status.NAN | Status.CROSSED | Status.FULL_PAIRS)
+    x = np.asarray(state.particles.x)
+    assert np.abs(x[:, [0, 2]]).max() < 0.1 and x[:, 1].max() < 0.02  # none over the rim
+    np.testing.assert_array_less(np.asarray(state.thin.x)[:, 1].min(), -0.06)  # their weight draws the bag down
+
+
+def thrown(times):
+    """Smallest height of eight layers of sand, thrown at a held sheet at a multiple of the largest safe speed."""
+    mesh = thin.ThinMesh(vertices=thin.sheet(0.1, 0.1, 5, 5).vertices - [0.05, 0.0, 0.05],
+                         triangles=thin.sheet(0.1, 0.1, 5, 5).triangles)  # fmt: skip
+    grains = fill_box((0.0, 0.03, 0.0), (0.03, 8 * SPACING, 0.03), SPACING)
+    scene, state = both(mesh, grains, thin_scene=cloth_scene(mesh, held=range(36)), damping=0.0)
+    speed = times * mixed.largest_safe_particle_speed(scene)
+    state = state.replace(particles=state.particles.replace(v=state.particles.v.at[:, 1].set(-speed)))
+    seen = int(mixed.check_status(scene, state.replace(particles=state.particles.replace(
+        x=state.particles.x - jnp.array([0.0, float(state.particles.x[:, 1].min()) - 3e-3, 0.0])))))  # fmt: skip
+    lowest = []
+    for _ in range(4):
+        state = RUN(scene, state, coupling.static_poses(100), store_every=None)
+        lowest.append(float(state.particles.x[:, 1].min()))
+    return min(lowest), bool(seen & Status.CROSSED)
+
+
+@pytest.mark.slow
+def test_sand_does_not_pass_at_the_safe_speed_and_does_far_beyond():
+    lowest, seen = thrown(0.97)
+    assert lowest > 0.0 and not seen
+    lowest, seen = thrown(8.0)
+    assert lowest < 0.0 and seen
+
+
+def test_scenes_refuse_what_is_illegal_and_status_says_what_became_so(x64):
+    mesh, rim = bag_mesh(4)
+    grains = fill_box((0.0, -0.03, 0.0), (0.03, 0.03, 0.03), SPACING)
+    for wrong, message in (
+        ({"particles": sand_scene(5e-5)}, "particles.dt is 5e-05 s and thin.dt 0.0001 s"),
+        ({"stiffness": 1e6}, "above the largest stable"),
+        ({"max_speed": 50.0}, "contact.max_speed is 50 m/s, above"),
+        ({"thickness": -1.0}, "contact.thickness is -1.0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            both(mesh, grains, **wrong)
+    rope = thin.rope(np.linspace([0.0, 0.0, 0.0], [0.1, 0.0, 0.0], 5))
+    strand = thin.make_scene(mesh=rope, dt=1e-4, rope=thin.Rope(stretch=100.0, density=0.1))
+    with pytest.raises(ValueError, match="thin has no triangles"):
+        both(rope, grains, thin_scene=strand)
+    scene, state = both(mesh, grains, thin_scene=cloth_scene(mesh, held=rim))
+    status = jax.jit(mixed.check_status)
+    assert int(status(scene, state)) == 0
+    short = scene.replace(contact=scene.contact.replace(pairs_per_particle=1, thickness=jnp.asarray(0.03)))
+    assert int(status(short, state)) & Status.FULL_PAIRS
+    stiff = scene.replace(contact=scene.contact.replace(stiffness=jnp.asarray(1e9)))
+    assert int(status(stiff, state)) & Status.INVALID_PARAMETERS
