@@ -16,11 +16,12 @@ from rewax.physics.tets.scene import TetScene, TetState
 from rewax.physics.tets.stepping import join as join_vertices
 from rewax.physics.tets.stepping import rest
 from rewax.physics.tets.stepping import split as split_vertices
+from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import ThinScene, ThinState
 from rewax.physics.thin.scene_checks import check_can_couple
 from rewax.physics.thin.self_contact import scan_rounds, watched_pairs
-from rewax.physics.thin.stepping import Prescribed, checked_prescribed, remembered
 from rewax.physics.thin.stepping import join as join_thin
+from rewax.physics.thin.stepping import remembered
 from rewax.physics.thin.stepping import split as split_thin
 
 Scene = MPMScene | TetScene | ThinScene | MixedScene
