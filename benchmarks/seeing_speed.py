@@ -2,14 +2,21 @@
 
     python benchmarks/seeing_speed.py
     python benchmarks/seeing_speed.py --task GripperLift --envs 8 --resolution 64 --repeats 5
+    python benchmarks/seeing_speed.py --beside ../before --repeats 40    # the train step with depth of two checkouts
 
 One process measures all of it, in turns; each number is the least of the repeats. SAPO's policy observes depth and the
-critics observe the state. An environment renders twice in a control step: its own picture, and that of a fresh episode.
+critics observe the state. The row of pictures counts two for each control step, its own and that of a new episode; an
+environment renders the second one only in steps in which an episode of the batch ends.
 """
 
 import dataclasses
+import os
+import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import flax.linen as nn
@@ -49,12 +56,17 @@ class Args:
       envs: environments in the batch.
       resolution: pixels along each side.
       repeats: measurements of each number.
+      beside: another checkout: only the train step with depth runs, in turns in both; printed are seconds of the
+        processor, which other programs disturb less.
+      worker: answer as a process of ``beside`` does.
     """
 
     task: str = "RollingFlat"
     envs: int = 8
     resolution: int = 64
     repeats: int = 5
+    beside: Path | None = None
+    worker: bool = False
 
 
 def train_step(args: Args, *, sees: bool) -> tuple[Callable[[], Any], int]:
@@ -116,8 +128,49 @@ def least(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, fl
     return found
 
 
+def answer(args: Args) -> None:
+    """Seconds of the processor of one train step with depth for each line of standard input."""
+    run, _ = train_step(args, sees=True)
+    jax.block_until_ready(run())
+    for _ in sys.stdin:
+        began = time.process_time()
+        jax.block_until_ready(run())
+        print(time.process_time() - began, flush=True)
+
+
+def in_turns(args: Args, other: Path) -> None:
+    """Compare the train steps of another checkout and of this one."""
+    options = [f"--{name}={getattr(args, name)}" for name in ("task", "envs", "resolution")]
+    command = [sys.executable, __file__, *options, "--worker"]
+    checkouts = (other, Path(__file__).parent.parent)
+    processes = [
+        subprocess.Popen(
+            command, env={**os.environ, "PYTHONPATH": str(path.resolve())}, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, text=True,
+        )
+        for path in checkouts
+    ]  # fmt: skip
+    found: list[list[float]] = [[], []]
+    for _ in range(args.repeats):
+        for process, seconds in zip(processes, found, strict=True):
+            assert process.stdin is not None and process.stdout is not None
+            process.stdin.write("\n")
+            process.stdin.flush()
+            seconds.append(float(process.stdout.readline()))
+    for process in processes:
+        process.communicate()
+    before, after = (statistics.median(seconds) for seconds in found)
+    print(f"processor seconds, medians: {before:.3f} there, {after:.3f} here, ratio {after / before:.3f}")
+
+
 def main(args: Args) -> None:
+    if args.beside is not None:
+        in_turns(args, args.beside)
+        return
     enable_compilation_cache()
+    if args.worker:
+        answer(args)
+        return
     seeing, steps = train_step(args, sees=True)
     blind, _ = train_step(args, sees=False)
     preset = sapo_preset(args.task, "small")

@@ -40,11 +40,11 @@ class Status(enum.IntFlag):
     tears or crushes a body that cannot give way. Leave room for the body, or slow the tool. A tool that
     is thinner than three cells cannot set it. Not fatal."""
     FULL_PAIRS = 256
-    """More elements of cloth and ropes are close to each other than the scene's ``self_contact.pairs_per_element``, or
-    more particles to triangles than ``contact.pairs_per_particle`` of a mixed scene: some contacts may have been left
-    out. Give a larger number. Not fatal."""
+    """More elements of cloth and ropes are, or were in a substep, close to each other than the scene's
+    ``self_contact.pairs_per_element``, or more particles to triangles than ``contact.pairs_per_particle`` of a mixed
+    scene: some contacts may have been left out. Give a larger number. Not fatal."""
     CROSSED = 512
-    """Cloth or a rope passes through itself or another one, or a vertex is faster than the scene's
+    """Cloth or a rope passes through itself or another one, or a vertex is, or was, faster than the scene's
     ``self_contact.max_speed``, above which it may. In a mixed scene also: a particle meets cloth faster than
     ``contact.max_speed``. Not fatal."""
     UNSOLVED = 1024

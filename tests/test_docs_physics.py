@@ -19,6 +19,11 @@ def test_page_of_cloth_and_ropes_runs_and_does_what_it_says():
     assert np.isfinite(names["slope"]).all() and np.abs(names["slope"]).max() > 0 and names["swung"].x[-1, 1] < -0.02
 
 
+def test_page_of_tasks_on_cloth_runs():
+    env = run_page("docs/cloth_tasks.md")["env"]
+    assert env.action_spec.shape == (3,) and env.appearance["material_names"] == ("cloth",)
+
+
 def test_the_page_of_identification_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = run_page("docs/identify.md")

@@ -21,6 +21,11 @@ SOFT = {"mpm.stepping._moved", "mpm.stepping.stress_and_momentum"}
 TOOL = SOFT | {"contact.colliders.velocity_after"}
 RIGID = {"rigid.stepping._accelerate"}
 TETS = {"contact.penalty._ground_force", "tets.stepping._columns.columns", "tets.stepping._moved"}
+CLOTH = {
+    "contact.penalty._ground_force", "thin.elements._hinge_pull", "thin.elements._hinge_turn",
+    "thin.elements._membrane.membrane", "thin.grasp_forces._followed", "thin.grasp_forces._pull",
+    "thin.plate._moment", "thin.stepping._moved",
+}  # fmt: skip
 FUNCTIONS = {
     **dict.fromkeys(["FluidMove", "HandFlip", "HandLift", "RollingFlat", "SteerFloat"], TOOL),
     **dict.fromkeys(
@@ -29,6 +34,9 @@ FUNCTIONS = {
     "GripperLift": SOFT | RIGID | {"coupling.nodes._after", "coupling.nodes._met", "coupling.nodes._weights"},
     "SoftJumper": TETS,
     "SoftJumperMPM": SOFT,
+    "WhipRope": {"thin.elements._bend", "thin.elements._segment", "thin.stepping._moved"},
+    "CoverBox": CLOTH | {"contact.penalty._collider_force"},
+    "FoldCloth": CLOTH,
 }
 """The functions of each task's physics, within ``rewax.physics``."""
 LEFT = {("GripperLift", "rigid.stepping._accelerate", "value"): "it has the operation while"}

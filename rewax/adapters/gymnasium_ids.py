@@ -5,8 +5,9 @@ gymnasium finds them by itself where rewax is installed (entry point ``gymnasium
 """
 
 TASKS = (
-    "Ant", "AntRun", "CartpoleSwingUp", "FluidMove", "GripperLift", "HalfCheetah", "HandFlip", "HandLift",
-    "HandReorient", "Hopper", "Humanoid", "Quadruped", "RollingFlat", "SoftJumper", "SoftJumperMPM", "SteerFloat",
+    "Ant", "AntRun", "CartpoleSwingUp", "CoverBox", "FluidMove", "FoldCloth", "GripperLift", "HalfCheetah", "HandFlip",
+    "HandLift", "HandReorient", "Hopper", "Humanoid", "Quadruped", "RollingFlat", "SoftJumper", "SoftJumperMPM",
+    "SteerFloat", "WhipRope",
 )  # fmt: skip
 """The tasks of rewax, as ``rewax.list_envs`` names them."""
 SCALES = ("paper", "small")

@@ -69,7 +69,7 @@ Networks: TypeAlias = ActorCritic[AGPOConfig]
 
 def make_agpo(env: Env, config: AGPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SAPO with mixed gradients; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = AGPOConfig() if config is None else config
+    config = AGPOConfig.given(config)
     return actor_agent("sapo_agpo", env, config, init=start, train_step=train_step, randomize=randomize)
 
 

@@ -94,7 +94,7 @@ class AHACState(ActorCriticState):
 
 def make_ahac(env: Env, config: AHACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """AHAC on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = AHACConfig() if config is None else config
+    config = AHACConfig.given(config)
     return actor_agent("ahac", env, config, init=init, train_step=train_step, randomize=randomize)
 
 

@@ -43,7 +43,7 @@ class APGConfig(PolicyConfig, GradientOptions):
 
 def make_apg(env: Env, config: APGConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """APG on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = APGConfig() if config is None else config
+    config = APGConfig.given(config)
     return actor_agent("apg", env, config, init=init, train_step=train_step, randomize=randomize)
 
 

@@ -6,7 +6,7 @@ subclasses one of these and adds options and defaults of its own. The type of an
 """
 
 import dataclasses
-from typing import Annotated, ClassVar, Literal, TypeAlias, TypedDict
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias, TypedDict
 
 from rewax.agents.legal import (
     COUNT,
@@ -69,6 +69,19 @@ class RunConfig:
         if self.horizon != 0 or self.least_horizon > 0:
             COUNT.check("horizon", self.horizon)
 
+    @classmethod
+    def given(cls, config: Self | None) -> Self:
+        """The configuration that an algorithm was given, or its defaults for None.
+
+        Raises:
+          ValueError: it is that of another algorithm.
+        """
+        if config is not None and not isinstance(config, cls):
+            raise ValueError(
+                f"config is of type {type(config).__name__}: give a {cls.__name__}, or None for its defaults"
+            )
+        return cls() if config is None else config
+
     @property
     def samples(self) -> int:
         """Control steps of all environments in one iteration."""
@@ -105,7 +118,7 @@ class PolicyOptions:
       state_dependent_std: the standard deviation is an output of the network; else it is a parameter.
       log_std_range: clamp of the log standard deviation.
       initial_log_std: initial log standard deviation. If it depends on the state, this is the bias of its output.
-      normalize_observations: running normalisation of vector observations.
+      normalize_observations: running normalisation of vector observations and pictures.
       observation_clip: clamp of normalised observations, with zero gradient beyond; None: no limit. The default acts
         only in a task's first rollout and on outliers.
       stagger_episodes: start environments at random times of their episodes, so that they do not reset together.

@@ -106,7 +106,7 @@ def make_demonstrated(
     env: Env, config: DemonstratedConfig | None = None, *, randomize: Randomize | None = None
 ) -> Agent:
     """SAPO from demonstrations; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = DemonstratedConfig() if config is None else config
+    config = DemonstratedConfig.given(config)
     length = EnvLeaves.of(env).first().episode_length
     if config.num_envs * length % config.critic_minibatches:
         raise ValueError(

@@ -87,7 +87,7 @@ class IVWState(SoftState):
 
 def make_ivw(env: Env, config: IVWConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SAPO with weighted steps; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = IVWConfig() if config is None else config
+    config = IVWConfig.given(config)
     return actor_agent("sapo_ivw", env, config, init=start, train_step=train_step, randomize=randomize)
 
 

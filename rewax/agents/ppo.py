@@ -119,7 +119,7 @@ class PPOState(PolicyState):
 
 def make_ppo(env: Env, config: PPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """PPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = PPOConfig() if config is None else config
+    config = PPOConfig.given(config)
     return actor_agent("ppo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 

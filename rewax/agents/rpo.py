@@ -75,7 +75,7 @@ Networks: TypeAlias = ActorCritic[RPOConfig]
 
 def make_rpo(env: Env, config: RPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """RPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = RPOConfig() if config is None else config
+    config = RPOConfig.given(config)
     return actor_agent("rpo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 

@@ -108,7 +108,7 @@ def make_sac(env: Env, config: SACConfig | None = None, *, randomize: Randomize 
 
     ``train_step`` consumes its input, because it changes the replay buffer in place.
     """
-    config = SACConfig() if config is None else config
+    config = SACConfig.given(config)
     return actor_agent("sac", env, config, init=init, train_step=train_step, randomize=randomize, donate=True)
 
 

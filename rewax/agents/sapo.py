@@ -73,7 +73,7 @@ S = TypeVar("S", bound=SoftState)
 
 def make_sapo(env: Env, config: SAPOConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SAPO on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = SAPOConfig() if config is None else config
+    config = SAPOConfig.given(config)
     return actor_agent("sapo", env, config, init=init, train_step=train_step, randomize=randomize)
 
 

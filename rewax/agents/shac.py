@@ -50,7 +50,7 @@ Networks: TypeAlias = ActorCritic[SHACConfig]
 
 def make_shac(env: Env, config: SHACConfig | None = None, *, randomize: Randomize | None = None) -> Agent:
     """SHAC on an environment; arguments as for ``rewax.agents.actor_critic.actor_agent``."""
-    config = SHACConfig() if config is None else config
+    config = SHACConfig.given(config)
     return actor_agent("shac", env, config, init=init, train_step=train_step, randomize=randomize)
 
 

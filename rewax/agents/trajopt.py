@@ -83,7 +83,7 @@ def make_trajopt(env: Env, config: TrajOptConfig | None = None, *, randomize: Ra
     Returns:
       An agent with ``policy(state, obs, key, deterministic=False, step=0)``. The action depends on ``step`` only.
     """
-    config = TrajOptConfig() if config is None else config
+    config = TrajOptConfig.given(config)
     leaves = partition(env, config.num_envs, randomize)
     return bind("trajopt", config, leaves, init=init, train_step=train_step, policy=policy)
 

@@ -79,9 +79,9 @@ def run(argv: Sequence[str]) -> int:
     build_ahead()
     if options.live:
         return _live(options)
+    opened = [open_run(directory, step=options.step, scale=options.scale) for directory in options.runs]
     recordings = []
-    for directory, name in zip(options.runs, _names(options.runs), strict=True):
-        saved = open_run(directory, step=options.step, scale=options.scale)
+    for directory, name, saved in zip(options.runs, _names(options.runs), opened, strict=True):
         recordings.append(
             record(
                 as_recorded(saved.env),

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import _Wrapper
+from rewax.envs.wrappers import _Wrapper, check_observed
 from rewax.types import Array, Key, Observation
 
 
@@ -35,12 +35,7 @@ class History(struct.Replaceable, _Wrapper):
     def __post_init__(self) -> None:
         if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
             raise ValueError(f"steps of the history is {self.steps!r}: give a number of observations, at least 1")
-        if self.of is None:
-            return
-        known = self.env.observation_spec
-        for name in self.of:
-            if name not in known:
-                raise ValueError(f"of has {name!r}, which is not observed: use some of {', '.join(known)}")
+        check_observed(self.env, self.of)
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import _Wrapper
+from rewax.envs.wrappers import _Wrapper, check_observed
 from rewax.types import Array, Key, Observation, PyTree
 
 _STREAM = 0x1A7E
@@ -65,12 +65,7 @@ class Latency(struct.Replaceable, _Wrapper):
     def __post_init__(self) -> None:
         for name in ("observation", "action"):
             object.__setattr__(self, name, _checked(name, getattr(self, name)))
-        if self.of is None:
-            return
-        known = self.env.observation_spec
-        for name in self.of:
-            if name not in known:
-                raise ValueError(f"of has {name!r}, which is not observed: use some of {', '.join(known)}")
+        check_observed(self.env, self.of)
 
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)

@@ -1,5 +1,6 @@
 """Wrappers of environments: ``Vmap`` for a batch, ``AutoReset`` to begin an episode when one ends."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import jax
@@ -26,6 +27,36 @@ def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
         return jnp.where(condition, a, b)
 
     return jax.tree.map(choose, on_true, on_false)
+
+
+@jax.custom_batching.custom_vmap
+def any_in_batch(condition: Array) -> Array:
+    """Whether a condition holds in any element of the batch that ``jax.vmap`` maps over.
+
+    The result has no axis of the batch. So ``jax.lax.cond`` on it stays a branch under ``vmap``; on a condition with
+    that axis it computes both branches and selects. Elements must not depend on each other: use the result only to
+    leave out what no element uses. Without ``vmap`` it is the condition itself.
+
+    Args:
+      condition: shape (), bool.
+    """
+    return condition
+
+
+@any_in_batch.def_vmap
+def _any_in_batch(axis_size: int, in_batched: list[bool], condition: Array) -> tuple[Array, bool]:
+    del axis_size, in_batched
+    return any_in_batch(jnp.any(condition)), False
+
+
+def check_observed(env: Any, of: Iterable[str] | None) -> None:
+    """Raises ValueError if ``of``, the names that a wrapper is given, has one that is not observed; None: all are."""
+    if of is None:
+        return
+    known = env.observation_spec
+    for name in of:
+        if name not in known:
+            raise ValueError(f"of has {name!r}, which is not observed: use some of {', '.join(known)}")
 
 
 def is_number(leaf: Any) -> bool:
@@ -88,7 +119,7 @@ class AutoReset(_Wrapper):
 
     After such a step, reward, terminated, truncated, metrics and status belong to the old episode; obs, physics and
     step_count belong to the new one. ``final_obs`` is the last observation of the old episode. Every reset draws a new
-    initial state.
+    initial state. A step in which no episode of the batch ends computes no new state and no observation of one.
 
     Gradient: exact through the step. No gradient flows from a new episode to the old one of the same environment;
       other environments of a batch are not affected.
@@ -101,17 +132,23 @@ class AutoReset(_Wrapper):
     def step(self, state: State, action: Array) -> State:
         state = self.env.step(state.replace(final_obs=None), action)
         key, reset_key = jax.random.split(state.key)
-        fresh = jax.lax.stop_gradient(self.env.reset(reset_key).replace(key=key))
-        new = select(state.done, fresh, state)
-        return state.replace(
-            physics=new.physics,
-            obs=new.obs,
-            step_count=new.step_count,
-            key=new.key,
-            drawn=new.drawn,
-            delayed=new.delayed,
-            final_obs=state.obs,
+        kept = _of_episode(state)
+
+        def constant(fresh: PyTree) -> PyTree:
+            # The choice is made in both branches, which then agree on the mesh axes along which values differ.
+            return jax.lax.stop_gradient(select(state.done, fresh, kept))
+
+        fresh = jax.lax.cond(
+            any_in_batch(state.done),
+            lambda: constant(_of_episode(self.env.reset(reset_key).replace(key=key))),
+            lambda: constant(kept),
         )
+        return state.replace(**select(state.done, fresh, kept), final_obs=state.obs)
+
+
+def _of_episode(state: State) -> dict[str, PyTree]:
+    """The parts of a state that belong to its episode."""
+    return {name: getattr(state, name) for name in ("physics", "obs", "step_count", "key", "drawn", "delayed")}
 
 
 @struct.dataclass

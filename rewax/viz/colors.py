@@ -17,6 +17,8 @@ MATERIALS: Mapping[str, tuple[float, float, float]] = {
     "snow": (0.88, 0.93, 0.98),
     "elastic": (0.86, 0.40, 0.42),
     "muscle": (0.80, 0.33, 0.38),
+    "cloth": (0.34, 0.56, 0.78),
+    "rope": (0.78, 0.58, 0.32),
 }
 """Red, green and blue of a material by its name, between 0 and 1."""
 OTHER = (0.45, 0.66, 0.42)

@@ -16,6 +16,7 @@ from rewax.viz.live_guard import guarded
 from rewax.viz.live_matter import KINDS, Matter
 from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, playback
+from rewax.viz.skin import skinned
 from rewax.viz.surface import has_surfaces
 
 _TICK = 1.0 / 30.0
@@ -71,6 +72,7 @@ class LiveViewer:
           recording: the episode.
           caption: text beside it, in Markdown.
         """
+        recording = skinned(recording)
         with self._lock:
             self._server.scene.reset()
             first = self._recording is None  # later episodes keep the user's camera

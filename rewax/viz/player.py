@@ -19,6 +19,7 @@ from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, diameters, playback
 from rewax.viz.seen import Seen
 from rewax.viz.shapes import side_view
+from rewax.viz.skin import skinned
 
 MAX_RUNS = 8
 """Browsers draw no more WebGL canvases at once reliably."""
@@ -68,6 +69,7 @@ def write_player(recordings: Sequence[Recording], out_html: str | Path, *, title
 
 def _run(recording: Recording) -> dict[str, Any]:
     """A recording as the page's scripts read it."""
+    recording = skinned(recording)
     followed, still, follow = frame_both(recording, aspect=_ASPECT)
     chosen, side = followed if follow else still, side_view(recording.up)
     actions = np.zeros((0, 0)) if recording.actions is None else np.asarray(recording.actions)

@@ -34,6 +34,8 @@ class Recording:
       control_dt: duration of a control step [s]; None if the environment does not have it.
       up: unit vector that points up, shape (3,).
       triangles: of particles that are the vertices of a mesh, shape (num_triangles, 3); None for loose particles.
+      segments: of particles that are the points of ropes, shape (num_segments, 2); None without ropes.
+      thickness: of cloth and ropes [m]: ``triangles`` are then open sheets; None where there are neither.
       materials: index of each particle's material in ``material_names``, shape (num_particles,).
       material_names: ``dough``, ``water``, ``sand``, ``snow``, ``elastic``, ``muscle``, ...
       floor: height of the floor along ``up`` [m]. None: the highest level plane among the drawings, or, without one,
@@ -54,6 +56,8 @@ class Recording:
     control_dt: float | None = None
     up: np.ndarray = dataclasses.field(default_factory=lambda: np.array([0.0, 1.0, 0.0]))
     triangles: np.ndarray | None = None
+    segments: np.ndarray | None = None
+    thickness: float | None = None
     materials: np.ndarray | None = None
     material_names: Sequence[str] = ()
     floor: float | None = None
@@ -79,6 +83,10 @@ class Recording:
                 )
         if self.particles is None and not any(kind != "plane" for kind in (kinds or [()])[0]):
             raise ValueError("there is nothing to show: give the environment particles or render_shapes")
+
+    @property
+    def has_segments(self) -> bool:
+        return self.segments is not None and len(self.segments) > 0
 
     @property
     def num_frames(self) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rewax.viz.colors import color_by as colors_of
 from rewax.viz.recording import Recording
+from rewax.viz.skin import skinned
 from rewax.viz.surface import has_surfaces
 
 RENDERERS = ("auto", "mujoco", "software")
@@ -46,6 +47,7 @@ def pictures(
         raise ValueError(f"particles cannot be coloured by {color_by!r}: use one of {', '.join(colors_of(recording))}")
     if surface and renderer == "mujoco":
         raise ValueError("the renderer mujoco draws no surfaces of particles: use software or auto")
+    recording = skinned(recording)
     wanted = surface is not False and renderer != "mujoco" and has_surfaces(recording)
     if wanted or renderer == "software":
         return software_pictures(recording, size, color_by, surface=wanted)

@@ -4,6 +4,7 @@ import pytest
 import toys
 
 from rewax.agents import registry
+from rewax.agents.config import RunConfig
 from rewax.agents.registry import Algorithm, algorithm, list_algorithms, make_agent, register_algorithm
 from rewax.agents.sapo import SAPOConfig, make_sapo
 
@@ -22,6 +23,14 @@ def test_an_unknown_name_is_answered_with_the_known_ones():
         ValueError, match=r"^there is no algorithm named 'sapoo': did you mean 'sapo'\? known are .*sapo"
     ):
         algorithm("sapoo")
+
+
+@pytest.mark.parametrize("name", list_algorithms())
+def test_the_configuration_of_another_algorithm_is_refused(name):
+    known = algorithm(name)
+    sentence = f"config is of type RunConfig: give a {known.config_type.__name__}, or None for its defaults"
+    with pytest.raises(ValueError, match=f"^{sentence}$"):
+        known.make(toys.point_mass(), RunConfig())
 
 
 def test_an_algorithm_of_ones_own(monkeypatch):

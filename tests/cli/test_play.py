@@ -73,6 +73,11 @@ def test_runs_are_played_side_by_side(run, tmp_path, capsys):
     assert lines[0].startswith(f"{run}: 4 steps, return -") and lines[-1].endswith("MB: open it in a browser")
 
 
+def test_a_wrong_run_is_found_before_an_episode_is_recorded(run, capsys):
+    assert main(["play", str(run), "nowhere"]) == 2
+    assert capsys.readouterr().out == ""
+
+
 def _neither(name, guess=""):
     known = ", ".join(sorted({task for task, _ in list_policies()}))
     said = f"{name!r} is neither the directory of a run nor a task with a trained policy: {guess}"

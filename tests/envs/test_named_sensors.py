@@ -9,6 +9,7 @@ from rewax.envs import named_sensors
 from rewax.envs.named_sensors import default_camera, list_sensors, register_sensor, with_sensors
 from rewax.sensors import Camera, Labels
 from rewax.sensors.framing import carried, framing
+from rewax.testing import check_env
 
 KEY = jax.random.key(0)
 
@@ -23,6 +24,14 @@ def test_make_adds_sensors_and_remembers_them():
     assert state.obs["camera"].min() < 1.0, "the camera sees nothing"
     again = rewax.make(env.made_by["env"], scale=env.made_by["scale"], **env.made_by["kwargs"])
     np.testing.assert_array_equal(jax.jit(again.reset)(KEY).obs["camera"], state.obs["camera"])
+
+
+def test_pictures_keep_the_protocol():
+    """check_env compares depth, clouds and masks with their spec, with repeats, without jit and side by side."""
+    sensors = ("camera", "cloud", "labels")
+    env = rewax.make("CartpoleSwingUp", scale="small", sensors=sensors, resolution=8)
+    assert set(sensors) < set(env.observation_spec)
+    check_env(env, check_full_episode=False, notify=None)
 
 
 @pytest.mark.parametrize("sensors", [None, ()])

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import toys
+from sharded import traced_under_shard_map
 
 from rewax import struct
 from rewax.envs import registry
@@ -84,6 +85,68 @@ def test_gradient_is_cut_exactly_at_the_boundary_for_that_environment_alone():
     np.testing.assert_allclose(slope[1, :, 1], [0.0, -x[1]], rtol=1e-5)  # nothing from before the reset
     np.testing.assert_array_equal(slope[0, :, 1], [0.0, 0.0])
     np.testing.assert_array_equal(slope[1, :, 0], [0.0, 0.0])
+
+
+def test_a_reset_is_computed_only_in_steps_that_end_an_episode():
+    resets = []
+
+    @struct.dataclass
+    class Counted(toys.PointMass):
+        def reset(self, key):
+            jax.debug.callback(resets.append, jax.random.key_data(key))
+            return super().reset(key)
+
+    env = Vmap(env=AutoReset(env=Counted(gain=jnp.float32(0.5), length=LENGTH)))
+    state = Vmap(env=AutoReset(env=toys.point_mass(LENGTH))).reset(jax.random.split(jax.random.key(0), 2))
+    states = jax.jit(lambda state: rollout(env, state, jnp.zeros((LENGTH + 1, 2, 1))))(state)
+    jax.effects_barrier()
+    assert states.done.tolist() == [[False] * 2, [False] * 2, [True] * 2, [False] * 2]
+    assert len(resets) == 2
+
+
+def test_a_step_without_a_reset_has_the_numbers_of_a_step_with_one():
+    """The others of a batch decide whether a reset is computed, and never what it is."""
+    env = Vmap(env=AutoReset(env=toys.point_mass(LENGTH)))
+    state = env.reset(jax.random.split(jax.random.key(0), 2))
+
+    def step(state, actions):
+        return env.step(state, actions).reward.sum(), env.step(state, actions)
+
+    run = jax.jit(jax.value_and_grad(step, argnums=1, has_aux=True))
+    some = run(state.replace(step_count=jnp.array([0, LENGTH - 1])), jnp.full((2, 1), 0.3))
+    none = run(state, jnp.full((2, 1), 0.3))
+    (_, a), slope_a = some
+    (_, b), slope_b = none
+    assert a.done.tolist() == [False, True] and not b.done.any()
+    for name in ("physics", "obs", "final_obs", "reward", "metrics", "step_count"):
+        for one, other in zip(*(jax.tree.leaves(getattr(s, name)) for s in (a, b)), strict=True):
+            np.testing.assert_array_equal(one[0], other[0])
+    np.testing.assert_array_equal(slope_a, slope_b)
+
+
+def test_a_batch_of_batches_is_reset_as_its_environments_alone():
+    one = AutoReset(env=toys.point_mass(LENGTH))
+    keys = jax.random.split(jax.random.key(0), (2, 3))
+    state = jax.vmap(jax.vmap(one.reset))(keys)
+    state = state.replace(step_count=jnp.array([[0, LENGTH - 1, 0], [0, 0, 0]]))
+    new = jax.vmap(jax.vmap(one.step))(state, jnp.full((2, 3, 1), 0.3))
+    assert new.done.tolist() == [[False, True, False], [False] * 3]
+    for i in np.ndindex(2, 3):
+        alone = one.step(jax.tree.map(lambda a, i=i: a[i], state), jnp.full(1, 0.3))
+        np.testing.assert_array_equal(new.physics[i], alone.physics)
+        assert new.step_count[i] == alone.step_count
+
+
+def test_resets_and_their_gradient_are_traced_on_a_mesh():
+    env = AutoReset(env=toys.point_mass(LENGTH))
+    start = env.reset(jax.random.key(0))
+
+    def slope(key_data, actions):
+        state = start.replace(key=jax.random.wrap_key_data(key_data), physics=start.physics + 0.0 * actions[0])
+        return jax.grad(lambda actions: rollout(env, env.step(state, actions[0]), actions).reward.sum())(actions)
+
+    shape = traced_under_shard_map(slope, jax.random.key_data(start.key), jnp.ones((4, 1)))
+    assert shape.shape == (1, 4, 1)
 
 
 def test_gradient_with_respect_to_the_environment():

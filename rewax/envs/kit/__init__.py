@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
     from rewax.envs.kit.start_noise import ResetNoise, no_noise, reset_noise
     from rewax.envs.kit.task import Task
+    from rewax.envs.kit.thin_task import ThinTask
 
 _HOMES = {
     **dict.fromkeys(("CoupledPhysics", "CoupledTask"), "rewax.envs.kit.coupled_task"),
@@ -24,11 +25,12 @@ _HOMES = {
     **dict.fromkeys(("SoftPhysics", "SoftTask"), "rewax.envs.kit.soft_task"),
     **dict.fromkeys(("ResetNoise", "no_noise", "reset_noise"), "rewax.envs.kit.start_noise"),
     "Task": "rewax.envs.kit.task",
+    "ThinTask": "rewax.envs.kit.thin_task",
 }
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 __all__ = [
     "CoupledPhysics", "CoupledTask", "PointCloud", "ResetNoise", "RigidPhysics", "RigidTask", "SoftPhysics",
-    "SoftTask", "Task", "box_walls", "dough", "no_noise", "reset_noise", "water",
+    "SoftTask", "Task", "ThinTask", "box_walls", "dough", "no_noise", "reset_noise", "water",
 ]  # fmt: skip

@@ -9,13 +9,14 @@ import numpy as np
 from rewax.physics import tets
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.tets import TetScene, TetState
+from rewax.physics.thin import ThinScene, ThinState
 from rewax.types import Array
 
 MARKER = (0.90, 0.25, 0.20)
 """Colour of targets and other markers without contact: red, green and blue."""
 
 
-def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any]:
+def soft_appearance(scene: MPMScene | TetScene | ThinScene, up: np.ndarray) -> dict[str, Any]:
     """The part of a picture that is constant during an episode, with the keys of ``rewax.viz.recording.Recording``.
 
     Args:
@@ -29,9 +30,9 @@ def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any
             "triangles": np.asarray(tets.boundary_faces(mesh)),
             "material_names": ("muscle" if active else "elastic",),
         }
-        if scene.ground is not None and float(np.asarray(scene.ground.normal) @ up) > 0.99:
-            looks["floor"] = float(np.asarray(scene.ground.height))
-        return looks
+        return {**looks, **_floor(scene, up)}
+    if isinstance(scene, ThinScene):
+        return {**_thin_looks(scene), **_floor(scene, up)}
     parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
     looks = {"material_names": unique_names([part.look for part in parts])}
     if scene.particle_counts is not None:
@@ -43,12 +44,33 @@ def soft_appearance(scene: MPMScene | TetScene, up: np.ndarray) -> dict[str, Any
     return looks
 
 
+def _floor(scene: TetScene | ThinScene, up: np.ndarray) -> dict[str, float]:
+    """Height of level ground."""
+    if scene.ground is None or float(np.asarray(scene.ground.normal) @ up) <= 0.99:
+        return {}
+    return {"floor": float(np.asarray(scene.ground.height))}
+
+
+def _thin_looks(scene: ThinScene) -> dict[str, Any]:
+    """Triangles of cloth, segments of ropes, and which vertices belong to ropes alone."""
+    triangles, segments = scene.topology.triangles.indices, scene.topology.segments.indices
+    names = tuple(name for name, part in (("cloth", triangles), ("rope", segments)) if len(part))
+    looks: dict[str, Any] = {"material_names": names}
+    if len(triangles):
+        looks["triangles"] = triangles
+    if len(segments):
+        looks["segments"] = segments
+    if len(names) > 1:
+        looks["materials"] = np.where(np.isin(np.arange(scene.topology.triangles.num_vertices), triangles), 0, 1)
+    return looks
+
+
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
     """The names with ``_2``, ``_3``, ... after those that repeat: ``("elastic", "elastic_2", "water")``."""
     return tuple(name if (n := names[:i].count(name)) == 0 else f"{name}_{n + 1}" for i, name in enumerate(names))
 
 
-def soft_values(soft: MPMState | TetState) -> dict[str, Array]:
+def soft_values(soft: MPMState | TetState | ThinState) -> dict[str, Array]:
     """Speed [m/s] of each point and strain [-] of each particle, shape (num_points,).
 
     The strain is the Frobenius norm of the Green-Lagrange strain (F^T F - I) / 2.

@@ -165,8 +165,7 @@ class SoftTask(SoftBodyTask):
         motion = action[: self.num_joints] * self.joint_step
         motion = jnp.clip(motion, self.joint_lower - before, self.joint_upper - before)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
-        poses = checked_poses(self, self.poses(q + fraction[:, None] * motion), len(fraction))
-        soft, felt, status = self._move(self.actuated(action), physics.soft, poses)
+        soft, felt, status = self._driven(physics, action, q + fraction[:, None] * motion)
         rate = motion / self.joint_step
         moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=rate, action=action, felt=felt)
         return moved, status
@@ -198,6 +197,11 @@ class SoftTask(SoftBodyTask):
     def tools(self) -> dict[str, int]:
         """The bodies of the colliders by name: ``tool``, or ``tool_0``, ``tool_1``, ... of several."""
         return named_tools(self.scene.colliders)
+
+    def _driven(self, physics: SoftPhysics, action: Array, path: Array) -> tuple[Soft, Any, Array]:
+        """What ``_move`` returns, for joints at the boundaries of the substeps, shape (n, num_joints)."""
+        poses = checked_poses(self, self.poses(path), len(path))
+        return self._move(self.actuated(action), physics.soft, poses)
 
     def _move(self, scene: Scene, soft: Soft, poses: Pose) -> tuple[Soft, Any, Array]:
         """Soft bodies after the substeps between poses, what the tools felt, and status bits.

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.tets import TetScene
+from rewax.physics.thin import ThinScene
 
 
 def task_repr(task: Any) -> str:
@@ -38,12 +39,16 @@ def _time(task: Any) -> list[str]:
 
 
 def _sizes(task: Any) -> list[str]:
-    """Numbers of particles, or of vertices and tets, of degrees of freedom, and of parameters."""
+    """Numbers of particles, or of vertices and elements, of degrees of freedom, and of parameters."""
     sizes, scene, model = [], getattr(task, "scene", None), getattr(task, "model", None)
     if scene is not None:
         num = np.shape(task.rest_positions)[-2]
-        is_mesh = isinstance(scene, TetScene)
-        sizes = [f"{num} vertices", f"{np.shape(scene.tets)[-2]} tets"] if is_mesh else [f"{num} particles"]
+        sizes = [f"{num} particles"]
+        if isinstance(scene, TetScene):
+            sizes = [f"{num} vertices", f"{np.shape(scene.tets)[-2]} tets"]
+        elif isinstance(scene, ThinScene):
+            counts = {"triangles": len(scene.topology.triangles), "segments": len(scene.topology.segments)}
+            sizes = [f"{num} vertices", *(f"{count} {name}" for name, count in counts.items() if count)]
     if model is not None:
         sizes.append(f"{model.num_dofs} dofs")
     return [*sizes, f"{num_parameters(task)} parameters"]

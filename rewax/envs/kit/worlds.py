@@ -12,11 +12,14 @@ from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Plane
 from rewax.physics.tets import TetScene, TetState
+from rewax.physics.thin import ThinScene, ThinState
 from rewax.sensors.world import Balls, Solid, Triangles, World, half_space, placed_colliders
 from rewax.types import Array, Scalar
 
 BALL_RADIUS = 0.4
 """Of a particle, in cells of the grid. Of eight particles in a cell, neighbours on the diagonal then overlap."""
+BALLS_PER_SEGMENT = 6
+"""Of a rope."""
 
 
 def soft_world(scene: MPMScene | TetScene, soft: MPMState | TetState, up: np.ndarray) -> World:
@@ -28,8 +31,7 @@ def soft_world(scene: MPMScene | TetScene, soft: MPMState | TetState, up: np.nda
       up: unit vector against gravity, shape (3,).
     """
     if isinstance(scene, TetScene):
-        faces = jnp.asarray(_faces(scene.topology), jnp.int32)
-        floor = () if scene.ground is None else (_ground(scene.ground.normal, scene.ground.height),)
+        faces, floor = jnp.asarray(_faces(scene.topology), jnp.int32), _grounds(scene)
         return World(solids=floor, triangles=(Triangles(vertices=soft.x, faces=faces, name="soft"),))
     parts = scene.material if isinstance(scene.material, tuple) else (scene.material,)
     counts = scene.particle_counts or (soft.x.shape[0],)
@@ -42,6 +44,30 @@ def soft_world(scene: MPMScene | TetScene, soft: MPMState | TetState, up: np.nda
         normal = np.sign(up[axis]) * np.eye(3)[axis]
         floor = (half_space(normal, float(np.sign(up[axis]) * wall.position), "floor"),)
     return World(solids=floor, balls=(balls,))
+
+
+def thin_world(scene: ThinScene, soft: ThinState, thickness: float) -> World:
+    """Cloth by its triangles, ropes as rows of balls, and the ground.
+
+    Args:
+      scene: the bodies and the ground.
+      soft: where they are.
+      thickness: of ropes [m].
+    """
+    triangles, segments = scene.topology.triangles.indices, scene.topology.segments.indices
+    cloth, ropes = (), ()
+    if len(triangles):
+        cloth = (Triangles(vertices=soft.x, faces=jnp.asarray(triangles), name="cloth"),)
+    if len(segments):
+        part = np.linspace(0.0, 1.0, BALLS_PER_SEGMENT, endpoint=False)[:, None, None]
+        a, b = (soft.x[segments[:, k]] for k in (0, 1))
+        centers = ((1.0 - part) * a + part * b).reshape(-1, 3)
+        ropes = (Balls(center=centers, radius=0.5 * thickness, names=("rope",), counts=(len(centers),)),)
+    return World(solids=_grounds(scene), balls=ropes, triangles=cloth)
+
+
+def _grounds(scene: TetScene | ThinScene) -> tuple[Solid, ...]:
+    return () if scene.ground is None else (_ground(scene.ground.normal, scene.ground.height),)
 
 
 def with_tools(world: World, colliders: Any, bodies: Pose) -> World:

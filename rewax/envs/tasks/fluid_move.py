@@ -126,7 +126,8 @@ class FluidMove(SoftTask):
 
     @property
     def default_camera(self) -> Camera:
-        return overlooking((0.5, 0.25, 0.5), 0.55, up=self.up)
+        # All places of the container between its start and the targets.
+        return overlooking((0.5, 0.37, 0.5), 0.85, up=self.up)
 
 
 def container(

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 
 from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies, place
+from rewax.physics.contact.feeling import Feeling, scan_touch
 from rewax.physics.contact.losses import velocity_losses
 from rewax.physics.contact.motion import Placed
-from rewax.physics.contact.patches import WALLS, accumulated, check_patches, feels_walls, felt, no_touch
+from rewax.physics.contact.patches import WALLS, feels_walls, felt
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.packing import join, split
 from rewax.physics.mpm.scene import SCENE, STATE, MPMScene, MPMState
@@ -23,7 +24,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.substeps import both_ends, scan_substeps
+from rewax.physics.numerics.substeps import both_ends
 from rewax.types import Array
 
 
@@ -46,26 +47,19 @@ def step_with_touch(
     Raises:
       ValueError: a patch belongs to a body that has no pose.
     """
-    num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
-    check_bodies(scene.colliders, num_bodies)
-    check_patches(patches, num_bodies)
+    check_bodies(scene.colliders, poses.position.shape[1])
     nodes = nodes_of_step(scene, state.x)
     one = _substep if store_every is None else _recomputed_substep
+    before, after = both_ends(poses)
+    intervals = place(scene.colliders, before, after, scene.dt), before
 
-    def body(carry: _Carry, interval: tuple[Placed, Pose]) -> _Carry:
+    def substep(carry: Feeling[Array], interval: tuple[Placed, Pose]) -> Feeling[Array]:
         return one(scene, patches, nodes, carry, interval)
 
-    before, after = both_ends(poses)
-    placed = place(scene.colliders, before, after, scene.dt)
-    start = _Carry(split(state), no_touch(patches, state.x))
-    end = scan_substeps(body, start, (placed, before), store_every)
-    return join(end.particles), jax.tree.map(lambda a: a / (num_substeps * scene.dt), end.received)
-
-
-class _Carry(NamedTuple):
-    particles: Array
-    received: Any
-    """Impulse and angular impulse on each patch."""
+    particles, touch = scan_touch(
+        substep, split(state), intervals, poses, patches, store_every=store_every, dt=scene.dt
+    )
+    return join(particles), touch
 
 
 class _Owned(NamedTuple):
@@ -77,14 +71,16 @@ class _Owned(NamedTuple):
     body: Array
 
 
-def _substep(scene: MPMScene, patches: Any, nodes: ActiveNodes, carry: _Carry, interval: tuple[Placed, Pose]) -> _Carry:
+def _substep(
+    scene: MPMScene, patches: Any, nodes: ActiveNodes, carry: Feeling[Array], interval: tuple[Placed, Pose]
+) -> Feeling[Array]:
     placed, bodies = interval
-    particles, fields = to_nodes(scene, nodes, carry.particles)
+    particles, fields = to_nodes(scene, nodes, carry.soft)
     with jax.named_scope("grid"):
         velocity, received = _grid_velocity(scene, nodes, fields, placed, walls=feels_walls(patches))
     with jax.named_scope("touch"):
         impulse = felt(patches, nodes.position, received, bodies)
-    return _Carry(from_nodes(scene, nodes, particles, velocity), accumulated(carry.received, impulse))
+    return carry.after(from_nodes(scene, nodes, particles, velocity), impulse)
 
 
 _recomputed_substep = recomputed(_substep)

@@ -1,17 +1,18 @@
 """Tetrahedra with the forces that bodies feel: ``step``, and the penalty forces of the vertices on colliders."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 
 from rewax.lowering.fusion import materialize
 from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
-from rewax.physics.contact.patches import accumulated, check_patches, felt, no_touch
+from rewax.physics.contact.feeling import Feeling, scan_touch
+from rewax.physics.contact.patches import felt
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.substeps import both_ends, scan_substeps
+from rewax.physics.numerics.substeps import both_ends
 from rewax.physics.tets.scene import SCENE, STATE, TetScene, TetState
 from rewax.physics.tets.stepping import (
     Rest,
@@ -44,28 +45,21 @@ def step_with_touch(
     Raises:
       ValueError: a patch belongs to a body that has no pose.
     """
-    num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
-    check_bodies(scene.colliders, num_bodies)
-    check_patches(patches, num_bodies)
+    check_bodies(scene.colliders, poses.position.shape[1])
     constants = rest(scene)
     one = _substep if store_every is None else _recomputed_substep
 
-    def body(carry: _Carry, interval: tuple[Pose, Pose]) -> _Carry:
+    def substep(carry: Feeling[Vertices], interval: tuple[Pose, Pose]) -> Feeling[Vertices]:
         return one(scene, patches, constants, carry, interval)
 
-    start = _Carry(split(state), no_touch(patches, state.x))
-    end = scan_substeps(body, start, both_ends(poses), store_every)
-    return join(end.vertices), jax.tree.map(lambda a: a / num_substeps, end.received)
+    vertices, touch = scan_touch(substep, split(state), both_ends(poses), poses, patches, store_every=store_every)
+    return join(vertices), touch
 
 
-class _Carry(NamedTuple):
-    vertices: Vertices
-    received: Any
-    """Sums over substeps of the force and torque on each patch."""
-
-
-def _substep(scene: TetScene, patches: Any, rest: Rest, carry: _Carry, interval: tuple[Pose, Pose]) -> _Carry:
-    vertices = materialize(carry.vertices)
+def _substep(
+    scene: TetScene, patches: Any, rest: Rest, carry: Feeling[Vertices], interval: tuple[Pose, Pose]
+) -> Feeling[Vertices]:
+    vertices = materialize(carry.soft)
     x, v = vertices
     with jax.named_scope("tets"):
         force = vertex_forces(scene, rest, x, v)
@@ -74,7 +68,7 @@ def _substep(scene: TetScene, patches: Any, rest: Rest, carry: _Carry, interval:
         contact = total_force([given for _, given in each], x)
     with jax.named_scope("touch"):
         received = felt(patches, x, [(body, cp.scale(-1.0, given)) for body, given in each], interval[0])
-    return _Carry(moved(scene, rest, vertices, force, contact), accumulated(carry.received, received))
+    return carry.after(moved(scene, rest, vertices, force, contact), received)
 
 
 _recomputed_substep = recomputed(_substep)

@@ -8,7 +8,9 @@ depth c = h - D, the onset o = h/4, and v_n and v_t the normal and tangential re
 
 where r(c) = c^2 / (2 o) up to c = o and c - o/2 beyond. The force of one element acts on its corners with the weights
 of the closest point, the opposite force on the other's. So forces sum to zero, and without friction torques do too. The
-two friction forces of a pair act at its two closest points: their torque is the distance times the friction.
+two friction forces of a pair act at its two closest points: their torque is the distance times the friction. To act at
+one point between the layers, they would have to bend the layers, which the corners of a pair cannot express: a vertex
+and a segment have no normal of their own.
 
 D of two segments is sqrt(|difference|^2 + (h/5)^2 ((2 s - 1)^2 + (2 t - 1)^2)) at its minimum over points s and t. The
 difference is not the true distance except in the middle of both segments, but it makes the force continuous where

@@ -55,6 +55,9 @@ class ThinState(struct.Replaceable):
         Gradient: none.
       crease: plastic part of the rest angle of hinges [rad], shape (num_hinges,), see ``no_creases``; None for cloth
         that does not yield.
+      filled: largest number of close pairs over the length of their list [-], of all steps with self-contact since
+        ``initial_state``, shape (); above 1, pairs were missed. Gradient: none.
+      speed: largest speed of a vertex relative to the mean velocity [m/s], likewise.
       holds: where each grasp of the scene holds its vertices, see ``open_grasps``; () without grasps.
     """
 
@@ -62,6 +65,8 @@ class ThinState(struct.Replaceable):
     v: Array
     error: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     crease: Array | None = None
+    filled: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
+    speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     holds: tuple[Hold, ...] = ()
 
 
@@ -122,7 +127,8 @@ def initial_state(x: Any) -> ThinState:
     """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones."""
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    return ThinState(x=x, v=jnp.zeros_like(x), error=jnp.zeros((), x.dtype))
+    nothing = jnp.zeros((), x.dtype)
+    return ThinState(x=x, v=jnp.zeros_like(x), error=nothing, filled=nothing, speed=nothing)
 
 
 @checked(scene=SCENE, state=STATE)

@@ -116,12 +116,5 @@ def cloth_is_unstable(cloth: Cloth) -> Any:
     return cloth.coupling**2 >= cloth.warp * cloth.weft
 
 
-__all__ = [
-    "check_can_couple",
-    "check_creases",
-    "check_lengths",
-    "check_materials",
-    "check_stepper",
-    "cloth_is_unstable",
-    "scene_numbers",
-]
+__all__ = ["check_can_couple", "check_creases", "check_lengths", "check_materials", "check_stepper",
+           "cloth_is_unstable", "scene_numbers"]  # fmt: skip

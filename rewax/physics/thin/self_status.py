@@ -11,7 +11,7 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import broad_phase, closest
 from rewax.physics.thin.contact_elements import ContactElements
 from rewax.physics.thin.pair_kernels import CloseElements
-from rewax.physics.thin.self_contact import find
+from rewax.physics.thin.self_contact import find, relative_speed
 from rewax.status import Status, flag
 from rewax.types import Array, Scalar
 
@@ -30,9 +30,8 @@ def self_status(scene: "ThinScene", state: "ThinState") -> Array:
     scene, state = jax.lax.stop_gradient((scene, state))
     x = cp.split_vector(state.x)
     edges = find(scene, x, False)
-    full = edges.count > edges.first.size
-    mean = jnp.sum(scene.mass[:, None] * state.v, axis=0) / jnp.sum(scene.mass)
-    speed = jnp.sqrt(jnp.max(jnp.sum((state.v - mean) ** 2, axis=-1)))
+    full = (state.filled > 1.0) | (edges.count > edges.first.size)
+    speed = jnp.maximum(state.speed, relative_speed(scene.mass, cp.split_vector(state.v)))
     bad = (speed > law.max_speed) | ropes_crossed(elements, law.rope(), x, edges)
     if len(elements.triangles):
         corners = find(scene, x, True)

@@ -29,7 +29,7 @@ from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import check_creases, cloth_is_unstable, scene_numbers
-from rewax.physics.thin.self_contact import AllPairs, close_pairs, scan_rounds, self_forces
+from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces, watched_pairs
 from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, corners, scatter
@@ -133,7 +133,8 @@ def step(
     def body(vertices: Vertices, interval: Interval, pairs: AllPairs | None = None) -> Vertices:
         return one(scene, vertices, interval, pairs)
 
-    return join(_scanned(scene, body, split(state), intervals, store_every)).replace(error=state.error)
+    end, seen = _scanned(scene, body, split(state), intervals, store_every)
+    return remembered(state, join(end), seen).replace(error=state.error)
 
 
 @checked(scene=SCENE, state=STATE, poses=poses("num_bodies"))
@@ -167,6 +168,9 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit
     substeps of the last ``step`` that missed their tolerance (``UNSOLVED``), and with self-contact full lists of pairs
     (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+
+    Full lists and fast vertices are remembered from all steps since ``initial_state``; ``state.replace(filled=0.0,
+    speed=0.0)`` forgets them. Crossed layers are those of this state.
 
     Args:
       scene: the scene.
@@ -220,8 +224,9 @@ def _implicit(scene: ThinScene, state: ThinState, intervals: Interval, store_eve
         return Solved(new.x, new.v, jnp.maximum(at.error, new.error), crease)
 
     start = Solved(*split(state)[:2], jnp.zeros((), state.x.dtype), state.crease)
-    end = _scanned(scene, body, start, intervals, store_every)
-    return join(Vertices(end.x, end.v)).replace(error=jax.lax.stop_gradient(end.error), crease=end.crease)
+    end, seen = _scanned(scene, body, start, intervals, store_every)
+    after = remembered(state, join(Vertices(end.x, end.v)), seen)
+    return after.replace(error=jax.lax.stop_gradient(end.error), crease=end.crease)
 
 
 def _creasing(scene: ThinScene, state: ThinState, intervals: Interval, store_every: int | None) -> ThinState:
@@ -233,15 +238,17 @@ def _creasing(scene: ThinScene, state: ThinState, intervals: Interval, store_eve
     def body(at: Creased, interval: Interval, pairs: AllPairs | None = None) -> Creased:
         return one(scene, limit, at, interval, pairs)
 
-    end = _scanned(scene, body, Creased(*split(state), state.crease), intervals, store_every)
-    return join(Vertices(*end[:3])).replace(error=state.error, crease=end.crease)
+    end, seen = _scanned(scene, body, Creased(*split(state), state.crease), intervals, store_every)
+    return remembered(state, join(Vertices(*end[:3])), seen).replace(error=state.error, crease=end.crease)
 
 
-def _scanned(scene: ThinScene, body: Any, start: Any, intervals: Interval, store_every: int | None) -> Any:
+def _scanned(
+    scene: ThinScene, body: Any, start: Any, intervals: Interval, store_every: int | None
+) -> tuple[Any, Seen | None]:
     if scene.self_contact is None:
-        return scan_substeps(body, start, intervals, store_every)
+        return scan_substeps(body, start, intervals, store_every), None
     every = scene.self_contact.every
-    return scan_rounds(body, lambda s: close_pairs(scene, s.x), start, intervals, store_every, every)
+    return scan_rounds(body, lambda at: watched_pairs(scene, at), start, intervals, store_every, every)
 
 
 # --- One substep, by components ---------------------------------------------------------------------------------------
@@ -345,13 +352,25 @@ def split(state: ThinState) -> Vertices:
 
 
 def join(vertices: Vertices) -> ThinState:
-    """Inverse of ``split``. The state has no error of implicit steps and no creases."""
+    """Inverse of ``split``. The state has no error of implicit steps, no creases and no memory of self-contact."""
+    nothing = jnp.zeros_like(vertices.x[0][0])
     return ThinState(
         x=cp.join_vector(vertices.x),
         v=cp.join_vector(vertices.v),
         holds=grasp_forces.join_holds(vertices.holds),
-        error=jnp.zeros_like(vertices.x[0][0]),
+        error=nothing,
+        filled=nothing,
+        speed=nothing,
     )
+
+
+def remembered(before: ThinState, after: ThinState, seen: Seen | None) -> ThinState:
+    """The state after a step, with the extremes of self-contact of all steps. Gradient: none."""
+    known = [before.filled, before.speed]
+    if seen is not None:
+        known = [jnp.maximum(old, new) for old, new in zip(known, seen, strict=True)]
+    filled, speed = jax.lax.stop_gradient(known)
+    return after.replace(filled=filled, speed=speed)
 
 
 def checked_prescribed(
@@ -380,4 +399,7 @@ def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
     return cp.join_vector(self_forces(scene, x, v, close_pairs(scene, x)))
 
 
-__all__ = ["check_status", "contact_force", "internal_force", "moved", "open_grasps", "self_contact_force", "step"]
+__all__ = [
+    "check_status", "contact_force", "internal_force", "moved", "open_grasps", "remembered", "self_contact_force",
+    "step",
+]  # fmt: skip

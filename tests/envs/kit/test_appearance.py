@@ -13,9 +13,13 @@ from rewax.viz.recording import Recording
 
 NAMES = {
     "RollingFlat": ("dough",), "HandFlip": ("dough",), "FluidMove": ("water",), "SteerFloat": ("elastic", "water"),
-    "SoftJumper": ("elastic",), "SoftJumperMPM": ("muscle",), "GripperLift": ("elastic",),
+    "SoftJumper": ("elastic",), "SoftJumperMPM": ("muscle",), "GripperLift": ("elastic",), "WhipRope": ("rope",),
+    "CoverBox": ("cloth",), "FoldCloth": ("cloth",),
 }  # fmt: skip
-FLOORS = {"RollingFlat": 0.0625, "FluidMove": 0.0625, "SteerFloat": 0.075, "SoftJumper": 0.0, "GripperLift": 0.08}
+FLOORS = {
+    "RollingFlat": 0.0625, "FluidMove": 0.0625, "SteerFloat": 0.075, "SoftJumper": 0.0, "GripperLift": 0.08,
+    "WhipRope": 0.0, "CoverBox": 0.0, "FoldCloth": 0.0,
+}  # fmt: skip
 
 
 def first_frame(env):

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from mixed_bodies import RUN, SPACING, bag_mesh, both, cloth_scene, sand_scene
 
-from rewax.physics import coupling, mpm, thin
+from rewax.physics import coupling, mpm, rigid, thin
 from rewax.physics.contact import Collider, PenaltyContact
-from rewax.physics.coupling import free_body
+from rewax.physics.coupling import articulated, free_body
 from rewax.physics.mpm import invariants
 from rewax.physics.shapes import Sphere, fill_box
 
@@ -73,6 +73,30 @@ def test_a_free_body_between_both_loses_nothing(x64):
     assert float(jnp.abs(change).max()) > 1e-5
     np.testing.assert_allclose(wrench.force[0] * 40 * scene.dt, change, rtol=1e-9)
     np.testing.assert_allclose(total(end, after), total(state, body), atol=1e-14)
+
+
+HAND = """
+<mujoco><option gravity="0 0 0"/><worldbody><body name="hand" pos="0 .01 0"><freejoint/>
+  <geom type="box" size=".01 .01 .01" mass=".05" contype="0" conaffinity="1"/></body></worldbody></mujoco>
+"""
+
+
+def test_a_robot_that_holds_a_cloth_with_sand_loses_nothing(x64):
+    """A hand that floats freely grasps the cloth on which sand lands: all three share their momentum."""
+    model = rigid.load(HAND, dt=2e-4)
+    grasp = thin.Grasp(radius=0.06, stiffness=50.0, damping=0.05, body=1)
+    scene, state = touching(grasps=(grasp,))
+    robot = rigid.initial_state(model, qvel=jnp.zeros(6).at[1].set(0.3))
+    state = state.replace(thin=thin.open_grasps(scene.thin, state.thin, rigid.body_poses(model, robot)))
+
+    def total(state, robot):
+        soft = invariants.momentum(scene.particles, state.particles) + thin.momentum(scene.thin, state.thin)
+        return soft + 0.05 * robot.qvel[:3]
+
+    step = jax.jit(articulated.step, static_argnames="num_substeps")
+    end, after, _ = step(scene, model, state, robot, grips=jnp.ones(1), num_substeps=20)
+    assert float(jnp.abs(after.qvel - robot.qvel).max()) > 1e-2
+    np.testing.assert_allclose(total(end, after), total(state, robot), atol=1e-14)
 
 
 def landed(scene, state):

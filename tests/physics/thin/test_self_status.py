@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-from self_contact_bodies import crossings, folded
+from self_contact_bodies import RUN, crossings, folded
 
 from rewax.physics import thin
 from rewax.status import Status
@@ -20,3 +20,17 @@ def test_status_names_crossed_layers_speed_and_full_lists(x64):
     assert thin.check_status(scene, state.replace(x=through)) & Status.CROSSED
     few = scene.replace(self_contact=scene.self_contact.replace(pairs_per_element=1, thickness=0.1))
     assert thin.check_status(few, state) & Status.FULL_PAIRS
+
+
+def test_a_step_remembers_full_lists_and_fast_vertices(x64):
+    scene, state = folded()
+    few = scene.replace(self_contact=scene.self_contact.replace(pairs_per_element=1, max_speed=100.0))
+    fast = state.replace(v=state.v.at[0, 1].set(2.0))
+    poses = thin.static_poses(8, dtype=float)
+    flat = jnp.asarray(thin.sheet(0.4, 0.2, 8, 4).vertices)
+    for own, start, bit, name in ((few, state, Status.FULL_PAIRS, "filled"), (scene, fast, Status.CROSSED, "speed")):
+        end = RUN(own, start, poses).replace(x=flat, v=jnp.zeros_like(flat))
+        assert thin.check_status(scene, end) & bit
+        assert thin.check_status(scene, RUN(scene, end, poses)) & bit
+        assert thin.check_status(scene, end.replace(**{name: 0.0})) & bit == 0
+    np.testing.assert_allclose(end.speed, 2.0, rtol=0.05)
