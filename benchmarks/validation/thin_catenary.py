@@ -52,7 +52,7 @@ def run(scale: str = "small") -> dict[str, Any]:
                 theory=float(sag.max()),
                 unit="m",
                 error=error,
-                bar=0.005 if scale == "full" else 0.02,
+                bar={"tiny": 0.03, "small": 0.02, "full": 0.005}[scale],
             )
         )
     return {"checks": checks, **found}

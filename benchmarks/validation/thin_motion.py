@@ -111,7 +111,7 @@ def plot(results: dict[str, Any], path: Path | str) -> None:
                    "k-", lw=1, label="theory")  # fmt: skip
         panel.plot(times[::4], 1e3 * values[::4], "o", ms=3, label=name)
         panel.set(xlabel="time [s]", ylabel="amplitude [mm]")
-        panel.legend(frameon=False, fontsize=8, loc="upper right")
+        panel.legend(frameon=False, fontsize=8, loc="upper center")
     energy = results["sheet"]["energy"]
     panels[2].plot(np.linspace(0, results["substeps"], len(energy)), 100 * (energy / energy[0] - 1), "-", lw=1)
     panels[2].set(xlabel="substep", ylabel="change of the energy [%]")

@@ -32,7 +32,7 @@ from rewax.physics.rigid.solver import implicit_correction, solve_spd
 from rewax.physics.rigid.stepping import checked_inputs, rates
 from rewax.physics.rigid.touch import felt_contacts
 from rewax.physics.rigid.tree_dynamics import mass_matrix
-from rewax.physics.thin.stepping import Prescribed
+from rewax.physics.thin.prescribed import Prescribed
 from rewax.types import Array
 
 
@@ -134,7 +134,7 @@ def _advanced(
     prescribed = prescribed_of(scene, state, *given, num_substeps * each, model.num_bodies)
     prescribed = jax.tree.map(lambda a: a.reshape(num_substeps, each, *a.shape[1:]), prescribed)
 
-    def rigid_substep(carry: tuple[_Carry, Array, Array], now: Prescribed) -> tuple[tuple[_Carry, Array, Array], None]:
+    def rigid_substep(carry: tuple[_Carry, Array, Array], now: Prescribed) -> tuple[tuple[_Carry, Array, Array], Any]:
         inner, act, qacc = carry
         robot = RigidState(qpos=inner.qpos, qvel=inner.qvel, act=act, qacc=qacc)
         rate, after = rates(model, robot, ctrl, wrenches)
@@ -145,15 +145,16 @@ def _advanced(
         def substep(inner: _Carry, interval: tuple[Array, Prescribed], constants: Any) -> _Carry:
             return _substep(scene, model, constants, rate, inner, patches, interval[1])
 
-        inner = scan_soft(scene, constants, substep, inner, (jnp.arange(each), now), None)
-        return (inner, after.act, after.qacc), None
+        inner, seen = scan_soft(scene, constants, substep, inner, (jnp.arange(each), now), None)
+        return (inner, after.act, after.qacc), seen
 
     untouched = None if patches is None else no_touch(patches, state.x)
     start = _Carry(solver.split(state), bodies.qpos, bodies.qvel, no_wrench(model.num_bodies, state.x), untouched)
     carry = (start, bodies.act, bodies.qacc)
-    (end, act, qacc), _ = jax.lax.scan(rigid_substep, carry, prescribed, length=num_substeps)
+    (end, act, qacc), seen = jax.lax.scan(rigid_substep, carry, prescribed, length=num_substeps)
     mean, felt = jax.tree.map(lambda a: a / (num_substeps * each * scene.dt), (end.received, end.felt))
-    return solver.join(end.soft), RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean, felt
+    soft = solver.remember(state, solver.join(end.soft), jax.tree.map(jnp.max, seen))
+    return soft, RigidState(qpos=end.qpos, qvel=end.qvel, act=act, qacc=qacc), mean, felt
 
 
 def soft_substeps(scene: Scene, model: RigidModel) -> int:

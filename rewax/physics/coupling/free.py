@@ -88,9 +88,9 @@ def step(
 
     start = _Carry(solver.split(state), bodies, no_wrench(num_bodies, state.x))
     intervals = Interval(both_ends(poses), prescribed)
-    end = scan_soft(scene, solver.constants(scene, state), body, start, intervals, store_every)
+    end, seen = scan_soft(scene, solver.constants(scene, state), body, start, intervals, store_every)
     mean = jax.tree.map(lambda a: a / (num_substeps * scene.dt), end.received)
-    return solver.join(end.soft), end.bodies, mean
+    return solver.remember(state, solver.join(end.soft), seen), end.bodies, mean
 
 
 def step_prescribed(

@@ -3,6 +3,7 @@
 ``mixed_contact`` has their substep.
 """
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -20,7 +21,7 @@ from rewax.physics.coupling.triangle_tree import TriangleTree
 from rewax.physics.mpm import stepping as mpm_stepping
 from rewax.physics.mpm.scene import MPMScene, MPMState, particle_mass
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, any_illegal, check_numbers, numbers_of
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, any_illegal, check_numbers, numbers_of
 from rewax.physics.numerics.fields import check_fields, checked, instance, optional, real
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import stepping as thin_stepping
@@ -49,10 +50,14 @@ class MixedState(struct.Replaceable):
     Attributes:
       particles: state of ``mpm.initial_state``.
       thin: state of ``thin.initial_state``.
+      full: whether the list of close particles and triangles has been too short in any step, shape (), bool.
+      speed: largest speed of a particle relative to the cloth beside it, in all steps [m/s], shape (). Gradient: none.
     """
 
     particles: MPMState
     thin: ThinState
+    full: Array = dataclasses.field(default_factory=lambda: jnp.zeros((), bool))
+    speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
 
     @property
     def x(self) -> Array:
@@ -178,7 +183,7 @@ STATE = instance(MixedState, "give a MixedState(particles=..., thin=...)")
 @checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
 def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = None) -> Array:
     """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
-    particle that meets the cloth faster than ``contact.max_speed``.
+    particle that meets the cloth faster than ``contact.max_speed``, both in any step so far.
 
     Args:
       scene: the scene.
@@ -191,14 +196,14 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     scene, state = jax.lax.stop_gradient((scene, state))
     particles, vertices = ((cp.split_vector(s.x), cp.split_vector(s.v)) for s in (state.particles, state.thin))
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles[0], vertices[0])
-    fast = relative_speed(pairs, particles, vertices) > scene.contact.max_speed
+    fast = jnp.maximum(state.speed, relative_speed(pairs, particles, vertices)) > scene.contact.max_speed
     last = None if poses is None else Pose(*(a[-1] for a in poses))
     bad = any_illegal(numbers_of(scene.contact, "contact."))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
     return (
         mpm_stepping.check_status(scene.particles, state.particles, poses=poses)
         | thin_stepping.check_status(scene.thin, state.thin, poses=last)
-        | flag(pairs.full, Status.FULL_PAIRS)
+        | flag(state.full | pairs.full, Status.FULL_PAIRS)
         | flag(fast, Status.CROSSED)
         | flag(bad | too_long, Status.INVALID_PARAMETERS)
     )

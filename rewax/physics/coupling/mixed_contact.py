@@ -19,7 +19,7 @@ from rewax.physics.coupling import nodes, sheets
 from rewax.physics.coupling.exchange import Received, System
 from rewax.physics.coupling.mixed import MixedScene, MixedState
 from rewax.physics.coupling.nodes import NodeContact
-from rewax.physics.coupling.particle_contact import ParticlePairs, contact_forces, particle_pairs
+from rewax.physics.coupling.particle_contact import ParticlePairs, contact_forces, particle_pairs, relative_speed
 from rewax.physics.coupling.vertices import VertexContact
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.packing import join as join_particles
@@ -31,8 +31,9 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import stepping as thin_stepping
-from rewax.physics.thin.self_contact import AllPairs, close_pairs
-from rewax.physics.thin.stepping import NOTHING_PRESCRIBED, Prescribed, Vertices
+from rewax.physics.thin.prescribed import NOTHING_PRESCRIBED, Prescribed
+from rewax.physics.thin.self_contact import AllPairs, Seen, watched_pairs
+from rewax.physics.thin.stepping import Vertices
 from rewax.types import Array
 
 
@@ -56,6 +57,17 @@ class Constants(NamedTuple):
     """Pairs of the cloth's self-contact."""
     pairs: ParticlePairs | None = None
     """Pairs of particles and triangles."""
+
+
+class Met(NamedTuple):
+    """What a search found; ``remembered`` keeps the extremes. Gradient: none."""
+
+    own: Seen | None
+    """Of the cloth's self-contact."""
+    full: Array
+    """Whether the list of particles and triangles was full, shape (), bool."""
+    speed: Array
+    """Largest speed of a particle relative to the cloth that it may meet [m/s], shape ()."""
 
 
 class MixedContact(NamedTuple):
@@ -97,7 +109,8 @@ def split(state: MixedState) -> Mixed:
 
 def join(soft: Mixed) -> MixedState:
     """Inverse of ``split``."""
-    return MixedState(particles=join_particles(soft.particles), thin=thin_stepping.join(soft.vertices))
+    particles, thin = join_particles(soft.particles), thin_stepping.join(soft.vertices)
+    return MixedState(particles=particles, thin=thin, speed=jnp.zeros((), thin.x.dtype))
 
 
 def constants_of(scene: MixedScene, state: MixedState) -> Constants:
@@ -111,12 +124,25 @@ def every_of(scene: MixedScene) -> int:
     return scene.contact.every if own is None else min(own.every, scene.contact.every)
 
 
-def search(scene: MixedScene, constants: Constants, soft: Mixed) -> Constants:
-    """The constants with the pairs that are close now."""
-    own = None if scene.thin.self_contact is None else close_pairs(scene.thin, soft.vertices.x)
-    particles = unpack(soft.particles).x
-    return constants._replace(
-        own=own, pairs=particle_pairs(scene.contact, scene.tree, scene.dt, particles, soft.vertices.x)
+def search(scene: MixedScene, constants: Constants, soft: Mixed) -> tuple[Constants, Callable[[Mixed, int], Met]]:
+    """The constants with the pairs that are close now, and ``(end, substeps) -> met`` for the round that begins."""
+    vertices, particles = soft.vertices, unpack(soft.particles)
+    own, watch = (None, None) if scene.thin.self_contact is None else watched_pairs(scene.thin, vertices)
+    pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles.x, vertices.x)
+    fast = relative_speed(pairs, (particles.x, particles.v), (vertices.x, vertices.v))
+
+    def met(end: Mixed, substeps: int) -> Met:
+        return Met(None if watch is None else watch(end.vertices, substeps), pairs.full, fast)
+
+    return constants._replace(own=own, pairs=pairs), met
+
+
+def remembered(before: MixedState, after: MixedState, met: Met) -> MixedState:
+    """The state after a step, with the extremes of contact of all steps. Gradient: none."""
+    return after.replace(
+        thin=thin_stepping.remembered(before.thin, after.thin, met.own),
+        full=before.full | met.full,
+        speed=jax.lax.stop_gradient(jnp.maximum(before.speed, met.speed.astype(jnp.result_type(before.speed)))),
     )
 
 
@@ -137,4 +163,7 @@ def begin(
     )
 
 
-__all__ = ["Constants", "Mixed", "MixedContact", "begin", "constants_of", "every_of", "join", "search", "split"]
+__all__ = [
+    "Constants", "Met", "Mixed", "MixedContact", "begin", "constants_of", "every_of", "join", "remembered", "search",
+    "split",
+]  # fmt: skip

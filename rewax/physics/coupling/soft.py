@@ -16,11 +16,12 @@ from rewax.physics.tets.scene import TetScene, TetState
 from rewax.physics.tets.stepping import join as join_vertices
 from rewax.physics.tets.stepping import rest
 from rewax.physics.tets.stepping import split as split_vertices
+from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import ThinScene, ThinState
 from rewax.physics.thin.scene_checks import check_can_couple
-from rewax.physics.thin.self_contact import close_pairs, scan_rounds
-from rewax.physics.thin.stepping import Prescribed, checked_prescribed
+from rewax.physics.thin.self_contact import scan_rounds, watched_pairs
 from rewax.physics.thin.stepping import join as join_thin
+from rewax.physics.thin.stepping import remembered
 from rewax.physics.thin.stepping import split as split_thin
 
 Scene = MPMScene | TetScene | ThinScene | MixedScene
@@ -49,8 +50,11 @@ class Solver(NamedTuple):
     """``(scene, constants, soft, prescribed) -> contact``: the part of a substep before contact with bodies."""
     every: Callable[[Any], int | None] = lambda scene: None
     """``scene -> every``: constants are searched anew after this number of substeps; None: never."""
-    search: Callable[[Any, Any, Any], Any] = lambda scene, constants, soft: constants
-    """``(scene, constants, soft) -> constants`` for the next substeps."""
+    search: Callable[[Any, Any, Any], tuple[Any, Any]] = lambda scene, constants, soft: (constants, None)
+    """``(scene, constants, soft) -> constants, watch``: those for the next substeps, and ``watch(end, substeps)`` for
+    the numbers to be remembered of them, see ``scan_rounds``."""
+    remember: Callable[[Any, Any, Any], Any] = lambda before, after, seen: after
+    """``(before, after, seen) -> after``: the state after a step that keeps the largest numbers of all searches."""
 
 
 PARTICLES = Solver(
@@ -71,7 +75,8 @@ THIN = Solver(
     join_thin,
     sheets.begin,
     lambda scene: None if scene.self_contact is None else scene.self_contact.every,
-    lambda scene, constants, soft: close_pairs(scene, soft.x),
+    lambda scene, constants, soft: watched_pairs(scene, soft),
+    remembered,
 )
 MIXED = Solver(
     mixed_contact.constants_of,
@@ -80,6 +85,7 @@ MIXED = Solver(
     mixed_contact.begin,
     mixed_contact.every_of,
     mixed_contact.search,
+    mixed_contact.remembered,
 )
 
 
@@ -126,18 +132,20 @@ def scan_soft(
     carry: C,
     intervals: Any,
     store_every: int | None,
-) -> C:
+) -> tuple[C, Any]:
     """``carry = substep(carry, interval, constants)`` for each substep, see ``substeps.scan_substeps``.
 
-    ``carry.soft`` is the soft body; ``intervals`` holds at least one array.
+    ``carry.soft`` is the soft body; ``intervals`` holds at least one array. Also returns what ``Solver.remember``
+    takes.
     """
     solver = solver_of(scene)
     every = solver.every(scene)
     if every is None:
-        return scan_substeps(lambda c, interval: substep(c, interval, constants), carry, intervals, store_every)
+        return scan_substeps(lambda c, interval: substep(c, interval, constants), carry, intervals, store_every), None
 
-    def search(carry: Any) -> Any:
-        return solver.search(scene, constants, carry.soft)
+    def search(carry: Any) -> tuple[Any, Any]:
+        found, watch = solver.search(scene, constants, carry.soft)
+        return found, lambda end, substeps: watch(end.soft, substeps)
 
     return scan_rounds(substep, search, carry, intervals, store_every, every)
 

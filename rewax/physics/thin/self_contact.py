@@ -14,7 +14,7 @@ from rewax.physics.thin import pair_law
 from rewax.physics.thin.contact_elements import ContactElements
 from rewax.physics.thin.pair_kernels import CloseElements, find_pairs, to_corners, to_vertices
 from rewax.physics.thin.pair_law import SelfContact
-from rewax.types import Array
+from rewax.types import Array, PyTree
 
 if TYPE_CHECKING:
     from rewax.physics.thin.scene import ThinScene
@@ -30,7 +30,6 @@ class Moving(Protocol):
 
 
 T = TypeVar("T")
-M = TypeVar("M", bound=Moving)
 
 NO_PAIR = -1.0
 """Thickness of entries of a list that are no pairs: nothing is that close."""
@@ -72,6 +71,12 @@ def close_pairs(scene: "ThinScene", x: Vec3) -> AllPairs:
     Gradient: exact with respect to the thickness. The choice of pairs is a constant.
     """
     return _pairs_and_filled(scene, x)[0]
+
+
+def watched_pairs(scene: "ThinScene", start: Moving) -> tuple[AllPairs, Callable[[Moving, int], Seen]]:
+    """``close_pairs`` of vertices by components, and ``(end, substeps) -> seen`` for the round that they begin."""
+    pairs, filled = _pairs_and_filled(scene, start.x)
+    return pairs, lambda end, substeps: Seen(filled, _round_speed(scene, start, end, substeps))
 
 
 def _pairs_and_filled(scene: "ThinScene", x: Vec3) -> tuple[AllPairs, Array]:
@@ -125,40 +130,28 @@ def self_forces(scene: "ThinScene", x: Vec3, v: Vec3, pairs: AllPairs) -> Vec3:
 
 def scan_rounds(
     substep: Callable[[T, Any, Any], T],
-    search: Callable[[T], Any],
+    search: Callable[[T], tuple[Any, Callable[[T, int], PyTree]]],
     carry: T,
     intervals: Any,
     store_every: int | None,
     every: int,
-) -> T:
-    """``numerics.substeps.scan_substeps`` with a search for pairs before each round of at most ``every`` substeps."""
-
-    def one_round(carry: T, intervals: Any) -> tuple[T, None]:
-        pairs = search(carry)
-        return jax.lax.scan(lambda c, interval: (substep(c, interval, pairs), None), carry, intervals)[0], None
-
-    return _scan(one_round, carry, *_in_rounds(intervals, store_every, every))[0]
-
-
-def watched_rounds(
-    scene: "ThinScene",
-    substep: Callable[[M, Any, AllPairs], M],
-    carry: M,
-    intervals: Any,
-    store_every: int | None,
-) -> tuple[M, Seen]:
-    """``scan_rounds`` with ``close_pairs``, and the extremes of all rounds.
+) -> tuple[T, PyTree]:
+    """``numerics.substeps.scan_substeps`` with a search before each round of at most ``every`` substeps.
 
     Args:
-      carry: its ``x`` and ``v`` are the vertices by components.
+      search: ``carry -> pairs, watch``. ``substep`` gets the pairs; ``watch(end, substeps) -> seen`` gets the carry
+        after the round.
+
+    Returns:
+      The last carry, and of each number in ``seen`` the largest of all rounds.
     """
-    rounds, plain = _in_rounds(intervals, store_every, _parts(scene)[0].every)
+    rounds, plain = _in_rounds(intervals, store_every, every)
     substeps = jax.tree.leaves(rounds)[0].shape[2]
 
-    def one_round(carry: M, intervals: Any) -> tuple[M, Seen]:
-        pairs, filled = _pairs_and_filled(scene, carry.x)
+    def one_round(carry: T, intervals: Any) -> tuple[T, PyTree]:
+        pairs, watch = search(carry)
         end = jax.lax.scan(lambda c, interval: (substep(c, interval, pairs), None), carry, intervals)[0]
-        return end, Seen(filled, _round_speed(scene, carry, end, substeps))
+        return end, watch(end, substeps)
 
     end, seen = _scan(one_round, carry, rounds, plain)
     return end, jax.tree.map(jnp.max, seen)
@@ -204,4 +197,4 @@ def _parts(scene: "ThinScene") -> tuple[SelfContact, ContactElements]:
 
 
 __all__ = ["AllPairs", "Pairs", "Seen", "close_pairs", "find", "relative_speed", "scan_rounds", "self_forces",
-           "watched_rounds"]  # fmt: skip
+           "watched_pairs"]  # fmt: skip

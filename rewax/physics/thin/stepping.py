@@ -24,12 +24,13 @@ from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements, grasp_forces
 from rewax.physics.thin.bending import bending_forces
 from rewax.physics.thin.creases import creased, yield_angle, yielded
-from rewax.physics.thin.grasps import checked_grips, grasp_numbers
+from rewax.physics.thin.grasps import grasp_numbers
 from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
+from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import check_creases, cloth_is_unstable, scene_numbers
-from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, self_forces, watched_rounds
+from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces, watched_pairs
 from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, corners, scatter
@@ -46,18 +47,6 @@ class Vertices(NamedTuple):
     x: Vec3
     v: Vec3
     holds: tuple[grasp_forces.HoldParts, ...] = ()
-
-
-class Prescribed(NamedTuple):
-    """What is prescribed beside the bodies' motion, in one substep or with a leading axis for several."""
-
-    pins: Array | None = None
-    """Positions of the held vertices at the end [m], (num_held, 3)."""
-    grips: Array | None = None
-    """Grips of the grasps, (num_grasps,)."""
-
-
-NOTHING_PRESCRIBED = Prescribed()
 
 
 class Creased(NamedTuple):
@@ -134,7 +123,7 @@ def step(
         return one(scene, vertices, interval, pairs)
 
     end, seen = _scanned(scene, body, split(state), intervals, store_every)
-    return _remembered(state, join(end), seen).replace(error=state.error)
+    return remembered(state, join(end), seen).replace(error=state.error)
 
 
 @checked(scene=SCENE, state=STATE, poses=poses("num_bodies"))
@@ -225,7 +214,7 @@ def _implicit(scene: ThinScene, state: ThinState, intervals: Interval, store_eve
 
     start = Solved(*split(state)[:2], jnp.zeros((), state.x.dtype), state.crease)
     end, seen = _scanned(scene, body, start, intervals, store_every)
-    after = _remembered(state, join(Vertices(end.x, end.v)), seen)
+    after = remembered(state, join(Vertices(end.x, end.v)), seen)
     return after.replace(error=jax.lax.stop_gradient(end.error), crease=end.crease)
 
 
@@ -239,7 +228,7 @@ def _creasing(scene: ThinScene, state: ThinState, intervals: Interval, store_eve
         return one(scene, limit, at, interval, pairs)
 
     end, seen = _scanned(scene, body, Creased(*split(state), state.crease), intervals, store_every)
-    return _remembered(state, join(Vertices(*end[:3])), seen).replace(error=state.error, crease=end.crease)
+    return remembered(state, join(Vertices(*end[:3])), seen).replace(error=state.error, crease=end.crease)
 
 
 def _scanned(
@@ -247,7 +236,8 @@ def _scanned(
 ) -> tuple[Any, Seen | None]:
     if scene.self_contact is None:
         return scan_substeps(body, start, intervals, store_every), None
-    return watched_rounds(scene, body, start, intervals, store_every)
+    every = scene.self_contact.every
+    return scan_rounds(body, lambda at: watched_pairs(scene, at), start, intervals, store_every, every)
 
 
 # --- One substep, by components ---------------------------------------------------------------------------------------
@@ -363,26 +353,13 @@ def join(vertices: Vertices) -> ThinState:
     )
 
 
-def _remembered(before: ThinState, after: ThinState, seen: Seen | None) -> ThinState:
+def remembered(before: ThinState, after: ThinState, seen: Seen | None) -> ThinState:
     """The state after a step, with the extremes of self-contact of all steps. Gradient: none."""
     known = [before.filled, before.speed]
     if seen is not None:
         known = [jnp.maximum(old, new) for old, new in zip(known, seen, strict=True)]
     filled, speed = jax.lax.stop_gradient(known)
     return after.replace(filled=filled, speed=speed)
-
-
-def checked_prescribed(
-    scene: ThinScene, state: ThinState, pins: Any, grips: Any, num_substeps: int, num_bodies: int
-) -> Prescribed:
-    """Pins and grips of every substep. Raises ValueError for those of another shape, see ``step``."""
-    want = (num_substeps, len(scene.topology.held), 3)
-    if pins is not None and (jnp.shape(pins) != want or not want[1]):
-        raise ValueError(
-            f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"
-            f": give shape {want}, and make_scene the vertices to be held"
-        )
-    return Prescribed(pins, checked_grips(scene, state.holds, grips, num_substeps, num_bodies))
 
 
 @checked(scene=SCENE, state=STATE)
@@ -398,4 +375,7 @@ def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
     return cp.join_vector(self_forces(scene, x, v, close_pairs(scene, x)))
 
 
-__all__ = ["check_status", "contact_force", "internal_force", "moved", "open_grasps", "self_contact_force", "step"]
+__all__ = [
+    "check_status", "contact_force", "internal_force", "moved", "open_grasps", "remembered", "self_contact_force",
+    "step",
+]  # fmt: skip

@@ -4,12 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from self_contact_bodies import folded
 
 from rewax.physics import coupling, rigid, thin
 from rewax.physics.contact import Collider, Ground, PenaltyContact
 from rewax.physics.coupling import articulated, free_body
 from rewax.physics.numerics import Pose
 from rewax.physics.shapes import Box
+from rewax.status import Status
 
 MESH = thin.sheet(0.3, 0.3, 6, 6)
 MIDDLE = np.array([0.15, 0.0, 0.15])
@@ -182,3 +184,16 @@ def test_reverse_is_forward_is_finite_difference_through_a_robot(x64):
         assert abs(reverse) > 1e-6, name
         np.testing.assert_allclose(reverse, forward(direction), rtol=1e-8, err_msg=name)
         np.testing.assert_allclose(reverse, difference, rtol=1e-4, err_msg=name)
+
+
+def test_a_coupled_step_remembers_full_lists_and_fast_vertices(x64):
+    """The step ends where nothing is close or fast, so that only what was remembered can tell."""
+    scene, state = folded()
+    few = scene.replace(self_contact=scene.self_contact.replace(pairs_per_element=1, max_speed=100.0))
+    fast = state.replace(v=state.v.at[0, 1].set(2.0))
+    run, poses = jax.jit(coupling.step_prescribed), thin.static_poses(8, dtype=float)
+    flat = jnp.asarray(thin.sheet(0.4, 0.2, 8, 4).vertices)
+    for own, start, bit in ((few, state, Status.FULL_PAIRS), (scene, fast, Status.CROSSED)):
+        end = run(own, start, poses).replace(x=flat, v=jnp.zeros_like(flat))
+        assert thin.check_status(scene, end) & bit
+        assert thin.check_status(scene, run(scene, end, poses)) & bit
