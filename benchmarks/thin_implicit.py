@@ -1,4 +1,4 @@
-"""Processor seconds per control step of a hanging cloth, explicit and implicit, in turns, with and without the gradient.
+"""Processor time per control step of a hanging cloth, explicit and implicit, in turns, with and without the gradient.
 
     python benchmarks/thin_implicit.py --cells 16 --youngs-moduli 1e5 1e7
 
