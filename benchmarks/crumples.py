@@ -54,7 +54,8 @@ FIELDS = ("case", "group", "kind", "cell", "thickness", "max_speed", "scale", "p
 class Args:
     """Options of this benchmark."""
 
-    out: Path = Path("runs/crumples.csv")
+    out: Path = Path("docs/suites/crumples/results.csv")
+    """The file of rows."""
     seed: int = 0
     table: bool = False
     groups: tuple[str, ...] = ()

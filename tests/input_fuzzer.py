@@ -17,6 +17,7 @@ import random
 import string
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -200,7 +201,8 @@ def outcome(call: Any) -> str:
     """What came of an input: empty if it was refused in one sentence."""
     out, err = io.StringIO(), io.StringIO()
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
+            warnings.simplefilter("error")
             code = call()
     except Accepted:
         return "accepted"

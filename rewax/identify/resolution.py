@@ -72,14 +72,14 @@ def resampled(rest: np.ndarray, volume: float, count: int) -> np.ndarray:
       volume: of all of them [m^3].
       count: number of new particles.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     margin = (volume / len(rest)) ** (1.0 / 3.0)
     low, high = rest.min(0) - margin, rest.max(0) + margin
     spacing = float(((high - low).prod() / _TRIES) ** (1.0 / 3.0))
     axes = [np.arange(a + 0.5 * spacing, b, spacing) for a, b in zip(low, high, strict=True)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    distance = cKDTree(rest).query(lattice)[0]
+    distance = KDTree(rest).query(lattice)[0]
     inside = max(count, min(len(lattice), round(volume / spacing**3)))
     return evenly_spread(lattice[np.sort(np.argsort(distance, kind="stable")[:inside])], count)
 

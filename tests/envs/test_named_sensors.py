@@ -26,8 +26,9 @@ def test_make_adds_sensors_and_remembers_them():
     np.testing.assert_array_equal(jax.jit(again.reset)(KEY).obs["camera"], state.obs["camera"])
 
 
-def test_pictures_keep_the_protocol():
-    """check_env compares depth, clouds and masks with their spec, with repeats, without jit and side by side."""
+@pytest.mark.slow
+def test_pictures_of_a_robot_pass_the_check():
+    """The fast one, of a toy, is in test_sensing.py."""
     sensors = ("camera", "cloud", "labels")
     env = rewax.make("CartpoleSwingUp", scale="small", sensors=sensors, resolution=8)
     assert set(sensors) < set(env.observation_spec)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import seeing_toys
 import toys
 
 import rewax
@@ -11,6 +12,7 @@ from rewax.envs.randomized import Randomized
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import AutoReset
 from rewax.sensors import Camera, DepthNoise
+from rewax.testing import check_env
 
 CAMERA = Camera.look_at((-1.0, 0.0, -0.2), eye=(-1.0, -2.0, 0.3), up=(0, 0, 1), near=0.5, far=4.0, height=24, width=32)
 
@@ -97,6 +99,13 @@ def test_after_an_episode_the_final_picture_is_kept(bare):
     assert state.done.tolist() == [False, True, False]
     same = [bool((state.final_obs["depth"][i] == state.obs["depth"][i]).all()) for i in range(3)]
     assert same == [True, False, True]
+
+
+def test_pictures_clouds_and_masks_pass_the_check():
+    """check_env compares them with their spec, with repeats, without jit and side by side."""
+    env = Sensing(env=seeing_toys.visible(), sensors=seeing_toys.each_kind())
+    assert set(env.observation_spec) == {"x", "depth", "noisy", "labels", "cloud"}
+    check_env(env, notify=None)
 
 
 def test_bad_sensors_are_refused(bare):

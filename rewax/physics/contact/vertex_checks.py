@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -30,7 +29,7 @@ def gravity_number(gravity: Any) -> Number:
 
 def check_length(number: Number, length: int) -> None:
     """Raises ValueError for values that are neither one number nor one for each of ``length`` elements."""
-    shape = jnp.shape(number.value)
+    shape = np.shape(number.value)
     if shape not in ((), (length,)):
         raise ValueError(f"{number.name} has shape {shape}: give a number or an array of shape ({length},)")
 

@@ -32,7 +32,7 @@ from rewax.physics.rigid.solver import implicit_correction, solve_spd
 from rewax.physics.rigid.stepping import checked_inputs, rates
 from rewax.physics.rigid.touch import felt_contacts
 from rewax.physics.rigid.tree_dynamics import mass_matrix
-from rewax.physics.thin.stepping import Prescribed
+from rewax.physics.thin.prescribed import Prescribed
 from rewax.types import Array
 
 

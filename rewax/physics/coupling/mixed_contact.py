@@ -31,8 +31,9 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import stepping as thin_stepping
+from rewax.physics.thin.prescribed import NOTHING_PRESCRIBED, Prescribed
 from rewax.physics.thin.self_contact import AllPairs, Seen, watched_pairs
-from rewax.physics.thin.stepping import NOTHING_PRESCRIBED, Prescribed, Vertices
+from rewax.physics.thin.stepping import Vertices
 from rewax.types import Array
 
 

@@ -15,9 +15,10 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import grasp_forces
+from rewax.physics.thin.prescribed import NOTHING_PRESCRIBED, Prescribed
 from rewax.physics.thin.scene import ThinScene
 from rewax.physics.thin.self_contact import AllPairs, self_forces
-from rewax.physics.thin.stepping import NOTHING_PRESCRIBED, Prescribed, Vertices, moved, vertex_forces
+from rewax.physics.thin.stepping import Vertices, moved, vertex_forces
 
 
 def begin(

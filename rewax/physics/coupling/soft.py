@@ -16,11 +16,12 @@ from rewax.physics.tets.scene import TetScene, TetState
 from rewax.physics.tets.stepping import join as join_vertices
 from rewax.physics.tets.stepping import rest
 from rewax.physics.tets.stepping import split as split_vertices
+from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import ThinScene, ThinState
 from rewax.physics.thin.scene_checks import check_can_couple
 from rewax.physics.thin.self_contact import scan_rounds, watched_pairs
-from rewax.physics.thin.stepping import Prescribed, checked_prescribed, remembered
 from rewax.physics.thin.stepping import join as join_thin
+from rewax.physics.thin.stepping import remembered
 from rewax.physics.thin.stepping import split as split_thin
 
 Scene = MPMScene | TetScene | ThinScene | MixedScene
@@ -50,8 +51,8 @@ class Solver(NamedTuple):
     every: Callable[[Any], int | None] = lambda scene: None
     """``scene -> every``: constants are searched anew after this number of substeps; None: never."""
     search: Callable[[Any, Any, Any], tuple[Any, Any]] = lambda scene, constants, soft: (constants, None)
-    """``(scene, constants, soft) -> constants, watch``: those for the next substeps, and ``watch(end, substeps)`` for the
-    numbers to be remembered of them, see ``scan_rounds``."""
+    """``(scene, constants, soft) -> constants, watch``: those for the next substeps, and ``watch(end, substeps)`` for
+    the numbers to be remembered of them, see ``scan_rounds``."""
     remember: Callable[[Any, Any, Any], Any] = lambda before, after, seen: after
     """``(before, after, seen) -> after``: the state after a step that keeps the largest numbers of all searches."""
 

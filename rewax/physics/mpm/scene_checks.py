@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -111,7 +110,7 @@ def vector(a: np.ndarray) -> str:
 
 def _check_length(name: str, value: Any, length: int | None, vectors: bool = False) -> int | None:
     """The length of an array per particle. Raises ValueError if it differs from the given length."""
-    shape = jnp.shape(value)
+    shape = np.shape(value)
     per_particle = len(shape) == (2 if vectors else 1)
     wanted = "()" if not vectors else "(3,)"
     if (not per_particle and shape != ((3,) if vectors else ())) or (vectors and shape[-1] != 3) or 0 in shape:

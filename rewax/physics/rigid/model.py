@@ -150,9 +150,9 @@ class RigidModel(struct.Replaceable):
             if name not in self.parameters:
                 raise ValueError(f"a rigid model has no parameter {name!r}: known are {', '.join(self.parameters)}")
             real_array(name, value, "give an array of numbers in MuJoCo's unit")
-            if jnp.shape(value) != self.parameters[name].shape:
+            if np.shape(value) != self.parameters[name].shape:
                 raise ValueError(
-                    f"{name} has shape {jnp.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
+                    f"{name} has shape {np.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
                 )
             absent = name in ("dof_damping", "dof_frictionloss") and not np.any(getattr(self.static.mj, name))
             if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
@@ -308,5 +308,5 @@ def check_state(model: RigidModel, state: RigidState) -> None:
 
 def check_shape(name: str, value: Array, shape: tuple[int, ...], what: str = "") -> None:
     """Raises ValueError unless an array has the shape; the message explains the shape with ``what``."""
-    if jnp.shape(value) != shape:
-        raise ValueError(f"{name} has shape {jnp.shape(value)}: give shape {shape}{what}")
+    if np.shape(value) != shape:
+        raise ValueError(f"{name} has shape {np.shape(value)}: give shape {shape}{what}")

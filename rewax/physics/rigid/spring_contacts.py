@@ -84,8 +84,8 @@ def check_penalty(penalty: Penalty, mass: float, dt: float) -> None:
     for number in penalty_numbers(penalty):
         check_plain(number.name, number.value, number.remedy)
         check_numbers([number])
-        if jnp.ndim(number.value):
-            raise ValueError(f"{number.name} has shape {jnp.shape(number.value)}: give one number")
+        if np.ndim(number.value):
+            raise ValueError(f"{number.name} has shape {np.shape(number.value)}: give one number")
     for name in ("at_surfaces", "boxes_touch_once"):
         check_instance(f"the penalty's {name}", getattr(penalty, name), bool, "give True or False")
     for name, unit, bound in (("stiffness", "N/m", 4.0 * mass / dt**2), ("damping", "N s/m", 2.0 * mass / dt)):

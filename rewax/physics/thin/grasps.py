@@ -107,7 +107,7 @@ def checked_grips(scene: "ThinScene", holds: Any, grips: Any, num_substeps: int,
       ValueError: grips of another shape, a state without holds, or a grasp of a body without a pose.
     """
     count = len(scene.grasps)
-    shape = None if grips is None else jnp.shape(grips)
+    shape = None if grips is None else np.shape(grips)
     if (grips is not None or count) and shape not in ((count,), (num_substeps, count)):
         raise ValueError(
             f"grips has shape {shape}, but the scene has {count} grasps and poses {num_substeps} substeps: give shape "

@@ -24,9 +24,9 @@ from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements, grasp_forces
 from rewax.physics.thin.bending import bending_forces
 from rewax.physics.thin.creases import creased, yield_angle, yielded
-from rewax.physics.thin.grasps import checked_grips
 from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
+from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import check_creases
 from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces, watched_pairs
@@ -40,18 +40,6 @@ class Vertices(NamedTuple):
     x: Vec3
     v: Vec3
     holds: tuple[grasp_forces.HoldParts, ...] = ()
-
-
-class Prescribed(NamedTuple):
-    """What is prescribed beside the bodies' motion, in one substep or with a leading axis for several."""
-
-    pins: Array | None = None
-    """Positions of the held vertices at the end [m], (num_held, 3)."""
-    grips: Array | None = None
-    """Grips of the grasps, (num_grasps,)."""
-
-
-NOTHING_PRESCRIBED = Prescribed()
 
 
 class Creased(NamedTuple):
@@ -316,19 +304,6 @@ def remembered(before: ThinState, after: ThinState, seen: Seen | None) -> ThinSt
         known = [jnp.maximum(old, new) for old, new in zip(known, seen, strict=True)]
     filled, speed = jax.lax.stop_gradient(known)
     return after.replace(filled=filled, speed=speed)
-
-
-def checked_prescribed(
-    scene: ThinScene, state: ThinState, pins: Any, grips: Any, num_substeps: int, num_bodies: int
-) -> Prescribed:
-    """Pins and grips of every substep. Raises ValueError for those of another shape, see ``step``."""
-    want = (num_substeps, len(scene.topology.held), 3)
-    if pins is not None and (jnp.shape(pins) != want or not want[1]):
-        raise ValueError(
-            f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"
-            f": give shape {want}, and make_scene the vertices to be held"
-        )
-    return Prescribed(pins, checked_grips(scene, state.holds, grips, num_substeps, num_bodies))
 
 
 @checked(scene=SCENE, state=STATE)

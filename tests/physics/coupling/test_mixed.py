@@ -73,5 +73,9 @@ def test_scenes_refuse_what_is_illegal_and_status_says_what_became_so(x64):
     assert int(status(scene, state)) == 0
     short = scene.replace(contact=scene.contact.replace(pairs_per_particle=1, thickness=jnp.asarray(0.03)))
     assert int(status(short, state)) & Status.FULL_PAIRS
+    end = RUN(short, state, thin.static_poses(2, dtype=float))
+    apart = end.replace(thin=end.thin.replace(x=end.thin.x + jnp.array([0.0, 1.0, 0.0])))
+    assert int(status(short, apart)) & Status.FULL_PAIRS  # remembered: nothing is close any more
+    assert int(status(short, apart.replace(full=jnp.bool_(False)))) & Status.FULL_PAIRS == 0
     stiff = scene.replace(contact=scene.contact.replace(stiffness=jnp.asarray(1e9)))
     assert int(status(stiff, state)) & Status.INVALID_PARAMETERS

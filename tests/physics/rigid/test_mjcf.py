@@ -198,6 +198,11 @@ def test_models_that_a_penalty_cannot_hold_are_refused(what):
         rigid.load(text, penalty=PENALTY)
 
 
+def test_a_list_in_a_penalty_is_refused_without_a_warning():
+    with pytest.raises(ValueError, match=r"^the penalty's limit_damping has shape \(1, 0\): give one number$"):
+        rigid.load(tiny(), penalty=Penalty(stiffness=1e4, limit_damping=[[]]))
+
+
 def test_what_is_not_a_model(tmp_path):
     asked = "give a path, MJCF text, an MjSpec or an MjModel"
     missing = tmp_path / "missing.xml"

@@ -23,6 +23,7 @@ def collider(radius=0.1, friction=0.5) -> dict:
         ({"contact": CONTACT, **collider(friction=-0.1)}, "colliders[0].friction is -0.1, but must be 0 or more"),
         ({"contact": CONTACT, **collider(radius=-1.0)}, "colliders[0].shape.radius is -1.0, but must be positive"),
         ({"contact": CONTACT.replace(onset=-1.0)}, "contact.onset is -1.0, but must be 0 or more: give a number of m"),
+        ({"damping": [[]]}, "damping has shape (1, 0): give a number or an array of shape ("),
         ({"contact": CONTACT.replace(depth_damping=nan)}, "contact.depth_damping is nan, but must be 0 or more and finit"),
         ({"contact": CONTACT.replace(friction=np.full(3, 0.1))}, "contact.friction has shape (3,): give a number or an "),
         ({"contact": CONTACT, "ground": FLOOR.replace(height=nan)}, "ground.height is nan, but must be finite: give a dis"),
