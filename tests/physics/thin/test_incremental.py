@@ -13,10 +13,10 @@ from rewax.physics.thin import incremental
 @pytest.mark.parametrize("kind", ["StVK", "hinges", "neo-Hookean", "rope"])
 def test_the_slope_is_minus_the_explicit_force_at_a_small_step(x64, kind):
     """Elastic forces at once; viscous ones of the velocity (x - before) / dt up to terms of second order."""
-    scene, mesh = KINDS[kind](damping=0.01)
+    scene, mesh = KINDS[kind](damping=0.01, dt=1e-5)
     state = shaken(mesh, size=0.005, speed=0.5)
     x, v = cp.split_vector(state.x), cp.split_vector(state.v)
-    for size, bar in ((0.0, 1e-12), (1e-3, 1e-3)):
+    for size, bar in ((0.0, 1e-12), (1e-2, 1e-3)):
         before = incremental.strains_before(scene, cp.vector(lambda i, size=size: x[i] - size * scene.dt * v[i]))
         found = -jnp.stack(incremental.elastic_slope(scene, before, x), axis=-1)
         force = np.asarray(thin.internal_force(scene, state.replace(v=size * state.v)))
