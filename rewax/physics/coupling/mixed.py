@@ -24,7 +24,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, any_illegal, check_numbers, numbers_of
 from rewax.physics.numerics.fields import check_fields, checked, instance, optional, real
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.thin import stepping as thin_stepping
+from rewax.physics.thin import thin_status
 from rewax.physics.thin.grasps import Grasp
 from rewax.physics.thin.scene import ThinScene, ThinState
 from rewax.physics.thin.stable_dt import STABLE_FRACTION, largest_stable_dt
@@ -202,7 +202,7 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
     return (
         mpm_stepping.check_status(scene.particles, state.particles, poses=poses)
-        | thin_stepping.check_status(scene.thin, state.thin, poses=last)
+        | thin_status.check_status(scene.thin, state.thin, poses=last)
         | flag(state.full | pairs.full, Status.FULL_PAIRS)
         | flag(fast, Status.CROSSED)
         | flag(bad | too_long, Status.INVALID_PARAMETERS)

@@ -17,13 +17,13 @@ from rewax.physics.thin.safe_speed import largest_safe_speed
 from rewax.physics.thin.scene import ThinScene, ThinState, initial_state, make_scene, no_creases
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stepping import (
-    check_status,
     contact_force,
     internal_force,
     open_grasps,
     self_contact_force,
     step,
 )
+from rewax.physics.thin.thin_status import check_status
 from rewax.physics.thin.thinmesh import ThinMesh, check_thinmesh, rope, sheet
 
 __all__ = [

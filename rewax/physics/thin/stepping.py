@@ -1,4 +1,4 @@
-"""Cloth and ropes: substep, step, forces, status.
+"""Cloth and ropes: substep, step, forces.
 
 One substep: forces of membrane, bending, segments and bends, gravity, drag, penalty contact with the ground and with
 moving shapes, grasps, symplectic Euler. Held vertices keep their velocity or follow prescribed positions.
@@ -16,29 +16,22 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, any_illegal, numbers_of
+from rewax.physics.numerics.checks import FINITE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.fields import checked, instance, optional, poses, real
+from rewax.physics.numerics.fields import checked, optional, poses, real
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.numerics.substeps import both_ends, scan_substeps
 from rewax.physics.thin import elements, grasp_forces
 from rewax.physics.thin.bending import bending_forces
 from rewax.physics.thin.creases import creased, yield_angle, yielded
-from rewax.physics.thin.grasps import grasp_numbers
 from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
-from rewax.physics.thin.scene_checks import check_creases, cloth_is_unstable, scene_numbers
+from rewax.physics.thin.scene_checks import check_creases
 from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces, watched_pairs
-from rewax.physics.thin.self_status import self_status
-from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import Stencil, corners, scatter
-from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Scalar
-
-FLATTENED = 1e-6
-"""Squared ratio of area at which a triangle counts as flattened."""
 
 
 class Vertices(NamedTuple):
@@ -150,55 +143,6 @@ def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose)
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3), given the poses of all bodies at the
     beginning and end of a substep. Gradient: exact."""
     return cp.join_vector(contact_forces(scene, *split(state)[:2], (before, after)))
-
-
-@checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
-def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
-    """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit
-    substeps of the last ``step`` that missed their tolerance (``UNSOLVED``), and with self-contact full lists of pairs
-    (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
-
-    Full lists and fast vertices are remembered from all steps since ``initial_state``; ``state.replace(filled=0.0,
-    speed=0.0)`` forgets them. Crossed layers are those of this state.
-
-    Args:
-      scene: the scene.
-      state: vertices.
-      poses: poses of its bodies, as for ``step``, to check that they are finite.
-
-    Returns:
-      Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
-    """
-    scene, state = jax.lax.stop_gradient((scene, state))
-    flat = jnp.bool_(False)
-    if scene.cloth is not None:
-        strain = elements.green_strain(
-            corners(scene.topology.triangles, cp.split_vector(state.x)), inverse_edges(scene)
-        )
-        flat = jnp.any(elements.square_area_ratio(strain) <= FLATTENED)
-    numbers = [
-        *scene_numbers(
-            scene.cloth, scene.rope, scene.drag, scene.gravity, scene.contact, scene.ground, scene.colliders, poses
-        ),
-        *([] if scene.self_contact is None else numbers_of(scene.self_contact, "self_contact.")),
-        *grasp_numbers(scene.grasps),
-        Number("mass", scene.mass, POSITIVE, "give the vertices' masses in kg"),
-        Number("rest.area", scene.rest.area, POSITIVE, "give the triangles' areas in m^2"),
-        Number("rest.length", scene.rest.length, POSITIVE, "give the segments' lengths in m"),
-    ]
-    soft = jnp.bool_(False) if scene.cloth is None else jnp.any(cloth_is_unstable(scene.cloth))
-    # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
-    too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
-    missed = jnp.bool_(False)
-    if scene.stepper is not None:
-        missed = ~(state.error <= scene.stepper.tolerance)
-    return (
-        flag(~all_finite((state.x, state.v, state.holds, state.crease)), Status.NAN)
-        | flag(missed, Status.UNSOLVED)
-        | flag(flat, Status.INVERTED)
-        | flag(any_illegal(numbers) | soft | too_long, Status.INVALID_PARAMETERS)
-        | self_status(scene, state)
-    )
 
 
 def _implicit(scene: ThinScene, state: ThinState, intervals: Interval, store_every: int | None) -> ThinState:
@@ -376,6 +320,6 @@ def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
 
 
 __all__ = [
-    "check_status", "contact_force", "internal_force", "moved", "open_grasps", "remembered", "self_contact_force",
+    "contact_force", "internal_force", "moved", "open_grasps", "remembered", "self_contact_force",
     "step",
 ]  # fmt: skip

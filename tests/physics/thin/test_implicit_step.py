@@ -199,5 +199,3 @@ def test_a_normal_damping_without_an_onset_is_refused():
     contact = PenaltyContact(stiffness=50.0, damping=0.1)
     with pytest.raises(ValueError, match=r"contact\.onset is 0.*give contact\.onset a depth"):
         cloth_scene(contact=contact, stepper=thin.Implicit())
-    with pytest.raises(ValueError, match=r"stepper\.tolerance is -1"):
-        thin.Implicit(tolerance=-1.0)

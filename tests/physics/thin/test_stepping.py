@@ -13,7 +13,6 @@ from rewax.physics.contact.colliders import Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Sphere
-from rewax.status import Status
 
 
 def test_held_vertices_follow_their_pins(x64):
@@ -106,16 +105,6 @@ def test_float32_is_near_float64(x64, kind):
     wide, small = run(scene, state, 200), run(*narrow, 200)
     assert small.x.dtype == jnp.float32
     np.testing.assert_allclose(small.x, wide.x, atol=2e-5)
-
-
-def test_status_names_what_is_wrong(x64):
-    scene, state = cloth_scene(), thin.initial_state(SHEET.vertices)
-    assert thin.check_status(scene, state) == 0
-    assert thin.check_status(scene, state.replace(v=state.v.at[0, 0].set(jnp.nan))) == Status.NAN
-    assert thin.check_status(scene, state.replace(x=state.x * jnp.array([1.0, 1.0, 1e-5]))) == Status.INVERTED
-    bad = scene.replace(cloth=scene.cloth.replace(warp=-1.0))
-    assert thin.check_status(bad, state) & Status.INVALID_PARAMETERS
-    assert thin.check_status(scene.replace(dt=1.0), state) == Status.INVALID_PARAMETERS
 
 
 @NEEDS_COMPILER
