@@ -1,6 +1,6 @@
 """Base of tasks on cloth and ropes, whose held vertices and grasps follow the joints."""
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -68,7 +68,7 @@ class ThinTask(SoftTask):
         physics, key = super().begin(key)
         joint_q = self.first_joints(physics)
         if self.scene.grasps:
-            opened = thin.open_grasps(self.scene, physics.soft, self._bodies(joint_q))
+            opened = thin.open_grasps(self.scene, cast(ThinState, physics.soft), self._bodies(joint_q))
             physics = physics.replace(soft=opened)
         return physics.replace(joint_q=joint_q), key
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from rewax.envs.kit.appearance import unique_names
 from rewax.physics import tets
-from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Plane
-from rewax.physics.tets import TetScene, TetState
+from rewax.physics.tets import TetScene
 from rewax.physics.thin import ThinScene, ThinState
 from rewax.sensors.world import Balls, Solid, Triangles, World, half_space, placed_colliders
 from rewax.types import Array, Scalar
@@ -22,12 +21,12 @@ BALLS_PER_SEGMENT = 6
 """Of a rope."""
 
 
-def soft_world(scene: MPMScene | TetScene, soft: MPMState | TetState, up: np.ndarray) -> World:
+def soft_world(scene: Any, soft: Any, up: np.ndarray) -> World:
     """Particles or the surface of tetrahedra, and the floor: the wall or ground below.
 
     Args:
-      scene: the soft bodies and what bounds them.
-      soft: where they are.
+      scene: ``MPMScene`` or ``TetScene``: the soft bodies and what bounds them.
+      soft: ``MPMState`` or ``TetState``: where they are.
       up: unit vector against gravity, shape (3,).
     """
     if isinstance(scene, TetScene):
@@ -59,7 +58,7 @@ def thin_world(scene: ThinScene, soft: ThinState, thickness: float) -> World:
     if len(triangles):
         cloth = (Triangles(vertices=soft.x, faces=jnp.asarray(triangles), name="cloth"),)
     if len(segments):
-        part = np.linspace(0.0, 1.0, BALLS_PER_SEGMENT, endpoint=False)[:, None, None]
+        part = jnp.linspace(0.0, 1.0, BALLS_PER_SEGMENT, endpoint=False)[:, None, None]
         a, b = (soft.x[segments[:, k]] for k in (0, 1))
         centers = ((1.0 - part) * a + part * b).reshape(-1, 3)
         ropes = (Balls(center=centers, radius=0.5 * thickness, names=("rope",), counts=(len(centers),)),)

@@ -98,7 +98,7 @@ def pulls(
     found = []
     for i, (grasp, hold, moving) in enumerate(zip(scene.grasps, holds, surface, strict=True)):
         shared = (_numbers(grasp), scene.dt, body_pose(poses, grasp.body), _clipped(grips[i]))
-        pull = _pull(shared, (hold, *(_own(grasp, u) for u in (x, v, moving))))
+        pull = _pull(shared, (hold, _own(grasp, x), _own(grasp, v), _own(grasp, moving)))
         if grasp.vertices is not None:
             at = _stencil(grasp, x[0].shape[-1])
             pull = Pull(scatter(at, (pull.force,)), sum_corners(at, (pull.rate,)))

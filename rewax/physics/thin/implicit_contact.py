@@ -19,7 +19,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, body_pose
 from rewax.physics.thin.newton import Blocks, Linear
-from rewax.types import Array, Scalar
+from rewax.types import Array, Scalar, Vector
 
 if TYPE_CHECKING:
     from rewax.physics.thin.scene import ThinScene
@@ -50,7 +50,7 @@ class Surface(NamedTuple):
 
     collider: Collider | None
     poses: tuple[Pose, Pose] | None
-    plane: tuple[Array, Array] | None
+    plane: tuple[Vector, Scalar] | None
     friction: Scalar
 
 

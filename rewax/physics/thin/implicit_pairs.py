@@ -56,7 +56,8 @@ def meetings(scene: "ThinScene", pairs: AllPairs | None, x: Vec3, v: Vec3) -> li
             found.append(None)
             continue
         at, moving = gathered(kind, x), gathered(kind, v)
-        found.append(Meeting(kind, *kernels.meet(_law(scene), (at, moving, kind.thickness)), at))
+        distance, weights, sliding = kernels.meet(_law(scene), (at, moving, kind.thickness))
+        found.append(Meeting(kind, distance, weights, sliding, at))
     return found
 
 

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from rewax.lowering.kernels import pointwise
 from rewax.lowering.recompute import recomputed
+from rewax.physics.contact.penalty import PenaltyContact
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
@@ -162,7 +163,7 @@ def _known(scene: "ThinScene", at: Step, poses: tuple[Pose, Pose], pins: Array |
         held=held,
         before=incremental.strains_before(scene, x),
         surfaces=there,
-        touches=[contact.touch(scene.contact, place, x, v, dt) for place in there],
+        touches=[contact.touch(_law(scene), place, x, v, dt) for place in there],
         met=meetings(scene, pairs, x, v),
     )
 
@@ -175,7 +176,7 @@ def slope(scene: "ThinScene", known: Known, x: Vec3) -> Vec3:
     there = _held(scene, x, known.held)
     total = incremental.elastic_slope(scene, known.before, there)
     for place, touch in zip(known.surfaces, known.touches, strict=True):
-        total = cp.add(total, contact.touch_slope(scene.contact, place, touch, there, scene.dt))
+        total = cp.add(total, contact.touch_slope(_law(scene), place, touch, there, scene.dt))
     if known.met:
         total = cp.add(total, pairs_slope(scene, known.met, there))
     shared = (scene.drag, jnp.asarray(scene.dt))
@@ -196,7 +197,7 @@ def curvature(scene: "ThinScene", known: Known, x: Vec3, exact: Array) -> Linear
     there = _held(scene, x, known.held)
     parts = [incremental.elastic_curvature(scene, known.before, there, exact)]
     for place, touch in zip(known.surfaces, known.touches, strict=True):
-        parts.append(contact.touch_curvature(scene.contact, place, touch, there, scene.dt, exact))
+        parts.append(contact.touch_curvature(_law(scene), place, touch, there, scene.dt, exact))
     if known.met:
         parts.append(pairs_curvature(scene, known.met, there, exact))
     zero = cp.vector(lambda i: jnp.zeros_like(x[i]))
@@ -217,7 +218,7 @@ def blocks(scene: "ThinScene", bound: Array, known: Known, x: Vec3) -> Blocks:
     there = _held(scene, x, known.held)
     found = [incremental.elastic_blocks(scene, known.before, there)]
     for place, touch in zip(known.surfaces, known.touches, strict=True):
-        found.append(contact.touch_blocks(scene.contact, place, touch, there, scene.dt))
+        found.append(contact.touch_blocks(_law(scene), place, touch, there, scene.dt))
     if known.met:
         found.append(pairs_blocks(scene, known.met, there))
     diagonal = mixed = cp.vector(lambda i: jnp.zeros_like(x[i]))
@@ -238,7 +239,14 @@ def _held(scene: "ThinScene", x: Vec3, held: Vec3) -> Vec3:
     """x with the held vertices elsewhere."""
     if scene.mobility is None:
         return x
-    return cp.vector(lambda i: jnp.where(scene.mobility > 0, x[i], held[i]))
+    moves = scene.mobility > 0
+    return cp.vector(lambda i: jnp.where(moves, x[i], held[i]))
+
+
+def _law(scene: "ThinScene") -> PenaltyContact:
+    """The law of contact of a scene with surfaces."""
+    assert scene.contact is not None
+    return scene.contact
 
 
 __all__ = ["Known", "Step", "blocks", "curvature", "implicit_step", "reach", "slope"]

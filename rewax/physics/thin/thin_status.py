@@ -61,7 +61,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
     missed = jnp.bool_(False)
     if scene.stepper is not None:
-        missed = ~(state.error <= scene.stepper.tolerance)
+        missed = jnp.logical_not(state.error <= scene.stepper.tolerance)
     return (
         flag(~all_finite((state.x, state.v, state.holds, state.crease)), Status.NAN)
         | flag(missed, Status.UNSOLVED)
