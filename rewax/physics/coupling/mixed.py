@@ -3,7 +3,6 @@
 ``mixed_contact`` has their substep.
 """
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -50,13 +49,14 @@ class MixedState(struct.Replaceable):
     Attributes:
       particles: state of ``mpm.initial_state``.
       thin: state of ``thin.initial_state``.
-      full: whether the list of close particles and triangles has been too short in any step, shape (), bool.
+      full: 1 if the list of close particles and triangles has been too short in any step, else 0, shape (). Gradient:
+        none.
       speed: largest speed of a particle relative to the cloth beside it, in all steps [m/s], shape (). Gradient: none.
     """
 
     particles: MPMState
     thin: ThinState
-    full: Array = dataclasses.field(default_factory=lambda: jnp.zeros((), bool))
+    full: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
 
     @property
@@ -203,7 +203,7 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     return (
         mpm_stepping.check_status(scene.particles, state.particles, poses=poses)
         | thin_status.check_status(scene.thin, state.thin, poses=last)
-        | flag(state.full | pairs.full, Status.FULL_PAIRS)
+        | flag((state.full > 0) | pairs.full, Status.FULL_PAIRS)
         | flag(fast, Status.CROSSED)
         | flag(bad | too_long, Status.INVALID_PARAMETERS)
     )

@@ -139,11 +139,11 @@ def search(scene: MixedScene, constants: Constants, soft: Mixed) -> tuple[Consta
 
 def remembered(before: MixedState, after: MixedState, met: Met) -> MixedState:
     """The state after a step, with the extremes of contact of all steps. Gradient: none."""
-    return after.replace(
-        thin=thin_stepping.remembered(before.thin, after.thin, met.own),
-        full=before.full | met.full,
-        speed=jax.lax.stop_gradient(jnp.maximum(before.speed, met.speed.astype(jnp.result_type(before.speed)))),
+    full, speed = (
+        jax.lax.stop_gradient(jnp.maximum(old, new.astype(jnp.result_type(old))))
+        for old, new in ((before.full, met.full), (before.speed, met.speed))
     )
+    return after.replace(thin=thin_stepping.remembered(before.thin, after.thin, met.own), full=full, speed=speed)
 
 
 def begin(
