@@ -17,7 +17,7 @@ _MOST_ITEMS = 6
 _MOST_OBJECTS = 2
 """The same for tuples and lists of dataclasses."""
 _MOST_CHARACTERS = 80
-"""Of the text of any other object."""
+"""Longest text of any other object, in characters."""
 
 
 def short_repr(tree: Any, *, first: Sequence[str] = ()) -> str:

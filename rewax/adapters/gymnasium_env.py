@@ -148,12 +148,12 @@ class GymnasiumVectorEnv(VectorEnv):
 def make_gymnasium_env(
     *, task: str, scale: str, render_mode: str | None = None, size: tuple[int, int] = (360, 480), **options: Any
 ) -> GymnasiumEnv:
-    """What ``gymnasium.make("rewax/RollingFlat-small-v0", ...)`` calls; options are those of ``rewax.make``."""
+    """Entry point of ``gymnasium.make("rewax/RollingFlat-small-v0", ...)``; options are those of ``rewax.make``."""
     return GymnasiumEnv(make(task, scale=scale, **options), render_mode=render_mode, size=size)
 
 
 def make_gymnasium_vector_env(*, task: str, scale: str, num_envs: int = 1, **options: Any) -> GymnasiumVectorEnv:
-    """What ``gymnasium.make_vec("rewax/RollingFlat-small-v0", num_envs=16)`` calls."""
+    """Entry point of ``gymnasium.make_vec("rewax/RollingFlat-small-v0", num_envs=16)``."""
     return GymnasiumVectorEnv(make(task, scale=scale, **options), num_envs)
 
 

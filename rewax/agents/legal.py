@@ -145,7 +145,7 @@ def _legal(hint: Any) -> tuple[Legal | None, bool]:
 
 
 def _tuple(parts: tuple[Any, ...]) -> Legal | None:
-    """Of ``tuple[int, ...]`` or ``tuple[float, float]``."""
+    """Legal values of ``tuple[int, ...]`` or ``tuple[float, float]``."""
     if not parts or parts[0] not in _PLAIN or (parts[-1] is not Ellipsis and len(set(parts)) > 1):
         return None
     one, count = _PLAIN[parts[0]], None if parts[-1] is Ellipsis else len(parts)

@@ -20,7 +20,7 @@ class Transition(NamedTuple):
 
     obs: Observation
     action: Any
-    """What the policy returned: an action, or ``Remembered(action, memory)``."""
+    """Result of the policy: an action, or ``Remembered(action, memory)``."""
     reward: Array
     next_obs: Observation
     """After the step, before any reset."""

@@ -57,7 +57,7 @@ def env_arguments(
 
 
 def sentences(env: Any, told: Mapping[str, Any]) -> list[str]:
-    """What an environment took from a result, and a note if its substep is too long for that."""
+    """Numbers that an environment took from a result, in words, and a note if its substep is too long for them."""
     from rewax.identify.unknowns import is_stable
 
     texts, high = [], {}

@@ -16,7 +16,7 @@ MEMORY = "memory"
 
 
 class Remembered(NamedTuple):
-    """What a policy with memory returns: an action, and the memory that it has at the next step."""
+    """Result of a policy with memory: an action, and the memory that it has at the next step."""
 
     action: Array
     memory: Array
@@ -76,7 +76,7 @@ def remembering(env: Env, size: int) -> Remembering:
 
 
 def remembered(action: Array, memory: Array | None) -> Any:
-    """What a policy returns: the action alone, if it has no memory."""
+    """Result of a policy: the action alone, if it has no memory."""
     return action if memory is None else Remembered(action, memory)
 
 

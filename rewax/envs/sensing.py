@@ -19,7 +19,7 @@ _STREAM = 0x5E45
 
 
 class Sensor(Protocol):
-    """What can be added to an environment: a pytree with one method.
+    """A sensor that can be added to an environment: a pytree with one method.
 
     It may also have ``bounds``, the least and the largest number that the observation can hold.
     """

@@ -24,7 +24,7 @@ Loss = Callable[[Array, Array, Array], Array]
 
 
 class Minimum(NamedTuple):
-    """What ``minimize`` found."""
+    """Result of ``minimize``."""
 
     values: dict[str, float]
     """By the first name of each unknown."""
@@ -32,7 +32,7 @@ class Minimum(NamedTuple):
     latent: np.ndarray
     """Shape (k,)."""
     losses: np.ndarray
-    """Of the accepted points, shape (iterations,)."""
+    """Losses of the accepted points, shape (iterations,)."""
     failed: int
     """Simulations that failed; each halved the step."""
     remarks: list[str]

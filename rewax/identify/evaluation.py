@@ -27,11 +27,11 @@ class Evaluation(NamedTuple):
     """At S starts, with k unknowns and T frames; arrays of JAX or NumPy. Residuals are in standard deviations."""
 
     cost: Any
-    """Of data alone, shape (S,)."""
+    """Cost of the data alone, without the prior, shape (S,)."""
     gradient: Any
     """Shape (S, k)."""
     hessian: Any
-    """Of Gauss and Newton, shape (S, k, k)."""
+    """Gauss-Newton Hessian, shape (S, k, k)."""
     scores: Any
     """The gradient by region, shape (S, num_regions, k)."""
     spread: Any

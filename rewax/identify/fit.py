@@ -23,7 +23,7 @@ from rewax.identify.unknowns import Space, is_stable, space_of, stable_bounds
 from rewax.status import FATAL, describe
 
 _WIDTH = 0.5
-"""Of the weights of the surface, in spacings of the particles."""
+"""Width of the surface's weights, in spacings of the particles."""
 _AT_BOUND = 1e-3
 """Coordinates that are nearer to a bound of the search lie at it."""
 _ALIKE = 1.0

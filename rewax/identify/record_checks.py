@@ -1,4 +1,4 @@
-"""What is wrong with a record, in one sentence."""
+"""Checks of a record; each fault gets one sentence."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""What ``identify`` found, as values, as an environment, as distributions, as words and as a file."""
+"""Result of ``identify``, as values, as an environment, as distributions, as words and as a file."""
 
 import dataclasses
 import json
@@ -133,7 +133,7 @@ class Identified:
 
 @dataclasses.dataclass(frozen=True)
 class SavedResult:
-    """What a result's file holds for environments.
+    """The part of a result's file that environments read.
 
     Attributes:
       made_by: arguments of ``rewax.make``: ``env``, ``scale``, ``kwargs``; None: the environment was built otherwise.

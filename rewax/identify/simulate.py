@@ -1,4 +1,4 @@
-"""What an environment with given unknowns would have shown: particles at the times of a record's frames."""
+"""Simulates an environment with given unknowns: particles at the times of a record's frames."""
 
 from typing import Any, NamedTuple
 
@@ -27,9 +27,9 @@ class Data(NamedTuple):
     clusters: Array
     """Number of the region of each point, int32, shape (T, N), see ``regions``."""
     width: Array
-    """Of the surface's weights [m], shape ()."""
+    """Width of the surface's weights [m], shape ()."""
     key: Array
-    """Of the reset."""
+    """Key of the reset."""
 
 
 def data_of(record: Record, width: float, num_regions: int, seed: int = 0) -> Data:

@@ -60,12 +60,12 @@ class Space:
 
     @property
     def precision(self) -> np.ndarray:
-        """Of the prior in latent coordinates, which pulls the estimate: 1, or 0 for a flat prior, shape (k,)."""
+        """Precision of the prior in latent coordinates: 1, or 0 for a flat prior, shape (k,)."""
         return np.array([0.0 if isinstance(prior, _FLAT) else 1.0 for prior in self.priors])
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of latent coordinates, shape (k,) each; infinite where the prior has none."""
+        """Bounds of latent coordinates, shape (k,) each; infinite where the prior has none."""
         center, scale = self._frame()
         with np.errstate(divide="ignore"):
             low, high = (

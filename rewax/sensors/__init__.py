@@ -1,4 +1,4 @@
-"""What a robot has instead of the state: cameras, clouds of points, touch. Pure functions of what there is to see."""
+"""Sensors of a robot: cameras, clouds of points, touch. Pure functions of the visible world and of contact."""
 
 from rewax.sensors.camera import Camera, View
 from rewax.sensors.depth_cloud import DepthCloud

@@ -30,7 +30,7 @@ class View(NamedTuple):
     depth: Array
     """Distance along the viewing direction [m], shape (height, width); ``far`` where nothing is seen."""
     label: Array
-    """What is seen: an index into ``World.names``, ``NOTHING`` (-1) where nothing is, int32, shape (height, width)."""
+    """Object at each pixel: an index into ``World.names``, or ``NOTHING`` (-1), int32, shape (height, width)."""
     normal: Array
     """Unit normal of the surface in the world, towards the camera, zero where nothing is seen, (height, width, 3)."""
 
@@ -140,7 +140,7 @@ class Camera(struct.Replaceable):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of what ``see`` returns. Only noise makes depth smaller than ``near``."""
+        """Bounds of the depth that ``see`` returns. Only noise makes depth smaller than ``near``."""
         return (0.0 if self.noise is None else -self.near / (self.far - self.near)), 1.0
 
     def see(self, world: World, key: Key) -> Array:

@@ -24,7 +24,7 @@ class Labels(struct.Replaceable):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of what ``see`` returns."""
+        """Bounds of the labels that ``see`` returns."""
         return 0.0, 1.0
 
     def see(self, world: World, key: Key) -> Array:

@@ -1,4 +1,4 @@
-"""What real depth cameras do to a picture: noise that grows with distance, steps, and holes at edges."""
+"""Errors of real depth cameras: noise that grows with distance, steps, and holes at edges."""
 
 import jax
 import jax.numpy as jnp

@@ -14,7 +14,7 @@ from rewax.types import Array
 
 
 def see_solids(solids: Sequence[Solid], labels: Mapping[str, int], rays: Rays, *, everything: bool) -> list[Hits]:
-    """What rays meet of solids, one ``Hits`` for each kind of shape.
+    """First hits of rays with solids, one ``Hits`` for each kind of shape.
 
     Args:
       solids: shapes at their places.

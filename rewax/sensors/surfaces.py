@@ -13,7 +13,7 @@ _AT_A_TIME = 8
 
 
 def see_triangles(surface: Triangles, label: int, rays: Rays, *, everything: bool) -> Hits:
-    """What rays meet of a surface.
+    """First hits of rays with a surface.
 
     With corners a, b, c in the camera's frame and d a ray's direction, the ray passes the edges on the sides of
     d.(b x c), d.(c x a) and d.(a x b): inside if these have one sign. The ray meets

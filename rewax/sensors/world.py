@@ -1,4 +1,4 @@
-"""What sensors can see: solids by their shapes, particles as balls, surfaces of triangles."""
+"""The world that sensors observe: solids by their shapes, particles as balls, surfaces of triangles."""
 
 from collections.abc import Sequence
 
@@ -66,7 +66,7 @@ class Triangles(struct.Replaceable):
 
 @struct.dataclass
 class World(struct.Replaceable):
-    """What there is to see, and the bodies that sensors can be mounted on.
+    """The visible objects, and the bodies that sensors can be mounted on.
 
     Attributes:
       solids, balls, triangles: what there is.
@@ -82,7 +82,7 @@ class World(struct.Replaceable):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all that can be seen, each once; a label is an index into this tuple."""
+        """Names of all visible objects, each once; a label is an index into this tuple."""
         every = [
             *(solid.name for solid in self.solids),
             *(name for balls in self.balls for name in balls.names),

@@ -32,7 +32,7 @@ def _reach(radius: float, rays: Rays, focal_length: float) -> int:
 
 
 def see_balls(balls: Balls, labels: Mapping[str, int], rays: Rays, *, everything: bool) -> Hits:
-    """What rays meet of balls. Each ball writes its depth to the pixels of a square around its centre.
+    """First hits of rays with balls. Each ball writes its depth to the pixels of a square around its centre.
 
     Args:
       balls: particles; those whose centre is nearer than ``near`` are not seen.

@@ -135,5 +135,5 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
         return rigid.shapes(self.model, physics.rigid)
 
     def world(self, physics: CoupledPhysics, up: np.ndarray) -> World:
-        """What sensors can see: the robot by the names of its bodies, the soft body, the floor; see ``SoftTask``."""
+        """The world that sensors observe: the robot by names of bodies, the soft body, the floor; see ``SoftTask``."""
         return with_robot(soft_world(self.scene, physics.soft, up), self.model, physics.rigid)

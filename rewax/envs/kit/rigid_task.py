@@ -106,7 +106,7 @@ class RigidTask(ActuatedTask):
         return physics.replace(rigid=bodies, action=action, felt=felt), rigid.check_status(bodies, self.model)
 
     def world(self, physics: RigidPhysics, up: np.ndarray) -> World:
-        """What sensors can see: the geoms by the names of their bodies."""
+        """The world that sensors observe: the geoms by the names of their bodies."""
         del up
         return with_robot(World(), self.model, physics.rigid)
 

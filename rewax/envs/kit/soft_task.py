@@ -179,7 +179,7 @@ class SoftTask(SoftBodyTask):
         return drawings(self.scene.colliders, jax.tree.map(lambda a: a[0], self.poses(physics.joint_q[None])))
 
     def world(self, physics: SoftPhysics, up: np.ndarray) -> World:
-        """What sensors can see: soft bodies, tools (``tool``) and the floor; bodies are those of the tools.
+        """The world that sensors observe: soft bodies, tools (``tool``) and the floor; bodies are those of the tools.
 
         Args:
           physics: of a state.
@@ -199,7 +199,7 @@ class SoftTask(SoftBodyTask):
         return named_tools(self.scene.colliders)
 
     def _driven(self, physics: SoftPhysics, action: Array, path: Array) -> tuple[Soft, Any, Array]:
-        """What ``_move`` returns, for joints at the boundaries of the substeps, shape (n, num_joints)."""
+        """Result of ``_move`` for joints at the boundaries of the substeps, shape (n, num_joints)."""
         poses = checked_poses(self, self.poses(path), len(path))
         return self._move(self.actuated(action), physics.soft, poses)
 

@@ -1,4 +1,4 @@
-"""What tasks feel of contact: steps of soft bodies with and without patches that feel."""
+"""Touch of tasks: steps of soft bodies with and without patches that feel."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -25,7 +25,7 @@ def felt_step(solver: Any, scene: Any, soft: Any, poses: Pose, touch: Any, store
 
 
 def moved_origin(felt: Any, shift: Array) -> Any:
-    """What walls felt in a world whose origin lies at ``shift`` [m], shape (3,): torques about the true origin."""
+    """Touch of walls in a world whose origin lies at ``shift`` [m], shape (3,): torques about the true origin."""
     return jax.tree.map(
         lambda one: Wrench(one.force, one.torque + jnp.cross(shift, one.force)),
         felt,

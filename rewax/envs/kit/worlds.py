@@ -1,4 +1,4 @@
-"""What sensors can see of the tasks of this kit."""
+"""The worlds that sensors of the kit's tasks observe."""
 
 import functools
 from typing import Any
@@ -16,9 +16,9 @@ from rewax.sensors.world import Balls, Solid, Triangles, World, half_space, plac
 from rewax.types import Array, Scalar
 
 BALL_RADIUS = 0.4
-"""Of a particle, in cells of the grid. Of eight particles in a cell, neighbours on the diagonal then overlap."""
+"""Radius of a drawn particle, in cells of the grid. With eight in a cell, neighbours on the diagonal overlap."""
 BALLS_PER_SEGMENT = 6
-"""Of a rope."""
+"""Balls that stand for one segment of a rope."""
 
 
 def soft_world(scene: Any, soft: Any, up: np.ndarray) -> World:

@@ -31,7 +31,7 @@ HIT = 0.05
 
 @struct.dataclass
 class Aim(struct.Replaceable):
-    """What an episode keeps.
+    """The task's part of the state.
 
     Attributes:
       target: [m], shape (3,).

@@ -14,12 +14,12 @@ S = TypeVar("S")
 
 
 class Feeling(NamedTuple, Generic[S]):
-    """What a substep hands to the next."""
+    """Carry of the scan over substeps."""
 
     soft: S
     """State of the solver."""
     received: Any
-    """Sums over the substeps of what each patch received."""
+    """Sums over the substeps of force or impulse, and torque, on each patch."""
 
     def after(self, soft: S, received: Any) -> "Feeling[S]":
         """After a substep in which the patches received ``received``."""

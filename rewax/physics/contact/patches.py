@@ -145,7 +145,7 @@ def _felt(patches: Patches, position: Vec3, received: Any, bodies: Pose, turned_
 
 
 def _of_body(body: int, pairs: Sequence[tuple[int | Array, Vec3]], like: Array) -> Array:
-    """What a body receives at each point, shape (3, num_points)."""
+    """Force or impulse on a body at each point, shape (3, num_points)."""
     total = [jnp.zeros_like(like)] * 3
     for owner, vector in pairs:
         if isinstance(owner, int):

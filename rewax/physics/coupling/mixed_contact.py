@@ -60,10 +60,10 @@ class Constants(NamedTuple):
 
 
 class Met(NamedTuple):
-    """What a search found; ``remembered`` keeps the extremes. Gradient: none."""
+    """Result of a search; ``remembered`` keeps the extremes. Gradient: none."""
 
     own: Seen | None
-    """Of the cloth's self-contact."""
+    """Extremes of the cloth's self-contact."""
     full: Array
     """Whether the list of particles and triangles was full, shape (), bool."""
     speed: Array
@@ -114,7 +114,7 @@ def join(soft: Mixed) -> MixedState:
 
 
 def constants_of(scene: MixedScene, state: MixedState) -> Constants:
-    """What all substeps of a step share."""
+    """Values that all substeps of a step share."""
     return Constants(nodes_of_step(scene.particles, state.particles.x))
 
 

@@ -64,7 +64,7 @@ class VertexTouch(NamedTuple):
 
 
 class BodyTouch(NamedTuple):
-    """What a body does to the vertices."""
+    """Contact of one body with the vertices."""
 
     body: int
     touch: VertexTouch

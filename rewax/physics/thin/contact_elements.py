@@ -1,4 +1,4 @@
-"""What touches in self-contact: vertices, edges and triangles, their order in space, and the neighbours that do not."""
+"""Elements of self-contact: vertices, edges and triangles, their order in space, and neighbours that do not touch."""
 
 import heapq
 from collections import defaultdict

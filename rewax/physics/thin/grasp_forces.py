@@ -26,7 +26,7 @@ class HoldParts(NamedTuple):
 
 
 class Pull(NamedTuple):
-    """What a grasp does in a substep, arrays over all vertices of the scene."""
+    """Force of a grasp in a substep, arrays over all vertices of the scene."""
 
     force: Vec3
     """Force on the vertices [N]."""
@@ -83,7 +83,7 @@ def pulls(
     surface: Sequence[Vec3],
     grips: Array,
 ) -> list[Pull]:
-    """What each grasp does to the vertices.
+    """Forces of each grasp on the vertices.
 
     Args:
       scene: the scene.

@@ -38,7 +38,7 @@ class Meeting(NamedTuple):
 
 
 class Kernels(NamedTuple):
-    """What a kind of pairs needs."""
+    """Functions of one kind of pairs."""
 
     meet: Callable[[Any, Any], Any]
     slope: Callable[[Any, Any], Any]

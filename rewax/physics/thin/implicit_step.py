@@ -45,7 +45,7 @@ class Step(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What is known at the beginning of a substep."""
+    """Values that are known at the beginning of a substep."""
 
     x: Vec3
     inertia: Vec3
@@ -105,7 +105,7 @@ def _corrected(
 
 
 class Context(NamedTuple):
-    """What the linear system of a derivative needs."""
+    """Inputs of the linear system of a derivative."""
 
     scene: Any
     bound: Array

@@ -23,7 +23,7 @@ _TARGETS = ("rewax_find_pairs", "rewax_pairs_to_corners", "rewax_pairs_to_vertic
 
 
 class _Query(NamedTuple):
-    """What a search looks for; hashable."""
+    """Settings of a search; hashable."""
 
     elements: ContactElements
     with_triangles: bool

@@ -27,7 +27,7 @@ from rewax.physics.thin.unfolded import Hinges, around, hinge_sizes, inverse_2x2
 from rewax.types import Array, Scalar
 
 DAMPING, ITERATIONS = 1e-4, 4
-"""Of the solution of three equations per hinge, which are singular where a free edge is near."""
+"""Damping and iterations of the solution of three equations per hinge, which are singular near a free edge."""
 
 
 @struct.dataclass

@@ -1,4 +1,4 @@
-"""What is prescribed in a step of cloth and ropes beside the bodies' motion: pins of held vertices, grips of grasps."""
+"""Inputs of a step of cloth and ropes beside the bodies' motion: pins of held vertices, grips of grasps."""
 
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ from rewax.types import Array
 
 
 class Prescribed(NamedTuple):
-    """What is prescribed beside the bodies' motion, in one substep or with a leading axis for several."""
+    """Pins and grips of one substep, or with a leading axis of several."""
 
     pins: Array | None = None
     """Positions of the held vertices at the end [m], (num_held, 3)."""

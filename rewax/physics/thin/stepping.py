@@ -61,7 +61,7 @@ class Solved(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """What is prescribed during a substep."""
+    """Poses, pins and grips of a substep."""
 
     poses: tuple[Pose, Pose]
     prescribed: Prescribed

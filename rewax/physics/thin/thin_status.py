@@ -1,4 +1,4 @@
-"""What ``check_status`` says about a state of cloth and ropes."""
+"""Status bits of a state of cloth and ropes."""
 
 import jax
 import jax.numpy as jnp
