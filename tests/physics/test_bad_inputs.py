@@ -251,7 +251,7 @@ TABLE = [
     (lambda: inertia_of(BALL, 1e3), "shapes is Sphere(radius="),
     (lambda: bodies_at_rest(None), "position is None, but must be finite: give centres of mass in metres"),
     (lambda: bodies_at_rest([[0, 0, 0]], [1, 0, 0, 0]), "orientation has shape (4,): give an array of shape (1, 4)"),
-    (lambda: coupled(scene=None), "scene is None: give a scene of mpm.make_scene or tets.make_scene"),
+    (lambda: coupled(scene=None), "scene is None: give a scene of mpm.make_scene, tets.make_scene, thin.make_scene or"),
     (lambda: coupled(inertia=1.0), "inertia is 1.0: give an Inertia(mass=..., moment=...), of inertia_of for example"),
     (lambda: coupled(inertia=Inertia(mass=None, moment=np.eye(3)[None])), "inertia.mass is None, but must be positive"),
     (
