@@ -6,8 +6,10 @@ import numpy as np
 from rewax import struct
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.thin_task import ThinTask
+from rewax.physics import thin
+from rewax.physics.contact import Collider, Ground, PenaltyContact
 from rewax.physics.numerics import Pose
-from rewax.physics.thin import Grasp, ThinMesh
+from rewax.physics.thin import Grasp, SelfContact, ThinMesh, ThinScene
 from rewax.types import Array, Observation
 
 HANDS = 2
@@ -65,4 +67,50 @@ def hands_at(mesh: ThinMesh, corners: tuple[int, int], *, radius: float, stiffne
     return tuple(grasps)
 
 
-__all__ = ["GRIP", "HANDS", "STILL", "TwoHands", "hands_at"]
+def cloth_in_hands(
+    mesh: ThinMesh,
+    corners: tuple[int, int],
+    *,
+    dt: float,
+    spacing: float,
+    bending: float,
+    friction: float,
+    radius: float,
+    colliders: tuple[Collider, ...] = (),
+    self_contact: SelfContact | None = None,
+) -> ThinScene:
+    """The scene of a cloth of 0.4 kg/m^2 above the ground, with a hand at each corner.
+
+    Args:
+      mesh: the cloth, of square cells.
+      corners: the vertices that the hands hold.
+      dt: duration of a substep [s].
+      spacing: edge of a cell [m]. Contact and grasps are stiffer for larger cells, as the mass of a vertex is.
+      bending: flexural rigidity [N m].
+      friction: Coulomb coefficient of the ground [-].
+      radius: distance from vertices at which contact begins [m].
+      colliders: what else the cloth touches.
+      self_contact: contact of its layers; None: none.
+    """
+    mass = 0.4 * spacing**2
+    cloth = thin.isotropic_cloth(youngs_modulus=3e4, poissons_ratio=0.3, thickness=2e-3, density=200.0, damping=3e-4)
+    return thin.make_scene(
+        mesh=mesh,
+        dt=dt,
+        cloth=cloth.replace(bending=bending),
+        drag=1.0,
+        contact=PenaltyContact(
+            stiffness=2e4 * mass,
+            damping=30.0 * mass,
+            friction_damping=300.0 * mass,
+            friction=friction,
+            radius=radius,
+        ),
+        ground=Ground(normal=[0.0, 1.0, 0.0]),
+        colliders=colliders,
+        grasps=hands_at(mesh, corners, radius=1.1 * spacing, stiffness=3e4 * mass),
+        self_contact=self_contact,
+    )
+
+
+__all__ = ["GRIP", "HANDS", "STILL", "TwoHands", "cloth_in_hands", "hands_at"]

@@ -10,9 +10,9 @@ from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
-from rewax.envs.kit.two_hands import STILL, TwoHands, hands_at
+from rewax.envs.kit.two_hands import STILL, TwoHands, cloth_in_hands
 from rewax.physics import thin
-from rewax.physics.contact import Collider, Ground, PenaltyContact
+from rewax.physics.contact import Collider
 from rewax.physics.shapes import Box
 from rewax.sensors.camera import Camera
 from rewax.sensors.framing import overlooking
@@ -91,22 +91,17 @@ def spots_of_box(half_size: Any, spacing: float) -> np.ndarray:
 def _cover_box(steps: Substeps, *, cells: int, cloud: PointCloud, max_steps: int) -> CoverBox:
     mesh, spacing = thin.sheet(EDGE, EDGE, cells, cells), EDGE / cells
     corners = (0, cells)
-    mass = 0.4 * spacing**2
-    scene = thin.make_scene(
-        mesh=mesh,
+    scene = cloth_in_hands(
+        mesh,
+        corners,
         dt=steps.dt,
-        cloth=thin.isotropic_cloth(
-            youngs_modulus=3e4, poissons_ratio=0.3, thickness=2e-3, density=200.0, damping=3e-4
-        ).replace(bending=3e-4),
-        drag=1.0,
-        contact=PenaltyContact(
-            stiffness=2e4 * mass, damping=30.0 * mass, friction_damping=300.0 * mass, friction=0.5, radius=0.018
-        ),
-        ground=Ground(normal=[0.0, 1.0, 0.0]),
+        spacing=spacing,
+        bending=3e-4,
+        friction=0.5,
+        radius=0.018,
         colliders=(
             Collider(shape=Box(half_size=HALF_SIZE), body=STILL, offset=(0.0, HALF_SIZE[1], 0.0), friction=0.4),
         ),
-        grasps=hands_at(mesh, corners, radius=1.1 * spacing, stiffness=3e4 * mass),
     )
     u, w = mesh.vertices[:, 0], mesh.vertices[:, 2] - 0.5 * EDGE
     hanging = np.stack([np.full_like(u, START[0]), START[1] - u, w], axis=-1)

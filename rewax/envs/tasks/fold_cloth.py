@@ -15,9 +15,8 @@ from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
-from rewax.envs.kit.two_hands import TwoHands, hands_at
+from rewax.envs.kit.two_hands import TwoHands, cloth_in_hands
 from rewax.physics import thin
-from rewax.physics.contact import Ground, PenaltyContact
 from rewax.sensors.camera import Camera
 from rewax.sensors.framing import overlooking
 from rewax.types import Array, Key, PyTree, Scalar
@@ -103,19 +102,14 @@ def _fold_cloth(
 ) -> FoldCloth:
     mesh, spacing = thin.sheet(EDGE, EDGE, cells, cells), EDGE / cells
     corners = (cells * (cells + 1), (cells + 1) ** 2 - 1)
-    mass = 0.4 * spacing**2
-    scene = thin.make_scene(
-        mesh=mesh,
+    scene = cloth_in_hands(
+        mesh,
+        corners,
         dt=steps.dt,
-        cloth=thin.isotropic_cloth(
-            youngs_modulus=3e4, poissons_ratio=0.3, thickness=2e-3, density=200.0, damping=3e-4
-        ).replace(bending=1e-4),
-        drag=1.0,
-        contact=PenaltyContact(
-            stiffness=2e4 * mass, damping=30.0 * mass, friction_damping=300.0 * mass, friction=0.8, radius=RADIUS
-        ),
-        ground=Ground(normal=[0.0, 1.0, 0.0]),
-        grasps=hands_at(mesh, corners, radius=1.1 * spacing, stiffness=3e4 * mass),
+        spacing=spacing,
+        bending=1e-4,
+        friction=0.8,
+        radius=RADIUS,
         self_contact=self_contact,
     )
     lying = mesh.vertices + np.array([-0.5 * EDGE, RADIUS, -0.5 * EDGE])

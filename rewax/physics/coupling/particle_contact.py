@@ -20,17 +20,16 @@ from rewax import struct
 from rewax.lowering.kernels import pointwise
 from rewax.physics.coupling.triangle_tree import EDGES, TriangleTree, close_to_triangles
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, static_integer
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import closest
 from rewax.physics.thin.pair_kernels import to_corners, to_vertices
-from rewax.physics.thin.pair_law import pair_energy, shared_out
+from rewax.physics.thin.pair_law import PairContact, pair_energy, shared_out
 from rewax.physics.thin.self_contact import NO_PAIR
 from rewax.types import Array, Scalar
 
 
 @struct.dataclass
-class ParticleContact(struct.Replaceable):
+class ParticleContact(PairContact):
     """Contact of particles with cloth.
 
     Attributes:
@@ -46,18 +45,7 @@ class ParticleContact(struct.Replaceable):
       pairs_per_particle: capacity of the list of close pairs for each particle, on average (static).
     """
 
-    thickness: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
-    stiffness: Scalar = struct.number(POSITIVE, "give a force per depth in N/m", shape=())
-    damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
-    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient", shape=(), default=0.0)
-    friction_damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
-    max_speed: Scalar = struct.number(POSITIVE, "give a speed in m/s", shape=(), default=1.0)
-    every: int = struct.static_field(default=8)
     pairs_per_particle: int = struct.static_field(default=8)
-
-    def __post_init__(self) -> None:
-        for name in ("every", "pairs_per_particle"):
-            static_integer(name, getattr(self, name), 1, "give an integer of at least 1")
 
 
 class ParticlePairs(NamedTuple):

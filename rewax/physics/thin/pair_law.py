@@ -18,6 +18,7 @@ segments are parallel. It shortens the reach by at most 4 % at their ends. Up to
 minus the gradient of an energy.
 """
 
+import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
@@ -39,7 +40,25 @@ SMOOTHING = 0.2
 
 
 @struct.dataclass
-class SelfContact(struct.Replaceable):
+class PairContact(struct.Replaceable):
+    """The numbers that all laws of contact between pairs share, see ``SelfContact``."""
+
+    thickness: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
+    stiffness: Scalar = struct.number(POSITIVE, "give a force per depth in N/m", shape=())
+    damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
+    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient", shape=(), default=0.0)
+    friction_damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
+    max_speed: Scalar = struct.number(POSITIVE, "give a speed in m/s", shape=(), default=1.0)
+    every: int = struct.static_field(default=8)
+
+    def __post_init__(self) -> None:
+        for each in dataclasses.fields(self):
+            if not each.metadata.get("pytree_node", True):
+                static_integer(each.name, getattr(self, each.name), 1, "give an integer of at least 1")
+
+
+@struct.dataclass
+class SelfContact(PairContact):
     """Contact of cloth and ropes with themselves and with each other; see ``pair_law`` for the force.
 
     Attributes:
@@ -58,19 +77,8 @@ class SelfContact(struct.Replaceable):
         vertex, and with edges for each edge, on average.
     """
 
-    thickness: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
     rope_thickness: Scalar | None = struct.number(POSITIVE, "give a length in metres", shape=(), default=None)
-    stiffness: Scalar = struct.number(POSITIVE, "give a force per depth in N/m", shape=())
-    damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
-    friction: Scalar = struct.number(NOT_NEGATIVE, "give a Coulomb coefficient", shape=(), default=0.0)
-    friction_damping: Scalar = struct.number(NOT_NEGATIVE, "give a number of N s/m", shape=(), default=0.0)
-    max_speed: Scalar = struct.number(POSITIVE, "give a speed in m/s", shape=(), default=1.0)
-    every: int = struct.static_field(default=8)
     pairs_per_element: int = struct.static_field(default=8)
-
-    def __post_init__(self) -> None:
-        for name in ("every", "pairs_per_element"):
-            static_integer(name, getattr(self, name), 1, "give an integer of at least 1")
 
     def rope(self) -> Scalar:
         """Thickness of ropes [m]."""
@@ -146,5 +154,5 @@ def shared_out(
     return tuple(cp.scale(w, force) for w in weights)
 
 
-__all__ = ["ONSET", "SMOOTHING", "SelfContact", "numbers", "pair_energy", "pair_stiffness",
+__all__ = ["ONSET", "SMOOTHING", "PairContact", "SelfContact", "numbers", "pair_energy", "pair_stiffness",
            "segments_force", "smoothed_square", "vertex_triangle_force"]  # fmt: skip
