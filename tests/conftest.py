@@ -1,6 +1,8 @@
 """Shared by all tests: programs that compile fast and stay in a cache, few but repeatable hypothesis examples, float64."""
 
+import ctypes
 import functools
+import gc
 import os
 import subprocess
 import sys
@@ -63,6 +65,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return WorkStealingScheduling(config, log)
 
 
+_C_LIBRARY = ctypes.CDLL(None) if sys.platform == "linux" else None
 _MANY_MAPS, _MUCH_MEMORY = 20_000, 1.5e9
 """Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes. [1, bytes]"""
 
@@ -77,6 +80,9 @@ def few_programs() -> Iterator[None]:
     resident = int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     if resident > _MUCH_MEMORY or (process / "maps").read_bytes().count(b"\n") > _MANY_MAPS:
         jax.clear_caches()
+        gc.collect()
+        if hasattr(_C_LIBRARY, "malloc_trim"):  # glibc keeps freed memory, and the worker would grow to 4.6 GB
+            _C_LIBRARY.malloc_trim(0)
 
 
 @pytest.fixture(scope="module", autouse=True)
