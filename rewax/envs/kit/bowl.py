@@ -1,16 +1,22 @@
 """A round bowl: a shape for tasks that pour."""
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes import Shape
+from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.types import Array, Scalar
 
 _LENGTH = "give a length in metres"
+_AROUND = 36
+"""Vertices around the drawing."""
 
 
 @struct.dataclass
@@ -44,6 +50,26 @@ class Bowl(Shape):
         radius, half = jnp.asarray(self.radius), 0.5 * jnp.asarray(self.thickness)
         outer = radius + half
         return jnp.stack([-outer, -outer, -outer]), jnp.stack([outer, half, outer])
+
+    def draw(self) -> list[Drawing]:
+        """A mesh; none for traced sizes."""
+        if isinstance(self.radius, Tracer) or isinstance(self.thickness, Tracer):
+            return []
+        return mesh(_surface(float(self.radius), float(self.thickness)))
+
+
+@functools.lru_cache(maxsize=16)
+def _surface(radius: float, thickness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles: the outline of the wall, turned around y."""
+    half, down, over = 0.5 * thickness, np.linspace(-0.5 * np.pi, 0.0, 12), np.linspace(0.0, np.pi, 7)[1:-1]
+    r = np.concatenate([(radius + half) * np.cos(down), radius + half * np.cos(over), (radius - half) * np.cos(down)[::-1]])
+    y = np.concatenate([(radius + half) * np.sin(down), half * np.sin(over), (radius - half) * np.sin(down)[::-1]])
+    around, rings = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False), len(r)
+    vertices = np.stack([r[:, None] * np.cos(around), y[:, None] + 0.0 * around, -r[:, None] * np.sin(around)], axis=-1)
+    ring, k = (a.reshape(-1) for a in np.mgrid[: rings - 1, :_AROUND])
+    here, beside = ring * _AROUND + k, ring * _AROUND + (k + 1) % _AROUND
+    triangles = [(here, beside, beside + _AROUND), (here, beside + _AROUND, here + _AROUND)]
+    return vertices.reshape(-1, 3), np.concatenate([np.stack(part, axis=-1) for part in triangles])
 
 
 __all__ = ["Bowl"]

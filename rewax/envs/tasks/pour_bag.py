@@ -14,6 +14,7 @@ from rewax.envs.kit.mixed_task import MixedTask
 from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.rewards import near, share_beyond
+from rewax.envs.kit.set_points import Steered
 from rewax.envs.kit.soft_parts import box_walls
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
@@ -31,12 +32,14 @@ RADIUS, WALL = 0.13, 0.025
 """Radius of the bowl, and thickness of its wall [m]."""
 START = (-0.28, 0.40, 0.0)
 """Middle of the hands at the beginning [m]."""
+ROOM = ((-0.52, 0.0, -0.22), (0.26, 0.56, 0.22))
+"""Lowest and highest coordinates of the room for grains [m]: walls, the floor, and no ceiling."""
 SUCCESS = 0.9
 """Share of the grains that has to be in the bowl."""
 
 
 @struct.dataclass
-class PourBag(MixedTask):
+class PourBag(Steered, MixedTask):
     """The task; ``rewax.make("PourBag", scale=...)`` builds it.
 
     The five joints are the middle of the hands [m], the distance between them [m], and how far they are turned about
@@ -82,10 +85,6 @@ class PourBag(MixedTask):
         vector = jnp.concatenate([q, physics.joint_qd, x.mean(0) - self.bowl, 0.5 * v.mean(0)])
         clouds = {"particle_q": self.observed(physics), "cloth_q": self.observed_cloth(physics)}
         return {**{name: cloud - self.bowl for name, cloud in clouds.items()}, "vector": vector}
-
-    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
-        x, v = super().points(physics)
-        return x, v
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
         """Mean over the grains of (1 - s) / (1 + (d / scale)^2) - spilling s.
@@ -138,24 +137,26 @@ def grains_in_bag(spacing: float, gap: float) -> np.ndarray:
 
 def _pour_bag(steps: Substeps, *, cells: int, spacing: float, law: dict[str, float], cloud: PointCloud, vertex_stride: int, max_steps: int) -> PourBag:
     mesh, held = bag(cells)
-    cloth = thin.isotropic_cloth(youngs_modulus=7.5e4, poissons_ratio=0.3, thickness=1e-3, density=1500.0, damping=3e-4)
+    cloth = thin.isotropic_cloth(youngs_modulus=3e4, poissons_ratio=0.3, thickness=1e-3, density=2000.0, damping=3e-4)
     bowl = np.array([0.0, RADIUS + 0.5 * WALL, 0.0])
     h = 2.0 * spacing
+    lower, upper = np.array(ROOM[0]) - 2.5 * h, np.array(ROOM[1]) + 2.5 * h
+    shape = tuple(int(n) for n in np.ceil((upper - lower) / h) + 1)
     scene = coupling.make_mixed_scene(
         particles=mpm.make_scene(
-            grid=Grid(shape=tuple(int(np.ceil(size / h)) + 1 for size in (0.95, 0.7, 0.55)), spacing=h, origin=(-0.6, -2 * h, -0.275)),
+            grid=Grid(shape=shape, spacing=h, origin=tuple(lower)),
             dt=steps.dt,
             material=Material(
-                density=250.0,
-                elasticity=Hencky(youngs_modulus=1e4, poissons_ratio=0.3),
+                density=100.0,
+                elasticity=Hencky(youngs_modulus=4e3, poissons_ratio=0.3),
                 plasticity=DruckerPrager(friction_angle=0.5, cohesion=0.0),
             ),
             particle_volume=spacing**3,
             colliders=(Collider(shape=Bowl(radius=RADIUS, thickness=WALL), friction=0.4, softness=np.log(10.0) / spacing),),
-            walls=box_walls(0.0, (-0.55, -0.24), (0.3, 0.24)),
+            walls=box_walls(0.0, (ROOM[0][0], ROOM[0][2]), (ROOM[1][0], ROOM[1][2])),
         ),
         thin=thin.make_scene(mesh=mesh, dt=steps.dt, cloth=cloth.replace(bending=1e-4), held=held, drag=1.0),
-        contact=coupling.ParticleContact(thickness=spacing, friction=0.4, pairs_per_particle=12, **law),
+        contact=coupling.ParticleContact(thickness=spacing, friction=0.4, pairs_per_particle=9, every=5, **law),
         vertices=mesh.vertices,
     )
     grains = grains_in_bag(spacing, 0.9 * spacing)
@@ -167,7 +168,8 @@ def _pour_bag(steps: Substeps, *, cells: int, spacing: float, law: dict[str, flo
         joint_start=(x, y, z, WIDTH, 0.0),
         joint_lower=(-0.35, 0.36, -0.1, 0.6 * WIDTH, -0.3),
         joint_upper=(0.1, 0.5, 0.1, WIDTH, 2.4),
-        joint_step=(0.025, 0.02, 0.02, 0.01, 0.12),
+        joint_step=(0.02, 0.01, 0.01, 0.005, 0.1),
+        rate=12.0,
         bowl=bowl,
         rim=RADIUS - 0.5 * WALL,
         scale=0.15,
@@ -183,10 +185,10 @@ def _pour_bag(steps: Substeps, *, cells: int, spacing: float, law: dict[str, flo
 def small(*, dt: float | None = None, num_substeps: int | None = None) -> PourBag:
     """Grains and triangles for two cores."""
     return _pour_bag(
-        substeps(dt, num_substeps, Substeps(1e-3, 40)),
+        substeps(dt, num_substeps, Substeps(1.6e-3, 25)),
         cells=6,
         spacing=0.0175,
-        law={"stiffness": 120.0, "damping": 0.02, "friction_damping": 0.02, "max_speed": 1.5},
+        law={"stiffness": 88.0, "damping": 0.01, "friction_damping": 0.01, "max_speed": 2.2},
         cloud=PointCloud(num_points=64, stride=3),
         vertex_stride=2,
         max_steps=40,
