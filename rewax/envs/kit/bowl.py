@@ -21,9 +21,9 @@ _AROUND = 36
 
 @struct.dataclass
 class Bowl(Shape):
-    """All points within half of ``thickness`` of a hemisphere of ``radius`` below the origin [m]: open above, round rim.
+    """All points within half of ``thickness`` of a hemisphere of ``radius`` below the origin [m].
 
-    The origin is the middle of the rim.
+    It is open above, its rim is round, and the origin is the middle of the rim.
     """
 
     radius: Scalar = struct.number(POSITIVE, _LENGTH, shape=())
@@ -61,9 +61,11 @@ class Bowl(Shape):
 @functools.lru_cache(maxsize=16)
 def _surface(radius: float, thickness: float) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles: the outline of the wall, turned around y."""
-    half, down, over = 0.5 * thickness, np.linspace(-0.5 * np.pi, 0.0, 12), np.linspace(0.0, np.pi, 7)[1:-1]
-    r = np.concatenate([(radius + half) * np.cos(down), radius + half * np.cos(over), (radius - half) * np.cos(down)[::-1]])
-    y = np.concatenate([(radius + half) * np.sin(down), half * np.sin(over), (radius - half) * np.sin(down)[::-1]])
+    half = 0.5 * thickness
+    down, over = np.linspace(-0.5 * np.pi, 0.0, 12), np.linspace(0.0, np.pi, 7)[1:-1]
+    wall = np.stack([np.cos(down), np.sin(down)])
+    rim = np.stack([radius + half * np.cos(over), half * np.sin(over)])
+    r, y = np.concatenate([(radius + half) * wall, rim, (radius - half) * wall[:, ::-1]], axis=1)
     around, rings = np.linspace(0.0, 2.0 * np.pi, _AROUND, endpoint=False), len(r)
     vertices = np.stack([r[:, None] * np.cos(around), y[:, None] + 0.0 * around, -r[:, None] * np.sin(around)], axis=-1)
     ring, k = (a.reshape(-1) for a in np.mgrid[: rings - 1, :_AROUND])

@@ -76,7 +76,7 @@ def soft_at_rest(scene: Scene, positions: Array) -> Soft:
 
 
 def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:
-    """Status bits after a step that began at ``start``; see ``check_status`` of ``mpm``, ``tets``, ``thin``, ``mixed``."""
+    """Status bits after a step that began at ``start``; see ``check_status`` of the solver."""
     if isinstance(scene, TetScene):
         assert isinstance(soft, TetState)
         return tets.check_status(scene, soft, poses=poses)

@@ -133,13 +133,15 @@ def grains_in_bag(spacing: float, gap: float) -> np.ndarray:
     return x[(x[:, 1] > bag_height(x) + steep) | (bag_height(x) == -DEPTH)]
 
 
-def bag_of_grains(steps: Substeps, mesh: thin.ThinMesh, held: np.ndarray, spacing: float, stiffness: float) -> MixedScene:
+def bag_of_grains(
+    steps: Substeps, mesh: thin.ThinMesh, held: np.ndarray, spacing: float, stiffness: float
+) -> MixedScene:
     """The scene: a heavy, soft cloth of 2 kg/m^2 and light grains of 100 kg/m^3.
 
     So cloth and contact allow long substeps, and the contact stops grains of up to 2.2 m/s.
 
     Args:
-      steps: the substeps.
+      dt: duration of a substep [s].
       mesh, held: the bag and its held vertices.
       spacing: of the particles, and thickness of their contact with the cloth [m]. A cell of the grid is twice as long.
       stiffness: force of that contact per depth [N/m].
@@ -149,7 +151,7 @@ def bag_of_grains(steps: Substeps, mesh: thin.ThinMesh, held: np.ndarray, spacin
     bowl = Collider(shape=Bowl(radius=RADIUS, thickness=WALL), friction=0.4, softness=np.log(10.0) / spacing)
     grains = mpm.make_scene(
         grid=Grid(shape=tuple(int(n) for n in np.ceil((upper - lower) / cell) + 1), spacing=cell, origin=tuple(lower)),
-        dt=steps.dt,
+        dt=dt,
         material=Material(
             density=100.0,
             elasticity=Hencky(youngs_modulus=4e3, poissons_ratio=0.3),
@@ -160,7 +162,7 @@ def bag_of_grains(steps: Substeps, mesh: thin.ThinMesh, held: np.ndarray, spacin
         walls=box_walls(ROOM[0][1], (ROOM[0][0], ROOM[0][2]), (ROOM[1][0], ROOM[1][2])),
     )
     cloth = thin.isotropic_cloth(youngs_modulus=3e4, poissons_ratio=0.3, thickness=1e-3, density=2000.0, damping=3e-4)
-    sheet = thin.make_scene(mesh=mesh, dt=steps.dt, cloth=cloth.replace(bending=1e-4), held=held, drag=1.0)
+    sheet = thin.make_scene(mesh=mesh, dt=dt, cloth=cloth.replace(bending=1e-4), held=held, drag=1.0)
     contact = ParticleContact(
         thickness=spacing,
         stiffness=stiffness,
@@ -175,11 +177,18 @@ def bag_of_grains(steps: Substeps, mesh: thin.ThinMesh, held: np.ndarray, spacin
 
 
 def _pour_bag(
-    steps: Substeps, *, cells: int, spacing: float, stiffness: float, cloud: PointCloud, vertex_stride: int, max_steps: int
+    steps: Substeps,
+    *,
+    cells: int,
+    spacing: float,
+    stiffness: float,
+    cloud: PointCloud,
+    vertex_stride: int,
+    max_steps: int,
 ) -> PourBag:
     mesh, held = bag(cells)
     return PourBag(
-        scene=bag_of_grains(steps, mesh, held, spacing, stiffness),
+        scene=bag_of_grains(steps.dt, mesh, held, spacing, stiffness),
         rest_positions=np.concatenate([grains_in_bag(spacing, 0.9 * spacing), mesh.vertices]) + START,
         noise=reset_noise((-0.03, 0.0, -0.03), (0.03, 0.0, 0.03)),
         joint_start=(*START, WIDTH, 0.0),
@@ -193,7 +202,7 @@ def _pour_bag(
         spilling=0.5,
         thickness=0.006,
         cloud=cloud,
-        vertex_stride=vertex_stride,
+        vertex_stride=2,
         num_substeps=steps.num,
         max_steps=max_steps,
     )
@@ -207,7 +216,6 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> PourBa
         spacing=0.01,
         stiffness=51.0,
         cloud=PointCloud(num_points=250, stride=3),
-        vertex_stride=2,
         max_steps=60,
     )
 
@@ -220,6 +228,5 @@ def small(*, dt: float | None = None, num_substeps: int | None = None) -> PourBa
         spacing=0.0175,
         stiffness=88.0,
         cloud=PointCloud(num_points=64, stride=2),
-        vertex_stride=2,
         max_steps=40,
     )
