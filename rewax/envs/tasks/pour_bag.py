@@ -133,9 +133,7 @@ def grains_in_bag(spacing: float, gap: float) -> np.ndarray:
     return x[(x[:, 1] > bag_height(x) + steep) | (bag_height(x) == -DEPTH)]
 
 
-def bag_of_grains(
-    steps: Substeps, mesh: thin.ThinMesh, held: np.ndarray, spacing: float, stiffness: float
-) -> MixedScene:
+def bag_of_grains(dt: float, mesh: thin.ThinMesh, held: np.ndarray, spacing: float, stiffness: float) -> MixedScene:
     """The scene: a heavy, soft cloth of 2 kg/m^2 and light grains of 100 kg/m^3.
 
     So cloth and contact allow long substeps, and the contact stops grains of up to 2.2 m/s.
@@ -183,7 +181,6 @@ def _pour_bag(
     spacing: float,
     stiffness: float,
     cloud: PointCloud,
-    vertex_stride: int,
     max_steps: int,
 ) -> PourBag:
     mesh, held = bag(cells)
