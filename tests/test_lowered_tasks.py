@@ -37,6 +37,11 @@ FUNCTIONS = {
     "WhipRope": {"thin.elements._bend", "thin.elements._segment", "thin.stepping._moved"},
     "CoverBox": CLOTH | {"contact.penalty._collider_force"},
     "FoldCloth": CLOTH,
+    "PourBag": SOFT | {
+        "coupling.nodes._after", "coupling.nodes._met", "coupling.particle_contact._pair_force",
+        "thin.elements._hinge_pull", "thin.elements._hinge_turn", "thin.elements._membrane.membrane",
+        "thin.plate._moment", "thin.stepping._moved",
+    },
 }
 """The functions of each task's physics, within ``rewax.physics``."""
 LEFT = {("GripperLift", "rigid.stepping._accelerate", "value"): "it has the operation while"}
