@@ -37,8 +37,8 @@ from rewax.training import enable_compilation_cache, make_evaluate
 from rewax.training.storage.description import provenance
 
 _MODULUS, _YIELD = "scene.material.elasticity.youngs_modulus", "scene.material.plasticity.yield_stress"
-PRIORS = {_MODULUS: LogUniform(200.0, 2000.0), _YIELD: LogUniform(5.0, 80.0)}
-TRUTH = {_MODULUS: 300.0, _YIELD: 70.0}
+PRIORS = {_MODULUS: LogUniform(200.0, 2000.0), _YIELD: LogUniform(4.0, 80.0)}
+TRUTH = {_MODULUS: 1600.0, _YIELD: 6.0}
 COLUMNS = ("truth", "identified", "prior")
 EPISODES, NOISE = 64, 0.002
 OUT = Path(__file__).resolve().parent.parent / "docs/suites/identify"
@@ -105,7 +105,9 @@ def train(name: str, column: str, seed: int, out: Path) -> tuple[Any, Any, dict[
         ts, metrics = agent.train_step(ts)
         if i % 20 == 19:
             spent, earned = time.perf_counter() - began, float(metrics.get("return", np.nan))
-            print(f"{name} {column} {seed}: {i + 1} of {config.num_iterations}, {spent:.0f} s, {earned:.2f}", flush=True)
+            print(
+                f"{name} {column} {seed}: {i + 1} of {config.num_iterations}, {spent:.0f} s, {earned:.2f}", flush=True
+            )
     jax.block_until_ready(ts)
     told = {
         "seconds": round(time.perf_counter() - began), "env_steps": int(ts.env_steps),
