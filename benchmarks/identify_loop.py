@@ -1,4 +1,4 @@
-"""The loop of ``rewax.identify``: a push before a camera, a dough, a policy; and what the policy earns in the true scene.
+"""The loop of ``rewax.identify``: from a push to a dough to a policy, and what the policy earns in the true scene.
 
     python benchmarks/identify_loop.py                                 # what has no row yet: an hour on one core
     python benchmarks/identify_loop.py --tasks RollingFlat --seeds 0

@@ -50,10 +50,10 @@ def identify(
 ) -> Identified:
     """Fit unknown parameters of an environment to a record, by Levenberg-Marquardt from several starts.
 
-    The first start is the median of the priors, the others cover them. A horizon that grows keeps early fits
-    away from local minima of long motions: frames beyond it are not simulated, in the same compiled program. The substep
-    of the environment bounds how stiff a material can be; a search that it cuts off says so. A simulation that fails is
-    a rejected step and counted.
+    The first start is the median of the priors, the others cover them. A horizon that grows keeps early fits away from
+    local minima of long motions. Frames beyond it are not simulated; the compiled program is the same. The substep of
+    the environment bounds how stiff a material can be; a search that it cuts off says so. A simulation that fails is a
+    rejected step and counted.
 
     Args:
       env: an environment, with ``particles(physics)``; its reset noise is left out. Or several of the same scene with

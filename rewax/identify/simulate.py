@@ -46,10 +46,10 @@ def data_of(record: Record, width: float, num_regions: int, seed: int = 0) -> Da
     )  # fmt: skip
 
 
-def up_to(data: Data, weights: np.ndarray) -> Data:
-    """The data with as many control steps as the frames with a weight above 0 need; ``weights`` has shape (T,)."""
-    last = np.flatnonzero(weights).max()
-    return data._replace(num_steps=jnp.int32(int(data.before[last]) + int(np.ceil(data.fraction[last]))))
+def up_to(data: Data, horizon: float) -> Data:
+    """The data with only the control steps before the frames within a share of the record's duration."""
+    last = float(data.before[-1]) + float(data.fraction[-1])
+    return data._replace(num_steps=jnp.int32(np.ceil(horizon * last - 1e-6)))
 
 
 def regions(clouds: np.ndarray, mask: np.ndarray, num_regions: int) -> np.ndarray:
