@@ -17,6 +17,7 @@ The results of the fits lie beside the rows, as files of ``rewax identify``.
 """
 
 import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import Any
@@ -132,7 +133,7 @@ class Args:
     Attributes:
       tasks, columns, seeds: cells to run, all tasks and columns of a seed first.
       out: folder of the rows and of the fits.
-      table: print the table of the rows that are there, and stop.
+      table: print the tables of the rows and fits that are there, and stop.
     """
 
     tasks: tuple[str, ...] = tuple(TASKS)
@@ -142,9 +143,16 @@ class Args:
     table: bool = False
 
 
-def table(rows: list[dict[str, str]]) -> str:
-    """Markdown: mean return of the seeds in the true scene, by task and column."""
-    lines = ["| task | " + " | ".join(COLUMNS) + " |", "|" + "---|" * (len(COLUMNS) + 1)]
+def tables(rows: list[dict[str, str]], out: Path = OUT) -> str:
+    """Markdown: what was found, and the mean return of the seeds in the true scene."""
+    lines = ["| task | unknown | true | found, 95 % interval |", "|---|---|---|---|"]
+    for name in TASKS:
+        told = json.loads((out / f"loop_{name}.json").read_text())
+        for unknown, true in TRUTH.items():
+            low, high = told["intervals"][unknown]
+            found = f"{told['values'][unknown]:.4g}, {low:.4g} to {high:.4g}"
+            lines.append(f"| {name} | {unknown.split('.')[-1]} | {true:g} | {found} |")
+    lines += ["", "| task | " + " | ".join(COLUMNS) + " |", "|" + "---|" * (len(COLUMNS) + 1)]
     for name in TASKS:
         lines.append(f"| {name} | " + " | ".join(mean(rows, task=name, column=column) for column in COLUMNS) + " |")
     return "\n".join(lines)
@@ -153,7 +161,7 @@ def table(rows: list[dict[str, str]]) -> str:
 def main(args: Args) -> None:
     stored = args.out / "loop.csv"
     if args.table:
-        print(table(read(stored)))
+        print(tables(read(stored), args.out))
         return
     enable_compilation_cache()
     where = {key: value for key, value in provenance().items() if key in FIELDS}
