@@ -94,7 +94,7 @@ def train_seeds(
 
 
 def _separate(states: Any, count: int) -> list[Any]:
-    """The training state of each seed: one program, because a dispatch per leaf takes as long as an iteration on a GPU."""
+    """The training state of each seed. Compile it: on a GPU a dispatch per leaf takes as long as an iteration."""
     return [jax.tree.map(lambda a, i=i: a[i], states) for i in range(count)]
 
 
