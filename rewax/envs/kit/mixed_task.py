@@ -7,12 +7,13 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.kit.appearance import soft_appearance, soft_values
+from rewax.envs.kit.soft_body import soft_at_rest
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.thin_task import ThinTask
 from rewax.envs.kit.worlds import soft_world, thin_world, with_tools
 from rewax.physics import coupling, thin
 from rewax.physics.contact import drawings
-from rewax.physics.coupling.mixed import MixedScene, MixedState
+from rewax.physics.coupling import MixedScene, MixedState, mixed
 from rewax.physics.numerics import Pose
 from rewax.physics.thin import ThinScene
 from rewax.sensors.world import World
@@ -54,14 +55,20 @@ class MixedTask(ThinTask):
     def thin_scene(self) -> ThinScene:
         return self.scene.thin
 
+    def at_rest(self, positions: Array) -> MixedState:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The state of undeformed particles and of vertices at these positions [m] with velocity zero."""
+        particles = soft_at_rest(self.scene.particles, positions[: self.num_particles])
+        return MixedState(particles=particles, thin=thin.initial_state(positions[self.num_particles :]))  # pyright: ignore[reportArgumentType]
+
     def opened(self, soft: MixedState, bodies: Pose) -> MixedState:
         return soft.replace(thin=thin.open_grasps(self.scene.thin, soft.thin, bodies))
 
     def vertices(self, physics: SoftPhysics) -> Array:
         return physics.soft.thin.x
 
-    def advanced(self, scene: MixedScene, soft: MixedState, poses: Pose, **driven: Any) -> MixedState:
-        return coupling.step_prescribed(scene, soft, poses, **driven)
+    def stepped(self, scene: MixedScene, soft: MixedState, poses: Pose, **driven: Any) -> tuple[MixedState, Array]:
+        end = coupling.step_prescribed(scene, soft, poses, **driven)
+        return end, mixed.check_status(scene, end, poses=poses)
 
     def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
         """Positions and velocities of the particles."""

@@ -10,16 +10,14 @@ from rewax.envs.kit.options import integer_option
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.task import Task, against
 from rewax.physics import mpm, tets, thin
-from rewax.physics.coupling import mixed
-from rewax.physics.coupling.mixed import MixedScene, MixedState
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics import Pose
 from rewax.physics.tets import TetScene, TetState
 from rewax.physics.thin import ThinScene, ThinState
 from rewax.types import Array, Key, Observation
 
-Scene: TypeAlias = MPMScene | TetScene | ThinScene | MixedScene
-Soft: TypeAlias = MPMState | TetState | ThinState | MixedState
+Scene: TypeAlias = MPMScene | TetScene | ThinScene
+Soft: TypeAlias = MPMState | TetState | ThinState
 
 
 class SoftBodyTask(Task):
@@ -59,33 +57,23 @@ class SoftBodyTask(Task):
 
 
 def soft_at_rest(scene: Scene, positions: Array) -> Soft:
-    """The state of undeformed particles, or of vertices, at these positions [m] with velocity zero.
-
-    Of a mixed scene the vertices come last.
-    """
+    """The state of undeformed particles, or of vertices, at these positions [m] with velocity zero."""
     if isinstance(scene, TetScene):
         return tets.initial_state(positions)
     if isinstance(scene, ThinScene):
         return thin.initial_state(positions)
-    if isinstance(scene, MixedScene):
-        first = positions.shape[0] - scene.thin.mass.shape[-1]
-        particles = soft_at_rest(scene.particles, positions[:first])
-        return MixedState(particles=particles, thin=thin.initial_state(positions[first:]))  # pyright: ignore[reportArgumentType]
     materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
     return mpm.initial_state(positions, scene if any(m.initial_memory for m in materials) else None)
 
 
 def soft_status(scene: Scene, soft: Soft, *, start: Soft, poses: Pose | None = None) -> Array:
-    """Status bits after a step that began at ``start``; see ``check_status`` of the solver."""
+    """Status bits after a step that began at ``start``; see ``check_status`` of ``mpm``, ``tets`` and ``thin``."""
     if isinstance(scene, TetScene):
         assert isinstance(soft, TetState)
         return tets.check_status(scene, soft, poses=poses)
     if isinstance(scene, ThinScene):
         assert isinstance(soft, ThinState)
         return thin.check_status(scene, soft, poses=poses)
-    if isinstance(scene, MixedScene):
-        assert isinstance(soft, MixedState)
-        return mixed.check_status(scene, soft, poses=poses)
     assert isinstance(soft, MPMState) and isinstance(start, MPMState)
     return mpm.check_status(scene, soft, start=start, poses=poses)
 

@@ -8,7 +8,7 @@ import numpy as np
 from rewax import struct
 from rewax.envs.kit.appearance import soft_appearance
 from rewax.envs.kit.checks import checked_poses
-from rewax.envs.kit.soft_body import Soft, soft_status
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.envs.kit.worlds import thin_world, with_tools
 from rewax.physics import thin
@@ -77,9 +77,10 @@ class ThinTask(SoftTask):
         """Positions of the vertices [m], shape (num_vertices, 3)."""
         return physics.soft.x
 
-    def advanced(self, scene: Any, soft: Any, poses: Pose, **driven: Any) -> Any:
-        """The soft body after the substeps between poses; ``driven`` are arguments of ``thin.step``."""
-        return thin.step(scene, soft, poses, **driven)
+    def stepped(self, scene: Any, soft: Any, poses: Pose, **driven: Any) -> tuple[Any, Array]:
+        """The soft body after the substeps between poses, and its status; ``driven`` are arguments of ``thin.step``."""
+        end = thin.step(scene, soft, poses, **driven)
+        return end, thin.check_status(scene, end, poses=poses)
 
     # --- The environment ---
 
@@ -127,11 +128,11 @@ class ThinTask(SoftTask):
 
     def _driven(self, physics: SoftPhysics, action: Array, path: Array) -> tuple[Soft, Any, Array]:
         poses = checked_poses(self, self.poses(path), len(path))
-        scene, soft = self.actuated(action), physics.soft
         pins = self.pins(physics, path[1:]) if len(self.thin_scene.topology.held) else None
         grips = self.grips(path[1:]) if self.scene.grasps else None
-        end = self.advanced(scene, soft, poses, pins=pins, grips=grips, store_every=self.store_every)
-        return end, None, soft_status(scene, end, start=soft, poses=poses)
+        driven = {"pins": pins, "grips": grips, "store_every": self.store_every}
+        soft, status = self.stepped(self.actuated(action), physics.soft, poses, **driven)
+        return soft, None, status
 
 
 __all__ = ["GRIPPER", "ThinTask"]
