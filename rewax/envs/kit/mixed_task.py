@@ -1,6 +1,6 @@
 """Base of tasks on particles and cloth in contact with each other, whose held vertices and grasps follow the joints."""
 
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -64,7 +64,7 @@ class MixedTask(ThinTask):
         return soft.replace(thin=thin.open_grasps(self.scene.thin, soft.thin, bodies))
 
     def vertices(self, physics: SoftPhysics) -> Array:
-        return physics.soft.thin.x
+        return _both(physics).thin.x
 
     def stepped(self, scene: MixedScene, soft: MixedState, poses: Pose, **driven: Any) -> tuple[MixedState, Array]:
         end = coupling.step_prescribed(scene, soft, poses, **driven)
@@ -72,16 +72,16 @@ class MixedTask(ThinTask):
 
     def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
         """Positions and velocities of the particles."""
-        return physics.soft.particles.x, physics.soft.particles.v
+        return _both(physics).particles.x, _both(physics).particles.v
 
     # --- Pictures and sensors ---
 
     def particles(self, physics: SoftPhysics) -> Array:
-        return jnp.concatenate([physics.soft.particles.x, physics.soft.thin.x])
+        return jnp.concatenate([_both(physics).particles.x, _both(physics).thin.x])
 
     def particle_values(self, physics: SoftPhysics) -> dict[str, Array]:
         """The speed of particles and vertices [m/s]."""
-        speeds = [soft_values(part)["speed"] for part in (physics.soft.particles, physics.soft.thin)]
+        speeds = [soft_values(part)["speed"] for part in (_both(physics).particles, _both(physics).thin)]
         return {"speed": jnp.concatenate(speeds)}
 
     @property
@@ -107,12 +107,16 @@ class MixedTask(ThinTask):
         return [*shown, *self.holders(physics)]
 
     def world(self, physics: SoftPhysics, up: np.ndarray) -> World:
-        loose = soft_world(self.scene.particles, physics.soft.particles, up)
-        sheets = thin_world(self.scene.thin, physics.soft.thin, self.thickness)
+        loose = soft_world(self.scene.particles, _both(physics).particles, up)
+        sheets = thin_world(self.scene.thin, _both(physics).thin, self.thickness)
         world = loose.replace(balls=(*loose.balls, *sheets.balls), triangles=sheets.triangles)
         if not self.scene.particles.colliders:
             return world
         return with_tools(world, self.scene.particles.colliders, self._bodies(physics.joint_q))
+
+
+def _both(physics: SoftPhysics) -> MixedState:
+    return cast(MixedState, physics.soft)
 
 
 __all__ = ["MixedTask"]

@@ -73,7 +73,7 @@ class PourBag(Steered, MixedTask):
         return Pose(position, jnp.broadcast_to(jnp.eye(3, dtype=joint_q.dtype), (*position.shape, 3)))
 
     def first_joints(self, physics: SoftPhysics) -> Array:
-        shift = physics.soft.thin.x[0] - self.rest_positions[self.num_particles]
+        shift = self.vertices(physics)[0] - self.rest_positions[self.num_particles]
         return self.joint_start.at[:3].add(shift)
 
     def observe(self, physics: SoftPhysics) -> Observation:
@@ -90,7 +90,7 @@ class PourBag(Steered, MixedTask):
         d is the distance of a grain from the cylinder below the bowl's opening. s rises from 0 to 1 where a grain is
         spilled: outside the bowl and below its rim.
         """
-        away = physics.soft.particles.x - self.bowl
+        away = self.points(physics)[0] - self.bowl
         radius, height = jnp.sqrt(away[:, 0] ** 2 + away[:, 2] ** 2 + 1e-8), away[:, 1]
         beside, above = jnp.maximum(radius - self.rim, 0.0), jnp.maximum(height, 0.0)
         distance = jnp.sqrt(beside**2 + above**2 + 1e-8)
@@ -146,9 +146,10 @@ def bag_of_grains(dt: float, mesh: thin.ThinMesh, held: np.ndarray, spacing: flo
     """
     cell = 2.0 * spacing
     lower, upper = np.array(ROOM[0]) - 2.5 * cell, np.array(ROOM[1]) + 2.5 * cell
+    nx, ny, nz = (int(n) for n in np.ceil((upper - lower) / cell) + 1)
     bowl = Collider(shape=Bowl(radius=RADIUS, thickness=WALL), friction=0.4, softness=np.log(10.0) / spacing)
     grains = mpm.make_scene(
-        grid=Grid(shape=tuple(int(n) for n in np.ceil((upper - lower) / cell) + 1), spacing=cell, origin=tuple(lower)),
+        grid=Grid(shape=(nx, ny, nz), spacing=cell, origin=tuple(lower)),
         dt=dt,
         material=Material(
             density=100.0,
