@@ -29,8 +29,8 @@ from rewax.types import Array, Observation, Scalar, Vector
 
 WIDTH, DEPTH, BOTTOM = 0.2, 0.08, 0.34
 """Edge of the bag's square rim and depth of the empty bag [m]; edge of its flat bottom over that of the rim."""
-RADIUS, WALL = 0.13, 0.025
-"""Radius of the bowl, and thickness of its wall [m]."""
+RIM, RADIUS, WALL = 0.1425, 0.1475, 0.06
+"""Height of the bowl's rim, radius of the bowl, and thickness of its wall [m]: thick, so that no grain passes."""
 START = (-0.28, 0.4, 0.0)
 """Middle of the hands at the beginning [m]."""
 ROOM = ((-0.52, 0.0, -0.22), (0.26, 0.6, 0.22))
@@ -94,7 +94,7 @@ class PourBag(Steered, MixedTask):
         radius, height = jnp.sqrt(away[:, 0] ** 2 + away[:, 2] ** 2 + 1e-8), away[:, 1]
         beside, above = jnp.maximum(radius - self.rim, 0.0), jnp.maximum(height, 0.0)
         distance = jnp.sqrt(beside**2 + above**2 + 1e-8)
-        spilled = share_beyond(radius, self.rim + 1.2 * WALL, 0.01) * share_beyond(-height, 0.0, 0.01)
+        spilled = share_beyond(radius, self.rim + 0.5 * WALL, 0.01) * share_beyond(-height, 0.0, 0.01)
         reward = jnp.mean((1.0 - spilled) * near(distance, self.scale) - self.spilling * spilled)
         inside = jnp.mean(((radius < self.rim) & (height < 0.0)).astype(reward.dtype))
         success = (inside > SUCCESS).astype(reward.dtype)
@@ -147,7 +147,7 @@ def bag_of_grains(dt: float, mesh: thin.ThinMesh, held: np.ndarray, spacing: flo
     cell = 2.0 * spacing
     lower, upper = np.array(ROOM[0]) - 2.5 * cell, np.array(ROOM[1]) + 2.5 * cell
     nx, ny, nz = (int(n) for n in np.ceil((upper - lower) / cell) + 1)
-    bowl = Collider(shape=Bowl(radius=RADIUS, thickness=WALL), friction=0.4, softness=np.log(10.0) / spacing)
+    bowl = Collider(shape=Bowl(radius=RADIUS, thickness=WALL), friction=0.4, softness=np.log(10.0) / (1.4 * spacing))
     grains = mpm.make_scene(
         grid=Grid(shape=(nx, ny, nz), spacing=cell, origin=tuple(lower)),
         dt=dt,
@@ -194,7 +194,7 @@ def _pour_bag(
         joint_upper=(0.1, 0.5, 0.1, WIDTH, 2.4),
         joint_step=(0.02, 0.01, 0.01, 0.005, 0.1),
         rate=12.0,
-        bowl=(0.0, RADIUS + 0.5 * WALL, 0.0),
+        bowl=(0.0, RIM, 0.0),
         rim=RADIUS - 0.5 * WALL,
         scale=0.15,
         spilling=0.5,
