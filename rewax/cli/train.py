@@ -42,6 +42,7 @@ def run(argv: Sequence[str]) -> int:
     from rewax.training.loop.train import train
     from rewax.training.storage.cache import enable_compilation_cache
 
+    build_ahead(transfers=False)  # the compiler works while Python imports
     quiet()
     console = Console(highlight=False)
     enable_compilation_cache()

@@ -116,14 +116,15 @@ class FiniteCheck:
 
     def __init__(self, train_state: Any) -> None:
         self._names = {name for name, leaf in on_one_device(_learnt(train_state)).items() if _is_finite(leaf)}
-        self._all_finite = jax.jit(all_finite)
+        self._all_finite = None if jax.default_backend() == "cpu" else jax.jit(all_finite)
 
     def first_bad(self, train_state: Any) -> str:
         """Name of the first leaf that is not finite, such as ``.critic_params['bias']``; empty if there is none."""
-        leaves = on_one_device({name: leaf for name, leaf in _learnt(train_state).items() if name in self._names})
-        if self._all_finite(list(leaves.values())):
+        leaves = {name: leaf for name, leaf in _learnt(train_state).items() if name in self._names}
+        if self._all_finite is not None and self._all_finite(list(on_one_device(leaves).values())):
             return ""
-        return next(name for name, leaf in leaves.items() if not _is_finite(leaf))
+        # On a CPU NumPy reads the arrays in place, while XLA would compile a program and gather them on one device.
+        return next((name for name, leaf in leaves.items() if not _is_finite(leaf)), "")
 
 
 def _learnt(train_state: Any) -> dict[str, Any]:
@@ -136,7 +137,9 @@ def _learnt(train_state: Any) -> dict[str, Any]:
 
 
 def _is_finite(leaf: Any) -> bool:
-    return bool(np.all(np.isfinite(np.asarray(leaf, np.float64))))
+    if isinstance(leaf, jax.Array) and not (leaf.is_fully_addressable or leaf.is_fully_replicated):
+        leaf = leaf.addressable_data(0)  # this process's shard
+    return bool(np.all(np.isfinite(np.asarray(leaf))))
 
 
 def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:
