@@ -63,14 +63,4 @@ def unoptimised() -> dict[str, Any]:
     return {_LEVEL: 0} | ({_OLDER_GENERATOR: True} if has_older_generator() else {})
 
 
-def once() -> dict[str, Any]:
-    """Options of ``jax.jit`` for a program that runs once and must give the same bits as without options.
-
-    On a CPU LLVM's first level compiles a third faster. Elsewhere there are none.
-    """
-    import jax
-
-    return {_LEVEL: 1} if jax.default_backend() == "cpu" else {}
-
-
-__all__ = ["QUICK", "has_older_generator", "knows", "once", "unoptimised", "warn_of_wrong_gradients", "wrong_gradients"]
+__all__ = ["QUICK", "has_older_generator", "knows", "unoptimised", "warn_of_wrong_gradients", "wrong_gradients"]

@@ -14,7 +14,6 @@ from rewax.training.evaluation.cameras import make_pixels, seen_by
 from rewax.training.evaluation.episodes import Policy, with_step
 from rewax.types import Key, PyTree
 from rewax.viz.recording import Recording
-from rewax.xla_options import once
 
 _NOTHING = "the environment has neither particles(physics) nor render_shapes(physics): define one of them for pictures"
 
@@ -94,8 +93,7 @@ def make_record(
         raise ValueError(_NOTHING)
     env = stage(env, policy)
     every = max(1, -(-env.episode_length // (max_frames - 1)))
-    reset = jax.jit(env.reset, compiler_options=once())
-    advance = _make_advance(env, policy, every, deterministic)
+    reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
     bare = _bare(env)
     see, pixels = _make_see(bare, jax.eval_shape(env.reset, jax.random.key(0)).physics), make_pixels(env)
 

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 from rich.console import Console
 
-from rewax import xla_options
 from rewax.agents.base import Agent
 from rewax.training.config import TrainConfig
 from rewax.training.loop.progress import say
@@ -43,7 +42,7 @@ def first_state(
                 f"{run_dir} holds a run already: resume it (--resume, in Python resume=True) or choose another "
                 "directory (--run-dir, run_dir)"
             )
-        fresh = jax.jit(agent.init, compiler_options=xla_options.once())(key)
+        fresh = jax.jit(agent.init)(key)
         if not config.init_from:
             return fresh
         say(console, f"beginning with what {config.init_from} has learnt")
