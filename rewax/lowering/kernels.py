@@ -112,6 +112,8 @@ class _Target(NamedTuple):
     number: int
     outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
     """Shape and type of each result for one element, and whether it is summed over elements."""
+    operands: tuple[int, ...]
+    """Indices of the arguments that it reads. XLA need not compute the others."""
 
 
 @functools.lru_cache(maxsize=1024)
@@ -147,9 +149,10 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     shapes = [jax.ShapeDtypeStruct((*batch, *s[:-1], count), dtype) for s, dtype in own]
     if sums:
         shapes.append(jax.ShapeDtypeStruct((*batch, blocks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
-    sizes = np.asarray([math.prod(batch), count, blocks, block, *(o.step for o in operands)], np.int64)
+    used = [operands[k] for k in target.operands]
+    sizes = np.asarray([math.prod(batch), count, blocks, block, *(o.step for o in used)], np.int64)
     call = jax.ffi.ffi_call(target.handler, shapes)
-    found = call(*(o.laid_out(batch) for o in operands), number=np.int64(target.number), sizes=sizes)
+    found = call(*(o.laid_out(batch) for o in used), number=np.int64(target.number), sizes=sizes)
     mine = iter(found)
     total = iter(_split(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
     return tuple(next(total) if summed else next(mine) for _, _, summed in target.outputs)
@@ -206,4 +209,4 @@ def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
     except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
     number, reason = load(dtype, bytecode)
-    return reason if number is None else _Target(machine(dtype).blocks_handler, number, outputs)
+    return reason if number is None else _Target(machine(dtype).blocks_handler, number, outputs, bytecode.operands)
