@@ -59,28 +59,32 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     def call(shared: S, elements: P) -> T:
         if not build.is_available():
             return function(shared, elements)
-        dtype = _common_type(elements)
+        dtype = common_type(elements)
         if dtype is None:
             if jax.default_backend() == "cpu":
                 report.note(function, "value", "its elements are not arrays of one length and one floating type")
             return function(shared, elements)
-        # As arrays: a Python float would be static, and every value would need its own program.
-        shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
+        shared = as_arrays(shared, dtype)
         first, *_ = split_arguments(shared)
         arrays, treedef, constants = split_arguments((shared, elements))
         varies = tuple(k >= len(first) for k in range(len(arrays)))
-        return run_program(Program(POINTWISE, _broadcast(function), None, treedef, constants, varies), arrays)
+        return run_program(Program(POINTWISE, broadcast(function), None, treedef, constants, varies), arrays)
 
     return call
 
 
-def _common_type(elements: Any) -> Any:
+def common_type(elements: Any) -> Any:
     """The floating type of elements; None unless they have one floating type and one length."""
     leaves = jax.tree.leaves(elements)
     if not all(isinstance(a, (jax.Array, np.ndarray)) and a.ndim for a in leaves):
         return None
     types = {a.dtype for a in leaves if jnp.issubdtype(a.dtype, jnp.floating)}
     return types.pop() if len(types) == 1 and len({a.shape[-1] for a in leaves}) == 1 else None
+
+
+def as_arrays(shared: S, dtype: Any) -> S:
+    """Shared values with their floats as arrays: a static float would need a program for every value."""
+    return jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
 
 
 def separated(parameters: T) -> tuple[T, T]:
@@ -117,7 +121,7 @@ class _Target(NamedTuple):
 
 
 @functools.lru_cache(maxsize=1024)
-def _broadcast(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+def broadcast(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """The function with its results broadcast to the number of elements."""
 
     @functools.wraps(function)
@@ -143,7 +147,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
     batch = batch_shape(operands)
-    blocks, block = _blocks(count)
+    blocks, block = blocks_of(count)
     sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
     own = [(s, dtype) for s, dtype, summed in target.outputs if not summed]
     shapes = [jax.ShapeDtypeStruct((*batch, *s[:-1], count), dtype) for s, dtype in own]
@@ -154,7 +158,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     call = jax.ffi.ffi_call(target.handler, shapes)
     found = call(*(o.laid_out(batch) for o in used), number=np.int64(target.number), sizes=sizes)
     mine = iter(found)
-    total = iter(_split(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
+    total = iter(split_sums(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
     return tuple(next(total) if summed else next(mine) for _, _, summed in target.outputs)
 
 
@@ -166,16 +170,16 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
-def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+def split_sums(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     """Splits the last axis into consecutive arrays of the given shapes."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = jnp.split(numbers, ends[:-1], axis=-1)
     return [part.reshape(*part.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def _blocks(count: int) -> tuple[int, int]:
+def blocks_of(count: int, largest: int = _BLOCK) -> tuple[int, int]:
     """Number of blocks, of about equal size, and number of elements per block."""
-    block = -(-count // max(-(-count // _BLOCK), 1))
+    block = -(-count // max(-(-count // largest), 1))
     block = -(-max(block, 1) // _ALIGNMENT) * _ALIGNMENT
     return -(-count // block), block
 

@@ -220,6 +220,15 @@ ffi::Error RunLanes(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remainin
   return ffi::Error::Success();
 }
 
+// How a program over elements of a mesh reads and writes vertices (assembled.cc).
+struct Assembly {
+  const int64_t* corners;  // for each argument: the corner at which elements read it; -1: it is no array over vertices
+  const int64_t* outputs;  // for each output: index of the result, or -1 minus the index of the plane
+  const int32_t* index;    // [corner][element]: vertices of the elements
+  T* planes;               // outputs at corners, which are then summed at vertices
+  int64_t plane_length;
+};
+
 // The elements [begin, end) of one batch element of a pointwise program.
 struct Block {
   const Program& program;
@@ -228,10 +237,14 @@ struct Block {
   void* const* results;
   const int64_t* steps;
   int64_t count, batch_element, begin, end;
+  const Assembly* assembly;
 
   char* Address(const Row& row, const void* array, int64_t step) const {
     return static_cast<char*>(const_cast<void*>(array)) + (batch_element * step + row.row * count + begin) * row.bytes;
   }
+  int64_t Corner(const Row& row) const { return assembly ? assembly->corners[row.array] : -1; }
+  // The result that holds a row; -1 minus the index of the plane.
+  int64_t ResultOf(const Row& row) const { return assembly ? assembly->outputs[row.array] : row.array; }
 
   void Evaluate(T* sums) const {
     const int64_t size = end - begin, vectors = (size + kLanes - 1) / kLanes;
@@ -240,7 +253,7 @@ struct Block {
     const size_t num_sums = static_cast<size_t>(program.num_sums), length = static_cast<size_t>(vectors);
     // If the last vector is not full, rows are copied. Their numbers have at most eight bytes.
     const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T));
-    const size_t num_copies = full ? 0 : num_rows * row_size;
+    const size_t num_copies = full && !assembly ? 0 : num_rows * row_size;
     const size_t num_addresses = registers + program.shared.size() + num_rows;
     V* const memory = Scratch(registers * length + num_copies + num_sums + num_addresses * sizeof(T*) / sizeof(V) + 1);
     V* copies = memory + registers * length;
@@ -252,8 +265,13 @@ struct Block {
     for (size_t k = 0; k < registers; ++k) *address++ = reinterpret_cast<T*>(memory + k * length);
     for (int32_t k : program.shared) *address++ = const_cast<T*>(shared + k * kLanes);
     for (const Row& row : program.inputs) {
+      const int64_t corner = Corner(row);
       char* from = Address(row, operands[row.array], steps[row.array]);
-      if (!full) {
+      if (corner >= 0) {
+        const T* const field = static_cast<const T*>(operands[row.array]) + batch_element * steps[row.array];
+        from = AtCorner(field, corner, reinterpret_cast<T*>(copies), size, vectors * kLanes);
+        copies += length;
+      } else if (!full) {
         from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
         copies += row_size;
       }
@@ -261,7 +279,12 @@ struct Block {
     }
     T** const first_output = address;
     for (const Row& row : program.outputs) {
-      char* const to = full ? Address(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies);
+      const int64_t result = ResultOf(row);
+      if (result < 0) {
+        *address++ = assembly->planes - (result + 1) * assembly->plane_length + begin;
+        continue;
+      }
+      char* const to = full ? Address(row, results[result], row.rows * count) : reinterpret_cast<char*>(copies);
       *address++ = reinterpret_cast<T*>(to);
       if (!full) copies += row_size;
     }
@@ -274,10 +297,20 @@ struct Block {
     Run<true>(program.blocks, f);
     address = first_output;
     for (const Row& row : program.outputs) {
-      if (full) break;
-      std::memcpy(Address(row, results[row.array], row.rows * count), *address++, static_cast<size_t>(size * row.bytes));
+      const T* const from = *address++;
+      const int64_t result = ResultOf(row);
+      if (full || result < 0) continue;
+      std::memcpy(Address(row, results[result], row.rows * count), from, static_cast<size_t>(size * row.bytes));
     }
     for (size_t k = 0; k < num_sums; ++k) sums[k] = Total(totals[k]);
+  }
+
+  // The values of a field over vertices at a corner of the elements; the last one is repeated.
+  char* AtCorner(const T* field, int64_t corner, T* to, int64_t size, int64_t padded) const {
+    const int32_t* const at = assembly->index + corner * count + begin;
+    for (int64_t k = 0; k < size; ++k) to[k] = field[at[k]];
+    std::fill(to + size, to + padded, to[size - 1]);
+    return reinterpret_cast<char*>(to);
   }
 
   // A copy of a row whose last value is repeated.
@@ -289,6 +322,30 @@ struct Block {
   }
 };
 
+// The values that all elements of a batch element share.
+struct SharedValues {
+  int64_t registers;
+  std::vector<T> memory;
+  T* aligned;
+
+  SharedValues(const Program& program, const void* const* operands, const int64_t* steps, int64_t batch)
+      : registers(program.lanes.num_registers * kLanes), memory(static_cast<size_t>(batch * registers + kLanes)) {
+    const auto address = reinterpret_cast<uintptr_t>(memory.data());
+    aligned = reinterpret_cast<T*>((address + sizeof(V) - 1) / sizeof(V) * sizeof(V));
+    for (int64_t batch_element = 0; batch_element < batch; ++batch_element) {
+      Frame f{};
+      f.registers = aligned + batch_element * registers;
+      f.constants = program.lanes.constants.data();
+      f.operands = operands;
+      f.steps = steps;
+      f.first = batch_element;
+      f.count = 1;
+      Run<false>(program.lanes, f);
+    }
+  }
+  const T* Of(int64_t batch_element) const { return aligned + batch_element * registers; }
+};
+
 ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int64_t number,
                      ffi::Span<const int64_t> sizes) {
   const auto program = Find(number);
@@ -298,26 +355,13 @@ ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaini
   const auto &results = buffers.results;
   const int64_t batch = sizes[0], count = sizes[1], blocks = sizes[2], block = sizes[3];
   const int64_t* const steps = sizes.begin() + 4;
-  const int64_t registers = program->lanes.num_registers * kLanes;
-  std::vector<T> shared(static_cast<size_t>(batch * registers + kLanes));
-  const auto address = reinterpret_cast<uintptr_t>(shared.data());
-  T* const aligned = reinterpret_cast<T*>((address + sizeof(V) - 1) / sizeof(V) * sizeof(V));
-  for (int64_t batch_element = 0; batch_element < batch; ++batch_element) {
-    Frame f{};
-    f.registers = aligned + batch_element * registers;
-    f.constants = program->lanes.constants.data();
-    f.operands = operands.data();
-    f.steps = steps;
-    f.first = batch_element;
-    f.count = 1;
-    Run<false>(program->lanes, f);
-  }
+  const SharedValues shared(*program, operands.data(), steps, batch);
   ForEach(pool, batch * blocks, [&](int64_t task) {
     const int64_t batch_element = task / blocks, begin = task % blocks * block;
     T* const sums = program->num_sums ? static_cast<T*>(results.back()) + task * program->num_sums : nullptr;
     const int64_t end = std::min(begin + block, count);
-    const T* const own = aligned + batch_element * registers;
-    Block{*program, own, operands.data(), results.data(), steps, count, batch_element, begin, end}.Evaluate(sums);
+    Block{*program, shared.Of(batch_element), operands.data(), results.data(), steps, count, batch_element, begin, end, nullptr}
+        .Evaluate(sums);
   });
   return ffi::Error::Success();
 }

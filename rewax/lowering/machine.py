@@ -126,13 +126,15 @@ class Machine(NamedTuple):
     """Name of the FFI target for ``Bytecode``."""
     blocks_handler: str
     """Name of the FFI target for ``BlockBytecode``."""
+    assembled_handler: str
+    """Name of the FFI target for ``BlockBytecode`` on the elements of a mesh, see ``assembled``."""
 
 
 @functools.cache
 def machine(dtype: np.dtype) -> Machine:
     """The machine of a floating type, float32 or float64."""
     kind = {"float32": "float", "float64": "double"}[dtype.name]
-    lanes, blocks = f"rewax_lanes_{kind}", f"rewax_blocks_{kind}"
+    lanes, blocks, assembled = (f"rewax_{name}_{kind}" for name in ("lanes", "blocks", "assembled"))
     named = {name: "".join(part.capitalize() for part in name.split("_")) for name in SPECIAL}
     escaped = cases().replace("\n", " \\\n")
     parts = (
@@ -141,10 +143,12 @@ def machine(dtype: np.dtype) -> Machine:
         _HEADER.read_text(),
         f"enum {{ {', '.join(f'k{named[name]} = {NUMBERS[name]}' for name in SPECIAL)} }};",
         f"#define REWAX_LANES_HANDLER {lanes}\n#define REWAX_BLOCKS_HANDLER {blocks}",
+        f"#define REWAX_ASSEMBLED_HANDLER {assembled}",
         f"#define REWAX_CASES \\\n{escaped}\n",
         Path(__file__).with_suffix(".cc").read_text(),
+        Path(__file__).with_name("assembled.cc").read_text(),
     )
-    return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks)
+    return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks, assembled)
 
 
 def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | None, str]:
