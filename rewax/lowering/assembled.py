@@ -233,46 +233,60 @@ class _Call(NamedTuple):
 
 def _called(which: str, call: _Call, target: _Target, reads: list[_Read], operands: Sequence[Operand]) -> Arrays:
     """The results of a rule in the machine."""
-    whole, program, count = call.whole, call.program, call.count
-    batch, vertices = batch_shape(operands), whole.num_vertices()
-    blocks, block = blocks_of(count, _BLOCK)
-    # Where the results go: sums over elements, arrays over elements, or planes [field][corner] that vertices add.
-    if which == "cotangent":
-        wanted = [k for k, p in enumerate(program.perturbed) if p]
-        sources = [r for r in call.inner.reads if program.perturbed[r.argument]]
-    else:
-        num_fields = len(target.outputs) // call.corners
-        wanted = list(range(num_fields))
-        sources = [_Read(c, k) for k in range(call.corners) for c in range(num_fields)]
-    fields = [k for k in wanted if any(s == _Read(k, 0) for s in sources)]
-    sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
-    places, own = [], []
+    batch, vertices = batch_shape(operands), call.whole.num_vertices()
+    blocks, block = blocks_of(call.count, _BLOCK)
+    wanted, sources = _results(which, call, len(target.outputs))
+    fields = [k for k in wanted if _Read(k, 0) in sources]
+    own, places = [], []
     for source, (shape, dtype, summed) in zip(sources, target.outputs, strict=True):
-        if summed:
-            continue
         if source.corner >= 0:
-            places.append(-1 - (fields.index(source.argument) * call.corners + source.corner))
-            continue
-        places.append(len(own))
-        own.append((source.argument, jax.ShapeDtypeStruct((*batch, *shape[:-1], count), dtype)))
+            places.append(-1 - (source.corner * _padded(len(fields)) + fields.index(source.argument)))
+        elif not summed:
+            places.append(len(own))
+            own.append((source.argument, jax.ShapeDtypeStruct((*batch, *shape[:-1], call.count), dtype)))
+    sums = [(s.argument, shape) for s, (shape, _, total) in zip(sources, target.outputs, strict=True) if total]
     dtype = target.outputs[0][1]
     shapes = [shape for _, shape in own] + [jax.ShapeDtypeStruct((*batch, vertices), dtype)] * len(fields)
     if sums:
-        shapes.append(jax.ShapeDtypeStruct((*batch, blocks, sum(math.prod(s) for s, _ in sums)), dtype))
-
+        shapes.append(jax.ShapeDtypeStruct((*batch, blocks, sum(math.prod(shape) for _, shape in sums)), dtype))
     used = sorted({r.argument for r in reads})
     tables, steps = _tables(call, operands, block * blocks)
-    head = (math.prod(batch), count, blocks, block, vertices, call.corners, len(reads), len(places), len(own),
-            len(fields), len(tables), *steps)  # fmt: skip
-    of_reads = [[used.index(r.argument), r.corner, operands[r.argument].step] for r in reads]
-    sizes = np.asarray([*head, *np.asarray(of_reads, np.int64).reshape(-1, 3).T.reshape(-1), *places], np.int64)
-    given = [operands[k].laid_out(batch) for k in used] + [t.laid_out(batch) if isinstance(t, Operand) else t for t in tables]
-    found = jax.ffi.ffi_call(target.handler, shapes)(*given, number=np.int64(target.number), sizes=sizes)
+    arguments = [(used.index(r.argument), r.corner, operands[r.argument].step) for r in reads]
+    head = (math.prod(batch), call.count, blocks, block, vertices, call.corners, len(reads), len(own), len(fields),
+            len(tables), *steps)  # fmt: skip
+    given = [a.laid_out(batch) if isinstance(a, Operand) else a for a in (*(operands[k] for k in used), *tables)]
+    run = jax.ffi.ffi_call(target.handler, shapes)
+    found = run(*given, number=np.int64(target.number), sizes=np.array([*head, *_layout(arguments), *places], np.int64))
     results = dict(zip([k for k, _ in own] + fields, found, strict=False))
     if sums:
-        summed = [s.argument for s, (*_, total) in zip(sources, target.outputs, strict=True) if total]
-        results |= zip(summed, split_sums(found[-1].sum(-2), [s for s, _ in sums]), strict=True)
+        totals = split_sums(found[-1].sum(-2), [shape for _, shape in sums])
+        results |= zip([k for k, _ in sums], totals, strict=True)
     return tuple(results[k] for k in wanted)
+
+
+def _results(which: str, call: _Call, count: int) -> tuple[list[int], list[_Read]]:
+    """The results of a rule, and for each result of the program of one element the result that it belongs to."""
+    if which == "cotangent":
+        perturbed = call.program.perturbed
+        return [k for k, p in enumerate(perturbed) if p], [r for r in call.inner.reads if perturbed[r.argument]]
+    fields = range(count // call.corners)
+    return list(fields), [_Read(f, k) for k in range(call.corners) for f in fields]
+
+
+def _padded(fields: int) -> int:
+    """Fields of a vertex lie in groups of four."""
+    return -(-fields // 4) * 4
+
+
+def _layout(arguments: list[tuple[int, int, int]]) -> list[int]:
+    """What ``Mesh`` of assembled.cc reads about arguments, given the array, the corner and the step of each."""
+    fields = sorted({(array, step) for array, corner, step in arguments if corner >= 0})
+    reads = [
+        -1 if corner < 0 else corner * _padded(len(fields)) + fields.index((array, step))
+        for array, corner, step in arguments
+    ]
+    arrays, steps = [array for array, *_ in arguments], [step for *_, step in arguments]
+    return [len(fields), *(n for field in fields for n in field), *arrays, *reads, *steps]
 
 
 def _tables(call: _Call, operands: Sequence[Operand], plane_length: int) -> tuple[list[Any], tuple[int, int]]:

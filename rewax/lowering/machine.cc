@@ -220,15 +220,6 @@ ffi::Error RunLanes(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remainin
   return ffi::Error::Success();
 }
 
-// How a program over elements of a mesh reads and writes vertices (assembled.cc).
-struct Assembly {
-  const int64_t* corners;  // for each argument: the corner at which elements read it; -1: it is no array over vertices
-  const int64_t* outputs;  // for each output: index of the result, or -1 minus the index of the plane
-  const int32_t* index;    // [corner][element]: vertices of the elements
-  T* planes;               // outputs at corners, which are then summed at vertices
-  int64_t plane_length;
-};
-
 // The elements [begin, end) of one batch element of a pointwise program.
 struct Block {
   const Program& program;
@@ -237,56 +228,56 @@ struct Block {
   void* const* results;
   const int64_t* steps;
   int64_t count, batch_element, begin, end;
-  const Assembly* assembly;
+  const Corners* corners;  // null unless the elements are those of a mesh
 
   char* Address(const Row& row, const void* array, int64_t step) const {
     return static_cast<char*>(const_cast<void*>(array)) + (batch_element * step + row.row * count + begin) * row.bytes;
   }
-  int64_t Corner(const Row& row) const { return assembly ? assembly->corners[row.array] : -1; }
-  // The result that holds a row; -1 minus the index of the plane.
-  int64_t ResultOf(const Row& row) const { return assembly ? assembly->outputs[row.array] : row.array; }
+  int64_t Read(const Row& row) const { return corners ? corners->reads[row.array] : -1; }
+  int64_t ResultOf(const Row& row) const { return corners ? corners->outputs[row.array] : row.array; }
 
   void Evaluate(T* sums) const {
     const int64_t size = end - begin, vectors = (size + kLanes - 1) / kLanes;
     const bool full = size % kLanes == 0;
     const size_t registers = static_cast<size_t>(program.blocks.num_registers);
     const size_t num_sums = static_cast<size_t>(program.num_sums), length = static_cast<size_t>(vectors);
-    // If the last vector is not full, rows are copied. Their numbers have at most eight bytes.
-    const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T));
-    const size_t num_copies = full && !assembly ? 0 : num_rows * row_size;
+    // If the last vector is not full, rows are copied. Their numbers have at most eight bytes. Values at corners have
+    // rows of their own, which are filled by four numbers at a time.
+    const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T)) + 2;
+    const size_t num_copies = full && !corners ? 0 : (num_rows + 1) * row_size;
     const size_t num_addresses = registers + program.shared.size() + num_rows;
     V* const memory = Scratch(registers * length + num_copies + num_sums + num_addresses * sizeof(T*) / sizeof(V) + 1);
     V* copies = memory + registers * length;
     V* const totals = copies + num_copies;
     T** const addresses = reinterpret_cast<T**>(totals + num_sums);
     std::fill(totals, totals + num_sums, V{});
+    std::vector<T*> read, written;
+    T* const unwanted = reinterpret_cast<T*>(copies);
+    if (corners) {
+      copies += row_size;
+      read.resize(static_cast<size_t>(4 * corners->num_corners * corners->read_quads));
+      written.resize(static_cast<size_t>(4 * corners->num_corners * corners->written_quads));
+    }
 
     T** address = addresses;
     for (size_t k = 0; k < registers; ++k) *address++ = reinterpret_cast<T*>(memory + k * length);
     for (int32_t k : program.shared) *address++ = const_cast<T*>(shared + k * kLanes);
     for (const Row& row : program.inputs) {
-      const int64_t corner = Corner(row);
-      char* from = Address(row, operands[row.array], steps[row.array]);
-      if (corner >= 0) {
-        const T* const field = static_cast<const T*>(operands[row.array]) + batch_element * steps[row.array];
-        from = AtCorner(field, corner, reinterpret_cast<T*>(copies), size, vectors * kLanes);
-        copies += length;
-      } else if (!full) {
-        from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
-        copies += row_size;
-      }
+      const int64_t at_corner = Read(row);
+      char* from = at_corner < 0 ? Address(row, operands[row.array], steps[row.array]) : reinterpret_cast<char*>(copies);
+      if (at_corner >= 0) read[static_cast<size_t>(at_corner)] = reinterpret_cast<T*>(from);
+      else if (!full) from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
+      if (at_corner >= 0 || !full) copies += row_size;
       *address++ = reinterpret_cast<T*>(from);
     }
     T** const first_output = address;
     for (const Row& row : program.outputs) {
       const int64_t result = ResultOf(row);
-      if (result < 0) {
-        *address++ = assembly->planes - (result + 1) * assembly->plane_length + begin;
-        continue;
-      }
-      char* const to = full ? Address(row, results[result], row.rows * count) : reinterpret_cast<char*>(copies);
+      const bool direct = full && result >= 0;
+      char* const to = direct ? Address(row, results[result], row.rows * count) : reinterpret_cast<char*>(copies);
+      if (result < 0) written[static_cast<size_t>(-1 - result)] = reinterpret_cast<T*>(to);
       *address++ = reinterpret_cast<T*>(to);
-      if (!full) copies += row_size;
+      if (!direct) copies += row_size;
     }
 
     Frame f{};
@@ -294,7 +285,9 @@ struct Block {
     f.sums = totals;
     f.vectors = static_cast<int>(vectors);
     f.left = static_cast<int>(size - (vectors - 1) * kLanes);
+    if (corners) corners->Gather(read.data(), unwanted, begin, size, vectors * kLanes);
     Run<true>(program.blocks, f);
+    if (corners) corners->Write(written.data(), unwanted, begin, size);
     address = first_output;
     for (const Row& row : program.outputs) {
       const T* const from = *address++;
@@ -303,14 +296,6 @@ struct Block {
       std::memcpy(Address(row, results[result], row.rows * count), from, static_cast<size_t>(size * row.bytes));
     }
     for (size_t k = 0; k < num_sums; ++k) sums[k] = Total(totals[k]);
-  }
-
-  // The values of a field over vertices at a corner of the elements; the last one is repeated.
-  char* AtCorner(const T* field, int64_t corner, T* to, int64_t size, int64_t padded) const {
-    const int32_t* const at = assembly->index + corner * count + begin;
-    for (int64_t k = 0; k < size; ++k) to[k] = field[at[k]];
-    std::fill(to + size, to + padded, to[size - 1]);
-    return reinterpret_cast<char*>(to);
   }
 
   // A copy of a row whose last value is repeated.

@@ -145,6 +145,7 @@ def machine(dtype: np.dtype) -> Machine:
         f"#define REWAX_LANES_HANDLER {lanes}\n#define REWAX_BLOCKS_HANDLER {blocks}",
         f"#define REWAX_ASSEMBLED_HANDLER {assembled}",
         f"#define REWAX_CASES \\\n{escaped}\n",
+        Path(__file__).with_name("corners.h").read_text(),
         Path(__file__).with_suffix(".cc").read_text(),
         Path(__file__).with_name("assembled.cc").read_text(),
     )
