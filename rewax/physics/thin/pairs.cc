@@ -6,7 +6,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <limits>
+#include <type_traits>
 #include <vector>
 
 namespace {
@@ -89,6 +91,21 @@ struct Boxes {
   int64_t count() const { return static_cast<int64_t>(lower[0].size()); }
 };
 
+// Numbers of kArity neighbouring boxes.
+typedef float FourFloats __attribute__((vector_size(kArity * sizeof(float))));
+typedef double FourDoubles __attribute__((vector_size(kArity * sizeof(double))));
+template <typename T>
+using Four = std::conditional_t<std::is_same_v<T, float>, FourFloats, FourDoubles>;
+template <typename T>
+using Mask = decltype(Four<T>{} < Four<T>{});
+
+template <typename T>
+Four<T> LoadFour(const T* from) {
+  Four<T> r;
+  std::memcpy(&r, from, sizeof(r));
+  return r;
+}
+
 template <typename T>
 using Levels = std::vector<Boxes<T>>;
 
@@ -147,15 +164,12 @@ struct Search {
   // A box of one tree and kArity neighbouring boxes of the other.
   void Meet(int64_t level, int64_t i, int64_t j) {
     const Boxes<T>&p = of_a[level], &q = (same ? of_a : of_b)[level];
-    bool overlap[kArity], any = false;
-    for (int64_t n = 0; n < kArity; ++n) overlap[n] = true;
+    Mask<T> overlap = Mask<T>{} == 0;
     for (int k = 0; k < 3; ++k) {
-      const T lower = p.lower[k][i], upper = p.upper[k][i];
-      const T *const others = &q.lower[k][j], *const ends = &q.upper[k][j];
-      for (int64_t n = 0; n < kArity; ++n) overlap[n] &= (lower <= ends[n]) & (others[n] <= upper);
+      const Four<T> zero{};
+      overlap &= (zero + p.lower[k][i] <= LoadFour(&q.upper[k][j])) & (LoadFour(&q.lower[k][j]) <= zero + p.upper[k][i]);
     }
-    for (int64_t n = 0; n < kArity; ++n) any |= overlap[n];
-    if (!any) return;
+    if (!(overlap[0] | overlap[1] | overlap[2] | overlap[3])) return;
     for (int64_t n = 0; n < kArity; ++n) {
       if (!overlap[n] || (same && (level ? i > j + n : i >= j + n))) continue;
       if (level == 0) {
@@ -168,9 +182,9 @@ struct Search {
 
   void Meet(int64_t i, int64_t j) {
     const int32_t* entries = near + i * num_near;
-    for (int64_t k = 0; k < num_near; ++k) {
-      if (entries[k] == j) return;
-    }
+    bool neighbours = false;
+    for (int64_t k = 0; k < num_near; ++k) neighbours |= entries[k] == j;
+    if (neighbours) return;
     const Kind<T>& other = same ? a : b;
     const T reach = half[a.rope[i]] + half[other.rope[j]] + skin;
     const auto p = [&](int64_t c) { return a.At(x, vertices, i, c); };
