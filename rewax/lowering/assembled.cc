@@ -43,7 +43,10 @@ struct Mesh {
   int64_t records_size() const { return 4 * written_quads() * num_corners * plane_length(); }
   int64_t sums_size() const { return listed() ? 4 * written_quads() * vertices : 0; }
   int64_t memory_size() const { return fields_size() + records_size() + sums_size(); }
-  int64_t num_sum_tasks() const { return listed() ? 1 : (vertices + kVerticesPerTask - 1) / kVerticesPerTask; }
+  int64_t num_sum_tasks() const {
+    if (!num_written) return 0;
+    return listed() ? 1 : (vertices + kVerticesPerTask - 1) / kVerticesPerTask;
+  }
 };
 
 class Assembler {

@@ -47,13 +47,20 @@ def assembled(function: Callable[[Any, Any], tuple[T, ...]]) -> Callable[[Stenci
       the machine.
     """
 
+    return _over(function, True)
+
+
+def at_elements(function: Callable[[Any, Any], T]) -> Callable[[Stencil | Listed, Any, Any, Any], T]:
+    """As ``assembled``, for results of elements that are not summed: arrays (..., num_elements)."""
+    return _over(function, False)
+
+
+def _over(function: Callable[[Any, Any], Any], sums: bool) -> Callable[[Stencil | Listed, Any, Any, Any], Any]:
     @functools.wraps(function)
-    def call(elements: Stencil | Listed, shared: Any, own: Any, fields: Any) -> T:
-        listed, static = elements if isinstance(elements, Listed) else None, elements
-        if listed is not None:
-            elements, static = (listed.corners, listed.count), listed.num_vertices
-        whole = _whole(function, static)
-        given = () if listed is None else (listed.corners, listed.count)
+    def call(elements: Stencil | Listed, shared: Any, own: Any, fields: Any) -> Any:
+        listed = isinstance(elements, Listed)
+        whole = _whole(function, elements.num_vertices if listed else elements, sums)
+        given = (elements.corners, elements.count) if listed else ()
         if not build.is_available():
             return whole(given, shared, own, fields)
         one_type = common_type(fields)
@@ -80,8 +87,8 @@ def _fit(own: Any, dtype: Any, count: int) -> bool:
 class _Whole:
     """The function from arrays over vertices to sums, in JAX."""
 
-    def __init__(self, function: Callable[[Any, Any], Any], static: Stencil | int) -> None:
-        self.function, self.static = function, static
+    def __init__(self, function: Callable[[Any, Any], Any], static: Stencil | int, sums: bool) -> None:
+        self.function, self.static, self.sums = function, static, sums
         functools.update_wrapper(self, function)
 
     def count(self, given: tuple[Any, ...]) -> int:
@@ -96,26 +103,20 @@ class _Whole:
 
     def __call__(self, given: tuple[Any, ...], shared: Any, own: Any, fields: Any) -> Any:
         leaves, treedef = jax.tree.flatten(fields)
-        if isinstance(self.static, Stencil):
-            flat = stencils.gather(self.static, tuple(leaves))
-        else:
-            listed = Listed(*given, self.static)
-            flat = stencils.gather_listed(listed, tuple(leaves))
+        stencil = isinstance(self.static, Stencil)
+        elements: Any = self.static if stencil else Listed(*given, self.static)
+        flat = (stencils.gather if stencil else stencils.gather_listed)(elements, tuple(leaves))
         at = tuple(jax.tree.unflatten(treedef, flat[k : k + len(leaves)]) for k in range(0, len(flat), len(leaves)))
         results = self.function(shared, (own, at))
-        form = jax.tree.structure(results[0])
-        values = tuple(jax.tree.leaves(results))
-        sums = (
-            stencils.assemble(self.static, values)
-            if isinstance(self.static, Stencil)
-            else stencils.assemble_listed(listed, values)
-        )
-        return jax.tree.unflatten(form, sums)
+        if not self.sums:
+            return results
+        sums = (stencils.assemble if stencil else stencils.assemble_listed)(elements, tuple(jax.tree.leaves(results)))
+        return jax.tree.unflatten(jax.tree.structure(results[0]), sums)
 
 
 @functools.lru_cache(maxsize=1024)
-def _whole(function: Callable[[Any, Any], Any], static: Stencil | int) -> _Whole:
-    return _Whole(function, static)
+def _whole(function: Callable[[Any, Any], Any], static: Stencil | int, sums: bool) -> _Whole:
+    return _Whole(function, static, sums)
 
 
 # --- The program of one element ---------------------------------------------------------------------------------------
@@ -167,7 +168,8 @@ def _linear_reads(which: str, inner: _Inner, program: Program, num_linear: int, 
     if which == "value":
         return []
     if which == "cotangent":
-        return [_Read(count + c, k) for k in range(corners) for c in range(num_linear)]
+        places = range(corners) if program.function.sums else (-1,)
+        return [_Read(count + c, k) for k in places for c in range(num_linear)]
     rank = {k: count + i for i, k in enumerate(k for k, p in enumerate(program.perturbed) if p)}
     return [_Read(rank[r.argument], r.corner) for r in inner.reads if program.perturbed[r.argument]]
 
@@ -220,7 +222,8 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)
-    return _called(which, _Call(whole, inner, program, corners, count), target, [reads[k] for k in target.operands], operands)
+    call = _Call(whole, inner, program, corners, count)
+    return _called(which, call, target, [reads[k] for k in target.operands], operands)
 
 
 class _Call(NamedTuple):
@@ -269,8 +272,9 @@ def _results(which: str, call: _Call, count: int) -> tuple[list[int], list[_Read
     if which == "cotangent":
         perturbed = call.program.perturbed
         return [k for k, p in enumerate(perturbed) if p], [r for r in call.inner.reads if perturbed[r.argument]]
-    fields = range(count // call.corners)
-    return list(fields), [_Read(f, k) for k in range(call.corners) for f in fields]
+    places = range(call.corners) if call.whole.sums else (-1,)
+    results = range(count // len(places))
+    return list(results), [_Read(r, k) for k in places for r in results]
 
 
 def _padded(fields: int) -> int:
@@ -307,4 +311,4 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
-__all__ = ["ASSEMBLED", "assembled"]
+__all__ = ["ASSEMBLED", "assembled", "at_elements"]

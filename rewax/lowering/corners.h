@@ -56,10 +56,17 @@ struct Corners {
     for (int64_t corner = 0; corner < num_corners; ++corner) {
       const int32_t* const at = index + corner * count + begin;
       for (int64_t quad = 0; quad < read_quads; ++quad, rows += 4) {
-        if (!rows[0] && !rows[1] && !rows[2] && !rows[3]) continue;
         T* to[4];
-        for (int f = 0; f < 4; ++f) to[f] = rows[f] ? rows[f] : unwanted;
+        int wanted = 0;
+        for (int f = 0; f < 4; ++f) {
+          to[f] = rows[f] ? rows[f] : unwanted;
+          wanted += rows[f] != nullptr;
+        }
         const T* const from = vertices + 4 * quad;
+        if (wanted < 2) {
+          for (int f = 0; f < 4; ++f) One(from + f, at, rows[f], size, padded);
+          continue;
+        }
         int64_t k = 0;
         for (; k + 4 <= size; k += 4) Four(from, at + k, to, k);
         for (; k < padded; k += 4) {  // the last element is repeated
@@ -84,6 +91,11 @@ struct Corners {
   }
 
  private:
+  void One(const T* from, const int32_t* at, T* to, int64_t size, int64_t padded) const {
+    if (!to) return;
+    for (int64_t k = 0; k < size; ++k) to[k] = from[at[k] * 4 * read_quads];
+    std::fill(to + size, to + padded, to[size - 1]);
+  }
   void Four(const T* from, const int32_t* at, T* const* to, int64_t k) const {
     const int64_t stride = 4 * read_quads;
     Quad a = Load(from + at[0] * stride), b = Load(from + at[1] * stride);

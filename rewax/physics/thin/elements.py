@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rewax.lowering.assembled import assembled
-from rewax.lowering.kernels import joined, pointwise, separated
+from rewax.lowering.assembled import assembled, at_elements
+from rewax.lowering.kernels import joined, separated
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope
@@ -152,14 +152,14 @@ def _hinge(shared: Any, given: tuple[tuple[Any, Array, Array], At]) -> Corners:
     return pull(-stiffness * weight * (theta - angle + damping * rate))
 
 
-def hinge_turn(damping: Scalar, x: Corners, v: Corners, angle: Array) -> Array:
+def hinge_turn(damping: Scalar, hinges: Stencil, x: Vec3, v: Vec3, angle: Array) -> Array:
     """Angle of hinges minus that at rest, plus damping times its rate [rad]. Gradient: exact."""
-    return _hinge_turn((damping,), (x, v, angle))
+    return _hinge_turn(hinges, (damping,), angle, (x, v))
 
 
-@pointwise
-def _hinge_turn(shared: Any, given: tuple[Corners, Corners, Array]) -> Array:
-    x, v, angle = given
+@at_elements
+def _hinge_turn(shared: Any, given: tuple[Array, At]) -> Array:
+    angle, (x, v) = given[0], _split(given[1])
     theta, rate = jax.jvp(hinge_angle, (x,), (v,))
     return theta - angle + shared[0] * rate
 
