@@ -4,7 +4,8 @@
     python benchmarks/find_float.py --see depth robot --updates 160 640 2560
 
 A paddle is driven to points around the float, which moves. A network with the encoder and the widths of SAPO's policy
-learns where the float is relative to the paddle: from the robot's joints alone, or from depth or visible points too.
+learns where the float is relative to the paddle: from the robot's joints alone, or from depth or 64 visible
+points of the float too.
 Each update sees as many samples as one of SAPO's, 16 steps of 8 episodes, with SAPO's optimiser. Printed is the root
 mean square error along x and z over episodes that were not trained on.
 """

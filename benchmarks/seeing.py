@@ -15,7 +15,8 @@ from the same starts. Its rows are written when it is finished, and finished cel
     depth slow     as ``depth``, with half of the actor's learning rate
     depth alone    as ``depth``, and the critics observe the same as the policy
     blind          SAPO, joints alone; the critics observe the state
-    cloud          SAPO, 64 visible points of the soft body, and joints; the critics observe the state
+    cloud          SAPO, 64 visible points of the soft body (of SteerFloat's float, without the water), and joints;
+                   the critics observe the state
     ppo            PPO from depth with as many control steps as SAPO; the critic observes the state
     ppo x10        the same with ten times as many
     varied         as ``depth``, trained with noise, latency, and a camera that is moved in each episode
@@ -105,7 +106,7 @@ def seeing(env: Any, seen: Camera, column: str) -> Any:
         return env
     if column == "cloud":
         world = inner(env).world(env.reset(jax.random.key(0)).physics, np.asarray(inner(env).up))
-        soft = tuple(name for balls in world.balls for name in balls.names)
+        soft = tuple(name for balls in world.balls for name in balls.names if name != "water")
         return Sensing(env=env, sensors={"cloud": DepthCloud(camera=seen, num_points=64, of=soft)})
     if column == "depth close":
         seen = seen.replace(field_of_view=26.0)

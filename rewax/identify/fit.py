@@ -50,10 +50,10 @@ def identify(
 ) -> Identified:
     """Fit unknown parameters of an environment to a record, by Levenberg-Marquardt from several starts.
 
-    The first start is the median of the priors, the others cover them. A horizon that grows keeps early fits
-    away from local minima of long motions: frames beyond it have weight zero, in the same compiled program. The substep
-    of the environment bounds how stiff a material can be; a search that it cuts off says so. A simulation that fails is
-    a rejected step and counted.
+    The first start is the median of the priors, the others cover them. A horizon that grows keeps early fits away from
+    local minima of long motions. Frames beyond it are not simulated; the compiled program is the same. The substep of
+    the environment bounds how stiff a material can be; a search that it cuts off says so. A simulation that fails is a
+    rejected step and counted.
 
     Args:
       env: an environment, with ``particles(physics)``; its reset noise is left out. Or several of the same scene with
@@ -73,7 +73,7 @@ def identify(
       shake: each start displaces the rest positions at random by up to this share of their spacing along each axis,
         so that the scatter of the fits tells what the placement of particles does; 0: none.
       seed: of the starts, their placements and the reset.
-      side_by_side: starts that one program computes; more need more memory.
+      side_by_side: starts that are computed at the same time; more need more memory.
       limit: with several environments of particles: spacing of the grid to which the result is extrapolated [m], along
         the line through the coarsest and the finest; 0: matter itself. None: the result is that of the finest.
       progress: called with a line for each iteration.

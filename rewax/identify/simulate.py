@@ -30,6 +30,8 @@ class Data(NamedTuple):
     """Width of the surface's weights [m], shape ()."""
     key: Array
     """Key of the reset."""
+    num_steps: Array | None = None
+    """Control steps to simulate, int32, shape (); the body rests afterwards. None: all."""
 
 
 def data_of(record: Record, width: float, num_regions: int, seed: int = 0) -> Data:
@@ -42,6 +44,12 @@ def data_of(record: Record, width: float, num_regions: int, seed: int = 0) -> Da
         clusters=jnp.asarray(regions(record.clouds, record.mask, num_regions)), width=jnp.float32(width),
         key=jax.random.key(seed),
     )  # fmt: skip
+
+
+def up_to(data: Data, horizon: float) -> Data:
+    """The data with only the control steps before the frames within a share of the record's duration."""
+    last = float(data.before[-1]) + float(data.fraction[-1])
+    return data._replace(num_steps=jnp.int32(np.ceil(horizon * last - 1e-6)))
 
 
 def regions(clouds: np.ndarray, mask: np.ndarray, num_regions: int) -> np.ndarray:
@@ -75,12 +83,16 @@ def simulated_frames(env: Any, space: Space, latent: Array, data: Data) -> tuple
     state = env.reset(data.key)
     state = state.replace(physics=space.start(state.physics, latent))
 
-    def step(state: Any, action: Array) -> tuple[Any, tuple[Array, Array]]:
-        state = env.step(state, action)
+    def step(state: Any, at: tuple[Array, Array]) -> tuple[Any, tuple[Array, Array]]:
+        number, action = at
+        if data.num_steps is None:
+            state = env.step(state, action)
+        else:
+            state = jax.lax.cond(number < data.num_steps, env.step, lambda state, action: state, state, action)
         return state, (points_of(env, state.physics), state.status)
 
     first = points_of(env, state.physics)
-    _, (rest, status) = jax.lax.scan(step, state, data.actions)
+    _, (rest, status) = jax.lax.scan(step, state, (jnp.arange(len(data.actions)), data.actions))
     every = jnp.concatenate([first[None], rest])
     fraction = data.fraction[:, None, None]
     frames = (1.0 - fraction) * every[data.before] + fraction * every[data.before + 1]
@@ -100,4 +112,4 @@ def without_reset_noise(env: Any) -> Any:
     return env.replace(noise=jax.tree.map(jnp.zeros_like, noise))
 
 
-__all__ = ["Data", "data_of", "points_of", "regions", "simulated_frames", "without_reset_noise"]
+__all__ = ["Data", "data_of", "points_of", "regions", "simulated_frames", "up_to", "without_reset_noise"]

@@ -2,15 +2,17 @@
 
 import functools
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rewax.envs.leaves import EnvLeaves
 from rewax.identify import levenberg_marquardt as lm
 from rewax.identify.evaluation import Evaluation, Residuals, evaluate
-from rewax.identify.simulate import Data
+from rewax.identify.simulate import Data, up_to
 from rewax.identify.uncertainty import short
 from rewax.identify.unknowns import Space
 
@@ -47,7 +49,7 @@ def search_from(
     starts = None
     for horizon, weights, iterations in stages:
         points = points if starts is None else starts.latents
-        evaluate_some = functools.partial(run, weights=weights, deviation=deviation)
+        evaluate_some = functools.partial(run, horizon=horizon, weights=weights, deviation=deviation)
         starts = lm.begin(points, evaluate_some(points), rejected)
         for iteration in range(iterations):
             starts = lm.iterate(starts, evaluate_some, precision=space.precision, bounds=bounds, is_stable=stable)
@@ -66,29 +68,46 @@ def search_from(
 def program(
     env: Any, space: Space, data: Data, residuals: Residuals | None, side_by_side: int, placed: np.ndarray | None
 ) -> Callable[..., Evaluation]:
-    """``evaluate`` of points, which of them are needed, weights and deviation, as arrays of NumPy.
+    """``evaluate`` of points, which of them are needed, horizon, weights and deviation, as arrays of NumPy.
 
-    Points are computed a few at a time, always the same number, so that there is one program.
+    On a CPU each point is a call of its own, and ``side_by_side`` threads make them: that keeps more cores busy than a
+    batch, and computes no point that nobody needs. Elsewhere points are computed in batches of ``side_by_side``,
+    always as many, so that there is one program.
     """
     leaves = EnvLeaves.of(env)
+    on_cpu = jax.default_backend() == "cpu"
+    size, threads = (1, side_by_side) if on_cpu else (side_by_side, 1)
 
-    def some(chosen: np.ndarray, latents: np.ndarray, weights: np.ndarray, deviation: float) -> Evaluation:
-        full = np.resize(chosen, side_by_side)  # repeats points where there are too few
+    def some(chosen: np.ndarray, latents: np.ndarray, at: Data, weights: np.ndarray, deviation: float) -> Evaluation:
+        full = np.resize(chosen, size)  # repeats points where there are too few
         rest = None if placed is None else jnp.asarray(placed[full], jnp.float32)
         found = evaluate(
-            jnp.asarray(latents[full], jnp.float32), rest, leaves, data, jnp.asarray(weights, jnp.float32),
+            jnp.asarray(latents[full], jnp.float32), rest, leaves, at, jnp.asarray(weights, jnp.float32),
             jnp.float32(deviation), space=space, residuals=residuals, num_regions=REGIONS**2,
         )  # fmt: skip
         return Evaluation(*(np.asarray(a)[: len(chosen)] for a in found))
 
+    compiled = False
+
     def run(
-        points: np.ndarray, needed: np.ndarray | None = None, *, weights: np.ndarray, deviation: float
+        points: np.ndarray,
+        needed: np.ndarray | None = None,
+        *,
+        horizon: float,
+        weights: np.ndarray,
+        deviation: float,
     ) -> Evaluation:
+        nonlocal compiled
+        part = functools.partial(some, latents=points, at=up_to(data, horizon), weights=weights, deviation=deviation)
         wanted = np.arange(len(points)) if needed is None else np.flatnonzero(needed)
-        total: list[np.ndarray] = []
-        for chosen in (wanted[n : n + side_by_side] for n in range(0, len(wanted), side_by_side)):
-            found = some(chosen, points, weights, deviation)
-            total = total or [np.zeros((len(points), *a.shape[1:]), _wide(a.dtype)) for a in found]
+        parts = [wanted[n : n + size] for n in range(0, len(wanted), size)]
+        alone = 0 if compiled else 1  # the first call compiles; two threads would compile twice
+        every = [part(chosen) for chosen in parts[:alone]]
+        with ThreadPoolExecutor(threads) as pool:
+            every += pool.map(part, parts[alone:])
+        compiled = True
+        total = [np.zeros((len(points), *a.shape[1:]), _wide(a.dtype)) for a in every[0]]
+        for chosen, found in zip(parts, every, strict=True):
             for into, array in zip(total, found, strict=True):
                 into[chosen] = array
         return Evaluation(*total)

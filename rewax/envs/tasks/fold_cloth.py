@@ -27,6 +27,8 @@ RADIUS = 0.005
 """Distance of vertices on the ground from the ground, and thickness of the towel in self-contact [m]."""
 SPEED = 0.025
 """Largest motion of a hand in a control step [m]."""
+LANE = 0.06
+"""Largest distance of a hand along z from its side of the towel [m]: hands cannot tear the corners apart."""
 SUCCESS = 0.04
 """Largest mean distance between vertices and their mirror images of a folded towel [m]."""
 WAVES = 3
@@ -112,15 +114,15 @@ def _fold_cloth(
         radius=RADIUS,
         self_contact=self_contact,
     )
-    lying = mesh.vertices + np.array([-0.5 * EDGE, RADIUS, -0.5 * EDGE])
+    lying, side = mesh.vertices + np.array([-0.5 * EDGE, RADIUS, -0.5 * EDGE]), 0.5 * EDGE
     return FoldCloth(
         scene=scene,
         rest_positions=lying,
         corners=corners,
         noise=reset_noise((-0.03, 0.0, -0.03), (0.03, 0.0, 0.03)),
         joint_start=(*lying[corners[0]], *lying[corners[1]], 1.0),
-        joint_lower=(-0.35, RADIUS, -0.35, -0.35, RADIUS, -0.35, 0.0),
-        joint_upper=(0.35, 0.35, 0.35, 0.35, 0.35, 0.35, 1.0),
+        joint_lower=(-0.35, RADIUS, -side - LANE, -0.35, RADIUS, side - LANE, 0.0),
+        joint_upper=(0.35, 0.35, -side + LANE, 0.35, 0.35, side + LANE, 1.0),
         joint_step=(*[SPEED] * 6, 0.25),
         wrinkle=0.02,
         flatness=1.0,

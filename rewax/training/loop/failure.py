@@ -1,5 +1,6 @@
 """Failure detection: share of failed episodes, non-finite critic loss or non-finite learnt parameters."""
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -115,24 +116,28 @@ class FiniteCheck:
     """
 
     def __init__(self, train_state: Any) -> None:
-        self._names = {name for name, leaf in on_one_device(_learnt(train_state)).items() if _is_finite(leaf)}
+        self._checked = [
+            _is_learnt(leaf) and _is_finite(on_one_device(leaf)) for leaf in jax.tree.leaves(train_state, is_leaf=_ends)
+        ]
         self._all_finite = jax.jit(all_finite)
 
     def first_bad(self, train_state: Any) -> str:
         """Name of the first leaf that is not finite, such as ``.critic_params['bias']``; empty if there is none."""
-        leaves = on_one_device({name: leaf for name, leaf in _learnt(train_state).items() if name in self._names})
-        if self._all_finite(list(leaves.values())):
+        leaves = jax.tree.leaves(train_state, is_leaf=_ends)
+        if self._all_finite(on_one_device(list(itertools.compress(leaves, self._checked)))):
             return ""
-        return next(name for name, leaf in leaves.items() if not _is_finite(leaf))
+        named = itertools.compress(jax.tree.leaves_with_path(train_state, is_leaf=_ends), self._checked)
+        return next(jax.tree_util.keystr(path) for path, leaf in named if not _is_finite(on_one_device(leaf)))
 
 
-def _learnt(train_state: Any) -> dict[str, Any]:
-    """Floating-point leaves by name, without environment states and replay buffers."""
-    return {
-        jax.tree_util.keystr(path): leaf
-        for path, leaf in jax.tree.leaves_with_path(train_state, is_leaf=lambda node: isinstance(node, _NOT_LEARNT))
-        if not isinstance(leaf, _NOT_LEARNT) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
-    }
+def _ends(node: Any) -> bool:
+    """Environment states and replay buffers count as one leaf."""
+    return isinstance(node, _NOT_LEARNT)
+
+
+def _is_learnt(leaf: Any) -> bool:
+    """Floating-point numbers, no environment states and replay buffers."""
+    return not _ends(leaf) and jnp.issubdtype(jnp.result_type(leaf), jnp.inexact)
 
 
 def _is_finite(leaf: Any) -> bool:

@@ -82,8 +82,10 @@ class TensorBoardWriter:
 
     def __init__(self, folder: str | Path, *, resume_at: int = 0) -> None:
         from tensorboardX import SummaryWriter  # slow to import, and only needed here
+        from tensorboardX.proto.summary_pb2 import Summary
 
         self._writer = SummaryWriter(str(folder), purge_step=resume_at + 1 if resume_at else None)
+        self._summary = Summary
         # On a full disk, the writer's thread and exit handler would print tracebacks. Writing the CSV files already
         # raises an error then.
         events = self._writer.file_writer.event_writer._ev_writer  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
@@ -91,10 +93,11 @@ class TensorBoardWriter:
             setattr(events, name, _without_os_errors(getattr(events, name)))
 
     def write(self, iteration: int, values: Mapping[str, Any], *, prefix: str = "train") -> None:
-        """Write ``<prefix>/<name>`` for every value."""
-        for name, value in values.items():
-            if math.isfinite(value):
-                self._writer.add_scalar(f"{prefix}/{name}", float(value), iteration)
+        """Write ``<prefix>/<name>`` for every value, as one event."""
+        finite = {f"{prefix}/{name}": float(value) for name, value in values.items() if math.isfinite(value)}
+        numbers = [self._summary.Value(tag=tag, simple_value=value) for tag, value in finite.items()]
+        if self._writer.file_writer is not None:
+            self._writer.file_writer.add_summary(self._summary(value=numbers), iteration)
 
     def close(self) -> None:
         """Flush and close the file."""
