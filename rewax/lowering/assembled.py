@@ -64,7 +64,7 @@ def _over(function: Callable[[Any, Any], Any], sums: bool) -> Callable[[Stencil 
         if not build.is_available():
             return whole(given, shared, own, fields)
         one_type = common_type(fields)
-        if one_type is None or jax.tree.leaves(own) and not _fit(own, one_type, whole.count(given)):
+        if one_type is None or (jax.tree.leaves(own) and not _fit(own, one_type, whole.count(given))):
             if jax.default_backend() == "cpu":
                 report.note(function, "value", "its fields and elements are not arrays of one length and floating type")
             return whole(given, shared, own, fields)

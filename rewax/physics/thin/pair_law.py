@@ -19,6 +19,7 @@ minus the gradient of an energy.
 """
 
 import dataclasses
+
 import jax.numpy as jnp
 
 from rewax import struct
