@@ -73,8 +73,8 @@ class Assembler {
 
   // The elements of a block.
   void Evaluate(const SharedValues& shared, int64_t batch_element, int64_t block, T* memory) const {
-    T* const sums = program_.num_sums
-        ? static_cast<T*>(buffers_.results.back()) + (batch_element * mesh_.blocks + block) * program_.num_sums : nullptr;
+    const int64_t task = batch_element * mesh_.blocks + block;
+    T* const sums = program_.num_sums ? static_cast<T*>(buffers_.results.back()) + task * program_.num_sums : nullptr;
     const int64_t begin = block * mesh_.block, last = std::min(begin + mesh_.block, mesh_.count);
     const int64_t end = std::max(begin, std::min(last, CountOf(batch_element)));
     const Corners corners{mesh_.reads, mesh_.outputs, Index(batch_element), mesh_.count, mesh_.num_corners, memory,

@@ -143,12 +143,10 @@ class _Inner(NamedTuple):
 
     program: Program
     reads: tuple[_Read, ...]
-    fields: tuple[int, ...]
-    """Arguments of the whole program that are arrays over vertices."""
 
 
 @functools.lru_cache(maxsize=1024)
-def _inner(program: Program, num_given: int, corners: int) -> _Inner:
+def _inner(program: Program, corners: int) -> _Inner:
     whole = program.function
     arguments = program.arguments(tuple(_Slot(k, -1) for k in range(len(program.varies))))
     _, shared, own, fields = arguments
@@ -159,7 +157,7 @@ def _inner(program: Program, num_given: int, corners: int) -> _Inner:
     varies = tuple(program.varies[r.argument] for r in reads)
     perturbed = tuple(program.perturbed[r.argument] for r in reads) if program.perturbed else ()
     one = Program(program.rules, broadcast(whole.function), None, treedef, constants, varies, perturbed)
-    return _Inner(one, reads, tuple(s.read.argument for s in jax.tree.leaves(fields)))
+    return _Inner(one, reads)
 
 
 def _linear_reads(which: str, inner: _Inner, program: Program, num_linear: int, corners: int) -> list[_Read]:
@@ -211,7 +209,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     given = arrays[: 2 if listed else 0]
     corners, count = whole.num_corners(given), whole.count(given)
     plain = program._replace(batches=())
-    inner = _inner(plain, len(given), corners)
+    inner = _inner(plain, corners)
     perturbed = [v for v, p in zip(program.varies, program.perturbed, strict=False) if p]
     of_linear = {"value": [], "tangent": perturbed, "cotangent": [True] * len(linear)}[which]
     operands = operands_of(program, arrays, linear, (*program.varies, *of_linear))

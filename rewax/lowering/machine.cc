@@ -264,7 +264,8 @@ struct Block {
     for (int32_t k : program.shared) *address++ = const_cast<T*>(shared + k * kLanes);
     for (const Row& row : program.inputs) {
       const int64_t at_corner = Read(row);
-      char* from = at_corner < 0 ? Address(row, operands[row.array], steps[row.array]) : reinterpret_cast<char*>(copies);
+      char* from = reinterpret_cast<char*>(copies);
+      if (at_corner < 0) from = Address(row, operands[row.array], steps[row.array]);
       if (at_corner >= 0) read[static_cast<size_t>(at_corner)] = reinterpret_cast<T*>(from);
       else if (!full) from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
       if (at_corner >= 0 || !full) copies += row_size;
@@ -345,8 +346,8 @@ ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaini
     const int64_t batch_element = task / blocks, begin = task % blocks * block;
     T* const sums = program->num_sums ? static_cast<T*>(results.back()) + task * program->num_sums : nullptr;
     const int64_t end = std::min(begin + block, count);
-    Block{*program, shared.Of(batch_element), operands.data(), results.data(), steps, count, batch_element, begin, end, nullptr}
-        .Evaluate(sums);
+    Block{*program, shared.Of(batch_element), operands.data(), results.data(), steps, count, batch_element, begin, end,
+          nullptr}.Evaluate(sums);
   });
   return ffi::Error::Success();
 }
