@@ -36,11 +36,14 @@ struct Mesh {
   }
   int64_t read_quads() const { return (num_read + 3) / 4; }
   int64_t written_quads() const { return (num_written + 3) / 4; }
+  // Numbers of a vertex's fields and of a record. A single number needs no group of four.
+  int64_t read_stride() const { return num_read == 1 ? 1 : 4 * read_quads(); }
+  int64_t written_stride() const { return num_written == 1 && !listed() ? 1 : 4 * written_quads(); }
   int64_t plane_length() const { return blocks * block; }
   bool listed() const { return num_tables == 2; }
-  // Numbers of memory for the fields, the records, and the sums of a list.
-  int64_t fields_size() const { return 4 * read_quads() * vertices; }
-  int64_t records_size() const { return 4 * written_quads() * num_corners * plane_length(); }
+  // Memory for the fields, the records, and the sums of a list, in numbers.
+  int64_t fields_size() const { return (read_stride() * vertices + 15) / 16 * 16; }
+  int64_t records_size() const { return written_stride() * num_corners * plane_length(); }
   int64_t sums_size() const { return listed() ? 4 * written_quads() * vertices : 0; }
   int64_t memory_size() const { return fields_size() + records_size() + sums_size(); }
   int64_t num_sum_tasks() const {
@@ -61,6 +64,11 @@ class Assembler {
 
   // Packs the fields of a batch element.
   void Prepare(int64_t batch_element, T* memory) const {
+    if (mesh_.read_stride() == 1) {
+      const T* const from = static_cast<const T*>(buffers_.operands[mesh_.fields[0]]) + batch_element * mesh_.fields[1];
+      std::copy(from, from + mesh_.vertices, memory);
+      return;
+    }
     const T* rows[4];
     for (int64_t f = 0; f < mesh_.num_read; f += 4) {
       for (int64_t k = 0; k < 4; ++k) {
@@ -78,8 +86,8 @@ class Assembler {
     const int64_t begin = block * mesh_.block, last = std::min(begin + mesh_.block, mesh_.count);
     const int64_t end = std::max(begin, std::min(last, CountOf(batch_element)));
     const Corners corners{mesh_.reads, mesh_.outputs, Index(batch_element), mesh_.count, mesh_.num_corners, memory,
-                          memory + mesh_.fields_size(), mesh_.read_quads(), mesh_.written_quads(),
-                          mesh_.plane_length()};
+                          memory + mesh_.fields_size(), mesh_.read_quads(), mesh_.written_quads(), mesh_.read_stride(),
+                          mesh_.written_stride(), mesh_.plane_length()};
     if (begin < end) {
       Block{program_, shared.Of(batch_element), operands(), buffers_.results.data(), mesh_.steps, mesh_.count,
             batch_element, begin, end, &corners}.Evaluate(sums);
@@ -106,6 +114,7 @@ class Assembler {
     }
     if (mesh_.listed()) return SumList(batch_element, records, memory + mesh_.fields_size() + mesh_.records_size(), to);
     const int64_t begin = task * kVerticesPerTask, end = std::min(begin + kVerticesPerTask, mesh_.vertices);
+    if (mesh_.written_stride() == 1) return SumNumbers(tables_[1], tables_[2], records, to[0], begin, end);
     int64_t q = 0;
     for (; q + 2 <= quads; q += 2) {
       SumListed<2>(tables_[1], tables_[2], records + 4 * q, stride, to.data() + 4 * q, begin, end);

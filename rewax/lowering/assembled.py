@@ -51,7 +51,10 @@ def assembled(function: Callable[[Any, Any], tuple[T, ...]]) -> Callable[[Stenci
 
 
 def at_elements(function: Callable[[Any, Any], T]) -> Callable[[Stencil | Listed, Any, Any, Any], T]:
-    """As ``assembled``, for results of elements that are not summed: arrays (..., num_elements)."""
+    """As ``assembled``, for results of elements that are not summed: arrays (..., num_elements).
+
+    Results of entries beyond the last element of a list have no meaning. Gradient: as for ``assembled``.
+    """
     return _over(function, False)
 
 

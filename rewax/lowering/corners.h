@@ -47,9 +47,9 @@ struct Corners {
   const int64_t* outputs;  // for each output: index of the result, or -1 minus (corner, field), as one number
   const int32_t* index;    // [corner][element]: vertices of the elements
   int64_t count, num_corners;
-  const T* vertices;  // [vertex][4 read_quads]: fields
-  T* records;         // [corner][element][4 written_quads]: results
-  int64_t read_quads, written_quads, plane_length;
+  const T* vertices;  // [vertex][read_stride]: fields
+  T* records;         // [corner][element][written_stride]: results
+  int64_t read_quads, written_quads, read_stride, written_stride, plane_length;
 
   // Fills rows [corner][field] of a block with the values of fields at corners; null rows are not wanted.
   void Gather(T* const* rows, T* unwanted, int64_t begin, int64_t size, int64_t padded) const {
@@ -80,12 +80,16 @@ struct Corners {
 
   // Writes rows [corner][field] of a block to the records; null rows have no meaning.
   void Write(const T* const* rows, const T* meaningless, int64_t begin, int64_t size) const {
-    const int64_t stride = 4 * written_quads;
     for (int64_t corner = 0; corner < num_corners; ++corner) {
+      T* const to = records + (corner * plane_length + begin) * written_stride;
       for (int64_t quad = 0; quad < written_quads; ++quad, rows += 4) {
+        if (written_stride == 1) {
+          std::copy(rows[0], rows[0] + size, to);
+          continue;
+        }
         const T* from[4];
         for (int f = 0; f < 4; ++f) from[f] = rows[f] ? rows[f] : meaningless;
-        Pack(from, records + (corner * plane_length + begin) * stride + 4 * quad, stride, size);
+        Pack(from, to + 4 * quad, written_stride, size);
       }
     }
   }
@@ -93,13 +97,12 @@ struct Corners {
  private:
   void One(const T* from, const int32_t* at, T* to, int64_t size, int64_t padded) const {
     if (!to) return;
-    for (int64_t k = 0; k < size; ++k) to[k] = from[at[k] * 4 * read_quads];
+    for (int64_t k = 0; k < size; ++k) to[k] = from[at[k] * read_stride];
     std::fill(to + size, to + padded, to[size - 1]);
   }
   void Four(const T* from, const int32_t* at, T* const* to, int64_t k) const {
-    const int64_t stride = 4 * read_quads;
-    Quad a = Load(from + at[0] * stride), b = Load(from + at[1] * stride);
-    Quad c = Load(from + at[2] * stride), d = Load(from + at[3] * stride);
+    Quad a = Load(from + at[0] * read_stride), b = Load(from + at[1] * read_stride);
+    Quad c = Load(from + at[2] * read_stride), d = Load(from + at[3] * read_stride);
     Transpose(a, b, c, d);
     Store(to[0] + k, a);
     Store(to[1] + k, b);
@@ -108,7 +111,17 @@ struct Corners {
   }
 };
 
-// Sums the records at each vertex, by lists of its entries.
+// Sums records of one number at each vertex, by lists of its entries.
+inline void SumNumbers(const int32_t* starts, const int32_t* entries, const T* records, T* to, int64_t begin,
+                       int64_t end) {
+  for (int64_t vertex = begin; vertex < end; ++vertex) {
+    T sum = 0;
+    for (int32_t k = starts[vertex]; k < starts[vertex + 1]; ++k) sum += records[entries[k]];
+    to[vertex] = sum;
+  }
+}
+
+// The same for records of groups of four numbers.
 template <int kQuads>
 void SumListed(const int32_t* starts, const int32_t* entries, const T* records, int64_t stride, T* const* to,
                int64_t begin, int64_t end) {

@@ -7,7 +7,7 @@ import pytest
 from native_cases import NEEDS_COMPILER
 
 from rewax.lowering import assembled as module
-from rewax.lowering.assembled import assembled
+from rewax.lowering.assembled import assembled, at_elements
 from rewax.lowering.stencils import Listed, Stencil
 
 VERTICES, CORNERS = 23, 3
@@ -108,6 +108,33 @@ def test_sums_are_in_the_order_of_jax_to_the_bit(machine_only):
     flat = np.ascontiguousarray(of.indices.T).reshape(-1)
     expected = jnp.zeros(VERTICES, np.float32).at[flat].add(3.0 * field[flat])
     np.testing.assert_array_equal(same(of, (), (), field), expected)
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize("form", [assembled, at_elements])
+def test_one_field_of_single_numbers(x64, machine_only, random_like, relative_error, form):
+    """With and without sums at the vertices."""
+
+    def apart(shared, given):
+        own, at = given
+        each = shared * jnp.sin(own * at[0]) * at[2]
+        return (each, at[1] * own, -each) if form is assembled else each
+
+    def plain(of, shared, own, field):
+        each = apart(shared, (own, [field[k] for k in of.indices.T]))
+        if form is at_elements:
+            return each
+        return sum(jnp.zeros_like(field).at[k].add(e) for k, e in zip(of.indices.T, each, strict=True))
+
+    of, (shared, (own, _), fields) = elements(700), arguments(700)
+    args = (shared["scale"], own, fields["a"])
+    tangents = random_like(0, args)
+
+    def all_of(function):
+        value, tangent = jax.jvp(lambda *a: function(of, *a), args, tangents)
+        return value, tangent, jax.vjp(lambda *a: function(of, *a), *args)[1](jnp.cos(value))
+
+    assert relative_error(all_of(form(apart)), all_of(plain)) < 1e-13
 
 
 @NEEDS_COMPILER
