@@ -4,18 +4,16 @@ import threading
 
 import numpy as np
 
-from rewax.lowering import build, machine, splitting
+from rewax.lowering import build, machine
 from rewax.lowering.build import Source
 from rewax.physics.mpm import transfer_cpp
 from rewax.physics.thin import pair_kernels
 
 
 def fixed_sources() -> tuple[Source, ...]:
-    """All programs: transfers (P2G and G2P), pairs of self-contact, the machine in both precisions, and
-    ``split_vector``.
-    """
+    """All programs: transfers (P2G and G2P), pairs of self-contact, and the machine in both precisions."""
     machines = (machine.machine(np.dtype(dtype)).source for dtype in ("float32", "float64"))
-    return (transfer_cpp.SOURCE, pair_kernels.SOURCE, splitting._SOURCE, *machines)
+    return (transfer_cpp.SOURCE, pair_kernels.SOURCE, *machines)
 
 
 def build_ahead(*, transfers: bool = True) -> threading.Thread:
@@ -27,7 +25,7 @@ def build_ahead(*, transfers: bool = True) -> threading.Thread:
     Args:
       transfers: whether to load the transfers between particles and grid.
     """
-    sources = [machine.machine(np.dtype("float32")).source, *[transfer_cpp.SOURCE] * transfers, splitting._SOURCE]
+    sources = [machine.machine(np.dtype("float32")).source, *[transfer_cpp.SOURCE] * transfers]
 
     def run() -> None:
         for source in sources:

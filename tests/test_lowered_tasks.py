@@ -21,11 +21,12 @@ SOFT = {"mpm.stepping._moved", "mpm.stepping.stress_and_momentum"}
 TOOL = SOFT | {"contact.colliders.velocity_after"}
 RIGID = {"rigid.stepping._accelerate"}
 TETS = {"contact.penalty._ground_force", "tets.stepping._columns.columns", "tets.stepping._moved"}
-CLOTH = {
-    "contact.penalty._ground_force", "thin.elements._hinge_pull", "thin.elements._hinge_turn",
-    "thin.elements._membrane.membrane", "thin.grasp_forces._followed", "thin.grasp_forces._pull",
-    "thin.plate._moment", "thin.stepping._moved",
+SHELL = {
+    "thin.elements._hinge_pull", "thin.elements._hinge_turn", "thin.elements._membrane.membrane", "thin.plate._moment",
+    "thin.stepping._moved",
 }  # fmt: skip
+CLOTH = SHELL | {"contact.penalty._ground_force", "thin.grasp_forces._followed", "thin.grasp_forces._pull"}
+GRAINS = SOFT | {"coupling.nodes._after", "coupling.nodes._met", "coupling.particle_contact._pair_force"}
 FUNCTIONS = {
     **dict.fromkeys(["FluidMove", "HandFlip", "HandLift", "RollingFlat", "SteerFloat"], TOOL),
     **dict.fromkeys(
@@ -37,6 +38,7 @@ FUNCTIONS = {
     "WhipRope": {"thin.elements._bend", "thin.elements._segment", "thin.stepping._moved"},
     "CoverBox": CLOTH | {"contact.penalty._collider_force"},
     "FoldCloth": CLOTH,
+    "PourBag": GRAINS | SHELL,
 }
 """The functions of each task's physics, within ``rewax.physics``."""
 LEFT = {("GripperLift", "rigid.stepping._accelerate", "value"): "it has the operation while"}

@@ -6,8 +6,8 @@ gymnasium finds them by itself where rewax is installed (entry point ``gymnasium
 
 TASKS = (
     "Ant", "AntRun", "CartpoleSwingUp", "CoverBox", "FluidMove", "FoldCloth", "GripperLift", "HalfCheetah", "HandFlip",
-    "HandLift", "HandReorient", "Hopper", "Humanoid", "Quadruped", "RollingFlat", "SoftJumper", "SoftJumperMPM",
-    "SteerFloat", "WhipRope",
+    "HandLift", "HandReorient", "Hopper", "Humanoid", "PourBag", "Quadruped", "RollingFlat", "SoftJumper",
+    "SoftJumperMPM", "SteerFloat", "WhipRope",
 )  # fmt: skip
 """The tasks of rewax, as ``rewax.list_envs`` names them."""
 SCALES = ("paper", "small")

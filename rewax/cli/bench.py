@@ -8,7 +8,7 @@ from rich.console import Console
 
 from rewax.agents.legal import Natural
 from rewax.cli.options import Imports, import_modules, parse
-from rewax.cli.train import cores_as_devices, quiet
+from rewax.cli.train import cores_as_devices, keep_freed_memory, quiet
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,7 @@ def run(argv: Sequence[str]) -> int:
     quiet()
     options = parse(Options, argv, prog="rewax bench", description="Compare algorithms on tasks.")
     cores_as_devices(options.devices)
+    keep_freed_memory()
     enable_compilation_cache()
     import_modules(options.imports)
     suite = read_suite(options.suite)

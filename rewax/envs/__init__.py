@@ -17,6 +17,7 @@ register("SteerFloat", {scale: f"rewax.envs.tasks.steer_float:{scale}" for scale
 register("WhipRope", {scale: f"rewax.envs.tasks.whip_rope:{scale}" for scale in ("paper", "small")})
 register("CoverBox", {scale: f"rewax.envs.tasks.cover_box:{scale}" for scale in ("paper", "small")})
 register("FoldCloth", {scale: f"rewax.envs.tasks.fold_cloth:{scale}" for scale in ("paper", "small")})
+register("PourBag", {scale: f"rewax.envs.tasks.pour_bag:{scale}" for scale in ("paper", "small")})
 register("AntRun", "rewax.envs.tasks.ant_run:make_ant_run")
 register("HandReorient", "rewax.envs.tasks.hand_reorient:make_hand_reorient")
 register("Ant", "rewax.envs.tasks.ant_run:make_ant")

@@ -128,13 +128,16 @@ class Machine(NamedTuple):
     """Name of the FFI target for ``BlockBytecode``."""
     assembled_handler: str
     """Name of the FFI target for ``BlockBytecode`` on the elements of a mesh, see ``assembled``."""
+    split_handler: str
+    """Name of the FFI target that splits vectors (``splitting``)."""
 
 
 @functools.cache
 def machine(dtype: np.dtype) -> Machine:
     """The machine of a floating type, float32 or float64."""
     kind = {"float32": "float", "float64": "double"}[dtype.name]
-    lanes, blocks, assembled = (f"rewax_{name}_{kind}" for name in ("lanes", "blocks", "assembled"))
+    names = ("lanes", "blocks", "assembled", "split")
+    lanes, blocks, assembled, split = (f"rewax_{name}_{kind}" for name in names)
     named = {name: "".join(part.capitalize() for part in name.split("_")) for name in SPECIAL}
     escaped = cases().replace("\n", " \\\n")
     parts = (
@@ -144,12 +147,20 @@ def machine(dtype: np.dtype) -> Machine:
         f"enum {{ {', '.join(f'k{named[name]} = {NUMBERS[name]}' for name in SPECIAL)} }};",
         f"#define REWAX_LANES_HANDLER {lanes}\n#define REWAX_BLOCKS_HANDLER {blocks}",
         f"#define REWAX_ASSEMBLED_HANDLER {assembled}",
+        f"#define REWAX_SPLIT_HANDLER {split}",
         f"#define REWAX_CASES \\\n{escaped}\n",
         Path(__file__).with_name("corners.h").read_text(),
         Path(__file__).with_suffix(".cc").read_text(),
         Path(__file__).with_name("assembled.cc").read_text(),
+        Path(__file__).with_name("splitting.cc").read_text(),
     )
-    return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks, assembled)
+    return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks, assembled, split)
+
+
+def register(chosen: Machine) -> bool:
+    """Registers the handlers of a machine; False if there is no library, see ``build.register``."""
+    source, *handlers = chosen
+    return build.register(source, tuple(handlers))
 
 
 def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | None, str]:
@@ -159,9 +170,9 @@ def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | Non
       The bytecode's number for the FFI targets; or None, and a sentence that says why there is no machine. The number
       is a content hash: cached executables stay valid across processes.
     """
-    source, *handlers = machine(dtype)
-    registered = build.register(source, tuple(handlers))
-    library, reason = build.load(source)
+    chosen = machine(dtype)
+    registered = register(chosen)
+    library, reason = build.load(chosen.source)
     if library is None or not registered:
         return None, reason
     if isinstance(bytecode, BlockBytecode):
@@ -172,7 +183,7 @@ def load(dtype: np.dtype, bytecode: Bytecode | BlockBytecode) -> tuple[int | Non
             np.zeros(0, np.int32),
             np.array([bytecode.num_registers, 0, 0, 0, 0, 0], np.int32),
         )
-    digest = hashlib.sha256(handlers[0].encode())
+    digest = hashlib.sha256(chosen.lanes_handler.encode())
     for array in (lanes.code, blocks, lanes.constants, layout):
         digest.update(len(array).to_bytes(8) + array.tobytes())
     number = int.from_bytes(digest.digest()[:7])
@@ -186,4 +197,4 @@ def _array(numbers: np.ndarray) -> tuple[ctypes.c_void_p, ctypes.c_int64]:
     return numbers.ctypes.data_as(ctypes.c_void_p), ctypes.c_int64(len(numbers))
 
 
-__all__ = ["Machine", "interpreted", "load", "machine"]
+__all__ = ["Machine", "interpreted", "load", "machine", "register"]

@@ -1,6 +1,7 @@
 // Splits each row of a matrix into pieces, one buffer per piece, through XLA's foreign function interface.
 //
-// splitting.py puts this text after threads.h.
+// machine.py puts this text after machine.cc: a library of its own would parse XLA's headers once more.
+// The macro REWAX_SPLIT_HANDLER is the handler's name.
 
 #include <cstring>
 #include <utility>
@@ -27,4 +28,4 @@ ffi::Error Split(ffi::AnyBuffer vectors, ffi::RemainingRets pieces) {
 
 }  // namespace
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(rewax_split_vector, Split, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(REWAX_SPLIT_HANDLER, Split, ffi::Ffi::Bind().Arg<ffi::AnyBuffer>().RemainingRets());

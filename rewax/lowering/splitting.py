@@ -3,19 +3,18 @@
 import itertools
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax.lowering import build
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call
+from rewax.lowering.machine import machine, register
 from rewax.types import Array
 
 _Shapes = tuple[tuple[int, ...], ...]
-_SOURCE = build.Source(
-    "split_vector", build.THREADS.read_text() + Path(__file__).with_suffix(".cc").read_text(), ("-O2",)
-)
+_TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 
 
 def split_vector(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
@@ -40,10 +39,13 @@ def _split(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
 
 def _split_in_cpp(shapes: _Shapes, nothing: Arrays, linear: Arrays) -> Arrays:
     (vector,) = linear
-    if not vector.size or build.is_off() or not build.register(_SOURCE, ("rewax_split_vector",)):
+    if not vector.size or vector.dtype not in _TYPES or build.is_off():
+        return _split(shapes, nothing, linear)
+    chosen = machine(vector.dtype)
+    if not register(chosen):
         return _split(shapes, nothing, linear)
     pieces = [jax.ShapeDtypeStruct((*vector.shape[:-1], *shape), vector.dtype) for shape in shapes]
-    return tuple(jax.ffi.ffi_call("rewax_split_vector", pieces)(vector))
+    return tuple(jax.ffi.ffi_call(chosen.split_handler, pieces)(vector))
 
 
 def _joined(shapes: _Shapes, nothing: Arrays, cotangents: Arrays) -> Arrays:

@@ -1,11 +1,11 @@
 """How the live page shows soft matter: the surface of a mesh, balls, or surfaces around particles."""
 
-import itertools
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 
+from rewax.viz.balls import ball
 from rewax.viz.colors import particle_colors
 from rewax.viz.recording import Recording, diameters
 from rewax.viz.surface import Surface, surfaces
@@ -153,26 +153,7 @@ def _in_frame(colors: np.ndarray, frame: int) -> np.ndarray:
     return colors if colors.ndim == 2 else colors[frame]
 
 
-def ball() -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of a unit sphere: an icosahedron with each face split into four."""
-    golden = 0.5 * (1.0 + 5.0**0.5)
-    corners = [np.roll([0.0, a, b * golden], shift) for shift in range(3) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
-    vertices = np.stack(corners) / np.hypot(1.0, golden)
-    edge = np.linalg.norm(vertices[:, None] - vertices, axis=-1).round(6)
-    near = edge == edge[edge > 0.0].min()
-    triangles = []
-    for i, j, k in itertools.combinations(range(len(vertices)), 3):
-        if near[i, j] and near[j, k] and near[i, k]:
-            a, b, c = vertices[[i, j, k]]
-            if np.linalg.det(np.stack([a, b, c])) < 0.0:
-                b, c = c, b
-            ab, bc, ca = (m / np.linalg.norm(m) for m in (a + b, b + c, c + a))
-            triangles += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    vertices, index = np.unique(np.round(np.reshape(triangles, (-1, 3)), 6), axis=0, return_inverse=True)
-    return vertices.astype(np.float32), index.reshape(-1, 3).astype(np.uint32)
-
-
 KINDS: dict[str, Callable[[Any, Recording], Matter]] = {"body": Body, "balls": Balls, "surface": Surfaces}
 
 
-__all__ = ["KINDS", "Balls", "Body", "Matter", "Surfaces", "ball"]
+__all__ = ["KINDS", "Balls", "Body", "Matter", "Surfaces"]

@@ -1,11 +1,12 @@
-"""Cloth and ropes as closed surfaces: sheets with two sides, ropes as tubes."""
+"""Cloth and ropes as closed surfaces: sheets with two sides, ropes as tubes, and balls for particles beside them."""
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 
-from rewax.viz.recording import Recording
+from rewax.viz.balls import ball
+from rewax.viz.recording import Recording, diameters
 
 _CORNERS = 8
 """Corners of a tube's section."""
@@ -28,7 +29,7 @@ class Skin(NamedTuple):
 
 
 def skinned(recording: Recording) -> Recording:
-    """The recording with closed surfaces in place of cloth and ropes; others are returned unchanged.
+    """The recording with closed surfaces in place of cloth, ropes and loose particles; others are returned unchanged.
 
     The back of cloth has a shade of its own: a material whose name ends with ``_2``.
     """
@@ -38,6 +39,9 @@ def skinned(recording: Recording) -> Recording:
     x, half = np.asarray(recording.particles, np.float64), 0.5 * recording.thickness
     skins = [] if recording.triangles is None else [sheet(x, np.asarray(recording.triangles), half)]
     skins += [tube(x, line, half) for line in lines(np.asarray(recording.segments))] if recording.has_segments else []
+    elements = [part for part in (recording.triangles, recording.segments) if part is not None and len(part)]
+    loose = np.setdiff1d(np.arange(x.shape[1]), np.concatenate([np.reshape(part, -1) for part in elements]))
+    skins += [balls(x, loose, 0.5 * diameters(recording))] if len(loose) else []
     starts = np.cumsum([0, *(skin.vertices.shape[1] for skin in skins[:-1])])
     owners, back = (np.concatenate([getattr(skin, name) for skin in skins]) for name in ("owners", "back"))
     names = tuple(recording.material_names) or ("cloth",)
@@ -122,6 +126,25 @@ def tube(x: np.ndarray, line: np.ndarray, radius: float) -> Skin:
     )
 
 
+def balls(x: np.ndarray, which: np.ndarray, radii: np.ndarray) -> Skin:
+    """A ball at each of some particles.
+
+    Args:
+      x: of all particles [m], shape (num_frames, num_particles, 3).
+      which: indices of the particles, shape (n,).
+      radii: of all particles [m], shape (num_particles,).
+    """
+    directions, triangles = ball()
+    count = len(directions)
+    vertices = x[:, which, None] + radii[which, None, None] * directions
+    return Skin(
+        vertices=vertices.reshape(len(x), -1, 3),
+        triangles=(triangles.astype(int) + count * np.arange(len(which))[:, None, None]).reshape(-1, 3),
+        owners=np.repeat(which, count),
+        back=np.zeros(len(which) * count, bool),
+    )
+
+
 def lines(segments: np.ndarray) -> list[np.ndarray]:
     """The polylines that segments form, as indices of their points in order; knots of nets and ends divide them."""
     left = {tuple(sorted(pair)) for pair in segments.tolist()}
@@ -149,4 +172,4 @@ def _unit(a: np.ndarray) -> np.ndarray:
     return a / np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-12)
 
 
-__all__ = ["Skin", "lines", "sheet", "skinned", "tube"]
+__all__ = ["Skin", "balls", "lines", "sheet", "skinned", "tube"]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import platform
 import signal
 import subprocess
 import sys
@@ -306,3 +307,27 @@ def test_a_second_ctrl_c_leaves_at_once(tmp_path):
     assert process.wait(timeout=60) == 130
     assert time.monotonic() - began < 20
     process.stdout.close()
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's mallopt")
+def test_freed_memory_is_kept():
+    program = """
+    import ctypes, resource
+    from rewax.cli.train import keep_freed_memory
+    c = ctypes.CDLL(None)
+    c.malloc.restype, size = ctypes.c_void_p, 40 * 2**20
+    def faults():
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        for _ in range(5):
+            block = ctypes.c_void_p(c.malloc(ctypes.c_size_t(size)))
+            c.memset(block, 1, ctypes.c_size_t(size))
+            c.free(block)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+    fresh = faults()
+    keep_freed_memory()
+    faults()  # the heap grows
+    print(fresh, faults())
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, check=True)
+    fresh, kept = map(int, done.stdout.split())
+    assert kept < 0.01 * fresh

@@ -6,15 +6,26 @@ import numpy as np
 import pytest
 from native_cases import NEEDS_COMPILER
 
-from rewax.lowering import build, splitting
+from rewax.lowering.machine import machine, register
 from rewax.lowering.splitting import split_vector
 
 SHAPES = [(2, 3), (), (0, 4), (5,)]
 
 
 @NEEDS_COMPILER
-def test_it_can_be_built():
-    assert build.register(splitting._SOURCE, ("rewax_split_vector",))
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_it_is_a_part_of_the_machine(dtype):
+    assert register(machine(np.dtype(dtype)))
+
+
+@NEEDS_COMPILER
+def test_other_types_and_compiled_programs_agree():
+    split = jax.jit(lambda vector: split_vector(vector, SHAPES))
+    for dtype, handler in ((jnp.float32, "rewax_split_float"), (jnp.int32, None)):
+        vector = jnp.arange(12).astype(dtype)
+        text = split.lower(vector).as_text()
+        assert ("rewax_split" in text) == (handler is not None) and (handler or "") in text
+        np.testing.assert_array_equal(np.concatenate([np.ravel(a) for a in split(vector)]), vector)
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])

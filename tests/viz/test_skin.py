@@ -6,7 +6,7 @@ import recordings
 
 from rewax.viz.player import write_player
 from rewax.viz.render import pictures
-from rewax.viz.skin import lines, sheet, skinned, tube
+from rewax.viz.skin import balls, lines, sheet, skinned, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 TRIANGLES = np.array([[0, 2, 1], [0, 3, 2]])
@@ -45,6 +45,15 @@ def test_a_tube_is_as_long_and_as_thick_as_its_line():
     np.testing.assert_allclose(np.linalg.norm(rings - bent[:, None], axis=-1), 0.01)
 
 
+def test_balls_are_round_and_lie_at_their_particles():
+    x = np.stack([SQUARE, SQUARE + 0.5])
+    skin = balls(x, np.array([1, 3]), np.array([0.0, 0.1, 0.0, 0.2]))
+    assert_closed(skin)
+    np.testing.assert_allclose(volume(skin), 4.0 / 3.0 * np.pi * (0.1**3 + 0.2**3), rtol=0.15)
+    away = np.linalg.norm(skin.vertices - x[:, skin.owners], axis=-1)
+    np.testing.assert_allclose(away, np.broadcast_to(0.1 * (skin.owners - 1) / 2 + 0.1, away.shape), rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("segments", "wanted"),
     [
@@ -81,6 +90,26 @@ def test_values_and_materials_are_those_of_the_owners():
     np.testing.assert_array_equal(skin.values["speed"][0], [0, 1, 2, 3, 0, 1, 2, 3, *[4] * 8, *[5] * 8, *[6] * 8, 4, 6])
     plain = recordings.cloud()
     assert skinned(plain) is plain
+
+
+def test_particles_beside_cloth_become_balls():
+    with_sand = cloth_and_rope()
+    added = np.concatenate([with_sand.particles, [[[0.5, 0.5, 0.5]], [[0.5, 0.4, 0.5]]]], axis=1)
+    with_sand = recordings.made(
+        2,
+        particles=added,
+        triangles=TRIANGLES,
+        thickness=0.1,
+        materials=np.array([0] * 4 + [1] * 4),
+        material_names=("cloth", "sand"),
+        values={"speed": np.arange(16.0).reshape(2, 8)},
+    )
+    skin = skinned(with_sand)
+    count = (skin.particles.shape[1] - 8) // 4
+    assert skin.material_names == ("cloth", "sand", "cloth_2")
+    np.testing.assert_array_equal(skin.materials, [0] * 4 + [2] * 4 + [1] * 4 * count)
+    np.testing.assert_allclose(skin.particles[:, -count:].mean(axis=1), added[:, -1], atol=1e-6)
+    np.testing.assert_array_equal(skin.values["speed"][1, -count:], 15.0)
 
 
 def test_pictures_and_the_player_show_it(tmp_path):

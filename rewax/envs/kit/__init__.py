@@ -9,6 +9,7 @@ from rewax.lazy import lazy_names
 
 if TYPE_CHECKING:
     from rewax.envs.kit.coupled_task import CoupledPhysics, CoupledTask
+    from rewax.envs.kit.mixed_task import MixedTask
     from rewax.envs.kit.point_cloud import PointCloud
     from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask
     from rewax.envs.kit.soft_parts import box_walls, dough, water
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     **dict.fromkeys(("CoupledPhysics", "CoupledTask"), "rewax.envs.kit.coupled_task"),
+    "MixedTask": "rewax.envs.kit.mixed_task",
     "PointCloud": "rewax.envs.kit.point_cloud",
     **dict.fromkeys(("RigidPhysics", "RigidTask"), "rewax.envs.kit.rigid_task"),
     **dict.fromkeys(("box_walls", "dough", "water"), "rewax.envs.kit.soft_parts"),
@@ -31,6 +33,6 @@ _HOMES = {
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 __all__ = [
-    "CoupledPhysics", "CoupledTask", "PointCloud", "ResetNoise", "RigidPhysics", "RigidTask", "SoftPhysics",
-    "SoftTask", "Task", "ThinTask", "box_walls", "dough", "no_noise", "reset_noise", "water",
+    "CoupledPhysics", "CoupledTask", "MixedTask", "PointCloud", "ResetNoise", "RigidPhysics", "RigidTask",
+    "SoftPhysics", "SoftTask", "Task", "ThinTask", "box_walls", "dough", "no_noise", "reset_noise", "water",
 ]  # fmt: skip

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.physics.coupling.mixed import MixedScene
 from rewax.physics.tets import TetScene
 from rewax.physics.thin import ThinScene
 
@@ -47,11 +48,18 @@ def _sizes(task: Any) -> list[str]:
         if isinstance(scene, TetScene):
             sizes = [f"{num} vertices", f"{np.shape(scene.tets)[-2]} tets"]
         elif isinstance(scene, ThinScene):
-            counts = {"triangles": len(scene.topology.triangles), "segments": len(scene.topology.segments)}
-            sizes = [f"{num} vertices", *(f"{count} {name}" for name, count in counts.items() if count)]
+            sizes = _thin_sizes(scene, num)
+        elif isinstance(scene, MixedScene):
+            vertices = np.shape(scene.thin.mass)[-1]
+            sizes = [f"{num - vertices} particles", *_thin_sizes(scene.thin, vertices)]
     if model is not None:
         sizes.append(f"{model.num_dofs} dofs")
     return [*sizes, f"{num_parameters(task)} parameters"]
+
+
+def _thin_sizes(scene: ThinScene, num: int) -> list[str]:
+    counts = {"triangles": len(scene.topology.triangles), "segments": len(scene.topology.segments)}
+    return [f"{num} vertices", *(f"{count} {name}" for name, count in counts.items() if count)]
 
 
 __all__ = ["num_parameters", "task_repr"]

@@ -1,6 +1,6 @@
 """Base of tasks on cloth and ropes, whose held vertices and grasps follow the joints."""
 
-from typing import Any, cast
+from typing import Any
 
 import jax
 import numpy as np
@@ -8,12 +8,12 @@ import numpy as np
 from rewax import struct
 from rewax.envs.kit.appearance import soft_appearance
 from rewax.envs.kit.checks import checked_poses
-from rewax.envs.kit.soft_body import Soft, soft_status
+from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_task import SoftPhysics, SoftTask
 from rewax.envs.kit.worlds import thin_world, with_tools
 from rewax.physics import thin
 from rewax.physics.numerics import Pose
-from rewax.physics.thin import ThinScene, ThinState
+from rewax.physics.thin import ThinScene
 from rewax.sensors.world import World
 from rewax.types import Array, Key
 
@@ -62,14 +62,33 @@ class ThinTask(SoftTask):
         del physics
         return self.joint_start
 
+    # --- What differs if there are particles, too ---
+
+    @property
+    def thin_scene(self) -> ThinScene:
+        """The scene of cloth and ropes."""
+        return self.scene
+
+    def opened(self, soft: Any, bodies: Pose) -> Any:
+        """The soft body at the beginning of an episode, whose grasps are open."""
+        return thin.open_grasps(self.scene, soft, bodies)
+
+    def vertices(self, physics: SoftPhysics) -> Array:
+        """Positions of the vertices [m], shape (num_vertices, 3)."""
+        return physics.soft.x
+
+    def stepped(self, scene: Any, soft: Any, poses: Pose, **driven: Any) -> tuple[Any, Array]:
+        """The soft body after the substeps between poses, and its status; ``driven`` are arguments of ``thin.step``."""
+        end = thin.step(scene, soft, poses, **driven)
+        return end, thin.check_status(scene, end, poses=poses)
+
     # --- The environment ---
 
     def begin(self, key: Key) -> tuple[SoftPhysics, Key]:
         physics, key = super().begin(key)
         joint_q = self.first_joints(physics)
         if self.scene.grasps:
-            opened = thin.open_grasps(self.scene, cast(ThinState, physics.soft), self._bodies(joint_q))
-            physics = physics.replace(soft=opened)
+            physics = physics.replace(soft=self.opened(physics.soft, self._bodies(joint_q)))
         return physics.replace(joint_q=joint_q), key
 
     @property
@@ -83,16 +102,18 @@ class ThinTask(SoftTask):
 
     def render_shapes(self, physics: SoftPhysics) -> list[dict[str, Any]]:
         """Drawings of the tools, and a ball at each held vertex and at each grasp."""
-        at = [physics.soft.x[i] for i in self.scene.topology.held.indices[:, 0]]
+        return [*super().render_shapes(physics), *self.holders(physics)]
+
+    def holders(self, physics: SoftPhysics) -> list[dict[str, Any]]:
+        """A ball at each held vertex and at each grasp."""
+        x = self.vertices(physics)
+        at = [x[i] for i in self.thin_scene.topology.held.indices[:, 0]]
         if self.scene.grasps:
             bodies = self._bodies(physics.joint_q)
             at += [
                 bodies.position[grasp.body] + bodies.rotation[grasp.body] @ grasp.offset for grasp in self.scene.grasps
             ]
-        balls = [
-            {"kind": "sphere", "center": center, "radius": 1.2 * self.thickness, "color": GRIPPER} for center in at
-        ]
-        return [*super().render_shapes(physics), *balls]
+        return [{"kind": "sphere", "center": center, "radius": 1.2 * self.thickness, "color": GRIPPER} for center in at]
 
     def world(self, physics: SoftPhysics, up: np.ndarray) -> World:
         del up
@@ -107,12 +128,11 @@ class ThinTask(SoftTask):
 
     def _driven(self, physics: SoftPhysics, action: Array, path: Array) -> tuple[Soft, Any, Array]:
         poses = checked_poses(self, self.poses(path), len(path))
-        scene, soft = self.actuated(action), physics.soft
-        assert isinstance(scene, ThinScene) and isinstance(soft, ThinState)
-        pins = self.pins(physics, path[1:]) if len(scene.topology.held) else None
-        grips = self.grips(path[1:]) if scene.grasps else None
-        end = thin.step(scene, soft, poses, pins=pins, grips=grips, store_every=self.store_every)
-        return end, None, soft_status(scene, end, start=soft, poses=poses)
+        pins = self.pins(physics, path[1:]) if len(self.thin_scene.topology.held) else None
+        grips = self.grips(path[1:]) if self.scene.grasps else None
+        driven = {"pins": pins, "grips": grips, "store_every": self.store_every}
+        soft, status = self.stepped(self.actuated(action), physics.soft, poses, **driven)
+        return soft, None, status
 
 
 __all__ = ["GRIPPER", "ThinTask"]

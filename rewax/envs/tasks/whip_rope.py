@@ -13,9 +13,9 @@ from rewax import struct
 from rewax.envs.kit.appearance import MARKER
 from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
+from rewax.envs.kit.set_points import Following
 from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_task import SoftPhysics
-from rewax.envs.kit.thin_task import ThinTask
 from rewax.physics import thin
 from rewax.sensors.camera import Camera
 from rewax.sensors.framing import overlooking
@@ -45,18 +45,17 @@ class Aim(struct.Replaceable):
 
 
 @struct.dataclass
-class WhipRope(ThinTask):
+class WhipRope(Following):
     """The task; ``rewax.make("WhipRope", scale=...)`` builds it.
 
     The joints are the position of the hand [m], which holds the first vertex. An action is a set point between the
-    limits of the joints. The hand moves towards it as a critically damped oscillator. So its velocity has no jumps,
-    which would send waves through the rope. ``joint_qd`` is its velocity [m/s]. ``physics.task`` is an ``Aim``.
+    limits of the joints. The hand follows it without jumps of its velocity, which would send waves through the rope.
+    ``physics.task`` is an ``Aim``.
 
     Attributes:
       distance, azimuth, elevation: range of the target around the start of the hand [m, rad], shape (2,); azimuth 0
         is along x, and elevation 0 is level.
       unit: how much nearer the free end has to come for a reward of 1 [m].
-      rate: angular frequency of the hand [rad/s].
       blur: distances that differ by less count alike in the smooth minimum [m].
     """
 
@@ -65,7 +64,6 @@ class WhipRope(ThinTask):
     elevation: Vector
     unit: Scalar
     blur: Scalar
-    rate: Scalar
 
     def start(self, positions: Array, key: Key) -> tuple[Soft, PyTree]:
         draws = [
@@ -79,20 +77,9 @@ class WhipRope(ThinTask):
         distance = _distance(positions[-1], target)
         return self.at_rest(positions), Aim(target=target, nearest=distance, soft_nearest=distance)
 
-    def advance(self, physics: SoftPhysics, action: Array) -> tuple[SoftPhysics, Array]:
-        """The hand moves as p* + (e + (v + rate e) t) exp(-rate t): p* the set point, e its offset, v its velocity.
-
-        Gradient: exact.
-        """
-        aim = self.joint_lower + 0.5 * (1.0 + action) * (self.joint_upper - self.joint_lower)
-        time = jnp.linspace(0.0, self.control_dt, self.num_substeps + 1, dtype=action.dtype)[:, None]
-        away, speed = physics.joint_q - aim, physics.joint_qd
-        approach = speed + self.rate * away
-        path = aim + (away + approach * time) * jnp.exp(-self.rate * time)
-        soft, felt, status = self._driven(physics, action, path)
-        last = (speed - self.rate * approach * self.control_dt) * jnp.exp(-self.rate * self.control_dt)
-        moved = physics.replace(soft=soft, joint_q=path[-1], joint_qd=last, action=action, felt=felt)
-        return moved, status
+    def set_point(self, physics: SoftPhysics, action: Array) -> Array:
+        del physics
+        return self.joint_lower + 0.5 * (1.0 + action) * (self.joint_upper - self.joint_lower)
 
     def pins(self, physics: SoftPhysics, joint_q: Array) -> Array:
         del physics

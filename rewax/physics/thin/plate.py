@@ -192,7 +192,7 @@ def _corners_of_patches(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
     first = np.argmax(found[:, :, None] == found[:, None, :], axis=2)
     is_first = first == np.arange(36)
     number = np.cumsum(is_first, axis=1) - 1
-    vertices = np.zeros((len(found), 17), int)
+    vertices = np.zeros((len(found), 17), np.int32)
     np.put_along_axis(vertices, np.where(is_first, number, 16), found, axis=1)
     return vertices[:, : 1 + number.max()], np.take_along_axis(number, first, axis=1)
 

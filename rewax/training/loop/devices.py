@@ -33,7 +33,8 @@ class Placement:
         if not self.shards(train_state):
             return train_state
         shardings = self.shardings(train_state)
-        if jax.process_count() == 1:
+        # On a CPU slices of NumPy arrays need no program, while `device_put` compiles one for each shape.
+        if jax.process_count() == 1 and jax.default_backend() != "cpu":
             return jax.device_put(train_state, shardings)
         return jax.tree.map(_own_part, train_state, shardings)
 

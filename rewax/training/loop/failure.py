@@ -116,18 +116,17 @@ class FiniteCheck:
     """
 
     def __init__(self, train_state: Any) -> None:
-        self._checked = [
-            _is_learnt(leaf) and _is_finite(on_one_device(leaf)) for leaf in jax.tree.leaves(train_state, is_leaf=_ends)
-        ]
-        self._all_finite = jax.jit(all_finite)
+        self._checked = [_is_learnt(leaf) and _is_finite(leaf) for leaf in jax.tree.leaves(train_state, is_leaf=_ends)]
+        # On a CPU NumPy reads the arrays in place. XLA would compile a program, and gather them on one device.
+        self._compiled = None if jax.default_backend() == "cpu" else jax.jit(all_finite)
 
     def first_bad(self, train_state: Any) -> str:
         """Name of the first leaf that is not finite, such as ``.critic_params['bias']``; empty if there is none."""
-        leaves = jax.tree.leaves(train_state, is_leaf=_ends)
-        if self._all_finite(on_one_device(list(itertools.compress(leaves, self._checked)))):
+        leaves = list(itertools.compress(jax.tree.leaves(train_state, is_leaf=_ends), self._checked))
+        if all(map(_is_finite, leaves)) if self._compiled is None else self._compiled(on_one_device(leaves)):
             return ""
         named = itertools.compress(jax.tree.leaves_with_path(train_state, is_leaf=_ends), self._checked)
-        return next(jax.tree_util.keystr(path) for path, leaf in named if not _is_finite(on_one_device(leaf)))
+        return next(jax.tree_util.keystr(path) for path, leaf in named if not _is_finite(leaf))
 
 
 def _ends(node: Any) -> bool:
@@ -141,7 +140,9 @@ def _is_learnt(leaf: Any) -> bool:
 
 
 def _is_finite(leaf: Any) -> bool:
-    return bool(np.all(np.isfinite(np.asarray(leaf, np.float64))))
+    if isinstance(leaf, jax.Array) and not (leaf.is_fully_addressable or leaf.is_fully_replicated):
+        leaf = leaf.addressable_data(0)  # this process's shard
+    return bool(np.all(np.isfinite(np.asarray(leaf))))
 
 
 def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:

@@ -2,6 +2,8 @@
 
 import contextlib
 import functools
+import importlib
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -102,9 +104,7 @@ def train(
         train_step, decisions = None, []
         if not config.over(int(train_state.iteration), int(train_state.env_steps)):
             with recorded() as decisions:
-                begin = functools.partial(
-                    programs.compile_in_background, on_one_device(train_state), _evaluation_key(config)
-                )
+                begin = functools.partial(_meanwhile, programs, train_state, config)
                 train_step = compile_train_step(agent, train_state, console, where, begin)
         if agent.consumes:
             programs.wait()  # the first iteration consumes the state that they are compiled with
@@ -118,6 +118,13 @@ def train(
             return run.finish(stop)
         finally:
             run.close()
+
+
+def _meanwhile(programs: Programs, train_state: Any, config: TrainConfig) -> None:
+    """Start threads that work while XLA compiles the train step: other programs, and a slow import."""
+    programs.compile_in_background(on_one_device(train_state), _evaluation_key(config))
+    if config.tensorboard:
+        threading.Thread(target=importlib.import_module, args=("tensorboardX",), daemon=True).start()
 
 
 def _kept(run_dir: str) -> str:

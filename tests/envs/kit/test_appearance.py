@@ -14,11 +14,11 @@ from rewax.viz.recording import Recording
 NAMES = {
     "RollingFlat": ("dough",), "HandFlip": ("dough",), "FluidMove": ("water",), "SteerFloat": ("elastic", "water"),
     "SoftJumper": ("elastic",), "SoftJumperMPM": ("muscle",), "GripperLift": ("elastic",), "WhipRope": ("rope",),
-    "CoverBox": ("cloth",), "FoldCloth": ("cloth",),
+    "CoverBox": ("cloth",), "FoldCloth": ("cloth",), "PourBag": ("cloth", "sand"),
 }  # fmt: skip
 FLOORS = {
     "RollingFlat": 0.0625, "FluidMove": 0.0625, "SteerFloat": 0.075, "SoftJumper": 0.0, "GripperLift": 0.08,
-    "WhipRope": 0.0, "CoverBox": 0.0, "FoldCloth": 0.0,
+    "WhipRope": 0.0, "CoverBox": 0.0, "FoldCloth": 0.0, "PourBag": 0.0,
 }  # fmt: skip
 
 
