@@ -107,7 +107,7 @@ class _Whole:
     def __call__(self, given: tuple[Any, ...], shared: Any, own: Any, fields: Any) -> Any:
         leaves, treedef = jax.tree.flatten(fields)
         stencil = isinstance(self.static, Stencil)
-        elements: Any = self.static if stencil else Listed(*given, self.static)
+        elements: Any = self.static if stencil else Listed(*given, num_vertices=self.num_vertices())
         flat = (stencils.gather if stencil else stencils.gather_listed)(elements, tuple(leaves))
         at = tuple(jax.tree.unflatten(treedef, flat[k : k + len(leaves)]) for k in range(0, len(flat), len(leaves)))
         results = self.function(shared, (own, at))
@@ -144,14 +144,16 @@ class _Slot:
 class _Inner(NamedTuple):
     """The program of one element, and where its arguments and results lie."""
 
+    whole: _Whole
     program: Program
     reads: tuple[_Read, ...]
 
 
 @functools.lru_cache(maxsize=1024)
 def _inner(program: Program, corners: int) -> _Inner:
-    whole = program.function
-    arguments = program.arguments(tuple(_Slot(k, -1) for k in range(len(program.varies))))
+    whole: Any = program.function
+    slots: Any = tuple(_Slot(k, -1) for k in range(len(program.varies)))
+    arguments = program.arguments(slots)
     _, shared, own, fields = arguments
     at = tuple(jax.tree.map(lambda s, k=k: _Slot(s.read.argument, k), fields) for k in range(corners))
     leaves, treedef = jax.tree.flatten((shared, (own, at)))
@@ -160,16 +162,16 @@ def _inner(program: Program, corners: int) -> _Inner:
     varies = tuple(program.varies[r.argument] for r in reads)
     perturbed = tuple(program.perturbed[r.argument] for r in reads) if program.perturbed else ()
     one = Program(program.rules, broadcast(whole.function), None, treedef, constants, varies, perturbed)
-    return _Inner(one, reads)
+    return _Inner(whole, one, reads)
 
 
 def _linear_reads(which: str, inner: _Inner, program: Program, num_linear: int, corners: int) -> list[_Read]:
     """The linear arguments of a rule of one element."""
-    count = len(program.varies)
+    count, whole = len(program.varies), inner.whole
     if which == "value":
         return []
     if which == "cotangent":
-        places = range(corners) if program.function.sums else (-1,)
+        places = range(corners) if whole.sums else (-1,)
         return [_Read(count + c, k) for k in places for c in range(num_linear)]
     rank = {k: count + i for i, k in enumerate(k for k, p in enumerate(program.perturbed) if p)}
     return [_Read(rank[r.argument], r.corner) for r in inner.reads if program.perturbed[r.argument]]
