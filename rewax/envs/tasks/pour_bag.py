@@ -123,10 +123,10 @@ def bag_height(x: np.ndarray) -> np.ndarray:
     return DEPTH * (np.maximum(outwards - BOTTOM, 0.0) / (1.0 - BOTTOM) - 1.0)
 
 
-def grains_in_bag(spacing: float, gap: float) -> np.ndarray:
-    """A lattice of points below the rim, at least ``gap`` [m] away from the cloth, shape (n, 3)."""
+def grains_in_bag(spacing: float, gap: float, top: float = 0.0) -> np.ndarray:
+    """A lattice of points below the height ``top``, at least ``gap`` [m] away from the cloth, shape (n, 3)."""
     half = np.arange(0.5 * spacing, 0.5 * WIDTH, spacing)
-    level, height = np.concatenate([-half[::-1], half]), np.arange(gap - DEPTH, 0.0, spacing)
+    level, height = np.concatenate([-half[::-1], half]), np.arange(gap - DEPTH, top, spacing)
     x = np.stack(np.meshgrid(level, height, level, indexing="ij"), axis=-1).reshape(-1, 3)
     slope = DEPTH / (0.5 * (1.0 - BOTTOM) * WIDTH)
     steep = gap * np.hypot(1.0, slope)  # vertical distance from a slope
@@ -181,13 +181,14 @@ def _pour_bag(
     cells: int,
     spacing: float,
     stiffness: float,
+    top: float,
     cloud: PointCloud,
     max_steps: int,
 ) -> PourBag:
     mesh, held = bag(cells)
     return PourBag(
         scene=bag_of_grains(steps.dt, mesh, held, spacing, stiffness),
-        rest_positions=np.concatenate([grains_in_bag(spacing, 0.9 * spacing), mesh.vertices]) + START,
+        rest_positions=np.concatenate([grains_in_bag(spacing, 0.9 * spacing, top), mesh.vertices]) + START,
         noise=reset_noise((-0.03, 0.0, -0.03), (0.03, 0.0, 0.03)),
         joint_start=(*START, WIDTH, 0.0),
         joint_lower=(-0.35, 0.36, -0.1, 0.6 * WIDTH, -0.3),
@@ -213,7 +214,8 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> PourBa
         cells=12,
         spacing=0.01,
         stiffness=51.0,
-        cloud=PointCloud(num_points=250, stride=3),
+        top=-0.02,
+        cloud=PointCloud(num_points=214, stride=3),
         max_steps=60,
     )
 
@@ -225,6 +227,7 @@ def small(*, dt: float | None = None, num_substeps: int | None = None) -> PourBa
         cells=6,
         spacing=0.0175,
         stiffness=88.0,
+        top=0.0,
         cloud=PointCloud(num_points=64, stride=2),
         max_steps=40,
     )

@@ -2,7 +2,7 @@
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import jax
@@ -33,7 +33,9 @@ metric.
 """
 
 
-def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., Evaluation]:
+def make_evaluate(
+    env: Env, policy: Policy, num_episodes: int, *, compiler_options: Mapping[str, Any] | None = None
+) -> Callable[..., Evaluation]:
     """Build a jitted ``evaluate(train_state, key, deterministic=False) -> Evaluation``.
 
     The ``num_episodes`` episodes run as one batch. Steps after the first end of an episode are ignored. The same key
@@ -43,6 +45,7 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
       env: unbatched environment.
       policy: ``policy(train_state, obs, key, deterministic=...) -> action`` for one environment.
       num_episodes: at least 1.
+      compiler_options: of ``jax.jit``.
 
     Returns:
       The function. Its result is a dict: ``mean``, ``std``, ``min`` and ``max`` of the undiscounted returns, shape ();
@@ -60,7 +63,7 @@ def make_evaluate(env: Env, policy: Policy, num_episodes: int) -> Callable[..., 
     _check_num_episodes(num_episodes)
     policy_at = with_step(policy)
 
-    @functools.partial(jax.jit, static_argnames="deterministic")
+    @functools.partial(jax.jit, static_argnames="deterministic", compiler_options=dict(compiler_options or {}) or None)
     def evaluate(train_state: PyTree, key: Key, deterministic: bool = False) -> Evaluation:
         def act(state: State, step: Array, key: Key) -> Array:
             return policy_at(train_state, state.obs, jax.random.fold_in(key, step), step, deterministic)

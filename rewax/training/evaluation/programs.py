@@ -4,6 +4,7 @@ import contextlib
 import functools
 import importlib
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -28,11 +29,15 @@ class Programs:
       env: unbatched environment.
       policy: ``Agent.policy``.
       config: report configuration of the run.
+      compiler_options: of ``jax.jit`` for the evaluation.
     """
 
-    def __init__(self, env: Env, policy: Policy, config: ReportConfig) -> None:
+    def __init__(
+        self, env: Env, policy: Policy, config: ReportConfig, compiler_options: Mapping[str, Any] | None = None
+    ) -> None:
         self._env, self._policy, self._config = env, policy, config
-        self._evaluate = make_evaluate(env, any_of(env, policy), config.num_eval_episodes)
+        modes = any_of(env, policy)
+        self._evaluate = make_evaluate(env, modes, config.num_eval_episodes, compiler_options=compiler_options)
         self._evaluates, self._thread = threading.Event(), None
         self._evaluates.set()
 

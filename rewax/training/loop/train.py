@@ -16,7 +16,7 @@ from rewax.envs.base import Env
 from rewax.lowering.report import recorded
 from rewax.training.config import ReportConfig, TrainConfig
 from rewax.training.evaluation.programs import Programs
-from rewax.training.loop.compilation import compile_train_step
+from rewax.training.loop.compilation import compile_train_step, compiler_options
 from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, placement
 from rewax.training.loop.hosts import Leader, follow, leads, received
 from rewax.training.loop.interrupt import graceful_stop
@@ -99,7 +99,7 @@ def train(
         stop.before_exit = leave_nothing
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
-        programs = Programs(env, agent.policy, config)
+        programs = Programs(env, agent.policy, config, compiler_options(agent))
         train_state, open_run = prepared(agent, env, config, describe, console, where, leader, programs)
         train_step, decisions = None, []
         if not config.over(int(train_state.iteration), int(train_state.env_steps)):
@@ -185,7 +185,8 @@ def prepared(
         schedule = continued(stored, int(train_state.iteration), config)
         write_config(run_dir, {**description, "schedule": schedule})
         write_environment(run_dir)
-        key, known = _evaluation_key(config), programs or Programs(env, agent.policy, config)
+        key = _evaluation_key(config)
+        known = programs or Programs(env, agent.policy, config, compiler_options(agent))
         run = Run(agent, env, known, config, run_dir, key, train_state, console, leader)
         run.report_lost_rows(schedule)
         return run
