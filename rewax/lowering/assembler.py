@@ -42,6 +42,8 @@ class BlockBytecode(NamedTuple):
     """For each input: index of the argument, index of the row, number of rows, bytes per number."""
     outputs: tuple[tuple[int, int, int, int], ...]
     """The same for each row of the results that are not summed."""
+    operands: tuple[int, ...]
+    """Indices of the arguments that it reads; the indices of ``inputs`` and of ``shared`` count these alone."""
 
     @property
     def layout(self) -> np.ndarray:
@@ -303,7 +305,8 @@ class _Blocks:
         shared = sorted(
             {o for s in steps for o in s.operands if operations[o].shared} | {i for i in kept if operations[i].shared}
         )
-        program, registers = _lane_bytecode(self.listing, [shared], self.types, tuple(range(len(self.types))))
+        read = tuple(sorted({operations[i].constant[0] for i in self.needed if operations[i].name == "input"}))
+        program, registers = _lane_bytecode(self.listing, [shared], self.types, read)
         self.locations |= {i: ("shared", k) for k, i in enumerate(shared)}
         self.locations |= {i: ("input", k) for k, i in enumerate(self.inputs) if operations[i].kind == "f"}
         num_registers = self.locate_steps(steps)
@@ -315,8 +318,7 @@ class _Blocks:
         ]
         return BlockBytecode(
             program, _in_runs(rows), num_registers, len(self.sums), tuple(registers[i] for i in shared),
-            tuple((*operations[i].constant, self.rows[operations[i].constant[0]], self.bytes(i)) for i in self.inputs),
-            tuple(outputs),
+            tuple(self.row(i, read) for i in self.inputs), tuple(outputs), read,
         )  # fmt: skip
 
     def summed_products(self) -> list[_Step]:
@@ -366,6 +368,11 @@ class _Blocks:
         instruction = ("copy", "f") if self.operations[i].kind == "f" else "store_bool"
         self.code += [(instruction, (("output", k), self.locations[i])) for k in outputs]
         self.code += [("sum", (("number", k), self.locations[i])) for k in sums]
+
+    def row(self, i: int, read: tuple[int, ...]) -> tuple[int, int, int, int]:
+        """Where an input lies, see ``BlockBytecode.inputs``."""
+        argument, offset = self.operations[i].constant
+        return read.index(argument), offset, self.rows[argument], self.bytes(i)
 
     def conversion(self, i: int) -> str:
         return f"convert_{_type_name(self.types[self.operations[i].constant[0]])}"

@@ -59,28 +59,32 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
     def call(shared: S, elements: P) -> T:
         if not build.is_available():
             return function(shared, elements)
-        dtype = _common_type(elements)
+        dtype = common_type(elements)
         if dtype is None:
             if jax.default_backend() == "cpu":
                 report.note(function, "value", "its elements are not arrays of one length and one floating type")
             return function(shared, elements)
-        # As arrays: a Python float would be static, and every value would need its own program.
-        shared = jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
+        shared = as_arrays(shared, dtype)
         first, *_ = split_arguments(shared)
         arrays, treedef, constants = split_arguments((shared, elements))
         varies = tuple(k >= len(first) for k in range(len(arrays)))
-        return run_program(Program(POINTWISE, _broadcast(function), None, treedef, constants, varies), arrays)
+        return run_program(Program(POINTWISE, broadcast(function), None, treedef, constants, varies), arrays)
 
     return call
 
 
-def _common_type(elements: Any) -> Any:
+def common_type(elements: Any) -> Any:
     """The floating type of elements; None unless they have one floating type and one length."""
     leaves = jax.tree.leaves(elements)
     if not all(isinstance(a, (jax.Array, np.ndarray)) and a.ndim for a in leaves):
         return None
     types = {a.dtype for a in leaves if jnp.issubdtype(a.dtype, jnp.floating)}
     return types.pop() if len(types) == 1 and len({a.shape[-1] for a in leaves}) == 1 else None
+
+
+def as_arrays(shared: S, dtype: Any) -> S:
+    """Shared values with their floats as arrays: a static float would need a program for every value."""
+    return jax.tree.map(lambda a: jnp.asarray(a, dtype) if _adapts(a) else a, shared)
 
 
 def separated(parameters: T) -> tuple[T, T]:
@@ -112,10 +116,12 @@ class _Target(NamedTuple):
     number: int
     outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
     """Shape and type of each result for one element, and whether it is summed over elements."""
+    operands: tuple[int, ...]
+    """Indices of the arguments that it reads. XLA need not compute the others."""
 
 
 @functools.lru_cache(maxsize=1024)
-def _broadcast(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+def broadcast(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """The function with its results broadcast to the number of elements."""
 
     @functools.wraps(function)
@@ -141,17 +147,18 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         return _with_jax(which, program, arrays, linear)
     count = next(o.array.shape[-1] for o in operands if o.varies)
     batch = batch_shape(operands)
-    blocks, block = _blocks(count)
+    blocks, block = blocks_of(count)
     sums = [(s, dtype) for s, dtype, summed in target.outputs if summed]
     own = [(s, dtype) for s, dtype, summed in target.outputs if not summed]
     shapes = [jax.ShapeDtypeStruct((*batch, *s[:-1], count), dtype) for s, dtype in own]
     if sums:
         shapes.append(jax.ShapeDtypeStruct((*batch, blocks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
-    sizes = np.asarray([math.prod(batch), count, blocks, block, *(o.step for o in operands)], np.int64)
+    used = [operands[k] for k in target.operands]
+    sizes = np.asarray([math.prod(batch), count, blocks, block, *(o.step for o in used)], np.int64)
     call = jax.ffi.ffi_call(target.handler, shapes)
-    found = call(*(o.laid_out(batch) for o in operands), number=np.int64(target.number), sizes=sizes)
+    found = call(*(o.laid_out(batch) for o in used), number=np.int64(target.number), sizes=sizes)
     mine = iter(found)
-    total = iter(_split(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
+    total = iter(split_sums(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
     return tuple(next(total) if summed else next(mine) for _, _, summed in target.outputs)
 
 
@@ -163,16 +170,16 @@ def _with_jax(which: str, program: Program, arrays: Arrays, linear: Arrays) -> A
     return getattr(RECOMPUTED, which)(program, arrays, linear)
 
 
-def _split(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+def split_sums(numbers: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
     """Splits the last axis into consecutive arrays of the given shapes."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = jnp.split(numbers, ends[:-1], axis=-1)
     return [part.reshape(*part.shape[:-1], *shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def _blocks(count: int) -> tuple[int, int]:
+def blocks_of(count: int, largest: int = _BLOCK) -> tuple[int, int]:
     """Number of blocks, of about equal size, and number of elements per block."""
-    block = -(-count // max(-(-count // _BLOCK), 1))
+    block = -(-count // max(-(-count // largest), 1))
     block = -(-max(block, 1) // _ALIGNMENT) * _ALIGNMENT
     return -(-count // block), block
 
@@ -206,4 +213,4 @@ def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
     except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
     number, reason = load(dtype, bytecode)
-    return reason if number is None else _Target(machine(dtype).blocks_handler, number, outputs)
+    return reason if number is None else _Target(machine(dtype).blocks_handler, number, outputs, bytecode.operands)

@@ -108,10 +108,6 @@ X Pow(X a, X b) {
   REWAX_LANES(X, std::pow(a[l], b[l]));
 }
 template <typename X>
-X Atan2(X a, X b) {
-  REWAX_LANES(X, std::atan2(a[l], b[l]));
-}
-template <typename X>
 auto IsFinite(X a) {
   return Abs(a) < Full<X>(kInfinity);
 }
@@ -195,6 +191,35 @@ X SineOrCosine(X a, int quarters) {
     for (int l = 0; l < kSize<X>; ++l) value[l] = std::fabs(a[l]) > 8192 ? precise(a[l]) : value[l];
   }
   return value;
+}
+// Arc tangent of a / b in the quadrant of the point (b, a), with the polynomial of Cephes for |t| < tan(pi / 8).
+template <typename X>
+X Atan2(X a, X b) {
+  if constexpr (sizeof(T) == 8) {
+    REWAX_LANES(X, std::atan2(a[l], b[l]));
+  } else {
+    typedef decltype(X{} < X{}) I;
+    const I sign = I{} + static_cast<int32_t>(0x80000000);
+    const X p = (X)((I)a & ~sign), q = (X)((I)b & ~sign);  // absolute values
+    X low = p < q ? p : q, high = p < q ? q : p;
+    const auto large = high > 1e38f;  // sums must not overflow
+    low = large ? low * 0.25f : low;
+    high = large ? high * 0.25f : high;
+    const auto steep = (low > 0.4142135623730950f * high) | (low == Full<X>(kInfinity));
+    const X top = steep ? low - high : low, bottom = steep ? low + high : high;
+    const X t = (low == high) | (low == 0.0f) ? X{} : top / bottom;
+    const X z = t * t;
+    X y = Full<X>(8.05374449538e-2f);
+    y = y * z - 1.38776856032e-1f;
+    y = y * z + 1.99777106478e-1f;
+    y = y * z - 3.33329491539e-1f;
+    y = y * z * t + t;
+    y = (low == high) & (low == 0.0f) ? X{} : steep ? y + 0.785398163397448310f : y;
+    y = p > q ? 1.57079632679489662f - y : y;
+    y = ((I)b & sign) != 0 ? 3.14159265358979324f - y : y;
+    y = (X)((I)y | ((I)a & sign));
+    return (a != a) | (b != b) ? a + b : y;
+  }
 }
 template <typename X>
 X Sin(X a) {

@@ -228,42 +228,57 @@ struct Block {
   void* const* results;
   const int64_t* steps;
   int64_t count, batch_element, begin, end;
+  const Corners* corners;  // null unless the elements are those of a mesh
 
   char* Address(const Row& row, const void* array, int64_t step) const {
     return static_cast<char*>(const_cast<void*>(array)) + (batch_element * step + row.row * count + begin) * row.bytes;
   }
+  int64_t Read(const Row& row) const { return corners ? corners->reads[row.array] : -1; }
+  int64_t ResultOf(const Row& row) const { return corners ? corners->outputs[row.array] : row.array; }
 
   void Evaluate(T* sums) const {
     const int64_t size = end - begin, vectors = (size + kLanes - 1) / kLanes;
     const bool full = size % kLanes == 0;
     const size_t registers = static_cast<size_t>(program.blocks.num_registers);
     const size_t num_sums = static_cast<size_t>(program.num_sums), length = static_cast<size_t>(vectors);
-    // If the last vector is not full, rows are copied. Their numbers have at most eight bytes.
-    const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T));
-    const size_t num_copies = full ? 0 : num_rows * row_size;
+    // If the last vector is not full, rows are copied. Their numbers have at most eight bytes. Values at corners have
+    // rows of their own, which are filled by four numbers at a time.
+    const size_t num_rows = program.inputs.size() + program.outputs.size(), row_size = length * (8 / sizeof(T)) + 2;
+    const size_t num_copies = full && !corners ? 0 : (num_rows + 1) * row_size;
     const size_t num_addresses = registers + program.shared.size() + num_rows;
     V* const memory = Scratch(registers * length + num_copies + num_sums + num_addresses * sizeof(T*) / sizeof(V) + 1);
     V* copies = memory + registers * length;
     V* const totals = copies + num_copies;
     T** const addresses = reinterpret_cast<T**>(totals + num_sums);
     std::fill(totals, totals + num_sums, V{});
+    std::vector<T*> read, written;
+    T* const unwanted = reinterpret_cast<T*>(copies);
+    if (corners) {
+      copies += row_size;
+      read.resize(static_cast<size_t>(4 * corners->num_corners * corners->read_quads));
+      written.resize(static_cast<size_t>(4 * corners->num_corners * corners->written_quads));
+    }
 
     T** address = addresses;
     for (size_t k = 0; k < registers; ++k) *address++ = reinterpret_cast<T*>(memory + k * length);
     for (int32_t k : program.shared) *address++ = const_cast<T*>(shared + k * kLanes);
     for (const Row& row : program.inputs) {
-      char* from = Address(row, operands[row.array], steps[row.array]);
-      if (!full) {
-        from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
-        copies += row_size;
-      }
+      const int64_t at_corner = Read(row);
+      char* from = reinterpret_cast<char*>(copies);
+      if (at_corner < 0) from = Address(row, operands[row.array], steps[row.array]);
+      if (at_corner >= 0) read[static_cast<size_t>(at_corner)] = reinterpret_cast<T*>(from);
+      else if (!full) from = Repeated(from, reinterpret_cast<char*>(copies), row.bytes, size, vectors * kLanes);
+      if (at_corner >= 0 || !full) copies += row_size;
       *address++ = reinterpret_cast<T*>(from);
     }
     T** const first_output = address;
     for (const Row& row : program.outputs) {
-      char* const to = full ? Address(row, results[row.array], row.rows * count) : reinterpret_cast<char*>(copies);
+      const int64_t result = ResultOf(row);
+      const bool direct = full && result >= 0;
+      char* const to = direct ? Address(row, results[result], row.rows * count) : reinterpret_cast<char*>(copies);
+      if (result < 0) written[static_cast<size_t>(-1 - result)] = reinterpret_cast<T*>(to);
       *address++ = reinterpret_cast<T*>(to);
-      if (!full) copies += row_size;
+      if (!direct) copies += row_size;
     }
 
     Frame f{};
@@ -271,11 +286,15 @@ struct Block {
     f.sums = totals;
     f.vectors = static_cast<int>(vectors);
     f.left = static_cast<int>(size - (vectors - 1) * kLanes);
+    if (corners) corners->Gather(read.data(), unwanted, begin, size, vectors * kLanes);
     Run<true>(program.blocks, f);
+    if (corners) corners->Write(written.data(), unwanted, begin, size);
     address = first_output;
     for (const Row& row : program.outputs) {
-      if (full) break;
-      std::memcpy(Address(row, results[row.array], row.rows * count), *address++, static_cast<size_t>(size * row.bytes));
+      const T* const from = *address++;
+      const int64_t result = ResultOf(row);
+      if (full || result < 0) continue;
+      std::memcpy(Address(row, results[result], row.rows * count), from, static_cast<size_t>(size * row.bytes));
     }
     for (size_t k = 0; k < num_sums; ++k) sums[k] = Total(totals[k]);
   }
@@ -289,6 +308,30 @@ struct Block {
   }
 };
 
+// The values that all elements of a batch element share.
+struct SharedValues {
+  int64_t registers;
+  std::vector<T> memory;
+  T* aligned;
+
+  SharedValues(const Program& program, const void* const* operands, const int64_t* steps, int64_t batch)
+      : registers(program.lanes.num_registers * kLanes), memory(static_cast<size_t>(batch * registers + kLanes)) {
+    const auto address = reinterpret_cast<uintptr_t>(memory.data());
+    aligned = reinterpret_cast<T*>((address + sizeof(V) - 1) / sizeof(V) * sizeof(V));
+    for (int64_t batch_element = 0; batch_element < batch; ++batch_element) {
+      Frame f{};
+      f.registers = aligned + batch_element * registers;
+      f.constants = program.lanes.constants.data();
+      f.operands = operands;
+      f.steps = steps;
+      f.first = batch_element;
+      f.count = 1;
+      Run<false>(program.lanes, f);
+    }
+  }
+  const T* Of(int64_t batch_element) const { return aligned + batch_element * registers; }
+};
+
 ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, int64_t number,
                      ffi::Span<const int64_t> sizes) {
   const auto program = Find(number);
@@ -298,26 +341,13 @@ ffi::Error RunBlocks(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::Remaini
   const auto &results = buffers.results;
   const int64_t batch = sizes[0], count = sizes[1], blocks = sizes[2], block = sizes[3];
   const int64_t* const steps = sizes.begin() + 4;
-  const int64_t registers = program->lanes.num_registers * kLanes;
-  std::vector<T> shared(static_cast<size_t>(batch * registers + kLanes));
-  const auto address = reinterpret_cast<uintptr_t>(shared.data());
-  T* const aligned = reinterpret_cast<T*>((address + sizeof(V) - 1) / sizeof(V) * sizeof(V));
-  for (int64_t batch_element = 0; batch_element < batch; ++batch_element) {
-    Frame f{};
-    f.registers = aligned + batch_element * registers;
-    f.constants = program->lanes.constants.data();
-    f.operands = operands.data();
-    f.steps = steps;
-    f.first = batch_element;
-    f.count = 1;
-    Run<false>(program->lanes, f);
-  }
+  const SharedValues shared(*program, operands.data(), steps, batch);
   ForEach(pool, batch * blocks, [&](int64_t task) {
     const int64_t batch_element = task / blocks, begin = task % blocks * block;
     T* const sums = program->num_sums ? static_cast<T*>(results.back()) + task * program->num_sums : nullptr;
     const int64_t end = std::min(begin + block, count);
-    const T* const own = aligned + batch_element * registers;
-    Block{*program, own, operands.data(), results.data(), steps, count, batch_element, begin, end}.Evaluate(sums);
+    Block{*program, shared.Of(batch_element), operands.data(), results.data(), steps, count, batch_element, begin, end,
+          nullptr}.Evaluate(sums);
   });
   return ffi::Error::Success();
 }

@@ -126,6 +126,8 @@ class Machine(NamedTuple):
     """Name of the FFI target for ``Bytecode``."""
     blocks_handler: str
     """Name of the FFI target for ``BlockBytecode``."""
+    assembled_handler: str
+    """Name of the FFI target for ``BlockBytecode`` on the elements of a mesh, see ``assembled``."""
     split_handler: str
     """Name of the FFI target that splits vectors (``splitting``)."""
 
@@ -134,7 +136,8 @@ class Machine(NamedTuple):
 def machine(dtype: np.dtype) -> Machine:
     """The machine of a floating type, float32 or float64."""
     kind = {"float32": "float", "float64": "double"}[dtype.name]
-    lanes, blocks, split = (f"rewax_{what}_{kind}" for what in ("lanes", "blocks", "split"))
+    names = ("lanes", "blocks", "assembled", "split")
+    lanes, blocks, assembled, split = (f"rewax_{name}_{kind}" for name in names)
     named = {name: "".join(part.capitalize() for part in name.split("_")) for name in SPECIAL}
     escaped = cases().replace("\n", " \\\n")
     parts = (
@@ -143,12 +146,15 @@ def machine(dtype: np.dtype) -> Machine:
         _HEADER.read_text(),
         f"enum {{ {', '.join(f'k{named[name]} = {NUMBERS[name]}' for name in SPECIAL)} }};",
         f"#define REWAX_LANES_HANDLER {lanes}\n#define REWAX_BLOCKS_HANDLER {blocks}",
+        f"#define REWAX_ASSEMBLED_HANDLER {assembled}",
         f"#define REWAX_SPLIT_HANDLER {split}",
         f"#define REWAX_CASES \\\n{escaped}\n",
+        Path(__file__).with_name("corners.h").read_text(),
         Path(__file__).with_suffix(".cc").read_text(),
+        Path(__file__).with_name("assembled.cc").read_text(),
         Path(__file__).with_name("splitting.cc").read_text(),
     )
-    return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks, split)
+    return Machine(build.Source("machine", "\n".join(parts), ("-O2",)), lanes, blocks, assembled, split)
 
 
 def register(chosen: Machine) -> bool:

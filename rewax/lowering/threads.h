@@ -13,6 +13,14 @@ namespace ffi = xla::ffi;
 
 namespace {
 
+constexpr int kSpins = 1000;
+
+inline void Pause() {
+#if defined(__x86_64__)
+  __builtin_ia32_pause();
+#endif
+}
+
 // Runs task(0), ..., task(count - 1). The caller works too, so a pool whose threads are all busy cannot block it.
 template <typename Task>
 void ForEach(ffi::ThreadPool& pool, int64_t count, const Task& task) {
@@ -39,6 +47,8 @@ void ForEach(ffi::ThreadPool& pool, int64_t count, const Task& task) {
   };
   for (int64_t i = 0; i < helpers; ++i) pool.Schedule(decltype(work)(work));
   work();
+  // Others are often about to finish: to sleep and to be woken would take longer.
+  for (int spin = 0; spin < kSpins && shared->done.load() != count; ++spin) Pause();
   std::unique_lock<std::mutex> lock(shared->mutex);
   shared->all.wait(lock, [&] { return shared->done.load() == count; });
 }

@@ -234,7 +234,7 @@ def test_laws_are_not_kept_for_ever():
         def law(shared, elements):
             return elements
 
-        module._broadcast(law)
+        module.broadcast(law)
         return weakref.ref(law)
 
     first = define()

@@ -40,6 +40,20 @@ def test_numbers_are_those_of_jax(name):
 
 
 @NEEDS_COMPILER
+def test_arc_tangents_of_all_quadrants_and_extreme_points():
+    draw = np.random.default_rng(0)
+    some = np.r_[NUMBERS, -1.0, 3e38, -2e38, 1e38, 1e-37, draw.normal(size=20), 10.0 ** draw.uniform(-30, 30, 20)]
+    a, b = (c.ravel().astype(np.float32) for c in np.meshgrid(some, some))
+    found = np.asarray(pointwise(lambda shared, given: jnp.arctan2(*given))(None, (jnp.asarray(a), jnp.asarray(b))))
+    expected = np.arctan2(a.astype(float), b.astype(float))
+    seen = np.abs(expected) > 1e-37  # smaller numbers may be flushed to zero
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+    np.testing.assert_array_equal(np.signbit(found[~np.isnan(found)]), np.signbit(expected[~np.isnan(found)]))
+    error = np.abs(found.astype(float) - expected) / np.spacing(np.abs(expected).astype(np.float32))
+    assert np.nanmax(error[seen]) < 3.0
+
+
+@NEEDS_COMPILER
 def test_the_derivatives_of_a_law_with_a_tangent_run_in_cpp():
     def law(shared, a):
         return jnp.tan(shared * a)

@@ -10,7 +10,7 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import elements
 from rewax.physics.thin.materials import BendingLaw
 from rewax.physics.thin.plate import patch, plate_energy, plate_moment, plate_stiffness
-from rewax.physics.thin.stencils import corners, gather, scatter, sum_corners
+from rewax.physics.thin.stencils import corners, gather
 from rewax.physics.thin.unfolded import hinge_sizes, unfolded
 from rewax.types import Array
 
@@ -22,12 +22,11 @@ def bending_forces(scene: "ThinScene", x: Vec3, v: Vec3) -> Vec3:
     """Forces of bending on the vertices [N], by components. Gradient: exact."""
     hinges, rest, cloth = scene.topology.hinges, scene.rest, scene.cloth
     assert cloth is not None
-    now, damping = (corners(hinges, x), corners(hinges, v)), jnp.max(cloth.damping)
+    damping = jnp.max(cloth.damping)
     if scene.bending_law is BendingLaw.HINGES:
-        each = elements.hinge_force(cloth.bending, damping, *now, rest.angle, rest.hinge_weight)
-        return scatter(hinges, each)
-    turned = elements.hinge_turn(damping, *now, rest.angle)
-    return scatter(hinges, elements.hinge_pull(now[0], hinge_moments(scene, turned)))
+        return elements.hinge_force(cloth.bending, damping, hinges, x, v, rest.angle, rest.hinge_weight)
+    turned = elements.hinge_turn(damping, hinges, x, v, rest.angle)
+    return elements.hinge_pull(hinges, x, hinge_moments(scene, turned))
 
 
 def hinge_moments(scene: "ThinScene", turned: Array) -> Array:
@@ -38,9 +37,7 @@ def hinge_moments(scene: "ThinScene", turned: Array) -> Array:
     if scene.bending_law is BendingLaw.HINGES:
         return cloth.bending * rest.hinge_weight * turned
     assert rest.plate is not None
-    around = patch(scene.topology)
-    moments = plate_moment(cloth.bending, cloth.bending_ratio, rest.plate, gather(around, turned))
-    return sum_corners(around, moments)
+    return plate_moment(cloth.bending, cloth.bending_ratio, rest.plate, patch(scene.topology), turned)
 
 
 def bending_energy(scene: "ThinScene", x: Vec3) -> Array:

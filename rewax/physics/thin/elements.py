@@ -11,15 +11,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rewax.lowering.kernels import joined, pointwise, separated
+from rewax.lowering.assembled import assembled, at_elements
+from rewax.lowering.kernels import joined, separated
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin.materials import Cloth, MembraneLaw, Rope
+from rewax.physics.thin.stencils import Stencil
 from rewax.types import Array, Scalar
 
 Corners = tuple[Vec3, ...]
 Strain = tuple[Array, Array, Array]
 Inverse = tuple[Array, Array, Array, Array]
+At = tuple[tuple[Vec3, Vec3], ...]
+"""Positions and velocities at the corners of elements."""
 
 
 # --- Strains ----------------------------------------------------------------------------------------------------------
@@ -106,19 +110,21 @@ def square_area_ratio(strain: Strain) -> Array:
 # --- Forces -----------------------------------------------------------------------------------------------------------
 
 
-def membrane_force(cloth: Cloth, law: MembraneLaw, x: Corners, v: Corners, inverse: Inverse, area: Array) -> Corners:
-    """Forces of the membrane on the corners of triangles [N]. Gradient: exact."""
+def membrane_force(
+    cloth: Cloth, law: MembraneLaw, triangles: Stencil, x: Vec3, v: Vec3, inverse: Inverse, area: Array
+) -> Vec3:
+    """Forces of the membrane on the vertices [N]. Gradient: exact."""
     shared, own = separated(cloth.replace(bending=None, bending_ratio=None, yield_curvature=None))
-    return _membrane(law)(shared, (own, x, v, inverse, area))
+    return _membrane(law)(triangles, shared, (own, inverse, area), (x, v))
 
 
 @functools.cache
-def _membrane(law: MembraneLaw) -> Callable[[Any, Any], Corners]:
-    @pointwise
-    def membrane(shared: Cloth, given: tuple[Cloth, Corners, Corners, Inverse, Array]) -> Corners:
-        own, x, v, inverse, area = given
+def _membrane(law: MembraneLaw) -> Callable[[Any, Any, Any, Any], Vec3]:
+    @assembled
+    def membrane(shared: Cloth, given: tuple[tuple[Cloth, Inverse, Array], At]) -> Corners:
+        (own, inverse, area), at = given
         cloth = joined(shared, own)
-        strain, rate, pull = _linearized(lambda x: green_strain(x, inverse), x, v)
+        strain, rate, pull = _linearized(lambda x: green_strain(x, inverse), *_split(at))
         elastic = membrane_stress(strain, cloth, law)
         viscous = membrane_stress(rate, cloth, MembraneLaw.SAINT_VENANT_KIRCHHOFF)
         return pull(cp.vector(lambda i: -area * (elastic[i] + cloth.damping * viscous[i])))
@@ -126,74 +132,81 @@ def _membrane(law: MembraneLaw) -> Callable[[Any, Any], Corners]:
     return membrane
 
 
-def hinge_force(stiffness: Scalar, damping: Scalar, x: Corners, v: Corners, angle: Array, weight: Array) -> Corners:
-    """Forces of bending on the corners of hinges [N]: energy stiffness weight (theta - angle)^2 / 2. Gradient: exact.
+def hinge_force(
+    stiffness: Scalar, damping: Scalar, hinges: Stencil, x: Vec3, v: Vec3, angle: Array, weight: Array
+) -> Vec3:
+    """Forces of bending on the vertices [N]: energy stiffness weight (theta - angle)^2 / 2. Gradient: exact.
 
     Source: Grinspun et al. 2003, "Discrete shells", with weight |e|^2 / (A_1 + A_2): for it ``stiffness`` is the
       flexural rigidity of cylinders along the lines of a rectangular sheet.
     """
     shared, own = separated((stiffness, damping))
-    return _hinge(shared, (own, x, v, angle, weight))
+    return _hinge(hinges, shared, (own, angle, weight), (x, v))
 
 
-@pointwise
-def _hinge(shared: Any, given: tuple[Any, Corners, Corners, Array, Array]) -> Corners:
-    own, x, v, angle, weight = given
+@assembled
+def _hinge(shared: Any, given: tuple[tuple[Any, Array, Array], At]) -> Corners:
+    (own, angle, weight), at = given
     stiffness, damping = joined(shared, own)
-    theta, rate, pull = _linearized(hinge_angle, x, v)
+    theta, rate, pull = _linearized(hinge_angle, *_split(at))
     return pull(-stiffness * weight * (theta - angle + damping * rate))
 
 
-def hinge_turn(damping: Scalar, x: Corners, v: Corners, angle: Array) -> Array:
+def hinge_turn(damping: Scalar, hinges: Stencil, x: Vec3, v: Vec3, angle: Array) -> Array:
     """Angle of hinges minus that at rest, plus damping times its rate [rad]. Gradient: exact."""
-    return _hinge_turn((damping,), (x, v, angle))
+    return _hinge_turn(hinges, (damping,), angle, (x, v))
 
 
-@pointwise
-def _hinge_turn(shared: Any, given: tuple[Corners, Corners, Array]) -> Array:
-    x, v, angle = given
+@at_elements
+def _hinge_turn(shared: Any, given: tuple[Array, At]) -> Array:
+    angle, (x, v) = given[0], _split(given[1])
     theta, rate = jax.jvp(hinge_angle, (x,), (v,))
     return theta - angle + shared[0] * rate
 
 
-def hinge_pull(x: Corners, moment: Array) -> Corners:
-    """Forces of moments [N m] on the corners of hinges [N]: -moment dtheta/dx. Gradient: exact."""
-    return _hinge_pull((), (x, moment))
+def hinge_pull(hinges: Stencil, x: Vec3, moment: Array) -> Vec3:
+    """Forces of moments [N m] of hinges on the vertices [N]: -moment dtheta/dx. Gradient: exact."""
+    return _hinge_pull(hinges, (), moment, x)
 
 
-@pointwise
-def _hinge_pull(shared: Any, given: tuple[Corners, Array]) -> Corners:
+@assembled
+def _hinge_pull(shared: Any, given: tuple[Array, Corners]) -> Corners:
     del shared
-    x, moment = given
+    moment, x = given
     return jax.vjp(hinge_angle, x)[1](-moment)[0]
 
 
-def segment_force(rope: Rope, x: Corners, v: Corners, length: Array) -> Corners:
-    """Forces of stretch on the ends of segments [N]. Gradient: exact."""
+def segment_force(rope: Rope, segments: Stencil, x: Vec3, v: Vec3, length: Array) -> Vec3:
+    """Forces of stretch on the vertices [N]. Gradient: exact."""
     shared, own = separated((rope.stretch, rope.damping))
-    return _segment(shared, (own, x, v, length))
+    return _segment(segments, shared, (own, length), (x, v))
 
 
-@pointwise
-def _segment(shared: Any, given: tuple[Any, Corners, Corners, Array]) -> Corners:
-    own, x, v, length = given
+@assembled
+def _segment(shared: Any, given: tuple[tuple[Any, Array], At]) -> Corners:
+    (own, length), at = given
     stretch, damping = joined(shared, own)
-    strain, rate, pull = _linearized(lambda x: segment_strain(x, length), x, v)
+    strain, rate, pull = _linearized(lambda x: segment_strain(x, length), *_split(at))
     return pull(-length * stretch * (strain + damping * rate))
 
 
-def bend_force(bending: Scalar, x: Corners, length: Array) -> Corners:
-    """Forces of bending on three consecutive vertices [N]: energy bending |kb|^2 / (2 length). Gradient: exact."""
+def bend_force(bending: Scalar, bends: Stencil, x: Vec3, length: Array) -> Vec3:
+    """Forces of bends on the vertices [N]: energy bending |kb|^2 / (2 length). Gradient: exact."""
     shared, own = separated((bending,))
-    return _bend(shared, (own, x, length))
+    return _bend(bends, shared, (own, length), x)
 
 
-@pointwise
-def _bend(shared: Any, given: tuple[Any, Corners, Array]) -> Corners:
-    own, x, length = given
+@assembled
+def _bend(shared: Any, given: tuple[tuple[Any, Array], Corners]) -> Corners:
+    (own, length), x = given
     (bending,) = joined(shared, own)
     _, pull = jax.vjp(half_square_curvature, x)
     return pull(-bending / length + jnp.zeros_like(length))[0]
+
+
+def _split(at: At) -> tuple[Corners, Corners]:
+    """Positions and velocities of the corners."""
+    return tuple(x for x, _ in at), tuple(v for _, v in at)
 
 
 def _linearized(strain: Callable[[Corners], Any], x: Corners, v: Corners) -> tuple[Any, Any, Callable[[Any], Corners]]:

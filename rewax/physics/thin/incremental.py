@@ -74,8 +74,8 @@ def elastic_slope(scene: "ThinScene", before: Before, x: Vec3) -> Vec3:
         slopes.append(scatter(stencil, each))
     if before.angle is not None:
         at = corners(scene.topology.hinges, x)
-        pull = elements.hinge_pull(at, _moments(scene, before, at))
-        slopes.append(cp.scale(-1.0, scatter(scene.topology.hinges, pull)))
+        pull = elements.hinge_pull(scene.topology.hinges, x, _moments(scene, before, at))
+        slopes.append(cp.scale(-1.0, pull))
     return functools.reduce(cp.add, slopes)
 
 

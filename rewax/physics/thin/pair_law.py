@@ -19,18 +19,19 @@ minus the gradient of an energy.
 """
 
 import dataclasses
-from typing import Any
 
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.lowering.kernels import pointwise
+from rewax.lowering.assembled import assembled
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE, static_integer
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import closest
 from rewax.types import Array, Scalar
 
+At = tuple[tuple[Vec3, Vec3], ...]
+"""Positions and velocities at the corners of pairs."""
 ONSET = 0.25
 """Depth over thickness at which the force becomes linear."""
 CROWD = 4
@@ -98,24 +99,29 @@ def pair_stiffness(law: SelfContact) -> tuple[Scalar, Scalar]:
     return 2.0 * CROWD * law.stiffness, 2.0 * CROWD * law.damping
 
 
-@pointwise
-def vertex_triangle_force(law: SelfContact, pairs: tuple[Any, Any, Array]) -> tuple[Vec3, ...]:
-    """Forces on a vertex and the corners of a triangle [N], from positions, velocities and thicknesses."""
-    x, v, thickness = pairs
+@assembled
+def vertex_triangle_force(law: SelfContact, pairs: tuple[Array, At]) -> tuple[Vec3, ...]:
+    """Forces on a vertex and the corners of a triangle [N], from thicknesses, positions and velocities."""
+    thickness, (x, v) = pairs[0], _split(pairs[1])
     weights = closest.vertex_triangle(x)
     between = closest.weighted(weights, x)
     return shared_out(law, weights, between, cp.dot(between, between), v, thickness)
 
 
-@pointwise
-def segments_force(law: SelfContact, pairs: tuple[Any, Any, Array]) -> tuple[Vec3, ...]:
-    """Forces on the ends of two segments [N], from positions, velocities and thicknesses."""
-    x, v, thickness = pairs
+@assembled
+def segments_force(law: SelfContact, pairs: tuple[Array, At]) -> tuple[Vec3, ...]:
+    """Forces on the ends of two segments [N], from thicknesses, positions and velocities."""
+    thickness, (x, v) = pairs[0], _split(pairs[1])
     smoothing = SMOOTHING * thickness
     weights = closest.segments(x, smoothing)
     between = closest.weighted(weights, x)
     square = smoothed_square(weights, between, smoothing)
     return shared_out(law, weights, between, square, v, thickness)
+
+
+def _split(at: At) -> tuple[tuple[Vec3, ...], tuple[Vec3, ...]]:
+    """Positions and velocities of the corners."""
+    return tuple(x for x, _ in at), tuple(v for _, v in at)
 
 
 def smoothed_square(weights: closest.Weights, between: Vec3, smoothing: Array) -> Array:

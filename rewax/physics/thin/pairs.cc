@@ -6,7 +6,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <limits>
+#include <type_traits>
 #include <vector>
 
 namespace {
@@ -76,13 +78,36 @@ struct Kind {
   }
 };
 
+// Boxes of one level of a tree, [axis][box]. Their number is rounded up to a multiple of kArity by empty boxes.
 template <typename T>
-struct Box {
-  T lower[3], upper[3];
+struct Boxes {
+  std::vector<T> lower[3], upper[3];
+
+  explicit Boxes(int64_t count) {
+    const size_t full = static_cast<size_t>((count + kArity - 1) / kArity * kArity);
+    for (auto& side : lower) side.assign(full, std::numeric_limits<T>::infinity());
+    for (auto& side : upper) side.assign(full, -std::numeric_limits<T>::infinity());
+  }
+  int64_t count() const { return static_cast<int64_t>(lower[0].size()); }
 };
 
+// Numbers of kArity neighbouring boxes.
+typedef float FourFloats __attribute__((vector_size(kArity * sizeof(float))));
+typedef double FourDoubles __attribute__((vector_size(kArity * sizeof(double))));
 template <typename T>
-using Levels = std::vector<std::vector<Box<T>>>;
+using Four = std::conditional_t<std::is_same_v<T, float>, FourFloats, FourDoubles>;
+template <typename T>
+using Mask = decltype(Four<T>{} < Four<T>{});
+
+template <typename T>
+Four<T> LoadFour(const T* from) {
+  Four<T> r;
+  std::memcpy(&r, from, sizeof(r));
+  return r;
+}
+
+template <typename T>
+using Levels = std::vector<Boxes<T>>;
 
 template <typename T>
 struct Search {
@@ -97,34 +122,30 @@ struct Search {
   int64_t found = 0;
 
   Levels<T> BoxesOf(const Kind<T>& kind) const {
-    const T big = std::numeric_limits<T>::infinity();
-    Levels<T> boxes(levels + 1);
-    boxes[0].resize(kind.places);
+    Levels<T> boxes;
+    boxes.emplace_back(kind.places);
     for (int64_t i = 0; i < kind.places; ++i) {
-      Box<T>& box = boxes[0][i];
-      for (int k = 0; k < 3; ++k) box.lower[k] = big, box.upper[k] = -big;
       const int64_t element = kind.order[i];
       if (element < 0) continue;
       const T reach = half[kind.rope[element]] + T(0.5) * skin;
       for (int64_t c = 0; c < kind.num_corners; ++c) {
         const Vec<T> at = kind.At(x, vertices, element, c);
         for (int k = 0; k < 3; ++k) {
-          box.lower[k] = std::min(box.lower[k], at.x[k] - reach);
-          box.upper[k] = std::max(box.upper[k], at.x[k] + reach);
+          boxes[0].lower[k][i] = std::min(boxes[0].lower[k][i], at.x[k] - reach);
+          boxes[0].upper[k][i] = std::max(boxes[0].upper[k][i], at.x[k] + reach);
         }
       }
     }
     for (int64_t level = 1; level <= levels; ++level) {
-      boxes[level].resize(boxes[level - 1].size() / kArity);
-      for (size_t i = 0; i < boxes[level].size(); ++i) {
-        Box<T>& box = boxes[level][i];
-        box = boxes[level - 1][kArity * i];
-        for (int64_t c = 1; c < kArity; ++c) {
-          const Box<T>& child = boxes[level - 1][kArity * i + c];
-          for (int k = 0; k < 3; ++k) {
-            box.lower[k] = std::min(box.lower[k], child.lower[k]);
-            box.upper[k] = std::max(box.upper[k], child.upper[k]);
-          }
+      const int64_t count = kind.places >> (2 * level);
+      boxes.emplace_back(count);
+      const Boxes<T>& inner = boxes[level - 1];
+      for (int k = 0; k < 3; ++k) {
+        for (int64_t i = 0; i < count; ++i) {
+          const T* const lower = &inner.lower[k][kArity * i];
+          const T* const upper = &inner.upper[k][kArity * i];
+          boxes[level].lower[k][i] = std::min(std::min(lower[0], lower[1]), std::min(lower[2], lower[3]));
+          boxes[level].upper[k][i] = std::max(std::max(upper[0], upper[1]), std::max(upper[2], upper[3]));
         }
       }
     }
@@ -134,29 +155,36 @@ struct Search {
   void Run() {
     of_a = BoxesOf(a);
     if (!same) of_b = BoxesOf(b);
-    const int64_t num_a = of_a[levels].size(), num_b = same ? num_a : of_b[levels].size();
+    const int64_t num_a = a.places >> (2 * levels), num_b = (same ? of_a : of_b)[levels].count();
     for (int64_t i = 0; i < num_a; ++i) {
-      for (int64_t j = same ? i : 0; j < num_b; ++j) Descend(levels, i, j);
+      for (int64_t j = same ? i / kArity * kArity : 0; j < num_b; j += kArity) Meet(levels, i, j);
     }
   }
 
-  void Descend(int64_t level, int64_t i, int64_t j) {
-    if (same && (level ? i > j : i >= j)) return;
-    const Box<T>&p = of_a[level][i], &q = (same ? of_a : of_b)[level][j];
+  // A box of one tree and kArity neighbouring boxes of the other.
+  void Meet(int64_t level, int64_t i, int64_t j) {
+    const Boxes<T>&p = of_a[level], &q = (same ? of_a : of_b)[level];
+    Mask<T> overlap = Mask<T>{} == 0;
     for (int k = 0; k < 3; ++k) {
-      if (!(p.lower[k] <= q.upper[k] && q.lower[k] <= p.upper[k])) return;
+      const Four<T> zero{};
+      overlap &= (zero + p.lower[k][i] <= LoadFour(&q.upper[k][j])) & (LoadFour(&q.lower[k][j]) <= zero + p.upper[k][i]);
     }
-    if (level == 0) return Meet(a.order[i], (same ? a : b).order[j]);
-    for (int64_t m = 0; m < kArity; ++m) {
-      for (int64_t n = 0; n < kArity; ++n) Descend(level - 1, kArity * i + m, kArity * j + n);
+    if (!(overlap[0] | overlap[1] | overlap[2] | overlap[3])) return;
+    for (int64_t n = 0; n < kArity; ++n) {
+      if (!overlap[n] || (same && (level ? i > j + n : i >= j + n))) continue;
+      if (level == 0) {
+        Meet(a.order[i], (same ? a : b).order[j + n]);
+        continue;
+      }
+      for (int64_t m = 0; m < kArity; ++m) Meet(level - 1, kArity * i + m, kArity * (j + n));
     }
   }
 
   void Meet(int64_t i, int64_t j) {
     const int32_t* entries = near + i * num_near;
-    for (int64_t k = 0; k < num_near; ++k) {
-      if (entries[k] == j) return;
-    }
+    bool neighbours = false;
+    for (int64_t k = 0; k < num_near; ++k) neighbours |= entries[k] == j;
+    if (neighbours) return;
     const Kind<T>& other = same ? a : b;
     const T reach = half[a.rope[i]] + half[other.rope[j]] + skin;
     const auto p = [&](int64_t c) { return a.At(x, vertices, i, c); };

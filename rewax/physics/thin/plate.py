@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.lowering.kernels import joined, pointwise, separated
+from rewax.lowering.assembled import assembled
+from rewax.lowering.kernels import joined, separated
 from rewax.physics.numerics import components as cp
 from rewax.physics.thin.stencils import Stencil, Topology
 from rewax.physics.thin.unfolded import Hinges, around, hinge_sizes, inverse_2x2
@@ -128,21 +129,22 @@ def _side(length: Array, along: Array, height: Array, sign: float) -> Array:
 # --- Moments ----------------------------------------------------------------------------------------------------------
 
 
-def plate_moment(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, angle: tuple[Array, ...]) -> tuple:
-    """Derivative of the energy of triangles with respect to the angles of their nine hinges [N m].
+def plate_moment(bending: Scalar, poissons_ratio: Scalar, rest: PlateRest, around: Stencil, angle: Array) -> Array:
+    """Derivative of the energy with respect to the angles of hinges [N m], shape (num_hinges,).
 
     Args:
       bending: flexural rigidity [N m]. poissons_ratio: [-].
       rest: sizes at rest.
-      angle: of the nine hinges of each triangle, minus their angle at rest [rad].
+      around: the nine hinges of each triangle, see ``patch``.
+      angle: of hinges, minus their angle at rest [rad], shape (num_hinges,).
     """
     shared, own = separated((bending, poissons_ratio))
-    return _moment(shared, (own, rest, angle))
+    return _moment(around, shared, (own, rest), angle)
 
 
-@pointwise
-def _moment(shared: Any, given: tuple[Any, PlateRest, tuple[Array, ...]]) -> tuple[Array, ...]:
-    own, rest, angle = given
+@assembled
+def _moment(shared: Any, given: tuple[tuple[Any, PlateRest], tuple[Array, ...]]) -> tuple[Array, ...]:
+    (own, rest), angle = given
     bending, ratio = joined(shared, own)
     return _spread(rest.weights, _solve(bending, ratio, rest, _alpha(rest, angle)))
 

@@ -26,6 +26,7 @@ def checked_prescribed(
 ) -> Prescribed:
     """Pins and grips of every substep. Raises ValueError for those of another shape, see ``step``."""
     want = (num_substeps, len(scene.topology.held), 3)
+    pins = jnp.asarray(pins, state.x.dtype) if isinstance(pins, list | tuple) else pins
     if pins is not None and (jnp.shape(pins) != want or not want[1]):
         raise ValueError(
             f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"

@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.lowering.stencils import Listed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.substeps import check_store_every
 from rewax.physics.thin import pair_law
 from rewax.physics.thin.contact_elements import ContactElements
-from rewax.physics.thin.pair_kernels import CloseElements, find_pairs, to_corners, to_vertices
+from rewax.physics.thin.pair_kernels import CloseElements, find_pairs
 from rewax.physics.thin.pair_law import SelfContact
 from rewax.types import Array, PyTree
 
@@ -42,6 +43,8 @@ class Pairs(NamedTuple):
     """Vertices of both elements, int32 of shape (4, capacity)."""
     thickness: Array
     """Distance at which a pair touches [m], shape (capacity,)."""
+    count: Array  # pyright: ignore[reportIncompatibleMethodOverride]
+    """Number of pairs, shape (), int32; above the capacity, some are missing."""
 
 
 class AllPairs(NamedTuple):
@@ -91,7 +94,7 @@ def _pairs_and_filled(scene: "ThinScene", x: Vec3) -> tuple[AllPairs, Array]:
         own = [halves[jnp.asarray(kind.is_rope.astype(np.int32))[k]] for kind, k in zip(kinds, ids, strict=True)]
         valid = jnp.arange(found.first.size) < found.count
         filled = found.count.astype(x[0].dtype) / found.first.size
-        return Pairs(jnp.concatenate(corners), jnp.where(valid, own[0] + own[1], NO_PAIR)), filled
+        return Pairs(jnp.concatenate(corners), jnp.where(valid, own[0] + own[1], NO_PAIR), found.count), filled
 
     edges, filled = pairs(False)
     if not len(elements.triangles):
@@ -120,11 +123,7 @@ def self_forces(scene: "ThinScene", x: Vec3, v: Vec3, pairs: AllPairs) -> Vec3:
     for force, kind in kinds:
         if kind is None:
             continue
-        flat = to_corners(kind.corners, (*x, *v))
-        at, moving = (tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:]))
-        each = force(law, (at, moving, kind.thickness))
-        values = tuple(corner[i] for i in cp.AXES for corner in each)
-        total = cp.add(total, to_vertices(kind.corners, values, x[0].shape[-1]))  # pyright: ignore[reportArgumentType]
+        total = cp.add(total, force(Listed(kind.corners, kind.count, x[0].shape[-1]), law, kind.thickness, (x, v)))
     return total
 
 

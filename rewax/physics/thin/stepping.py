@@ -30,7 +30,7 @@ from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
 from rewax.physics.thin.scene_checks import check_creases
 from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces, watched_pairs
-from rewax.physics.thin.stencils import Stencil, corners, scatter
+from rewax.physics.thin.stencils import scatter
 from rewax.types import Array, Scalar
 
 
@@ -248,22 +248,15 @@ def _moved(
 def vertex_forces(scene: ThinScene, x: Vec3, v: Vec3) -> Vec3:
     """``internal_force`` by components."""
     topology, rest, forces = scene.topology, scene.rest, []
-
-    def at(stencil: Stencil) -> tuple[Any, Any]:
-        return corners(stencil, x), corners(stencil, v)
-
     if scene.cloth is not None:
-        now = at(topology.triangles)
-        each = elements.membrane_force(scene.cloth, scene.law, *now, inverse_edges(scene), rest.area)
-        forces.append(scatter(topology.triangles, each))
+        sizes = (inverse_edges(scene), rest.area)
+        forces.append(elements.membrane_force(scene.cloth, scene.law, topology.triangles, x, v, *sizes))
         if len(topology.hinges):
             forces.append(bending_forces(scene, x, v))
     if scene.rope is not None:
-        each = elements.segment_force(scene.rope, *at(topology.segments), rest.length)
-        forces.append(scatter(topology.segments, each))
+        forces.append(elements.segment_force(scene.rope, topology.segments, x, v, rest.length))
         if len(topology.bends):
-            each = elements.bend_force(scene.rope.bending, corners(topology.bends, x), rest.bend_length)
-            forces.append(scatter(topology.bends, each))
+            forces.append(elements.bend_force(scene.rope.bending, topology.bends, x, rest.bend_length))
     return functools.reduce(cp.add, forces)
 
 

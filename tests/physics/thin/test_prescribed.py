@@ -36,3 +36,10 @@ def test_other_shapes_are_refused(x64):
             checked_prescribed(scene, state, pins, grips, 5, 1)
     with pytest.raises(ValueError, match=r"state\.holds has 0 entries"):
         checked_prescribed(scene, state.replace(holds=()), None, np.zeros(2), 5, 1)
+
+
+def test_pins_may_be_a_list(x64):
+    scene = cloth_scene(held=[0, 3])
+    state, pins = thin.initial_state(SHEET.vertices), SHEET.vertices[[0, 3]] + np.zeros((5, 2, 3))
+    listed, array = (thin.step(scene, state, thin.static_poses(5, dtype=float), pins=p) for p in (pins.tolist(), pins))
+    np.testing.assert_array_equal(listed.x, array.x)
