@@ -82,7 +82,7 @@ class TensorBoardWriter:
 
     def __init__(self, folder: str | Path, *, resume_at: int = 0) -> None:
         from tensorboardX import SummaryWriter  # slow to import, and only needed here
-        from tensorboardX.proto.summary_pb2 import Summary
+        from tensorboardX.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]
 
         self._writer = SummaryWriter(str(folder), purge_step=resume_at + 1 if resume_at else None)
         self._summary = Summary
