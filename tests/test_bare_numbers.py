@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rewax
+from rewax.envs.kit import ThinTask
 from rewax.envs.leaves import EnvLeaves
 from rewax.physics import mpm, tets
 from rewax.physics.contact import Collider, Ground, PenaltyContact
@@ -140,5 +141,5 @@ def test_every_number_of_a_task_is_a_parameter(name):
         f.name for f in dataclasses.fields(env)
         if not f.metadata.get("pytree_node", True) and isinstance(getattr(env, f.name), float)
     ]  # fmt: skip
-    drawn = {"thickness"} if hasattr(getattr(env, "scene", None), "topology") else set()  # of cloth in pictures alone
+    drawn = {"thickness"} if isinstance(env, ThinTask) else set()  # of cloth in pictures alone
     assert set(static) <= {"dt", "control_dt", "observation_scale", *drawn}, "floats of a task are parameters"
