@@ -16,10 +16,8 @@ import numpy as np
 
 from rewax.lowering import build, report, stencils
 from rewax.lowering.ffi_layout import Operand, batch_shape, cpu_rules, operands_of
-from rewax.lowering.kernels import as_arrays, blocks_of, broadcast, bytecode_of, common_type, split_sums
+from rewax.lowering.kernels import Target, as_arrays, blocks_of, broadcast, common_type, split_sums, target_of
 from rewax.lowering.linear_primitive import Arrays
-from rewax.lowering.machine import load, machine
-from rewax.lowering.operations import UnsupportedError
 from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.lowering.stencils import Listed, Stencil
 
@@ -177,31 +175,6 @@ def _linear_reads(which: str, inner: _Inner, program: Program, num_linear: int, 
     return [_Read(rank[r.argument], r.corner) for r in inner.reads if program.perturbed[r.argument]]
 
 
-class _Target(NamedTuple):
-    """A program in the machine that XLA can call."""
-
-    handler: str
-    number: int
-    outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
-    """Shape and type of each result of one element, and whether it is summed over elements."""
-    operands: tuple[int, ...]
-    """Indices of the arguments that it reads."""
-
-
-@functools.lru_cache(maxsize=1024)
-def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | str:
-    """The registered bytecode of a rule of one element, or the reason why there is none."""
-    del precision  # cache key only: jax_enable_x64
-    try:
-        bytecode, dtype, outputs = bytecode_of(which, program, avals, varies)
-    except UnsupportedError as error:
-        return str(error)
-    except Exception as error:  # an unforeseen failure: fall back to XLA
-        return f"it could not be lowered ({type(error).__name__}: {error})"
-    number, reason = load(dtype, bytecode)
-    return reason if number is None else _Target(machine(dtype).assembled_handler, number, outputs, bytecode.operands)
-
-
 # --- The call ---------------------------------------------------------------------------------------------------------
 
 
@@ -221,7 +194,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     reads = [*inner.reads, *_linear_reads(which, inner, program, len(linear), corners)]
     avals = tuple(operands[r.argument].element_aval for r in reads)
     varies = tuple(operands[r.argument].varies for r in reads)
-    target = _target(which, inner.program, avals, varies, jnp.result_type(float))
+    target = target_of(which, inner.program, avals, varies, jnp.result_type(float))
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)
@@ -237,7 +210,7 @@ class _Call(NamedTuple):
     count: int  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
-def _called(which: str, call: _Call, target: _Target, reads: list[_Read], operands: Sequence[Operand]) -> Arrays:
+def _called(which: str, call: _Call, target: Target, reads: list[_Read], operands: Sequence[Operand]) -> Arrays:
     """The results of a rule in the machine."""
     batch, vertices = batch_shape(operands), call.whole.num_vertices()
     blocks, block = blocks_of(call.count, _BLOCK)
@@ -261,7 +234,7 @@ def _called(which: str, call: _Call, target: _Target, reads: list[_Read], operan
     head = (math.prod(batch), call.count, blocks, block, vertices, call.corners, len(reads), len(own), len(fields),
             len(tables), *steps)  # fmt: skip
     given = [a.laid_out(batch) if isinstance(a, Operand) else a for a in (*(operands[k] for k in used), *tables)]
-    run = jax.ffi.ffi_call(target.handler, shapes)
+    run = jax.ffi.ffi_call(target.machine.assembled_handler, shapes)
     found = run(*given, number=np.int64(target.number), sizes=np.array([*head, *_layout(arguments), *places], np.int64))
     results = dict(zip([k for k, _ in own] + fields, found, strict=False))
     if sums:

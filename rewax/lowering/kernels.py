@@ -20,7 +20,7 @@ from rewax.lowering.assembler import BlockBytecode, assemble_blocks
 from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.linear_primitive import Arrays
-from rewax.lowering.machine import load, machine
+from rewax.lowering.machine import Machine, load, machine
 from rewax.lowering.operations import UnsupportedError
 from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
 from rewax.types import Array
@@ -109,10 +109,10 @@ def _adapts(number: Any) -> bool:
     return bool(number.weak_type) and jnp.issubdtype(number.dtype, jnp.floating)
 
 
-class _Target(NamedTuple):
+class Target(NamedTuple):
     """A program in the machine that XLA can call."""
 
-    handler: str
+    machine: Machine
     number: int
     outputs: tuple[tuple[tuple[int, ...], Any, bool], ...]
     """Shape and type of each result for one element, and whether it is summed over elements."""
@@ -141,7 +141,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
     varies = (*program.varies, *of_linear)
     operands = operands_of(program, arrays, linear, varies)
     avals = tuple(o.element_aval for o in operands)
-    target = _target(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
+    target = target_of(which, program._replace(batches=()), avals, varies, jnp.result_type(float))
     report.note(program.function, which, target if isinstance(target, str) else None)
     if isinstance(target, str):
         return _with_jax(which, program, arrays, linear)
@@ -155,7 +155,7 @@ def _run(which: str, program: Program, arrays: Arrays, linear: Arrays) -> Arrays
         shapes.append(jax.ShapeDtypeStruct((*batch, blocks, sum(math.prod(s) for s, _ in sums)), sums[0][1]))
     used = [operands[k] for k in target.operands]
     sizes = np.asarray([math.prod(batch), count, blocks, block, *(o.step for o in used)], np.int64)
-    call = jax.ffi.ffi_call(target.handler, shapes)
+    call = jax.ffi.ffi_call(target.machine.blocks_handler, shapes)
     found = call(*(o.laid_out(batch) for o in used), number=np.int64(target.number), sizes=sizes)
     mine = iter(found)
     total = iter(split_sums(found[-1].sum(-2), [s for s, _ in sums]) if sums else [])
@@ -184,10 +184,10 @@ def blocks_of(count: int, largest: int = _BLOCK) -> tuple[int, int]:
     return -(-count // block), block
 
 
-def bytecode_of(
+def _bytecode_of(
     which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
 ) -> tuple[BlockBytecode, np.dtype, tuple]:
-    """Bytecode of a rule, its floating type, and the outputs of ``_Target``.
+    """Bytecode of a rule, its floating type, and the outputs of ``Target``.
 
     Raises:
       UnsupportedError: the rule cannot be lowered.
@@ -203,14 +203,14 @@ def bytecode_of(
 
 
 @functools.lru_cache(maxsize=1024)
-def _target(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> _Target | str:
+def target_of(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> Target | str:
     """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
-        bytecode, dtype, outputs = bytecode_of(which, program, avals, varies)
+        bytecode, dtype, outputs = _bytecode_of(which, program, avals, varies)
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
     number, reason = load(dtype, bytecode)
-    return reason if number is None else _Target(machine(dtype).blocks_handler, number, outputs, bytecode.operands)
+    return reason if number is None else Target(machine(dtype), number, outputs, bytecode.operands)
