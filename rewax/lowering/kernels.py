@@ -184,7 +184,7 @@ def blocks_of(count: int, largest: int = _BLOCK) -> tuple[int, int]:
     return -(-count // block), block
 
 
-def _bytecode_of(
+def bytecode_of(
     which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
 ) -> tuple[BlockBytecode, np.dtype, tuple]:
     """Bytecode of a rule, its floating type, and the outputs of ``Target``.
@@ -207,7 +207,7 @@ def target_of(which: str, program: Program, avals: tuple, varies: tuple[bool, ..
     """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
-        bytecode, dtype, outputs = _bytecode_of(which, program, avals, varies)
+        bytecode, dtype, outputs = bytecode_of(which, program, avals, varies)
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA

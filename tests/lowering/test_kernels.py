@@ -145,10 +145,10 @@ def test_a_number_does_not_make_another_program(machine_only):
     def scaled(shared, elements):
         return elements * shared
 
-    before = module._target.cache_info().misses
+    before = module.target_of.cache_info().misses
     found = [scaled(factor, jnp.arange(3.0))[2] for factor in (2.0, 3.0, jnp.asarray(4.0))]
     np.testing.assert_array_equal(found, [4.0, 6.0, 8.0])
-    assert module._target.cache_info().misses - before == 1
+    assert module.target_of.cache_info().misses - before == 1
 
 
 @pytest.mark.parametrize(
@@ -221,7 +221,7 @@ def test_a_machine_that_cannot_be_built_is_done_without(monkeypatch):
 
 
 def test_a_program_for_a_gpu_builds_nothing(monkeypatch):
-    monkeypatch.setattr(module, "_target", lambda *args: pytest.fail("bytecode was asked for"))
+    monkeypatch.setattr(module, "target_of", lambda *args: pytest.fail("bytecode was asked for"))
     monkeypatch.setattr(build, "compiler", lambda: "c++")
     shared, elements = arguments(6, dtype=np.float32)
     jax.jit(pointwise(bend)).trace(shared | {"exponent": 2.0}, elements).lower(lowering_platforms=("cuda",))

@@ -40,7 +40,7 @@ def assembled(monkeypatch):
         names.add(which)
         return "it is only written"
 
-    monkeypatch.setattr(kernels, "_target", assemble)
+    monkeypatch.setattr(kernels, "target_of", assemble)
     monkeypatch.setattr(build, "compiler", lambda: "c++")
     monkeypatch.setattr(build, "is_off", lambda: False)
     return names
