@@ -66,19 +66,19 @@ class Case:
 def cases_of(task: str) -> list[Case]:
     """The programs of a task's step and of its gradient."""
     found: dict[Case, None] = {}
-    target = kernels._target
+    target = kernels.target_of
 
     def record(which: str, program: Program, avals: tuple, varies: tuple[bool, ...], precision: Any) -> Any:
         found[Case(which, program, avals, varies)] = None
         return target(which, program, avals, varies, precision)
 
-    kernels._target = record  # type: ignore[assignment]
+    kernels.target_of = record  # type: ignore[assignment]
     try:
         env: Any = rewax.make(task, scale="paper")
         state = jax.eval_shape(env.reset, jax.random.key(0))
         jax.jit(jax.grad(lambda a, s: env.step(s, a).reward)).lower(jnp.zeros(env.action_spec.shape), state)
     finally:
-        kernels._target = target
+        kernels.target_of = target
     return list(found)
 
 

@@ -86,7 +86,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("WhipRope", "small"): dataclasses.replace(SMALL, num_envs=16, horizon=32, num_iterations=80, critic_minibatches=4),
     ("CoverBox", "small"): dataclasses.replace(SMALL, horizon=30, max_env_grad_norm=0.3),
     ("FoldCloth", "small"): dataclasses.replace(SMALL, horizon=25, num_iterations=120, max_env_grad_norm=0.3),
-    ("PourBag", "small"): dataclasses.replace(SMALL, horizon=20, num_iterations=100, max_env_grad_norm=0.3),
+    ("PourBag", "small"): dataclasses.replace(SMALL, horizon=20, num_iterations=40, max_env_grad_norm=0.3),
     ("AntRun", "paper"): dataclasses.replace(_RUNNER, num_iterations=2000),
     ("AntRun", "small"): _small(_RUNNER),
     ("Ant", "paper"): _RUNNER,
