@@ -26,6 +26,7 @@ from the same starts. Its rows are written when it is finished, and finished cel
 
 import dataclasses
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -164,32 +165,35 @@ def agent_of(name: str, column: str, env: Any, bare: Any) -> tuple[Any, Any]:
     return make_sapo(env, config, randomize=randomize), config
 
 
-def run_cell(name: str, column: str, seed: int, keep: Path | None) -> list[dict[str, Any]]:
-    """Train one policy; the rows of its evaluations."""
+def run_cells(name: str, column: str, seeds: Iterable[int], keep: Path | None) -> Iterator[list[dict[str, Any]]]:
+    """Train a policy per seed; the rows of each one's evaluations. All seeds share the compiled programs."""
     bare = task_of(name)
     seen = default_camera(bare)
     env = seeing(bare, seen, column)
     agent, config = agent_of(name, column, env, bare)
-    began, ts = time.perf_counter(), agent.init(jax.random.key(seed))
-    for i in range(config.num_iterations):
-        ts, metrics = agent.train_step(ts)
-        if i % 10 == 9:
-            spent, earned = time.perf_counter() - began, float(metrics.get("return", np.nan))
-            print(f"{name} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
-    jax.block_until_ready(ts)
-    seconds = time.perf_counter() - began
-    if keep is not None:
-        checkpoint.save(folder(keep, name, column, seed), ts, keep=1)
-    rows = []
-    for at in ENDS if column in ("depth", "varied") else ("nominal",):
-        where = at_the_end(bare, seen, at) if at != "nominal" or column == "varied" else env
-        found = make_evaluate(where, agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
-        print(f"{name} {column} {seed} at {at}: {float(found['mean']):.2f}", flush=True)
-        rows.append(
-            {"task": name, "column": column, "seed": seed, "at": at, "return": round(float(found["mean"]), 3),
-             "std": round(float(found["std"]), 3), "seconds": round(seconds), "env_steps": int(ts.env_steps)}
-        )  # fmt: skip
-    return rows
+    ends = ENDS if column in ("depth", "varied") else ("nominal",)
+    places = {at: at_the_end(bare, seen, at) if at != "nominal" or column == "varied" else env for at in ends}
+    evaluations = {at: make_evaluate(place, agent.policy, EPISODES) for at, place in places.items()}
+    for seed in seeds:
+        began, ts = time.perf_counter(), agent.init(jax.random.key(seed))
+        for i in range(config.num_iterations):
+            ts, metrics = agent.train_step(ts)
+            if i % 10 == 9:
+                spent, earned = time.perf_counter() - began, float(metrics.get("return", np.nan))
+                print(f"{name} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
+        jax.block_until_ready(ts)
+        seconds = time.perf_counter() - began
+        if keep is not None:
+            checkpoint.save(folder(keep, name, column, seed), ts, keep=1)
+        rows = []
+        for at, evaluate in evaluations.items():
+            found = evaluate(ts, jax.random.key(99), deterministic=True)
+            print(f"{name} {column} {seed} at {at}: {float(found['mean']):.2f}", flush=True)
+            rows.append(
+                {"task": name, "column": column, "seed": seed, "at": at, "return": round(float(found["mean"]), 3),
+                 "std": round(float(found["std"]), 3), "seconds": round(seconds), "env_steps": int(ts.env_steps)}
+            )  # fmt: skip
+        yield rows
 
 
 def folder(keep: Path, name: str, column: str, seed: int) -> Path:
@@ -260,13 +264,10 @@ def main(args: Args) -> None:
     where = {key: value for key, value in provenance().items() if key in FIELDS}
     for task in args.tasks:
         for column in args.columns:
-            for seed in args.seeds:
-                done = {(row["task"], row["column"], row["seed"]) for row in read(args.out)}
-                if (task, column, str(seed)) in done:
-                    continue
-                rows = run_cell(task, column, seed, args.keep)
-                jax.clear_caches()  # compiled programs of all cells together exhaust the process's memory maps
+            done = {row["seed"] for row in read(args.out) if (row["task"], row["column"]) == (task, column)}
+            for rows in run_cells(task, column, [seed for seed in args.seeds if str(seed) not in done], args.keep):
                 append(({**row, **where} for row in rows), FIELDS, args.out)
+            jax.clear_caches()  # compiled programs of all columns together exhaust the process's memory maps
 
 
 if __name__ == "__main__":
