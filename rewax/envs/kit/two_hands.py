@@ -53,8 +53,8 @@ class TwoHands(Steered):
         """
         x, v = physics.soft.x, physics.soft.v
         corners = x[jnp.array(self.corners)].reshape(-1)
-        away = physics.task - physics.joint_q
-        vector = jnp.concatenate([physics.joint_q, physics.joint_qd, away, corners, x.mean(0), 0.5 * v.mean(0)])
+        hands = [physics.joint_q, physics.joint_qd, self.ahead(physics)]
+        vector = jnp.concatenate([*hands, corners, x.mean(0), 0.5 * v.mean(0)])
         return {"particle_q": self.observed(physics), "vector": vector}
 
 
