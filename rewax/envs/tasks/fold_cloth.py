@@ -29,6 +29,8 @@ SPEED = 0.025
 """Largest motion of a hand's set point in a control step [m]."""
 LANE = 0.06
 """Largest distance of a hand along z from its side of the towel [m]: hands cannot tear the corners apart."""
+LOWEST = 0.04
+"""Least height of the set points of hands [m]: corners that slide along the ground roll the towel in."""
 SUCCESS = 0.04
 """Largest mean distance between vertices and their mirror images of a folded towel [m]."""
 WAVES = 3
@@ -121,7 +123,7 @@ def _fold_cloth(
         corners=corners,
         noise=reset_noise((-0.03, 0.0, -0.03), (0.03, 0.0, 0.03)),
         joint_start=(*lying[corners[0]], *lying[corners[1]], 1.0),
-        joint_lower=(-0.35, RADIUS, -side - LANE, -0.35, RADIUS, side - LANE, 0.0),
+        joint_lower=(-0.35, LOWEST, -side - LANE, -0.35, LOWEST, side - LANE, 0.0),
         joint_upper=(0.35, 0.35, -side + LANE, 0.35, 0.35, side + LANE, 1.0),
         joint_step=(*[SPEED] * 6, 0.25),
         rate=RATE,
