@@ -128,7 +128,7 @@ def _fold_cloth(
         joint_step=(*[SPEED] * 6, 0.25),
         rate=RATE,
         wrinkle=0.02,
-        flatness=1.0,
+        flatness=0.3,
         spread=0.5,
         cells=cells,
         thickness=0.006,
