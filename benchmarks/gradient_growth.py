@@ -2,6 +2,7 @@
 
     python benchmarks/gradient_growth.py
     python benchmarks/gradient_growth.py --tasks CoverBox --scale paper --episodes 4
+    python benchmarks/gradient_growth.py --tasks CoverBox FoldCloth --rate 200     # hands jump to their set points
 
 For episodes of small random actions: the norm of the derivative of the last reward by the action of each earlier step,
 its median over episodes. Printed is the norm 1, 5, 10, 20 and 40 steps before the end, and the growth per step between
@@ -16,6 +17,7 @@ import numpy as np
 import tyro
 
 import rewax
+from rewax.envs.base import Env
 from rewax.training import enable_compilation_cache
 
 BACK = (1, 5, 10, 20, 40)
@@ -31,11 +33,12 @@ class Args:
     tasks: tuple[str, ...] = ("WhipRope", "CoverBox", "FoldCloth", "PourBag", "RollingFlat", "HandFlip")
     scale: str = "small"
     episodes: int = 8
+    rate: float | None = None
+    """Angular frequency with which joints follow their set points [rad/s]; None: the task's."""
 
 
-def norms(task: str, scale: str, episodes: int) -> np.ndarray:
+def norms(env: Env, episodes: int) -> np.ndarray:
     """Median norm of the derivative of the last reward by each action, shape (steps,), the last action first."""
-    env = rewax.make(task, scale=scale)
     steps = env.episode_length
 
     def last(actions, key):
@@ -56,7 +59,10 @@ def main(args: Args) -> None:
     print("| task | " + " | ".join(f"{k} before the end" for k in BACK) + " | growth per step |")
     print("|" + "---|" * (len(BACK) + 2))
     for task in args.tasks:
-        found = norms(task, args.scale, args.episodes)
+        env = rewax.make(task, scale=args.scale)
+        if args.rate is not None:
+            env = rewax.replace_leaf(env, "rate", args.rate)
+        found = norms(env, args.episodes)
         cells = [f"{found[k - 1]:.2g}" if k <= len(found) else "-" for k in BACK]
         growth = (found[19] / found[4]) ** (1 / 15) if len(found) >= 20 else np.nan
         print(f"| {task} | {' | '.join(cells)} | {growth:.2f} |", flush=True)

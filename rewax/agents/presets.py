@@ -85,7 +85,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("GripperLift", "small"): dataclasses.replace(SMALL, num_iterations=60, max_env_grad_norm=0.3),
     ("WhipRope", "small"): dataclasses.replace(SMALL, num_envs=16, horizon=32, num_iterations=80, critic_minibatches=4),
     ("CoverBox", "small"): dataclasses.replace(SMALL, horizon=10, num_iterations=360, max_env_grad_norm=0.3),
-    ("FoldCloth", "small"): dataclasses.replace(SMALL, horizon=10, num_iterations=300, max_env_grad_norm=0.3),
+    ("FoldCloth", "small"): dataclasses.replace(SMALL, horizon=10, num_iterations=400, max_env_grad_norm=0.3),
     ("PourBag", "small"): dataclasses.replace(SMALL, horizon=20, num_iterations=40, max_env_grad_norm=0.3),
     ("AntRun", "paper"): dataclasses.replace(_RUNNER, num_iterations=2000),
     ("AntRun", "small"): _small(_RUNNER),

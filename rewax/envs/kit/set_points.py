@@ -46,7 +46,8 @@ class Following(ThinTask):
 class Steered(Following):
     """A task whose actions move the set points by ``joint_step * action``, up to the limits of the joints.
 
-    ``physics.task`` holds the set points. They stay where they are for action zero.
+    ``physics.task`` holds the set points. They stay where they are for action zero. Observations need ``ahead``: it is
+    part of the state.
     """
 
     def begin(self, key: Key) -> tuple[Any, Key]:
@@ -56,6 +57,10 @@ class Steered(Following):
     def set_point(self, physics: SoftPhysics, action: Array) -> Array:
         """Gradient: exact; zero where a limit stops a set point."""
         return jnp.clip(physics.task + action * self.joint_step, self.joint_lower, self.joint_upper)
+
+    def ahead(self, physics: SoftPhysics) -> Array:
+        """The set points relative to the joints, shape (num_joints,)."""
+        return physics.task - physics.joint_q
 
     def next_task(self, physics: SoftPhysics, key: Key) -> PyTree:
         del key

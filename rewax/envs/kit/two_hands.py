@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.envs.kit.set_points import Steered
 from rewax.envs.kit.soft_task import SoftPhysics
-from rewax.envs.kit.thin_task import ThinTask
 from rewax.physics import thin
 from rewax.physics.contact import Collider, Ground, PenaltyContact
 from rewax.physics.numerics import Pose
@@ -17,13 +17,16 @@ STILL = HANDS
 """Body of colliders that stay where they are."""
 GRIP = 3 * HANDS
 """Joint that closes both hands."""
+RATE = 15.0
+"""Angular frequency with which hands follow their set points [rad/s]."""
 
 
 @struct.dataclass
-class TwoHands(ThinTask):
+class TwoHands(Steered):
     """A task whose seven joints are the positions of two hands [m] and their grip, 0 for open to 1 for closed.
 
-    An episode begins with closed hands at the two corners. Colliders of the body ``STILL`` stay at the origin.
+    Actions move the set points of the joints (``Steered``). An episode begins with closed hands at the two corners.
+    Colliders of the body ``STILL`` stay at the origin.
 
     Attributes:
       corners: vertices that the hands hold (static).
@@ -43,10 +46,15 @@ class TwoHands(ThinTask):
         return jnp.concatenate([physics.soft.x[jnp.array(self.corners)].reshape(-1), self.joint_start[GRIP:]])
 
     def observe(self, physics: SoftPhysics) -> Observation:
-        """The observed points, and the hands, their motion, the corners, mean position and velocity of the cloth."""
+        """The observed points, and a vector of shape (33,).
+
+        The vector holds the joints, their velocities, their set points relative to them, the corners, and the cloth's
+        mean position and half of its mean velocity.
+        """
         x, v = physics.soft.x, physics.soft.v
         corners = x[jnp.array(self.corners)].reshape(-1)
-        vector = jnp.concatenate([physics.joint_q, physics.joint_qd, corners, x.mean(0), 0.5 * v.mean(0)])
+        hands = [physics.joint_q, physics.joint_qd, self.ahead(physics)]
+        vector = jnp.concatenate([*hands, corners, x.mean(0), 0.5 * v.mean(0)])
         return {"particle_q": self.observed(physics), "vector": vector}
 
 
@@ -113,4 +121,4 @@ def cloth_in_hands(
     )
 
 
-__all__ = ["GRIP", "HANDS", "STILL", "TwoHands", "cloth_in_hands", "hands_at"]
+__all__ = ["GRIP", "HANDS", "RATE", "STILL", "TwoHands", "cloth_in_hands", "hands_at"]

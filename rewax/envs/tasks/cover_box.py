@@ -10,7 +10,7 @@ from rewax.envs.kit.options import Substeps, substeps
 from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
-from rewax.envs.kit.two_hands import STILL, TwoHands, cloth_in_hands
+from rewax.envs.kit.two_hands import RATE, STILL, TwoHands, cloth_in_hands
 from rewax.physics import thin
 from rewax.physics.contact import Collider
 from rewax.physics.shapes import Box
@@ -25,7 +25,7 @@ HALF_SIZE = (0.1, 0.06, 0.1)
 START = (-0.32, 0.56)
 """x and y of the held edge at the beginning [m]."""
 SPEED = 0.03
-"""Largest motion of a hand in a control step [m]."""
+"""Largest motion of a hand's set point in a control step [m]."""
 SUCCESS = 0.9
 """Share of the box that has to be covered."""
 
@@ -115,6 +115,7 @@ def _cover_box(steps: Substeps, *, cells: int, cloud: PointCloud, max_steps: int
         joint_lower=(-reach, 0.15, -reach, -reach, 0.15, -reach, 0.0),
         joint_upper=(reach, 0.65, reach, reach, 0.65, reach, 1.0),
         joint_step=(*[SPEED] * 6, 0.25),
+        rate=RATE,
         spots=spots_of_box(HALF_SIZE, 0.05),
         near=0.018 + 0.75 * spacing,
         softness=0.04,

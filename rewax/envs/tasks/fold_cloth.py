@@ -15,7 +15,7 @@ from rewax.envs.kit.point_cloud import PointCloud
 from rewax.envs.kit.soft_body import Soft
 from rewax.envs.kit.soft_task import SoftPhysics
 from rewax.envs.kit.start_noise import reset_noise
-from rewax.envs.kit.two_hands import TwoHands, cloth_in_hands
+from rewax.envs.kit.two_hands import RATE, TwoHands, cloth_in_hands
 from rewax.physics import thin
 from rewax.sensors.camera import Camera
 from rewax.sensors.framing import overlooking
@@ -26,9 +26,11 @@ EDGE = 0.4
 RADIUS = 0.005
 """Distance of vertices on the ground from the ground, and thickness of the towel in self-contact [m]."""
 SPEED = 0.025
-"""Largest motion of a hand in a control step [m]."""
+"""Largest motion of a hand's set point in a control step [m]."""
 LANE = 0.06
 """Largest distance of a hand along z from its side of the towel [m]: hands cannot tear the corners apart."""
+LOWEST = 0.04
+"""Least height of the set points of hands [m]: corners that slide along the ground roll the towel in."""
 SUCCESS = 0.04
 """Largest mean distance between vertices and their mirror images of a folded towel [m]."""
 WAVES = 3
@@ -121,11 +123,12 @@ def _fold_cloth(
         corners=corners,
         noise=reset_noise((-0.03, 0.0, -0.03), (0.03, 0.0, 0.03)),
         joint_start=(*lying[corners[0]], *lying[corners[1]], 1.0),
-        joint_lower=(-0.35, RADIUS, -side - LANE, -0.35, RADIUS, side - LANE, 0.0),
+        joint_lower=(-0.35, LOWEST, -side - LANE, -0.35, LOWEST, side - LANE, 0.0),
         joint_upper=(0.35, 0.35, -side + LANE, 0.35, 0.35, side + LANE, 1.0),
         joint_step=(*[SPEED] * 6, 0.25),
+        rate=RATE,
         wrinkle=0.02,
-        flatness=1.0,
+        flatness=0.3,
         spread=0.5,
         cells=cells,
         thickness=0.006,

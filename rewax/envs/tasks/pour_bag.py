@@ -77,10 +77,15 @@ class PourBag(Steered, MixedTask):
         return self.joint_start.at[:3].add(shift)
 
     def observe(self, physics: SoftPhysics) -> Observation:
-        """Clouds of grains and bag, the hands, and mean position and velocity of the grains, relative to the bowl."""
+        """Clouds of grains and bag, and a vector of shape (21,); positions are relative to the bowl.
+
+        The vector holds the joints, their velocities, their set points relative to them, and the grains' mean position
+        and half of their mean velocity.
+        """
         x, v = self.points(physics)
         hands = physics.joint_q.at[:3].add(-self.bowl)
-        vector = jnp.concatenate([hands, physics.joint_qd, x.mean(0) - self.bowl, 0.5 * v.mean(0)])
+        joints = [hands, physics.joint_qd, self.ahead(physics)]
+        vector = jnp.concatenate([*joints, x.mean(0) - self.bowl, 0.5 * v.mean(0)])
         grains, cloth = self.observed(physics) - self.bowl, self.observed_cloth(physics) - self.bowl
         return {"particle_q": grains, "cloth_q": cloth, "vector": vector}
 

@@ -43,8 +43,11 @@ def held(kind=Held):
 def test_set_points_move_within_limits_and_the_hand_follows_without_jumps():
     env = held()
     state, step, speeds, places = env.reset(jax.random.key(0)), jax.jit(env.step), [np.zeros(2)], [np.zeros(2)]
+    assert not np.any(env.ahead(state.physics))
     for k in range(40):
         state = step(state, jnp.array([1.0, 1.0]) if k < 3 else jnp.zeros(2))
+        if k == 0:
+            np.testing.assert_allclose(env.ahead(state.physics) + state.physics.joint_q, [0.02, 0.02], atol=1e-6)
         speeds.append(np.asarray(state.physics.joint_qd))
         places.append(np.asarray(state.physics.joint_q))
     np.testing.assert_allclose(state.physics.task, [0.06, 0.03], atol=1e-6)
