@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.wrappers import _Wrapper
 from rewax.identify.records import Record
 from rewax.identify.unknowns import Space
 from rewax.types import Array, PyTree
@@ -106,6 +107,8 @@ def points_of(env: Any, physics: PyTree) -> Array:
 
 def without_reset_noise(env: Any) -> Any:
     """The environment with a ``noise`` of zero, if it has one: every episode begins at ``rest_positions``."""
+    if isinstance(env, _Wrapper):
+        return env.replace(env=without_reset_noise(env.env))
     noise = getattr(env, "noise", None)
     if noise is None or not hasattr(env, "replace"):
         return env

@@ -48,6 +48,7 @@ def test_from_a_push_to_a_material(tmp_path, capsys):
         (["record", "--env=RollingFlat", "--action", "1"], "an action has 1 numbers, but RollingFlat takes 3"),
         (["record", "--env=RollingFlat", "--script", "absent.csv"], "there is no script 'absent.csv'"),
         (["record", "--env=Hopper", "--action", "1"], "Hopper has no soft body"),
+        (["identify", "a.npz", "--env=RollingFlat", "--out", "a.png"], "--out is a.png: give a file .json"),
     ],
 )
 def test_mistakes_are_told_in_a_sentence(command, sentence, capsys, tmp_path, monkeypatch):
@@ -69,6 +70,9 @@ def test_priors_are_ranges_or_a_decade():
         (["yield_stress=1,2", "yield_stress=1,2"], "give each parameter once"),
         (["yield_stress=a,b"], "a"),
         (["stickiness=1,2"], "has no parameter 'stickiness'"),
+        (["scene.gravity"], "scene.gravity is not one number, .* give scene.gravity=LOW,HIGH"),
+        (["scene.gravity[1]"], r"scene.gravity\[1\] is not one number"),
+        (["scene.colliders[*].friction"], "is not one number"),
     ):
         with pytest.raises(ValueError, match=sentence):
             priors(texts, env)
