@@ -78,7 +78,10 @@ def run(argv: Sequence[str]) -> int:
     env = task(options.env, options.scale, options.num_substeps, _sensors(saved))
     if not callable(getattr(env, "particles", None)) or not callable(getattr(env, "world", None)):
         raise ValueError(f"{options.env} has no soft body that a camera could see: choose a task on soft bodies")
-    values = {name: numbers[0] for name, numbers in read_grid(options.settings, env).items()}
+    grid = read_grid(options.settings, env)
+    if several := [name for name, numbers in grid.items() if len(numbers) > 1]:
+        raise ValueError(f"--set gives {several[0]} {len(grid[several[0]])} values: a record has one, so give one")
+    values = {name: number for name, (number,) in grid.items()}
     moved = with_parameters(env, values) if values else env
     made = record(
         moved, _script(options, env, saved), jax.random.key(options.seed), num_steps=options.steps, every=options.every,

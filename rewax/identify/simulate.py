@@ -1,5 +1,6 @@
 """Simulates an environment with given unknowns: particles at the times of a record's frames."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -108,7 +109,7 @@ def points_of(env: Any, physics: PyTree) -> Array:
 def without_reset_noise(env: Any) -> Any:
     """The environment with a ``noise`` of zero, if it has one: every episode begins at ``rest_positions``."""
     if isinstance(env, _Wrapper):
-        return env.replace(env=without_reset_noise(env.env))
+        return dataclasses.replace(env, env=without_reset_noise(env.env))
     noise = getattr(env, "noise", None)
     if noise is None or not hasattr(env, "replace"):
         return env

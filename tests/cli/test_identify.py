@@ -54,6 +54,10 @@ def test_from_a_push_to_a_material(tmp_path, capsys):
         (["identify", "absent.npz", "--env=RollingFlat"], "there is no record 'absent.npz'"),
         (["record", "--env=RollingFlat"], "give one of --action, --script and --policy"),
         (["record", "--env=RollingFlat", "--action", "1"], "an action has 1 numbers, but RollingFlat takes 3"),
+        (
+            ["record", *PUSH, "--set", "density=900,1000"],
+            "--set gives scene.material.density 2 values: a record has one",
+        ),
         (["record", "--env=RollingFlat", "--script", "absent.csv"], "there is no script 'absent.csv'"),
         (["record", "--env=Hopper", "--action", "1"], "Hopper has no soft body"),
         (["identify", "a.npz", "--env=RollingFlat", "--out", "a.png"], "--out is a.png: give a file .json"),
