@@ -15,8 +15,8 @@ def missing(library: str, extra: str) -> ImportError:
 
 
 def numpy_observation(state: State) -> dict[str, np.ndarray]:
-    """The observation as new NumPy arrays, with a leading axis if the state has one."""
-    return {name: np.array(value) for name, value in state.obs.items()}
+    """The observation as new NumPy arrays of float32, with a leading axis if the state has one."""
+    return {name: np.array(value, np.float32) for name, value in state.obs.items()}
 
 
 def numpy_metrics(state: State) -> dict[str, np.ndarray]:

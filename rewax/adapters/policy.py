@@ -32,15 +32,17 @@ class NumpyActor:
     """``act(obs)``, as ``numpy_policy`` returns it.
 
     ``obs`` is a dict of arrays by name, as ``GymnasiumEnv``, ``GymnasiumVectorEnv`` and ``DmEnvironment`` return it.
+    It needs the observations that the policy was told to ``observe``, by default all.
     The action has the leading axis of the observation. A policy with memory keeps it from call to call. It begins anew
     where ``done`` is True: where ``obs`` is the first observation of an episode; ``reset`` does so for all.
 
     Raises:
-      ValueError: an array is missing or has another shape.
+      ValueError: an array is missing or has another shape, or the memory is that of another number of environments.
     """
 
     def __init__(self, run: SavedRun, *, deterministic: bool = True, seed: int = 0) -> None:
-        self._shapes = {name: tuple(spec.shape) for name, spec in run.env.observation_spec.items()}
+        spec = run.env.observation_spec
+        self._shapes = {name: tuple(spec[name].shape) for name in getattr(run.agent.config, "observe", ()) or spec}
         self._generator = np.random.default_rng(seed)
         self._initial = None if run.initial_memory is None else np.asarray(run.initial_memory)
         self._memory: np.ndarray | None = None
@@ -75,8 +77,18 @@ class NumpyActor:
             return None
         first = np.broadcast_to(self._initial, (*batch, *self._initial.shape))
         if self._memory is None or done is None:
-            return first if self._memory is None else self._memory
-        return np.where(np.asarray(done, bool)[..., None], first, self._memory)
+            return first if self._memory is None else self._checked(batch)
+        return np.where(np.asarray(done, bool)[..., None], first, self._checked(batch))
+
+    def _checked(self, batch: tuple[int, ...]) -> np.ndarray:
+        """The memory of the step before, for a batch of the same shape."""
+        assert self._memory is not None
+        if self._memory.shape[:-1] != batch:
+            raise ValueError(
+                f"the observation has the batch {batch}, but the memory that of {self._memory.shape[:-1]}: call "
+                "reset() where other episodes begin"
+            )
+        return self._memory
 
     def _remembered(self, moved: Any) -> np.ndarray:
         if self._initial is not None:

@@ -243,6 +243,8 @@ def _check_names(option: str, names: tuple[str, ...], env: Env) -> None:
 
 
 def _network(env: Env, config: AnyPolicyConfig) -> GaussianActor:
+    if config.memory and MEMORY in config.observe:
+        raise ValueError(f"observe has {MEMORY!r}, the policy's own memory, which it always sees: leave it out")
     _check_names("observe", config.observe, env)
     return GaussianActor(
         _encoder(config, config.observe),

@@ -8,6 +8,7 @@ from rewax.envs.randomize.stored import part_for_environments, read_result, with
 from rewax.envs.registry import default_scale
 
 DEFAULT_ENV = "RollingFlat"
+_OF_SENSORS = ("sensors", "resolution")
 
 
 class EnvArguments(NamedTuple):
@@ -49,11 +50,12 @@ def env_arguments(
     env = str(env or made_by.get("env") or DEFAULT_ENV)
     scale = str(scale or (made_by.get("scale") if same else None) or default_scale())
     kwargs = {**given, "identified": part_for_environments(result, use)}
-    if recorded and recorded.get("env_kwargs", {}) != kwargs:
+    stored = recorded.get("env_kwargs") or {}
+    if recorded and {name: value for name, value in stored.items() if name not in _OF_SENSORS} != kwargs:
         raise ValueError(
             f"the run to be resumed has other parameters than {result!r}: leave --env-from out, the run keeps its own"
         )
-    return EnvArguments(env, scale, kwargs)
+    return EnvArguments(env, scale, {**kwargs, **stored})
 
 
 def sentences(env: Any, told: Mapping[str, Any]) -> list[str]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -80,6 +81,9 @@ def run(argv: Sequence[str]) -> int:
     quiet()
     options = parse(Options, argv, prog="rewax identify", description="Find physical parameters from a record.")
     import_modules(options.imports)
+    out = Path(options.out) if options.out else Path(options.record).with_suffix(".json")
+    if out.suffix != ".json":
+        raise ValueError(f"--out is {options.out}: give a file .json, since pictures of the same name lie beside it")
     record = load(options.record)
     enable_compilation_cache()
     env = task(options.env, options.scale, options.num_substeps)
@@ -91,7 +95,6 @@ def run(argv: Sequence[str]) -> int:
     )  # fmt: skip
     found = dataclasses.replace(found, made_by=getattr(env, "made_by", None))
     _print(console, found)
-    out = Path(options.out) if options.out else Path(options.record).with_suffix(".json")
     console.print(f"wrote {found.save(out)}")
     if options.picture:
         console.print(f"wrote {draw(found, record, out.with_suffix('.png'))}")
@@ -139,6 +142,8 @@ def priors(unknowns: Sequence[str], env: Any) -> dict[Any, Any]:
         except ValueError as error:
             raise ValueError(str(error).replace("--set", "--unknown")) from None
         if "=" not in text:
+            if name not in known or np.ndim(known[name]) > 0:
+                raise ValueError(f"{name} is not one number, around which there is a decade: give {text}=LOW,HIGH")
             value = float(known[name])
             if not value > 0.0:
                 raise ValueError(f"{name} is {value:g}, around which there is no decade: give {text}=LOW,HIGH")

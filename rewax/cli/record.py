@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -68,18 +68,23 @@ def run(argv: Sequence[str]) -> int:
     from rewax.identify import record, save
     from rewax.training.evaluation.sweep import read_grid, with_parameters
     from rewax.training.storage.cache import enable_compilation_cache
+    from rewax.training.storage.policies import open_run
 
     quiet()
     options = parse(Options, argv, prog="rewax record", description="Record what a camera sees of an environment.")
     enable_compilation_cache()
     import_modules(options.imports)
-    env = task(options.env, options.scale, options.num_substeps)
+    saved = open_run(options.policy, scale=options.scale) if options.policy else None
+    env = task(options.env, options.scale, options.num_substeps, _sensors(saved))
     if not callable(getattr(env, "particles", None)) or not callable(getattr(env, "world", None)):
         raise ValueError(f"{options.env} has no soft body that a camera could see: choose a task on soft bodies")
-    values = {name: numbers[0] for name, numbers in read_grid(options.settings, env).items()}
+    grid = read_grid(options.settings, env)
+    if several := [name for name, numbers in grid.items() if len(numbers) > 1]:
+        raise ValueError(f"--set gives {several[0]} {len(grid[several[0]])} values: a record has one, so give one")
+    values = {name: number for name, (number,) in grid.items()}
     moved = with_parameters(env, values) if values else env
     made = record(
-        moved, _script(options, env), jax.random.key(options.seed), num_steps=options.steps, every=options.every,
+        moved, _script(options, env, saved), jax.random.key(options.seed), num_steps=options.steps, every=options.every,
         noise=options.noise, occlusion=options.occlusion, num_points=options.points,
         source=json.dumps({**getattr(env, "made_by", {}), "values": values}),
     )  # fmt: skip
@@ -91,23 +96,31 @@ def run(argv: Sequence[str]) -> int:
     return 0
 
 
-def task(name: str, scale: str, num_substeps: int) -> Any:
-    """A registered environment with a number of substeps, 0 for its own."""
-    from rewax.envs import registry
-
-    return registry.make(name, scale=scale, num_substeps=num_substeps) if num_substeps else build_env(name, scale)
+def task(name: str, scale: str, num_substeps: int, sensors: Mapping[str, Any] | None = None) -> Any:
+    """A registered environment with a number of substeps, 0 for its own, and with sensors."""
+    return build_env(name, scale, **({"num_substeps": num_substeps} if num_substeps else {}), **(sensors or {}))
 
 
-def _script(options: Options, env: Any) -> Any:
+def _sensors(saved: Any) -> dict[str, Any]:
+    """Arguments of ``rewax.make`` for the sensors that a policy observes."""
+    kwargs = {} if saved is None else saved.config.get("env_kwargs", {})
+    return {name: kwargs[name] for name in ("sensors", "resolution") if name in kwargs}
+
+
+def _script(options: Options, env: Any, saved: Any) -> Any:
     """Actions, shape (num_steps, num_actions), or a policy ``(state, key) -> action``."""
     given = [name for name in ("action", "script", "policy") if getattr(options, name)]
     if len(given) != 1:
         raise ValueError("give one of --action, --script and --policy: what moves the tool")
     size = env.action_spec.shape[0]
-    if options.policy:
-        from rewax.training.storage.policies import open_run
-
-        saved = open_run(options.policy, scale=options.scale)
+    if saved is not None:
+        theirs, ours = ({name: one.shape for name, one in each.observation_spec.items()} for each in (saved.env, env))
+        needed = getattr(saved.agent.config, "observe", ()) or theirs
+        if other := [f"{name} {theirs[name]}" for name in needed if ours.get(name) != theirs[name]]:
+            raise ValueError(
+                f"the policy of {options.policy!r} observes {', '.join(other)}, which {options.env} does not: give the "
+                "--env and --scale that it was trained in, and --import its module"
+            )
         memory = saved.initial_memory
         if memory is None:
             return lambda state, key: saved.act(state.obs)

@@ -181,7 +181,8 @@ def failed_leaf_name(env: "Env", leaf: int) -> str:
       leaf: the index. A negative one gives ``"nothing"``, one beyond the last array ``"status"``: a fatal bit.
     """
     state = jax.eval_shape(env.reset, jax.random.key(0))
-    parts = {"physics": state.physics, "obs": dict(state.obs), "reward": state.reward}
+    own = jax.eval_shape(getattr(env, "unwrapped", env).reset, jax.random.key(0)).obs  # wrappers add further ones
+    parts = {"physics": state.physics, "obs": dict(own), "reward": state.reward}
     names = [
         name + jax.tree_util.keystr(path)
         for name, tree in parts.items()

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import _Wrapper, check_observed
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_observed
 from rewax.types import Array, Key, Observation
 
 
@@ -58,7 +58,7 @@ class History(struct.Replaceable, _Wrapper):
 
     def __getattr__(self, name: str) -> Any:
         """Everything else is the environment's own: pictures, rewards, what tasks offer beyond the protocol."""
-        if name.startswith("_") or name == "env":
+        if name.startswith("_") or name in NOT_FORWARDED:
             raise AttributeError(name)
         return getattr(self.env, name)
 

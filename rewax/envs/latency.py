@@ -8,7 +8,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import _Wrapper, check_observed
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_observed
 from rewax.types import Array, Key, Observation, PyTree
 
 _STREAM = 0x1A7E
@@ -99,7 +99,7 @@ class Latency(struct.Replaceable, _Wrapper):
 
     def __getattr__(self, name: str) -> Any:
         """All other attributes are those of the environment, also those that tasks have beyond the protocol."""
-        if name.startswith("_") or name == "env":
+        if name.startswith("_") or name in NOT_FORWARDED:
             raise AttributeError(name)
         return getattr(self.env, name)
 

@@ -20,7 +20,7 @@ makes one from names and distributions."""
 class Randomized(_Wrapper):
     """An environment whose parameters are drawn at each reset and kept until the next one.
 
-    ``State.drawn`` holds the parameters that the hook changed, by name.
+    ``State.drawn`` holds the parameters that the hook changed, by name, beside those of a ``Randomized`` inside.
 
     Attributes:
       env: the environment that the hook gets at every reset.
@@ -35,7 +35,8 @@ class Randomized(_Wrapper):
     def reset(self, key: Key) -> State:
         key, draw_key = jax.random.split(key)
         env = self.randomize(draw_key, self.env)
-        return env.reset(key).replace(drawn=_changed(self.env, env))
+        state = env.reset(key)
+        return state.replace(drawn={**(state.drawn or {}), **_changed(self.env, env)})
 
     def step(self, state: State, action: Array) -> State:
         return with_parameters(self.env, state.drawn or {}).step(state, action)
@@ -43,7 +44,12 @@ class Randomized(_Wrapper):
 
 def check_hook(env: Any, randomize: Randomize) -> None:
     """Raises ValueError for a hook that cannot draw parameters of this environment. Traces the hook only."""
-    jax.eval_shape(lambda key: _changed(env, randomize(key, env)), jax.random.key(0))
+    jax.eval_shape(lambda key: changed_by(randomize, key, env), jax.random.key(0))
+
+
+def changed_by(randomize: Randomize, key: Key, env: Any) -> dict[str, Array]:
+    """The parameters that a hook draws, by name."""
+    return _changed(env, randomize(key, env))
 
 
 def _changed(old: Any, new: Any) -> dict[str, Array]:
@@ -65,3 +71,15 @@ def _changed(old: Any, new: Any) -> dict[str, Array]:
 def with_parameters(env: Any, parameters: dict[str, Array]) -> Any:
     """The environment with some parameters replaced, by name."""
     return jax.tree.map_with_path(lambda path, leaf: parameters.get(jax.tree_util.keystr(path), leaf), env)
+
+
+def innermost(env: Any, drawn: dict[str, Array]) -> Any:
+    """The environment inside all wrappers, with the parameters that ``Randomized`` among them drew for an episode.
+
+    Args:
+      env: an environment, wrapped or not.
+      drawn: ``State.drawn`` of a state of it.
+    """
+    while isinstance(env, _Wrapper):
+        env = with_parameters(env.env, drawn) if isinstance(env, Randomized) else env.env
+    return getattr(env, "unwrapped", env)

@@ -8,7 +8,8 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import _Wrapper
+from rewax.envs.randomized import innermost
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper
 from rewax.physics.contact import Patches
 from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
@@ -86,12 +87,16 @@ class Sensing(struct.Replaceable, _Wrapper):
         return self._sensed(self._feeling.step(state.replace(obs=own), action))
 
     def world(self, physics: Any, up: np.ndarray | None = None) -> World:
-        """The world that the sensors see, by default with ``self.up``. Gradient: exact."""
+        """The world of the environment's own parameters, by default with ``self.up``. Gradient: exact."""
         return getattr(self.env, "unwrapped", self.env).world(physics, np.asarray(self.up if up is None else up))
+
+    def world_of(self, state: State) -> World:
+        """The world that the sensors see: with the parameters that ``Randomized`` inside drew. Gradient: exact."""
+        return innermost(self.env, state.drawn or {}).world(state.physics, np.asarray(self.up))
 
     def __getattr__(self, name: str) -> Any:
         """Everything else is the environment's own: pictures, rewards, what tasks offer beyond the protocol."""
-        if name.startswith("_") or name in ("env", "sensors"):
+        if name.startswith("_") or name in (*NOT_FORWARDED, "sensors"):
             raise AttributeError(name)
         return getattr(self.env, name)
 
@@ -110,12 +115,21 @@ class Sensing(struct.Replaceable, _Wrapper):
         touch = {name: sensor.patches for name, sensor in self.sensors.items() if isinstance(sensor, Touch)}
         return _with_touch(self.env, touch) if touch else self.env
 
+    @property
+    def _inside(self) -> int:
+        """How many environments with sensors this one is wrapped around: each has random numbers of its own."""
+        env, count = self.env, 0
+        while env is not None:
+            count += isinstance(env, Sensing)
+            env = getattr(env, "__dict__", {}).get("env")
+        return count
+
     def _sensed(self, state: State) -> State:
         return state.replace(obs={**state.obs, **self._see(state)})
 
     def _see(self, state: State) -> Observation:
-        world = self.world(state.physics)
-        key = jax.random.fold_in(jax.random.fold_in(state.key, _STREAM), state.step_count)
+        world = self.world_of(state)
+        key = jax.random.fold_in(jax.random.fold_in(state.key, _STREAM + self._inside), state.step_count)
         keys = jax.random.split(key, max(len(self.sensors), 1))
         felt = getattr(state.physics, "felt", None) or {}
         return {

@@ -11,6 +11,9 @@ from rewax.envs.base import ArraySpec, Env, State
 from rewax.short_repr import short_repr
 from rewax.types import Array, Key, PyTree
 
+NOT_FORWARDED = ("env", "made_by")
+"""Attributes that a wrapper does not take from its environment: ``rewax.make`` did not build what is wrapped around."""
+
 
 def select(condition: Array, on_true: PyTree, on_false: PyTree) -> PyTree:
     """``jnp.where`` over trees that may hold PRNG keys. Gradient: flows to the chosen tree only.

@@ -5,6 +5,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.wrappers import _Wrapper
+
 _TRIES = 200_000
 """Lattice points of the body's box, of which those inside are particles."""
 KINDS = ("height", "hull")
@@ -49,8 +51,10 @@ def particles_at_rest(env: Any) -> tuple[np.ndarray, Any]:
     """The particles of an environment at rest [m], shape (n, 3), and its scene.
 
     Raises:
-      ValueError: it has none, or particles of different volumes.
+      ValueError: it has none, or particles of different volumes, or is a wrapper.
     """
+    if isinstance(env, _Wrapper):
+        raise ValueError(f"{type(env).__name__} is wrapped around a task: change the task's body, then wrap it")
     rest = getattr(env, "rest_positions", None)
     scene: Any = getattr(env, "scene", None)
     if rest is None or not hasattr(scene, "particle_volume"):

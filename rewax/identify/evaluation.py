@@ -18,7 +18,7 @@ from rewax.types import Array
 Residuals = Callable[[Array, Array, Array, Array], Array]
 """``(particles, cloud, mask, offsets) -> residuals`` of one frame [m], (num_points,); ``offsets``: of the surface."""
 REST = ".rest_positions"
-"""Name of the array of rest positions among the leaves of an environment."""
+"""End of the name of the array of rest positions among the leaves of an environment, which may be wrapped."""
 HUBER = 2.0
 """Residuals beyond so many standard deviations count linearly."""
 
@@ -83,7 +83,7 @@ def evaluate(
 
     def one(start: tuple[Array, Array | None]) -> Evaluation:
         latent, placement = start
-        moved = {} if placement is None else {REST: placement}
+        moved = {} if placement is None else {name: placement for name in leaves.arrays if name.endswith(REST)}
         env = leaves.replace(arrays={**leaves.arrays, **moved}).build()
 
         def predicted(latent: Array) -> tuple[Array, Array]:

@@ -86,6 +86,7 @@ def identify(
     check_record(record)
     given = env if isinstance(env, (list, tuple)) else (env,)
     _check_options(starts, len(given), horizons, shake, frame_weights, record)
+    _check_numbers(max_iterations=max_iterations, side_by_side=side_by_side, noise=noise, width=width)
     envs = [without_reset_noise(one) for one in given]
     first = np.asarray(points_of(envs[0], jax.jit(envs[0].reset)(jax.random.key(seed)).physics))
     check_against(record, envs[0], first)
@@ -187,9 +188,24 @@ def _check_options(
     if not 0.0 <= shake < 1.0:
         raise ValueError(f"shake is {shake}: give a share of the spacing in [0, 1)")
     if weights is not None and (
-        np.shape(weights) != (record.num_frames,) or np.min(weights) < 0 or not np.any(weights)
+        np.shape(weights) != (record.num_frames,)
+        or not np.all(np.isfinite(weights))
+        or np.min(weights) < 0
+        or not np.any(weights[1:])
     ):
-        raise ValueError(f"frame_weights is {weights!r}: give {record.num_frames} numbers of at least 0, not all 0")
+        raise ValueError(
+            f"frame_weights is {weights!r}: give {record.num_frames} numbers of at least 0, one above 0 after the "
+            "first, because the first frame only fixes the surface"
+        )
+
+
+def _check_numbers(*, max_iterations: int, side_by_side: int, noise: float, width: float | None) -> None:
+    for name, count in (("max_iterations", max_iterations), ("side_by_side", side_by_side)):
+        if count < 1:
+            raise ValueError(f"{name} is {count}: give at least 1")
+    for name, length in (("noise", noise), ("width", width)):
+        if length is not None and not 0.0 < length < np.inf:
+            raise ValueError(f"{name} is {length}: give a length in metres, above 0")
 
 
 def _remarks(

@@ -11,6 +11,7 @@ import numpy as np
 
 from rewax.identify.records import Record, camera_numbers, cloud_of_depth
 from rewax.identify.simulate import points_of, without_reset_noise
+from rewax.physics.rigid import RigidModel
 from rewax.sensors import Camera, DepthNoise
 from rewax.status import FATAL, describe
 from rewax.types import Array, Key
@@ -97,7 +98,7 @@ def record_states(
     camera = camera_for(np.asarray(points_of(env, states[0])), up) if camera is None else camera
     camera = camera.replace(noise=DepthNoise(constant=noise))
     names = env.world(states[0], up).names
-    body = [i for i, name in enumerate(names) if name not in ("tool", "floor")]
+    body = [i for i, name in enumerate(names) if name not in ("tool", "floor", *_robot(env))]
     frames = list(range(0, len(actions) + 1, every))
     clouds, masks = [], []
     for n in frames:
@@ -115,6 +116,12 @@ def record_states(
         control_dt=dt, joint_q=None if joints is None else np.asarray(joints), camera=camera_numbers(camera),
         source=source,
     )  # fmt: skip
+
+
+def _robot(env: Any) -> list[str]:
+    """Names of the bodies of an environment's robot, the world's among them; empty if it has none."""
+    model = getattr(getattr(env, "unwrapped", env), "model", None)
+    return [model.static.mj.body(i).name for i in range(model.static.mj.nbody)] if isinstance(model, RigidModel) else []
 
 
 def _check_options(occlusion: float, noise: float, every: int) -> None:

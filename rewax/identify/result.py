@@ -87,7 +87,7 @@ class Identified:
         for i, (names, draw) in enumerate(self.space.draws):
             if names[0].startswith("initial."):
                 continue
-            std = max(float(np.sqrt(self.covariance[i, i])) * self.space.scale_of(i), 1e-6)
+            std = max(float(np.sqrt(self.covariance[i, i])), 1e-6) * self.space.scale_of(i)
             value = self.values[names[0]]
             within: dict[str, Any] = {"low": float(ends[0][i]), "high": float(ends[1][i])}
             posterior = LogNormal(value, std, **within) if self.space.is_log[i] else Normal(value, std, **within)

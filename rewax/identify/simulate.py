@@ -1,11 +1,13 @@
 """Simulates an environment with given unknowns: particles at the times of a record's frames."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.wrappers import _Wrapper
 from rewax.identify.records import Record
 from rewax.identify.unknowns import Space
 from rewax.types import Array, PyTree
@@ -106,6 +108,8 @@ def points_of(env: Any, physics: PyTree) -> Array:
 
 def without_reset_noise(env: Any) -> Any:
     """The environment with a ``noise`` of zero, if it has one: every episode begins at ``rest_positions``."""
+    if isinstance(env, _Wrapper):
+        return dataclasses.replace(env, env=without_reset_noise(env.env))
     noise = getattr(env, "noise", None)
     if noise is None or not hasattr(env, "replace"):
         return env

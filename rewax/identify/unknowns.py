@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -125,7 +126,8 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
       env: has these parameters.
 
     Raises:
-      ValueError: a name fits no parameter, or a prior is not ``LogUniform``, ``LogNormal``, ``Uniform`` or ``Normal``.
+      ValueError: a name fits no parameter, a prior is not ``LogUniform``, ``LogNormal``, ``Uniform`` or ``Normal``, or
+        a first state is unknown of an environment without a soft body.
     """
     space = Space(hook(unknowns).draws)
     for (names, _), prior, label in zip(space.draws, space.priors, space.labels, strict=True):
@@ -137,6 +139,11 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
             known = ", ".join(_INITIAL)
             raise ValueError(f"{label!r} is no unknown of the first state: use one of {known}, alone")
     space.place(env, jnp.zeros(len(space.draws)))  # raises for unknown names
+    if first := [label for label in space.labels if label in _INITIAL]:
+        soft = getattr(jax.eval_shape(env.reset, jax.random.key(0)).physics, "soft", None)
+        if not (hasattr(soft, "x") and hasattr(soft, "v")):
+            kind = type(getattr(env, "unwrapped", env)).__name__
+            raise ValueError(f"{first[0]} is of a soft body, and {kind} has none of one kind: leave it out")
     return space
 
 
@@ -167,7 +174,7 @@ def stable_bounds(space: Space, envs: Sequence[Any]) -> tuple[np.ndarray, np.nda
             "give softer priors"
         )
     for i, label in enumerate(space.labels):
-        for bound in (low, high):
+        for bound, way in ((low, "down"), (high, "up")):
             far = bound[i] if np.isfinite(bound[i]) else math.copysign(5.0, bound[i])
             inside = _furthest_stable(space, envs, center, i, far)
             if inside != far:
@@ -176,8 +183,8 @@ def stable_bounds(space: Space, envs: Sequence[Any]) -> tuple[np.ndarray, np.nda
                     float(space.numbers(np.where(np.arange(len(low)) == i, end, center))[i]) for end in (inside, far)
                 )
                 said.append(
-                    f"{label} is searched up to {value:.4g} instead of {wanted:.4g}: beyond, the substep is too long; "
-                    "make the environment with a larger num_substeps to search further"
+                    f"{label} is searched {way} to {value:.4g} instead of {wanted:.4g}: beyond, the substep is too "
+                    "long; make the environment with a larger num_substeps to search further"
                 )
     return low, high, said
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
@@ -70,6 +71,13 @@ class Camera(struct.Replaceable):
 
     def __post_init__(self) -> None:
         check_numbers(numbers_of(self, "Camera."))
+        if not isinstance(self.rotation, Tracer):
+            rotation = np.asarray(self.rotation, float)
+            if not (np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0.0):
+                raise ValueError(
+                    f"Camera.rotation is {rotation.tolist()}, which is no rotation: give orthonormal columns, to the "
+                    "right, up and backwards, or use Camera.look_at"
+                )
         for name in ("height", "width"):
             size = getattr(self, name)
             if isinstance(size, bool) or not isinstance(size, int) or size < 1:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.physics.numerics.checks import NOT_NEGATIVE
+from rewax.physics.numerics.checks import NOT_NEGATIVE, PROBABILITY, check_numbers, numbers_of
 from rewax.types import Array, Key, Scalar
 
 
@@ -25,9 +25,12 @@ class DepthNoise(struct.Replaceable):
     constant: Scalar = struct.number(NOT_NEGATIVE, "give a length in metres", default=0.0)
     quadratic: Scalar = struct.number(NOT_NEGATIVE, "give a number of 1/m", default=0.0)
     step: Scalar = struct.number(NOT_NEGATIVE, "give a length in metres", default=0.0)
-    edge_holes: Scalar = struct.number(NOT_NEGATIVE, "give a probability", default=0.0)
+    edge_holes: Scalar = struct.number(PROBABILITY, "give a probability", default=0.0)
     edge: Scalar = struct.number(NOT_NEGATIVE, "give a length in metres", default=0.02)
-    dropout: Scalar = struct.number(NOT_NEGATIVE, "give a probability", default=0.0)
+    dropout: Scalar = struct.number(PROBABILITY, "give a probability", default=0.0)
+
+    def __post_init__(self) -> None:
+        check_numbers(numbers_of(self, "DepthNoise."))
 
     def apply(self, depth: Array, far: float, key: Key) -> Array:
         """A picture with these errors.

@@ -192,3 +192,13 @@ def test_the_entry_point_imports_no_jax():
     entry = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]["entry-points"]
     module, function = entry["gymnasium.envs"]["rewax"].split(":")
     assert getattr(importlib.import_module(module), function) is gymnasium_ids.register_envs
+
+
+def test_observations_of_other_types_become_float32():
+    class Counting:
+        def see(self, world, key):
+            return jnp.arange(3)
+
+    env = GymnasiumEnv(Sensing(env=seeing_toys.visible(3), sensors={"count": Counting()}))
+    obs, _ = env.reset(seed=0)
+    assert obs["count"].dtype == np.float32 and env.observation_space.contains(obs)

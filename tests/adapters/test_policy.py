@@ -3,6 +3,7 @@
 import dataclasses
 
 import jax
+import memory_toys
 import numpy as np
 import pytest
 import toys
@@ -77,3 +78,20 @@ def test_in_dm_env_it_earns_what_it_earns_at_home(run):
         state = run.env.step(state, run.act(state.obs))
         expected += float(state.reward)
     np.testing.assert_allclose(total, expected, rtol=1e-5)
+
+
+def test_only_what_the_policy_observes_is_needed():
+    env = memory_toys.shown_once()
+    agent = memory_toys.agent("shac", env, memory=0, observe=("x",))
+    asymmetric = SavedRun(env, agent, agent.init(jax.random.key(0)), {})
+    obs = env.reset(jax.random.key(1)).obs
+    np.testing.assert_allclose(numpy_policy(asymmetric)({"x": obs["x"]}), asymmetric.act(obs), rtol=1e-6)
+
+
+def test_a_memory_of_another_batch_is_refused():
+    env, agent = memory_toys.shown_once(), memory_toys.agent("shac")
+    act = numpy_policy(SavedRun(env, agent, agent.init(jax.random.key(0)), {}))
+    one = {name: np.asarray(value) for name, value in env.reset(jax.random.key(1)).obs.items()}
+    act(one)
+    with pytest.raises(ValueError, match=r"has the batch \(2,\), but the memory that of \(\): call reset\(\)"):
+        act({name: np.stack([value, value]) for name, value in one.items()})

@@ -188,3 +188,9 @@ def test_the_critics_see_the_memory_unless_they_are_told_what_to_see():
 
 def test_a_policy_without_memory_is_recognised():
     assert action_of(jnp.ones(1)) == 1.0 and stage(toys.point_mass(), lambda *_: 0).episode_length == 5
+
+
+def test_a_policy_cannot_choose_to_observe_its_memory():
+    with pytest.raises(ValueError, match="observe has 'memory', the policy's own memory, which it always sees"):
+        memory_toys.agent("shac", observe=("x", MEMORY))
+    memory_toys.agent("shac", observe=("x",), critic_observe=("x", MEMORY))

@@ -13,7 +13,7 @@ from toys import make_configured as make
 import rewax
 from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
-from rewax.cli.env_from import sentences
+from rewax.cli.env_from import env_arguments, sentences
 from rewax.cli.main import main as command
 from rewax.envs import registry
 from rewax.envs.randomize.stored import FORMAT
@@ -120,3 +120,12 @@ def test_a_stiffness_beyond_the_substep_is_said(tmp_path):
         env = rewax.make("RollingFlat", scale="small", identified=told)
         assert len(sentences(env, told)) == count
         assert float(env.scene.material.elasticity.youngs_modulus) == value
+
+
+def test_a_resumed_run_keeps_its_sensors_beside_its_parameters(tmp_path):
+    path = result(tmp_path / "push.json")
+    first = env_arguments(None, None, path, "draws", {})
+    recorded = {"env": first.env, "env_kwargs": {**first.kwargs, "sensors": ["camera"], "resolution": 8}}
+    assert env_arguments(None, None, path, "draws", recorded).kwargs == recorded["env_kwargs"]
+    with pytest.raises(ValueError, match="the run to be resumed has other parameters"):
+        env_arguments(None, None, path, "values", recorded)

@@ -2,12 +2,19 @@
 
 import json
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 import toys
 
 from rewax.cli.main import main
 from rewax.envs import registry
+from rewax.envs.latency import Latency
+from rewax.envs.randomize import Scale, Uniform, hook
+from rewax.envs.randomized import Randomized
 from rewax.training.evaluation import episodes
+from rewax.training.evaluation.sweep import read_grid, with_parameters
 
 TOY = "ToyForEvaluation"
 
@@ -89,3 +96,18 @@ def test_the_video_has_the_size_and_place_that_are_asked_for(run, tmp_path, caps
     reader = imageio_ffmpeg.read_frames(str(path))
     assert next(reader)["size"] == (64, 48)
     reader.close()
+
+
+def test_a_value_that_is_set_is_not_drawn():
+    env = toys.point_mass(4)
+    draws = hook({"gain": Scale(Uniform(0.5, 2.0))})
+    drawn = Latency(env=Randomized(env=env, randomize=draws), observation=1)
+    ((name, (value,)),) = read_grid(["gain=0.3"], drawn).items()
+    fixed = with_parameters(drawn, {name: value})
+    states = [fixed.reset(jax.random.key(i)) for i in range(2)]
+    moved = [fixed.step(state, jnp.ones(1)).physics - state.physics for state in states]
+    np.testing.assert_allclose(moved, 0.3, rtol=1e-5)
+    assert drawn.reset(jax.random.key(0)).drawn[".gain"] != drawn.reset(jax.random.key(1)).drawn[".gain"]
+    own = Randomized(env=env, randomize=lambda key, env: env.replace(gain=env.gain * jax.random.uniform(key)))
+    with pytest.raises(ValueError, match="gain is drawn at every reset by a function, so it has no value to set"):
+        with_parameters(own, {"env.gain": 0.3})

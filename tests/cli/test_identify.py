@@ -3,15 +3,23 @@
 import json
 
 import imageio_ffmpeg
+import jax
+import jax.numpy as jnp
+import memory_toys
 import numpy as np
 import pytest
+import seeing_toys
 from matplotlib.image import imread
 
 import rewax
+from rewax import struct
 from rewax.cli.identify import priors
 from rewax.cli.main import main
+from rewax.envs import registry
 from rewax.envs.randomize import LogUniform, Uniform
-from rewax.identify import load_result
+from rewax.identify import load, load_result
+from rewax.training.storage import policies
+from rewax.training.storage.saved import SavedRun
 
 PUSH = ("--env=RollingFlat", "--action", "0.3", "-1", "0", "--steps", "4", "--every", "2", "--points", "64")
 
@@ -46,8 +54,13 @@ def test_from_a_push_to_a_material(tmp_path, capsys):
         (["identify", "absent.npz", "--env=RollingFlat"], "there is no record 'absent.npz'"),
         (["record", "--env=RollingFlat"], "give one of --action, --script and --policy"),
         (["record", "--env=RollingFlat", "--action", "1"], "an action has 1 numbers, but RollingFlat takes 3"),
+        (
+            ["record", *PUSH, "--set", "density=900,1000"],
+            "--set gives scene.material.density 2 values: a record has one",
+        ),
         (["record", "--env=RollingFlat", "--script", "absent.csv"], "there is no script 'absent.csv'"),
         (["record", "--env=Hopper", "--action", "1"], "Hopper has no soft body"),
+        (["identify", "a.npz", "--env=RollingFlat", "--out", "a.png"], "--out is a.png: give a file .json"),
     ],
 )
 def test_mistakes_are_told_in_a_sentence(command, sentence, capsys, tmp_path, monkeypatch):
@@ -69,6 +82,9 @@ def test_priors_are_ranges_or_a_decade():
         (["yield_stress=1,2", "yield_stress=1,2"], "give each parameter once"),
         (["yield_stress=a,b"], "a"),
         (["stickiness=1,2"], "has no parameter 'stickiness'"),
+        (["scene.gravity"], "scene.gravity is not one number, .* give scene.gravity=LOW,HIGH"),
+        (["scene.gravity[1]"], r"scene.gravity\[1\] is not one number"),
+        (["scene.colliders[*].friction"], "is not one number"),
     ):
         with pytest.raises(ValueError, match=sentence):
             priors(texts, env)
@@ -94,3 +110,33 @@ def test_the_body_of_the_first_cloud_is_fitted_on_two_grids(tmp_path, capsys):
         capsys.readouterr()
         assert main([*fit, *wrong]) == 2
         assert sentence in capsys.readouterr().err
+
+
+@struct.dataclass
+class Ball(seeing_toys.Visible):
+    """The sphere over a floor, with what records need."""
+
+    control_dt: float = struct.static_field(default=0.1)
+
+    def particles(self, physics):
+        corners = jnp.stack(jnp.meshgrid(*[jnp.array([-0.2, 0.2])] * 3), axis=-1).reshape(8, 3)
+        return corners + jnp.concatenate([physics, jnp.array([0.2, 0.0])])
+
+
+def test_a_policy_that_sees_and_remembers_moves_the_tool(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(registry._FACTORIES, "Ball", lambda scale: Ball(gain=jnp.float32(0.5)))
+    env = rewax.make("Ball", scale="small", sensors=("camera",), resolution=8)
+    agent = memory_toys.agent("apg", env, observe=("camera",), picture_widths=(2,), picture_features=2)
+    run = SavedRun(env, agent, agent.init(jax.random.key(0)), {"env_kwargs": env.made_by["kwargs"]})
+    monkeypatch.setattr(policies, "open_run", lambda *args, **kwargs: run)
+    command = ["record", "--env=Ball", "--policy=run", "--steps=2", "--out", str(tmp_path / "a.npz")]
+    assert main(command) == 0, capsys.readouterr().err
+    found, state, memory = load(tmp_path / "a.npz").actions, env.reset(jax.random.split(jax.random.key(0), 4)[0]), None
+    for action in found:
+        expected, memory = run.act(state.obs, memory=memory)
+        np.testing.assert_allclose(action, expected, rtol=1e-4, atol=1e-5)
+        state = env.step(state, expected)
+    assert found[0] != found[1]
+    monkeypatch.setattr(policies, "open_run", lambda *args, **kwargs: run._replace(config={}))
+    assert main(command) == 2
+    assert "the policy of 'run' observes camera (8, 8, 1), which Ball does not" in capsys.readouterr().err

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import toys
 
+from rewax.envs.randomize import Constant, Scale, hook
 from rewax.envs.randomized import Randomized
 from rewax.envs.wrappers import AutoReset
 
@@ -75,3 +76,13 @@ def test_values_and_gradients_are_those_of_the_environment_with_these_leaves():
 def test_a_hook_may_draw_leaves_only(hook, sentence):
     with pytest.raises(ValueError, match=sentence):
         Randomized(env=toys.point_mass(), randomize=hook).reset(jax.random.key(0))
+
+
+def test_draws_inside_draws_all_act_until_the_next_reset():
+    inside = Randomized(env=toys.point_mass(), randomize=draw)
+    outside = Randomized(env=inside, randomize=hook({"env.gain": Scale(Constant(3.0))}))
+    state = outside.reset(jax.random.key(0))
+    gain = state.drawn[".gain"]
+    assert 0.75 <= gain <= 3.0 and state.drawn[".env.gain"] == 1.5 and gain != 1.5
+    moved = outside.step(state, jnp.full(1, 0.1)).physics - state.physics
+    np.testing.assert_allclose(moved, 0.1 * gain, rtol=1e-4)

@@ -8,10 +8,16 @@ import seeing_toys
 import toys
 
 import rewax
+from rewax import struct
+from rewax.envs.base import failed_leaf_name
+from rewax.envs.history import History
+from rewax.envs.latency import Latency
+from rewax.envs.randomize import Constant, hook
 from rewax.envs.randomized import Randomized
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import AutoReset
 from rewax.sensors import Camera, DepthNoise
+from rewax.status import Status
 from rewax.testing import check_env
 
 CAMERA = Camera.look_at((-1.0, 0.0, -0.2), eye=(-1.0, -2.0, 0.3), up=(0, 0, 1), near=0.5, far=4.0, height=24, width=32)
@@ -115,3 +121,54 @@ def test_bad_sensors_are_refused(bare):
         Sensing(env=bare, sensors={"x": 3})
     with pytest.raises(ValueError, match="has no world"):
         Sensing(env=object(), sensors={"depth": CAMERA})
+
+
+@struct.dataclass
+class Sized(seeing_toys.Visible):
+    """The ball's radius is a parameter."""
+
+    radius: float = struct.field(default=0.2)
+
+    def world(self, physics, up):
+        seen = super().world(physics, up)
+        ball, floor = seen.solids
+        return seen.replace(solids=(ball.replace(shape=ball.shape.replace(radius=self.radius)), floor))
+
+
+def test_a_camera_around_drawn_parameters_sees_what_was_drawn():
+    env, camera = Sized(gain=jnp.float32(0.5)), {"depth": seeing_toys.front_camera()}
+    inside = Sensing(env=Randomized(env=env, randomize=hook({"radius": Constant(0.4)})), sensors=camera)
+    drawn = inside.reset(jax.random.key(0))
+    large = Sensing(env=env.replace(radius=0.4), sensors=camera)
+    for state in (drawn, inside.step(drawn, jnp.ones(1))):
+        own = large._sensed(state.replace(obs={"x": state.obs["x"]}))
+        np.testing.assert_array_equal(state.obs["depth"], own.obs["depth"])
+    small = Sensing(env=env, sensors=camera)._sensed(drawn.replace(obs={"x": drawn.obs["x"]}))
+    assert np.abs(drawn.obs["depth"] - small.obs["depth"]).max() > 0.1
+
+
+def test_sensors_around_sensors_draw_their_own_noise():
+    camera = seeing_toys.front_camera(noise=DepthNoise(constant=0.1))
+    inner = Sensing(env=seeing_toys.visible(), sensors={"a": camera})
+    obs = Sensing(env=inner, sensors={"b": camera}).reset(jax.random.key(0)).obs
+    assert (obs["a"] != obs["b"]).mean() > 0.3
+    np.testing.assert_array_equal(obs["a"], inner.reset(jax.random.key(0)).obs["a"])
+
+
+def test_the_array_of_a_failure_keeps_its_name_behind_sensors():
+    class Failing(seeing_toys.Visible):
+        def step(self, state, action):
+            return self.after(state, state.physics, status=int(Status.NAN))
+
+    env = Failing(gain=jnp.float32(0.5))
+    failed = env.step(env.reset(jax.random.key(0)), jnp.ones(1)).failed_leaf
+    camera = seeing_toys.front_camera()
+    assert failed_leaf_name(Sensing(env=env, sensors={"depth": camera, "y": camera}), int(failed)) == "status"
+
+
+def test_a_wrapped_environment_is_not_the_one_that_make_built():
+    """Else a run would be described, and loaded, without what is wrapped around."""
+    env = rewax.make("CartpoleSwingUp", scale="small")
+    assert env.made_by["env"] == "CartpoleSwingUp"
+    for wrapped in (History(env=env), Latency(env=env), Sensing(env=env, sensors={})):
+        assert not hasattr(wrapped, "made_by") and wrapped.appearance == env.appearance

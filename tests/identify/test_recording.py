@@ -8,7 +8,7 @@ import rewax
 from rewax.identify import load, record, record_states, save
 from rewax.identify.recording import camera_for
 from rewax.identify.records import camera_of
-from rewax.identify.simulate import regions
+from rewax.identify.simulate import regions, without_reset_noise
 
 ACTIONS = np.tile(np.float32([0.3, -1.0, 0.0]), (3, 1))
 
@@ -87,3 +87,16 @@ def test_bad_options_and_failed_steps_are_told(env):
 def test_regions_have_about_equally_many_points(seen):
     counts = np.bincount(regions(seen.clouds, seen.mask, 4).reshape(-1), minlength=16)
     assert counts.sum() == seen.mask.sum() and np.sort(counts)[4] > 0.3 * counts.mean()
+
+
+def test_a_robot_is_no_part_of_the_body_that_is_recorded():
+    env = rewax.make("GripperLift", scale="small")
+    state = jax.jit(without_reset_noise(env).reset)(jax.random.key(0))
+    low, high = (end(np.asarray(env.particles(state.physics)), axis=0) for end in (np.min, np.max))
+    camera = camera_for(np.asarray(env.particles(state.physics)), np.asarray(env.up)).replace(field_of_view=90.0)
+    world = jax.jit(lambda physics: camera.view(env.world(physics, env_up)).label)
+    env_up = np.asarray(env.up)
+    assert len(np.unique(np.asarray(world(state.physics)))) > 3  # fingers, floor and nothing are in the picture, too
+    seen = record_states(env, [state.physics], np.zeros((0, 4)), jax.random.key(0), camera=camera)
+    cloud, margin = seen.clouds[0][seen.mask[0]], float(env.scene.grid.spacing)
+    assert len(cloud) > 8 and np.all((cloud > low - margin) & (cloud < high + margin))

@@ -1,9 +1,12 @@
 """Intervals of linear problems hold as often as they claim; directions without data are named."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from rewax.envs.randomize import LogUniform, Uniform
+from rewax.identify.result import Identified
 from rewax.identify.uncertainty import combined, posterior, short, undetermined
 from rewax.identify.unknowns import Space
 
@@ -101,3 +104,14 @@ def test_the_interval_of_an_extrapolation_holds_for_one_more_draw():
         mean, covariance = combined(draws[1:], groups, spacings, 0.02)
         held.append(abs(draws[0, 0] - mean[0]) < 1.96 * np.sqrt(covariance[0, 0]))
     assert 0.94 < np.mean(held) < 0.98  # half of the step counts as well
+
+
+def test_the_posterior_of_a_small_number_is_as_narrow_as_its_fit():
+    space = Space(((("a",), Uniform(1e-7, 3e-7)),))
+    fit = dict.fromkeys(field.name for field in dataclasses.fields(Identified))
+    bounds = (np.array([-1.7]), np.array([1.7]))
+    found = Identified(
+        **{**fit, "space": space, "latent": np.zeros(1), "covariance": np.eye(1) * 0.01, "bounds": bounds}
+    )
+    ((_, drawn),) = found.draws().draws
+    assert drawn.mean == pytest.approx(2e-7) and drawn.std == pytest.approx(0.1 * 2e-7 / 12**0.5)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import rewax
+from rewax.envs.history import History
+from rewax.envs.named_sensors import with_sensors
 from rewax.envs.randomize import LogUniform, Uniform
 from rewax.identify.simulate import without_reset_noise
 from rewax.identify.unknowns import is_stable, space_of, stable_bounds
@@ -61,3 +63,9 @@ def test_without_reset_noise_all_episodes_begin_alike(env):
     a, b = (still.reset(jax.random.key(seed)).physics.soft.x for seed in (0, 1))
     np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(a, env.rest_positions)
+
+
+def test_a_wrapped_task_is_simulated_without_its_reset_noise(env):
+    wrapped = without_reset_noise(History(env=with_sensors(env, ("labels",), 8), steps=2))
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves(wrapped.noise)) and wrapped.steps == 2
+    assert any(np.any(leaf) for leaf in jax.tree.leaves(env.noise))

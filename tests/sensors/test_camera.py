@@ -183,6 +183,8 @@ def test_an_observation_lies_between_zero_and_one():
         ({"position": jnp.zeros(2)}, "position"),
         ({"rotation": jnp.full((3, 3), jnp.nan)}, "rotation"),
         ({"noise": 0.1}, "noise is of the type"),
+        ({"rotation": np.zeros((3, 3))}, "is no rotation: give orthonormal columns"),
+        ({"rotation": np.diag([1.0, 1.0, -1.0])}, "is no rotation"),
         ({"body": -1}, "body is -1"),
     ],
 )
@@ -208,3 +210,17 @@ def test_a_zoom_is_a_longer_focal_length(zoom):
     seen = np.asarray((zoomed.label == 0) & (plain.label == 0))
     assert (np.asarray(zoomed.label) != plain.label).mean() < 2e-3 and seen.sum() > 50
     np.testing.assert_allclose(np.asarray(zoomed.depth)[seen], np.asarray(plain.depth)[seen], atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"dropout": 5.0}, "DepthNoise.dropout is 5.*must be from 0 to 1: give a probability"),
+        ({"edge_holes": -0.1}, "DepthNoise.edge_holes is -0.1.*must be from 0 to 1"),
+        ({"constant": -0.1}, "DepthNoise.constant is -0.1.*must be 0 or more"),
+    ],
+)
+def test_bad_noise_is_refused(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        DepthNoise(**wrong)
+    DepthNoise(dropout=1.0, edge_holes=0.0)

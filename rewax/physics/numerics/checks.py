@@ -37,6 +37,8 @@ class Legal(NamedTuple):
             return "positive"
         if self == NOT_NEGATIVE:
             return "0 or more"
+        if self == PROBABILITY:
+            return "from 0 to 1"
         return "finite" if self == FINITE else f"above {self.low:.4g} and below {self.high:.4g}"
 
 
@@ -45,6 +47,7 @@ _SMALL = 1024
 POSITIVE = Legal(low=0.0)
 NOT_NEGATIVE = Legal(low=0.0, closed=True)
 FINITE = Legal()
+PROBABILITY = Legal(low=0.0, high=1.0 + 2.0**-23, closed=True)  # the next number of float32: 1 itself is legal
 GRAVITY = "give an acceleration in m/s^2, (0, -9.81, 0) on Earth"
 """The remedy in messages about gravity."""
 

@@ -41,7 +41,7 @@ def make_pixels(env: Any) -> Callable[[State], Pixels]:
     def pixels(state: State) -> Pixels:
         found: Pixels = {}
         for sensing in _sensings(env, state):
-            world = sensing.world(state.physics)
+            world = sensing.world_of(state)
             for name, camera in _cameras(sensing).items():
                 view, every = camera.view(world), stride(camera.height, camera.width)
                 observed = state.obs[name] if isinstance(sensing.sensors[name], Camera) else None

@@ -1,5 +1,6 @@
 """Evaluations of one policy over a grid of physical parameters."""
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +9,9 @@ from typing import Any
 import jax
 
 from rewax.envs.base import Env
-from rewax.envs.randomize import Constant, hook, leaves
+from rewax.envs.randomize import Constant, LeafDraws, hook, leaves
+from rewax.envs.randomized import Randomized, changed_by
+from rewax.envs.wrappers import _Wrapper
 
 Grid = Mapping[str, tuple[float, ...]]
 """Values by the name of a parameter, as ``rewax.envs.randomize.leaves`` lists them."""
@@ -46,12 +49,36 @@ def points(grid: Grid) -> Iterator[dict[str, float]]:
 
 
 def with_parameters(env: Env, values: Mapping[str, float]) -> Env:
-    """An environment of the same structure with other values of some parameters.
+    """An environment of the same structure with other values of some parameters, which are no longer drawn at resets.
 
     Raises:
-      ValueError: the environment has no such parameter.
+      ValueError: the environment has no such parameter, or a function of the user draws it.
     """
-    return hook({name: Constant(value) for name, value in values.items()})(jax.random.key(0), env)
+    fixed = hook({name: Constant(value) for name, value in values.items()})
+    return _without_draws_of(_drawn_by(fixed, env), fixed(jax.random.key(0), env))
+
+
+def _drawn_by(randomize: Any, env: Any) -> set[str]:
+    """Names of the arrays that a hook draws."""
+    return set(jax.eval_shape(lambda key: changed_by(randomize, key, env), jax.random.key(0)))
+
+
+def _without_draws_of(names: set[str], env: Any) -> Any:
+    """The environment without those draws that reach one of these arrays, at any depth of its wrappers."""
+    if not isinstance(env, _Wrapper):
+        return env
+    inside = {name.removeprefix(".env") for name in names if name.startswith(".env")}
+    kept = {}
+    if isinstance(env, Randomized):
+        if isinstance(env.randomize, LeafDraws):
+            draws = [draw for draw in env.randomize.draws if not inside & _drawn_by(LeafDraws((draw,)), env.env)]
+            kept = {"randomize": LeafDraws(tuple(draws))}
+        elif clash := sorted(inside & _drawn_by(env.randomize, env.env)):
+            raise ValueError(
+                f"{clash[0].removeprefix('.')} is drawn at every reset by a function, so it has no "
+                "value to set: draw it with rewax.envs.randomize.hook"
+            )
+    return dataclasses.replace(env, env=_without_draws_of(inside, env.env), **kept)
 
 
 def _full_name(name: str, env: Env) -> str:

@@ -5,9 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from rich.console import Console
 
 from rewax.agents.base import Agent
+from rewax.envs.base import Env
+from rewax.envs.leaves import EnvLeaves
 from rewax.training.config import TrainConfig
 from rewax.training.loop.progress import say
 from rewax.training.loop.warm_start import warm_started
@@ -19,12 +23,19 @@ _FLAGS = {"env": "--env", "scale": "--scale", "agent": "--algo"}
 
 
 def first_state(
-    agent: Agent, config: TrainConfig, run_dir: Path, key: Key, description: Mapping[str, Any], console: Console
+    agent: Agent,
+    env: Env,
+    config: TrainConfig,
+    run_dir: Path,
+    key: Key,
+    description: Mapping[str, Any],
+    console: Console,
 ) -> Any:
     """The initial training state.
 
     Args:
       agent: the algorithm.
+      env: the environment that was given.
       config: of the run.
       run_dir: its directory.
       key: for ``agent.init``.
@@ -71,8 +82,31 @@ def first_state(
     for name, old, new in differences:
         if name == "train.seed" or not name.startswith("train."):  # options of reports may change
             say(console, f"note: resuming with {name} {new}, it was {old}")
+    if others := _other_parameters(train_state, env):
+        say(
+            console,
+            f"note: the environment given has other values of {', '.join(others)}: the run keeps its own, and only "
+            "evaluations and pictures use those given",
+        )
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
+
+
+def _other_parameters(train_state: Any, env: Env) -> list[str]:
+    """Names of up to three parameters of an environment that a training state has other values of."""
+    stored = getattr(getattr(train_state, "environments", None), "env", None)
+    if not isinstance(stored, EnvLeaves):
+        return []
+    found = []
+    # The state's environment may be wrapped, in draws or a memory, and may be a batch.
+    own = {name.replace(".env", ""): value for name, value in stored.arrays.items()}
+    for name, value in EnvLeaves.of(env).arrays.items():
+        before = own.get(name.replace(".env", ""))
+        if before is None or jnp.shape(before) != jnp.shape(value) or not jnp.issubdtype(value.dtype, jnp.number):
+            continue
+        if not np.array_equal(np.asarray(before), np.asarray(value), equal_nan=True):
+            found.append(name.removeprefix("."))
+    return found[:3]
 
 
 def _identified(config: Mapping[str, Any]) -> Any:

@@ -178,7 +178,7 @@ def prepared(
     run_dir, seed_key = Path(config.run_dir).absolute(), jax.random.key(config.seed)
     description = {**describe_run(agent, env, describe), "train": config}
     leader = leader or Leader()
-    train_state = where.place(leader.hand_out(first_state(agent, config, run_dir, seed_key, description, console)))
+    train_state = where.place(leader.hand_out(first_state(agent, env, config, run_dir, seed_key, description, console)))
 
     def open_run() -> Run:
         stored = read_config(run_dir) if config.resume else {}

@@ -73,7 +73,8 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
     Args:
       run_dir: directory of the run.
       step: iteration of the checkpoint; by default the newest that can be read.
-      env: the environment that the run was trained in, unbatched; needed unless ``rewax.make`` built it.
+      env: the environment that the run was trained in, unbatched; needed unless ``rewax.make`` built it. If the agent
+        had ``randomize``, ``Randomized(env=env, randomize=randomize)``.
 
     Raises:
       ValueError: in one sentence: there is no such run or checkpoint, or ``config.json`` has a wrong entry.
@@ -99,7 +100,13 @@ def load_run(run_dir: str | Path, *, step: int | None = None, env: Env | None = 
     stored = agent_config(algorithm(name).config_type, config[name], f"{file}: {name}")
     env = _recorded_env(config, file) if env is None else env
     agent = build_agent(name, env, stored)
-    train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
+    try:
+        train_state = checkpoint.restore(run_dir, jax.eval_shape(agent.init, jax.random.key(0)), step=step)
+    except checkpoint.OtherStructure as error:
+        raise checkpoint.OtherStructure(
+            f"{error}; if the agent drew parameters (randomize=...), give the environment with them: "
+            "load_run(run_dir, env=Randomized(env=env, randomize=...))"
+        ) from None
     return SavedRun(env, agent, train_state, config)
 
 

@@ -1,5 +1,7 @@
 """Runs from their directories: the same policy, and sentences where there is none to build."""
 
+import dataclasses
+import io
 import json
 import shutil
 
@@ -7,9 +9,12 @@ import jax
 import numpy as np
 import pytest
 import toys
+from rich.console import Console
 
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs import registry
+from rewax.envs.randomize import Uniform, hook
+from rewax.envs.randomized import Randomized
 from rewax.training.config import TrainConfig
 from rewax.training.loop.train import train
 from rewax.training.storage.description import write_config
@@ -145,3 +150,20 @@ def test_a_damaged_checkpoint_is_passed_over_with_a_warning(run, tmp_path):
     (run_dir / "config.json").write_text("null")
     with pytest.raises(ValueError, match=r"config\.json holds null, not named entries"):
         load_run(run_dir)
+
+
+def test_a_run_whose_agent_drew_parameters_is_loaded_with_its_draws(run, tmp_path):
+    draws = hook({"gain": Uniform(0.4, 0.6)})
+    env = registry.make("PointMass", scale="paper")
+    quick = {"num_eval_episodes": 2, "plots": False, "baselines": False, "tensorboard": False}
+    config = TrainConfig(num_iterations=1, run_dir=str(tmp_path), eval_every=0, **quick)
+    train(make_sapo(env, CONFIG, randomize=draws), env, config)
+    with pytest.raises(ValueError, match=r"load_run\(run_dir, env=Randomized\(env=env, randomize=\.\.\.\)\)$"):
+        load_run(tmp_path)
+    saved = load_run(tmp_path, env=Randomized(env=env, randomize=draws))
+    assert saved.env.reset(jax.random.key(0)).drawn[".gain"] != 0.5
+    other = env.replace(gain=0.7)
+    console = Console(file=io.StringIO(), width=300)
+    agent = make_sapo(other, CONFIG, randomize=draws)
+    train(agent, other, dataclasses.replace(config, resume=True, num_iterations=2), console=console)
+    assert "note: the environment given has other values of gain: the run keeps its own" in console.file.getvalue()
