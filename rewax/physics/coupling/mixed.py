@@ -12,8 +12,8 @@ from jax.core import Tracer
 from rewax import struct
 from rewax.physics.coupling.particle_contact import (
     ParticleContact,
+    meeting_speed,
     particle_pairs,
-    relative_speed,
     stopping_energy,
 )
 from rewax.physics.coupling.triangle_tree import TriangleTree
@@ -51,7 +51,7 @@ class MixedState(struct.Replaceable):
       thin: state of ``thin.initial_state``.
       full: 1 if the list of close particles and triangles has been too short in any step, else 0, shape (). Gradient:
         none.
-      speed: largest speed of a particle relative to the cloth beside it, in all steps [m/s], shape (). Gradient: none.
+      speed: largest speed at which a particle may have met the cloth in any step [m/s], shape (). Gradient: none.
     """
 
     particles: MPMState
@@ -180,14 +180,17 @@ SCENE = instance(MixedScene, "give a scene of make_mixed_scene")
 STATE = instance(MixedState, "give a MixedState(particles=..., thin=...)")
 
 
-@checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
-def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = None) -> Array:
+@checked(scene=SCENE, state=STATE, start=optional(STATE), poses=optional(instance(Pose, "give a Pose, or None")))
+def check_status(
+    scene: MixedScene, state: MixedState, *, start: MixedState | None = None, poses: Pose | None = None
+) -> Array:
     """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
-    particle that meets the cloth faster than ``contact.max_speed``, both in any step so far.
+    particle that may meet the cloth faster than ``contact.max_speed``, both in any step so far.
 
     Args:
       scene: the scene.
-      state: particles and vertices.
+      state: particles and vertices at the end of a step.
+      start: those at its beginning, for the nodes of the grid, as for ``mpm.check_status``.
       poses: poses of its bodies, shapes (num_substeps + 1, num_bodies, ...), as for ``mpm.check_status``.
 
     Returns:
@@ -196,12 +199,15 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     scene, state = jax.lax.stop_gradient((scene, state))
     particles, vertices = ((cp.split_vector(s.x), cp.split_vector(s.v)) for s in (state.particles, state.thin))
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles[0], vertices[0])
-    fast = jnp.maximum(state.speed, relative_speed(pairs, particles, vertices)) > scene.contact.max_speed
+    speed = meeting_speed(scene.contact, pairs, scene.dt, particles, vertices)
+    fast = jnp.maximum(state.speed, speed) > scene.contact.max_speed
     last = None if poses is None else Pose(*(a[-1] for a in poses))
     bad = any_illegal(numbers_of(scene.contact, "contact."))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
     return (
-        mpm_stepping.check_status(scene.particles, state.particles, poses=poses)
+        mpm_stepping.check_status(
+            scene.particles, state.particles, start=None if start is None else start.particles, poses=poses
+        )
         | thin_status.check_status(scene.thin, state.thin, poses=last)
         | flag((state.full > 0) | pairs.full, Status.FULL_PAIRS)
         | flag(fast, Status.CROSSED)

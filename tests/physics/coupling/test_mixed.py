@@ -79,3 +79,31 @@ def test_scenes_refuse_what_is_illegal_and_status_says_what_became_so(x64):
     assert int(status(short, apart.replace(full=jnp.bool_(False)))) & Status.FULL_PAIRS == 0
     stiff = scene.replace(contact=scene.contact.replace(stiffness=jnp.asarray(1e9)))
     assert int(status(stiff, state)) & Status.INVALID_PARAMETERS
+
+
+def flying(speed, **grid):
+    """A grain 12 mm above a held sheet, three times as far as pairs reach."""
+    mesh = thin.sheet(0.1, 0.1, 2, 2)
+    scene, state = both(
+        mesh, [[0.04, 0.012, 0.05]], particles=sand_scene(**grid), thin_scene=cloth_scene(mesh, held=range(9))
+    )
+    v = state.particles.v.at[:, 1].set(-speed)
+    return scene, state.replace(particles=state.particles.replace(v=v))
+
+
+def test_a_particle_that_passes_between_two_searches_is_seen(x64):
+    scene, start = flying(30.0)
+    end = RUN(scene, start, thin.static_poses(8, dtype=float))
+    assert float(end.particles.x[0, 1]) < -8e-3  # on the other side, again farther than pairs reach
+    away = end.replace(particles=end.particles.replace(v=jnp.zeros((1, 3))))
+    assert int(mixed.check_status(scene, away)) == Status.CROSSED
+    assert int(mixed.check_status(*flying(3.0))) == 0
+
+
+def test_status_takes_the_start_of_a_step_with_few_nodes(x64):
+    scene, end = flying(0.0, max_active_nodes=125)
+    with pytest.raises(ValueError, match="start is None with a scene of max_active_nodes 125"):
+        mixed.check_status(scene, end)
+    assert int(mixed.check_status(scene, end, start=end)) == 0
+    far = end.replace(particles=end.particles.replace(x=end.particles.x - 0.05))
+    assert int(mixed.check_status(scene, end, start=far)) == Status.INACTIVE_NODES
