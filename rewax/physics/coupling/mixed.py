@@ -18,7 +18,7 @@ from rewax.physics.coupling.particle_contact import (
 )
 from rewax.physics.coupling.triangle_tree import TriangleTree
 from rewax.physics.mpm import stepping as mpm_stepping
-from rewax.physics.mpm.scene import MPMScene, MPMState, particle_mass
+from rewax.physics.mpm.scene import MPMScene, MPMState, materials_of, particle_mass
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, any_illegal, check_numbers, numbers_of
 from rewax.physics.numerics.fields import check_fields, checked, instance, optional, real
@@ -151,7 +151,7 @@ def largest_safe_particle_speed(scene: MixedScene) -> Scalar:
 
     Gradient: exact.
     """
-    mass = jnp.max(particle_mass(scene.particles, jnp.zeros((1,), scene.thin.mass.dtype)))
+    mass = jnp.max(_masses(scene))
     energy = stopping_energy(scene.contact)
     return jnp.minimum(jnp.sqrt(2.0 * energy / (LAYERS * mass)), scene.contact.thickness / (4.0 * scene.dt))
 
@@ -166,7 +166,7 @@ def largest_stable_mixed_dt(scene: MixedScene) -> Scalar:
     Gradient: exact.
     """
     thin, law = scene.thin, scene.contact
-    mass = jnp.min(particle_mass(scene.particles, jnp.zeros((1,), thin.mass.dtype)))
+    mass = jnp.min(_masses(scene))
     area = jnp.zeros_like(thin.mass).at[scene.tree.triangles].add((thin.rest.area / 3.0)[:, None])
     carried = jnp.maximum(area / jnp.min(scene.particles.particle_volume) ** (2.0 / 3.0), 1.0)
     # Gershgorin: a row of the stiffness matrix has the sum of its pairs' weights twice.
@@ -174,6 +174,16 @@ def largest_stable_mixed_dt(scene: MixedScene) -> Scalar:
     w2, c = law.stiffness * ratio, law.damping * ratio
     limit = STABLE_FRACTION * 4.0 / (c + jnp.sqrt(c * c + 4.0 * w2))
     return 1.0 / jnp.sqrt(1.0 / largest_stable_dt(thin) ** 2 + 1.0 / limit**2)
+
+
+def _masses(scene: MixedScene) -> Array:
+    """Masses of the particles [kg]; one if all are equal."""
+    particles = scene.particles
+    if particles.particle_counts is None:
+        count = max(jnp.size(a) for a in (particles.particle_volume, *(m.density for m in materials_of(particles))))
+    else:
+        count = sum(particles.particle_counts)
+    return particle_mass(particles, jnp.zeros(count, scene.thin.mass.dtype))
 
 
 SCENE = instance(MixedScene, "give a scene of make_mixed_scene")

@@ -81,6 +81,28 @@ def test_scenes_refuse_what_is_illegal_and_status_says_what_became_so(x64):
     assert int(status(stiff, state)) & Status.INVALID_PARAMETERS
 
 
+def test_limits_are_those_of_the_lightest_and_the_heaviest_particle(x64):
+    mesh = thin.sheet(0.1, 0.1, 2, 2)
+    grains, plain, heavy = np.zeros((3, 3)), sand_scene(), sand_scene().material.replace(density=6000.0)
+    volumes = SPACING**3 * np.array([1.0, 4.0, 1.0])
+    scenes = [
+        both(mesh, grains, particles=particles, max_speed=0.4)[0]
+        for particles in (
+            plain,
+            sand_scene(material=heavy),
+            sand_scene(particle_volume=volumes),
+            sand_scene(material=plain.material.replace(density=1500.0 * volumes / SPACING**3)),
+            sand_scene(material=(plain.material, heavy), particle_counts=(1, 2)),
+        )
+    ]
+    light, all_heavy, *mixtures = (
+        (mixed.largest_stable_mixed_dt(s), mixed.largest_safe_particle_speed(s)) for s in scenes
+    )
+    for dt, speed in mixtures:
+        np.testing.assert_allclose((dt, speed), (light[0], all_heavy[1]))
+    np.testing.assert_allclose(all_heavy[1], 0.5 * light[1])
+
+
 def flying(speed, **grid):
     """A grain 12 mm above a held sheet, three times as far as pairs reach."""
     mesh = thin.sheet(0.1, 0.1, 2, 2)
