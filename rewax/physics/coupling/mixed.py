@@ -195,7 +195,8 @@ def check_status(
     scene: MixedScene, state: MixedState, *, start: MixedState | None = None, poses: Pose | None = None
 ) -> Array:
     """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
-    particle that may meet the cloth faster than ``contact.max_speed``, both in any step so far.
+    particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``, both in any
+    step so far.
 
     Args:
       scene: the scene.
@@ -210,7 +211,9 @@ def check_status(
     particles, vertices = ((cp.split_vector(s.x), cp.split_vector(s.v)) for s in (state.particles, state.thin))
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles[0], vertices[0])
     speed = meeting_speed(scene.contact, pairs, scene.dt, particles, vertices)
-    fast = jnp.maximum(state.speed, speed) > scene.contact.max_speed
+    # A scene that was changed after it was built may be safe only at lower speeds.
+    limit = jnp.minimum(scene.contact.max_speed, (1.0 + 1e-5) * largest_safe_particle_speed(scene))
+    fast = jnp.maximum(state.speed, speed) > limit
     last = None if poses is None else Pose(*(a[-1] for a in poses))
     bad = any_illegal(numbers_of(scene.contact, "contact."))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))

@@ -27,7 +27,7 @@ def checked_prescribed(
     """Pins and grips of every substep. Raises ValueError for those, or a state, of another shape, see ``step``."""
     check_vertices(scene, state)
     want = (num_substeps, len(scene.topology.held), 3)
-    pins = jnp.asarray(pins, state.x.dtype) if isinstance(pins, list | tuple) else pins
+    pins = None if pins is None else jnp.asarray(pins, state.x.dtype)
     if pins is not None and (jnp.shape(pins) != want or not want[1]):
         raise ValueError(
             f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"

@@ -26,7 +26,8 @@ FLATTENED = 1e-6
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
     """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit
     substeps of the last ``step`` that missed their tolerance (``UNSOLVED``), and with self-contact full lists of pairs
-    (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+    (``FULL_PAIRS``) and layers that crossed or vertices faster than ``max_speed`` or ``largest_safe_speed``
+    (``CROSSED``).
 
     Full lists and fast vertices are remembered from all steps since ``initial_state``; ``state.replace(filled=0.0,
     speed=0.0)`` forgets them. Crossed layers are those of this state.

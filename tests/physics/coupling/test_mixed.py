@@ -119,7 +119,14 @@ def test_a_particle_that_passes_between_two_searches_is_seen(x64):
     assert float(end.particles.x[0, 1]) < -8e-3  # on the other side, again farther than pairs reach
     away = end.replace(particles=end.particles.replace(v=jnp.zeros((1, 3))))
     assert int(mixed.check_status(scene, away)) == Status.CROSSED
-    assert int(mixed.check_status(*flying(3.0))) == 0
+    slow, start = flying(3.0)
+    assert int(mixed.check_status(slow, start)) == 0
+    beside = start.replace(
+        particles=start.particles.replace(x=start.particles.x - jnp.array([0.0, 8e-3, 0.0]), v=0.2 * start.particles.v)
+    )
+    assert int(mixed.check_status(slow, beside)) == 0
+    softer = slow.replace(contact=slow.contact.replace(stiffness=20.0))
+    assert int(mixed.check_status(softer, beside)) == Status.CROSSED
 
 
 def test_status_takes_the_start_of_a_step_with_few_nodes(x64):
