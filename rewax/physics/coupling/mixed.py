@@ -217,10 +217,9 @@ def check_status(
     last = None if poses is None else Pose(*(a[-1] for a in poses))
     bad = any_illegal(numbers_of(scene.contact, "contact."))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
+    grid = scene.particles.replace(max_near_colliders=None)  # a coupled step evaluates all colliders
     return (
-        mpm_stepping.check_status(
-            scene.particles, state.particles, start=None if start is None else start.particles, poses=poses
-        )
+        mpm_stepping.check_status(grid, state.particles, start=None if start is None else start.particles, poses=poses)
         | thin_status.check_status(scene.thin, state.thin, poses=last)
         | flag((state.full > 0) | pairs.full, Status.FULL_PAIRS)
         | flag(fast, Status.CROSSED)

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from mixed_bodies import RUN, SPACING, bag_mesh, both, cloth_scene, sand_scene, side
 
-from rewax.physics import coupling, thin
+from rewax.physics import coupling, mpm, thin
+from rewax.physics.contact import Collider
 from rewax.physics.coupling import mixed
-from rewax.physics.shapes import fill_box
+from rewax.physics.mpm import Material
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import Sphere, fill_box
 from rewax.status import Status
 
 
@@ -83,23 +86,26 @@ def test_scenes_refuse_what_is_illegal_and_status_says_what_became_so(x64):
 
 def test_limits_are_those_of_the_lightest_and_the_heaviest_particle(x64):
     mesh = thin.sheet(0.1, 0.1, 2, 2)
-    grains, plain, heavy = np.zeros((3, 3)), sand_scene(), sand_scene().material.replace(density=6000.0)
+    grains, sand = np.zeros((3, 3)), sand_scene().material
+    assert isinstance(sand, Material)
+    heavy = sand.replace(density=6000.0)
     volumes = SPACING**3 * np.array([1.0, 4.0, 1.0])
     scenes = [
         both(mesh, grains, particles=particles, max_speed=0.4)[0]
         for particles in (
-            plain,
+            sand_scene(),
             sand_scene(material=heavy),
             sand_scene(particle_volume=volumes),
-            sand_scene(material=plain.material.replace(density=1500.0 * volumes / SPACING**3)),
-            sand_scene(material=(plain.material, heavy), particle_counts=(1, 2)),
+            sand_scene(material=sand.replace(density=1500.0 * volumes / SPACING**3)),
+            sand_scene(material=(sand, heavy), particle_counts=(1, 2)),
         )
     ]
     light, all_heavy, *mixtures = (
         (mixed.largest_stable_mixed_dt(s), mixed.largest_safe_particle_speed(s)) for s in scenes
     )
     for dt, speed in mixtures:
-        np.testing.assert_allclose((dt, speed), (light[0], all_heavy[1]))
+        np.testing.assert_allclose(dt, light[0])
+        np.testing.assert_allclose(speed, all_heavy[1])
     np.testing.assert_allclose(all_heavy[1], 0.5 * light[1])
 
 
@@ -136,3 +142,12 @@ def test_status_takes_the_start_of_a_step_with_few_nodes(x64):
     assert int(mixed.check_status(scene, end, start=end)) == 0
     far = end.replace(particles=end.particles.replace(x=end.particles.x - 0.05))
     assert int(mixed.check_status(scene, end, start=far)) == Status.INACTIVE_NODES
+
+
+def test_a_coupled_step_evaluates_all_colliders(x64):
+    ball = Collider(shape=Sphere(radius=0.01), friction=0.0)
+    scene, state = flying(0.0, colliders=(ball, ball.replace(body=1)), max_near_colliders=1)
+    place = state.particles.x[0] + jnp.array([[0.0, 0.01, 0.0], [0.01, 0.0, 0.0]])
+    poses = Pose(jnp.tile(place, (2, 1, 1)), jnp.tile(jnp.eye(3), (2, 2, 1, 1)))
+    assert int(mpm.check_status(scene.particles, state.particles, start=state.particles, poses=poses))
+    assert int(mixed.check_status(scene, state, start=state, poses=poses)) == 0
