@@ -130,8 +130,8 @@ def _advanced(
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, dtype)
     each, solver = soft_substeps(scene, model), solver_of(scene)
     check_bodies(scene.colliders, model.num_bodies)
-    constants = solver.constants(scene, state)
     prescribed = prescribed_of(scene, state, *given, num_substeps * each, model.num_bodies)
+    constants = solver.constants(scene, state)
     prescribed = jax.tree.map(lambda a: a.reshape(num_substeps, each, *a.shape[1:]), prescribed)
 
     def rigid_substep(carry: tuple[_Carry, Array, Array], now: Prescribed) -> tuple[tuple[_Carry, Array, Array], Any]:

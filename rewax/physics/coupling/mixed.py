@@ -12,13 +12,13 @@ from jax.core import Tracer
 from rewax import struct
 from rewax.physics.coupling.particle_contact import (
     ParticleContact,
+    meeting_speed,
     particle_pairs,
-    relative_speed,
     stopping_energy,
 )
 from rewax.physics.coupling.triangle_tree import TriangleTree
 from rewax.physics.mpm import stepping as mpm_stepping
-from rewax.physics.mpm.scene import MPMScene, MPMState, particle_mass
+from rewax.physics.mpm.scene import MPMScene, MPMState, materials_of, particle_mass
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, any_illegal, check_numbers, numbers_of
 from rewax.physics.numerics.fields import check_fields, checked, instance, optional, real
@@ -51,7 +51,7 @@ class MixedState(struct.Replaceable):
       thin: state of ``thin.initial_state``.
       full: 1 if the list of close particles and triangles has been too short in any step, else 0, shape (). Gradient:
         none.
-      speed: largest speed of a particle relative to the cloth beside it, in all steps [m/s], shape (). Gradient: none.
+      speed: largest speed at which a particle may have met the cloth in any step [m/s], shape (). Gradient: none.
     """
 
     particles: MPMState
@@ -151,7 +151,7 @@ def largest_safe_particle_speed(scene: MixedScene) -> Scalar:
 
     Gradient: exact.
     """
-    mass = jnp.max(particle_mass(scene.particles, jnp.zeros((1,), scene.thin.mass.dtype)))
+    mass = jnp.max(_masses(scene))
     energy = stopping_energy(scene.contact)
     return jnp.minimum(jnp.sqrt(2.0 * energy / (LAYERS * mass)), scene.contact.thickness / (4.0 * scene.dt))
 
@@ -166,7 +166,7 @@ def largest_stable_mixed_dt(scene: MixedScene) -> Scalar:
     Gradient: exact.
     """
     thin, law = scene.thin, scene.contact
-    mass = jnp.min(particle_mass(scene.particles, jnp.zeros((1,), thin.mass.dtype)))
+    mass = jnp.min(_masses(scene))
     area = jnp.zeros_like(thin.mass).at[scene.tree.triangles].add((thin.rest.area / 3.0)[:, None])
     carried = jnp.maximum(area / jnp.min(scene.particles.particle_volume) ** (2.0 / 3.0), 1.0)
     # Gershgorin: a row of the stiffness matrix has the sum of its pairs' weights twice.
@@ -176,18 +176,32 @@ def largest_stable_mixed_dt(scene: MixedScene) -> Scalar:
     return 1.0 / jnp.sqrt(1.0 / largest_stable_dt(thin) ** 2 + 1.0 / limit**2)
 
 
+def _masses(scene: MixedScene) -> Array:
+    """Masses of the particles [kg]; one if all are equal."""
+    particles = scene.particles
+    if particles.particle_counts is None:
+        count = max(jnp.size(a) for a in (particles.particle_volume, *(m.density for m in materials_of(particles))))
+    else:
+        count = sum(particles.particle_counts)
+    return particle_mass(particles, jnp.zeros(count, scene.thin.mass.dtype))
+
+
 SCENE = instance(MixedScene, "give a scene of make_mixed_scene")
 STATE = instance(MixedState, "give a MixedState(particles=..., thin=...)")
 
 
-@checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
-def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = None) -> Array:
+@checked(scene=SCENE, state=STATE, start=optional(STATE), poses=optional(instance(Pose, "give a Pose, or None")))
+def check_status(
+    scene: MixedScene, state: MixedState, *, start: MixedState | None = None, poses: Pose | None = None
+) -> Array:
     """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
-    particle that meets the cloth faster than ``contact.max_speed``, both in any step so far.
+    particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``, both in any
+    step so far.
 
     Args:
       scene: the scene.
-      state: particles and vertices.
+      state: particles and vertices at the end of a step.
+      start: those at its beginning, for the nodes of the grid, as for ``mpm.check_status``.
       poses: poses of its bodies, shapes (num_substeps + 1, num_bodies, ...), as for ``mpm.check_status``.
 
     Returns:
@@ -196,12 +210,16 @@ def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = N
     scene, state = jax.lax.stop_gradient((scene, state))
     particles, vertices = ((cp.split_vector(s.x), cp.split_vector(s.v)) for s in (state.particles, state.thin))
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles[0], vertices[0])
-    fast = jnp.maximum(state.speed, relative_speed(pairs, particles, vertices)) > scene.contact.max_speed
+    speed = meeting_speed(scene.contact, pairs, scene.dt, particles, vertices)
+    # A scene that was changed after it was built may be safe only at lower speeds.
+    limit = jnp.minimum(scene.contact.max_speed, (1.0 + 1e-5) * largest_safe_particle_speed(scene))
+    fast = jnp.maximum(state.speed, speed) > limit
     last = None if poses is None else Pose(*(a[-1] for a in poses))
     bad = any_illegal(numbers_of(scene.contact, "contact."))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
+    grid = scene.particles.replace(max_near_colliders=None)  # a coupled step evaluates all colliders
     return (
-        mpm_stepping.check_status(scene.particles, state.particles, poses=poses)
+        mpm_stepping.check_status(grid, state.particles, start=None if start is None else start.particles, poses=poses)
         | thin_status.check_status(scene.thin, state.thin, poses=last)
         | flag((state.full > 0) | pairs.full, Status.FULL_PAIRS)
         | flag(fast, Status.CROSSED)

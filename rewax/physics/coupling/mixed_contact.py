@@ -19,7 +19,7 @@ from rewax.physics.coupling import nodes, sheets
 from rewax.physics.coupling.exchange import Received, System
 from rewax.physics.coupling.mixed import MixedScene, MixedState
 from rewax.physics.coupling.nodes import NodeContact
-from rewax.physics.coupling.particle_contact import ParticlePairs, contact_forces, particle_pairs, relative_speed
+from rewax.physics.coupling.particle_contact import ParticlePairs, contact_forces, meeting_speed, particle_pairs
 from rewax.physics.coupling.vertices import VertexContact
 from rewax.physics.mpm.active_nodes import ActiveNodes
 from rewax.physics.mpm.packing import join as join_particles
@@ -129,7 +129,8 @@ def search(scene: MixedScene, constants: Constants, soft: Mixed) -> tuple[Consta
     vertices, particles = soft.vertices, unpack(soft.particles)
     own, watch = (None, None) if scene.thin.self_contact is None else watched_pairs(scene.thin, vertices)
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles.x, vertices.x)
-    fast = relative_speed(pairs, (particles.x, particles.v), (vertices.x, vertices.v))
+    both = (particles.x, particles.v), (vertices.x, vertices.v)
+    fast = meeting_speed(scene.contact, pairs, scene.dt, *both)
 
     def met(end: Mixed, substeps: int) -> Met:
         return Met(None if watch is None else watch(end.vertices, substeps), pairs.full, fast)

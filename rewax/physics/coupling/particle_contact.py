@@ -101,6 +101,25 @@ def relative_speed(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices:
     return jnp.max(jnp.where(pairs.thickness > 0, speed, 0.0))
 
 
+def meeting_speed(
+    law: ParticleContact, pairs: ParticlePairs, dt: float, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]
+) -> Array:
+    """Largest speed at which a particle may meet the cloth before the next search [m/s], shape ().
+
+    It is ``relative_speed`` of the pairs. A particle that is too far from the cloth for a pair, but may reach the
+    cloth's middle before the next search, is faster than ``law.max_speed``. It counts with an upper bound of its
+    relative speed where it may enter the box around the cloth. Other arguments as for ``contact_forces``; dt is the
+    duration of a substep [s]. Gradient: none.
+    """
+    (x, v), (at, moving), time = particles, vertices, law.every * dt
+    mean = cp.vector(lambda i: jnp.mean(moving[i]))
+    speed = cp.norm(cp.subtract(v, mean)) + jnp.max(cp.norm(cp.subtract(moving, mean)))
+    reaches = speed * time > law.thickness + law.max_speed * time
+    for i in cp.AXES:
+        reaches &= (x[i] + speed * time >= jnp.min(at[i])) & (x[i] - speed * time <= jnp.max(at[i]))
+    return jnp.maximum(relative_speed(pairs, particles, vertices), jnp.max(jnp.where(reaches, speed, 0.0)))
+
+
 def _at_corners(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> list[Any]:
     """Positions and velocities of the particle and the corners of each pair."""
     both = [
@@ -151,5 +170,5 @@ def stopping_energy(law: ParticleContact) -> Scalar:
     return pair_energy(law, zero, jnp.asarray(law.thickness))  # pyright: ignore[reportArgumentType]
 
 
-__all__ = ["ParticleContact", "ParticlePairs", "contact_forces", "numbers", "particle_pairs", "relative_speed",
-           "stopping_energy"]  # fmt: skip
+__all__ = ["ParticleContact", "ParticlePairs", "contact_forces", "meeting_speed", "numbers", "particle_pairs",
+           "relative_speed", "stopping_energy"]  # fmt: skip

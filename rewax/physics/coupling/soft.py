@@ -18,7 +18,7 @@ from rewax.physics.tets.stepping import rest
 from rewax.physics.tets.stepping import split as split_vertices
 from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
 from rewax.physics.thin.scene import ThinScene, ThinState
-from rewax.physics.thin.scene_checks import check_can_couple
+from rewax.physics.thin.scene_checks import check_can_couple, check_creases
 from rewax.physics.thin.self_contact import scan_rounds, watched_pairs
 from rewax.physics.thin.stepping import join as join_thin
 from rewax.physics.thin.stepping import remembered
@@ -106,17 +106,31 @@ def touched_bodies(scene: Scene) -> list[int]:
     return sorted({part.body for part in (*scene.colliders, *grasps)})
 
 
+_STATES = {MPMScene: MPMState, TetScene: TetState, ThinScene: ThinState, MixedScene: MixedState}
+
+
+def check_state(scene: Scene, state: Any) -> None:
+    """Raises ValueError for the state of another solver than the scene's."""
+    want = next(state for kind, state in _STATES.items() if isinstance(scene, kind))
+    if not isinstance(state, want):
+        raise ValueError(
+            f"state is a {type(state).__name__}, but scene a {type(scene).__name__}: give a {want.__name__}"
+        )
+
+
 def prescribed_of(scene: Scene, state: Any, pins: Any, grips: Any, num_substeps: int, num_bodies: int) -> Prescribed:
     """Pins and grips of every substep of the soft body.
 
     Raises:
-      ValueError: another shape than ``thin.step`` says, pins or grips for a soft body that has none, or cloth with
-        implicit steps or creases.
+      ValueError: another shape than ``thin.step`` says, pins or grips for a soft body that has none, a state of another
+        solver than the scene's, or cloth with implicit steps or creases.
     """
+    check_state(scene, state)
     if isinstance(scene, MixedScene):
         scene, state = scene.thin, state.thin
     if isinstance(scene, ThinScene):
         check_can_couple(scene.stepper, scene.cloth)
+        check_creases(scene.cloth, scene.topology, state.crease)
         return checked_prescribed(scene, state, pins, grips, num_substeps, num_bodies)
     if pins is not None or grips is not None:
         raise ValueError(

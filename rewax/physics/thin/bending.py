@@ -44,7 +44,7 @@ def bending_energy(scene: "ThinScene", x: Vec3) -> Array:
     """Energy of bending [J], shape (). Gradient: exact."""
     rest, cloth = scene.rest, scene.cloth
     assert cloth is not None
-    turned = elements.hinge_angle(corners(scene.topology.hinges, x)) - rest.angle
+    turned = elements.angle_between(elements.hinge_angle(corners(scene.topology.hinges, x)), rest.angle)
     if scene.bending_law is BendingLaw.HINGES:
         return 0.5 * jnp.sum(cloth.bending * rest.hinge_weight * turned**2)
     assert rest.plate is not None

@@ -6,7 +6,6 @@ yield angle, the crease takes up the excess: bending is elastic up to the yield 
 
 from typing import TYPE_CHECKING
 
-import jax
 import jax.numpy as jnp
 
 from rewax.lowering.kernels import pointwise
@@ -49,30 +48,15 @@ def yielded(scene: "ThinScene", limit: Array, x: Vec3, crease: Array) -> Array:
 def _yielded(shared: tuple, given: tuple[Corners, Array, Array, Array]) -> Array:
     del shared
     x, rest, crease, limit = given
-    elastic = elements.hinge_angle(x) - rest - crease
-    turns = jnp.floor(elastic / (2.0 * jnp.pi) + 0.5)
-    elastic = elastic - 2.0 * jnp.pi * jax.lax.stop_gradient(turns)
+    elastic = elements.angle_between(elements.hinge_angle(x), rest + crease)
     return crease + jnp.where(elastic > limit, elastic - limit, jnp.where(elastic < -limit, elastic + limit, 0.0))
 
 
-def creased(scene: "ThinScene", x: Vec3, crease: Array | None) -> "ThinScene":
-    """The scene with creases in its rest angles; the scene itself for None.
-
-    A hinge that turned past 180 degrees gets a rest angle that is larger or smaller by a full turn, so that its elastic
-    angle does not jump. Gradient: exact.
-    """
+def creased(scene: "ThinScene", crease: Array | None) -> "ThinScene":
+    """The scene with creases in its rest angles; the scene itself for None. Gradient: exact."""
     if crease is None:
         return scene
-    angle = scene.rest.angle + crease
-    now = _angle((), corners(scene.topology.hinges, jax.lax.stop_gradient(x)))
-    turns = jnp.floor((now - jax.lax.stop_gradient(angle)) / (2.0 * jnp.pi) + 0.5)
-    return scene.replace(rest=scene.rest.replace(angle=angle + 2.0 * jnp.pi * turns))
-
-
-@pointwise
-def _angle(shared: tuple, x: Corners) -> Array:
-    del shared
-    return elements.hinge_angle(x)
+    return scene.replace(rest=scene.rest.replace(angle=scene.rest.angle + crease))
 
 
 __all__ = ["creased", "yield_angle", "yielded"]

@@ -52,6 +52,18 @@ def hinge_angle(x: Corners) -> Array:
     return jnp.arctan2(sine, cp.dot(left, right))
 
 
+def angle_between(angle: Array, other: Array) -> Array:
+    """Difference of two angles of a hinge without full turns [rad], in [-pi, pi).
+
+    A hinge of 180 degrees at rest, the seam of two sheets on each other, opens to either side of the jump of
+    ``hinge_angle``.
+
+    Gradient: exact; it jumps at half a turn.
+    """
+    difference = angle - other
+    return difference - 2.0 * jnp.pi * jnp.floor(difference / (2.0 * jnp.pi) + 0.5)
+
+
 def segment_strain(x: Corners, length: Array) -> Array:
     """Length over length at rest, minus 1 [-]."""
     edge = cp.subtract(x[1], x[0])
@@ -149,7 +161,7 @@ def _hinge(shared: Any, given: tuple[tuple[Any, Array, Array], At]) -> Corners:
     (own, angle, weight), at = given
     stiffness, damping = joined(shared, own)
     theta, rate, pull = _linearized(hinge_angle, *_split(at))
-    return pull(-stiffness * weight * (theta - angle + damping * rate))
+    return pull(-stiffness * weight * (angle_between(theta, angle) + damping * rate))
 
 
 def hinge_turn(damping: Scalar, hinges: Stencil, x: Vec3, v: Vec3, angle: Array) -> Array:
@@ -161,7 +173,7 @@ def hinge_turn(damping: Scalar, hinges: Stencil, x: Vec3, v: Vec3, angle: Array)
 def _hinge_turn(shared: Any, given: tuple[Array, At]) -> Array:
     angle, (x, v) = given[0], _split(given[1])
     theta, rate = jax.jvp(hinge_angle, (x,), (v,))
-    return theta - angle + shared[0] * rate
+    return angle_between(theta, angle) + shared[0] * rate
 
 
 def hinge_pull(hinges: Stencil, x: Vec3, moment: Array) -> Vec3:
@@ -217,7 +229,7 @@ def _linearized(strain: Callable[[Corners], Any], x: Corners, v: Corners) -> tup
 
 
 __all__ = [
-    "bend_force", "green_strain", "half_square_curvature", "hinge_angle", "hinge_force", "hinge_pull",
+    "angle_between", "bend_force", "green_strain", "half_square_curvature", "hinge_angle", "hinge_force", "hinge_pull",
     "hinge_turn", "membrane_energy",
     "membrane_force", "membrane_stress", "segment_force", "segment_strain", "square_area_ratio",
 ]  # fmt: skip

@@ -123,7 +123,7 @@ def checked_grips(scene: "ThinScene", holds: Any, grips: Any, num_substeps: int,
                 f"grasps[{i}] belongs to body {grasp.body}, but there are poses of {num_bodies} bodies: give poses to "
                 "all bodies, or the grasp another body (they count from 0)"
             )
-    return None if not count else jnp.broadcast_to(jnp.asarray(grips), (num_substeps, count))
+    return None if not count else jnp.broadcast_to(jnp.asarray(grips, holds[0].share.dtype), (num_substeps, count))
 
 
 def grasp_stiffness(scene: "ThinScene") -> tuple[Array, Array]:

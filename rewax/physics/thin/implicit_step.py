@@ -73,12 +73,13 @@ def _solve(
     settings = scene.stepper
     assert settings is not None
     known = _known(scene, at, poses, pins, pairs)
+    moving = jnp.sum(scene.mass if scene.mobility is None else scene.mass * scene.mobility)
     found = newton.minimize(
         lambda x: slope(scene, known, x),
         lambda x, exact: curvature(scene, known, x, exact),
         lambda x: blocks(scene, bound, known, x),
         _held(scene, cp.vector(lambda i: at.x[i] + scene.dt * at.v[i]), known.held),
-        mass=jnp.sum(scene.mass if scene.mobility is None else scene.mass * scene.mobility),
+        mass=jnp.where(moving > 0, moving, 1.0),  # any number if all vertices are held
         tolerance=settings.tolerance,
         iterations=settings.newton_iterations,
         cg_tolerance=settings.cg_tolerance,

@@ -256,7 +256,8 @@ def _moments(scene: "ThinScene", before: Before, at: Corners) -> Array:
     """Moments of hinges [N m]."""
     assert before.angle is not None
     angle = hinge_angles(at)
-    return hinge_moments(scene, angle - scene.rest.angle + _hinge_damping(scene) / scene.dt * (angle - before.angle))
+    turned, change = (elements.angle_between(angle, other) for other in (scene.rest.angle, before.angle))
+    return hinge_moments(scene, turned + _hinge_damping(scene) / scene.dt * change)
 
 
 def _hinge_damping(scene: "ThinScene") -> Array:

@@ -6,7 +6,7 @@ from rewax.physics.numerics import components as cp
 from rewax.physics.thin import elements
 from rewax.physics.thin.bending import bending_energy
 from rewax.physics.thin.creases import creased
-from rewax.physics.thin.scene import ThinScene, ThinState
+from rewax.physics.thin.scene import ThinScene, ThinState, check_vertices
 from rewax.physics.thin.stencils import corners
 from rewax.physics.thin.stepping import inverse_edges
 from rewax.types import Array
@@ -14,8 +14,9 @@ from rewax.types import Array
 
 def elastic_energy(scene: ThinScene, state: ThinState) -> Array:
     """Elastic energy [J], shape (); zero at rest. Gradient: exact."""
+    check_vertices(scene, state)
     x = cp.split_vector(state.x)
-    scene = creased(scene, x, state.crease)
+    scene = creased(scene, state.crease)
     topology, rest = scene.topology, scene.rest
     energy = jnp.zeros((), state.x.dtype)
     if scene.cloth is not None:

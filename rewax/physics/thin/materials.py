@@ -39,7 +39,7 @@ class Cloth(struct.Replaceable):
       shear: shear stiffness [N/m].
       bending: flexural rigidity [N m].
       bending_ratio: Poisson's ratio of bending [-], in (-1, 1): moment along one axis per curvature along the other.
-      density: mass per area [kg/m^2].
+      density: mass per area [kg/m^2]. ``make_scene`` makes ``scene.mass`` of it; steps read the masses alone.
       damping: Kelvin-Voigt time [s]: stress of strain rates is damping times the stiffness. Hinges take the largest.
       yield_curvature: curvature beyond which bending leaves a crease [1/m], also as an array (num_hinges,); None: it
         never does. A hinge yields at this curvature times its width, see ``creases.yield_angle``.
@@ -66,7 +66,7 @@ class Rope(struct.Replaceable):
     Attributes:
       stretch: force per strain [N], Young's modulus times the area of the section.
       bending: flexural rigidity [N m^2].
-      density: mass per length [kg/m].
+      density: mass per length [kg/m]. ``make_scene`` makes ``scene.mass`` of it; steps read the masses alone.
       damping: Kelvin-Voigt time of stretch [s]; bending is not damped.
     """
 

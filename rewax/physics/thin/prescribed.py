@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from rewax.physics.thin.grasps import checked_grips
-from rewax.physics.thin.scene import ThinScene, ThinState
+from rewax.physics.thin.scene import ThinScene, ThinState, check_vertices
 from rewax.types import Array
 
 
@@ -24,9 +24,10 @@ NOTHING_PRESCRIBED = Prescribed()
 def checked_prescribed(
     scene: ThinScene, state: ThinState, pins: Any, grips: Any, num_substeps: int, num_bodies: int
 ) -> Prescribed:
-    """Pins and grips of every substep. Raises ValueError for those of another shape, see ``step``."""
+    """Pins and grips of every substep. Raises ValueError for those, or a state, of another shape, see ``step``."""
+    check_vertices(scene, state)
     want = (num_substeps, len(scene.topology.held), 3)
-    pins = jnp.asarray(pins, state.x.dtype) if isinstance(pins, list | tuple) else pins
+    pins = None if pins is None else jnp.asarray(pins, state.x.dtype)
     if pins is not None and (jnp.shape(pins) != want or not want[1]):
         raise ValueError(
             f"pins has shape {jnp.shape(pins)}, but the scene has {want[1]} held vertices and poses {want[0]} substeps"

@@ -45,8 +45,8 @@ def rest_shape(topology: Topology, vertices: Any, *, pattern: Any = None, warp: 
       vertices: positions at rest [m], shape (num_vertices, 3).
       pattern: flat coordinates of the cloth's vertices [m], shape (num_vertices, 2), warp first; hinges are then flat
         at rest. None: triangles and angles of the vertices.
-      warp: without a pattern, the direction whose projection on each triangle is the warp, shape (3,). Where it is
-        normal to a triangle, the triangle's first edge is the warp.
+      warp: without a pattern, the direction whose projection on each triangle is the warp, of any length but 0, shape
+        (3,). Where it is normal to a triangle, the triangle's first edge is the warp.
 
     Gradient: exact with respect to ``vertices`` and ``pattern``.
     """
@@ -58,7 +58,9 @@ def rest_shape(topology: Topology, vertices: Any, *, pattern: Any = None, warp: 
     twice_area = _length(normal)
     if pattern is None:
         unit = normal / twice_area[:, None]
-        along = jnp.asarray(warp, x.dtype) - (unit @ jnp.asarray(warp, x.dtype))[:, None] * unit
+        warp = jnp.asarray(warp, x.dtype)
+        warp = warp / _length(warp)
+        along = warp - (unit @ warp)[:, None] * unit
         is_normal = jnp.sum(along**2, axis=-1) < 1e-6
         along = jnp.where(is_normal[:, None], first, along)
         along = along / _length(along)[:, None]

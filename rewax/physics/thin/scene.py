@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.contact.colliders import COLLIDERS, Collider
@@ -26,6 +27,14 @@ from rewax.physics.thin.stencils import Stencil, Topology
 from rewax.physics.thin.thinmesh import ThinMesh, bends, check_thinmesh, hinges
 from rewax.types import Array, Scalar, Vector
 
+
+def _direction(name: str, value: Any) -> None:
+    """A rule: three finite numbers, not all of them zero."""
+    real(FINITE, "give a direction", shape=(3,))(name, value)
+    if not isinstance(value, Tracer) and not np.any(np.asarray(value)):
+        raise ValueError(f"{name} is the zero vector, which has no direction: give (1, 0, 0) for the x axis")
+
+
 _LAW = member(MembraneLaw)
 _BENDING = member(BendingLaw)
 _SCENE = {
@@ -38,7 +47,7 @@ _SCENE = {
     "self_contact": optional(instance(SelfContact, "give a SelfContact(thickness=..., stiffness=...)")),
     "law": _LAW,
     "bending_law": _BENDING,
-    "warp": real(FINITE, "give a direction", shape=(3,)),
+    "warp": _direction,
     "stepper": optional(instance(Implicit, "give a thin.Implicit(), or None for explicit steps")),
     "grasps": GRASPS,
 }
@@ -116,6 +125,16 @@ class ThinScene(struct.Replaceable):
     def __post_init__(self) -> None:
         _LAW("law", self.law)
         _BENDING("bending_law", self.bending_law)
+
+
+def check_vertices(scene: ThinScene, state: ThinState) -> None:
+    """Raises ValueError for a state with another number of vertices than the scene."""
+    want = (scene.topology.triangles.num_vertices, 3)
+    for name, value in (("x", state.x), ("v", state.v)):
+        if jnp.shape(value) != want:
+            raise ValueError(
+                f"state.{name} has shape {jnp.shape(value)}, but the scene has {want[0]} vertices: give shape {want}"
+            )
 
 
 SCENE = instance(ThinScene, "give a scene of thin.make_scene")
@@ -216,4 +235,4 @@ def make_scene(
     return scene
 
 
-__all__ = ["ThinScene", "ThinState", "initial_state", "make_scene", "no_creases"]
+__all__ = ["ThinScene", "ThinState", "check_vertices", "initial_state", "make_scene", "no_creases"]

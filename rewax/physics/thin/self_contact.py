@@ -159,6 +159,8 @@ def scan_rounds(
 def _in_rounds(intervals: Any, store_every: int | None, every: int) -> tuple[Any, bool]:
     """Intervals by (chunk, round, substep), and whether there is but one chunk, of which nothing is recomputed."""
     total = jax.tree.leaves(intervals)[0].shape[0]
+    if not total:
+        raise ValueError("poses has one boundary and so no substep: give poses at the boundaries of at least one")
     if store_every is not None:
         check_store_every(store_every, total)
     chunk = total if store_every in (None, 1) else store_every

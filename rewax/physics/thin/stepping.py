@@ -27,7 +27,7 @@ from rewax.physics.thin.creases import creased, yield_angle, yielded
 from rewax.physics.thin.implicit_step import Step, implicit_step, reach
 from rewax.physics.thin.incremental import inverse_edges
 from rewax.physics.thin.prescribed import Prescribed, checked_prescribed
-from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
+from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState, check_vertices
 from rewax.physics.thin.scene_checks import check_creases
 from rewax.physics.thin.self_contact import AllPairs, Seen, close_pairs, scan_rounds, self_forces, watched_pairs
 from rewax.physics.thin.stencils import scatter
@@ -125,6 +125,7 @@ def open_grasps(scene: ThinScene, state: ThinState, poses: Pose) -> ThinState:
 
     Scenes with grasps begin with it. Gradient: exact.
     """
+    check_vertices(scene, state)
     return state.replace(holds=grasp_forces.open_holds(scene, state.x, poses))
 
 
@@ -134,14 +135,16 @@ def internal_force(scene: ThinScene, state: ThinState) -> Array:
 
     Without damping they are minus the gradient of ``elastic_energy``. Gradient: exact.
     """
+    check_vertices(scene, state)
     x, v = split(state)[:2]
-    return cp.join_vector(vertex_forces(creased(scene, x, state.crease), x, v))
+    return cp.join_vector(vertex_forces(creased(scene, state.crease), x, v))
 
 
 @checked(scene=SCENE, state=STATE, before=poses("num_bodies"), after=poses("num_bodies"))
 def contact_force(scene: ThinScene, state: ThinState, before: Pose, after: Pose) -> Array:
     """Forces of ground and colliders on the vertices [N], shape (num_vertices, 3), given the poses of all bodies at the
     beginning and end of a substep. Gradient: exact."""
+    check_vertices(scene, state)
     return cp.join_vector(contact_forces(scene, *split(state)[:2], (before, after)))
 
 
@@ -151,7 +154,7 @@ def _implicit(scene: ThinScene, state: ThinState, intervals: Interval, store_eve
     limit = None if state.crease is None else yield_angle(scene)
 
     def body(at: Solved, interval: Interval, pairs: AllPairs | None = None) -> Solved:
-        now = creased(scene, at.x, at.crease)
+        now = creased(scene, at.crease)
         new = implicit_step(now, bound, Step(at.x, at.v, at.error), interval.poses, interval.prescribed.pins, pairs)
         crease = None if limit is None or at.crease is None else yielded(scene, limit, new.x, at.crease)
         return Solved(new.x, new.v, jnp.maximum(at.error, new.error), crease)
@@ -213,7 +216,7 @@ def _creased_substep(
     scene: ThinScene, limit: Array, at: Creased, interval: Interval, pairs: AllPairs | None
 ) -> Creased:
     crease = yielded(scene, limit, at.x, at.crease)
-    new = _substep(creased(scene, at.x, crease), Vertices(at.x, at.v, at.holds), interval, pairs)
+    new = _substep(creased(scene, crease), Vertices(at.x, at.v, at.holds), interval, pairs)
     return Creased(*new, crease)
 
 
@@ -306,6 +309,7 @@ def self_contact_force(scene: ThinScene, state: ThinState) -> Array:
 
     Gradient: exact.
     """
+    check_vertices(scene, state)
     x, v, _ = split(state)
     if scene.self_contact is None:
         return jnp.zeros_like(state.x)

@@ -10,8 +10,8 @@ from rewax.physics.numerics.pose import Pose
 from rewax.physics.thin import elements
 from rewax.physics.thin.grasps import grasp_numbers
 from rewax.physics.thin.incremental import inverse_edges
-from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState
-from rewax.physics.thin.scene_checks import cloth_is_unstable, scene_numbers
+from rewax.physics.thin.scene import SCENE, STATE, ThinScene, ThinState, check_vertices
+from rewax.physics.thin.scene_checks import cloth_is_unstable, law_does_not_fit, scene_numbers
 from rewax.physics.thin.self_status import self_status
 from rewax.physics.thin.stable_dt import largest_stable_dt
 from rewax.physics.thin.stencils import corners
@@ -26,7 +26,8 @@ FLATTENED = 1e-6
 def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = None) -> Array:
     """Status bits: non-finite numbers, flattened triangles (``INVERTED``), illegal numbers of the scene, implicit
     substeps of the last ``step`` that missed their tolerance (``UNSOLVED``), and with self-contact full lists of pairs
-    (``FULL_PAIRS``) and layers that crossed or vertices too fast (``CROSSED``).
+    (``FULL_PAIRS``) and layers that crossed or vertices faster than ``max_speed`` or ``largest_safe_speed``
+    (``CROSSED``).
 
     Full lists and fast vertices are remembered from all steps since ``initial_state``; ``state.replace(filled=0.0,
     speed=0.0)`` forgets them. Crossed layers are those of this state.
@@ -39,6 +40,7 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
     Returns:
       Bits of ``rewax.status.Status``, shape (), int32. Gradient: none.
     """
+    check_vertices(scene, state)
     scene, state = jax.lax.stop_gradient((scene, state))
     flat = jnp.bool_(False)
     if scene.cloth is not None:
@@ -56,7 +58,9 @@ def check_status(scene: ThinScene, state: ThinState, *, poses: Pose | None = Non
         Number("rest.area", scene.rest.area, POSITIVE, "give the triangles' areas in m^2"),
         Number("rest.length", scene.rest.length, POSITIVE, "give the segments' lengths in m"),
     ]
-    soft = jnp.bool_(False) if scene.cloth is None else jnp.any(cloth_is_unstable(scene.cloth))
+    soft = jnp.bool_(False)
+    if scene.cloth is not None:
+        soft = jnp.any(cloth_is_unstable(scene.cloth) | law_does_not_fit(scene.law, scene.cloth))
     # The tolerance keeps a dt at the limit legal when the limit is rounded to float32.
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_dt(scene))
     missed = jnp.bool_(False)

@@ -83,7 +83,8 @@ def check_thinmesh(mesh: ThinMesh) -> None:
     """Raise a ValueError if a mesh has a fault. The message names the fault and the remedy.
 
     Faults are wrong shapes and indices, vertices without an element, edges of triangles with the same direction twice
-    (more than two triangles, or triangles of opposite orientation), flat triangles and segments of no length.
+    (more than two triangles, or triangles of opposite orientation), flat triangles, segments of no length, and two
+    segments between the same vertices.
     """
     check_fields(_FIELDS, vars(mesh))
     vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.triangles)
@@ -114,6 +115,8 @@ def check_thinmesh(mesh: ThinMesh) -> None:
         )
     if np.any(np.linalg.norm(vertices[segments[:, 1]] - vertices[segments[:, 0]], axis=-1) <= 0):
         raise ValueError("segments has one of no length: merge its vertices")
+    if len(np.unique(np.sort(segments, axis=1), axis=0)) < len(segments):
+        raise ValueError("segments has two between the same vertices: remove one of them")
 
 
 __all__ = ["ThinMesh", "bends", "check_thinmesh", "hinges", "rope", "sheet"]

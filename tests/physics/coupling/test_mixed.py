@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from mixed_bodies import RUN, SPACING, bag_mesh, both, cloth_scene, sand_scene, side
 
-from rewax.physics import coupling, thin
+from rewax.physics import coupling, mpm, thin
+from rewax.physics.contact import Collider
 from rewax.physics.coupling import mixed
-from rewax.physics.shapes import fill_box
+from rewax.physics.mpm import Material
+from rewax.physics.numerics import Pose
+from rewax.physics.shapes import Sphere, fill_box
 from rewax.status import Status
 
 
@@ -79,3 +82,72 @@ def test_scenes_refuse_what_is_illegal_and_status_says_what_became_so(x64):
     assert int(status(short, apart.replace(full=jnp.bool_(False)))) & Status.FULL_PAIRS == 0
     stiff = scene.replace(contact=scene.contact.replace(stiffness=jnp.asarray(1e9)))
     assert int(status(stiff, state)) & Status.INVALID_PARAMETERS
+
+
+def test_limits_are_those_of_the_lightest_and_the_heaviest_particle(x64):
+    mesh = thin.sheet(0.1, 0.1, 2, 2)
+    grains, sand = np.zeros((3, 3)), sand_scene().material
+    assert isinstance(sand, Material)
+    heavy = sand.replace(density=6000.0)
+    volumes = SPACING**3 * np.array([1.0, 4.0, 1.0])
+    scenes = [
+        both(mesh, grains, particles=particles, max_speed=0.4)[0]
+        for particles in (
+            sand_scene(),
+            sand_scene(material=heavy),
+            sand_scene(particle_volume=volumes),
+            sand_scene(material=sand.replace(density=1500.0 * volumes / SPACING**3)),
+            sand_scene(material=(sand, heavy), particle_counts=(1, 2)),
+        )
+    ]
+    light, all_heavy, *mixtures = (
+        (mixed.largest_stable_mixed_dt(s), mixed.largest_safe_particle_speed(s)) for s in scenes
+    )
+    for dt, speed in mixtures:
+        np.testing.assert_allclose(dt, light[0])
+        np.testing.assert_allclose(speed, all_heavy[1])
+    np.testing.assert_allclose(all_heavy[1], 0.5 * light[1])
+
+
+def flying(speed, **grid):
+    """A grain 12 mm above a held sheet, three times as far as pairs reach."""
+    mesh = thin.sheet(0.1, 0.1, 2, 2)
+    scene, state = both(
+        mesh, [[0.04, 0.012, 0.05]], particles=sand_scene(**grid), thin_scene=cloth_scene(mesh, held=range(9))
+    )
+    v = state.particles.v.at[:, 1].set(-speed)
+    return scene, state.replace(particles=state.particles.replace(v=v))
+
+
+def test_a_particle_that_passes_between_two_searches_is_seen(x64):
+    scene, start = flying(30.0)
+    end = RUN(scene, start, thin.static_poses(8, dtype=float))
+    assert float(end.particles.x[0, 1]) < -8e-3  # on the other side, again farther than pairs reach
+    away = end.replace(particles=end.particles.replace(v=jnp.zeros((1, 3))))
+    assert int(mixed.check_status(scene, away)) == Status.CROSSED
+    slow, start = flying(3.0)
+    assert int(mixed.check_status(slow, start)) == 0
+    beside = start.replace(
+        particles=start.particles.replace(x=start.particles.x - jnp.array([0.0, 8e-3, 0.0]), v=0.2 * start.particles.v)
+    )
+    assert int(mixed.check_status(slow, beside)) == 0
+    softer = slow.replace(contact=slow.contact.replace(stiffness=20.0))
+    assert int(mixed.check_status(softer, beside)) == Status.CROSSED
+
+
+def test_status_takes_the_start_of_a_step_with_few_nodes(x64):
+    scene, end = flying(0.0, max_active_nodes=125)
+    with pytest.raises(ValueError, match="start is None with a scene of max_active_nodes 125"):
+        mixed.check_status(scene, end)
+    assert int(mixed.check_status(scene, end, start=end)) == 0
+    far = end.replace(particles=end.particles.replace(x=end.particles.x - 0.05))
+    assert int(mixed.check_status(scene, end, start=far)) == Status.INACTIVE_NODES
+
+
+def test_a_coupled_step_evaluates_all_colliders(x64):
+    ball = Collider(shape=Sphere(radius=0.01), friction=0.0)
+    scene, state = flying(0.0, colliders=(ball, ball.replace(body=1)), max_near_colliders=1)
+    place = state.particles.x[0] + jnp.array([[0.0, 0.01, 0.0], [0.01, 0.0, 0.0]])
+    poses = Pose(jnp.tile(place, (2, 1, 1)), jnp.tile(jnp.eye(3), (2, 2, 1, 1)))
+    assert int(mpm.check_status(scene.particles, state.particles, start=state.particles, poses=poses))
+    assert int(mixed.check_status(scene, state, start=state, poses=poses)) == 0

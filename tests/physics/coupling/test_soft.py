@@ -71,3 +71,11 @@ def test_implicit_steps_and_creases_are_not_coupled():
     yielding = scene.cloth.replace(yield_curvature=jnp.float32(10.0))
     with pytest.raises(ValueError, match="cloth that is coupled with bodies or particles cannot keep creases"):
         prescribed_of(scene.replace(cloth=yielding), state, None, None, 1, 1)
+
+
+def test_the_state_of_another_solver_is_refused():
+    with pytest.raises(ValueError, match=r"^state is a MPMState, but scene a ThinScene: give a ThinState"):
+        prescribed_of(cloth()[0], particles()[1], None, None, 1, 1)
+    scene, state = cloth()
+    with pytest.raises(ValueError, match="crease is given, but the cloth does not yield"):
+        prescribed_of(scene, thin.no_creases(scene, state), None, None, 1, 1)

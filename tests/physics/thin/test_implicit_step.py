@@ -199,3 +199,12 @@ def test_a_normal_damping_without_an_onset_is_refused():
     contact = PenaltyContact(stiffness=50.0, damping=0.1)
     with pytest.raises(ValueError, match=r"contact\.onset is 0.*give contact\.onset a depth"):
         cloth_scene(contact=contact, stepper=thin.Implicit())
+
+
+def test_where_all_vertices_are_held_nothing_is_left_to_solve(x64):
+    mesh = thin.sheet(0.1, 0.1, 1, 1)
+    scene = cloth_scene(mesh, held=range(4), stepper=thin.Implicit())
+    pins = mesh.vertices + np.array([0.0, 0.01, 0.0])
+    end = STEP(scene, thin.initial_state(mesh.vertices), thin.static_poses(1, dtype=float), pins=pins[None])
+    np.testing.assert_allclose(end.x, pins)
+    assert thin.check_status(scene, end) == 0

@@ -1,5 +1,6 @@
 """Pins and grips of a step: constant grips count for every substep, other shapes are refused."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -19,10 +20,16 @@ def test_constant_grips_count_for_every_substep(x64):
     scene, state = held_by_a_hand()
     pins = np.zeros((5, 2, 3))
     found = checked_prescribed(scene, state, pins, np.array([0.2, 0.7]), 5, 1)
-    assert found.pins is pins
+    np.testing.assert_array_equal(found.pins, pins)
     np.testing.assert_array_equal(found.grips, np.tile([0.2, 0.7], (5, 1)))
     each = np.linspace(0.0, 1.0, 10).reshape(5, 2)
     np.testing.assert_array_equal(checked_prescribed(scene, state, None, each, 5, 1).grips, each)
+
+
+def test_pins_and_grips_take_the_precision_of_the_state(x64):
+    scene, state = jax.tree.map(lambda a: a.astype(jnp.float32), held_by_a_hand())
+    found = checked_prescribed(scene, state, np.zeros((5, 2, 3)), np.array([0, 1]), 5, 1)
+    assert found.pins.dtype == found.grips.dtype == jnp.float32
 
 
 def test_other_shapes_are_refused(x64):

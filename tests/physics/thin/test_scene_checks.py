@@ -30,6 +30,12 @@ REFUSED = [
     ),
     (lambda: cloth_scene(MOBIUS), "twice in the same direction"),
     (lambda: rope_scene(thin.rope(np.zeros((3, 3)))), "no length"),
+    (
+        lambda: rope_scene(thin.ThinMesh(vertices=np.eye(2, 3), segments=np.asarray([[0, 1], [1, 0]]))),
+        "two between the same vertices",
+    ),
+    (lambda: cloth_scene(warp=(0.0, 0.0, 0.0)), "warp is the zero vector"),
+    (lambda: cloth_scene(warp=(np.nan, 0.0, 0.0)), r"warp\[0\] is nan"),
     (lambda: cloth_scene(thin.ThinMesh(vertices=np.eye(4, 3), triangles=[[0, 1, 2]])), "without an element"),
     (lambda: cloth_scene(thin.ThinMesh(vertices=np.zeros((3, 3)), triangles=[[0, 1, 2]])), "flat or mirrored"),
     (lambda: thin.sheet(-1.0, 1.0, 2, 2), "width is -1.0"),

@@ -49,3 +49,9 @@ def test_halves_thrown_at_each_other_cross_only_without_self_contact(x64, apart)
     if apart:
         fast = scene.replace(self_contact=scene.self_contact.replace(max_speed=2.0))  # the fold springs
         assert thin.check_status(fast, start) == 0
+
+
+def test_a_step_without_substeps_is_refused(x64):
+    scene, state = folded()
+    with pytest.raises(ValueError, match=r"^poses has one boundary and so no substep"):
+        thin.step(scene, state, thin.static_poses(0, dtype=float))

@@ -22,6 +22,16 @@ def test_status_names_crossed_layers_speed_and_full_lists(x64):
     assert thin.check_status(few, state) & Status.FULL_PAIRS
 
 
+def test_a_contact_that_became_softer_is_safe_at_lower_speeds_alone(x64):
+    scene, state = folded()
+    state = state.replace(v=jnp.zeros_like(state.v).at[0, 1].set(0.3))
+    assert thin.check_status(scene, state) == 0
+    softer = scene.replace(self_contact=scene.self_contact.replace(stiffness=0.5))
+    assert thin.largest_safe_speed(softer) < 0.3
+    assert thin.check_status(softer, state) == Status.CROSSED
+    assert thin.check_status(softer, state.replace(v=0.1 * state.v)) == 0
+
+
 def test_a_step_remembers_full_lists_and_fast_vertices(x64):
     scene, state = folded()
     few = scene.replace(self_contact=scene.self_contact.replace(pairs_per_element=1, max_speed=100.0))

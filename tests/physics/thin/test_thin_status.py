@@ -1,7 +1,8 @@
 """Status bits of cloth and ropes."""
 
 import jax.numpy as jnp
-from thin_bodies import SHEET, cloth_scene
+import pytest
+from thin_bodies import LINE, SHEET, cloth_scene, rope_scene
 
 from rewax.physics import thin
 from rewax.status import Status
@@ -22,3 +23,24 @@ def test_a_missed_tolerance_counts_for_implicit_steps_alone(x64):
     assert thin.check_status(cloth_scene(stepper=thin.Implicit(tolerance=1e-3)), state) == Status.UNSOLVED
     assert thin.check_status(cloth_scene(stepper=thin.Implicit(tolerance=3e-3)), state) == 0
     assert thin.check_status(cloth_scene(), state) == 0
+
+
+def test_a_neo_hookean_material_that_became_anisotropic_is_illegal(x64):
+    scene, state = cloth_scene(law=thin.MembraneLaw.NEO_HOOKEAN), thin.initial_state(SHEET.vertices)
+    assert thin.check_status(scene, state) == 0
+    softer = scene.replace(cloth=scene.cloth.replace(weft=0.9 * scene.cloth.weft))
+    assert thin.check_status(softer, state) == Status.INVALID_PARAMETERS
+
+
+def test_a_state_of_another_mesh_is_refused(x64):
+    """Its arrays would be read beyond their ends."""
+    scene, poses = rope_scene(), thin.static_poses(1, dtype=float)
+    short = thin.initial_state(LINE.vertices[:5])
+    message = r"state.x has shape \(5, 3\), but the scene has 9 vertices"
+    for call in (thin.check_status, thin.elastic_energy, thin.internal_force, thin.self_contact_force):
+        with pytest.raises(ValueError, match=message):
+            call(scene, short)
+    with pytest.raises(ValueError, match=message):
+        thin.step(scene, short, poses)
+    with pytest.raises(ValueError, match=r"state.v has shape \(1, 3\)"):
+        thin.step(scene, thin.initial_state(LINE.vertices).replace(v=jnp.zeros((1, 3))), poses)
