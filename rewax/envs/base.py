@@ -13,6 +13,8 @@ from rewax.types import Array, Key, Observation, PyTree
 
 NO_LEAF = -1
 """The value of ``State.failed_leaf`` after a step that did not fail."""
+SENSOR_LEAF = 2**30
+"""The value of ``State.failed_leaf`` after a step in which a sensor of ``Sensing`` observed a non-finite number."""
 
 
 @struct.dataclass
@@ -178,7 +180,8 @@ def failed_leaf_name(env: "Env", leaf: int) -> str:
 
     Args:
       env: the environment, unbatched.
-      leaf: the index. A negative one gives ``"nothing"``, one beyond the last array ``"status"``: a fatal bit.
+      leaf: the index. A negative one gives ``"nothing"``, one beyond the last array ``"status"``: a fatal bit, and
+        ``SENSOR_LEAF`` ``"the observation of a sensor"``.
     """
     state = jax.eval_shape(env.reset, jax.random.key(0))
     own = jax.eval_shape(getattr(env, "unwrapped", env).reset, jax.random.key(0)).obs  # wrappers add further ones
@@ -189,6 +192,8 @@ def failed_leaf_name(env: "Env", leaf: int) -> str:
         for path, value in jax.tree.leaves_with_path(tree)
         if jnp.issubdtype(value.dtype, jnp.inexact)
     ]
+    if leaf == SENSOR_LEAF:
+        return "the observation of a sensor"
     return "nothing" if leaf < 0 else names[leaf] if leaf < len(names) else "status"
 
 

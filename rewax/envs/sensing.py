@@ -4,15 +4,17 @@ import math
 from typing import Any, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
-from rewax.envs.base import ArraySpec, State
+from rewax.envs.base import NO_LEAF, SENSOR_LEAF, ArraySpec, State
 from rewax.envs.randomized import innermost
 from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper
 from rewax.physics.contact import Patches
 from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
+from rewax.status import Status, all_finite, flag
 from rewax.types import Array, Key, Observation
 
 _STREAM = 0x5E45
@@ -40,7 +42,9 @@ class Sensing(struct.Replaceable, _Wrapper):
     """An environment with additional observations from sensors; nothing else of it changes.
 
     Numbers of the sensors (a camera's position, the size of its noise) are parameters of the environment. So they can
-    be randomised, and they may differ between the environments of a batch.
+    be randomised, and they may differ between the environments of a batch. A step in which a sensor observes a
+    non-finite number fails: ``Status.NAN`` is set, the episode terminates with reward 0, and the observations of all
+    sensors stay as they were.
 
     Attributes:
       env: an environment with the method ``world(physics, up)``, as all tasks of rewax have.
@@ -80,11 +84,13 @@ class Sensing(struct.Replaceable, _Wrapper):
         object.__setattr__(self, "up", tuple(float(a) for a in np.asarray(bare.up)))
 
     def reset(self, key: Key) -> State:
-        return self._sensed(self._feeling.reset(key))
+        state = self._feeling.reset(key)
+        return state.replace(obs={**state.obs, **self._see(state)})
 
     def step(self, state: State, action: Array) -> State:
         own = {name: value for name, value in state.obs.items() if name not in self.sensors}
-        return self._sensed(self._feeling.step(state.replace(obs=own), action))
+        after = self._feeling.step(state.replace(obs=own), action)
+        return _blinded(after, self._see(after), {name: state.obs[name] for name in self.sensors})
 
     def world(self, physics: Any, up: np.ndarray | None = None) -> World:
         """The world of the environment's own parameters, by default with ``self.up``. Gradient: exact."""
@@ -124,9 +130,6 @@ class Sensing(struct.Replaceable, _Wrapper):
             env = getattr(env, "__dict__", {}).get("env")
         return count
 
-    def _sensed(self, state: State) -> State:
-        return state.replace(obs={**state.obs, **self._see(state)})
-
     def _see(self, state: State) -> Observation:
         world = self.world_of(state)
         key = jax.random.fold_in(jax.random.fold_in(state.key, _STREAM + self._inside), state.step_count)
@@ -136,6 +139,20 @@ class Sensing(struct.Replaceable, _Wrapper):
             name: self.sensors[name].see(world.replace(felt=felt[name]) if name in felt else world, keys[i])
             for i, name in enumerate(sorted(self.sensors))
         }
+
+
+def _blinded(state: State, seen: Observation, before: Observation) -> State:
+    """The state with what the sensors see; a failed step, if that holds a non-finite number."""
+    blind = ~all_finite(seen)
+    seen = {name: jnp.where(blind, jax.lax.stop_gradient(before[name]), value) for name, value in seen.items()}
+    return state.replace(
+        obs={**state.obs, **seen},
+        reward=jnp.where(blind, 0.0, state.reward),
+        terminated=state.terminated | blind,
+        truncated=state.truncated & ~blind,
+        status=state.status | flag(blind, Status.NAN),
+        failed_leaf=jnp.where(blind & (state.failed_leaf == NO_LEAF), SENSOR_LEAF, state.failed_leaf),
+    )
 
 
 def _with_touch(env: Any, touch: dict[str, Patches]) -> Any:

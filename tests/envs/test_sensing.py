@@ -141,10 +141,31 @@ def test_a_camera_around_drawn_parameters_sees_what_was_drawn():
     drawn = inside.reset(jax.random.key(0))
     large = Sensing(env=env.replace(radius=0.4), sensors=camera)
     for state in (drawn, inside.step(drawn, jnp.ones(1))):
-        own = large._sensed(state.replace(obs={"x": state.obs["x"]}))
-        np.testing.assert_array_equal(state.obs["depth"], own.obs["depth"])
-    small = Sensing(env=env, sensors=camera)._sensed(drawn.replace(obs={"x": drawn.obs["x"]}))
-    assert np.abs(drawn.obs["depth"] - small.obs["depth"]).max() > 0.1
+        np.testing.assert_array_equal(state.obs["depth"], large._see(state)["depth"])
+    small = Sensing(env=env, sensors=camera)._see(drawn)
+    assert np.abs(drawn.obs["depth"] - small["depth"]).max() > 0.1
+
+
+@struct.dataclass
+class Slope(struct.Replaceable):
+    """Square root of the ball's place relative to ``edge``: not a number left of it."""
+
+    edge: float
+
+    def see(self, world, key):
+        return jnp.sqrt(world.solids[0].pose.position[0] - self.edge)
+
+
+def test_a_step_in_which_a_sensor_sees_no_number_fails():
+    env = Sensing(env=seeing_toys.visible(), sensors={"slope": Slope(edge=-0.2)})
+    first = env.reset(jax.random.key(0))
+    left = first.replace(physics=jnp.full_like(first.physics, -0.1))
+    good, bad = (jax.jit(env.step)(left, jnp.array([push])) for push in (0.0, -1.0))
+    assert good.status == Status.OK and not good.terminated and good.obs["slope"] == pytest.approx(0.1**0.5, rel=1e-5)
+    assert bad.status == Status.NAN and bad.terminated and not bad.truncated and bad.reward == 0.0
+    assert bad.obs["slope"] == left.obs["slope"] and bad.obs["x"] != left.obs["x"]
+    assert failed_leaf_name(env, int(bad.failed_leaf)) == "the observation of a sensor"
+    assert failed_leaf_name(env, int(good.failed_leaf)) == "nothing"
 
 
 def test_sensors_around_sensors_draw_their_own_noise():
