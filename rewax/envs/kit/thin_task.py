@@ -41,6 +41,8 @@ class ThinTask(SoftTask):
         super().__post_init__()
         if self.touch is not None:
             raise ValueError("touch is given, but colliders feel no force of cloth and ropes: give touch=None")
+        if self.list_every is not None:
+            raise ValueError(f"list_every is {self.list_every}, but only tasks of particles alone use it: leave it out")
 
     # --- Methods that a task defines ---
 
