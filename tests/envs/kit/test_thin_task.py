@@ -70,8 +70,8 @@ def test_what_is_missing_is_named():
         ThinTask(scene=grasping, **bare).grips(jnp.zeros((2, 0)))
     with pytest.raises(ValueError, match="touch is given, but colliders feel no force of cloth and ropes"):
         held.replace(touch={"fingers": Patches(body=(0,))})
-    with pytest.raises(ValueError, match="list_every is 5, but only tasks of particles alone use it: leave it out"):
-        held.replace(list_every=5)
+    with pytest.raises(ValueError, match="list_every is 2, but only tasks of particles alone use it: leave it out"):
+        held.replace(list_every=2)
 
 
 def test_pictures_sensors_and_text_know_it():
