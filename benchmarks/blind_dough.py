@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from rows import append, mean, read
+from trained import trained
 
 import rewax
 from rewax import struct
@@ -85,14 +86,8 @@ def run_cell(column: str, seed: int) -> list[dict[str, Any]]:
     """Train one policy; the rows of its evaluations."""
     env = env_of(column)
     agent, config = agent_of(column, env)
-    began, ts = time.perf_counter(), agent.init(jax.random.key(seed))
-    for i in range(config.num_iterations):
-        ts, metrics = agent.train_step(ts)
-        if i % 10 == 9:
-            spent, earned = time.perf_counter() - began, float(metrics.get("return", np.nan))
-            print(f"{column} {seed}: {i + 1} of {config.num_iterations}, {spent:.0f} s, {earned:.2f}", flush=True)
-    jax.block_until_ready(ts)
-    seconds, rows = round(time.perf_counter() - began), []
+    ts, seconds = trained(agent, config.num_iterations, seed, column)
+    rows = []
     for at, factor in WEIGHTS.items():
         where = Randomized(env=env, randomize=draws(env, factor))
         found = make_evaluate(where, agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)

@@ -25,7 +25,6 @@ from the same starts. Its rows are written when it is finished, and finished cel
 """
 
 import dataclasses
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -35,6 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from rows import append, mean, read
+from trained import trained
 
 import rewax
 from rewax import struct
@@ -175,14 +175,7 @@ def run_cells(name: str, column: str, seeds: Iterable[int], keep: Path | None) -
     places = {at: at_the_end(bare, seen, at) if at != "nominal" or column == "varied" else env for at in ends}
     evaluations = {at: make_evaluate(place, agent.policy, EPISODES) for at, place in places.items()}
     for seed in seeds:
-        began, ts = time.perf_counter(), agent.init(jax.random.key(seed))
-        for i in range(config.num_iterations):
-            ts, metrics = agent.train_step(ts)
-            if i % 10 == 9:
-                spent, earned = time.perf_counter() - began, float(metrics.get("return", np.nan))
-                print(f"{name} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
-        jax.block_until_ready(ts)
-        seconds = time.perf_counter() - began
+        ts, seconds = trained(agent, config.num_iterations, seed, f"{name} {column}")
         if keep is not None:
             checkpoint.save(folder(keep, name, column, seed), ts, keep=1)
         rows = []
@@ -191,7 +184,7 @@ def run_cells(name: str, column: str, seeds: Iterable[int], keep: Path | None) -
             print(f"{name} {column} {seed} at {at}: {float(found['mean']):.2f}", flush=True)
             rows.append(
                 {"task": name, "column": column, "seed": seed, "at": at, "return": round(float(found["mean"]), 3),
-                 "std": round(float(found["std"]), 3), "seconds": round(seconds), "env_steps": int(ts.env_steps)}
+                 "std": round(float(found["std"]), 3), "seconds": seconds, "env_steps": int(ts.env_steps)}
             )  # fmt: skip
         yield rows
 
