@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 from doc_pages import ROOT, run_benchmark, run_page
 
 import rewax
@@ -33,3 +34,14 @@ def test_the_page_shows_the_rows_of_blind_dough():
     benchmark = run_benchmark("blind_dough")
     rows, text = benchmark["read"](ROOT / "docs/suites/blind_dough/results.csv"), ROOT / "docs/policies_that_see.md"
     assert rows and benchmark["table"](rows) in text.read_text()
+
+
+def test_printed_tables_take_the_place_of_those_with_the_same_first_line():
+    filled = run_benchmark("page_tables")["filled"]
+    page = "Before\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\nbetween\n\n| c |\n|---|\n| 3 |\n"
+    assert filled(page, ["| a | b |\n|---|---|\n| 4 | 5 |\n| 6 | 7 |"]) == page.replace(
+        "| 1 | 2 |", "| 4 | 5 |\n| 6 | 7 |"
+    )
+    for other in ("| d |\n|---|", "| a |\n|---|"):
+        with pytest.raises(ValueError, match=r"^the page has 0 tables that begin with"):
+            filled(page, [other])
