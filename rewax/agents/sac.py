@@ -11,6 +11,7 @@ Differences from their code:
 
 import dataclasses
 import functools
+import warnings
 from typing import Annotated, TypeAlias
 
 import jax
@@ -89,6 +90,9 @@ class SACConfig(ActorCriticConfig):
 
 Networks: TypeAlias = ActorCritic[SACConfig]
 
+LARGE_REPLAY = 8e9
+"""Size of a replay buffer above which a warning says it [bytes]: pictures at the default capacity have it."""
+
 
 @struct.dataclass
 class SACState(SoftState):
@@ -139,7 +143,15 @@ def _empty_replay(environments: Environments, action: Array, capacity: int) -> R
     num_envs, obs = environments.num_envs, environments.state.obs
     flag = jnp.zeros(num_envs, bool)
     actions = jnp.zeros((num_envs, *action.shape))
-    return replays.make_replay(Step(obs, actions, jnp.zeros(num_envs), obs, flag, flag, flag), capacity)
+    step = Step(obs, actions, jnp.zeros(num_envs), obs, flag, flag, flag)
+    size = sum(leaf.nbytes for leaf in jax.tree.leaves(step))
+    if capacity * size > LARGE_REPLAY:
+        warnings.warn(
+            f"the replay buffer takes {capacity * size / 1e9:.0f} GB: a replay_size of "
+            f"{int(LARGE_REPLAY / size * num_envs)} takes {LARGE_REPLAY / 1e9:.0f} GB",
+            stacklevel=2,
+        )
+    return replays.make_replay(step, capacity)
 
 
 def train_step(config: SACConfig, state: SACState) -> tuple[SACState, Metrics]:

@@ -107,3 +107,9 @@ def test_options_that_cannot_be():
     with pytest.raises(ValueError, match="replay_size is 100, less than the 1024 steps of one iteration"):
         SACConfig(replay_size=100)
     assert SACConfig(num_envs=3, horizon=4, replay_size=100).capacity == 32  # whole iterations
+
+
+def test_a_buffer_of_many_gigabytes_is_announced():
+    large = sac.make_sac(ENV, dataclasses.replace(CONFIG, replay_size=10**9))
+    with pytest.warns(UserWarning, match=r"^the replay buffer takes \d+ GB: a replay_size of \d+ takes 8 GB$"):
+        jax.eval_shape(large.init, jax.random.key(0))
