@@ -21,11 +21,21 @@ Pixels = dict[str, Array]
 def as_recorded(env: Any) -> Any:
     """One environment with its own parameters, and with all that changes observations and actions.
 
-    It leaves out ``Randomized``, ``AutoReset`` and ``Vmap`` around it: an episode is shown as it is without draws.
+    It leaves out ``AutoReset`` and ``Vmap`` around it, and ``Randomized`` everywhere: an episode is shown as it is
+    without draws.
     """
     while isinstance(env, (Randomized, AutoReset, Vmap)):
         env = env.env
-    return env
+    return _without_draws(env)
+
+
+def _without_draws(env: Any) -> Any:
+    """The environment without ``Randomized`` inside its wrappers."""
+    if isinstance(env, Randomized):
+        return _without_draws(env.env)
+    inside = _inside(env)
+    bare = _without_draws(inside) if inside is not None else None
+    return env if bare is inside else env.replace(env=bare)
 
 
 def has_cameras(env: Any) -> bool:

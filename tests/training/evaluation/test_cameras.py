@@ -76,3 +76,6 @@ def test_without_cameras_nothing_is_seen_and_draws_are_left_out():
     assert recorded(bare).seen == [] and not has_cameras(bare) and has_cameras(seeing_toys.sensing())
     late = Latency(env=seeing_toys.sensing())
     assert as_recorded(AutoReset(env=Randomized(env=late, randomize=lambda key, env: env))) is late
+    seeing = seeing_toys.sensing()
+    drawn_inside = seeing.replace(env=Randomized(env=seeing.env, randomize=lambda key, env: env))
+    assert as_recorded(Latency(env=drawn_inside)).env.env is seeing.env
