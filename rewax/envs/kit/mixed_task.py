@@ -68,7 +68,7 @@ class MixedTask(ThinTask):
 
     def stepped(self, scene: MixedScene, soft: MixedState, poses: Pose, **driven: Any) -> tuple[MixedState, Array]:
         end = coupling.step_prescribed(scene, soft, poses, **driven)
-        return end, mixed.check_status(scene, end, start=soft, poses=poses)
+        return end, mixed.check_status(scene, end, poses=poses)
 
     def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
         """Positions and velocities of the particles."""

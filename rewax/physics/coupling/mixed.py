@@ -51,12 +51,15 @@ class MixedState(struct.Replaceable):
       thin: state of ``thin.initial_state``.
       full: 1 if the list of close particles and triangles has been too short in any step, else 0, shape (). Gradient:
         none.
+      missed: 1 if particles have reached nodes of the grid outside of their list in any step, else 0, shape ().
+        Gradient: none.
       speed: largest speed at which a particle may have met the cloth in any step [m/s], shape (). Gradient: none.
     """
 
     particles: MPMState
     thin: ThinState
     full: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
+    missed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
 
     @property
@@ -190,18 +193,16 @@ SCENE = instance(MixedScene, "give a scene of make_mixed_scene")
 STATE = instance(MixedState, "give a MixedState(particles=..., thin=...)")
 
 
-@checked(scene=SCENE, state=STATE, start=optional(STATE), poses=optional(instance(Pose, "give a Pose, or None")))
-def check_status(
-    scene: MixedScene, state: MixedState, *, start: MixedState | None = None, poses: Pose | None = None
-) -> Array:
+@checked(scene=SCENE, state=STATE, poses=optional(instance(Pose, "give a Pose, or None")))
+def check_status(scene: MixedScene, state: MixedState, *, poses: Pose | None = None) -> Array:
     """Status bits of particles and cloth; ``FULL_PAIRS`` also for a full list of ``contact``, ``CROSSED`` also for a
-    particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``, both in any
-    step so far.
+    particle that may meet the cloth faster than ``contact.max_speed`` or ``largest_safe_particle_speed``,
+    ``INACTIVE_NODES`` for too short a list of nodes or a particle that moved too far between two searches, all three
+    in any step so far.
 
     Args:
       scene: the scene.
       state: particles and vertices at the end of a step.
-      start: those at its beginning, for the nodes of the grid, as for ``mpm.check_status``.
       poses: poses of its bodies, shapes (num_substeps + 1, num_bodies, ...), as for ``mpm.check_status``.
 
     Returns:
@@ -217,11 +218,14 @@ def check_status(
     last = None if poses is None else Pose(*(a[-1] for a in poses))
     bad = any_illegal(numbers_of(scene.contact, "contact."))
     too_long = ~(scene.dt <= (1.0 + 1e-5) * largest_stable_mixed_dt(scene))
-    grid = scene.particles.replace(max_near_colliders=None)  # a coupled step evaluates all colliders
+    # A coupled step evaluates all colliders, and remembers whether the nodes sufficed.
+    grid = scene.particles.replace(max_near_colliders=None, max_active_nodes=None)
+    missed = mpm_stepping.nodes_missed(scene.particles, state.particles.x, state.particles.x)
     return (
-        mpm_stepping.check_status(grid, state.particles, start=None if start is None else start.particles, poses=poses)
+        mpm_stepping.check_status(grid, state.particles, poses=poses)
         | thin_status.check_status(scene.thin, state.thin, poses=last)
         | flag((state.full > 0) | pairs.full, Status.FULL_PAIRS)
+        | flag((state.missed > 0) | missed, Status.INACTIVE_NODES)
         | flag(fast, Status.CROSSED)
         | flag(bad | too_long, Status.INVALID_PARAMETERS)
     )

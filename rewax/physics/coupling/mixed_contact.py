@@ -26,7 +26,7 @@ from rewax.physics.mpm.packing import join as join_particles
 from rewax.physics.mpm.packing import split as split_particles
 from rewax.physics.mpm.packing import unpack
 from rewax.physics.mpm.scene import particle_mass
-from rewax.physics.mpm.stepping import nodes_of_step
+from rewax.physics.mpm.stepping import nodes_missed, nodes_of_step
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose
@@ -52,7 +52,8 @@ class Mixed(NamedTuple):
 class Constants(NamedTuple):
     """Values that several substeps share."""
 
-    nodes: ActiveNodes
+    nodes: ActiveNodes | None = None
+    """Nodes of the grid in reach of the particles."""
     own: AllPairs | None = None
     """Pairs of the cloth's self-contact."""
     pairs: ParticlePairs | None = None
@@ -66,6 +67,8 @@ class Met(NamedTuple):
     """Extremes of the cloth's self-contact."""
     full: Array
     """Whether the list of particles and triangles was full, shape (), bool."""
+    missed: Array
+    """Whether particles reached nodes outside of their list, shape (), bool."""
     speed: Array
     """Largest speed of a particle relative to the cloth that it may meet [m/s], shape ()."""
 
@@ -114,37 +117,42 @@ def join(soft: Mixed) -> MixedState:
 
 
 def constants_of(scene: MixedScene, state: MixedState) -> Constants:
-    """Values that all substeps of a step share."""
-    return Constants(nodes_of_step(scene.particles, state.particles.x))
+    """None: ``search`` finds all that substeps share."""
+    del scene, state
+    return Constants()
 
 
 def every_of(scene: MixedScene) -> int:
-    """Substeps between two searches for close pairs."""
+    """Substeps between two searches for close pairs and the particles' nodes."""
     own = scene.thin.self_contact
     return scene.contact.every if own is None else min(own.every, scene.contact.every)
 
 
 def search(scene: MixedScene, constants: Constants, soft: Mixed) -> tuple[Constants, Callable[[Mixed, int], Met]]:
-    """The constants with the pairs that are close now, and ``(end, substeps) -> met`` for the round that begins."""
+    """The pairs that are close now and the nodes in reach, and ``(end, substeps) -> met`` for the round that begins."""
     vertices, particles = soft.vertices, unpack(soft.particles)
     own, watch = (None, None) if scene.thin.self_contact is None else watched_pairs(scene.thin, vertices)
     pairs = particle_pairs(scene.contact, scene.tree, scene.dt, particles.x, vertices.x)
     both = (particles.x, particles.v), (vertices.x, vertices.v)
     fast = meeting_speed(scene.contact, pairs, scene.dt, *both)
+    start = jnp.stack(particles.x, axis=-1)
 
     def met(end: Mixed, substeps: int) -> Met:
-        return Met(None if watch is None else watch(end.vertices, substeps), pairs.full, fast)
+        missed = nodes_missed(scene.particles, start, jnp.stack(unpack(end.particles).x, axis=-1))
+        return Met(None if watch is None else watch(end.vertices, substeps), pairs.full, missed, fast)
 
-    return constants._replace(own=own, pairs=pairs), met
+    nodes = nodes_of_step(scene.particles, start)
+    return constants._replace(nodes=nodes, own=own, pairs=pairs), met
 
 
 def remembered(before: MixedState, after: MixedState, met: Met) -> MixedState:
     """The state after a step, with the extremes of contact of all steps. Gradient: none."""
-    full, speed = (
+    full, missed, speed = (
         jax.lax.stop_gradient(jnp.maximum(old, new.astype(jnp.result_type(old))))
-        for old, new in ((before.full, met.full), (before.speed, met.speed))
+        for old, new in ((before.full, met.full), (before.missed, met.missed), (before.speed, met.speed))
     )
-    return after.replace(thin=thin_stepping.remembered(before.thin, after.thin, met.own), full=full, speed=speed)
+    own = thin_stepping.remembered(before.thin, after.thin, met.own)
+    return after.replace(thin=own, full=full, missed=missed, speed=speed)
 
 
 def begin(
@@ -152,7 +160,7 @@ def begin(
 ) -> MixedContact:
     """First part of a substep: forces between particles and cloth, then what each does alone. Gradient: exact."""
     packed, vertices = soft
-    assert constants.pairs is not None
+    assert constants.nodes is not None and constants.pairs is not None
     p = unpack(packed)
     with jax.named_scope("particle_contact"):
         on_particles, on_vertices = contact_forces(scene.contact, constants.pairs, (p.x, p.v), (vertices.x, vertices.v))

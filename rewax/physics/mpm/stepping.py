@@ -157,11 +157,7 @@ def check_status(
     if poses is not None and scene.colliders:
         depth = penetration(scene.colliders, Pose(*(a[-1] for a in poses)), cp.split_vector(state.x))
         status = status | flag(depth > DEEP_IN_CELLS * scene.grid.spacing, Status.PENETRATION)
-    if scene.max_active_nodes is not None:
-        too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
-        too_far = jnp.any(jnp.abs(state.x - before) > scene.reach * scene.grid.spacing)
-        status = status | flag(too_few | too_far, Status.INACTIVE_NODES)
-    return status
+    return status | flag(nodes_missed(scene, before, state.x), Status.INACTIVE_NODES)
 
 
 @checked(scene=SCENE, state=STATE)
@@ -323,6 +319,14 @@ def nodes_of_step(scene: MPMScene, x: Array) -> ActiveNodes:
     if scene.max_active_nodes is None:
         return all_nodes(scene.grid, x.dtype)
     return list_nodes(scene.grid, x, scene.max_active_nodes, reach=scene.reach)
+
+
+def nodes_missed(scene: MPMScene, before: Array, after: Array) -> Array:
+    """Whether ``nodes_of_step(scene, before)`` lacks nodes, or particles moved too far for it, shape (), bool."""
+    if scene.max_active_nodes is None:
+        return jnp.bool_(False)
+    too_few = count_nodes(scene.grid, before, reach=scene.reach) > scene.max_active_nodes
+    return too_few | jnp.any(jnp.abs(after - before) > scene.reach * scene.grid.spacing)
 
 
 def _response(material: Material, p: Particles) -> Response:

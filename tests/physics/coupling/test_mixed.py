@@ -135,13 +135,35 @@ def test_a_particle_that_passes_between_two_searches_is_seen(x64):
     assert int(mixed.check_status(softer, beside)) == Status.CROSSED
 
 
-def test_status_takes_the_start_of_a_step_with_few_nodes(x64):
-    scene, end = flying(0.0, max_active_nodes=125)
-    with pytest.raises(ValueError, match="start is None with a scene of max_active_nodes 125"):
-        mixed.check_status(scene, end)
-    assert int(mixed.check_status(scene, end, start=end)) == 0
-    far = end.replace(particles=end.particles.replace(x=end.particles.x - 0.05))
-    assert int(mixed.check_status(scene, end, start=far)) == Status.INACTIVE_NODES
+def test_status_remembers_nodes_that_did_not_suffice(x64):
+    scene, start = flying(0.0, max_active_nodes=125)
+    assert int(mixed.check_status(scene, start)) == 0
+    assert int(mixed.check_status(flying(0.0, max_active_nodes=124)[0], start)) == Status.INACTIVE_NODES
+    scene, start = flying(30.0, max_active_nodes=125)
+    end = RUN(scene, start, thin.static_poses(8, dtype=float))  # two cells between two searches
+    calm = end.replace(particles=start.particles.replace(v=jnp.zeros((1, 3))), speed=jnp.zeros(()))
+    assert int(mixed.check_status(scene, calm)) == Status.INACTIVE_NODES
+    assert int(mixed.check_status(scene, calm.replace(missed=jnp.zeros(())))) == 0
+
+
+def test_listed_nodes_follow_particles_through_many_cells(x64):
+    """A list is renewed with each search: within a step a grain crosses more cells than a list allows."""
+    ends = []
+    for nodes in (None, 125):
+        scene, start = flying(-3.0, max_active_nodes=nodes)
+        scene = scene.replace(contact=scene.contact.replace(every=8))
+
+        def height(v, scene=scene, start=start):
+            moving = start.replace(particles=start.particles.replace(v=v))
+            end = RUN(scene, moving, thin.static_poses(64, dtype=float))
+            return end.particles.x[0, 1], end
+
+        (y, end), slope = jax.value_and_grad(height, has_aux=True)(start.particles.v)
+        ends.append((y, slope))
+        assert int(mixed.check_status(scene, end)) == 0
+    assert y - start.particles.x[0, 1] > 2.5 * SPACING
+    np.testing.assert_allclose(ends[1][0], ends[0][0], rtol=1e-12)
+    np.testing.assert_allclose(ends[1][1], ends[0][1], rtol=1e-9)
 
 
 def test_a_coupled_step_evaluates_all_colliders(x64):
@@ -150,4 +172,4 @@ def test_a_coupled_step_evaluates_all_colliders(x64):
     place = state.particles.x[0] + jnp.array([[0.0, 0.01, 0.0], [0.01, 0.0, 0.0]])
     poses = Pose(jnp.tile(place, (2, 1, 1)), jnp.tile(jnp.eye(3), (2, 2, 1, 1)))
     assert int(mpm.check_status(scene.particles, state.particles, start=state.particles, poses=poses))
-    assert int(mixed.check_status(scene, state, start=state, poses=poses)) == 0
+    assert int(mixed.check_status(scene, state, poses=poses)) == 0
