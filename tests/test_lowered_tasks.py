@@ -26,7 +26,7 @@ SHELL = {
     "thin.stepping._moved",
 }  # fmt: skip
 CLOTH = SHELL | {"contact.penalty._ground_force", "thin.grasp_forces._followed", "thin.grasp_forces._pull"}
-GRAINS = SOFT | {"coupling.nodes._after", "coupling.nodes._met", "coupling.particle_contact._pair_force"}
+GRAINS = SOFT | {"coupling.nodes._after", "coupling.nodes._met", "coupling.particle_contact.pair_force"}
 FUNCTIONS = {
     **dict.fromkeys(["FluidMove", "HandFlip", "HandLift", "RollingFlat", "SteerFloat"], TOOL),
     **dict.fromkeys(

@@ -17,12 +17,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from rewax import struct
-from rewax.lowering.kernels import pointwise
+from rewax.lowering.assembled import assembled
+from rewax.lowering.stencils import Listed
 from rewax.physics.coupling.triangle_tree import EDGES, TriangleTree, close_to_triangles
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import closest
-from rewax.physics.thin.pair_kernels import to_corners, to_vertices
+from rewax.physics.thin.pair_kernels import to_corners
 from rewax.physics.thin.pair_law import PairContact, pair_energy, shared_out
 from rewax.physics.thin.self_contact import NO_PAIR
 from rewax.types import Array, Scalar
@@ -57,6 +58,8 @@ class ParticlePairs(NamedTuple):
     """Distance at which a pair touches [m], shape (capacity,); negative beyond the last pair."""
     shares: tuple[Array, ...]
     """``TriangleTree.shares`` of each pair, six arrays (capacity,)."""
+    count: Array
+    """Number of pairs, which come first, int32 of shape ()."""
     full: Array
     """Whether pairs are missing, shape (), bool."""
 
@@ -72,7 +75,7 @@ def particle_pairs(law: ParticleContact, tree: TriangleTree, dt: float, particle
     corners = num_particles + jnp.asarray(tree.triangles.T)[:, found.triangles]
     thickness = jnp.where(found.valid, jnp.asarray(law.thickness, dtype), NO_PAIR)
     shares = tuple(jnp.asarray(column, dtype)[found.triangles] for column in tree.shares.T)
-    return ParticlePairs(jnp.concatenate([found.points[None], corners]), thickness, shares, found.full)
+    return ParticlePairs(jnp.concatenate([found.points[None], corners]), thickness, shares, found.count, found.full)
 
 
 def contact_forces(
@@ -82,11 +85,9 @@ def contact_forces(
 
     Gradient: exact.
     """
-    num_particles, num_vertices = particles[0][0].shape[-1], vertices[0][0].shape[-1]
-    at, moving = _at_corners(pairs, particles, vertices)
-    each = _pair_force(numbers(law), (at, moving, pairs.thickness, pairs.shares))
-    values = tuple(corner[i] for i in cp.AXES for corner in each)
-    total = to_vertices(pairs.corners, values, num_particles + num_vertices)
+    num_particles, both = particles[0][0].shape[-1], _together(particles, vertices)
+    listed = Listed(pairs.corners, pairs.count, both[0][0].shape[-1])
+    total = pair_force(listed, numbers(law), (pairs.thickness, pairs.shares), both)
     on_particles = cp.vector(lambda i: total[i][:num_particles])
     return on_particles, cp.vector(lambda i: total[i][num_particles:])
 
@@ -122,17 +123,24 @@ def meeting_speed(
 
 def _at_corners(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> list[Any]:
     """Positions and velocities of the particle and the corners of each pair."""
-    both = [
-        cp.vector(lambda i, p=p, v=v: jnp.concatenate([p[i], v[i]])) for p, v in zip(particles, vertices, strict=True)
-    ]
+    both = _together(particles, vertices)
     flat = to_corners(pairs.corners, (*both[0], *both[1]))
     return [tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:])]
 
 
-@pointwise
-def _pair_force(law: ParticleContact, pairs: tuple[Any, Any, Array, tuple[Array, ...]]) -> tuple[Vec3, ...]:
-    """Forces on a particle and the corners of a triangle [N]."""
-    x, v, thickness, shares = pairs
+def _together(particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> tuple[Vec3, Vec3]:
+    """Positions and velocities of the particles, then the vertices."""
+    x, v = (
+        cp.vector(lambda i, p=p, v=v: jnp.concatenate([p[i], v[i]])) for p, v in zip(particles, vertices, strict=True)
+    )
+    return x, v
+
+
+@assembled
+def pair_force(law: ParticleContact, pairs: tuple[tuple[Array, tuple[Array, ...]], Any]) -> tuple[Vec3, ...]:
+    """Forces on a particle and the corners of a triangle [N], from thicknesses, shares, positions and velocities."""
+    (thickness, shares), corners = pairs
+    x, v = tuple(x for x, _ in corners), tuple(v for _, v in corners)
 
     def force(weights: closest.Weights) -> tuple[Vec3, ...]:
         between = closest.weighted(weights, x)

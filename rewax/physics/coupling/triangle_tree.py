@@ -86,7 +86,9 @@ class ClosePairs(NamedTuple):
     triangles: Array
     """Indices, int32 of shape (capacity,); 0 beyond the last pair."""
     valid: Array
-    """Whether an entry is a pair, shape (capacity,)."""
+    """Whether an entry is a pair, shape (capacity,); pairs come first."""
+    count: Array
+    """Number of pairs, int32 of shape (); above the capacity, some are missing."""
     full: Array
     """Whether pairs are missing, shape (), bool."""
 
@@ -128,7 +130,8 @@ def close_to_triangles(tree: TriangleTree, points: Vec3, x: Vec3, reach: Array, 
     where, found, count = first_true(valid & (gap < reach), room)
     pad = (0, capacity - room)
     i, j = (jnp.pad(jnp.where(found, k[where], 0), pad) for k in (i, j))
-    return ClosePairs(i.astype(jnp.int32), j.astype(jnp.int32), jnp.pad(found, pad), full | (count > capacity))
+    i, j = i.astype(jnp.int32), j.astype(jnp.int32)
+    return ClosePairs(i, j, jnp.pad(found, pad), count, full | (count > capacity))
 
 
 __all__ = ["EDGES", "ClosePairs", "TriangleTree", "close_to_triangles", "shares"]
