@@ -131,9 +131,9 @@ def _smoothing(corners: tuple[Vec3, ...]) -> Array:
 def first_true(mask: Array, size: int) -> tuple[Array, Array, Array]:
     """Indices of the first ``size`` true entries (0 beyond the last), which of them exist, and how many are true."""
     total = jnp.cumsum(mask, dtype=jnp.int32)
-    where = jnp.searchsorted(total, jnp.arange(1, size + 1, dtype=jnp.int32))
-    valid = jnp.arange(size) < total[-1]
-    return jnp.where(valid, where, 0), valid, total[-1]
+    places = jnp.where(mask, total - 1, size)
+    where = jnp.zeros(size, jnp.int32).at[places].set(jnp.arange(mask.size, dtype=jnp.int32), mode="drop")
+    return where, jnp.arange(size) < total[-1], total[-1]
 
 
 def box_levels(boxes: Boxes, order: np.ndarray, levels: int) -> list[Boxes]:
