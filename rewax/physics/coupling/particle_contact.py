@@ -58,7 +58,7 @@ class ParticlePairs(NamedTuple):
     """Distance at which a pair touches [m], shape (capacity,); negative beyond the last pair."""
     shares: tuple[Array, ...]
     """``TriangleTree.shares`` of each pair, six arrays (capacity,)."""
-    count: Array
+    num_pairs: Array
     """Number of pairs, which come first, int32 of shape ()."""
     full: Array
     """Whether pairs are missing, shape (), bool."""
@@ -75,7 +75,7 @@ def particle_pairs(law: ParticleContact, tree: TriangleTree, dt: float, particle
     corners = num_particles + jnp.asarray(tree.triangles.T)[:, found.triangles]
     thickness = jnp.where(found.valid, jnp.asarray(law.thickness, dtype), NO_PAIR)
     shares = tuple(jnp.asarray(column, dtype)[found.triangles] for column in tree.shares.T)
-    return ParticlePairs(jnp.concatenate([found.points[None], corners]), thickness, shares, found.count, found.full)
+    return ParticlePairs(jnp.concatenate([found.points[None], corners]), thickness, shares, found.num_pairs, found.full)
 
 
 def contact_forces(
@@ -86,7 +86,7 @@ def contact_forces(
     Gradient: exact.
     """
     num_particles, both = particles[0][0].shape[-1], _together(particles, vertices)
-    listed = Listed(pairs.corners, pairs.count, both[0][0].shape[-1])
+    listed = Listed(pairs.corners, pairs.num_pairs, both[0][0].shape[-1])
     total = pair_force(listed, numbers(law), (pairs.thickness, pairs.shares), both)
     on_particles = cp.vector(lambda i: total[i][:num_particles])
     return on_particles, cp.vector(lambda i: total[i][num_particles:])

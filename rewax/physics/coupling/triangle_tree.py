@@ -87,7 +87,7 @@ class ClosePairs(NamedTuple):
     """Indices, int32 of shape (capacity,); 0 beyond the last pair."""
     valid: Array
     """Whether an entry is a pair, shape (capacity,); pairs come first."""
-    count: Array
+    num_pairs: Array
     """Number of pairs, int32 of shape (); above the capacity, some are missing."""
     full: Array
     """Whether pairs are missing, shape (), bool."""
