@@ -3,6 +3,7 @@
 import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -92,22 +93,57 @@ def _assemble(stencil: Stencil, residuals: Arrays, linear: Arrays) -> Arrays:
 
 def _summed(where: Array, num_vertices: int, num_corners: int, values: Arrays) -> Arrays:
     out: list[Array] = []
-    components = len(values) // num_corners
-    for i in range(components):
-        pieces = jnp.concatenate(values[i::components], axis=-1)
+    for pieces in _by_component(values, num_corners):
         zeros = jnp.zeros((*pieces.shape[:-1], num_vertices), pieces.dtype)
         out.append(zeros.at[..., where].add(pieces, mode="promise_in_bounds"))
     return tuple(out)
 
 
+def _by_component(values: Arrays, num_corners: int) -> list[Array]:
+    """Of each component its values at all corners, one corner after the other."""
+    components = len(values) // num_corners
+    return [jnp.concatenate(values[i::components], axis=-1) for i in range(components)]
+
+
 def gather_listed(listed: Listed, fields: Arrays) -> Arrays:
-    """``gather`` for a list of elements."""
-    return tuple(a.at[column].get(mode="promise_in_bounds") for column in listed.corners for a in fields)
+    """``gather`` for a list of elements. Beyond the last element, values are those at the vertices that are there.
+
+    Gradient: exact for the list's elements, none by way of the entries beyond; its transpose is ``assemble_listed``.
+    """
+    return linear_call(gather_at, assemble_at, listed.num_vertices, (listed.corners, listed.count), fields)
 
 
 def assemble_listed(listed: Listed, values: Arrays) -> Arrays:
-    """``assemble`` for a list of elements."""
-    return _summed(listed.corners.reshape(-1), listed.num_vertices, len(listed.corners), values)
+    """``assemble`` for a list of elements; entries beyond the last one add nothing.
+
+    Gradient: exact; its transpose is ``gather_listed``.
+    """
+    return linear_call(assemble_at, gather_at, listed.num_vertices, (listed.corners, listed.count), values)
 
 
-__all__ = ["Listed", "Stencil", "assemble", "assemble_listed", "gather", "gather_listed"]
+def gather_at(num_vertices: int, residuals: Arrays, linear: Arrays) -> Arrays:
+    """The rule of ``gather_listed`` for ``linear_call``; residuals: corners and count."""
+    del num_vertices
+    corners = residuals[0]
+    columns = [corners[..., k, :] for k in range(corners.shape[-2])]
+    return tuple(jnp.take_along_axis(a, k, axis=-1, mode="promise_in_bounds") for k in columns for a in linear)
+
+
+def assemble_at(num_vertices: int, residuals: Arrays, linear: Arrays) -> Arrays:
+    """The rule of ``assemble_listed`` for ``linear_call``; residuals: corners and count.
+
+    All entries beyond the last element have the same vertices. A GPU would add their zeros one after the other.
+    """
+    corners, count = residuals
+    used = jnp.arange(corners.shape[-1]) < count[..., None]
+    where = jnp.where(used[..., None, :], corners, num_vertices).reshape(*corners.shape[:-2], -1)
+
+    def add(index: Array, value: Array) -> Array:
+        return jnp.zeros(num_vertices, value.dtype).at[index].add(value, mode="drop")
+
+    for _ in where.shape[:-1]:
+        add = jax.vmap(add)
+    return tuple(add(where, pieces) for pieces in _by_component(linear, corners.shape[-2]))
+
+
+__all__ = ["Listed", "Stencil", "assemble", "assemble_at", "assemble_listed", "gather", "gather_at", "gather_listed"]

@@ -36,3 +36,26 @@ def test_entries_are_the_corners_at_each_vertex_by_corner_and_element(seed):
         own = entries[starts[vertex] : starts[vertex + 1]]
         assert (np.diff(own) > 0).all()
         np.testing.assert_array_equal(own, [20 * k + e for k in range(4) for e in range(20) if indices[e, k] == vertex])
+
+
+@pytest.mark.parametrize("counts", [(3, 0), (2, 7)])  # more than the list holds: all entries are elements
+def test_entries_beyond_the_last_element_add_nothing_in_either_direction(counts):
+    corners, a = jnp.tile(STENCIL.indices.T, (2, 1, 1)), jnp.arange(12.0).reshape(2, 6)
+    values = tuple(jnp.full((2, 3), 1.0 + k) for k in range(3))
+
+    def sums(corners, count, values):
+        return stencils.assemble_listed(Listed(corners, count, 6), values)
+
+    def corners_of(corners, count, a):
+        return stencils.gather_listed(Listed(corners, count, 6), (a,))
+
+    count = jnp.asarray(counts)
+    found = jax.vmap(sums)(corners, count, values)[0]
+    _, pull = jax.vjp(lambda a: jax.vmap(corners_of)(corners, count, a), a)
+    (pulled,) = pull(values)
+    for scene, number in enumerate(counts):
+        expected = np.zeros(6)
+        for element in range(min(number, 3)):
+            np.add.at(expected, STENCIL.indices[element], [1.0, 2.0, 3.0])
+        np.testing.assert_array_equal(found[scene], expected)
+        np.testing.assert_array_equal(pulled[scene], expected)

@@ -63,6 +63,10 @@ class ParticlePairs(NamedTuple):
     full: Array
     """Whether pairs are missing, shape (), bool."""
 
+    def listed(self, both: tuple[Vec3, Vec3]) -> Listed:
+        """The pairs as elements of particles and vertices ``_together``."""
+        return Listed(self.corners, self.num_pairs, both[0][0].shape[-1])
+
 
 def particle_pairs(law: ParticleContact, tree: TriangleTree, dt: float, particles: Vec3, x: Vec3) -> ParticlePairs:
     """The pairs that can touch within the next ``every`` substeps of duration dt [s].
@@ -86,8 +90,7 @@ def contact_forces(
     Gradient: exact.
     """
     num_particles, both = particles[0][0].shape[-1], _together(particles, vertices)
-    listed = Listed(pairs.corners, pairs.num_pairs, both[0][0].shape[-1])
-    total = pair_force(listed, numbers(law), (pairs.thickness, pairs.shares), both)
+    total = pair_force(pairs.listed(both), numbers(law), (pairs.thickness, pairs.shares), both)
     on_particles = cp.vector(lambda i: total[i][:num_particles])
     return on_particles, cp.vector(lambda i: total[i][num_particles:])
 
@@ -124,7 +127,7 @@ def meeting_speed(
 def _at_corners(pairs: ParticlePairs, particles: tuple[Vec3, Vec3], vertices: tuple[Vec3, Vec3]) -> list[Any]:
     """Positions and velocities of the particle and the corners of each pair."""
     both = _together(particles, vertices)
-    flat = to_corners(pairs.corners, (*both[0], *both[1]))
+    flat = to_corners(pairs.listed(both), (*both[0], *both[1]))
     return [tuple((u[k], u[4 + k], u[8 + k]) for k in range(4)) for u in (flat[:12], flat[12:])]
 
 

@@ -98,15 +98,16 @@ def pairs_blocks(scene: "ThinScene", met: list[Meeting | None], x: Vec3) -> Bloc
 
 def gathered(pairs: Pairs, x: Vec3) -> Four:
     """Vectors at the corners of pairs."""
-    flat = to_corners(pairs.corners, x)
+    flat = to_corners(pairs.listed(x[0].shape[-1]), x)
     corner = [(flat[k], flat[4 + k], flat[8 + k]) for k in range(4)]
     return corner[0], corner[1], corner[2], corner[3]
 
 
 def summed(pairs: Pairs, values: tuple[Vec3, ...], like: Vec3) -> Vec3:
     """Sums at the vertices of vectors at the corners of pairs."""
-    flat = to_vertices(pairs.corners, tuple(corner[i] for i in cp.AXES for corner in values), like[0].shape[-1])
-    return (flat[0], flat[1], flat[2])
+    flat = tuple(corner[i] for i in cp.AXES for corner in values)
+    x, y, z = to_vertices(pairs.listed(like[0].shape[-1]), flat)
+    return x, y, z
 
 
 def _both(met: list[Meeting | None]) -> list[tuple[Kernels, Meeting]]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from rewax.lowering import build
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
+from rewax.lowering.stencils import Listed, assemble_at, gather_at
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.thin import broad_phase
 from rewax.physics.thin.contact_elements import ContactElements
@@ -61,23 +62,28 @@ def find_pairs(
     return CloseElements(*linear_call(_FIND, no_transpose, query, (at, lengths.astype(at.dtype)), (), like=like))
 
 
-def to_corners(corners: Array, fields: tuple[Array, ...]) -> tuple[Array, ...]:
+def to_corners(listed: Listed, fields: tuple[Array, ...]) -> tuple[Array, ...]:
     """Values of fields at the corners of pairs: entry 4 f + k is field f at corner k, shape (num_pairs,).
 
     Args:
-      corners: vertices, int32 of shape (4, num_pairs).
+      listed: the pairs, with four corners each.
       fields: arrays of shape (num_vertices,).
 
     Gradient: exact; its transpose is ``to_vertices``.
     """
-    like = [jax.ShapeDtypeStruct(corners.shape[1:], a.dtype) for a in fields for _ in range(4)]
-    return linear_call(_TO_CORNERS, _TO_VERTICES, _Count(fields[0].shape[-1]), (corners,), fields, like=like)
+    like = [jax.ShapeDtypeStruct(listed.corners.shape[1:], a.dtype) for a in fields for _ in range(4)]
+    known = (listed.corners, listed.count)
+    return linear_call(_TO_CORNERS, _TO_VERTICES, _Count(listed.num_vertices), known, fields, like=like)
 
 
-def to_vertices(corners: Array, values: tuple[Array, ...], num_vertices: int) -> tuple[Array, ...]:
-    """Sums of values at the vertices: the transpose of ``to_corners``. Gradient: exact."""
-    like = [jax.ShapeDtypeStruct((num_vertices,), a.dtype) for a in values[::4]]
-    return linear_call(_TO_VERTICES, _TO_CORNERS, _Count(num_vertices), (corners,), values, like=like)
+def to_vertices(listed: Listed, values: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Sums of values at the vertices: the transpose of ``to_corners``. Gradient: exact.
+
+    Values beyond the last pair must be zero.
+    """
+    like = [jax.ShapeDtypeStruct((listed.num_vertices,), a.dtype) for a in values[::4]]
+    known = (listed.corners, listed.count)
+    return linear_call(_TO_VERTICES, _TO_CORNERS, _Count(listed.num_vertices), known, values, like=like)
 
 
 class _Count(NamedTuple):
@@ -124,14 +130,14 @@ def _find_xla(query: _Query, residuals: Arrays, linear: Arrays) -> Arrays:
 
 
 def _corners_cpp(static: _Count, residuals: Arrays, fields: Arrays) -> Arrays:
-    (corners,) = residuals
+    corners = residuals[0]
     if not is_used():
         return _corners_xla(static, residuals, fields)
     return _mapped("rewax_pairs_to_corners", static, corners, fields, len(fields), 4 * len(fields), corners.shape[-1])
 
 
 def _vertices_cpp(static: _Count, residuals: Arrays, values: Arrays) -> Arrays:
-    (corners,) = residuals
+    corners = residuals[0]
     if not is_used():
         return _vertices_xla(static, residuals, values)
     count = len(values) // 4
@@ -151,23 +157,13 @@ def _mapped(
 
 
 def _corners_xla(static: _Count, residuals: Arrays, fields: Arrays) -> Arrays:
-    del static
-    (corners,) = residuals
-    flat = corners.reshape(*corners.shape[:-2], -1)
-    at = [jnp.take_along_axis(a, flat, axis=-1, mode="promise_in_bounds").reshape(corners.shape) for a in fields]
-    return tuple(a[..., k, :] for a in at for k in range(4))
+    flat = gather_at(static.num_vertices, residuals, fields)
+    return tuple(flat[len(fields) * k + f] for f in range(len(fields)) for k in range(4))
 
 
 def _vertices_xla(static: _Count, residuals: Arrays, values: Arrays) -> Arrays:
-    (corners,) = residuals
-    flat = corners.reshape(*corners.shape[:-2], -1)
-
-    def add(index: Array, value: Array) -> Array:
-        return jnp.zeros(static.num_vertices, value.dtype).at[index].add(value, mode="promise_in_bounds")
-
-    for _ in flat.shape[:-1]:
-        add = jax.vmap(add)
-    return tuple(add(flat, jnp.concatenate(values[k : k + 4], axis=-1)) for k in range(0, len(values), 4))
+    flat = tuple(values[4 * f + k] for k in range(4) for f in range(len(values) // 4))
+    return assemble_at(static.num_vertices, residuals, flat)
 
 
 _FIND = ByPlatform(_find, _find_xla)

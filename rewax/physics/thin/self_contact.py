@@ -46,6 +46,10 @@ class Pairs(NamedTuple):
     count: Array  # pyright: ignore[reportIncompatibleMethodOverride]
     """Number of pairs, shape (), int32; above the capacity, some are missing."""
 
+    def listed(self, num_vertices: int) -> Listed:
+        """The pairs as elements of a scene with so many vertices."""
+        return Listed(self.corners, self.count, num_vertices)
+
 
 class AllPairs(NamedTuple):
     """Close pairs of both kinds."""
@@ -123,7 +127,7 @@ def self_forces(scene: "ThinScene", x: Vec3, v: Vec3, pairs: AllPairs) -> Vec3:
     for force, kind in kinds:
         if kind is None:
             continue
-        total = cp.add(total, force(Listed(kind.corners, kind.count, x[0].shape[-1]), law, kind.thickness, (x, v)))
+        total = cp.add(total, force(kind.listed(x[0].shape[-1]), law, kind.thickness, (x, v)))
     return total
 
 
