@@ -37,7 +37,7 @@ def assembled(function: Callable[[Any, Any], tuple[T, ...]]) -> Callable[[Stenci
     Returns:
       ``(elements, shared, own, fields) -> sums``.
       elements: the elements, or a list of them. Entries of the list beyond its last element are not read where the
-        machine runs. Elsewhere their results are added too, so they must be zero.
+        machine runs. Elsewhere reverse mode reads them, so their results must be zero.
       shared: small arrays and numbers that all elements use. own: arrays (..., num_elements).
       fields: arrays (num_vertices,). sums: of the form of ``results`` at one corner, arrays (num_vertices,).
 

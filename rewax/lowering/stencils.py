@@ -116,7 +116,7 @@ def gather_listed(listed: Listed, fields: Arrays) -> Arrays:
 def assemble_listed(listed: Listed, values: Arrays) -> Arrays:
     """``assemble`` for a list of elements; entries beyond the last one add nothing.
 
-    Gradient: exact; its transpose is ``gather_listed``.
+    Gradient: exact where values beyond the last element are zero; its transpose is ``gather_listed``.
     """
     return linear_call(assemble_at, gather_at, listed.num_vertices, (listed.corners, listed.count), values)
 
