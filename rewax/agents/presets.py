@@ -68,7 +68,7 @@ _JUMPER = dataclasses.replace(
     horizon=32,
     num_iterations=200,
     critic_minibatches=4,
-    initial_temperature=0.02,
+    initial_temperature=1.0,
     quick_compile=False,
 )
 
@@ -84,7 +84,7 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("SoftJumper", "paper"): SAPOConfig(num_iterations=6000),
     ("SoftJumper", "small"): _JUMPER,
     ("SoftJumperMPM", "paper"): SAPOConfig(num_iterations=6000),
-    ("SoftJumperMPM", "small"): dataclasses.replace(_JUMPER, num_iterations=100),
+    ("SoftJumperMPM", "small"): dataclasses.replace(_JUMPER, num_iterations=100, initial_temperature=0.02),
     ("SteerFloat", "small"): dataclasses.replace(SMALL, num_iterations=160),
     ("GripperLift", "small"): dataclasses.replace(SMALL, num_iterations=60, max_env_grad_norm=0.3),
     ("WhipRope", "small"): dataclasses.replace(_WARM, num_envs=16, horizon=32, num_iterations=80, critic_minibatches=4),
