@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from rewax.lowering.linear_primitive import Arrays, ByPlatform
 from rewax.lowering.recompute import RECOMPUTED, Program, Rules
@@ -78,15 +78,49 @@ def trace_rule(
       avals: shape, type and weak type of the rule's arguments.
       count: number of leading arguments that are not linear.
     """
-    rules = {
-        "value": lambda *a: tuple(jax.tree.leaves(program.apply(a))),
-        "tangent": lambda *a: RECOMPUTED.tangent(program, a[:count], a[count:]),
-        "cotangent": lambda *a: RECOMPUTED.cotangent(program, a[:count], a[count:]),
-    }
+    function = trace_function(which, program, avals, count)
+    if which == "value":
+        return function
+    # Derivatives are taken of the trace: it is faster to differentiate than the function.
+    arrays = (0,) * count
+    perturbed = (*program.perturbed, *(False,) * (count - len(program.perturbed)))
+    flat = Program(
+        program.rules, jaxpr_as_fun(function), None, jax.tree.structure(arrays), (None,) * count, (), perturbed
+    )
+    rule = getattr(RECOMPUTED, which)
+    return _traced(lambda *a: rule(flat, a[:count], a[count:]), avals)
+
+
+def trace_function(
+    which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int
+) -> ClosedJaxpr:
+    """The trace of the function that a rule evaluates or differentiates, of the arguments that are not linear.
+
+    All rules of a program that evaluate the same function share it. The arguments are as for ``trace_rule``.
+    """
+    differentiates = which != "value" and program.derivative_of is not None
+    return _function(program._replace(perturbed=()), differentiates, tuple(avals[:count]), jnp.result_type(float))
+
+
+@functools.lru_cache(maxsize=256)
+def _function(program: Program, differentiates: bool, avals: tuple, precision: Any) -> ClosedJaxpr:
+    del precision  # cache key only: jax_enable_x64
+
+    def function(*arrays: Array) -> Arrays:
+        if not differentiates or program.derivative_of is None:
+            return tuple(jax.tree.leaves(program.apply(arrays)))
+        given = program.constants.count(None)
+        known = jax.tree.unflatten(jax.tree.structure(program.results(arrays[:given])), arrays[given:])
+        return tuple(jax.tree.leaves(program.derivative_of(known, *program.arguments(arrays[:given]))))
+
+    return _traced(function, avals)
+
+
+def _traced(function: Callable[..., Arrays], avals: Sequence[tuple[tuple[int, ...], Any, bool]]) -> ClosedJaxpr:
     structs = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in avals]
     # An empty mesh, so that avals carry no sharding.
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())):
-        return jax.make_jaxpr(rules[which])(*structs)
+        return jax.make_jaxpr(function)(*structs)
 
 
-__all__ = ["Operand", "batch_shape", "cpu_rules", "operands_of", "trace_rule"]
+__all__ = ["Operand", "batch_shape", "cpu_rules", "operands_of", "trace_function", "trace_rule"]

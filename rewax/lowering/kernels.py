@@ -17,7 +17,8 @@ import numpy as np
 
 from rewax.lowering import build, report
 from rewax.lowering.assembler import BlockBytecode, assemble_blocks
-from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
+from rewax.lowering.bytecode_cache import key_of, remembered
+from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_function, trace_rule
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.linear_primitive import Arrays
 from rewax.lowering.machine import Machine, load, machine
@@ -207,7 +208,9 @@ def target_of(which: str, program: Program, avals: tuple, varies: tuple[bool, ..
     """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
-        bytecode, dtype, outputs = bytecode_of(which, program, avals, varies)
+        traced = trace_function(which, program, avals, len(program.varies))
+        key = key_of(traced, "blocks", which, program.perturbed, program.varies, avals, varies)
+        bytecode, dtype, outputs = remembered(key, functools.partial(bytecode_of, which, program, avals, varies))
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA

@@ -20,7 +20,8 @@ import numpy as np
 
 from rewax.lowering import build, report
 from rewax.lowering.assembler import BlockBytecode, Bytecode, assemble
-from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_rule
+from rewax.lowering.bytecode_cache import key_of, remembered
+from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_function, trace_rule
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.instructions import NUMBERS, SPECIAL, cases
 from rewax.lowering.linear_primitive import Arrays
@@ -101,18 +102,22 @@ def _target(which: str, program: Program, avals: tuple, count: int, precision: A
     """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
-        traced = trace_rule(which, program, avals, count)
-        listing = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
-        bytecode = assemble(listing, [aval.dtype for aval in traced.in_avals])
+        key = key_of(trace_function(which, program, avals, count), "lanes", which, program.perturbed, avals, count)
+        dtype, bytecode, outputs = remembered(key, functools.partial(_assembled, which, program, avals, count))
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA
         return f"it could not be lowered ({type(error).__name__}: {error})"
-    number, reason = load(listing.dtype, bytecode)
-    if number is None:
-        return reason
-    outputs = tuple((a.shape, a.dtype) for a in traced.out_avals)
-    return _Target(machine(listing.dtype).lanes_handler, number, bytecode.operands, outputs)
+    number, reason = load(dtype, bytecode)
+    return reason if number is None else _Target(machine(dtype).lanes_handler, number, bytecode.operands, outputs)
+
+
+def _assembled(which: str, program: Program, avals: tuple, count: int) -> tuple[np.dtype, Bytecode, tuple]:
+    """The floating type of a rule, its bytecode, and the outputs of ``_Target``."""
+    traced = trace_rule(which, program, avals, count)
+    listing = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
+    bytecode = assemble(listing, [aval.dtype for aval in traced.in_avals])
+    return listing.dtype, bytecode, tuple((a.shape, a.dtype) for a in traced.out_avals)
 
 
 # --- The machine ------------------------------------------------------------------------------------------------------

@@ -69,6 +69,11 @@ def _square(b: Operations, eqn: Equation, args: list[Values]) -> Values:
     return b.map(lambda a: b.apply("mul", a, a), *args)
 
 
+def _one_minus_square(b: Operations, eqn: Equation, args: list[Values]) -> Values:
+    one = b.constant(1.0, "f")
+    return b.map(lambda a: b.apply("mul", b.apply("add", one, a), b.apply("sub", one, a)), *args)
+
+
 def _clamp(b: Operations, eqn: Equation, args: list[Values]) -> Values:
     return b.map(lambda low, a, high: b.apply("min", b.apply("max", a, low), high), *args)
 
@@ -233,6 +238,7 @@ PRIMITIVES: dict[str, Primitive] = {
     "convert_element_type": _named("new_dtype", _convert),
     "integer_pow": _named("y", _integer_pow),
     "square": _named("", _square),
+    "one_minus_square": _named("", _one_minus_square),
     "clamp": _named("", _clamp),
     "round": _named("rounding_method", _round),
     "reduce_precision": _named("exponent_bits mantissa_bits", _reduce_precision),
