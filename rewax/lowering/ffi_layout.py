@@ -67,8 +67,28 @@ def operands_of(program: Program, arrays: Arrays, linear: Arrays, varies: Sequen
     return [Operand(array, varying, here) for array, varying, here in given]
 
 
+def trace_function(which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]]) -> ClosedJaxpr:
+    """The trace of the function that a rule evaluates or differentiates, for one batch element.
+
+    Args:
+      which: ``value``, ``tangent`` or ``cotangent``.
+      program: the program.
+      avals: shape, type and weak type of the rule's arguments that are not linear.
+    """
+    derivative_of = None if which == "value" else program.derivative_of
+
+    def function(*arrays: Array) -> Arrays:
+        if derivative_of is None:
+            return tuple(jax.tree.leaves(program.apply(arrays)))
+        given = program.constants.count(None)
+        known = jax.tree.unflatten(jax.tree.structure(program.results(arrays[:given])), arrays[given:])
+        return tuple(jax.tree.leaves(derivative_of(known, *program.arguments(arrays[:given]))))
+
+    return _traced(function, avals)
+
+
 def trace_rule(
-    which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int
+    which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], function: ClosedJaxpr
 ) -> ClosedJaxpr:
     """The trace of a rule for one batch element.
 
@@ -76,12 +96,11 @@ def trace_rule(
       which: ``value``, ``tangent`` or ``cotangent``.
       program: the program.
       avals: shape, type and weak type of the rule's arguments.
-      count: number of leading arguments that are not linear.
+      function: the trace of the function. It is faster to differentiate than the function itself.
     """
-    function = trace_function(which, program, avals, count)
     if which == "value":
         return function
-    # Derivatives are taken of the trace: it is faster to differentiate than the function.
+    count = len(function.in_avals)
     arrays = (0,) * count
     perturbed = (*program.perturbed, *(False,) * (count - len(program.perturbed)))
     flat = Program(
@@ -89,31 +108,6 @@ def trace_rule(
     )
     rule = getattr(RECOMPUTED, which)
     return _traced(lambda *a: rule(flat, a[:count], a[count:]), avals)
-
-
-def trace_function(
-    which: str, program: Program, avals: Sequence[tuple[tuple[int, ...], Any, bool]], count: int
-) -> ClosedJaxpr:
-    """The trace of the function that a rule evaluates or differentiates, of the arguments that are not linear.
-
-    All rules of a program that evaluate the same function share it. The arguments are as for ``trace_rule``.
-    """
-    differentiates = which != "value" and program.derivative_of is not None
-    return _function(program._replace(perturbed=()), differentiates, tuple(avals[:count]), jnp.result_type(float))
-
-
-@functools.lru_cache(maxsize=256)
-def _function(program: Program, differentiates: bool, avals: tuple, precision: Any) -> ClosedJaxpr:
-    del precision  # cache key only: jax_enable_x64
-
-    def function(*arrays: Array) -> Arrays:
-        if not differentiates or program.derivative_of is None:
-            return tuple(jax.tree.leaves(program.apply(arrays)))
-        given = program.constants.count(None)
-        known = jax.tree.unflatten(jax.tree.structure(program.results(arrays[:given])), arrays[given:])
-        return tuple(jax.tree.leaves(program.derivative_of(known, *program.arguments(arrays[:given]))))
-
-    return _traced(function, avals)
 
 
 def _traced(function: Callable[..., Arrays], avals: Sequence[tuple[tuple[int, ...], Any, bool]]) -> ClosedJaxpr:

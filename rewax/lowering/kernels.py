@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 
 from rewax.lowering import build, report
 from rewax.lowering.assembler import BlockBytecode, assemble_blocks
@@ -186,14 +187,15 @@ def blocks_of(count: int, largest: int = _BLOCK) -> tuple[int, int]:
 
 
 def bytecode_of(
-    which: str, program: Program, avals: tuple, varies: tuple[bool, ...]
+    which: str, program: Program, avals: tuple, varies: tuple[bool, ...], function: ClosedJaxpr | None = None
 ) -> tuple[BlockBytecode, np.dtype, tuple]:
     """Bytecode of a rule, its floating type, and the outputs of ``Target``.
 
     Raises:
       UnsupportedError: the rule cannot be lowered.
     """
-    traced = trace_rule(which, program, avals, len(program.varies))
+    function = function or trace_function(which, program, avals[: len(program.varies)])
+    traced = trace_rule(which, program, avals, function)
     summed = [False] * len(traced.out_avals)
     if which == "cotangent":
         summed = [not v for v, p in zip(program.varies, program.perturbed, strict=True) if p]
@@ -208,9 +210,10 @@ def target_of(which: str, program: Program, avals: tuple, varies: tuple[bool, ..
     """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
-        traced = trace_function(which, program, avals, len(program.varies))
-        key = key_of(traced, "blocks", which, program.perturbed, program.varies, avals, varies)
-        bytecode, dtype, outputs = remembered(key, functools.partial(bytecode_of, which, program, avals, varies))
+        function = trace_function(which, program, avals[: len(program.varies)])
+        key = key_of(function, "blocks", which, program.perturbed, program.varies, avals, varies)
+        make = functools.partial(bytecode_of, which, program, avals, varies, function)
+        bytecode, dtype, outputs = remembered(key, make)
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 
 from rewax.lowering import build, report
 from rewax.lowering.assembler import BlockBytecode, Bytecode, assemble
@@ -102,8 +103,9 @@ def _target(which: str, program: Program, avals: tuple, count: int, precision: A
     """The registered bytecode of a rule, or the reason why there is none."""
     del precision  # cache key only: jax_enable_x64
     try:
-        key = key_of(trace_function(which, program, avals, count), "lanes", which, program.perturbed, avals, count)
-        dtype, bytecode, outputs = remembered(key, functools.partial(_assembled, which, program, avals, count))
+        function = trace_function(which, program, avals[:count])
+        key = key_of(function, "lanes", which, program.perturbed, avals)
+        dtype, bytecode, outputs = remembered(key, functools.partial(_assembled, which, program, avals, function))
     except UnsupportedError as error:
         return str(error)
     except Exception as error:  # an unforeseen failure: fall back to XLA
@@ -112,9 +114,9 @@ def _target(which: str, program: Program, avals: tuple, count: int, precision: A
     return reason if number is None else _Target(machine(dtype).lanes_handler, number, bytecode.operands, outputs)
 
 
-def _assembled(which: str, program: Program, avals: tuple, count: int) -> tuple[np.dtype, Bytecode, tuple]:
+def _assembled(which: str, program: Program, avals: tuple, function: ClosedJaxpr) -> tuple[np.dtype, Bytecode, tuple]:
     """The floating type of a rule, its bytecode, and the outputs of ``_Target``."""
-    traced = trace_rule(which, program, avals, count)
+    traced = trace_rule(which, program, avals, function)
     listing = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
     bytecode = assemble(listing, [aval.dtype for aval in traced.in_avals])
     return listing.dtype, bytecode, tuple((a.shape, a.dtype) for a in traced.out_avals)
