@@ -65,6 +65,24 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return WorkStealingScheduling(config, log)
 
 
+_SLOW_CASES = Path(__file__).with_name("slow_cases.txt")
+"""Tests that take long, and of which other cases or smaller tests run: marked as slow, one name a line."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Marks the tests of the list as slow. A line of the list that names no test of a collected file is an error."""
+    listed = set(_SLOW_CASES.read_text().split())
+    for item in items:
+        if item.nodeid in listed:
+            item.add_marker(pytest.mark.slow)
+    found = {item.nodeid for item in items}
+    files = {name.split("::")[0] for name in found}
+    unknown = sorted(name for name in listed - found if name.split("::")[0] in files)
+    if unknown and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"{_SLOW_CASES.name} names tests that are not there: {', '.join(unknown)}")
+
+
 _C_LIBRARY = ctypes.CDLL(None) if sys.platform == "linux" else None
 _MANY_MAPS, _MUCH_MEMORY = 20_000, 1.5e9
 """Linux lets a process map 65530 pieces of memory; every compiled program takes some, and beyond it crashes. [1, bytes]"""
