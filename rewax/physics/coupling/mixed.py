@@ -128,7 +128,7 @@ def make_mixed_scene(*, particles: MPMScene, thin: ThinScene, contact: ParticleC
         raise ValueError(f"vertices has {len(vertices)} rows: give one for each of the {len(thin.mass)} vertices")
     tree = TriangleTree(thin.topology.triangles.indices, vertices)
     scene = MixedScene(particles=particles, thin=thin, contact=contact, tree=tree)
-    limits = largest_stable_mixed_dt(scene), largest_safe_particle_speed(scene)
+    limits = _limits(scene)
     if any(isinstance(a, Tracer) for a in (*limits, contact.max_speed)):
         return scene
     if scene.dt > float(limits[0]):
@@ -142,6 +142,11 @@ def make_mixed_scene(*, particles: MPMScene, thin: ThinScene, contact: ParticleC
             "the cloth keeps particles back: take a smaller max_speed, or a stiffer or thicker contact"
         )
     return scene
+
+
+@jax.jit  # operation by operation, XLA would compile hundreds of programs
+def _limits(scene: MixedScene) -> tuple[Scalar, Scalar]:
+    return largest_stable_mixed_dt(scene), largest_safe_particle_speed(scene)
 
 
 def largest_safe_particle_speed(scene: MixedScene) -> Scalar:

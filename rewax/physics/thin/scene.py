@@ -1,5 +1,6 @@
 """Vertices (the state) and the scene of cloth and ropes (everything constant), checked when they are built."""
 
+import functools
 from typing import Any
 
 import jax
@@ -208,13 +209,15 @@ def make_scene(
     check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)
     check_stepper(stepper, contact, grasps)
-    with jax.ensure_compile_time_eval():
-        rest = rest_shape(topology, mesh.vertices, pattern=mesh.pattern, warp=warp)
+    rest = _rest(topology, mesh.vertices, mesh.pattern, warp)
+    if isinstance(rest.area, Tracer):  # inside a traced function
+        with jax.ensure_compile_time_eval():
+            rest = _rest(topology, mesh.vertices, mesh.pattern, warp)
     scene = ThinScene(
         topology=topology,
         dt=dt,
         rest=rest,
-        mass=vertex_mass(topology, rest, cloth, rope),
+        mass=_mass(topology, rest, cloth, rope),
         cloth=cloth,
         rope=rope,
         drag=drag,
@@ -230,9 +233,19 @@ def make_scene(
         stepper=stepper,
         grasps=tuple(grasps),
     )
-    check_dt(dt, largest_stable_dt(scene))
+    check_dt(dt, _largest_dt(scene))
     check_max_speed(scene)
     return scene
+
+
+# One compiled program each: run operation by operation, XLA would compile hundreds.
+_mass = jax.jit(vertex_mass, static_argnums=0)
+_largest_dt = jax.jit(largest_stable_dt)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _rest(topology: Topology, vertices: Any, pattern: Any, warp: Any) -> RestShape:
+    return rest_shape(topology, vertices, pattern=pattern, warp=warp)
 
 
 __all__ = ["ThinScene", "ThinState", "check_vertices", "initial_state", "make_scene", "no_creases"]
