@@ -2,9 +2,9 @@
 
 To differentiate a traced function and to assemble its bytecode takes longer than to trace it. With JAX's persistent
 compilation cache switched on, bytecode is kept in the folder ``rewax-bytecode`` inside it. A file's name is a hash of
-all that the bytecode depends on: the function's jaxpr, the rules of differentiation that it holds, the rule, the types,
-the sources of this package, and JAX's version. A jaxpr that holds something whose content cannot be hashed exactly is
-not cached.
+all that the bytecode depends on: the function's jaxpr, the rules of differentiation that it holds with their sources,
+the rule, the types, the sources of this package, and JAX's version. A jaxpr that holds something whose content cannot
+be hashed exactly is not cached.
 """
 
 import contextlib
@@ -15,6 +15,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import tempfile
 import types
 from collections.abc import Callable
@@ -35,12 +36,11 @@ _LARGEST = 2**28
 """Largest size of all files in bytes. The first file that a process writes removes the oldest ones beyond it."""
 _KINDS: dict[str, type] = {"Bytecode": Bytecode, "BlockBytecode": BlockBytecode}
 _TRUSTED = (
-    "rewax.lowering.", "rewax.physics.", "rewax.types.", "jax.", "jaxlib.", "numpy.", "builtins.", "functools.",
-    "inspect.",
+    "rewax.", "jax.", "jaxlib.", "numpy.", "builtins.", "functools.", "inspect.",
 )  # fmt: skip
-"""Modules whose functions are known by their name and version, or by the sources of this package."""
+"""Modules whose functions are known by their name: the key holds their version, or their sources."""
+_IMPORT = re.compile(r"^\s*(?:from|import)\s+(rewax(?:\.[\w.]+)?)(?:\s+import\s+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 _PLAIN = frozenset([bool, int, float, complex, str, bytes])
-_SOURCES = ("lowering", "physics", "types.py")
 
 
 def remembered(key: str | None, make: Callable[[], Any]) -> Any:
@@ -91,19 +91,45 @@ def key_of(traced: ClosedJaxpr, *rest: Any) -> str | None:
     hasher = _Hasher()
     flags = [getattr(jax.config, name, None) for name in ("jax_enable_x64", "jax_default_matmul_precision")]
     try:
-        return hasher.digest((sources(), jax.__version__, np.__version__, flags, traced, rest))
+        return hasher.digest((sources("rewax.lowering"), jax.__version__, np.__version__, flags, traced, rest))
     except _UnknownError:
         return None
 
 
 @functools.cache
-def sources() -> str:
-    """Hash of the sources that decide the bytecode of a traced function."""
-    home, digest = Path(__file__).resolve().parent.parent, hashlib.sha256()
-    for name in _SOURCES:
-        for path in sorted((home / name).rglob("*.py")) if (home / name).is_dir() else [home / name]:
-            digest.update(f"{path.relative_to(home)}\0".encode() + path.read_bytes())
+def sources(module: str) -> str:
+    """Hash of the sources of a module of rewax, of those that it imports, and so on; of all modules of a package."""
+    found: dict[str, bytes] = {}
+    rest = [module]
+    while rest:
+        name = rest.pop()
+        path = _file_of(name)
+        if name in found or path is None:
+            continue
+        found[name] = path.read_bytes()
+        rest += _imports(found[name])
+        if name == module and path.stem == "__init__":
+            rest += [f"{name}.{inner.stem}" for inner in path.parent.glob("*.py")]
+    digest = hashlib.sha256()
+    for name in sorted(found):
+        digest.update(f"{name}\0{len(found[name])}\0".encode() + found[name])
     return digest.hexdigest()
+
+
+@functools.lru_cache(maxsize=1024)
+def _imports(source: bytes) -> list[str]:
+    """Names that a source imports, at the top or inside functions, if they may be modules of rewax."""
+    names = []
+    for module, imported in _IMPORT.findall(source.decode()):
+        inside = [f"{module}.{name}" for name in re.findall(r"\w+", imported)]
+        names += inside if module == "rewax" and all(map(_file_of, inside)) else [module, *inside]
+    return names
+
+
+def _file_of(module: str) -> Path | None:
+    """The source of a module of rewax; None for other names."""
+    path = Path(__file__).resolve().parents[2].joinpath(*module.split("."))
+    return next((file for file in (path / "__init__.py", path.with_suffix(".py")) if file.is_file()), None)
 
 
 # --- Keys -------------------------------------------------------------------------------------------------------------
@@ -256,11 +282,13 @@ class _Hasher:
     def named(self, value: Any) -> str:
         if not is_trusted(value):
             raise _UnknownError(value)
-        return f"{value.__module__}.{value.__qualname__}"
+        module = value.__module__
+        version = sources(module) if module.startswith("rewax.") else ""
+        return f"{module}.{value.__qualname__} {version}"
 
 
 def is_trusted(value: Any) -> bool:
-    """Whether a function or class is known by its name, because the key holds its package's version or sources."""
+    """Whether a function or class is known by its name."""
     return f"{getattr(value, '__module__', None)}.".startswith(_TRUSTED)
 
 

@@ -215,3 +215,36 @@ def test_the_oldest_files_go(tmp_path, monkeypatch):
     assert sorted(int(path.stem) for path in tmp_path.iterdir()) == [7, 8, 9, 10, 11]
     bytecode_cache._remove_oldest.__wrapped__(tmp_path)
     assert len(list(tmp_path.iterdir())) == 5
+
+
+def test_sources_are_those_that_a_module_imports(tmp_path, monkeypatch):
+    """Also inside functions, and those that these import; a package means all that is in it."""
+    files = {
+        "a": "import jax\nfrom rewax.kit import b\n",
+        "b": "def f():\n    from rewax.kit.c import g\n    return g\n",
+        "c": "g = 1\n",
+        "d": "import rewax.kit.a\n",
+        "__init__": '"""A kit."""\n',
+    }
+    monkeypatch.setattr(bytecode_cache, "_file_of", lambda module: found.get(module))
+    found = {f"rewax.kit.{name}": tmp_path / f"{name}.py" for name in files}
+    found["rewax.kit"] = found.pop("rewax.kit.__init__")
+
+    def hashes():
+        return {name: bytecode_cache.sources.__wrapped__(name) for name in found}
+
+    def changed(name):
+        for each, text in files.items():
+            (tmp_path / f"{each}.py").write_text(text)
+        before = hashes()
+        with (tmp_path / f"{name}.py").open("a") as file:
+            file.write("# other\n")
+        return {
+            each.removeprefix("rewax.kit").strip(".") for each, digest in hashes().items() if digest != before[each]
+        }
+
+    assert changed("c") == {"a", "b", "c", "d", ""}
+    assert changed("b") == {"a", "b", "d", ""}
+    assert changed("d") == {"d", ""}
+    monkeypatch.undo()
+    assert bytecode_cache.sources("rewax.lowering") != bytecode_cache.sources("rewax.physics.mpm.scene")
