@@ -3,8 +3,8 @@
 To differentiate a traced function and to assemble its bytecode takes longer than to trace it. With JAX's persistent
 compilation cache switched on, bytecode is kept in the folder ``rewax-bytecode`` inside it. A file's name is a hash of
 all that the bytecode depends on: the function's jaxpr, the rules of differentiation that it holds with their sources,
-the rule, the types, the sources of this package, and JAX's version. A jaxpr that holds something whose content cannot
-be hashed exactly is not cached.
+the rule, the types, the sources of this package, and versions of JAX, NumPy and MuJoCo. A jaxpr that holds something
+whose content cannot be hashed exactly is not cached.
 """
 
 import contextlib
@@ -19,6 +19,7 @@ import re
 import tempfile
 import types
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -91,9 +92,15 @@ def key_of(traced: ClosedJaxpr, *rest: Any) -> str | None:
     hasher = _Hasher()
     flags = [getattr(jax.config, name, None) for name in ("jax_enable_x64", "jax_default_matmul_precision")]
     try:
-        return hasher.digest((sources("rewax.lowering"), jax.__version__, np.__version__, flags, traced, rest))
+        return hasher.digest((sources("rewax.lowering"), _versions(), flags, traced, rest))
     except _UnknownError:
         return None
+
+
+@functools.cache
+def _versions() -> tuple[str, ...]:
+    """Versions of the packages that rules of differentiation call."""
+    return tuple(metadata.version(name) for name in ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx"))
 
 
 @functools.cache

@@ -78,6 +78,27 @@ def test_bytecode_of_an_earlier_process_is_read(kind, kept, assembled):
     jax.tree.map(np.testing.assert_array_equal, first, second)
 
 
+@NEEDS_COMPILER
+@pytest.mark.parametrize("kind", ["lanes", "blocks"])
+def test_derivatives_by_different_arguments_are_kept_apart(kind, kept):
+    """All types are equal; only which argument varies or is differentiated differs."""
+
+    def product(a, b):
+        return jnp.sin(a) * b**2
+
+    many = pointwise(lambda shared, elements: product(*elements) + product(*elements[::-1]) * shared)
+    functions = [interpreted(product)] if kind == "lanes" else [lambda a, b: many(jnp.float32(2.0), (a, b))]
+    reference = [product if kind == "lanes" else lambda a, b: product(a, b) + 2.0 * product(b, a)]
+    y = X + 0.5
+    for _ in range(2):
+        for argnums in (0, 1, (0, 1)):
+            in_a_new_process()
+            found, expected = (
+                jax.grad(lambda *args, f=f: f(*args).sum(), argnums)(X, y) for f in (functions[0], reference[0])
+            )
+            jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), found, expected)
+
+
 def key(function, *rest, x=X):
     return bytecode_cache.key_of(jax.make_jaxpr(function)(x), *rest)
 
@@ -132,6 +153,15 @@ def test_rules_of_differentiation_are_part_of_the_key(kept):
     assert key(with_slope(2.0, ours)) == key(with_slope(2.0, ours)) is not None
     assert key(with_slope(2.0, ours)) != key(with_slope(3.0, ours))
     assert key(with_slope(jnp.float32(2.0), ours)) != key(with_slope(jnp.float32(3.0), ours))
+
+
+@pytest.mark.parametrize("edited", ["rewax.physics.anything", "rewax.lowering"])
+def test_an_edit_of_a_rule_or_of_the_compiler_changes_the_key(edited, kept, monkeypatch):
+    function, sources = with_slope(2.0, "rewax.physics.anything"), bytecode_cache.sources
+    before, plain = key(function), key(mixed)
+    monkeypatch.setattr(bytecode_cache, "sources", lambda module: sources(module) + "edited" * (module == edited))
+    assert key(function) != before
+    assert (key(mixed) != plain) == (edited == "rewax.lowering")
 
 
 @NEEDS_COMPILER

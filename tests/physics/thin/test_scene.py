@@ -24,6 +24,18 @@ def test_a_rope_has_its_length_mass_and_inner_vertices():
     np.testing.assert_array_equal(bends(LINE.segments)[:, 1], np.arange(1, 8))
 
 
+def test_few_programs_make_a_scene():
+    """Run operation by operation, its sizes and limits would be some hundred programs."""
+    names = []
+    jax.clear_caches()
+    jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: names.append(name))
+    try:
+        cloth_scene()
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert 3 <= sum("backend_compile" in name for name in names) < 40
+
+
 def test_a_scene_of_a_traced_material_has_a_gradient_and_a_status(x64):
     def tip(youngs_modulus):
         cloth = thin.isotropic_cloth(**CLOTH | {"youngs_modulus": youngs_modulus})
