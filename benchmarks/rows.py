@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from rewax.whole_files import replacing
+
 
 def read(path: Path) -> list[dict[str, str]]:
     """The rows that are there, none if there is no file."""
@@ -16,13 +18,10 @@ def read(path: Path) -> list[dict[str, str]]:
 def append(rows: Iterable[Mapping[str, Any]], fields: Sequence[str], path: Path) -> None:
     """Add rows. The file is replaced in one step, so that it is whole at all times."""
     every = [*read(path), *rows]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".writing")
-    with unfinished.open("w", newline="") as file:
+    with replacing(path) as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.DictWriter(file, fields, lineterminator="\n")
         writer.writeheader()
         writer.writerows(every)
-    unfinished.replace(path)
 
 
 def returns(rows: Iterable[Mapping[str, str]], **wanted: str) -> list[float]:

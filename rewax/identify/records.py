@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.sensors.camera import Camera
+from rewax.whole_files import replacing
 
 VERSION = 1
 UNITS = "m,s"
@@ -73,11 +74,10 @@ def save(record: Record, path: str | Path) -> Path:
 
     check_record(record)
     path = Path(path).with_suffix(".npz")
-    path.parent.mkdir(parents=True, exist_ok=True)
     fields = dataclasses.asdict(record)
     arrays: dict[str, Any] = {name: np.asarray(value) for name, value in fields.items() if value is not None}
-    with path.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    with replacing(path) as unfinished:
+        np.savez_compressed(unfinished, **arrays)
     return path
 
 

@@ -12,6 +12,7 @@ from rewax.envs.randomize import LeafDraws, LogNormal, Normal, Scale, Shift, wit
 from rewax.envs.randomize.stored import FORMAT, change_of, draws_of, read_result, told
 from rewax.identify.uncertainty import short
 from rewax.identify.unknowns import Space
+from rewax.whole_files import replacing
 
 _Z95 = 1.959964
 
@@ -107,8 +108,8 @@ class Identified:
     def save(self, path: str | Path) -> Path:
         """Write values, intervals, distributions, words and how the environment was made, as JSON."""
         path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(self._json(), indent=1) + "\n")
+        with replacing(path) as unfinished:
+            unfinished.write_text(json.dumps(self._json(), indent=1) + "\n")
         return path
 
     def _named(self, latent: np.ndarray) -> dict[str, float]:

@@ -16,7 +16,6 @@ import io
 import json
 import os
 import re
-import tempfile
 import types
 from collections.abc import Callable
 from importlib import metadata
@@ -32,6 +31,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from rewax.lowering.assembler import BlockBytecode, Bytecode
 from rewax.lowering.operations import UnsupportedError
+from rewax.whole_files import replacing
 
 _LARGEST = 2**28
 """Largest size of all files in bytes. The first file that a process writes removes the oldest ones beyond it."""
@@ -359,17 +359,9 @@ def _decoded(contents: bytes) -> Any:
 
 def _keep(path: Path, value: Any) -> None:
     """Writes a file atomically. A disk that is full or cannot be written to is no error."""
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.suppress(OSError), replacing(path) as unfinished:
         _remove_oldest(path.parent)
-        descriptor, unfinished = tempfile.mkstemp(dir=path.parent, prefix="unfinished-")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(_encoded(value))
-            os.replace(unfinished, path)
-        except BaseException:
-            Path(unfinished).unlink(missing_ok=True)
-            raise
+        unfinished.write_bytes(_encoded(value))
 
 
 @functools.cache

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rewax.viz.recording import Recording, describe_speed, playback
+from rewax.whole_files import replacing
 
 SIZE = (360, 480)
 """Default height and width of a video [pixels]."""
@@ -51,7 +52,7 @@ def write_video(frames: Iterable[np.ndarray], out_mp4: str | Path, *, rate: floa
 
     Args:
       frames: uint8, shape (height, width, 3) each.
-      out_mp4: video to write. The file appears once it is complete.
+      out_mp4: video to write; missing folders are made. The file appears once it is complete.
       rate: frames per second, > 0.
       size: height and width in pixels, even numbers.
 
@@ -65,23 +66,27 @@ def write_video(frames: Iterable[np.ndarray], out_mp4: str | Path, *, rate: floa
     if not rate > 0.0:
         raise ValueError(f"rate is {rate}: give frames per second, above 0")
     out = Path(out_mp4)
-    unfinished = out.with_name(f".{out.stem}.writing.mp4")
+    with replacing(out) as unfinished:
+        _encode(frames, unfinished, rate=rate, size=size)
+    return out
+
+
+def _encode(frames: Iterable[np.ndarray], out: Path, *, rate: float, size: tuple[int, int]) -> None:
+    """Sends pictures to ffmpeg."""
+    height, width = size
     command = [
         _ffmpeg(), "-y", "-loglevel", "error",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:.3f}", "-i", "-",
         "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "veryfast", "-movflags", "+faststart",
-        str(unfinished),
+        "-f", "mp4", str(out),
     ]  # fmt: skip
     # In its own session ffmpeg does not receive Ctrl-C, so the file is completed.
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
     try:
         _feed(process, frames)
-        unfinished.replace(out)
     finally:
         process.kill()
         process.wait()
-        unfinished.unlink(missing_ok=True)
-    return out
 
 
 def _feed(process: "subprocess.Popen[bytes]", frames: Iterable[np.ndarray]) -> None:

@@ -35,15 +35,13 @@ def test_a_recording_plays_as_long_as_it_lasted(tmp_path):
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0
 
 
-def test_what_cannot_be_is_refused_and_a_failure_leaves_no_file(tmp_path):
+def test_what_cannot_be_is_refused_and_a_failure_leaves_no_file(tmp_path, monkeypatch):
     for size, rate, said in (
         ((31, 48), 10.0, "size is 31 x 48: H.264 needs even numbers"),
         ((32, 48), 0.0, "rate is 0.0"),
     ):
         with pytest.raises(ValueError, match=said):
             video.write_video([], tmp_path / "a.mp4", rate=rate, size=size)
-    with pytest.raises(OSError, match=r"ffmpeg failed; it said: .*No such file or directory"):
-        video.write_video([np.zeros((32, 48, 3), np.uint8)], tmp_path / "no" / "a.mp4", rate=10.0, size=(32, 48))
 
     def broken():
         yield np.zeros((32, 48, 3), np.uint8)
@@ -52,3 +50,10 @@ def test_what_cannot_be_is_refused_and_a_failure_leaves_no_file(tmp_path):
     with pytest.raises(RuntimeError, match="the picture failed"):
         video.write_video(broken(), tmp_path / "a.mp4", rate=10.0, size=(32, 48))
     assert not list(tmp_path.iterdir())
+    failing = tmp_path / "ffmpeg"
+    failing.write_text("#!/bin/sh\necho 'No space left on device' >&2\nexit 1\n")
+    failing.chmod(0o755)
+    monkeypatch.setattr(video, "_ffmpeg", lambda: str(failing))
+    with pytest.raises(OSError, match=r"ffmpeg failed; it said: .*No space left on device"):
+        video.write_video([np.zeros((32, 48, 3), np.uint8)], tmp_path / "a.mp4", rate=10.0, size=(32, 48))
+    assert list(tmp_path.iterdir()) == [failing]

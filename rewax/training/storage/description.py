@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rewax.lowering.report import Decision
+from rewax.whole_files import replacing
 
 _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
 
@@ -34,12 +35,9 @@ def describe_run(agent: Any, env: Any, given: Mapping[str, Any] | None = None) -
 
 def write_config(run_dir: str | Path, config: Mapping[str, Any]) -> None:
     """Write the configuration of a run and the versions of the packages that it depends on to ``config.json``."""
-    run_dir = Path(run_dir)
-    run_dir.mkdir(parents=True, exist_ok=True)
-    unfinished = run_dir / "config.json.writing"
     content = plain(config) | {"versions": _versions()}
-    unfinished.write_text(json.dumps(content, indent=2) + "\n")
-    unfinished.replace(run_dir / "config.json")
+    with replacing(Path(run_dir) / "config.json") as unfinished:
+        unfinished.write_text(json.dumps(content, indent=2) + "\n")
 
 
 def write_environment(run_dir: str | Path) -> None:

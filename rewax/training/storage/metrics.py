@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from rewax.whole_files import replacing
+
 
 class CsvWriter:
     """Appends rows of named numbers to a CSV file; each row is flushed to disk.
@@ -41,9 +43,8 @@ class CsvWriter:
         self.last_iteration = self.iterations[-1] if rows else -1
         if resume_at and not self._header and self._path.is_file() and self._path.stat().st_size:
             self._path.replace(self._path.with_name(self._path.name + ".damaged"))
-        unfinished = self._path.with_name(self._path.name + ".writing")
-        unfinished.write_text("".join(_line(row) for row in ([self._header] if self._header else []) + rows))
-        unfinished.replace(self._path)
+        with replacing(self._path) as unfinished:
+            unfinished.write_text("".join(_line(row) for row in ([self._header] if self._header else []) + rows))
         self._file = self._path.open("a", newline="")
 
     def write(self, iteration: int, values: Mapping[str, Any]) -> None:

@@ -28,6 +28,7 @@ from rewax.training.storage.metrics import read_csv
 from rewax.training.storage.run_directory import InUse, hold
 from rewax.training.suites.suite import Suite
 from rewax.training.suites.tables import COLUMNS, LATER, read_results, write_results
+from rewax.whole_files import replacing
 
 _EVALUATION_KEY = 1234
 BASELINES = ("no action", "random actions")
@@ -210,9 +211,8 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
     row["seconds"] = round(len(seconds) * float(np.median(seconds)), 3) if len(seconds) else 0.0
     # The clock covers only the last part of a resumed run, so the time of all iterations is a lower bound.
     row["wall_seconds"] = round(max(time.perf_counter() - began, row["seconds"]), 1)
-    unfinished = folder / "result.json.writing"
-    unfinished.write_text(json.dumps(row, indent=1) + "\n")
-    unfinished.replace(folder / "result.json")
+    with replacing(folder / "result.json") as unfinished:
+        unfinished.write_text(json.dumps(row, indent=1) + "\n")
     return 0
 
 

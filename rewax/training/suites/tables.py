@@ -3,7 +3,6 @@
 import csv
 import io
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,6 +12,7 @@ import numpy as np
 from rewax.statistics import Curve, interquartile_mean, learning_curve, student_interval
 from rewax.training.storage.metrics import read_csv
 from rewax.training.suites.suite import Suite
+from rewax.whole_files import replacing
 
 COLUMNS: tuple[str, ...] = (
     "task",
@@ -113,9 +113,8 @@ def write_results(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -
     curves = _curves(rows, out_dir)
     texts = {"results.csv": results_csv(rows), "curves.csv": _curves_csv(curves), "table.md": markdown(suite, rows)}
     for name, text in texts.items():
-        unfinished = out_dir / f"{name}.{os.getpid()}.writing"  # its own: benchmarks side by side
-        unfinished.write_text(text)
-        unfinished.replace(out_dir / name)
+        with replacing(out_dir / name) as unfinished:
+            unfinished.write_text(text)
     return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, rows, curves, out_dir)
 
 

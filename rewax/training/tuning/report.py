@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from rewax.agents.config import Value
 from rewax.training.tuning.space import Space
 from rewax.training.tuning.trial import Task
+from rewax.whole_files import replacing
 
 
 class Best(NamedTuple):
@@ -31,8 +32,7 @@ def best_trial(study: Any, space: Space) -> Best | None:
 
 def write_trials(study: Any, space: Space, out_dir: Path) -> None:
     """Write ``trials.csv``: a row for each trial with its mean return, or the last one before pruning."""
-    unfinished = out_dir / "trials.csv.writing"
-    with unfinished.open("w", newline="") as file:
+    with replacing(out_dir / "trials.csv") as unfinished, unfinished.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["trial", "state", "mean", "reports", *space, "failure"])
         for trial in study.get_trials(deepcopy=False):
@@ -41,7 +41,6 @@ def write_trials(study: Any, space: Space, out_dir: Path) -> None:
             values, failure = _values(trial, space), trial.user_attrs.get("failure", "")
             state = "failed" if failure else trial.state.name.lower()
             writer.writerow([trial.number, state, mean, last, *(values.get(name, "") for name in space), failure])
-    unfinished.replace(out_dir / "trials.csv")
 
 
 def as_command(task: Task, values: Mapping[str, Value]) -> str:
