@@ -43,9 +43,10 @@ FUNCTIONS = {
 """The functions of each task's physics, within ``rewax.physics``."""
 LEFT = {("GripperLift", "rigid.stepping._accelerate", "value"): "it has the operation while"}
 """What is left to XLA."""
-QUICK = {"RollingFlat", "HandFlip", "SoftJumper", "GripperLift"}
+QUICK = {"RollingFlat", "SoftJumper"}
 """Tasks whose paper scale is looked at in every run of the tests; that of the others differs from small in sizes alone."""
-LONG = {"Humanoid", "Quadruped", "HandReorient"}
+LONG = {"Ant", "HalfCheetah", "HandLift", "HandReorient", "Humanoid", "Quadruped"}
+"""Tasks that only `pytest -m slow` looks at: another one has the same functions."""
 
 
 def test_every_task_is_listed():

@@ -81,14 +81,15 @@ def test_no_ball_reaches_beyond_its_window():
 
 def test_what_is_nearest_is_seen_and_named():
     world = world_of_all_kinds()
-    view = CAMERA.view(world)
+    depth = jax.jit(CAMERA.depth)
+    view = jax.jit(CAMERA.view)(world)
     seen = {world.names[i] for i in np.unique(view.label) if i >= 0}
     assert seen == {"floor", "ball", "box", "a", "b", "soft"}
-    np.testing.assert_allclose(view.depth, CAMERA.depth(world), atol=2e-5)
+    np.testing.assert_allclose(view.depth, depth(world), atol=2e-5)
     alone = [
-        CAMERA.depth(World(solids=world.solids)),
-        CAMERA.depth(World(balls=world.balls)),
-        CAMERA.depth(World(triangles=world.triangles)),
+        depth(World(solids=world.solids)),
+        depth(World(balls=world.balls)),
+        depth(World(triangles=world.triangles)),
     ]
     np.testing.assert_allclose(view.depth, np.minimum.reduce([np.asarray(a) for a in alone]), atol=2e-5)
 
@@ -110,12 +111,12 @@ def test_the_gradient_is_zero_unless_it_is_asked_for_and_then_exact():
         def depth(shift, camera=camera):
             return camera.view(world_of_all_kinds(shift)).depth
 
-        shift = jnp.asarray(0.013, jnp.float64)
-        assert not np.any(jax.jacfwd(lambda s: depth(s, camera.replace(gradient=False)))(shift))
-        forward, reverse = jax.jacfwd(depth)(shift), jax.jacrev(depth)(shift)
+        shift, step = jnp.asarray(0.013, jnp.float64), 1e-6
+        assert not np.any(jax.jit(jax.jacfwd(lambda s: depth(s, camera.replace(gradient=False))))(shift))
+        forward, reverse = jax.jit(lambda s: (jax.jacfwd(depth)(s), jax.jacrev(depth)(s)))(shift)
         np.testing.assert_allclose(forward, reverse, atol=1e-10)
-        step = 1e-6
-        slope = (depth(shift + step) - depth(shift - step)) / (2 * step)
+        before, after = jax.jit(jax.vmap(depth))(shift + step * jnp.array([-1.0, 1.0]))
+        slope = (after - before) / (2 * step)
         smooth = np.abs(slope) < 50  # a pixel at an edge sees another surface after the step
         assert smooth.mean() > 0.99 and (np.abs(slope)[smooth] > 0.1).sum() > 100
         np.testing.assert_allclose(np.asarray(forward)[smooth], np.asarray(slope)[smooth], atol=2e-4, rtol=1e-4)
@@ -205,8 +206,8 @@ def test_a_zoom_is_a_longer_focal_length(zoom):
     world = World(balls=(Balls(center=jnp.asarray(centers), radius=0.05, names=("dough",), counts=(60,)),))
     fields = {"eye": (0.3, 0.5, 2.0), "near": 1.0, "far": 4.0, "height": 40, "width": 56}
     narrow = np.degrees(2.0 * np.arctan(np.tan(np.radians(20.0)) / zoom))
-    zoomed = Camera.look_at((0, 0, 0), field_of_view=40.0, zoom=zoom, **fields).view(world)
-    plain = Camera.look_at((0, 0, 0), field_of_view=float(narrow), **fields).view(world)
+    zoomed = jax.jit(Camera.look_at((0, 0, 0), field_of_view=40.0, zoom=zoom, **fields).view)(world)
+    plain = jax.jit(Camera.look_at((0, 0, 0), field_of_view=float(narrow), **fields).view)(world)
     seen = np.asarray((zoomed.label == 0) & (plain.label == 0))
     assert (np.asarray(zoomed.label) != plain.label).mean() < 2e-3 and seen.sum() > 50
     np.testing.assert_allclose(np.asarray(zoomed.depth)[seen], np.asarray(plain.depth)[seen], atol=2e-3)

@@ -110,6 +110,7 @@ def test_derivatives_equal_finite_differences(x64, random_like, central_differen
     ball = Collider(shape=Sphere(radius=jnp.array(0.3)), offset=0.1 * jnp.ones(3), rotation=jnp.asarray(q), friction=jnp.array(0.4), softness=jnp.array(20.0))  # fmt: skip
     nodes, velocity = jnp.asarray(rng.uniform(-0.4, 0.4, (64, 3))), jnp.asarray(rng.standard_normal((64, 3)))
 
+    @jax.jit
     def after(args):
         ball, velocity, poses = args
         before, behind = (jax.tree.map(lambda p, t=t: p[t], poses) for t in (0, 1))
@@ -276,6 +277,7 @@ def test_derivatives_of_nearest_equal_finite_differences(x64, random_like, centr
     boxes = (boxes[0], boxes[1].replace(shape=Box(half_size=jnp.array([0.17, 0.26, 0.13]))))
     args = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), (boxes, velocity, before, after))
 
+    @jax.jit
     def result(args):
         boxes, velocity, before, after = args
         return several(boxes, nodes, velocity, before, after, Overlap.NEAREST)
