@@ -1,5 +1,7 @@
 """A block that slides and flattens by known formulas: an environment of which every identification is known by hand."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -21,6 +23,14 @@ class BlockPhysics(struct.Replaceable):
     action: Array
 
 
+class Spacing(NamedTuple):
+    spacing: float
+
+
+class Scene(NamedTuple):
+    grid: Spacing
+
+
 @struct.dataclass
 class SlidingBlock(struct.Replaceable):
     """Action 0 moves the block along x by ``gain * grip``, action 1 flattens it by ``softness``; ``idle`` does nothing.
@@ -35,6 +45,7 @@ class SlidingBlock(struct.Replaceable):
     idle: Array
     limit: Array
     control_dt: float = struct.static_field(default=0.1)
+    scene: "Scene | None" = struct.static_field(default=None)
 
     observation_spec = property(lambda self: {"shift": ArraySpec((1,))})
     action_spec = property(lambda self: ArraySpec((2,), -1.0, 1.0))
@@ -68,6 +79,12 @@ def block(**numbers):
     return SlidingBlock(
         rest_positions=jnp.asarray(LATTICE, jnp.float32), **{k: jnp.float32(v) for k, v in known.items()}
     )
+
+
+def on_grid(spacing, **numbers):
+    """A block that slides as if its particles lay on a grid of this spacing [m]: the coarser, the further it slides."""
+    numbers["grip"] = numbers.get("grip", 1.0) * float(np.exp(10.0 * spacing))
+    return block(**numbers).replace(scene=Scene(Spacing(spacing)))
 
 
 def seen(env, *, noise=0.001, outliers=0, seed=0, frames=(0.0, 0.15, 0.3, 0.5, 0.8)):

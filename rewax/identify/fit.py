@@ -26,6 +26,8 @@ _WIDTH = 0.5
 """Width of the surface's weights, in spacings of the particles."""
 _AT_BOUND = 1e-3
 """Coordinates that are nearer to a bound of the search lie at it."""
+_BEYOND = 2.0
+"""How far beyond the priors grids are searched whose values are extrapolated, in standard deviations of the prior."""
 _ALIKE = 1.0
 """Starts whose cost exceeds the lowest by less than this share count for the result. Costs differ by placement, too."""
 
@@ -75,7 +77,9 @@ def identify(
       seed: of the starts, their placements and the reset.
       side_by_side: starts that are computed at the same time; more need more memory.
       limit: with several environments of particles: spacing of the grid to which the result is extrapolated [m], along
-        the line through the coarsest and the finest; 0: matter itself. None: the result is that of the finest.
+        the line through the coarsest and the finest; 0: matter itself. The fits may then leave the priors by two
+        standard deviations, because a grid moves what is found; the result does not. None: the result is that of the
+        finest.
       progress: called with a line for each iteration.
 
     Raises:
@@ -92,7 +96,7 @@ def identify(
     check_against(record, envs[0], first)
     spacings = None if limit is None else _spacings(envs, limit)
     space = space_of(unknowns, envs[0])
-    low, high, remarks = stable_bounds(space, envs)
+    low, high, remarks = stable_bounds(space, envs, 0.0 if limit is None else _BEYOND)
     groups = _groups(starts, len(envs))
     stages = _stages(record, horizons, frame_weights, max_iterations)
     points, deviation, searches, histories = spread_starts(space, starts, low, high, seed), 0.0, [], []
@@ -114,16 +118,18 @@ def identify(
     search, history = lm.joined(searches), np.concatenate(histories)
     total = search.total(space.precision)
     kept = _kept(total, groups)
-    cut = _cut_off(search.latents[kept & (groups == groups[kept].min())].mean(0), low, high)
-    latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit, cut)
+    coarsest = search.latents[kept & (groups == groups[kept].min())].mean(0)
+    ends = np.maximum(low, space.bounds[0]), np.minimum(high, space.bounds[1])
+    beyond = _cut_off(coarsest, *ends)
+    latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit, beyond)
     latent = np.clip(latent, *space.bounds)
     finest = kept & (groups == groups[kept].max())
     found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between)
-    remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, low, high)
-    remarks += cut_off(space, latent, covariance) + ([] if spacings is None else _not_extrapolated(space, cut))
+    remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, *ends)
+    remarks += cut_off(space, latent, covariance) + ([] if spacings is None else _halfway(space, beyond))
     return Identified(
-        space=space, latent=latent, covariance=covariance, bounds=(low, high),
+        space=space, latent=latent, covariance=covariance, bounds=ends,
         undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[-1],
         remarks=remarks, residual_by_frame=found.by_frame,
         starts=search.latents, costs=total, history=history, failed=int(search.rejected.sum()),
@@ -228,15 +234,15 @@ def _remarks(
 
 
 def _cut_off(latent: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which coordinates lie at a bound of the search, shape (k,), bool."""
+    """Which coordinates lie at a bound or beyond, shape (k,), bool."""
     return np.minimum(latent - low, high - latent) < _AT_BOUND
 
 
-def _not_extrapolated(space: Space, cut: np.ndarray) -> list[str]:
+def _halfway(space: Space, beyond: np.ndarray) -> list[str]:
     return [
-        f"{short(label)} lies at a bound of the search on the coarsest grid, so it is that of the finest grid, not "
-        "extrapolated: widen its prior, or fit on finer grids."
-        for label, at in zip(space.labels, cut, strict=True)
+        f"{short(label)} leaves its prior on the coarsest grid, so the value lies halfway between that of the finest "
+        "grid and the extrapolated one: fit on finer grids, or widen its prior."
+        for label, at in zip(space.labels, beyond, strict=True)
         if at
     ]
 

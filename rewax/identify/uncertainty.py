@@ -46,7 +46,7 @@ def combined(
     groups: np.ndarray,
     spacings: np.ndarray | None = None,
     limit: float = 0.0,
-    cut: np.ndarray | None = None,
+    beyond: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The result of fits with different placements and resolutions, and the covariance of what they differ by.
 
@@ -58,15 +58,15 @@ def combined(
     With spacings of the grids, the result is that of the line through the first and the last mean, at ``limit``: the
     error of a simulation is taken as proportional to the spacing. The covariance of the placements is enlarged as the
     line enlarges it, and half of the step from the finest mean to the limit counts as an error of this assumption. A
-    coordinate that a bound of the search cut off on the coarsest grid has no known slope: its value is that of the
-    finest grid.
+    coarsest fit that leaves the prior is too far for the line: errors that large fall faster than the spacing. The
+    result is then the middle of this step, whose ends are one standard deviation away.
 
     Args:
       latents: of the fits, shape (S, k).
       groups: number of the environment of each, rising with its resolution, shape (S,).
       spacings: of the grid of each environment, falling [m]; None: no extrapolation.
       limit: spacing at which the result is wanted [m], below the finest; 0: matter.
-      cut: coordinates without a known slope, shape (k,), bool; None: there are none.
+      beyond: coordinates whose coarsest fit leaves the prior, shape (k,), bool; None: there are none.
 
     Returns:
       The mean, shape (k,), and the covariance, shape (k, k).
@@ -90,7 +90,7 @@ def combined(
     elif len(names) > 1:
         coarser = means[:-1] - means[-1]
         covariance = covariance + coarser.T @ coarser / len(coarser)
-    return means[-1] + (moved if cut is None else np.where(cut, 0.0, moved)), covariance
+    return means[-1] + (moved if beyond is None else np.where(beyond, 0.5, 1.0) * moved), covariance
 
 
 def undetermined(space: Space, covariance: np.ndarray) -> list[str]:

@@ -157,30 +157,39 @@ def is_stable(env: Any) -> bool:
     return scene.dt * _MARGIN <= limit
 
 
-def stable_bounds(space: Space, envs: Sequence[Any]) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def stable_bounds(space: Space, envs: Sequence[Any], beyond: float = 0.0) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Bounds of latent coordinates within which the environments are stable, and what they cut off, in words.
 
     Each coordinate is bounded with the others at their median; trials beyond that are rejected by their status.
+
+    Args:
+      space: the unknowns.
+      envs: all have to be stable.
+      beyond: how far the bounds may lie outside of the priors' ends; what is cut off there is not said.
 
     Raises:
       ValueError: the environment is not stable at the median of the priors.
     """
     low, high = (np.array(end) for end in space.bounds)
+    low, high, ends = low - beyond, high + beyond, (low, high)
     said: list[str] = []
-    center = np.clip(np.zeros(len(low)), low, high)
+    center = np.clip(np.zeros(len(low)), *ends)
     if not _all_stable(space, envs, center):
         raise ValueError(
             "the substep is too long for the median of the priors: make the environment with a larger num_substeps, or "
             "give softer priors"
         )
     for i, label in enumerate(space.labels):
-        for bound, way in ((low, "down"), (high, "up")):
+        for bound, end, way in ((low, ends[0], "down"), (high, ends[1], "up")):
             far = bound[i] if np.isfinite(bound[i]) else math.copysign(5.0, bound[i])
             inside = _furthest_stable(space, envs, center, i, far)
-            if inside != far:
-                bound[i] = inside
+            if inside == far:
+                continue
+            bound[i] = inside
+            if abs(inside - center[i]) < abs(end[i] - center[i]):
                 value, wanted = (
-                    float(space.numbers(np.where(np.arange(len(low)) == i, end, center))[i]) for end in (inside, far)
+                    float(space.numbers(np.where(np.arange(len(low)) == i, at, center))[i])
+                    for at in (inside, end[i] if np.isfinite(end[i]) else far)
                 )
                 said.append(
                     f"{label} is searched {way} to {value:.4g} instead of {wanted:.4g}: beyond, the substep is too "

@@ -93,6 +93,26 @@ def test_a_finer_environment_goes_on_where_the_coarser_one_ended():
     assert len(three.starts) == 4 and three.values["gain"] == pytest.approx(1.5, rel=0.02)
 
 
+def test_grids_may_leave_the_prior_and_the_result_may_not():
+    """A grid makes the block slide further, by the factor exp(10 spacing): it finds a gain that is as much smaller."""
+    grids, unknowns = [sliding_block.on_grid(0.04), sliding_block.on_grid(0.02)], {"gain": LogUniform(0.2, 5.0)}
+
+    def found(gain):
+        record = sliding_block.seen(sliding_block.block(gain=gain))
+        return identify(grids, record, unknowns, starts=4, shake=0.0, limit=0.0)
+
+    inside, beyond, outside = found(1.5), found(0.25), found(0.12)
+    assert inside.values["gain"] == pytest.approx(1.5, rel=0.02)
+    numbers = [float(beyond.space.numbers(one)[0]) for one in (beyond.starts[0], beyond.starts[-1])]
+    np.testing.assert_allclose(numbers, 0.25 * np.exp([-0.4, -0.2]), rtol=0.06)  # the first is below 0.2
+    assert beyond.values["gain"] == pytest.approx(0.25 * np.exp(-0.1), rel=0.06)  # half of the way
+    assert beyond.intervals["gain"][0] < 0.25 < beyond.intervals["gain"][1]
+    assert any("gain leaves its prior on the coarsest grid" in remark for remark in beyond.remarks)
+    assert not any("coarsest grid" in remark for remark in inside.remarks)
+    assert outside.values["gain"] == pytest.approx(0.2, rel=1e-6) and outside.at_bound == ["gain"]
+    assert any("gain lies at a bound of the search" in remark for remark in outside.remarks)
+
+
 def test_a_frame_of_weight_zero_counts_for_nothing():
     record = sliding_block.seen(sliding_block.block(gain=1.7, softness=0.6))
     spoilt = record.clouds.copy()

@@ -89,10 +89,10 @@ def test_errors_in_proportion_to_the_spacing_are_extrapolated_away():
     np.testing.assert_allclose(alone, latents[3])
 
 
-def test_a_coordinate_that_a_bound_cuts_off_is_not_extrapolated():
+def test_a_coordinate_whose_coarsest_fit_leaves_its_prior_goes_half_of_the_way():
     latents, groups, spacings = np.array([[2.0, 1.5], [1.0, 1.0]]), np.array([0, 1]), np.array([0.04, 0.02])
     mean, covariance = combined(latents, groups, spacings, 0.0, np.array([False, True]))
-    np.testing.assert_allclose(mean, [0.0, 1.0])  # the line through both; the finest
+    np.testing.assert_allclose(mean, [0.0, 0.75])  # the line through both ends at [0.0, 0.5]
     np.testing.assert_allclose(covariance, 0.25 * np.outer([1.0, 0.5], [1.0, 0.5]))  # its doubt remains
 
 

@@ -36,6 +36,19 @@ def test_the_search_ends_where_the_substep_becomes_unstable(env):
     assert not is_stable(beyond) and int(step(beyond, action)) & Status.INVALID_PARAMETERS
 
 
+def test_a_search_beyond_the_priors_is_stable_too_and_says_only_what_the_priors_lose(env):
+    space = space_of({MODULUS: LogUniform(50.0, 300.0)}, env)
+    low, high, said = stable_bounds(space, (env,), 1.0)
+    np.testing.assert_allclose([low, high], [space.bounds[0] - 1.0, space.bounds[1] + 1.0])
+    assert not said
+    _, far, said = stable_bounds(space, (env,), 9.0)
+    assert high[0] < far[0] < space.bounds[1][0] + 9.0 and is_stable(space.place(env, jnp.asarray(far)))
+    assert not said
+    wider = space_of({MODULUS: LogUniform(50.0, 5000.0)}, env)
+    assert "to 5000: beyond" not in stable_bounds(wider, (env,), 1.0)[2][0]
+    assert "instead of 5000: beyond, the substep is too long" in stable_bounds(wider, (env,), 1.0)[2][0]
+
+
 def test_a_finer_substep_leaves_the_prior_whole_and_a_stiff_one_is_refused(env):
     fine = rewax.make("RollingFlat", scale="small", num_substeps=30)
     space = space_of({MODULUS: LogUniform(50.0, 3000.0)}, fine)
