@@ -125,7 +125,7 @@ def _root_mean_square(values: Any) -> float:
 
 
 def report(rows: list[dict[str, str]]) -> str:
-    """Two tables: how close and how certain the numbers are; how well pushes are predicted that were not fitted."""
+    """Tables: how close and how certain the numbers are; how well pushes are predicted that were not fitted; totals."""
     lines = [
         "| world | unknown | cases | median error | of the finest grid alone | within 10 % "
         "| truth in the 95 % interval | determined | median seconds | of CPU time |",
@@ -151,7 +151,22 @@ def report(rows: list[dict[str, str]]) -> str:
         lines.append(
             f"| {kind} | " + " | ".join(_known_median(own, column, ".1f", " mm") for column in _PREDICTED) + " |"
         )
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *_totals(rows)])
+
+
+def _totals(rows: list[dict[str, str]]) -> list[str]:
+    """A table of one row: counts over all worlds."""
+    cases = {(row["kind"], row["case"]): row for row in rows}.values()
+    true, found, low, high = (_column(rows, c) for c in ("true", "found", "low", "high"))
+    better = sum(float(row["held_out_mm"]) < float(row["held_out_prior_mm"]) for row in cases)
+    counts = (len(cases), len(rows), np.sum(np.abs(found / true - 1.0) < 0.1), np.sum((low <= true) & (true <= high)))
+    seconds = np.median([float(row["seconds"]) for row in cases])
+    return [
+        "| cases | estimates | within 10 % | truth in the 95 % interval | held-out push better than with the prior's "
+        "median | median seconds of a case |",
+        "|---|---|---|---|---|---|",
+        "| " + " | ".join(str(n) for n in (*counts, f"{better} cases", f"{seconds:.0f}")) + " |",
+    ]
 
 
 def _known_median(rows: list[dict[str, str]], column: str, form: str, unit: str = "") -> str:

@@ -60,8 +60,8 @@ _REMEDIES = {
     Status.INACTIVE_NODES: "a larger max_active_nodes",
     Status.FAR_COLLIDERS: "a larger max_near_colliders",
     Status.INVALID_PARAMETERS: "numbers that make_scene or load accept",
-    Status.FULL_PAIRS: "a larger self_contact.pairs_per_element",
-    Status.CROSSED: "slower motion, or a stiffer or thicker self_contact with a larger max_speed",
+    Status.FULL_PAIRS: "a larger self_contact.pairs_per_element, or contact.pairs_per_particle of a mixed scene",
+    Status.CROSSED: "slower motion, a smaller dt, or a stiffer or thicker self_contact with a larger max_speed",
     Status.UNSOLVED: "a smaller dt, or more stepper.newton_iterations and cg_iterations",
     Status.PENETRATION: "a slower tool or more room for the body",
 }

@@ -137,7 +137,7 @@ def native_problems() -> Iterator[tuple[str, str]]:
         return
     if missing is not None:
         yield (
-            f"physics is not computed in C++ ({missing}): a CPU takes 2 times as long for soft bodies, 10 for rigid",
+            f"physics is not computed in C++ ({missing}): a CPU takes 2 times as long for soft bodies, 8 for rigid",
             "install a C++ compiler, g++ or clang++, or set CXX to one",
         )
 
