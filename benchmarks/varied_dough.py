@@ -1,4 +1,4 @@
-"""Whether SAPO earns more on HandFlip if each episode draws another dough: rows of docs/suites/varied_dough/results.csv.
+"""Does SAPO earn more on HandFlip if each episode draws another dough? Rows of docs/suites/varied_dough/results.csv.
 
     python benchmarks/varied_dough.py            # the cells that have no row yet, about ten minutes each on two cores
     python benchmarks/varied_dough.py --table
