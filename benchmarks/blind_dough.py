@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from rows import append, mean, read
+from rows import fill, mean, read
 from trained import trained
 
 import rewax
@@ -36,7 +36,6 @@ from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import _Wrapper
 from rewax.sensors import Touch
 from rewax.training import enable_compilation_cache, make_evaluate
-from rewax.training.storage.description import provenance
 
 COLUMNS = {"joints": ("joint_q",), "touch": ("joint_q", "touch"), "told": ("joint_q", "weight")}
 LIGHT, HEAVY = 0.5, 2.0
@@ -156,14 +155,7 @@ def main(args: Args) -> None:
         time_steps()
         return
     enable_compilation_cache()
-    where = {key: value for key, value in provenance().items() if key in FIELDS}
-    for seed in args.seeds:
-        for column in args.columns:
-            if (column, str(seed)) in {(row["column"], row["seed"]) for row in read(args.out)}:
-                continue
-            rows = run_cell(column, seed)
-            jax.clear_caches()
-            append(({**row, **where} for row in rows), FIELDS, args.out)
+    fill(({"column": c, "seed": seed} for seed in args.seeds for c in args.columns), run_cell, FIELDS, args.out)
 
 
 if __name__ == "__main__":

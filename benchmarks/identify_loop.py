@@ -17,6 +17,8 @@ The results of the fits lie beside the rows, as files of ``rewax identify``.
 """
 
 import dataclasses
+import functools
+import itertools
 import json
 import time
 from pathlib import Path
@@ -25,7 +27,7 @@ from typing import Any
 import jax
 import numpy as np
 import tyro
-from rows import append, mean, read
+from rows import fill, mean, read
 
 import rewax
 from rewax.agents.presets import sapo_preset
@@ -35,7 +37,6 @@ from rewax.identify import identify, record
 from rewax.identify.starts import placements_of
 from rewax.identify.surface import particle_spacing
 from rewax.training import enable_compilation_cache, make_evaluate
-from rewax.training.storage.description import provenance
 
 _MODULUS, _YIELD = "scene.material.elasticity.youngs_modulus", "scene.material.plasticity.yield_stress"
 PRIORS = {_MODULUS: LogUniform(200.0, 2000.0), _YIELD: LogUniform(4.0, 80.0)}
@@ -117,13 +118,12 @@ def train(name: str, column: str, seed: int, out: Path) -> tuple[Any, Any, dict[
     return agent, ts, told
 
 
-def run_cell(name: str, column: str, seed: int, out: Path) -> dict[str, Any]:
-    """Train one policy; the row of its evaluation in the true scene."""
-    agent, ts, told = train(name, column, seed, out)
-    found = make_evaluate(env_of(name, TRUTH), agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
+def run_cell(task: str, column: str, seed: int, out: Path) -> dict[str, Any]:
+    """Train one policy; its evaluation in the true scene."""
+    agent, ts, told = train(task, column, seed, out)
+    found = make_evaluate(env_of(task, TRUTH), agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
     earned = {"return": round(float(found["mean"]), 3), "std": round(float(found["std"]), 3)}
-    print(name, column, seed, earned, flush=True)
-    return {"task": name, "column": column, "seed": seed, **earned, **told}
+    return {**earned, **told}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,16 +164,9 @@ def main(args: Args) -> None:
         print(tables(read(stored), args.out))
         return
     enable_compilation_cache()
-    where = {key: value for key, value in provenance().items() if key in FIELDS}
-    for seed in args.seeds:
-        for name in args.tasks:
-            for column in args.columns:
-                done = {(row["task"], row["column"], row["seed"]) for row in read(stored)}
-                if (name, column, str(seed)) in done:
-                    continue
-                row = run_cell(name, column, seed, args.out)
-                jax.clear_caches()
-                append([{**row, **where}], FIELDS, stored)
+    every = itertools.product(args.seeds, args.tasks, args.columns)
+    cells = ({"task": task, "column": column, "seed": seed} for seed, task, column in every)
+    fill(cells, functools.partial(run_cell, out=args.out), FIELDS, stored)
 
 
 if __name__ == "__main__":

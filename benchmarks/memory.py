@@ -21,6 +21,7 @@ The critics of all columns get the full observation. The columns name the observ
 """
 
 import dataclasses
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from rows import append, read, returns
+from rows import fill, read, returns
 
 import rewax
 from rewax import struct
@@ -41,7 +42,6 @@ from rewax.envs.history import History
 from rewax.envs.wrappers import _Wrapper
 from rewax.training import enable_compilation_cache, make_evaluate
 from rewax.training.evaluation.episodes import constant_policy
-from rewax.training.storage.description import provenance
 
 TASKS, ALGORITHMS, COLUMNS = ("Goal", "Cartpole"), ("sapo", "ppo"), ("full", "gru", "gru x2", "history", "one", "none")
 FIELDS = ("task", "algorithm", "column", "seed", "return", "std", "seconds", "env_steps", "commit", "processor")
@@ -136,13 +136,13 @@ def options_of(name: str, algorithm: str) -> Any:
     )  # fmt: skip
 
 
-def run_cell(name: str, algorithm: str, column: str, seed: int) -> dict[str, Any]:
+def run_cell(task: str, algorithm: str, column: str, seed: int) -> dict[str, Any]:
     """Train one policy and evaluate it."""
-    env = task_of(name, column)
+    env = task_of(task, column)
     if column == "none":
         return evaluated(env, constant_policy(jnp.zeros(env.action_spec.shape)), ())
     config = dataclasses.replace(
-        options_of(name, algorithm),
+        options_of(task, algorithm),
         observe=("state",) if column == "full" else ("seen",),
         critic_observe=("state",),
         memory=MEMORY if column.startswith("gru") else 0,
@@ -155,7 +155,7 @@ def run_cell(name: str, algorithm: str, column: str, seed: int) -> dict[str, Any
         ts, metrics = agent.train_step(ts)
         if i % 50 == 49:
             spent, earned = time.perf_counter() - began, float(metrics["return"])
-            print(f"{name} {algorithm} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
+            print(f"{task} {algorithm} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
     jax.block_until_ready(ts)
     seconds = round(time.perf_counter() - began)
     return {**evaluated(env, agent.policy, ts), "env_steps": int(ts.env_steps), "seconds": seconds}
@@ -205,23 +205,13 @@ def main(args: Args) -> None:
         print(table(read(args.out)))
         return
     enable_compilation_cache()
-    where = {key: value for key, value in provenance().items() if key in FIELDS}
-    for seed in args.seeds:
-        for task in args.tasks:
-            for algorithm in args.algorithms:
-                for column in args.columns:
-                    cell = (task, algorithm, column, str(seed))
-                    done = {tuple(row[key] for key in FIELDS[:4]) for row in read(args.out)}
-                    if cell in done or (column == "none" and seed):
-                        continue
-                    row = {
-                        **dict(zip(FIELDS[:4], cell, strict=True)),
-                        **run_cell(task, algorithm, column, seed),
-                        **where,
-                    }
-                    print(", ".join(map(str, row.values())), flush=True)
-                    append([row], FIELDS, args.out)
-                    jax.clear_caches()
+    every = itertools.product(args.seeds, args.tasks, args.algorithms, args.columns)
+    cells = (
+        {"task": task, "algorithm": algorithm, "column": column, "seed": seed}
+        for seed, task, algorithm, column in every
+        if not (column == "none" and seed)
+    )
+    fill(cells, run_cell, FIELDS, args.out)
 
 
 if __name__ == "__main__":

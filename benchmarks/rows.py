@@ -1,12 +1,14 @@
 """Rows of a benchmark's cells in a CSV file, written as the cells are finished."""
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
+from rewax.training.storage.description import provenance
 from rewax.whole_files import replacing
 
 
@@ -24,6 +26,32 @@ def append(rows: Iterable[Mapping[str, Any]], fields: Sequence[str], path: Path)
         writer.writerows(every)
 
 
+def fill(
+    cells: Iterable[Mapping[str, Any]],
+    run: Callable[..., Mapping[str, Any] | list[dict[str, Any]]],
+    fields: Sequence[str],
+    path: Path,
+) -> None:
+    """Run the cells that have no row yet. Their rows are added as each is finished, with commit and processor.
+
+    Args:
+      cells: values by column of the file, which are the arguments of ``run``.
+      run: returns the other columns of a cell, of one row or of several.
+      fields: columns of the file.
+      path: the file.
+    """
+    where = {key: value for key, value in provenance().items() if key in fields}
+    for cell in cells:
+        if any(all(row[key] == str(value) for key, value in cell.items()) for row in read(path)):
+            continue
+        found = run(**cell)
+        rows = [{**cell, **row, **where} for row in (found if isinstance(found, list) else [found])]
+        append(rows, fields, path)
+        for row in rows:
+            print(", ".join(map(str, row.values())), flush=True)
+        jax.clear_caches()
+
+
 def returns(rows: Iterable[Mapping[str, str]], **wanted: str) -> list[float]:
     """The returns of the rows with these values."""
     return [float(row["return"]) for row in rows if all(row[key] == value for key, value in wanted.items())]
@@ -35,4 +63,4 @@ def mean(rows: Iterable[Mapping[str, str]], **wanted: str) -> str:
     return f"{np.mean(found):.1f} ({len(found)})" if found else "-"
 
 
-__all__ = ["append", "mean", "read", "returns"]
+__all__ = ["append", "fill", "mean", "read", "returns"]

@@ -17,7 +17,7 @@ from typing import Any
 
 import jax
 import tyro
-from rows import append, mean, read
+from rows import fill, mean, read
 from trained import trained
 
 import rewax
@@ -25,7 +25,6 @@ from rewax.agents.presets import sapo_preset
 from rewax.agents.sapo import make_sapo
 from rewax.envs.randomize import LogUniform, Scale, hook
 from rewax.training import enable_compilation_cache, make_evaluate
-from rewax.training.storage.description import provenance
 
 FACTOR = Scale(LogUniform(0.5, 2.0))
 DRAWS = {"scene.material.elasticity.youngs_modulus": FACTOR, "scene.material.plasticity.yield_stress": FACTOR}
@@ -36,15 +35,14 @@ FIELDS = ("column", "seed", "return", "std", "seconds", "env_steps", "commit", "
 
 
 def run_cell(column: str, seed: int) -> dict[str, Any]:
-    """Train one policy; the row of its evaluation with the task's dough."""
+    """Train one policy; its evaluation with the task's dough."""
     env: Any = rewax.make("HandFlip", scale="small", num_substeps=20)
     config, draws = sapo_preset("HandFlip", "small"), COLUMNS[column]
     agent = make_sapo(env, config, randomize=None if draws is None else hook(draws))
     ts, seconds = trained(agent, config.num_iterations, seed, column)
     found = make_evaluate(env, agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
     earned = {"return": round(float(found["mean"]), 3), "std": round(float(found["std"]), 3)}
-    print(column, seed, earned, flush=True)
-    return {"column": column, "seed": seed, **earned, "seconds": seconds, "env_steps": int(ts.env_steps)}
+    return {**earned, "seconds": seconds, "env_steps": int(ts.env_steps)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,13 +75,7 @@ def main(args: Args) -> None:
         print(table(read(args.out)))
         return
     enable_compilation_cache()
-    where = {key: value for key, value in provenance().items() if key in FIELDS}
-    for seed in args.seeds:
-        for column in args.columns:
-            if (column, str(seed)) in {(row["column"], row["seed"]) for row in read(args.out)}:
-                continue
-            append([{**run_cell(column, seed), **where}], FIELDS, args.out)
-            jax.clear_caches()
+    fill(({"column": c, "seed": seed} for seed in args.seeds for c in args.columns), run_cell, FIELDS, args.out)
 
 
 if __name__ == "__main__":

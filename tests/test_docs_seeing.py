@@ -45,3 +45,23 @@ def test_printed_tables_take_the_place_of_those_with_the_same_first_line():
     for other in ("| d |\n|---|", "| a |\n|---|"):
         with pytest.raises(ValueError, match=r"^the page has 0 tables that begin with"):
             filled(page, [other])
+
+
+def test_cells_are_run_once_and_their_rows_written_as_they_are_finished(tmp_path):
+    rows, path, run = run_benchmark("rows"), tmp_path / "results.csv", []
+    fields = ("column", "seed", "at", "return", "commit")
+
+    def of_cell(column, seed):
+        if (column, seed) == ("b", 0):
+            raise KeyboardInterrupt  # what was finished before stays
+        run.append((column, seed))
+        return [{"at": at, "return": seed + k} for k, at in enumerate(("near", "far"))] if column == "a" else {"at": ""}
+
+    cells = [{"column": column, "seed": seed} for column in "ab" for seed in (0, 1)]
+    with pytest.raises(KeyboardInterrupt):
+        rows["fill"](cells, of_cell, fields, path)
+    assert run == [("a", 0), ("a", 1)] and len(rows["read"](path)) == 4
+    rows["fill"]([cells[0], cells[3]], of_cell, fields, path)
+    found = rows["read"](path)
+    assert run == [("a", 0), ("a", 1), ("b", 1)] and len(found) == 5 and all(row["commit"] for row in found)
+    assert rows["returns"](found, column="a", at="far") == [1.0, 2.0]
