@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from rows import fill, mean, read
-from trained import trained
+from trained import earned, trained
 
 import rewax
 from rewax import struct
@@ -35,7 +35,7 @@ from rewax.envs.randomize import Constant, LogUniform, Scale, hook
 from rewax.envs.sensing import Sensing
 from rewax.envs.wrappers import _Wrapper
 from rewax.sensors import Touch
-from rewax.training import enable_compilation_cache, make_evaluate
+from rewax.training import enable_compilation_cache
 
 COLUMNS = {"joints": ("joint_q",), "touch": ("joint_q", "touch"), "told": ("joint_q", "weight")}
 LIGHT, HEAVY = 0.5, 2.0
@@ -89,12 +89,8 @@ def run_cell(column: str, seed: int) -> list[dict[str, Any]]:
     rows = []
     for at, factor in WEIGHTS.items():
         where = Randomized(env=env, randomize=draws(env, factor))
-        found = make_evaluate(where, agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
-        print(f"{column} {seed} {at}: {float(found['mean']):.2f}", flush=True)
-        rows.append(
-            {"column": column, "seed": seed, "at": at, "return": round(float(found["mean"]), 3),
-             "std": round(float(found["std"]), 3), "seconds": seconds, "env_steps": int(ts.env_steps)}
-        )  # fmt: skip
+        found = earned(where, agent.policy, ts, EPISODES)
+        rows.append({"at": at, **found, "seconds": seconds, "env_steps": int(ts.env_steps)})
     return rows
 
 

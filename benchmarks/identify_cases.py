@@ -40,6 +40,8 @@ COLUMNS: tuple[str, ...] = (
     "cpu_seconds",
 )  # fmt: skip
 
+_HALFWAY = "{} leaves its prior on the coarsest grid"
+"""Begin of the remark on a value that lies halfway between that of the finest grid and the extrapolated one."""
 _PREDICTED = ("held_out_mm", "held_out_prior_mm", "held_out_true_mm", "held_out_finest_mm")
 
 
@@ -128,8 +130,8 @@ def report(rows: list[dict[str, str]]) -> str:
     """Tables: how close and how certain the numbers are; how well pushes are predicted that were not fitted; totals."""
     lines = [
         "| world | unknown | cases | median error | of the finest grid alone | within 10 % "
-        "| truth in the 95 % interval | determined | median seconds | of CPU time |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| truth in the 95 % interval | determined | halfway | median seconds | of CPU time |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     pairs = dict.fromkeys((row["kind"], row["unknown"]) for row in rows)
     for pair in pairs:
@@ -137,7 +139,8 @@ def report(rows: list[dict[str, str]]) -> str:
         true, found, low, high, finest = (_column(own, c) for c in ("true", "found", "low", "high", "finest"))
         error = np.abs(found / true - 1.0)
         counts = (
-            f"{np.sum(error < 0.1)} | {np.sum((low <= true) & (true <= high))} | {np.sum(_column(own, 'left') <= 0.5)}"
+            f"{np.sum(error < 0.1)} | {np.sum((low <= true) & (true <= high))} | {np.sum(_column(own, 'left') <= 0.5)} "
+            f"| {sum(_HALFWAY.format(pair[1]) in row['remarks'] for row in own)}"
         )
         medians = f"{100 * np.median(error):.0f} % | {100 * np.median(np.abs(finest / true - 1.0)):.0f} %"
         times = f"{np.median(_column(own, 'seconds')):.0f} | {_known_median(own, 'cpu_seconds', '.0f')}"

@@ -28,6 +28,7 @@ import jax
 import numpy as np
 import tyro
 from rows import fill, mean, read
+from trained import earned
 
 import rewax
 from rewax.agents.presets import sapo_preset
@@ -36,7 +37,7 @@ from rewax.envs.randomize import LogUniform, hook, identified
 from rewax.identify import identify, record
 from rewax.identify.starts import placements_of
 from rewax.identify.surface import particle_spacing
-from rewax.training import enable_compilation_cache, make_evaluate
+from rewax.training import enable_compilation_cache
 
 _MODULUS, _YIELD = "scene.material.elasticity.youngs_modulus", "scene.material.plasticity.yield_stress"
 PRIORS = {_MODULUS: LogUniform(200.0, 2000.0), _YIELD: LogUniform(4.0, 80.0)}
@@ -106,10 +107,8 @@ def train(name: str, column: str, seed: int, out: Path) -> tuple[Any, Any, dict[
     for i in range(config.num_iterations):
         ts, metrics = agent.train_step(ts)
         if i % 20 == 19:
-            spent, earned = time.perf_counter() - began, float(metrics.get("return", np.nan))
-            print(
-                f"{name} {column} {seed}: {i + 1} of {config.num_iterations}, {spent:.0f} s, {earned:.2f}", flush=True
-            )
+            spent, last = time.perf_counter() - began, float(metrics.get("return", np.nan))
+            print(f"{name} {column} {seed}: {i + 1} of {config.num_iterations}, {spent:.0f} s, {last:.2f}", flush=True)
     jax.block_until_ready(ts)
     told = {
         "seconds": round(time.perf_counter() - began), "env_steps": int(ts.env_steps),
@@ -121,9 +120,7 @@ def train(name: str, column: str, seed: int, out: Path) -> tuple[Any, Any, dict[
 def run_cell(task: str, column: str, seed: int, out: Path) -> dict[str, Any]:
     """Train one policy; its evaluation in the true scene."""
     agent, ts, told = train(task, column, seed, out)
-    found = make_evaluate(env_of(task, TRUTH), agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
-    earned = {"return": round(float(found["mean"]), 3), "std": round(float(found["std"]), 3)}
-    return {**earned, **told}
+    return {**earned(env_of(task, TRUTH), agent.policy, ts, EPISODES), **told}
 
 
 @dataclasses.dataclass(frozen=True)

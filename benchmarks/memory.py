@@ -31,6 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from rows import fill, read, returns
+from trained import earned
 
 import rewax
 from rewax import struct
@@ -40,7 +41,7 @@ from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.envs.base import first_state, next_state
 from rewax.envs.history import History
 from rewax.envs.wrappers import _Wrapper
-from rewax.training import enable_compilation_cache, make_evaluate
+from rewax.training import enable_compilation_cache
 from rewax.training.evaluation.episodes import constant_policy
 
 TASKS, ALGORITHMS, COLUMNS = ("Goal", "Cartpole"), ("sapo", "ppo"), ("full", "gru", "gru x2", "history", "one", "none")
@@ -140,7 +141,7 @@ def run_cell(task: str, algorithm: str, column: str, seed: int) -> dict[str, Any
     """Train one policy and evaluate it."""
     env = task_of(task, column)
     if column == "none":
-        return evaluated(env, constant_policy(jnp.zeros(env.action_spec.shape)), ())
+        return earned(env, constant_policy(jnp.zeros(env.action_spec.shape)), (), EPISODES)
     config = dataclasses.replace(
         options_of(task, algorithm),
         observe=("state",) if column == "full" else ("seen",),
@@ -154,17 +155,11 @@ def run_cell(task: str, algorithm: str, column: str, seed: int) -> dict[str, Any
     for i in range(config.num_iterations):
         ts, metrics = agent.train_step(ts)
         if i % 50 == 49:
-            spent, earned = time.perf_counter() - began, float(metrics["return"])
-            print(f"{task} {algorithm} {column} {seed}: {i + 1}, {spent:.0f} s, {earned:.2f}", flush=True)
+            spent, last = time.perf_counter() - began, float(metrics["return"])
+            print(f"{task} {algorithm} {column} {seed}: {i + 1}, {spent:.0f} s, {last:.2f}", flush=True)
     jax.block_until_ready(ts)
     seconds = round(time.perf_counter() - began)
-    return {**evaluated(env, agent.policy, ts), "env_steps": int(ts.env_steps), "seconds": seconds}
-
-
-def evaluated(env: Any, policy: Any, ts: Any) -> dict[str, Any]:
-    """Mean and standard deviation of the returns."""
-    found = make_evaluate(env, policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
-    return {"return": round(float(found["mean"]), 3), "std": round(float(found["std"]), 3)}
+    return {**earned(env, agent.policy, ts, EPISODES), "env_steps": int(ts.env_steps), "seconds": seconds}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,16 +15,15 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-import jax
 import tyro
 from rows import fill, mean, read
-from trained import trained
+from trained import earned, trained
 
 import rewax
 from rewax.agents.presets import sapo_preset
 from rewax.agents.sapo import make_sapo
 from rewax.envs.randomize import LogUniform, Scale, hook
-from rewax.training import enable_compilation_cache, make_evaluate
+from rewax.training import enable_compilation_cache
 
 FACTOR = Scale(LogUniform(0.5, 2.0))
 DRAWS = {"scene.material.elasticity.youngs_modulus": FACTOR, "scene.material.plasticity.yield_stress": FACTOR}
@@ -40,9 +39,7 @@ def run_cell(column: str, seed: int) -> dict[str, Any]:
     config, draws = sapo_preset("HandFlip", "small"), COLUMNS[column]
     agent = make_sapo(env, config, randomize=None if draws is None else hook(draws))
     ts, seconds = trained(agent, config.num_iterations, seed, column)
-    found = make_evaluate(env, agent.policy, EPISODES)(ts, jax.random.key(99), deterministic=True)
-    earned = {"return": round(float(found["mean"]), 3), "std": round(float(found["std"]), 3)}
-    return {**earned, "seconds": seconds, "env_steps": int(ts.env_steps)}
+    return {**earned(env, agent.policy, ts, EPISODES), "seconds": seconds, "env_steps": int(ts.env_steps)}
 
 
 @dataclasses.dataclass(frozen=True)

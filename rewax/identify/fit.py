@@ -120,14 +120,15 @@ def identify(
     kept = _kept(total, groups)
     coarsest = search.latents[kept & (groups == groups[kept].min())].mean(0)
     ends = np.maximum(low, space.bounds[0]), np.minimum(high, space.bounds[1])
-    beyond = _cut_off(coarsest, *ends)
-    latent, between = combined(search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit, beyond)
+    latent, between = combined(
+        search.latents[kept], groups[kept], spacings, 0.0 if limit is None else limit, _cut_off(coarsest, *ends)
+    )
     latent = np.clip(latent, *space.bounds)
     finest = kept & (groups == groups[kept].max())
     found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between)
     remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, *ends)
-    remarks += cut_off(space, latent, covariance) + ([] if spacings is None else _halfway(space, beyond))
+    remarks += cut_off(space, latent, covariance) + ([] if spacings is None else _halfway(space, coarsest, ends))
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=ends,
         undetermined=undetermined(space, covariance), times=np.asarray(record.times), env=given[-1],
@@ -238,13 +239,18 @@ def _cut_off(latent: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarra
     return np.minimum(latent - low, high - latent) < _AT_BOUND
 
 
-def _halfway(space: Space, beyond: np.ndarray) -> list[str]:
-    return [
-        f"{short(label)} leaves its prior on the coarsest grid, so the value lies halfway between that of the finest "
-        "grid and the extrapolated one: fit on finer grids, or widen its prior."
-        for label, at in zip(space.labels, beyond, strict=True)
-        if at
-    ]
+def _halfway(space: Space, coarsest: np.ndarray, ends: tuple[np.ndarray, np.ndarray]) -> list[str]:
+    def sentence(label: str, outside: bool) -> str:
+        where, remedy = "reaches the end of the stable range", "give a larger num_substeps"
+        if outside:
+            where, remedy = "leaves its prior", "widen its prior"
+        return (
+            f"{short(label)} {where} on the coarsest grid, so the value lies halfway between that of the finest grid "
+            f"and the extrapolated one: fit on finer grids, or {remedy}."
+        )
+
+    outside, at = _cut_off(coarsest, *space.bounds), _cut_off(coarsest, *ends)
+    return [sentence(label, bool(outside[i])) for i, label in enumerate(space.labels) if at[i]]
 
 
 def cut_off(space: Space, latent: np.ndarray, covariance: np.ndarray) -> list[str]:

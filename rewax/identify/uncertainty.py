@@ -58,15 +58,15 @@ def combined(
     With spacings of the grids, the result is that of the line through the first and the last mean, at ``limit``: the
     error of a simulation is taken as proportional to the spacing. The covariance of the placements is enlarged as the
     line enlarges it, and half of the step from the finest mean to the limit counts as an error of this assumption. A
-    coarsest fit that leaves the prior is too far for the line: errors that large fall faster than the spacing. The
-    result is then the middle of this step, whose ends are one standard deviation away.
+    coarsest fit beyond the prior, or at the end of the stable range, is too far for the line: errors that large fall
+    faster than the spacing. The result is then the middle of this step, whose ends are one standard deviation away.
 
     Args:
       latents: of the fits, shape (S, k).
       groups: number of the environment of each, rising with its resolution, shape (S,).
       spacings: of the grid of each environment, falling [m]; None: no extrapolation.
       limit: spacing at which the result is wanted [m], below the finest; 0: matter.
-      beyond: coordinates whose coarsest fit leaves the prior, shape (k,), bool; None: there are none.
+      beyond: coordinates whose coarsest fit is too far, shape (k,), bool; None: there are none.
 
     Returns:
       The mean, shape (k,), and the covariance, shape (k, k).
