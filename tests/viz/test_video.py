@@ -51,9 +51,11 @@ def test_what_cannot_be_is_refused_and_a_failure_leaves_no_file(tmp_path, monkey
         video.write_video(broken(), tmp_path / "a.mp4", rate=10.0, size=(32, 48))
     assert not list(tmp_path.iterdir())
     failing = tmp_path / "ffmpeg"
-    failing.write_text("#!/bin/sh\necho 'No space left on device' >&2\nexit 1\n")
+    failing.write_text(
+        "#!/bin/sh\nfor last; do :; done\necho part > $last\necho 'No space left on device' >&2\nexit 1\n"
+    )
     failing.chmod(0o755)
     monkeypatch.setattr(video, "_ffmpeg", lambda: str(failing))
     with pytest.raises(OSError, match=r"ffmpeg failed; it said: .*No space left on device"):
         video.write_video([np.zeros((32, 48, 3), np.uint8)], tmp_path / "a.mp4", rate=10.0, size=(32, 48))
-    assert list(tmp_path.iterdir()) == [failing]
+    assert list(tmp_path.iterdir()) == [failing]  # not the part either
