@@ -32,7 +32,6 @@ _POLICY = {
 }
 _CRITICS = {**_POLICY, "critic_learning_rate": 5e-3, "critic_widths": (8,)}
 FIRST_ORDER = {**_CRITICS, "critic_passes": 2, "critic_minibatches": 2, "differentiate": "full"}
-_ADAPTIVE = {"horizon": 8, "critic_passes": 4, "critic_minibatches": 1}
 _REPLAY = {"batch_size": 64, "replay_size": 4000, "initial_temperature": 0.1, "target_rate": 0.05, "num_steps": 1}
 
 
@@ -52,7 +51,7 @@ CASES = {
     "apg": Case("apg", APGConfig(**_POLICY, differentiate="full")),
     "apg_full": Case("apg", APGConfig(**{**_POLICY, "horizon": 0, "stagger_episodes": False})),
     "rpo": Case("rpo", RPOConfig(**FIRST_ORDER)),
-    "ahac": Case("ahac", AHACConfig(**{**FIRST_ORDER, **_ADAPTIVE}, min_horizon=2, initial_horizon=4)),
+    "ahac": Case("ahac", AHACConfig(**{**FIRST_ORDER, "horizon": 8}, min_horizon=2, initial_horizon=4)),
     "sapo_from_demonstrations": Case(
         "sapo_from_demonstrations",
         DemonstratedConfig(**FIRST_ORDER, initial_temperature=0.03, initial_log_std=-1.0, sequence_learning_rate=0.05),

@@ -8,13 +8,14 @@ Simulation" (ICML 2024). Differences:
 - All environments share one horizon. It moves by the mean excess of that growth, an earlier rule of the authors. Theirs
   has a multiplier for each step.
 - The rollout always computes ``horizon`` steps. Beyond the adaptive horizon the environments stand still.
-- Critics are fitted with a fixed number of passes over one batch of all samples, because minibatches beyond the horizon
-  would be empty.
+- Critics are fitted with a fixed number of passes, theirs until the loss stays about the same, with 64 passes at most.
+- A minibatch of the critics has all steps of some environments, theirs some steps of all environments. Here the
+  minibatches beyond the horizon would be empty.
 """
 
 import dataclasses
 import functools
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
-from rewax.agents.config import Activation, Combination, FirstOrderConfig, Optimizer
+from rewax.agents.config import Activation, Combination, Division, FirstOrderConfig, Optimizer
 from rewax.agents.first_order import Rollout, actor_step, critic_update, rollout_loss, start_actor_critic
 from rewax.agents.gradients import per_env_gradients
 from rewax.agents.legal import Count, Positive
@@ -44,8 +45,10 @@ class AHACConfig(FirstOrderConfig):
       min_horizon, initial_horizon: the shortest horizon, and the horizon of the first iteration.
       max_growth: growth of the norm of the state's gradient per control step above which the horizon shrinks [-].
       horizon_rate: control steps by which the horizon moves per iteration and unit of excess.
-      critic_minibatches: must be 1.
+      critic_minibatches: a divisor of num_envs.
     """
+
+    critic_division: ClassVar[Division] = "environments"
 
     optimizer: Optimizer = "adam"
     max_grad_norm: float = 1.0
@@ -59,13 +62,14 @@ class AHACConfig(FirstOrderConfig):
     initial_horizon: Count = 32
     max_growth: Positive = 1.1
     horizon_rate: Positive = 1.0
-    critic_passes: int = 64
-    critic_minibatches: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.critic_minibatches != 1:
-            raise ValueError(f"critic_minibatches is {self.critic_minibatches}: AHAC fits all samples at once, give 1")
+        if self.num_envs % self.critic_minibatches:
+            raise ValueError(
+                f"critic_minibatches is {self.critic_minibatches}, which does not divide num_envs = {self.num_envs}: "
+                "choose a divisor, because a minibatch of AHAC has all steps of some environments"
+            )
         if not self.min_horizon <= self.initial_horizon <= self.horizon:
             raise ValueError(
                 f"min_horizon is {self.min_horizon}, initial_horizon {self.initial_horizon}, horizon {self.horizon}: "

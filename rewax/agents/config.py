@@ -204,19 +204,26 @@ class GradientOptions:
         }
 
 
+Division: TypeAlias = Literal["time", "environments"]
+"""What the critics' minibatches divide: the steps in order of time, or the environments, each with all of its steps."""
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FittingOptions:
     """How critics are fitted to the values along a differentiated rollout.
 
     Attributes:
       td_lambda: lambda of the critics' targets, TD(lambda) [-].
-      critic_passes, critic_minibatches: passes over each iteration's data, and contiguous minibatches per pass.
+      critic_passes, critic_minibatches: passes over each iteration's data, and minibatches per pass, divided as
+        ``critic_division`` says.
       critic_chunk: number of samples of a minibatch that are differentiated at a time; their gradients are summed. It
         changes the update by rounding only. None: all on an accelerator, as many as fit its cache on a CPU.
       actor_value, target_value: how the actor and the critics' targets combine several critics, ``mean`` or ``min``.
       target_decay: weight of the old parameters in each iteration's update of the target network; None: no target
         network.
     """
+
+    critic_division: ClassVar[Division] = "time"
 
     td_lambda: Share = 0.95
     critic_passes: Count = 16

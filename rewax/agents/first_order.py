@@ -139,6 +139,7 @@ def critic_update(networks: Networks, state: A, rollouts: Rollout, reward: Array
         passes=config.critic_passes,
         minibatches=config.critic_minibatches,
         chunk=critic_chunk(networks),
+        divide=config.critic_division,
     )
     target = state.target_params
     if config.target_decay is not None:

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import optax
 
 from rewax.agents.base import Metrics
-from rewax.agents.devices import mean_over_devices, sharded
+from rewax.agents.config import Division
+from rewax.agents.devices import mean_over_devices, num_shards, sharded
 from rewax.agents.optimizers import Packing, apply, finite_or_zero
 from rewax.agents.rollout import masked
 from rewax.envs.base import ArraySpec
@@ -19,7 +20,6 @@ Values = Callable[[PyTree, Observation], Array]
 """``(params, obs) -> values`` of all critics, shape (n, num_critics), for observations with one leading axis."""
 ValueLoss = Callable[[Array, Array], Array]
 """``(values, targets) -> losses``, one loss per value; shapes (n, num_critics), (n, 1) and (n, num_critics)."""
-
 _CACHED_POINTS = 4096
 """Number of observed points with activations that fit the cache of a CPU. With 64,000, a critic's gradient takes twice
 as long per point."""
@@ -42,9 +42,10 @@ def fit_values(
     passes: int,
     minibatches: int,
     chunk: int,
+    divide: Division = "time",
     loss: ValueLoss = square_error,
 ) -> tuple[PyTree, PyTree, Metrics]:
-    """Fits the critics with several passes over contiguous minibatches, in order of time.
+    """Fits the critics with several passes over minibatches.
 
     Args:
       values: function that evaluates all critics.
@@ -55,6 +56,8 @@ def fit_values(
       passes: passes over all data.
       minibatches: minibatches per pass; a divisor of the number of samples.
       chunk: samples differentiated at a time; a divisor of the minibatch size. It changes the update by rounding only.
+      divide: with ``time`` a minibatch has contiguous steps of all environments; with ``environments`` it has all steps
+        of every ``minibatches``-th environment, and ``minibatches`` must divide num_envs.
       loss: loss of each value. The mean over samples and critics is minimised.
 
     Returns:
@@ -63,10 +66,11 @@ def fit_values(
     obs, targets = masked((dict(obs), targets), valid)
     fit = functools.partial(
         _fit, objective=functools.partial(_objective, values=values, loss=loss), optimizer=optimizer, passes=passes,
-        minibatches=minibatches, chunk=chunk,
+        minibatches=minibatches, chunk=chunk, divide=divide,
     )  # fmt: skip
     given = (params, opt_state, obs, targets, valid)
-    if targets.shape[1] % minibatches:  # a minibatch crosses a time step: fit unsharded
+    divided = targets.shape[1] if divide == "time" else targets.shape[0] // num_shards()
+    if divided % minibatches:  # a minibatch would differ between devices: fit unsharded
         return fit(*given)
     return sharded(fit, given, (False, False, True, True, True), same=True)
 
@@ -89,12 +93,15 @@ def _fit(
     passes: int,
     minibatches: int,
     chunk: int,
+    divide: Division,
 ) -> tuple[PyTree, PyTree, Metrics]:
     chunk = math.gcd(chunk, targets.size // minibatches)  # on each device's shard
 
     def parts(a: Array) -> Array:
-        by_time = jnp.swapaxes(a, 0, 1)
-        return by_time.reshape(minibatches, -1, chunk, *a.shape[2:])
+        if divide == "environments":
+            a = a.reshape(-1, minibatches, *a.shape[1:])  # every n-th, on any number of devices the same
+        rest = a.shape[2:] if divide == "time" else a.shape[3:]
+        return jnp.swapaxes(a, 0, 1).reshape(minibatches, -1, chunk, *rest)
 
     weight = parts(valid.astype(targets.dtype))
     share = mean_over_devices(weight.mean(axis=(1, 2), keepdims=True))

@@ -58,3 +58,10 @@ def test_only_the_steps_within_the_horizon_are_counted():
 def test_horizons_in_a_wrong_order_are_refused():
     with pytest.raises(ValueError, match="give them in this order, the smallest first"):
         AHACConfig(horizon=16, initial_horizon=32)
+
+
+def test_minibatches_that_do_not_divide_the_environments_are_refused():
+    with pytest.raises(
+        ValueError, match="critic_minibatches is 4, which does not divide num_envs = 6: choose a divisor"
+    ):
+        AHACConfig(num_envs=6, critic_minibatches=4)

@@ -41,6 +41,32 @@ def test_it_is_gradient_descent_on_contiguous_minibatches_in_order_of_time():
     np.testing.assert_allclose(metrics["critic_loss"], np.mean(losses), rtol=1e-4)
 
 
+def test_minibatches_of_environments_hold_all_steps_of_every_nth_environment():
+    got = fit(divide="environments", passes=1)
+    params, optimizer = PARAMS, optax.sgd(0.05)
+    for envs in (np.array([0, 2]), np.array([1, 3])):
+        one = {"x": OBS["x"][envs]}
+        params, *_ = fit_values(
+            values,
+            params,
+            optimizer.init(params),
+            optimizer,
+            one,
+            TARGETS[envs],
+            ALL[envs],
+            passes=1,
+            minibatches=1,
+            chunk=16,
+        )
+    np.testing.assert_allclose(got[0], params, rtol=1e-5)
+
+
+def test_minibatches_of_environments_share_steps_that_are_cut_off():
+    late = ALL.at[:, 3:].set(False)  # beyond an adaptive horizon
+    expected = fit({"x": OBS["x"][:, :3]}, TARGETS[:, :3], ALL[:, :3], divide="environments", chunk=6)
+    chex.assert_trees_all_close(fit(valid=late, divide="environments"), expected, rtol=1e-5)
+
+
 @pytest.mark.parametrize("chunk", [1, 4])
 def test_chunks_of_a_minibatch_add_up_to_its_update(chunk):
     chex.assert_trees_all_close(fit(chunk=chunk), fit(), rtol=1e-5)
