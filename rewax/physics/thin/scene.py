@@ -233,14 +233,13 @@ def make_scene(
         stepper=stepper,
         grasps=tuple(grasps),
     )
-    check_dt(dt, _largest_dt(scene))
+    check_dt(dt, largest_stable_dt(scene))
     check_max_speed(scene)
     return scene
 
 
-# One compiled program each: run operation by operation, XLA would compile hundreds.
+# One compiled program: run operation by operation, XLA would compile hundreds.
 _mass = jax.jit(vertex_mass, static_argnums=0)
-_largest_dt = jax.jit(largest_stable_dt)
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,6 +18,7 @@ STABLE_FRACTION = 0.8
 """Fraction of the bound that ``largest_stable_dt`` derives."""
 
 
+@jax.jit  # the trace is kept: every check of a status repeats this bound
 def largest_stable_dt(scene: "ThinScene") -> Scalar:
     """Largest substep [s] at which the explicit integration of a body at rest stays stable.
 
