@@ -116,7 +116,7 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
         if not value or not _all_numbers(value):
             return value
         try:
-            return jnp.asarray(np.asarray(value, float))
+            return _as_array(np.asarray(value, float))
         except ValueError:  # rows of several lengths: checks name the field
             return value
     if is_real and isinstance(value, (bool, np.bool_)):
@@ -129,10 +129,16 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
         if is_real and value.dtype.kind in "iu":
             value = value.astype(float)
-        return jnp.asarray(value) if value.dtype.kind == "f" else value
+        return _as_array(value) if value.dtype.kind == "f" else value
     if is_real and isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.integer):
         return value.astype(float)
     return value
+
+
+def _as_array(value: np.ndarray | np.generic) -> jax.Array:
+    """The array of JAX, rounded by NumPy and given with its dtype: otherwise JAX compiles a program for each shape."""
+    dtype = jax.dtypes.canonicalize_dtype(value.dtype)
+    return jnp.asarray(np.asarray(value, dtype), dtype)
 
 
 def _all_numbers(values: Any) -> bool:

@@ -6,7 +6,6 @@ MuJoCo compiles the model. MJX supplies the static data of constraints and conta
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 import copy
-import functools
 import hashlib
 from collections.abc import Sequence
 from typing import Any, Unpack
@@ -289,11 +288,12 @@ def load(
             f"such geoms to 0{remedy}"
         ) from error
     gravity = np.zeros(3) if mjcf.is_disabled(compiled, "GRAVITY") else compiled.opt.gravity
-    real = functools.partial(jnp.asarray, dtype=jnp.zeros(()).dtype)
+    real = jnp.zeros(()).dtype
     return RigidModel(
-        parameters={name: real(value) for name, value in parameters.items()},
-        gravity=real(gravity),
-        penalty=jax.tree.map(real, penalty),
+        # Converted by NumPy, and with a dtype: otherwise JAX compiles a program for each shape.
+        parameters={name: jnp.asarray(value.astype(real), real) for name, value in parameters.items()},
+        gravity=jnp.asarray(gravity.astype(real), real),
+        penalty=jax.tree.map(lambda value: jnp.asarray(value, real), penalty),
         static=static,
     )
 

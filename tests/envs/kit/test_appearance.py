@@ -24,13 +24,19 @@ FLOORS = {
 
 def first_frame(env):
     """A recording of the first moment."""
-    physics = env.reset(jax.random.key(0)).physics
+
+    @jax.jit
+    def seen(key):
+        physics = env.reset(key).physics
+        return physics, env.particles(physics), env.particle_values(physics)
+
+    physics, particles, values = jax.device_get(seen(jax.random.key(0)))
     return Recording(
         steps=np.zeros(1, int),
         rewards=np.zeros(0),
         status=np.zeros(0, int),
-        particles=np.asarray(env.particles(physics))[None],
-        values={name: np.asarray(value)[None] for name, value in env.particle_values(physics).items()},
+        particles=particles[None],
+        values={name: value[None] for name, value in values.items()},
         drawings=[jax.device_get(env.render_shapes(physics))],
         up=env.up,
         **env.appearance,
