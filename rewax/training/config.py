@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Annotated
 
-from rewax.agents.legal import AT_LEAST_2, Count, Natural, Seed, Share, check_fields
+from rewax.agents.legal import AT_LEAST_2, Count, Natural, NonNegative, Seed, Share, check_fields
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -16,6 +16,7 @@ class ReportConfig:
       eval_at_start: evaluate before the first iteration too.
       num_eval_episodes: number of episodes in each evaluation.
       checkpoint_every: iterations between checkpoints; 0: save at the end only. A checkpoint precedes each evaluation.
+      checkpoint_seconds: least time between these checkpoints [s]; one that would come earlier is left out.
       keep_checkpoints: number of newest checkpoints that are kept.
       baselines: also evaluate zero actions and random actions once, for comparison.
       plots: at the end draw the learning curve and the particles or bodies of an episode.
@@ -32,6 +33,7 @@ class ReportConfig:
     eval_at_start: bool = True
     num_eval_episodes: Count = 16
     checkpoint_every: Natural = 10
+    checkpoint_seconds: NonNegative = 0.0
     keep_checkpoints: Count = 3
     baselines: bool = True
     plots: bool = True

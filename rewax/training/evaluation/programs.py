@@ -52,11 +52,13 @@ class Programs:
         return self._recorder(train_state, key, name)
 
     def compile_in_background(self, train_state: Any, key: Key) -> None:
-        """Compile both programs in a thread, the evaluation first, for training states shaped like this one.
+        """Compile both programs in a thread, the evaluation first, for training states shaped like this one. Once.
 
         The recording is compiled only if plots are on and the environment can be drawn. A compilation error is raised
         at the program's first use.
         """
+        if self._thread is not None:
+            return
         self._evaluates.clear()
         self._thread = threading.Thread(target=self._compile, args=(train_state, key), name="rewax-programs")
         self._thread.start()

@@ -1,18 +1,45 @@
-"""Ahead-of-time compilation of ``train_step``, and its compiler options."""
+"""Ahead-of-time compilation of ``train_step``, its compiler options, and compiled programs kept from run to run."""
 
 import contextlib
 import gc
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from contextvars import ContextVar
+from typing import Any, TypeVar
 
 import jax
 from rich.console import Console
 
 from rewax import xla_options
 from rewax.agents.base import Agent
+from rewax.lowering import report
 from rewax.training.loop.devices import ONE_DEVICE, Placement
 from rewax.training.loop.progress import say
+
+T = TypeVar("T")
+
+_kept: ContextVar[dict[str, tuple[Any, Any]] | None] = ContextVar("kept", default=None)
+
+
+@contextlib.contextmanager
+def programs_kept() -> Iterator[None]:
+    """Inside, a run with the algorithm, options and environment of the run before uses its compiled programs."""
+    token = _kept.set({})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+
+
+def kept(what: str, key: Any, make: Callable[[], T]) -> T:
+    """``make()``, or inside ``programs_kept`` the last one of the same name, if its key is equal."""
+    store = _kept.get()
+    if store is None:
+        return make()
+    if what not in store or store[what][0] != key:
+        store.pop(what, None)  # its memory is free before the next program is made
+        store[what] = key, make()
+    return store[what][1]
 
 
 def compile_train_step(
@@ -31,17 +58,33 @@ def compile_train_step(
     Returns:
       The compiled function; it never traces again.
     """
-    without = _wants_quick(agent) and not xla_options.has_older_generator()
-    note = f" (quick_compile changes nothing: XLA of jax {jax.__version__} has no older generator)" if without else ""
-    say(console, f"compiling train_step ...{note}")
-    began = time.perf_counter()
-    with no_garbage_collection():
-        lowered = where.lowered(agent.train_step, train_state, donate=agent.consumes)
+    told: list[report.Decision] | None = None
+
+    def compiled() -> tuple[Any, list[report.Decision]]:
+        nonlocal told
+        without = _wants_quick(agent) and not xla_options.has_older_generator()
+        why = (
+            f" (quick_compile changes nothing: XLA of jax {jax.__version__} has no older generator)" if without else ""
+        )
+        say(console, f"compiling train_step ...{why}")
+        began = time.perf_counter()
+        with no_garbage_collection(), report.recorded() as told:
+            lowered = where.lowered(agent.train_step, train_state, donate=agent.consumes)
+            meanwhile()
+            program = lowered.compile(compiler_options(agent))
+        sharded = f", environments on {where.num_devices} devices" if where.shards(train_state) else ""
+        say(console, f"compiled in {time.perf_counter() - began:.1f} s{sharded}")
+        return program, told
+
+    leaves, structure = jax.tree.flatten(train_state)
+    shapes = tuple((jax.typeof(leaf), getattr(leaf, "sharding", None)) for leaf in leaves)
+    key = (agent.train_step, structure, shapes, where, agent.consumes, compiler_options(agent))
+    program, decisions = kept("train_step", key, compiled)
+    if told is None:
+        for decision in decisions:
+            report.note(*decision)
         meanwhile()
-        compiled = lowered.compile(compiler_options(agent))
-    sharded = f", environments on {where.num_devices} devices" if where.shards(train_state) else ""
-    say(console, f"compiled in {time.perf_counter() - began:.1f} s{sharded}")
-    return compiled
+    return program
 
 
 def compiler_options(agent: Agent) -> dict[str, Any]:
@@ -66,4 +109,4 @@ def no_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-__all__ = ["compile_train_step", "compiler_options", "no_garbage_collection"]
+__all__ = ["compile_train_step", "compiler_options", "kept", "no_garbage_collection", "programs_kept"]

@@ -80,6 +80,7 @@ class Run:
         self._healthy: int | None = checkpoint.latest_step(run_dir)
         self._consumes, self._env_steps = agent.consumes, int(train_state.env_steps)
         self._progress: ProgressReport | None = None
+        self._saved_at = time.perf_counter()
 
     @property
     def iteration(self) -> int:
@@ -179,7 +180,8 @@ class Run:
         if not self.config.over(iteration, env_steps) and (reason := self.watch.reason()):
             self.failure = reason
             return
-        if self.config.checkpoint_every and iteration % self.config.checkpoint_every == 0:
+        due = self.config.checkpoint_every and iteration % self.config.checkpoint_every == 0
+        if due and time.perf_counter() - self._saved_at >= self.config.checkpoint_seconds:
             self.save()
         if self.evaluator.is_due(iteration):
             self.save()
@@ -196,6 +198,7 @@ class Run:
             protect = None if self.watch.healthy else self._healthy
             whole = self._leader.gathered(self.train_state)
             checkpoint.save(self.run_dir, whole, keep=self.config.keep_checkpoints, protect=protect)
+        self._saved_at = time.perf_counter()
         if self.watch.healthy:
             self._healthy = self.iteration
 

@@ -16,7 +16,7 @@ from rewax.envs.base import Env
 from rewax.lowering.report import recorded
 from rewax.training.config import ReportConfig, TrainConfig
 from rewax.training.evaluation.programs import Programs
-from rewax.training.loop.compilation import compile_train_step, compiler_options
+from rewax.training.loop.compilation import compile_train_step, compiler_options, kept
 from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, placement
 from rewax.training.loop.hosts import Leader, follow, leads, received
 from rewax.training.loop.interrupt import graceful_stop
@@ -99,7 +99,7 @@ def train(
         stop.before_exit = leave_nothing
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
-        programs = Programs(env, agent.policy, config, compiler_options(agent))
+        programs = _programs(agent, env, config)
         train_state, open_run = prepared(agent, env, config, describe, console, where, leader, programs)
         train_step, decisions = None, []
         if not config.over(int(train_state.iteration), int(train_state.env_steps)):
@@ -118,6 +118,13 @@ def train(
             return run.finish(stop)
         finally:
             run.close()
+
+
+def _programs(agent: Agent, env: Env, config: TrainConfig) -> Programs:
+    """The run's programs for evaluation and recording, or those of the run before; see ``programs_kept``."""
+    options = compiler_options(agent)
+    key = (id(env), agent.policy, config.num_eval_episodes, config.plots, options)
+    return kept("programs", key, lambda: Programs(env, agent.policy, config, options))
 
 
 def _meanwhile(programs: Programs, train_state: Any, config: TrainConfig) -> None:
@@ -186,7 +193,7 @@ def prepared(
         write_config(run_dir, {**description, "schedule": schedule})
         write_environment(run_dir)
         key = _evaluation_key(config)
-        known = programs or Programs(env, agent.policy, config, compiler_options(agent))
+        known = programs or _programs(agent, env, config)
         run = Run(agent, env, known, config, run_dir, key, train_state, console, leader)
         run.report_lost_rows(schedule)
         return run

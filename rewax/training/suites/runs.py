@@ -5,6 +5,8 @@ from another machine for example, is continued like any other.
 """
 
 import dataclasses
+import functools
+import itertools
 import json
 import math
 import time
@@ -18,8 +20,10 @@ import numpy as np
 from rich.console import Console
 
 from rewax.agents.registry import build_agent
+from rewax.envs.base import Env
 from rewax.training.config import TrainConfig
 from rewax.training.evaluation.episodes import constant_policy, make_evaluate, uniform_policy
+from rewax.training.loop.compilation import programs_kept
 from rewax.training.loop.progress import say
 from rewax.training.loop.train import train
 from rewax.training.storage import checkpoint
@@ -47,11 +51,19 @@ class Cell(NamedTuple):
 
 
 def cells(suite: Suite) -> Iterator[Cell]:
-    """All runs in their order: the first seed of each task and algorithm comes first."""
+    """All runs in the order of the table."""
     for seed in suite.seeds:
         for task in suite.tasks:
             for name in suite.algorithms:
                 yield Cell(task, name, seed)
+
+
+def in_turn(suite: Suite) -> list[Cell]:
+    """All runs in the order in which they are done: the first seed of everything, then the others of each algorithm on
+    each task, which share their compiled programs."""
+    first, *others = suite.seeds
+    pairs = [(task, name) for task in suite.tasks for name in suite.algorithms]
+    return [Cell(*pair, first) for pair in pairs] + [Cell(*pair, seed) for pair in pairs for seed in others]
 
 
 def run_suite(
@@ -77,25 +89,27 @@ def run_suite(
       ValueError: the suite has a wrong entry, or ``out_dir`` cannot be used or holds results of other options.
     """
     out_dir, part = Path(out_dir), suite if part is None else part
-    for cell in cells(suite):  # a wrong entry is refused before the first run
-        suite.config(cell.task, cell.algorithm)
+    for task, algorithm in itertools.product(suite.tasks, suite.algorithms):
+        suite.config(task, algorithm)  # a wrong entry is refused before the first run
     _claim(suite, out_dir)
     for task in part.tasks:
         _baselines(suite, task, out_dir)
-    everything, kept = list(cells(part)), read_results(out_dir)
-    for number, cell in enumerate(everything, start=1):
-        if read_result(cell.folder(out_dir)) or cell in kept:
-            continue
-        say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
-        try:
-            signum = _run(suite, cell, out_dir, console, devices)
-        except InUse:  # benchmarks side by side
-            say(console, "another process does this run: skipped")
-            continue
-        if signum:
-            say(console, f"stopped: the same command continues {out_dir}")
-            return signum
-        write_results(suite, rows(suite, out_dir), out_dir)
+    everything, known = in_turn(part), read_results(out_dir)
+    env_of = functools.lru_cache(maxsize=1)(suite.env)
+    with programs_kept():
+        for number, cell in enumerate(everything, start=1):
+            if read_result(cell.folder(out_dir)) or cell in known:
+                continue
+            say(console, f"run {number} of {len(everything)}: {cell.algorithm} on {cell.task}, seed {cell.seed}")
+            try:
+                signum = _run(suite, cell, env_of(cell.task), out_dir, console, devices)
+            except InUse:  # benchmarks side by side
+                say(console, "another process does this run: skipped")
+                continue
+            if signum:
+                say(console, f"stopped: the same command continues {out_dir}")
+                return signum
+            write_results(suite, rows(suite, out_dir), out_dir, pictures=(cell.task,))
     for sentence in write_results(suite, rows(suite, out_dir), out_dir):
         say(console, sentence)
     return 0
@@ -143,9 +157,9 @@ def read_result(folder: Path) -> dict[str, Any]:
     return result if whole else {}
 
 
-def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int) -> int:
+def _run(suite: Suite, cell: Cell, env: Env, out_dir: Path, console: Console, devices: int) -> int:
     """Do one run, from its newest checkpoint if it has one; returns the signal that stopped it."""
-    folder, env = cell.folder(out_dir), suite.env(cell.task)
+    folder = cell.folder(out_dir)
     config = suite.config(cell.task, cell.algorithm)
     in_one = config.steps_in(env) if hasattr(config, "steps_in") else config.horizon
     per_iteration = config.num_envs * in_one
@@ -162,7 +176,8 @@ def _run(suite: Suite, cell: Cell, out_dir: Path, console: Console, devices: int
         num_eval_episodes=suite.num_eval_episodes,
         eval_every=0,
         # A replay buffer is large, and every checkpoint holds it.
-        checkpoint_every=max(10, config.num_iterations // 10) if agent.consumes else 10,
+        checkpoint_every=max(10, config.num_iterations // 10) if agent.consumes else 1,
+        checkpoint_seconds=30.0,
         keep_checkpoints=1 if agent.consumes else 3,
         baselines=False,
         plots=False,

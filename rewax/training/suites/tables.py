@@ -98,24 +98,28 @@ PAPER: dict[str, dict[str, str]] = {
 """Returns at scale ``paper`` with sampled actions, mean and 95 % interval over ten seeds (tables 2 and 3)."""
 
 
-def write_results(suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path) -> list[str]:
+def write_results(
+    suite: Suite, rows: Sequence[dict[str, Any]], out_dir: Path, *, pictures: Sequence[str] | None = None
+) -> list[str]:
     """Write ``results.csv``, ``curves.csv``, ``table.md`` and one ``<task>.png`` per task.
 
     Args:
       suite: the suite that was run.
       rows: the result of ``runs.rows``.
       out_dir: folder of the files.
+      pictures: tasks whose pictures are drawn; by default all.
 
     Returns:
       A sentence about each file.
     """
     out_dir.mkdir(parents=True, exist_ok=True)
+    pictures = suite.tasks if pictures is None else pictures
     curves = _curves(rows, out_dir)
     texts = {"results.csv": results_csv(rows), "curves.csv": _curves_csv(curves), "table.md": markdown(suite, rows)}
     for name, text in texts.items():
         with replacing(out_dir / name) as unfinished:
             unfinished.write_text(text)
-    return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, rows, curves, out_dir)
+    return [f"wrote {out_dir / name}" for name in texts] + _draw_curves(suite, pictures, rows, curves, out_dir)
 
 
 def read_results(out_dir: Path) -> dict[Run, dict[str, Any]]:
@@ -249,11 +253,13 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.1f}" if abs(value) >= 1 else f"{value:.2g}"
 
 
-def _draw_curves(suite: Suite, rows: Sequence[dict[str, Any]], curves: Mapping[Run, Curve], out_dir: Path) -> list[str]:
+def _draw_curves(
+    suite: Suite, tasks: Sequence[str], rows: Sequence[dict[str, Any]], curves: Mapping[Run, Curve], out_dir: Path
+) -> list[str]:
     from rewax.viz.curves import curves_with_intervals  # matplotlib is slow to import
 
     sentences = []
-    for task in suite.tasks:
+    for task in tasks:
         # All algorithms in the order of the suite, so that each has one colour in all pictures.
         drawn: dict[str, list[Curve]] = {name: [] for name in suite.algorithms}
         for (name, algorithm, _), curve in curves.items():

@@ -12,7 +12,9 @@ from rich.console import Console
 from rewax import xla_options
 from rewax.agents.config import RunConfig
 from rewax.jax_versions import numbers
-from rewax.training.loop.compilation import compile_train_step, compiler_options, no_garbage_collection
+from rewax.lowering import report
+from rewax.training.loop.compilation import compile_train_step, compiler_options, no_garbage_collection, programs_kept
+from rewax.training.loop.devices import Placement
 
 AGENT = toys.make_toy(toys.point_mass())
 QUICK = AGENT._replace(config=RunConfig(quick_compile=True))
@@ -67,3 +69,35 @@ def test_garbage_is_collected_again(enabled):
         assert gc.isenabled() == enabled
     finally:
         (gc.enable if was else gc.disable)()
+
+
+def test_an_equal_run_inside_programs_kept_uses_the_compiled_program():
+    console, begun = Console(file=io.StringIO(), width=200), []
+
+    def compiled(agent, seed):
+        return compile_train_step(
+            agent, agent.init(jax.random.key(seed)), console, meanwhile=lambda: begun.append(seed)
+        )
+
+    with programs_kept():
+        first = compiled(AGENT, 0)
+        assert compiled(AGENT, 1) is first and begun == [0, 1]
+        other = compiled(QUICK, 2)
+        assert other is not first and compiled(QUICK, 3) is other
+        assert compiled(AGENT, 4) is not first  # only the last one is kept
+    assert compiled(AGENT, 5) is not compiled(AGENT, 6)
+    assert console.file.getvalue().count("compiling train_step") == 5
+
+
+def test_a_kept_program_says_again_what_runs_in_cpp(monkeypatch):
+    def lowered(self, train_step, train_state, *, donate):
+        report.note("a.function", "value", None)
+        return jax.jit(train_step).lower(train_state)
+
+    monkeypatch.setattr(Placement, "lowered", lowered)
+    state = AGENT.init(jax.random.key(0))
+    with programs_kept():
+        for _ in range(2):
+            with report.recorded() as decisions:
+                compile_train_step(AGENT, state, Console(file=io.StringIO()))
+            assert [decision.function for decision in decisions] == ["a.function"]

@@ -138,3 +138,9 @@ def test_lines_have_only_new_counts_of_a_status_bit(monkeypatch):
         "status of all steps: INACTIVE_NODES in 49 steps",
     ]
     assert "remedy: a larger max_active_nodes" in lines[0] and "INACTIVE_NODES in 2 more steps" in lines[1]
+
+
+def test_checkpoints_can_be_a_time_apart(tmp_path):
+    run(tmp_path / "all", SOUND, SOUND_AGENT, num_iterations=4, keep_checkpoints=9)
+    run(tmp_path / "last", SOUND, SOUND_AGENT, num_iterations=4, keep_checkpoints=9, checkpoint_seconds=1e6)
+    assert checkpoint.steps(tmp_path / "all") == [1, 2, 3, 4] and checkpoint.steps(tmp_path / "last") == [4]

@@ -17,7 +17,7 @@ from rewax.agents.registry import Algorithm
 from rewax.envs import registry
 from rewax.training.storage.run_directory import hold
 from rewax.training.suites import runs as bench
-from rewax.training.suites.runs import Cell, read_result, run_suite
+from rewax.training.suites.runs import Cell, in_turn, read_result, run_suite
 from rewax.training.suites.suite import Suite
 from rewax.training.suites.tables import COLUMNS, markdown, read_results
 
@@ -64,6 +64,11 @@ def test_a_suite_leaves_a_table_a_csv_and_curves(suite, tmp_path):
     (tmp_path / "old" / "results.csv").write_text(older)
     assert read_results(tmp_path / "old")["A", "sapo", 0]["seconds"] == 3.0
     assert (tmp_path / "PointMass.png").stat().st_size > 5000
+
+
+def test_the_first_seed_of_everything_comes_first_and_then_those_that_share_programs(suite):
+    order = [(cell.algorithm, cell.seed) for cell in in_turn(dataclasses.replace(suite, seeds=(0, 1, 2)))]
+    assert order == [("calm", 0), ("wild", 0), ("calm", 1), ("calm", 2), ("wild", 1), ("wild", 2)]
 
 
 def test_what_is_done_is_skipped_and_the_rest_continued(suite, tmp_path, monkeypatch):
