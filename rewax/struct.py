@@ -138,7 +138,7 @@ def _as_leaf(value: Any, is_real: bool) -> Any:
 def _as_array(value: np.ndarray | np.generic) -> jax.Array:
     """The array of JAX, rounded by NumPy and given with its dtype: otherwise JAX compiles a program for each shape."""
     dtype = jax.dtypes.canonicalize_dtype(value.dtype)
-    return jnp.asarray(np.asarray(value, dtype), dtype)
+    return jnp.asarray(np.array(value, dtype), dtype)  # a copy, because JAX may share the memory
 
 
 def _all_numbers(values: Any) -> bool:

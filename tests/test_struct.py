@@ -78,6 +78,15 @@ def test_numbers_become_leaves():
     assert isinstance(ball.replace(radius=3).radius, jax.Array)
 
 
+def test_arrays_do_not_share_memory_with_numpys():
+    """JAX shares that of about every third array with its dtype."""
+    given = [np.ones(size, np.float32) for size in (3, 16, 64, 1000) for _ in range(10)]
+    kept = [make(1)(size=array) for array in given]
+    for array in given:
+        array[0] = 5.0
+    assert all(float(one.size[0]) == 1.0 for one in kept)
+
+
 def test_a_bare_number_has_a_derivative():
     slope = jax.grad(lambda ball: ball.radius**2, allow_int=True)(Ball(radius=3, tag=None))
     assert float(slope.radius) == 6.0
