@@ -99,8 +99,9 @@ def _listed(module: object, argv: list[str]) -> Iterator[str]:
         os.environ.pop("COLUMNS")
         if width is not None:
             os.environ["COLUMNS"] = width
-    for line in re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue()).splitlines():
-        first = re.match(r"[│ ]*((?:-h, )?--[\w.-]+(?: \S+)*(?:, --[\w.-]+)*)", line)
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", text.getvalue())
+    for cell in re.split(r"[│\n]| {3,}", plain):  # the help may put two boxes side by side
+        first = re.match(r" *((?:-h, )?--[\w.-]+(?: \S+)*(?:, --[\w.-]+)*)", cell)
         if first:
             yield from re.findall(r"--[a-z][\w.-]*", re.split(r"  ", first[1])[0])
 
