@@ -17,6 +17,7 @@ from rewax.training.loop.compilation import compile_train_step, compiler_options
 from rewax.training.loop.devices import Placement
 
 AGENT = toys.make_toy(toys.point_mass())
+OTHER = toys.make_toy(toys.point_mass(), noise=0.5)
 QUICK = AGENT._replace(config=RunConfig(quick_compile=True))
 
 
@@ -82,8 +83,8 @@ def test_an_equal_run_inside_programs_kept_uses_the_compiled_program():
     with programs_kept():
         first = compiled(AGENT, 0)
         assert compiled(AGENT, 1) is first and begun == [0, 1]
-        other = compiled(QUICK, 2)
-        assert other is not first and compiled(QUICK, 3) is other
+        other = compiled(OTHER, 2)
+        assert other is not first and compiled(OTHER, 3) is other
         assert compiled(AGENT, 4) is not first  # only the last one is kept
     assert compiled(AGENT, 5) is not compiled(AGENT, 6)
     assert console.file.getvalue().count("compiling train_step") == 5
