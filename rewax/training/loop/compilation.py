@@ -31,15 +31,16 @@ def programs_kept() -> Iterator[None]:
         _kept.reset(token)
 
 
-def kept(what: str, key: Any, make: Callable[[], T]) -> T:
-    """``make()``, or inside ``programs_kept`` the last one of the same name, if its key is equal."""
+def kept(what: str, key: Any, make: Callable[[], T]) -> tuple[T, bool]:
+    """``make()`` and False, or inside ``programs_kept`` the last one of the same name and True, if its key is equal."""
     store = _kept.get()
     if store is None:
-        return make()
-    if what not in store or store[what][0] != key:
-        store.pop(what, None)  # its memory is free before the next program is made
-        store[what] = key, make()
-    return store[what][1]
+        return make(), False
+    if what in store and store[what][0] == key:
+        return store[what][1], True
+    store.pop(what, None)  # its memory is free before the next program is made
+    store[what] = key, make()
+    return store[what][1], False
 
 
 def compile_train_step(
@@ -58,10 +59,8 @@ def compile_train_step(
     Returns:
       The compiled function; it never traces again.
     """
-    told: list[report.Decision] | None = None
 
     def compiled() -> tuple[Any, list[report.Decision]]:
-        nonlocal told
         without = _wants_quick(agent) and not xla_options.has_older_generator()
         why = (
             f" (quick_compile changes nothing: XLA of jax {jax.__version__} has no older generator)" if without else ""
@@ -79,8 +78,8 @@ def compile_train_step(
     leaves, structure = jax.tree.flatten(train_state)
     shapes = tuple((jax.typeof(leaf), getattr(leaf, "sharding", None)) for leaf in leaves)
     key = (agent.train_step, structure, shapes, where, agent.consumes, compiler_options(agent))
-    program, decisions = kept("train_step", key, compiled)
-    if told is None:
+    (program, decisions), again = kept("train_step", key, compiled)
+    if again:
         for decision in decisions:
             report.note(*decision)
         meanwhile()

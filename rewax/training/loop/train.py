@@ -124,7 +124,7 @@ def _programs(agent: Agent, env: Env, config: TrainConfig) -> Programs:
     """The run's programs for evaluation and recording, or those of the run before; see ``programs_kept``."""
     options = compiler_options(agent)
     key = (id(env), agent.policy, config.num_eval_episodes, config.plots, options)
-    return kept("programs", key, lambda: Programs(env, agent.policy, config, options))
+    return kept("programs", key, lambda: Programs(env, agent.policy, config, options))[0]
 
 
 def _meanwhile(programs: Programs, train_state: Any, config: TrainConfig) -> None:

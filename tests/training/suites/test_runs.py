@@ -15,6 +15,7 @@ from rich.console import Console
 from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
 from rewax.envs import registry
+from rewax.training.loop.compilation import kept
 from rewax.training.storage.run_directory import hold
 from rewax.training.suites import runs as bench
 from rewax.training.suites.runs import Cell, in_turn, read_result, run_suite
@@ -188,6 +189,20 @@ def test_every_run_is_sharded_over_as_many_devices_as_asked(suite, tmp_path, mon
     part = suite.only(tasks=suite.tasks[:1], algorithms=suite.algorithms[:1], seeds=suite.seeds[:1])
     assert bench.run_suite(suite, tmp_path, Console(file=io.StringIO()), part=part, devices=1) == 0
     assert asked == [1]
+
+
+def test_the_seeds_share_environment_and_programs(suite, tmp_path, monkeypatch):
+    real, envs, shared = bench.train, [], []
+
+    def noting(agent, env, config, **kwargs):
+        envs.append(env)
+        shared.append(kept("a program", agent.name, lambda: None)[1])
+        return real(agent, env, config, **kwargs)
+
+    monkeypatch.setattr(bench, "train", noting)
+    part = suite.only(tasks=suite.tasks, algorithms=suite.algorithms[:1], seeds=suite.seeds)
+    assert run_suite(suite, tmp_path, Console(file=io.StringIO()), part=part) == 0
+    assert shared == [False, True] and envs[0] is envs[1]
 
 
 def test_an_algorithm_with_shorter_iterations_gets_as_many_steps_as_the_others(suite, tmp_path, monkeypatch):
