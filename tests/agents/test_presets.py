@@ -4,7 +4,9 @@ import pytest
 
 from rewax.agents.presets import apg_preset, sapo_preset, shac_preset
 from rewax.agents.sapo import SAPOConfig
+from rewax.agents.shac import SHACConfig
 from rewax.envs import list_envs
+from rewax.training.suites.suite import read_suite
 
 
 @pytest.mark.parametrize("scale", ["paper", "small"])
@@ -35,3 +37,19 @@ def test_other_algorithms_take_over_the_limit_of_each_environments_gradient():
     limit = sapo_preset("FluidMove", "small").max_env_grad_norm
     assert limit is not None
     assert [preset("FluidMove", "small").max_env_grad_norm for preset in (shac_preset, apg_preset)] == [limit, limit]
+
+
+ACTOR = ("activation", "initial_gain", "state_dependent_std")
+
+
+def test_shac_has_sapos_actor_in_short_runs_and_the_papers_settings_elsewhere():
+    sapo, short = sapo_preset("RollingFlat", "small"), shac_preset("RollingFlat", "small")
+    papers = SHACConfig()
+    assert [getattr(short, name) for name in ACTOR] == [getattr(sapo, name) for name in ACTOR]
+    assert short.target_decay == 0.2
+    ablations = read_suite("ablations")
+    for config in (shac_preset("RollingFlat", "paper"), ablations.config("HandFlip", "shac")):
+        for name in (*ACTOR, "target_decay"):
+            assert getattr(config, name) == getattr(papers, name), name
+    assert shac_preset("HalfCheetah", "small").target_decay == papers.target_decay
+    assert shac_preset("AntRun", "paper").target_decay == 0.2
