@@ -31,21 +31,29 @@ def modes(task: str, config) -> jax.Array:
     return jax.jit(jax.vmap(of_seed))(jax.random.split(jax.random.key(1), SEEDS))
 
 
+def actors(task: str, name: str) -> list:
+    """Configurations whose new policies differ: the preset, the defaults of the actor, and these with gain 1."""
+    known = algorithm(name)
+    preset, default = known.preset(task, "small"), known.config_type()
+    defaults = dataclasses.replace(preset, activation=default.activation, initial_gain=default.initial_gain)
+    return list(dict.fromkeys([preset, defaults, dataclasses.replace(defaults, initial_gain=1.0)]))
+
+
 def main() -> None:
-    """One line for each task and algorithm, and each with gain 1."""
+    """One line for each task, algorithm and configuration of its actor."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tasks", nargs="+", default=["RollingFlat"])
     parser.add_argument("--algorithms", nargs="+", default=["sapo", "shac"])
     args = parser.parse_args()
-    print("task algorithm gain  |mode| > 0.9  mean slope  least mean slope of a seed")
+    print("task algorithm activation gain  |mode| > 0.9  mean slope  least mean slope of a seed")
     for task in args.tasks:
         for name in args.algorithms:
-            preset = algorithm(name).preset(task, "small")
-            for gain in sorted({preset.initial_gain, 1.0}):
-                mode = modes(task, dataclasses.replace(preset, initial_gain=gain))
+            for config in actors(task, name):
+                mode = modes(task, config)
                 slope = 1.0 - mode**2
                 saturated, least = jnp.mean(jnp.abs(mode) > 0.9), slope.mean(axis=(1, 2)).min()
-                print(f"{task} {name} {gain:.2f}  {saturated:.2f}  {slope.mean():.2f}  {least:.2f}", flush=True)
+                kind = f"{config.activation} {config.initial_gain:.2f}"
+                print(f"{task} {name} {kind}  {saturated:.2f}  {slope.mean():.2f}  {least:.2f}", flush=True)
 
 
 if __name__ == "__main__":
