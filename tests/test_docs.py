@@ -20,6 +20,7 @@ import rewax
 from rewax.cli.main import COMMANDS
 from rewax.physics.mpm import transfer_cpp
 from rewax.testing import check_agent
+from rewax.training.storage.description import plain
 from rewax.training.suites.suite import read_suite
 from rewax.viz.curves import CURVE_COLORS
 
@@ -376,6 +377,10 @@ def test_the_page_of_a_suite_shows_its_results(suite, page):
         names["filled"](text, read_suite(suite), folder, page) == text and f"| {read_suite(suite).tasks[0]} |" in text
     )
     assert (folder / "table.md").read_text() in text
+    for name, options in json.loads(
+        (folder / "suite.json").read_text()
+    ).items():  # else `rewax bench` does not go on here
+        assert plain(getattr(read_suite(suite), name)) == options, name
     table = list(csv.DictReader((folder / "curves.csv").read_text().splitlines()))
     for picture in folder.glob("*.png"):  # its curves must be told apart, however small the file was made
         image = Image.open(picture).convert("RGB")
