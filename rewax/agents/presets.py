@@ -138,7 +138,7 @@ _SHORT_RUNS: dict[str, Value] = {
     "state_dependent_std": True,
     "target_decay": 0.2,
 }
-"""SHAC in runs of 60 to 160 iterations: SAPO's actor, and a target network that follows within a few iterations."""
+"""SHAC in runs of a few hundred iterations: SAPO's actor, and a target network that follows within a few iterations."""
 _LARGE_RETURNS: dict[str, dict[str, Value]] = {
     "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
 }
