@@ -145,9 +145,8 @@ _LARGE_RETURNS: dict[str, dict[str, Value]] = {
 """Tasks with discounted returns of thousands. Without normalised rewards SAC starts slowly on them."""
 _LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
 """Tasks with chaotic episodes: a sequence of actions needs a small learning rate."""
-
-
 _RIGID = (*_LOCOMOTION, "HandReorient")
+"""Tasks where SHAC has the paper's settings at both scales."""
 
 
 def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
@@ -162,7 +161,11 @@ def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
 
 
 def shac_preset(env_name: str, scale: str) -> SHACConfig:
-    """Hyper-parameters of SHAC; see ``sapo_preset``. Fast critics have a target network that follows fast."""
+    """Hyper-parameters of SHAC; see ``sapo_preset``.
+
+    Fast critics have a target network that follows fast. So have all tasks at ``small`` that are not known as rigid;
+    there the actor is SAPO's.
+    """
     changes: dict[str, Value] = {}
     if scale == "small" and env_name not in _RIGID:
         changes |= _SHORT_RUNS
