@@ -178,12 +178,16 @@ class ActorCritic(Actor[C]):
 
 
 def make_actor(env: Env, config: P) -> Actor[P]:
-    """Policy network and optimizer for an environment. Only the environment's specs are used."""
+    """Policy network and optimizer for an environment. Only the environment's specs are used.
+
+    Raises:
+      ValueError: actions are not bounded by -1 and 1, or ``observe`` names what the environment does not observe.
+    """
     return Actor(config, _network(env, config), env.action_spec.shape[0], env.observation_spec)
 
 
 def make_actor_critic(env: Env, config: C) -> ActorCritic[C]:
-    """Networks and optimizers for an environment. Only the environment's specs are used."""
+    """Networks and optimizers for an environment; errors as for ``make_actor``."""
     _check_names("critic_observe", config.critic_observe, env)
     sizes = (config.critic_widths, config.num_critics)
     activation = ACTIVATIONS[config.activation]
@@ -242,7 +246,18 @@ def _check_names(option: str, names: tuple[str, ...], env: Env) -> None:
             )
 
 
+def _check_bounds(env: Env) -> None:
+    """Raises ValueError unless actions lie in [-1, 1], as the tanh of a policy does."""
+    low, high = env.action_spec.low, env.action_spec.high
+    if (low, high) != (-1.0, 1.0):
+        raise ValueError(
+            f"action_spec has the bounds {low} and {high}, but policies act in [-1, 1]: give it the bounds -1 and 1, "
+            "and scale the action in step"
+        )
+
+
 def _network(env: Env, config: AnyPolicyConfig) -> GaussianActor:
+    _check_bounds(env)
     if config.memory and MEMORY in config.observe:
         raise ValueError(f"observe has {MEMORY!r}, the policy's own memory, which it always sees: leave it out")
     _check_names("observe", config.observe, env)

@@ -6,7 +6,7 @@ subclasses one of these and adds options and defaults of its own. The type of an
 """
 
 import dataclasses
-from typing import Annotated, ClassVar, Literal, Self, TypeAlias, TypedDict
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, TypedDict
 
 from rewax.agents.legal import (
     COUNT,
@@ -90,6 +90,11 @@ class RunConfig:
     def steps_in(self, env: Env) -> int:
         """Control steps of one environment in one iteration."""
         return self.horizon or env.episode_length
+
+
+def steps_in(config: Any, env: Env) -> int:
+    """Control steps of one environment per iteration; the horizon for a configuration that is no ``RunConfig``."""
+    return config.steps_in(env) if hasattr(config, "steps_in") else config.horizon
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -139,15 +139,15 @@ def train_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[De
         functools.partial(demonstration_step, config),
         functools.partial(sapo.train_step, config.second_phase(env)),
     )
-    known = [jax.eval_shape(phase, state)[1] for phase in phases]
-    everything = {name: shape for metrics in known for name, shape in metrics.items()}
+    first, second = (jax.eval_shape(phase, state)[1] for phase in phases)
+    everything = {**first, **second}
 
     def completed(phase: Phase, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
         new, metrics = phase(state)
-        return new, {name: metrics[name] if name in metrics else _absent(s) for name, s in everything.items()}
+        return new, {name: metrics.get(name, _absent(s)).astype(s.dtype) for name, s in everything.items()}
 
-    first, second = (functools.partial(completed, phase) for phase in phases)
-    return jax.lax.cond(state.iteration < config.demonstrations(env), first, second, state)
+    branches = (functools.partial(completed, phase) for phase in phases)
+    return jax.lax.cond(state.iteration < config.demonstrations(env), *branches, state)
 
 
 def demonstration_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:

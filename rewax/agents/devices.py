@@ -21,9 +21,9 @@ AXIS = "envs"
 """Name of the mesh axis, also for ``jax.lax.psum``."""
 
 
-def mesh_of(devices: Sequence[object]) -> Mesh:
-    """A mesh of the given devices, over which environments are sharded."""
-    return Mesh(np.asarray(devices), (AXIS,), axis_types=(AxisType.Auto,))
+def mesh_of(devices: Sequence[object], axis: str = AXIS) -> Mesh:
+    """A mesh of the given devices with one axis; over ``AXIS`` environments are sharded."""
+    return Mesh(np.asarray(devices), (axis,), axis_types=(AxisType.Auto,))
 
 
 def num_shards() -> int:

@@ -194,4 +194,4 @@ def step_weights(config: IVWConfig, variance: Array) -> Array:
 
 def discounts(config: SAPOConfig) -> Array:
     """discount^t of each step of a rollout, shape (T,)."""
-    return config.discount ** jnp.arange(config.horizon, dtype=jnp.float32)
+    return config.discount ** jnp.arange(config.horizon, dtype=float)

@@ -160,7 +160,7 @@ def init(config: PPOConfig, leaves: EnvLeaves, key: Key) -> PPOState:
         actor_opt=networks.optimizer(1.0).init((actor_params, critic_params)),
         critic_params=critic_params,
         value_statistics=init_statistics({"value": ArraySpec(())}),
-        learning_rate=jnp.full((), config.actor_learning_rate),
+        learning_rate=jnp.full((), float(config.actor_learning_rate)),
     )
 
 

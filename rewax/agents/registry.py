@@ -4,6 +4,7 @@ import dataclasses
 import difflib
 import functools
 import importlib
+import keyword
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -79,17 +80,28 @@ _ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
     "apg_full": _own("apg", "APGConfig", "apg_full"),
 }
 
+_OPTIONS = (
+    "env", "scale", "env_from", "env_from_values", "sensors", "resolution", "algo", "imports", "seed", "num_seeds",
+    "steps", "run_dir", "resume", "init_from", "devices", "distributed", "train",
+)  # fmt: skip
+"""Options of ``rewax train`` that are not an algorithm's."""
+
 
 def register_algorithm(name: str, algorithm: Algorithm) -> None:
     """Register an algorithm for the command line and ``load_run``.
 
     Args:
-      name: its name; must equal ``Agent.name`` of the agents it makes.
+      name: its name; must equal ``Agent.name`` of the agents it makes. Options of the command line begin with it, so
+        it is an identifier of Python.
       algorithm: how to make it.
 
     Raises:
-      ValueError: the name is taken by another algorithm.
+      ValueError: the name is no identifier, or is taken by another algorithm or by an option.
     """
+    if not (isinstance(name, str) and name.isidentifier()) or keyword.iskeyword(name):
+        raise ValueError(f"name is {name!r}: use letters, digits and _, because options begin with it")
+    if name in _OPTIONS:
+        raise ValueError(f"the name {name!r} is that of an option of rewax train: choose another name")
     if not isinstance(algorithm, Algorithm):
         raise ValueError(f"algorithm is {algorithm!r}: give an Algorithm(make=..., config_type=..., preset=...)")
     if name in _ALGORITHMS and _ALGORITHMS[name]() != algorithm:

@@ -16,6 +16,7 @@ from rewax.agents.legal import Count, Natural, Seed
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.record import task
 from rewax.cli.train import quiet
+from rewax.envs.registry import recipe
 
 Unknowns: TypeAlias = tyro.conf.UseAppendAction[
     Annotated[tuple[str, ...], tyro.conf.arg(name="unknown", metavar="PARAMETER=LOW,HIGH")]
@@ -93,7 +94,7 @@ def run(argv: Sequence[str]) -> int:
         max_iterations=options.iterations, noise=options.noise, seed=options.seed, limit=options.limit,
         progress=console.print,
     )  # fmt: skip
-    found = dataclasses.replace(found, made_by=getattr(env, "made_by", None))
+    found = dataclasses.replace(found, made_by=recipe(env))
     _print(console, found)
     console.print(f"wrote {found.save(out)}")
     if options.picture:

@@ -12,6 +12,7 @@ import tyro
 from rewax.agents.legal import Count, Natural, Seed
 from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
+from rewax.envs.registry import recipe
 
 Settings: TypeAlias = tyro.conf.UseAppendAction[
     Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="PARAMETER=VALUE")]
@@ -36,7 +37,7 @@ class Options:
       occlusion: share of the seen body that is hidden.
       settings: value of a physical parameter, repeated. youngs_modulus stands for the one parameter whose name ends so.
       num_substeps: substeps of a control step; 0: those of the environment.
-      seed: of the reset, the policy, noise and occlusion.
+      seed: of the reset, noise and occlusion.
       imports: module or .py file that registers environments.
     """
 
@@ -86,7 +87,7 @@ def run(argv: Sequence[str]) -> int:
     made = record(
         moved, _script(options, env, saved), jax.random.key(options.seed), num_steps=options.steps, every=options.every,
         noise=options.noise, occlusion=options.occlusion, num_points=options.points,
-        source=json.dumps({**getattr(env, "made_by", {}), "values": values}),
+        source=json.dumps({**(recipe(env) or {}), "values": values}),
     )  # fmt: skip
     path = save(made, options.out)
     print(

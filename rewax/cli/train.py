@@ -7,12 +7,14 @@ import dataclasses
 import logging
 import math
 import os
+import re
 from collections.abc import Sequence
 from typing import Any
 
 import tyro
 from rich.console import Console
 
+from rewax.agents.config import steps_in
 from rewax.agents.legal import NATURAL, Count, Natural, Seed
 from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
@@ -22,6 +24,7 @@ from rewax.envs.registry import default_scale
 
 _PROG = "rewax train"
 _FAILED_RUN = 1
+_OPTION = re.compile(r"^--[^=]+")
 
 
 def run(argv: Sequence[str]) -> int:
@@ -170,7 +173,10 @@ def quiet() -> None:
 
 
 def _look_ahead(argv: Sequence[str]) -> Any:
-    """Options that the defaults of the others depend on: ``env``, ``scale``, ``algo``, ``imports`` and so on."""
+    """Options that the defaults of the others depend on: ``env``, ``scale``, ``algo``, ``imports`` and so on.
+
+    As everywhere, their names may have ``_`` instead of ``-``.
+    """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--env", default=None)
     parser.add_argument("--env-from", default="")
@@ -184,10 +190,10 @@ def _look_ahead(argv: Sequence[str]) -> Any:
     parser.add_argument("--import", dest="imports", action="append", default=[])
     parser.add_argument("--run-dir", default=None)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--num-seeds", "--num_seeds", type=int, default=1)
+    parser.add_argument("--num-seeds", type=int, default=1)
     parser.add_argument("--resume", action="store_true")
     try:
-        known, _ = parser.parse_known_args(list(argv))
+        known, _ = parser.parse_known_args([_OPTION.sub(lambda name: name[0].replace("_", "-"), word) for word in argv])
     except argparse.ArgumentError as error:
         raise ValueError(f"{error}; {_PROG} --help lists the options") from None
     return known
@@ -282,8 +288,8 @@ def _options(first: Any, scale: str, agent_config: Any) -> type:
       run_dir: directory of the run, by default runs/<env>-<scale>[-<algo>]-<seed>.
       resume: continue the run in run-dir from its newest checkpoint.
       init_from: directory of a run of the same algorithm: start with its networks, temperature and statistics.
-      devices: number of devices (on a CPU: cores) that the environments are sharded over; 0: the largest number that
-        divides the number of environments.
+      devices: number of devices (on a CPU: cores) that the environments, or several seeds, are sharded over; 0: the
+        largest number that divides their number.
       distributed: train with several processes, on one machine or many; each is started with this command and
         JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID, or by Slurm or MPI.
     """
@@ -303,8 +309,7 @@ def _description(name: str, env_name: str, scale: str) -> str:
 
 def _length(agent_config: Any, env: Any, steps: int | None) -> tuple[Any, int, int]:
     """The agent's configuration, the number of iterations and of control steps; ``steps`` overrides the preset."""
-    in_one = agent_config.steps_in(env) if hasattr(agent_config, "steps_in") else agent_config.horizon
-    per_iteration = agent_config.num_envs * in_one
+    per_iteration = agent_config.num_envs * steps_in(agent_config, env)
     if steps is None:
         return agent_config, agent_config.num_iterations, agent_config.num_iterations * per_iteration
     num_iterations = math.ceil(steps / per_iteration)

@@ -3,12 +3,14 @@
 import difflib
 import importlib
 import inspect
+import json
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import jax
+import numpy as np
 
 from rewax import jax_versions
 from rewax.envs.base import Env
@@ -102,8 +104,18 @@ def make(
         from rewax.envs.named_sensors import with_sensors
 
         env = with_sensors(env, **sensing)
-    _attach(env, {"env": name, "scale": scale, "kwargs": kwargs})
+    _attach(env, {"env": name, "scale": scale, "kwargs": {key: _plain(value) for key, value in kwargs.items()}})
     return env
+
+
+def recipe(env: Env) -> dict[str, Any] | None:
+    """``env.made_by``, or None if there is none that JSON can hold."""
+    made_by = getattr(env, "made_by", None)
+    try:
+        json.dumps(made_by)
+    except (TypeError, ValueError):
+        return None
+    return made_by
 
 
 def factory_of(name: str, scale: Scale | None = None) -> Callable[..., Env]:
@@ -207,12 +219,20 @@ def _call(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> E
         raise
 
 
-def _attach(env: Env, recipe: dict[str, Any]) -> None:
+def _plain(value: Any) -> Any:
+    """A number of Python for one of NumPy, or for a concrete scalar of JAX."""
+    if not isinstance(value, (np.generic, np.ndarray, jax.Array)) or isinstance(value, jax.core.Tracer):
+        return value
+    is_number = any(jax.dtypes.issubdtype(value.dtype, kind) for kind in (np.number, np.bool_))
+    return value.item() if np.ndim(value) == 0 and is_number else value
+
+
+def _attach(env: Env, made_by: dict[str, Any]) -> None:
     """Set ``made_by`` on an environment, also on a frozen one. Objects that take no attributes get none."""
     try:
-        object.__setattr__(env, "made_by", recipe)
+        object.__setattr__(env, "made_by", made_by)
     except AttributeError:
         return
 
 
-__all__ = ["SCALES", "Factory", "Scale", "default_scale", "did_you_mean", "list_envs", "make", "register"]
+__all__ = ["SCALES", "Factory", "Scale", "default_scale", "did_you_mean", "list_envs", "make", "recipe", "register"]

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rewax.envs.registry import recipe
 from rewax.identify.records import Record, camera_numbers, cloud_of_depth
 from rewax.identify.simulate import points_of, without_reset_noise
 from rewax.physics.rigid import RigidModel
@@ -52,7 +53,7 @@ def record(
       ValueError: an option is illegal, or a step failed: the status is named.
     """
     _check_options(occlusion, noise, every)
-    source = source or json.dumps(getattr(env, "made_by", None))
+    source = source or json.dumps(recipe(env))
     env = without_reset_noise(env)
     reset_key, policy_key, *_ = jax.random.split(key, 4)
     state = jax.jit(env.reset)(reset_key)

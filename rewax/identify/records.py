@@ -69,11 +69,12 @@ class Record:
 
 
 def save(record: Record, path: str | Path) -> Path:
-    """Write a record, after its check; returns the path, which ends in ``.npz``."""
+    """Write a record, after its check; returns the path. ``.npz`` is appended to one that does not end so."""
     from rewax.identify.record_checks import check_record
 
     check_record(record)
-    path = Path(path).with_suffix(".npz")
+    path = Path(path)
+    path = path if path.suffix == ".npz" else path.with_name(f"{path.name}.npz")
     fields = dataclasses.asdict(record)
     arrays: dict[str, Any] = {name: np.asarray(value) for name, value in fields.items() if value is not None}
     with replacing(path) as unfinished:

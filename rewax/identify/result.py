@@ -10,6 +10,7 @@ import numpy as np
 
 from rewax.envs.randomize import LeafDraws, LogNormal, Normal, Scale, Shift, with_numbers
 from rewax.envs.randomize.stored import FORMAT, change_of, draws_of, read_result, told
+from rewax.envs.registry import recipe
 from rewax.identify.uncertainty import short
 from rewax.identify.unknowns import Space
 from rewax.whole_files import replacing
@@ -123,7 +124,7 @@ class Identified:
             )
         ]
         return {
-            "format": FORMAT, "made_by": self.made_by or getattr(self.env, "made_by", None), "values": self.values,
+            "format": FORMAT, "made_by": self.made_by or recipe(self.env), "values": self.values,
             "intervals": {name: list(ends) for name, ends in self.intervals.items()}, "unknowns": kept,
             "covariance": self.covariance.tolist(), "undetermined": self.undetermined, "remarks": self.remarks,
             "times": self.times.tolist(), "residual_by_frame": self.residual_by_frame.tolist(), "failed": self.failed,

@@ -5,6 +5,8 @@ from typing import Annotated
 
 from rewax.agents.legal import AT_LEAST_2, Count, Natural, NonNegative, Seed, Share, check_fields
 
+_MOST_STEPS = 2**31 - 1
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReportConfig:
@@ -65,7 +67,8 @@ class TrainConfig(ReportConfig):
       init_from: directory of another run: the new run starts with its networks, temperature and statistics;
         empty: none.
       devices: number of devices that the environments are sharded over; 0: the largest number of JAX's devices that
-        divides the number of environments. Checkpoints do not depend on it.
+        divides the number of environments. Several seeds are sharded instead (``train_seeds``). Checkpoints do not
+        depend on it.
     """
 
     num_iterations: Count
@@ -75,6 +78,11 @@ class TrainConfig(ReportConfig):
     init_from: str = ""
     devices: Natural = 0
     num_steps: Natural = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.num_steps > _MOST_STEPS:
+            raise ValueError(f"num_steps is {self.num_steps}: give at most {_MOST_STEPS}, which a run can count")
 
     def over(self, iteration: int, env_steps: int) -> bool:
         """Whether a run ends after this many iterations and control steps."""

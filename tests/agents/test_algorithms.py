@@ -6,9 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import toys
 from agent_cases import CASES, ENV, agent, assert_same_bits, raw, trained
 
-from rewax.agents.registry import algorithm, list_algorithms
+from rewax import struct
+from rewax.agents.registry import algorithm, list_algorithms, make_agent
+from rewax.envs.base import ArraySpec
 from rewax.status import Status
 from rewax.training.evaluation.episodes import make_evaluate
 from rewax.training.storage import checkpoint
@@ -98,3 +101,22 @@ def test_policies_answer_one_environment():
         state = agent(name).init(jax.random.key(0))
         action = agent(name).policy(state, {"x": jnp.array([1.0])}, jax.random.key(0), deterministic=True)
         assert action.shape == (1,) and np.all(np.abs(action) <= 1.0)
+
+
+@pytest.mark.parametrize("name", ["sapo_agpo", "sapo_from_demonstrations", "sapo_ivw"])
+def test_a_state_keeps_its_types_in_double_precision(name, x64):
+    case = CASES[name]
+    made = make_agent(case.name, toys.point_mass(), case.config)
+    state = jax.eval_shape(made.init, jax.random.key(0))
+    after, metrics = jax.eval_shape(made.train_step, state)
+    assert jax.tree.map(lambda leaf: leaf.dtype, after) == jax.tree.map(lambda leaf: leaf.dtype, state)
+    assert metrics["reward"].dtype == jnp.float64
+
+
+def test_actions_beyond_one_are_refused():
+    class Torque(toys.PointMass):
+        action_spec = ArraySpec((1,), -4.0, 4.0)
+
+    for name in ("sapo", "apg", "sac"):
+        with pytest.raises(ValueError, match=r"action_spec has the bounds -4.0 and 4.0, but policies act in \[-1, 1\]"):
+            make_agent(name, struct.dataclass(Torque)(gain=jnp.ones(())), CASES[name].config)

@@ -101,3 +101,8 @@ def test_every_sample_is_in_one_minibatch_and_keeps_its_fields_together():
     np.testing.assert_array_equal(np.sort(parts["a"].ravel()), np.arange(12.0))
     np.testing.assert_array_equal(parts["b"][..., 0], 2.0 * parts["a"])
     assert not np.array_equal(parts["a"].ravel(), np.arange(12.0))
+
+
+def test_an_integer_is_a_learning_rate():
+    config = dataclasses.replace(CASES["ppo"].config, actor_learning_rate=1)
+    assert jax.eval_shape(make_agent("ppo", ENV, config).init, jax.random.key(0)).learning_rate.dtype == jnp.float32

@@ -43,3 +43,8 @@ def test_an_algorithm_of_ones_own(monkeypatch):
         register_algorithm("other", make_sapo)
     with pytest.raises(ValueError, match="an algorithm named 'sapo' is registered already: choose another name"):
         register_algorithm("sapo", mine)
+    for name in ("my-sapo", "2apg", "lambda", ""):
+        with pytest.raises(ValueError, match=f"^name is '{name}': use letters, digits and _"):
+            register_algorithm(name, mine)
+    with pytest.raises(ValueError, match=r"the name 'seed' is that of an option of rewax train: choose another name"):
+        register_algorithm("seed", mine)

@@ -72,6 +72,13 @@ def test_values_found_become_the_environment(train, tmp_path):
     assert train("--env-from", path, "--env-from-values", "--env=PointMass", "--steps=24", "--resume")[0] == 0
 
 
+def test_names_of_options_may_have_underscores(train, tmp_path):
+    path = result(tmp_path / "push.json")
+    assert train(f"--env_from={path}", "--env_from_values", "--run_dir", "b", "--steps=12")[0] == 0
+    assert load_run("b").env.gain == jnp.float32(0.3)
+    assert train("--env=PointMass", "--run_dir=b", "--steps=24", "--resume")[0] == 0
+
+
 def test_seeds_side_by_side_and_directories_by_default_keep_their_parameters(train, tmp_path):
     path = result(tmp_path / "push.json")
     seeds = ["--env=PointMass", "--num-seeds=2", "--run-dir=b"]

@@ -17,6 +17,8 @@ from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
 from rewax.cli.main import main as command
 from rewax.envs import registry
+from rewax.training.config import TrainConfig
+from rewax.training.loop.train import train
 from rewax.training.storage.metrics import read_csv
 from rewax.training.storage.saved import load_run
 
@@ -171,6 +173,10 @@ def test_a_run_remembers_what_was_imported(main, tmp_path, monkeypatch):
     assert json.loads((tmp_path / "a" / "config.json").read_text())["imports"] == [
         {"name": "remembered", "folder": str(tmp_path)}
     ]
+    saved = load_run(tmp_path / "a")
+    options = {"num_iterations": 4, "run_dir": str(tmp_path / "a"), "plots": False, "tensorboard": False}
+    train(saved.agent, saved.env, TrainConfig(**options, eval_every=0, num_eval_episodes=1, resume=True))
+    assert {"imports", "seed"} <= set(json.loads((tmp_path / "a" / "config.json").read_text()))
     forget()
     (tmp_path / "remembered.py").unlink()
     with pytest.raises(ValueError, match=r"with --import of the module 'remembered' in .*, which is gone: put it back"):

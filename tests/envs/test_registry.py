@@ -1,5 +1,6 @@
 """Environments by name: options and their spelling, recipes, and what is imported when."""
 
+import json
 import subprocess
 import sys
 
@@ -106,6 +107,13 @@ def test_an_environment_knows_its_recipe_until_it_is_changed():
     assert not hasattr(env.replace(max_steps=3), "made_by")
     assert not hasattr(jax.tree.map(lambda leaf: leaf, env), "made_by")
     assert jax.tree.structure(env) == jax.tree.structure(jax.tree.map(lambda leaf: leaf, env))
+
+
+@pytest.mark.parametrize("four", [np.int64(4), np.float32(4.0), jnp.asarray(4)])
+def test_a_recipe_holds_numbers_that_json_takes(known, four):
+    assert rewax.make("Toy", length=four).made_by["kwargs"] == {"length": 4}
+    assert json.dumps(registry.recipe(rewax.make("Toy", length=four)))
+    assert registry.recipe(rewax.make("Toy", gain=np.ones(2))) is registry.recipe(toy(scale="small")) is None
 
 
 def test_made_by_holds_the_scale_that_the_device_chose(known):

@@ -53,6 +53,7 @@ def test_a_record_is_the_same_every_time_and_survives_its_file(env, seen, tmp_pa
     assert read.control_dt == seen.control_dt and '"env": "RollingFlat"' in read.source
     camera = camera_of(read.camera, near=0.1, far=2.0)
     assert (camera.height, camera.width, camera.field_of_view) == (64, 64, 32.0)
+    assert save(seen, tmp_path / "push_E0.5") == tmp_path / "push_E0.5.npz"
 
 
 def test_a_policy_may_move_the_tool_and_frames_may_be_rarer(env):

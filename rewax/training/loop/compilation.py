@@ -71,7 +71,7 @@ def compile_train_step(
             lowered = where.lowered(agent.train_step, train_state, donate=agent.consumes)
             meanwhile()
             program = lowered.compile(compiler_options(agent))
-        sharded = f", environments on {where.num_devices} devices" if where.shards(train_state) else ""
+        sharded = f", {where.what} on {where.num_devices} devices" if where.shards(train_state) else ""
         say(console, f"compiled in {time.perf_counter() - began:.1f} s{sharded}")
         return program, told
 

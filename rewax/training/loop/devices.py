@@ -1,13 +1,15 @@
-"""Placement of a training state: environments sharded over devices, everything else replicated."""
+"""Placement of a training state: its environments, or the seeds of several runs, are sharded over devices."""
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from rewax.agents.devices import AXIS, mesh_of
 from rewax.training.storage.leaves import is_key, to_numpy
+
+_SEEDS = "seeds"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,6 +20,7 @@ class Placement:
       mesh: None for one device.
     """
 
+    what: ClassVar[str] = "environments"
     mesh: Mesh | None
 
     @property
@@ -61,6 +64,42 @@ class Placement:
             return placed.lower(train_state)
 
 
+@dataclasses.dataclass(frozen=True)
+class SeedPlacement(Placement):
+    """Devices of several runs in one program: each device computes some of the seeds, the leading axis of all arrays.
+
+    Attributes:
+      mesh: None for one device.
+    """
+
+    what: ClassVar[str] = "seeds"
+
+    def shards(self, train_state: Any) -> bool:
+        """Whether there are several devices."""
+        return self.mesh is not None
+
+    def shardings(self, train_state: Any) -> Any:
+        """The sharding of each leaf of the stacked training states."""
+        assert self.mesh is not None
+        sharding = NamedSharding(self.mesh, PartitionSpec(_SEEDS))
+        return jax.tree.map(lambda _: sharding, train_state)
+
+    def lowered(self, train_step: Any, train_state: Any, *, donate: bool = False) -> jax.stages.Lowered:
+        """Lower ``train_step``, a function of stacked states, for placed states."""
+        if self.mesh is not None:
+            spec = PartitionSpec(_SEEDS)
+            train_step = jax.shard_map(train_step, mesh=self.mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        return jax.jit(train_step, donate_argnums=0 if donate else ()).lower(train_state)
+
+    def parts(self, tree: Any) -> list[Any]:
+        """The arrays that each device holds, in the order of the seeds."""
+        if self.mesh is None:
+            return [tree]
+        leaves, structure = jax.tree.flatten(tree)
+        shards = [sorted(leaf.addressable_shards, key=lambda shard: shard.index[0].start or 0) for leaf in leaves]
+        return [structure.unflatten([one.data for one in part]) for part in zip(*shards, strict=True)]
+
+
 def _own_part(leaf: Any, sharding: NamedSharding) -> Any:
     """This process's shard of an array that every process has in full."""
     numbers = to_numpy(leaf)
@@ -81,21 +120,32 @@ def placement(num_envs: int | None, wanted: int) -> Placement:
     Raises:
       ValueError: there are fewer devices, or they do not divide the environments.
     """
-    devices = jax.devices()
-    if wanted > len(devices):
-        kind = devices[0].platform
-        remedy = "; on a CPU set jax_num_cpu_devices before JAX computes anything" if kind == "cpu" else ""
-        raise ValueError(f"devices is {wanted}, but JAX has {len(devices)} ({kind}): ask for that many at most{remedy}")
-    if wanted > 1 and (num_envs is None or num_envs % wanted):
-        raise ValueError(f"devices is {wanted}, which does not divide num_envs {num_envs}: give a divisor of it, or 1")
-    most = 1 if num_envs is None else len(devices)
-    count = wanted or max(n for n in range(1, most + 1) if n == 1 or (num_envs or 0) % n == 0)
+    devices, count = jax.devices(), _count(num_envs, wanted, "num_envs")
     if jax.process_count() > 1 and count != len(devices):
         raise ValueError(
             f"{jax.process_count()} processes have {len(devices)} devices, which do not divide num_envs {num_envs} or "
             f"are not the {wanted or count} asked for: give --devices 0 and a multiple of {len(devices)} environments"
         )
     return Placement(None if count == 1 else mesh_of(devices[:count]))
+
+
+def seed_placement(num_seeds: int, wanted: int) -> SeedPlacement:
+    """The placement of several runs in one program; errors as for ``placement``."""
+    count = _count(num_seeds, wanted, "num_seeds")
+    return SeedPlacement(None if count == 1 else mesh_of(jax.devices()[:count], _SEEDS))
+
+
+def _count(parts: int | None, wanted: int, name: str) -> int:
+    """Number of devices for a number of equal parts; None: the parts are unknown."""
+    devices = jax.devices()
+    if wanted > len(devices):
+        kind = devices[0].platform
+        remedy = "; on a CPU set jax_num_cpu_devices before JAX computes anything" if kind == "cpu" else ""
+        raise ValueError(f"devices is {wanted}, but JAX has {len(devices)} ({kind}): ask for that many at most{remedy}")
+    if wanted > 1 and (parts is None or parts % wanted):
+        raise ValueError(f"devices is {wanted}, which does not divide {name} {parts}: give a divisor of it, or 1")
+    most = 1 if parts is None else len(devices)
+    return wanted or max(n for n in range(1, most + 1) if n == 1 or (parts or 0) % n == 0)
 
 
 def on_one_device(tree: Any) -> Any:
@@ -110,4 +160,4 @@ def on_one_device(tree: Any) -> Any:
     return tree if len(devices) <= 1 else jax.device_put(tree, min(devices, key=lambda device: device.id))
 
 
-__all__ = ["ONE_DEVICE", "Placement", "on_one_device", "placement"]
+__all__ = ["ONE_DEVICE", "Placement", "SeedPlacement", "on_one_device", "placement", "seed_placement"]

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 
+from rewax.agents.config import steps_in
 from rewax.envs.base import Env
 from rewax.training.loop.progress import duration
 
@@ -38,7 +39,7 @@ def cost_sentence(env: Env, agent_config: Any, num_steps: int) -> str:
         num_particles=count,
         num_substeps=inner.num_substeps,
         num_envs=agent_config.num_envs,
-        horizon=agent_config.steps_in(env),
+        horizon=steps_in(agent_config, env),
     )
     return f"{text}; about {peak / 1e9:.2g} GB of memory for the gradient"
 

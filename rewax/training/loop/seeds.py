@@ -15,10 +15,11 @@ from rewax.agents.base import Agent
 from rewax.envs.base import Env
 from rewax.training.config import TrainConfig
 from rewax.training.loop.compilation import compile_train_step
+from rewax.training.loop.devices import SeedPlacement, seed_placement
 from rewax.training.loop.interrupt import graceful_stop
 from rewax.training.loop.progress import say
 from rewax.training.loop.run import TrainResult
-from rewax.training.loop.train import FINISHING, prepared
+from rewax.training.loop.train import FINISHING, meanwhile, prepared, programs_of
 from rewax.training.storage.run_directory import full_disk_is_one_sentence, hold
 
 
@@ -33,11 +34,13 @@ def train_seeds(
     """Train one agent from several seeds at once: ``vmap(train_step)``, a run directory for each.
 
     Each seed's result equals that of a run by itself up to rounding, because a batched program adds in another order. A
-    seed that fails ends; the others continue.
+    seed that fails ends; the others continue. With several devices each computes some of the seeds, if their number
+    divides that of the seeds.
 
     Args:
       agent, env, describe, console: as for ``train``.
-      configs: equal except for ``seed`` and ``run_dir``.
+      configs: equal except for ``seed`` and ``run_dir``. ``devices`` is the number of devices that the seeds are
+        sharded over.
 
     Raises:
       ValueError: as for ``train``; or the resumed runs have done different numbers of iterations.
@@ -55,21 +58,23 @@ def train_seeds(
         )
         stop.before_exit = lambda: [leave_nothing() for leave_nothing in made]
         stop.at_once = "stopped before the first iteration: nothing was trained"
-        ready = [prepared(agent, env, config, describe, console) for config in configs]
+        where = seed_placement(len(configs), configs[0].devices)
+        programs = programs_of(agent, env, configs[0])
+        ready = [prepared(agent, env, config, describe, console, programs=programs) for config in configs]
         done = sorted({int(state.iteration) for state, _ in ready})
         if len(done) > 1:
             raise ValueError(
                 f"the runs of these seeds have done {done[0]} to {done[-1]} iterations: resume them one by one"
             )
-        states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state for state, _ in ready])
-        together = agent._replace(train_step=jax.jit(jax.vmap(agent.train_step), donate_argnums=0))
+        states = where.place(jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state for state, _ in ready]))
+        together = agent._replace(train_step=jax.vmap(agent.train_step), consumes=True)
         train_step: Any = None
         if any(
             not config.over(int(state.iteration), int(state.env_steps))
             for config, (state, _) in zip(configs, ready, strict=True)
         ):
-            train_step = compile_train_step(together, states, console)
-        separate = jax.jit(functools.partial(_separate, count=len(ready)))
+            begin = functools.partial(meanwhile, programs, ready[0][0], configs[0])
+            train_step = compile_train_step(together, states, console, where, begin)
         runs = [open_run() for _, open_run in ready]
         for run in runs:
             stack.callback(run.close)
@@ -83,7 +88,7 @@ def train_seeds(
                 began = time.perf_counter()
                 states, metrics = jax.block_until_ready(train_step(states))
                 metrics, seconds = jax.device_get(metrics), time.perf_counter() - began
-                for i, (run, state) in enumerate(zip(runs, separate(states), strict=True)):
+                for i, (run, state) in enumerate(zip(runs, _separate(where, states), strict=True)):
                     if not run.over:
                         run.take(state, {name: values[i] for name, values in metrics.items()}, seconds)
         finally:
@@ -93,9 +98,16 @@ def train_seeds(
         return [run.finish(stop) for run in runs]
 
 
-def _separate(states: Any, count: int) -> list[Any]:
-    """The training state of each seed. Compile it: on a GPU a dispatch per leaf takes as long as an iteration."""
-    return [jax.tree.map(lambda a, i=i: a[i], states) for i in range(count)]
+def _separate(where: SeedPlacement, states: Any) -> list[Any]:
+    """The training state of each seed, on the first device, which evaluates it."""
+    parts = [state for part in where.parts(states) for state in _unstacked(part)]
+    return parts if where.mesh is None else jax.device_put(parts, where.mesh.devices.flat[0])
+
+
+@jax.jit
+def _unstacked(states: Any) -> list[Any]:
+    """Compiled, because on a GPU a dispatch per leaf takes as long as an iteration."""
+    return [jax.tree.map(lambda a, i=i: a[i], states) for i in range(len(jax.tree.leaves(states)[0]))]
 
 
 __all__ = ["train_seeds"]

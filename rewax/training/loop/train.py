@@ -42,6 +42,8 @@ _NOTHING_TRAINED = "stopped before the first iteration: nothing was trained"
 _NOTHING_LOST = (
     "stopped before the first iteration: nothing was trained since the checkpoint, which --resume continues from"
 )
+_ANEW = ("env", "scale", "env_kwargs", "agent", "versions")
+"""Entries of ``config.json`` that a resumed run does not take over."""
 FINISHING = "everything trained is kept; finishing evaluation and pictures, once more to leave at once"
 
 
@@ -99,12 +101,12 @@ def train(
         stop.before_exit = leave_nothing
         stop.at_once = _NOTHING_LOST if config.resume else _NOTHING_KEPT
         where = placement(getattr(agent.config, "num_envs", None), config.devices)
-        programs = _programs(agent, env, config)
+        programs = programs_of(agent, env, config)
         train_state, open_run = prepared(agent, env, config, describe, console, where, leader, programs)
         train_step, decisions = None, []
         if not config.over(int(train_state.iteration), int(train_state.env_steps)):
             with recorded() as decisions:
-                begin = functools.partial(_meanwhile, programs, train_state, config)
+                begin = functools.partial(meanwhile, programs, train_state, config)
                 train_step = compile_train_step(agent, train_state, console, where, begin)
         if agent.consumes:
             programs.wait()  # the first iteration consumes the state that they are compiled with
@@ -120,14 +122,15 @@ def train(
             run.close()
 
 
-def _programs(agent: Agent, env: Env, config: TrainConfig) -> Programs:
+def programs_of(agent: Agent, env: Env, config: TrainConfig) -> Programs:
     """The run's programs for evaluation and recording, or those of the run before; see ``programs_kept``."""
     options = compiler_options(agent)
-    key = (id(env), agent.policy, config.num_eval_episodes, config.plots, options)
+    policy = (agent.name, agent.config) if agent.name else agent.policy  # bound methods of equal actors differ
+    key = (id(env), policy, config.num_eval_episodes, config.plots, options)
     return kept("programs", key, lambda: Programs(env, agent.policy, config, options))[0]
 
 
-def _meanwhile(programs: Programs, train_state: Any, config: TrainConfig) -> None:
+def meanwhile(programs: Programs, train_state: Any, config: TrainConfig) -> None:
     """Start threads that work while XLA compiles the train step: other programs, and a slow import."""
     programs.compile_in_background(on_one_device(train_state), _evaluation_key(config))
     if config.tensorboard:
@@ -190,10 +193,11 @@ def prepared(
     def open_run() -> Run:
         stored = read_config(run_dir) if config.resume else {}
         schedule = continued(stored, int(train_state.iteration), config)
-        write_config(run_dir, {**description, "schedule": schedule})
+        kept = {name: value for name, value in stored.items() if name not in _ANEW}
+        write_config(run_dir, {**kept, **description, "schedule": schedule})
         write_environment(run_dir)
         key = _evaluation_key(config)
-        known = programs or _programs(agent, env, config)
+        known = programs or programs_of(agent, env, config)
         run = Run(agent, env, known, config, run_dir, key, train_state, console, leader)
         run.report_lost_rows(schedule)
         return run
@@ -205,4 +209,4 @@ def _evaluation_key(config: TrainConfig) -> Key:
     return jax.random.fold_in(jax.random.key(config.seed), _EVALUATION_STREAM)
 
 
-__all__ = ["ReportConfig", "TrainConfig", "TrainResult", "prepared", "train"]
+__all__ = ["ReportConfig", "TrainConfig", "TrainResult", "meanwhile", "prepared", "programs_of", "train"]

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from rewax.envs.registry import recipe
 from rewax.lowering.report import Decision
 from rewax.whole_files import replacing
 
@@ -25,8 +26,8 @@ def describe_run(agent: Any, env: Any, given: Mapping[str, Any] | None = None) -
       env: ``env.made_by``, which ``rewax.make`` sets, becomes the entries ``env``, ``scale`` and ``env_kwargs``.
       given: further entries; they override those.
     """
-    made_by, described = getattr(env, "made_by", None), {}
-    if made_by and _is_json(made_by.get("kwargs", {})):
+    made_by, described = recipe(env), {}
+    if made_by:
         described = {"env": made_by["env"], "scale": made_by["scale"], "env_kwargs": dict(made_by.get("kwargs", {}))}
     if agent.name:
         described |= {"agent": agent.name, agent.name: agent.config}
@@ -135,14 +136,6 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") ->
         elif old[name] != new[name]:
             found.append((prefix + name, old[name], new[name]))
     return found
-
-
-def _is_json(value: Any) -> bool:
-    try:
-        json.dumps(value)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def _versions() -> dict[str, str]:

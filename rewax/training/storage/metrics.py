@@ -24,6 +24,8 @@ class CsvWriter:
 
     The first row determines the header. A resumed run appends to the existing file, after incomplete rows and rows of
     iterations after ``resume_at`` are removed. An existing file without a header is renamed to ``<name>.damaged``.
+    Names that are new since then become columns, empty in the old rows; names that are gone stay, empty in the new
+    rows.
 
     Args:
       path: path of the file.
@@ -45,6 +47,7 @@ class CsvWriter:
             self._path.replace(self._path.with_name(self._path.name + ".damaged"))
         with replacing(self._path) as unfinished:
             unfinished.write_text("".join(_line(row) for row in ([self._header] if self._header else []) + rows))
+        self._names: list[str] = []
         self._file = self._path.open("a", newline="")
 
     def write(self, iteration: int, values: Mapping[str, Any]) -> None:
@@ -55,22 +58,37 @@ class CsvWriter:
           values: scalars by name; every row needs the same names in the same order.
 
         Raises:
-          ValueError: the names or their order differ from the header.
+          ValueError: the names or their order differ from those of the first row written.
         """
-        header = ["iteration", *values]
-        if not self._header:
-            self._header = header
-            self._file.write(_line(header))
-        if header != self._header:
-            odd = sorted(set(header) ^ set(self._header)) or "their order"
-            raise ValueError(f"row {iteration} of {self._path} differs from the header in {odd}: keep one set of names")
-        self._file.write(_line([str(iteration), *(_text(value) for value in values.values())]))
+        names = list(values)
+        if not self._names:
+            self._begin(names)
+        if names != self._names:
+            odd = sorted(set(names) ^ set(self._names)) or "their order"
+            raise ValueError(f"row {iteration} of {self._path} differs from the first in {odd}: keep one set of names")
+        cells = {"iteration": str(iteration), **{name: _text(value) for name, value in values.items()}}
+        self._file.write(_line([cells.get(name, "") for name in self._header]))
         self._file.flush()
         self.last_iteration = iteration
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _begin(self, names: list[str]) -> None:
+        """Write the header, or widen that of the existing file."""
+        self._names, known = names, self._header or ["iteration"]
+        header = known + [name for name in names if name not in known]
+        if self._header and header != known:
+            self._file.close()
+            empty = [""] * (len(header) - len(known))
+            rows = [row + empty for row in _read_rows(self._path)[1]]
+            with replacing(self._path) as unfinished:
+                unfinished.write_text("".join(map(_line, [header, *rows])))
+            self._file = self._path.open("a", newline="")
+        elif not self._header:
+            self._file.write(_line(header))
+        self._header = header
 
 
 class TensorBoardWriter:

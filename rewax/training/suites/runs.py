@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
+from rewax.agents.config import steps_in
 from rewax.agents.registry import build_agent
 from rewax.envs.base import Env
 from rewax.training.config import TrainConfig
@@ -29,7 +30,7 @@ from rewax.training.loop.train import train
 from rewax.training.storage import checkpoint
 from rewax.training.storage.description import plain, provenance
 from rewax.training.storage.metrics import read_csv
-from rewax.training.storage.run_directory import InUse, hold
+from rewax.training.storage.run_directory import CannotWrite, InUse, hold
 from rewax.training.suites.suite import Suite
 from rewax.training.suites.tables import COLUMNS, LATER, read_results, write_results
 from rewax.whole_files import replacing
@@ -161,8 +162,7 @@ def _run(suite: Suite, cell: Cell, env: Env, out_dir: Path, console: Console, de
     """Do one run, from its newest checkpoint if it has one; returns the signal that stopped it."""
     folder = cell.folder(out_dir)
     config = suite.config(cell.task, cell.algorithm)
-    in_one = config.steps_in(env) if hasattr(config, "steps_in") else config.horizon
-    per_iteration = config.num_envs * in_one
+    per_iteration = config.num_envs * steps_in(config, env)
     if cell.task in suite.steps:
         config = dataclasses.replace(config, num_iterations=math.ceil(suite.steps[cell.task] / per_iteration))
     agent = build_agent(cell.algorithm, env, config)
@@ -205,7 +205,7 @@ def _run(suite: Suite, cell: Cell, env: Env, out_dir: Path, console: Console, de
     began = time.perf_counter()
     try:
         result = train(agent, env, options, describe=describe, console=console)
-    except ValueError:  # of the directory or the configuration: not this run's failure
+    except (ValueError, CannotWrite):  # of the directory, the configuration or the disk: not this run's failure
         raise
     except Exception as error:  # out of memory, for example: the other runs may do better
         row["failure"] = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from rewax.agents.config import Value
+from rewax.agents.config import Value, steps_in
 from rewax.agents.registry import algorithm, build_agent
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
@@ -62,8 +62,8 @@ class Task:
         """
         preset = algorithm(self.algo).preset(self.env, self.scale)
         config = dataclasses.replace(preset, **values)
-        steps = self.steps or preset.num_iterations * preset.num_envs * preset.steps_in(env)
-        per_iteration = config.num_envs * config.steps_in(env)
+        steps = self.steps or preset.num_iterations * preset.num_envs * steps_in(preset, env)
+        per_iteration = config.num_envs * steps_in(config, env)
         return dataclasses.replace(config, num_iterations=math.ceil(steps / per_iteration))
 
 
@@ -97,7 +97,7 @@ def run_trial(
     seeds = [_Seed(env, agent, seed) for seed in task.seeds]
     train_step = compile_train_step(agent, seeds[0].state, console)
     evaluate = make_evaluate(env, agent.policy, task.episodes)
-    steps = config.num_iterations * config.num_envs * config.steps_in(env)
+    steps = config.num_iterations * config.num_envs * steps_in(config, env)
     for number in range(1, task.reports + 1):
         for seed in seeds:
             while seed.env_steps < steps * number / task.reports:

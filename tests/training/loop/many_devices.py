@@ -18,6 +18,7 @@ from toys import point_mass  # noqa: E402
 from rewax.agents.registry import algorithm  # noqa: E402
 from rewax.training.config import TrainConfig  # noqa: E402
 from rewax.training.loop.devices import placement  # noqa: E402
+from rewax.training.loop.seeds import train_seeds  # noqa: E402
 from rewax.training.loop.train import train  # noqa: E402
 
 SIZES = {
@@ -58,6 +59,18 @@ def run(name, num_devices, folder, *, resume=False, iterations=4):
     return train(agent, env, config, console=Console(quiet=True)).train_state
 
 
+def run_seeds(num_devices, folder, *, count=4):
+    """Four seeds, of which each device computes as many."""
+    env, agent = make("sapo")
+    config = TrainConfig(num_iterations=3, run_dir="", devices=num_devices, **QUICK)
+    configs = [dataclasses.replace(config, seed=seed, run_dir=f"{folder}/{seed}") for seed in range(count)]
+    with open(f"{folder}.txt", "w") as file:
+        results = train_seeds(agent, env, configs, console=Console(file=file, width=200))
+    said = Path(f"{folder}.txt").read_text()
+    assert (", seeds on 4 devices" in said) == (num_devices == 0), said
+    return [(result.train_state, result.evaluation["sampled_mean"]) for result in results]
+
+
 def numbers(state):
     leaves = [leaf for leaf in jax.tree.leaves(state) if jax.numpy.issubdtype(leaf.dtype, jax.numpy.floating)]
     return [np.asarray(leaf) for leaf in leaves]
@@ -76,6 +89,11 @@ def main():
                 several = run(name, count, f"{folder}/{name}-{count}")
                 assert len(several.environments.episode_return.devices()) == count, name
                 compare(one, several)
+        for (one, earns), (several, earns_too) in zip(
+            run_seeds(1, f"{folder}/seeds-1"), run_seeds(0, f"{folder}/seeds-4"), strict=True
+        ):
+            compare(one, several)
+            np.testing.assert_allclose(earns, earns_too, rtol=1e-3)
         run("sapo", 8, f"{folder}/resumed", iterations=2)
         compare(run("sapo", 1, f"{folder}/resumed", resume=True), run("sapo", 1, f"{folder}/sapo-1b"))
     _, agent = make("sapo")

@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, placement
+from rewax.training.loop.devices import ONE_DEVICE, Placement, on_one_device, placement, seed_placement
 
 
 @pytest.mark.parametrize(
@@ -23,6 +23,8 @@ def test_several_devices_train_as_one_does(names, sharing_programs):
 def test_what_cannot_be_sharded_is_refused():
     with pytest.raises(ValueError, match=r"devices is 7, but JAX has 1 \(cpu\): ask for that many at most"):
         placement(8, 7)
+    with pytest.raises(ValueError, match=r"devices is 2, but JAX has 1 \(cpu\)"):
+        seed_placement(4, 2)
     assert placement(8, 0) == placement(None, 0) == ONE_DEVICE
     assert not Placement(mesh=object()).shards({"iteration": 0})  # an algorithm of one's own, without environments
     tree = {"a": jax.numpy.ones(3)}

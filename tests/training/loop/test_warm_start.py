@@ -1,5 +1,6 @@
 """A new run begins with what an old one has learnt, and with nothing else of it."""
 
+import dataclasses
 import json
 import shutil
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import toys
 
+from rewax.agents.ivw import IVWConfig, make_ivw
 from rewax.agents.ppo import make_ppo
 from rewax.agents.sapo import SAPOConfig, make_sapo
 from rewax.cli.main import main
@@ -84,6 +86,16 @@ def test_neither_algorithm_nor_environment_has_to_be_registered(old, tmp_path):
     then = checkpoint.restore(old, jax.eval_shape(agent.init, jax.random.key(0)))
     warm = warm_started(agent.init(jax.random.key(7)), run_dir, "mine")
     assert equal(warm.actor_params, then.actor_params)
+
+
+def test_another_horizon_than_that_of_the_old_run(tmp_path):
+    env, sizes = toys.point_mass(4), dataclasses.asdict(tiny())
+    short, long = (make_ivw(env, IVWConfig(**{**sizes, "horizon": horizon})) for horizon in (2, 3))
+    then, fresh = short.init(jax.random.key(0)), long.init(jax.random.key(7))
+    checkpoint.save(tmp_path, then, keep=1)
+    (tmp_path / "config.json").write_text(json.dumps({"agent": "sapo_ivw"}))
+    warm = warm_started(fresh, tmp_path, "sapo_ivw")
+    assert equal(warm.actor_params, then.actor_params) and warm.variance.shape == (3,)
 
 
 def test_what_does_not_fit_is_one_sentence(old, tmp_path):

@@ -58,9 +58,18 @@ def test_each_row_is_on_disk_at_once(tmp_path):
 def test_other_names_than_the_header_are_refused(tmp_path):
     writer = CsvWriter(tmp_path / "a.csv")
     writer.write(1, {"x": 1.0})
-    with pytest.raises(ValueError, match=r"row 2 .* differs from the header in \['x', 'y'\]"):
+    with pytest.raises(ValueError, match=r"row 2 .* differs from the first in \['x', 'y'\]"):
         writer.write(2, {"y": 1.0})
     writer.close()
+
+
+def test_a_resumed_file_takes_names_that_came_and_went(tmp_path):
+    write(tmp_path / "a.csv", [(1, {"x": 1, "old": 2}), (2, {"x": 3, "old": 4}), (3, {"x": 0, "old": 0})])
+    write(tmp_path / "a.csv", [(3, {"new": 5, "x": 6}), (4, {"new": 7, "x": 8})], resume_at=2)
+    assert (tmp_path / "a.csv").read_text().split() == ["iteration,x,old,new", "1,1,2,", "2,3,4,", "3,6,,5", "4,8,,7"]
+    write(tmp_path / "a.csv", [(5, {"x": 9})], resume_at=4)
+    assert (tmp_path / "a.csv").read_text().split()[-1] == "5,9,,"
+    np.testing.assert_array_equal(read_csv(tmp_path / "a.csv")["new"], [np.nan, np.nan, 5, 7, np.nan])
 
 
 def test_a_missing_file_has_no_columns(tmp_path):

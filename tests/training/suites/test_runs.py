@@ -16,7 +16,7 @@ from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
 from rewax.envs import registry
 from rewax.training.loop.compilation import kept
-from rewax.training.storage.run_directory import hold
+from rewax.training.storage.run_directory import CannotWrite, hold
 from rewax.training.suites import runs as bench
 from rewax.training.suites.runs import Cell, in_turn, read_result, run_suite
 from rewax.training.suites.suite import Suite
@@ -143,6 +143,18 @@ def test_an_error_in_one_run_does_not_end_the_suite(suite, tmp_path, monkeypatch
     signum, text = run(suite, tmp_path)
     assert signum == 0 and "failed: MemoryError: no room at all" in text
     assert "| failed |" in (tmp_path / "table.md").read_text()
+
+
+def test_a_full_disk_ends_the_suite_which_then_goes_on(suite, tmp_path, monkeypatch):
+    def full(agent, env, config, **kwargs):
+        raise CannotWrite("the disk is full: free some space")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(bench, "train", full)
+        with pytest.raises(CannotWrite, match="free some space"):
+            run(suite, tmp_path)
+    assert not list(tmp_path.rglob("result.json"))
+    assert "run 4 of 4" in run(suite, tmp_path)[1] and "failed" not in (tmp_path / "table.md").read_text()
 
 
 def test_benchmarks_side_by_side_leave_out_what_the_other_is_at(suite, tmp_path):

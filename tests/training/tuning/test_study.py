@@ -16,6 +16,7 @@ from rich.console import Console
 pytest.importorskip("optuna", reason="pip install 'rewax[tune]'")
 
 from rewax.agents import registry as agents
+from rewax.agents.config import steps_in
 from rewax.agents.registry import Algorithm
 from rewax.training.evaluation.episodes import make_evaluate
 from rewax.training.tuning import study as studies
@@ -67,6 +68,8 @@ def test_a_trial_trains_its_seeds_as_long_as_the_preset():
     quiet, long = Console(file=io.StringIO()), {"noise": 0.1, "horizon": 6}
     assert TASK.config(toys.point_mass(), long).num_iterations == 4  # 8 iterations of 3 steps
     assert dataclasses.replace(TASK, steps=240).config(toys.point_mass(), long).num_iterations == 10
+    plain = dataclasses.make_dataclass("Plain", [("num_envs", int, 4), ("horizon", int, 3), ("num_iterations", int, 8)])
+    assert steps_in(plain(), toys.point_mass()) == 3  # a configuration that is no RunConfig
     reports = list(run_trial(TASK, toys.point_mass(), {"noise": 0.1}, quiet, lambda: False))
     agent, means = toys.make_toy(toys.point_mass()), []
     for seed in TASK.seeds:
