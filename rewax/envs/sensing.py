@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.envs.base import NO_LEAF, SENSOR_LEAF, ArraySpec, State
@@ -66,8 +67,6 @@ class Sensing(struct.Replaceable, _Wrapper):
             name: sensor.on(bare) if isinstance(sensor, Touch) else sensor for name, sensor in self.sensors.items()
         }
         object.__setattr__(self, "sensors", placed)
-        if self.up is not None:  # checked before
-            return
         if not callable(getattr(bare, "world", None)):
             raise ValueError(
                 f"{type(bare).__name__} has no world(physics, up), which says what sensors can see: define it, see "
@@ -81,7 +80,12 @@ class Sensing(struct.Replaceable, _Wrapper):
                 raise ValueError(
                     f"sensors[{name!r}] is {sensor!r}: give a Camera, or another object with see(world, key)"
                 )
-        object.__setattr__(self, "up", tuple(float(a) for a in np.asarray(bare.up)))
+        if self.up is None:
+            if isinstance(bare.up, Tracer):
+                raise ValueError("up follows from traced numbers of the environment: give it, up=(0.0, 1.0, 0.0)")
+            object.__setattr__(self, "up", tuple(float(a) for a in np.asarray(bare.up)))
+        if np.shape(self.up) != (3,) or not abs(np.linalg.norm(self.up) - 1.0) < 1e-3:
+            raise ValueError(f"up is {self.up}: give a unit vector against gravity, (0.0, 1.0, 0.0)")
 
     def reset(self, key: Key) -> State:
         state = self._feeling.reset(key)

@@ -12,7 +12,7 @@ import numpy as np
 from rewax.envs.registry import recipe
 from rewax.identify.records import Record, camera_numbers, cloud_of_depth
 from rewax.identify.simulate import points_of, without_reset_noise
-from rewax.physics.rigid import RigidModel
+from rewax.physics.rigid import RigidModel, body_name
 from rewax.sensors import Camera, DepthNoise
 from rewax.status import FATAL, describe
 from rewax.types import Array, Key
@@ -122,7 +122,7 @@ def record_states(
 def _robot(env: Any) -> list[str]:
     """Names of the bodies of an environment's robot, the world's among them; empty if it has none."""
     model = getattr(getattr(env, "unwrapped", env), "model", None)
-    return [model.static.mj.body(i).name for i in range(model.static.mj.nbody)] if isinstance(model, RigidModel) else []
+    return [body_name(model, i) for i in range(model.static.mj.nbody)] if isinstance(model, RigidModel) else []
 
 
 def _check_options(occlusion: float, noise: float, every: int) -> None:

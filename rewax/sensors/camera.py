@@ -10,7 +10,7 @@ from jax.core import Tracer
 
 from rewax import struct
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, Legal, check_numbers, numbers_of
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Legal, check_numbers, numbers_of, static_number
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.pose import Pose, placed_at, turned
 from rewax.sensors.hits import Hits, Rays, nearest
@@ -23,6 +23,11 @@ from rewax.types import Array, Key, Scalar, Vector
 
 ZOOM = (0.5, 1.5)
 """A camera's zoom lies between these."""
+_STATIC_NUMBERS = (
+    ("field_of_view", Legal(0.0, 180.0), "give degrees between 0 and 180"),
+    ("near", POSITIVE, "give a distance in metres, 0 < near < far"),
+    ("far", POSITIVE, "give a finite distance in metres, 0 < near < far"),
+)
 
 
 class View(NamedTuple):
@@ -82,13 +87,13 @@ class Camera(struct.Replaceable):
             size = getattr(self, name)
             if isinstance(size, bool) or not isinstance(size, int) or size < 1:
                 raise ValueError(f"{name} of the camera is {size!r}: give an integer of pixels, at least 1")
-        if not 0.0 < self.field_of_view < 180.0:
-            raise ValueError(f"field_of_view is {self.field_of_view}: give degrees between 0 and 180")
+        for name, legal, remedy in _STATIC_NUMBERS:
+            object.__setattr__(self, name, static_number(name, getattr(self, name), legal, remedy))
         if self.body is not None and (isinstance(self.body, bool) or not isinstance(self.body, int) or self.body < 0):
             raise ValueError(f"body is {self.body!r}: give the index of a body, from 0 on, or None")
         if not (self.noise is None or isinstance(self.noise, DepthNoise)):
             raise ValueError(f"noise is of the type {type(self.noise).__name__}: give a DepthNoise, or None for none")
-        if not (0.0 < self.near < self.far < math.inf):
+        if not self.near < self.far:
             raise ValueError(
                 f"near is {self.near} and far {self.far}: give two distances in metres, 0 < near < far < infinity"
             )
@@ -104,6 +109,10 @@ class Camera(struct.Replaceable):
         Raises:
           ValueError: eye and target are one point, or up is the direction of the view.
         """
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((target, eye, up))):
+            raise ValueError(
+                "target, eye or up is traced: make the camera outside jit, and replace its position and rotation inside"
+            )
         eye, target = np.asarray(eye, float), np.asarray(target, float)
         back = eye - target
         right = np.cross(np.asarray(up, float), back)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.numerics.pose import Pose, body_pose, product, turned
-from rewax.physics.rigid import RigidModel, RigidState, body_poses, geom_poses
+from rewax.physics.rigid import RigidModel, RigidState, body_name, body_poses, geom_poses
 from rewax.physics.rigid.geom_colliders import geom_shape
 from rewax.physics.rigid.queries import geom_kind, geom_mesh, shown_geoms
 from rewax.physics.shapes import Plane
@@ -38,7 +38,8 @@ def see_robot(model: RigidModel, state: RigidState) -> tuple[tuple[Solid, ...], 
     mj, poses = model.static.mj, geom_poses(model, state)
     solids, surfaces = [], []
     for geom in shown_geoms(model):
-        kind, pose, name = geom_kind(model, geom), body_pose(poses, geom), mj.body(int(mj.geom_bodyid[geom])).name
+        kind, pose = geom_kind(model, geom), body_pose(poses, geom)
+        name = body_name(model, int(mj.geom_bodyid[geom]))
         if kind in _UNSEEN:
             continue
         if kind == "mesh":

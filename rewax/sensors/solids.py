@@ -1,6 +1,5 @@
 """Solids in a picture: rays against shapes, all shapes of one kind at once."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 import jax
@@ -25,12 +24,11 @@ def see_solids(solids: Sequence[Solid], labels: Mapping[str, int], rays: Rays, *
     Gradient: of depth by poses and sizes, exact on the surface that is met.
     """
 
-    def kind(solid: Solid) -> tuple:
+    groups: dict[tuple, list[Solid]] = {}
+    for solid in solids:
         leaves, treedef = jax.tree.flatten(solid.shape)
-        return str(treedef), tuple(jnp.shape(leaf) for leaf in leaves)
-
-    groups = [list(run) for _, run in itertools.groupby(sorted(solids, key=kind), kind)]
-    return [_see_kind(group, labels, rays, everything=everything) for group in groups]
+        groups.setdefault((treedef, tuple(jnp.shape(leaf) for leaf in leaves)), []).append(solid)
+    return [_see_kind(group, labels, rays, everything=everything) for group in groups.values()]
 
 
 def _see_kind(group: list[Solid], labels: Mapping[str, int], rays: Rays, *, everything: bool) -> Hits:

@@ -119,6 +119,10 @@ def test_bad_sensors_are_refused(bare):
         Sensing(env=bare, sensors={"state": CAMERA})
     with pytest.raises(ValueError, match=r"sensors\['x'\] is 3.*see\(world, key\)"):
         Sensing(env=bare, sensors={"x": 3})
+    with pytest.raises(ValueError, match="sensors has 'state', which the environment observes already"):
+        Sensing(env=bare, sensors={"state": CAMERA}, up=(0.0, 1.0, 0.0))
+    with pytest.raises(ValueError, match=r"up is \(0.0, 2.0, 0.0\): give a unit vector"):
+        Sensing(env=bare, sensors={"depth": CAMERA}, up=(0.0, 2.0, 0.0))
     with pytest.raises(ValueError, match="has no world"):
         Sensing(env=object(), sensors={"depth": CAMERA})
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from camera_scenes import CAMERA, EYE, FAR, SCENES, STRAIGHT, UP, mjcf, ray_depth
 
+from rewax import struct
 from rewax.physics import rigid
+from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.shapes import Box, Sphere
+from rewax.physics.shapes import Box, Shape, Sphere
 from rewax.sensors import Balls, Camera, DepthNoise, Solid, Triangles, World, half_space
 from rewax.sensors.robots import with_robot
 
@@ -198,6 +200,36 @@ def test_bad_cameras_are_refused(wrong, words):
 def test_a_view_that_is_not_fixed_is_refused(eye, up):
     with pytest.raises(ValueError, match="fix no view"):
         Camera.look_at((0, 0, 0), eye=eye, up=up)
+
+
+def test_a_traced_view_is_refused_and_a_traced_angle_too():
+    with pytest.raises(ValueError, match="make the camera outside jit, and replace its position and rotation inside"):
+        jax.jit(lambda eye: Camera.look_at((0, 0, 0), eye=eye).position)(jnp.ones(3))
+    with pytest.raises(ValueError, match="field_of_view is traced, but is part of the compiled program"):
+        jax.jit(lambda angle: CAMERA.replace(field_of_view=angle).position)(40.0)
+    assert isinstance(CAMERA.replace(field_of_view=jnp.float32(40.0)).field_of_view, float)
+
+
+def test_a_shape_of_ones_own_may_have_the_name_of_another():
+    @struct.dataclass
+    class Ball(Shape):
+        radius: float = struct.number(POSITIVE, "give a radius in metres", shape=())
+        distance = Sphere.distance
+
+    Ball.__name__ = Ball.__qualname__ = "Sphere"
+    solids = tuple(
+        Solid(shape=kind(radius=jnp.asarray(0.1)), pose=Pose(jnp.array([x, 0.0, 0.0]), jnp.eye(3)), name=name)
+        for kind, x, name in ((Sphere, -0.2, "a"), (Ball, 0.2, "b"))
+    )
+    view = Camera.look_at((0, 0, 0), eye=(0, 0, 1)).view(World(solids=solids))
+    assert {*np.unique(view.label).tolist()} == {-1, 0, 1}
+
+
+def test_bodies_without_a_name_are_told_apart():
+    bodies = "".join(f'<body pos="{x} 0 0"><freejoint/><geom size="0.1"/></body>' for x in (-0.2, 0.2))
+    model = rigid.load(f"<mujoco><worldbody><geom size='0.05'/>{bodies}</worldbody></mujoco>")
+    world = with_robot(World(), model, rigid.initial_state(model))
+    assert world.names == ("world", "body_1", "body_2") and {*rigid.touching_bodies(model)} == {*world.names}
 
 
 @pytest.mark.parametrize("zoom", [0.55, 1.0, 1.45])

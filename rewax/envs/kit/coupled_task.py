@@ -128,6 +128,8 @@ class CoupledTask(ActuatedTask, SoftBodyTask):
         found = rigid.touching_bodies(self.model)
         own = {collider.body for collider in self.scene.colliders}
         names = {rigid.body_name(self.model, body): body for body in sorted({*found.values(), *own})}
+        if "walls" in names:
+            raise ValueError("the robot has a body named 'walls', as touch calls the scene's walls: rename the body")
         return {**names, "walls": WALLS}
 
     def render_shapes(self, physics: CoupledPhysics) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import struct
 from rewax.envs.kit.checks import checked_poses, checked_start
@@ -94,6 +95,20 @@ class SoftTask(SoftBodyTask):
             shape, wanted = jnp.shape(getattr(self, name)), jnp.shape(self.joint_start)
             if shape != wanted:
                 raise ValueError(f"{name} has shape {shape}, but joint_start {wanted}: give one number for each joint")
+        self._check_joints()
+
+    def _check_joints(self) -> None:
+        """Raises ValueError for concrete joints that start outside their limits, or move against their action."""
+        joints = (self.joint_lower, self.joint_start, self.joint_upper, self.joint_step)
+        if any(isinstance(numbers, Tracer) for numbers in joints):
+            return
+        lower, start, upper, step = map(np.asarray, joints)
+        if not (np.all(lower <= start) and np.all(start <= upper)):
+            raise ValueError(
+                f"joint_start is {start}, outside joint_lower {lower} and joint_upper {upper}: start within the limits"
+            )
+        if not (np.all(step >= 0) and np.all(np.isfinite(step))):
+            raise ValueError(f"joint_step is {step}: give the change per control step for action 1, 0 or more")
 
     # --- Methods that a task defines ---
 
@@ -166,7 +181,7 @@ class SoftTask(SoftBodyTask):
         motion = jnp.clip(motion, self.joint_lower - before, self.joint_upper - before)
         fraction = jnp.linspace(0.0, 1.0, self.num_substeps + 1, dtype=q.dtype)
         soft, felt, status = self._driven(physics, action, q + fraction[:, None] * motion)
-        rate = motion / self.joint_step
+        rate = motion / jnp.where(self.joint_step > 0.0, self.joint_step, 1.0)  # 0: a joint that stands still
         moved = physics.replace(soft=soft, joint_q=q + motion, joint_qd=rate, action=action, felt=felt)
         return moved, status
 

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rewax import struct
 from rewax.types import Array, Key, Scalar, Vector
@@ -41,7 +42,12 @@ def no_noise() -> ResetNoise:
 def reset_noise(
     lower: tuple[float, float, float], upper: tuple[float, float, float], stretch: float = 0.0
 ) -> ResetNoise:
-    """A ``ResetNoise`` from Python numbers."""
+    """A ``ResetNoise`` from Python numbers; raises ValueError for an empty range or a negative stretch."""
+    if not (np.all(np.asarray(lower) <= np.asarray(upper)) and stretch >= 0.0):
+        raise ValueError(
+            f"the noise of a reset is {lower} to {upper} with stretch {stretch}: give a lower end below the upper one, "
+            "and a stretch of 0 or more"
+        )
     return ResetNoise(shift_lower=lower, shift_upper=upper, stretch=stretch)
 
 

@@ -2,12 +2,21 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
 from rewax.physics.contact.colliders import COLLIDER, Collider
 from rewax.physics.contact.penalty import Ground, PenaltyContact
-from rewax.physics.numerics.checks import FINITE, Number, check_numbers, numbers_of, shown
+from rewax.physics.numerics.checks import (
+    FINITE,
+    POSITIVE,
+    Legal,
+    Number,
+    check_numbers,
+    numbers_of,
+    shown,
+)
 from rewax.physics.numerics.fields import instance
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes.sizes import size_numbers
@@ -23,6 +32,7 @@ def collider_numbers(colliders: tuple[Collider, ...], poses: Pose | None = None)
         name = f"colliders[{i}]"
         COLLIDER(name, collider)
         numbers += [*size_numbers(collider.shape, f"{name}.shape"), *numbers_of(collider, f"{name}.")]
+        numbers += _rotation_numbers(f"{name}.rotation", collider.rotation)
     if poses is not None and colliders:
         numbers += [
             Number("poses.position", poses.position, FINITE, "give positions in metres"),
@@ -39,7 +49,10 @@ def penalty_numbers(contact: PenaltyContact, name: str = "contact") -> list[Numb
 
 def ground_numbers(ground: Ground) -> list[Number]:
     """The numbers of the ground, with their legal values."""
-    return numbers_of(ground, "ground.")
+    xp = jnp if isinstance(ground.normal, Tracer) else np
+    square = xp.sum(xp.asarray(ground.normal) ** 2, axis=-1)
+    unit = Number("the squared length of ground.normal", square, Legal(1.0 - 2e-4, 1.0 + 2e-4), "give a unit vector")
+    return [*numbers_of(ground, "ground."), unit]
 
 
 def check_rotations(colliders: tuple[Collider, ...]) -> None:
@@ -48,7 +61,7 @@ def check_rotations(colliders: tuple[Collider, ...]) -> None:
         if isinstance(collider.rotation, Tracer):
             continue
         matrix = np.asarray(collider.rotation, np.float64)
-        if not (np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) and np.linalg.det(matrix) > 0):
+        if any(not np.all(number.legal.holds(number.value)) for number in _rotation_numbers("", matrix)):
             raise ValueError(
                 f"colliders[{i}].rotation is {shown(matrix.tolist())}: give a rotation matrix, with orthonormal rows "
                 "and determinant 1"
@@ -58,11 +71,24 @@ def check_rotations(colliders: tuple[Collider, ...]) -> None:
 def check_ground(ground: Any) -> None:
     """Raises ValueError for a ground without a unit normal, or with a number that is not finite."""
     _GROUND("ground", ground)
-    check_numbers(ground_numbers(ground))
+    check_numbers(numbers_of(ground, "ground."))
     if not isinstance(ground.normal, Tracer):
         length = float(np.linalg.norm(np.asarray(ground.normal)))
         if not abs(length - 1.0) < 1e-4:
             raise ValueError(f"ground.normal has length {length:g}: give a unit vector, (0, 1, 0) for y up")
+
+
+def _rotation_numbers(name: str, matrix: Any) -> list[Number]:
+    """How far matrices (..., 3, 3) are from orthonormal rows, and their determinants, with the values of rotations."""
+    xp = jnp if isinstance(matrix, Tracer) else np
+    rows = [xp.asarray(matrix)[..., i, :] for i in range(3)]
+    products = xp.stack([xp.sum(rows[i] * rows[j], axis=-1) - (i == j) for i in range(3) for j in range(i + 1)])
+    volume = xp.sum(xp.cross(rows[0], rows[1]) * rows[2], axis=-1)
+    remedy = "give a rotation matrix"
+    return [
+        Number(f"the products of the rows of {name}", products, Legal(-1e-3, 1e-3), remedy),
+        Number(f"the determinant of {name}", volume, POSITIVE, remedy),
+    ]
 
 
 __all__ = ["check_ground", "check_rotations", "collider_numbers", "ground_numbers", "penalty_numbers"]

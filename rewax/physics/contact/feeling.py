@@ -7,7 +7,7 @@ import jax
 
 from rewax.physics.contact.patches import accumulated, check_patches, no_touch
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.substeps import scan_substeps
+from rewax.physics.numerics.substeps import check_has_substeps, scan_substeps
 from rewax.types import Scalar
 
 S = TypeVar("S")
@@ -55,6 +55,7 @@ def scan_touch(
       ValueError: a patch belongs to a body that has no pose.
     """
     num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
+    check_has_substeps(num_substeps)
     check_patches(patches, num_bodies)
     start = Feeling(soft, no_touch(patches, jax.tree.leaves(soft)[0]))
     end = scan_substeps(substep, start, intervals, store_every)

@@ -76,7 +76,7 @@ def no_touch(patches: Any, like: Array) -> Any:
 
     def one(patches: Patches) -> Wrench:
         zeros = jnp.zeros_like(like, shape=(len(patches.body), 3))
-        return Wrench(zeros, zeros)
+        return Wrench(zeros, jnp.zeros_like(zeros))
 
     return jax.tree.map(one, patches, is_leaf=_is_patches)
 

@@ -36,7 +36,7 @@ def no_wrench(num_bodies: int, like: Array | None = None) -> Wrench:
         carry of a loop needs both. None: JAX's default float type.
     """
     zeros = jnp.zeros_like(jnp.zeros(()) if like is None else like, shape=(num_bodies, 3))
-    return Wrench(zeros, zeros)
+    return Wrench(zeros, jnp.zeros_like(zeros))
 
 
 class System(NamedTuple):

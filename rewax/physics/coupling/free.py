@@ -17,11 +17,11 @@ from rewax.physics.coupling import free_body
 from rewax.physics.coupling.exchange import WRENCH, SoftContact, System, Wrench, no_wrench
 from rewax.physics.coupling.free_body import INERTIA, FreeBodies, Inertia, inertia_numbers, solve3
 from rewax.physics.coupling.soft import SCENE, STATE, Scene, Soft, prescribed_of, scan_soft, solver_of
-from rewax.physics.numerics.checks import check_numbers
+from rewax.physics.numerics.checks import check_numbers, check_precision
 from rewax.physics.numerics.fields import checked, instance, optional
 from rewax.physics.numerics.fields import poses as poses_of
 from rewax.physics.numerics.pose import Pose, body_pose
-from rewax.physics.numerics.substeps import both_ends
+from rewax.physics.numerics.substeps import both_ends, check_has_substeps
 from rewax.physics.thin.stepping import Interval
 from rewax.types import Array
 
@@ -78,6 +78,8 @@ def step(
     num_substeps, num_free = poses.position.shape[0] - 1, bodies.position.shape[0]
     num_bodies = num_free + poses.position.shape[1]
     _check(scene, inertia, num_free, num_bodies)
+    check_precision(state.x, scene.gravity, poses.position, bodies.position)
+    check_has_substeps(num_substeps)
     solver = solver_of(scene)
     prescribed = prescribed_of(scene, state, pins, grips, num_substeps, num_bodies)
     wrench = no_wrench(num_free, state.x) if wrench is None else wrench

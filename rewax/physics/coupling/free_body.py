@@ -8,10 +8,10 @@ import jax.numpy as jnp
 
 from rewax import struct
 from rewax.physics.contact.motion import Motion
-from rewax.physics.numerics.checks import FINITE, POSITIVE, Number, check_numbers
+from rewax.physics.numerics.checks import FINITE, POSITIVE, Legal, Number, check_numbers
 from rewax.physics.numerics.fields import checked, instance, items, real
 from rewax.physics.numerics.pose import Pose
-from rewax.physics.numerics.rotations import quaternion_to_matrix, skew, turn_quaternion
+from rewax.physics.numerics.rotations import normalized, quaternion_to_matrix, skew, turn_quaternion
 from rewax.physics.shapes.base import Shape, require_shape
 from rewax.physics.shapes.sizes import size_numbers
 from rewax.types import Array, Scalar
@@ -54,10 +54,11 @@ def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBod
 
     Args:
       position: centres of mass [m], shape (num_bodies, 3).
-      orientation: unit quaternions (num_bodies, 4); None: the identity.
+      orientation: unit quaternions (num_bodies, 4); None: the identity. They are normalised.
 
     Raises:
-      ValueError: a position of another shape (one body has shape (1, 3)), or a number that is not finite.
+      ValueError: a position of another shape (one body has shape (1, 3)), a number that is not finite, or a quaternion
+        whose length is not 1.
     """
     position = jnp.asarray(position)
     position = position.astype(jnp.result_type(float, position))
@@ -67,8 +68,12 @@ def bodies_at_rest(position: Array, orientation: Array | None = None) -> FreeBod
     check_numbers(
         [Number("orientation", orientation, FINITE, "give unit quaternions (w, x, y, z)", (len(position), 4))]
     )
+    orientation = jnp.asarray(orientation, position.dtype)
+    lengths = jnp.linalg.norm(orientation, axis=-1)
+    remedy = "give unit quaternions (w, x, y, z)"
+    check_numbers([Number("the length of orientation", lengths, Legal(1.0 - 1e-3, 1.0 + 1e-3), remedy)])
     return FreeBodies(
-        position=position, orientation=jnp.asarray(orientation, position.dtype), velocity=zeros, angular_velocity=zeros
+        position=position, orientation=normalized(orientation), velocity=zeros, angular_velocity=jnp.zeros_like(zeros)
     )
 
 
@@ -91,13 +96,26 @@ def solid(shape: Shape, density: Scalar) -> tuple[Scalar, Array]:
 
 
 def inertia_numbers(inertia: Inertia) -> list[Number]:
-    """The mass properties of bodies, with their legal values: masses and moments about each axis are positive."""
+    """The mass properties of bodies, with their legal values: positive masses, positive definite moments."""
     mass = Number("inertia.mass", inertia.mass, POSITIVE, "give masses in kg", ("num_bodies",))
     remedy = "give moments of inertia in kg m^2"
     moment = Number("inertia.moment", inertia.moment, FINITE, remedy, ("num_bodies", 3, 3))
     check_numbers([mass, moment])
-    moments = jnp.diagonal(inertia.moment, axis1=-2, axis2=-1)
-    return [mass, moment, Number("the diagonal of inertia.moment", moments, POSITIVE, remedy)]
+    m = jnp.asarray(inertia.moment)
+    moments = jnp.diagonal(m, axis1=-2, axis2=-1)
+    scale = jnp.max(jnp.abs(m), axis=(-2, -1), keepdims=True)
+    skewed = (m - jnp.swapaxes(m, -2, -1)) / jnp.where(scale > 0, scale, 1.0)
+    minor = m[..., 0, 0] * m[..., 1, 1] - m[..., 0, 1] * m[..., 1, 0]
+    volume = jnp.sum(jnp.cross(m[..., 0, :], m[..., 1, :]) * m[..., 2, :], axis=-1)
+    definite = "give symmetric, positive definite moments of inertia in kg m^2"
+    return [
+        mass,
+        moment,
+        Number("the diagonal of inertia.moment", moments, POSITIVE, remedy),
+        Number("the relative asymmetry of inertia.moment", skewed, Legal(-1e-4, 1e-4), definite),
+        Number("the first minor of inertia.moment", minor, POSITIVE, definite),
+        Number("the determinant of inertia.moment", volume, POSITIVE, definite),
+    ]
 
 
 INERTIA = instance(Inertia, "give an Inertia(mass=..., moment=...), of inertia_of for example")

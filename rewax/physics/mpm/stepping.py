@@ -42,6 +42,7 @@ from rewax.physics.mpm.transfer import GridFields, grid_to_particle, particle_to
 from rewax.physics.mpm.transfer_xla_cpu import as_matrix
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.fields import checked, instance, optional, poses
 from rewax.physics.numerics.pose import Pose
@@ -94,6 +95,7 @@ def step(scene: MPMScene, state: MPMState, poses: Pose, *, store_every: int | No
     Gradient: exact, as for ``substep``.
     """
     check_bodies(scene.colliders, poses.position.shape[1])
+    check_precision(state.x, scene.gravity, poses.position)
     nodes = nodes_of_step(scene, state.x)
     one = _substep if store_every is None else _recomputed_substep
 

@@ -21,6 +21,7 @@ from rewax.physics.mpm.stepping import colliders_at, free_velocity, from_nodes, 
 from rewax.physics.mpm.transfer import GridFields
 from rewax.physics.mpm.walls import apply_walls
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose
@@ -48,6 +49,7 @@ def step_with_touch(
       ValueError: a patch belongs to a body that has no pose.
     """
     check_bodies(scene.colliders, poses.position.shape[1])
+    check_precision(state.x, scene.gravity, poses.position)
     nodes = nodes_of_step(scene, state.x)
     one = _substep if store_every is None else _recomputed_substep
     before, after = both_ends(poses)

@@ -150,6 +150,16 @@ def static_integer(name: str, value: Any, least: int, remedy: str) -> int:
     return number
 
 
+def check_precision(x: Array, *others: Array) -> None:
+    """Raises ValueError if arithmetic with the others would change the precision of a state's array x."""
+    wide = jnp.result_type(x, *others)
+    if wide != x.dtype:
+        raise ValueError(
+            f"the state has numbers of {x.dtype}, but the scene or the poses of {wide}: make both while "
+            f"jax.enable_x64 is on or both while it is off, or give a state of {wide}"
+        )
+
+
 def check_enum(name: str, value: Any, kind: type[enum.Enum]) -> None:
     """Raises ValueError unless the value is a member of the enum. The message lists the members."""
     if not isinstance(value, kind):

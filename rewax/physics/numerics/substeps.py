@@ -42,6 +42,12 @@ def check_store_every(store_every: Any, num_substeps: int) -> None:
         raise ValueError(f"store_every is {store_every}: {remedy}")
 
 
+def check_has_substeps(num_substeps: int) -> None:
+    """Raises ValueError for a step without a substep, over which no force has a mean."""
+    if num_substeps < 1:
+        raise ValueError("poses has one boundary and so no substep: give poses at the boundaries of at least one")
+
+
 def both_ends(boundaries: T) -> tuple[T, T]:
     """Values at the beginning and at the end of each substep, from values (num_substeps + 1, ...) at the boundaries."""
     return jax.tree.map(lambda b: b[:-1], boundaries), jax.tree.map(lambda b: b[1:], boundaries)

@@ -91,6 +91,8 @@ def collide(found: Collisions, m: mjx.Model, d: mjx.Data) -> mjx.Contact:
     Gradient: that of the pairs' functions; for MJX's functions, MJX's own.
     Source: MuJoCo MJX 3.17, ``collision_driver.collision``. Order and parameters agree with it to the bit.
     """
+    if found.max_geom_pairs is not None:
+        m = m.replace(geom_rbound=_bounding_radii(found.mj, m))
     by_dim: dict[int, list[_Contacts]] = {}
     for group, pair in zip(found.groups, found.functions, strict=True):
         by_dim.setdefault(group.condim, []).append(_group_contacts(found, m, d, group, pair))
@@ -131,6 +133,20 @@ def _nearest(num: int, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
     radius, other_radius = m.geom_rbound[geoms.T]
     distance = jax.vmap(jnp.linalg.norm)(other_center - center) - (radius + other_radius)
     return jax.lax.top_k(-distance, k=num)[1]
+
+
+def _bounding_radii(mj: mujoco.MjModel, m: mjx.Model) -> Array:
+    """Radii of the geoms' bounding spheres [m], shape (num_geoms,), also for sizes that are traced or were replaced."""
+    x, y, z = m.geom_size.T
+    by_kind = {
+        mujoco.mjtGeom.mjGEOM_SPHERE: x,
+        mujoco.mjtGeom.mjGEOM_CAPSULE: x + y,
+        mujoco.mjtGeom.mjGEOM_CYLINDER: jnp.hypot(x, y),
+        mujoco.mjtGeom.mjGEOM_BOX: jnp.sqrt(x * x + y * y + z * z),
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID: m.geom_size.max(axis=1),
+    }
+    kinds = np.asarray(mj.geom_type)
+    return jnp.select([kinds == kind for kind in by_kind], list(by_kind.values()), jnp.asarray(m.geom_rbound))
 
 
 def _deepest(num: int, parts: list[_Contacts]) -> _Contacts:

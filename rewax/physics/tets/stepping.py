@@ -18,6 +18,7 @@ from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.patches import WALLS
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.components import Mat3, Vec3
 from rewax.physics.numerics.fields import checked, instance, optional, poses
 from rewax.physics.numerics.pose import Pose, body_pose
@@ -76,6 +77,7 @@ def step(scene: TetScene, state: TetState, poses: Pose, *, store_every: int | No
     Gradient: exact, as for ``substep``.
     """
     check_bodies(scene.colliders, poses.position.shape[1])
+    check_precision(state.x, scene.gravity, poses.position)
     constants = rest(scene)
     one = _substep if store_every is None else _recomputed_substep
 

@@ -10,6 +10,7 @@ from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.feeling import Feeling, scan_touch
 from rewax.physics.contact.patches import felt
 from rewax.physics.numerics import components as cp
+from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.fields import checked, poses
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.substeps import both_ends
@@ -46,6 +47,7 @@ def step_with_touch(
       ValueError: a patch belongs to a body that has no pose.
     """
     check_bodies(scene.colliders, poses.position.shape[1])
+    check_precision(state.x, scene.gravity, poses.position)
     constants = rest(scene)
     one = _substep if store_every is None else _recomputed_substep
 

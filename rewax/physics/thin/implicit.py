@@ -10,7 +10,7 @@ _FIELDS = {
     "newton_iterations": integer(1, "give at least 1"),
     "cg_iterations": integer(1, "give at least 1"),
     "cg_tolerance": static(POSITIVE, "take 0.01"),
-    "gradient_tolerance": static(POSITIVE, "take 1e-4"),
+    "gradient_tolerance": static(POSITIVE, "take 1e-6"),
 }
 
 
@@ -25,14 +25,16 @@ class Implicit:
       cg_iterations: largest number of products with the stiffness matrix per Newton step. Derivatives may take ten
         times as many; those that need more are NaN.
       cg_tolerance: relative residual at which conjugate gradients stop in a Newton step [-].
-      gradient_tolerance: the same for derivatives [-].
+      gradient_tolerance: the same for derivatives [-]. Their error is larger by the conditioning of the linear system:
+        at 1e-6 it is below 1e-4 of the gradient on a sheet with a Young's modulus of 10 MPa and steps of 5 ms, in
+        double precision.
     """
 
     tolerance: float = 1e-3
     newton_iterations: int = 20
     cg_iterations: int = 300
     cg_tolerance: float = 1e-2
-    gradient_tolerance: float = 1e-4
+    gradient_tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
         check_fields(_FIELDS, vars(self), "stepper.")

@@ -147,8 +147,8 @@ def initial_state(x: Any) -> ThinState:
     """Vertices without velocity at positions x [m], shape (num_vertices, 3). Raises ValueError for illegal ones."""
     x = jnp.asarray(x, float) if isinstance(x, np.ndarray) else jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
-    nothing = jnp.zeros((), x.dtype)
-    return ThinState(x=x, v=jnp.zeros_like(x), error=nothing, filled=nothing, speed=nothing)
+    error, filled, speed = (jnp.zeros((), x.dtype) for _ in range(3))  # three buffers, so that a state can be donated
+    return ThinState(x=x, v=jnp.zeros_like(x), error=error, filled=filled, speed=speed)
 
 
 @checked(scene=SCENE, state=STATE)

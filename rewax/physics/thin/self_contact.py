@@ -10,7 +10,7 @@ import numpy as np
 from rewax.lowering.stencils import Listed
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.numerics.substeps import check_store_every
+from rewax.physics.numerics.substeps import check_has_substeps, check_store_every
 from rewax.physics.thin import pair_law
 from rewax.physics.thin.contact_elements import ContactElements
 from rewax.physics.thin.pair_kernels import CloseElements, find_pairs
@@ -163,8 +163,7 @@ def scan_rounds(
 def _in_rounds(intervals: Any, store_every: int | None, every: int) -> tuple[Any, bool]:
     """Intervals by (chunk, round, substep), and whether there is but one chunk, of which nothing is recomputed."""
     total = jax.tree.leaves(intervals)[0].shape[0]
-    if not total:
-        raise ValueError("poses has one boundary and so no substep: give poses at the boundaries of at least one")
+    check_has_substeps(total)
     if store_every is not None:
         check_store_every(store_every, total)
     chunk = total if store_every in (None, 1) else store_every

@@ -16,7 +16,7 @@ from rewax.lowering.recompute import recomputed
 from rewax.physics.contact.colliders import check_bodies
 from rewax.physics.contact.penalty import collider_force, ground_force
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE
+from rewax.physics.numerics.checks import FINITE, check_precision
 from rewax.physics.numerics.components import Vec3
 from rewax.physics.numerics.fields import checked, optional, poses, real
 from rewax.physics.numerics.pose import Pose, body_pose
@@ -103,6 +103,7 @@ def step(
     """
     num_substeps, num_bodies = poses.position.shape[0] - 1, poses.position.shape[1]
     check_bodies(scene.colliders, num_bodies)
+    check_precision(state.x, scene.gravity, poses.position)
     prescribed = checked_prescribed(scene, state, pins, grips, num_substeps, num_bodies)
     check_creases(scene.cloth, scene.topology, state.crease)
     intervals = Interval(both_ends(poses), prescribed)

@@ -147,12 +147,32 @@ def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
             {"joint_step": (0.1, 0.1)},
             r"joint_step has shape \(2,\), but joint_start \(1,\): give one number for each joint",
         ),
+        (
+            {"joint_start": jnp.array([0.7])},
+            r"joint_start is \[0.7\], outside joint_lower \[-0.6\] and joint_upper \[0.6\]: .*",
+        ),
+        ({"joint_step": jnp.array([-0.1])}, r"joint_step is \[-0.1\]: give the change per control step .*"),
         ({"list_every": 3}, "list_every is 3, which does not divide num_substeps = 5: choose a divisor, or None"),
     ],
 )
 def test_impossible_numbers_say_what_to_do(changes, sentence):
     with pytest.raises(ValueError, match=f"^{sentence}$"):
         poke(**changes)
+
+
+def test_a_joint_may_stand_still():
+    env = poke(joint_step=jnp.zeros(1))
+    state = jax.jit(env.step)(env.reset(jax.random.key(0)), jnp.ones(1))
+    assert float(state.obs["joint_q"][0]) == -0.25 and float(state.physics.joint_qd[0]) == 0.0
+    assert int(state.status) == 0
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "stretch"), [((0.01, 0, 0), (-0.01, 0, 0), 0.0), ((0, 0, 0),) * 2 + (-0.1,)]
+)
+def test_impossible_noise_says_what_to_do(lower, upper, stretch):
+    with pytest.raises(ValueError, match="give a lower end below the upper one, and a stretch of 0 or more"):
+        reset_noise(lower, upper, stretch)
 
 
 @pytest.mark.parametrize("name", ["num_points", "stride"])

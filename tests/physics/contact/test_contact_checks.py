@@ -46,3 +46,15 @@ def test_the_ground_has_a_unit_normal():
         check_ground(Ground(normal=np.array([0.0, 2.0, 0.0])))
     bad = jax.jit(lambda height: any_illegal(ground_numbers(Ground(normal=np.eye(3)[1], height=height))))
     assert bad(jnp.inf) and not bad(-1.0)
+    tilted = jax.jit(lambda normal: any_illegal(ground_numbers(Ground(normal=normal))))
+    assert tilted(jnp.array([0.0, 1.3, 0.0])) and tilted(jnp.zeros(3)) and not tilted(jnp.array([0.6, 0.8, 0.0]))
+    assert any_illegal(ground_numbers(Ground(normal=np.array([0.0, 1.3, 0.0]))))
+
+
+def test_a_collider_has_a_rotation_matrix():
+    turned = jax.jit(lambda rotation: any_illegal(collider_numbers((BALL.replace(rotation=rotation),))))
+    a, b = np.cos(0.3), np.sin(0.3)
+    legal = [np.eye(3), np.array([[a, -b, 0.0], [b, a, 0.0], [0.0, 0.0, 1.0]])]
+    illegal = [2.0 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.eye(3) + 0.1 * np.eye(3)[[1, 2, 0]], np.zeros((3, 3))]
+    for matrix, bad in [*((m, False) for m in legal), *((m, True) for m in illegal)]:
+        assert bool(turned(matrix)) == bool(any_illegal(collider_numbers((BALL.replace(rotation=matrix),)))) == bad

@@ -48,3 +48,9 @@ def test_the_gradient_is_that_of_the_mean():
 def test_a_patch_needs_a_body():
     with pytest.raises(ValueError, match="a patch belongs to body 2, but there are 2 bodies"):
         scan_touch(lambda carry, _: carry, jnp.ones(3), PUSHES, POSES, Patches(body=(2,)), store_every=None)
+
+
+def test_a_mean_needs_a_substep():
+    still = jax.tree.map(lambda a: a[:1], POSES)
+    with pytest.raises(ValueError, match="poses has one boundary and so no substep"):
+        scan_touch(lambda carry, _: carry, jnp.ones(3), PUSHES[:0], still, PATCHES, store_every=None)

@@ -7,6 +7,7 @@ import pytest
 from own_shapes import Torus
 
 from rewax.physics.coupling import free_body
+from rewax.physics.numerics.checks import check_numbers
 from rewax.physics.shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Plane, Sphere, signed_distance
 from rewax.physics.shapes.sampling import fill_box
 
@@ -96,3 +97,25 @@ def test_integers_become_floats():
 def test_solids_without_moments_are_refused(shape, sentence):
     with pytest.raises(ValueError, match=sentence):
         free_body.solid(shape, 700.0)
+
+
+def test_orientations_have_length_one():
+    still = free_body.bodies_at_rest([[0.0, 0.0, 0.0]], [[0.6, 0.8005, 0.0, 0.0]])
+    np.testing.assert_allclose(jnp.linalg.norm(still.orientation), 1.0, rtol=1e-6)
+    for wrong in ([1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]):
+        with pytest.raises(ValueError, match=r"the length of orientation\[0\] is .*: give unit quaternions"):
+            free_body.bodies_at_rest([[0.0, 0.0, 0.0]], [wrong])
+
+
+@pytest.mark.parametrize(
+    ("moment", "what"),
+    [
+        ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "first minor"),
+        ([[1.0, 0.0, 0.9], [0.0, 1.0, 0.9], [0.9, 0.9, 1.0]], "determinant"),
+        ([[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "relative asymmetry"),
+    ],
+)
+def test_moments_of_inertia_are_positive_definite(moment, what):
+    inertia = free_body.Inertia(mass=jnp.ones(1), moment=1e-3 * jnp.asarray([moment]))
+    with pytest.raises(ValueError, match=f"the {what} of inertia.moment.*: give symmetric, positive definite moments"):
+        check_numbers(free_body.inertia_numbers(inertia))

@@ -169,6 +169,23 @@ def test_contacts_of_mjx_are_as_mjx_gives_them(limits):
     assert limits == "none" or float(ours.dist.min()) < 0.0
 
 
+SIZES = {"sphere": ".1", "capsule": ".1 .1", "cylinder": ".1 .1", "box": ".1 .1 .1", "ellipsoid": ".1 .1 .1"}
+
+
+@pytest.mark.parametrize("kind", ["sphere", "capsule", "box", "ellipsoid"])
+def test_the_nearest_pairs_are_those_of_the_present_sizes(kind):
+    """The middle body is nearer to the first one, until the third one grows and meets it."""
+    bodies = "".join(
+        f'<body pos="{x} 0 0"><freejoint/><geom type="{kind}" size="{SIZES[kind]}"/></body>' for x in (-0.6, 0.0, 0.9)
+    )
+    text = f'<mujoco><custom><numeric name="max_geom_pairs" data="1"/></custom><worldbody>{bodies}</worldbody></mujoco>'
+    model = rigid.load(text)
+    grown = model.with_parameters(geom_size=model.parameters["geom_size"].at[2].multiply(9.5))
+    distance = jax.jit(rigid.contact_distances, compiler_options=unoptimised())
+    assert float(distance(model, rigid.initial_state(model)).min()) > 0.0
+    assert float(distance(grown, rigid.initial_state(grown)).min()) < 0.0
+
+
 CUBE = """<mujoco>{}<worldbody><geom type="plane" size="9 9 9"/><body pos="0 0 .07"><freejoint/>
 <geom type="box" size=".05 .06 .07"/></body></worldbody></mujoco>"""
 

@@ -138,3 +138,16 @@ def test_a_batch_of_materials_and_starts_is_a_loop(x64):
     batch = jax.jit(jax.vmap(lambda scene, state: thin.step(scene, state, poses)))(*stacked)
     for i, pair in enumerate(zip(scenes, starts, strict=True)):
         np.testing.assert_allclose(batch.x[i], run(*pair, 50).x, atol=1e-13)
+
+
+def test_a_fresh_state_can_be_donated():
+    scene = rope_scene()
+    end = jax.jit(thin.step, donate_argnums=1)(scene, thin.initial_state(LINE.vertices), thin.static_poses(2))
+    assert np.isfinite(end.x).all()
+
+
+def test_a_state_of_less_precision_than_the_scene_is_refused(x64):
+    scene = rope_scene()
+    state = thin.initial_state(jnp.asarray(LINE.vertices, jnp.float32))
+    with pytest.raises(ValueError, match="the state has numbers of float32, but the scene or the poses of float64"):
+        thin.step(scene, state, thin.static_poses(2))
