@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from rewax import jax_versions
 from rewax.envs.base import Env
@@ -221,9 +223,9 @@ def _call(name: str, factory: Callable[..., Env], given: Mapping[str, Any]) -> E
 
 def _plain(value: Any) -> Any:
     """A number of Python for one of NumPy, or for a concrete scalar of JAX."""
-    if not isinstance(value, (np.generic, np.ndarray, jax.Array)) or isinstance(value, jax.core.Tracer):
+    if not isinstance(value, (np.generic, np.ndarray, jax.Array)) or isinstance(value, Tracer):
         return value
-    is_number = any(jax.dtypes.issubdtype(value.dtype, kind) for kind in (np.number, np.bool_))
+    is_number = jnp.issubdtype(value.dtype, jnp.number) or jnp.issubdtype(value.dtype, jnp.bool_)
     return value.item() if np.ndim(value) == 0 and is_number else value
 
 

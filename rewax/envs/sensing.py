@@ -84,7 +84,8 @@ class Sensing(struct.Replaceable, _Wrapper):
             if isinstance(bare.up, Tracer):
                 raise ValueError("up follows from traced numbers of the environment: give it, up=(0.0, 1.0, 0.0)")
             object.__setattr__(self, "up", tuple(float(a) for a in np.asarray(bare.up)))
-        if np.shape(self.up) != (3,) or not abs(np.linalg.norm(self.up) - 1.0) < 1e-3:
+        up = np.asarray(self.up)
+        if up.shape != (3,) or not abs(np.linalg.norm(up) - 1.0) < 1e-3:
             raise ValueError(f"up is {self.up}: give a unit vector against gravity, (0.0, 1.0, 0.0)")
 
     def reset(self, key: Key) -> State:

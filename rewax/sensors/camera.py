@@ -123,7 +123,7 @@ class Camera(struct.Replaceable):
             )
         back, right = back / np.linalg.norm(back), right / np.linalg.norm(right)
         rotation = np.stack([right, np.cross(back, right), back], axis=1)
-        return cls(position=jnp.asarray(eye, jnp.float32), rotation=jnp.asarray(rotation, jnp.float32), **fields)
+        return cls(position=jnp.asarray(eye, float), rotation=jnp.asarray(rotation, float), **fields)
 
     @property
     def focal_length(self) -> float:

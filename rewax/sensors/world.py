@@ -135,9 +135,7 @@ def half_space(normal: Sequence[float], height: Scalar, name: str) -> Solid:
     side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     side = side / np.linalg.norm(side)
     rotation = np.stack([side, up, np.cross(side, up)], axis=1)
-    return Solid(
-        shape=Plane(), pose=Pose(jnp.asarray(up, jnp.float32) * height, jnp.asarray(rotation, jnp.float32)), name=name
-    )
+    return Solid(shape=Plane(), pose=Pose(jnp.asarray(up, float) * height, jnp.asarray(rotation, float)), name=name)
 
 
 def frozen(world: World) -> World:
