@@ -10,7 +10,6 @@ from the same starts. Its rows are written when it is finished, and finished cel
 
     state          SAPO, all observations of the task
     depth          SAPO, depth of 64 x 64 pixels and joints; the critics observe the state
-    depth x2       the same with twice as many iterations
     depth close    as ``depth``, with a field of view of 26 degrees instead of 40
     depth slow     as ``depth``, with half of the actor's learning rate
     depth alone    as ``depth``, and the critics observe the same as the policy
@@ -54,7 +53,7 @@ from rewax.training.storage.description import provenance
 from rewax.viz.player import write_player
 from rewax.viz.video import record_video
 
-COLUMNS = ("depth", "state", "depth x2", "depth close", "depth slow", "depth alone", "blind", "cloud", "ppo", "ppo x10",
+COLUMNS = ("depth", "state", "depth close", "depth slow", "depth alone", "blind", "cloud", "ppo", "ppo x10",
            "varied")  # fmt: skip
 JOINTS = {"RollingFlat": ("joint_q", "joint_qd"), "SteerFloat": ("robot",), "GripperLift": ("joints",),
           "HandLift": ("joint_q",)}  # fmt: skip
@@ -157,8 +156,6 @@ def agent_of(name: str, column: str, env: Any, bare: Any) -> tuple[Any, Any]:
         config = dataclasses.replace(preset, **options, num_iterations=factor * preset.num_iterations)
         return make_ppo(env, config), config
     config = dataclasses.replace(sapo_preset(name, "small"), **options)
-    if column == "depth x2":
-        config = dataclasses.replace(config, num_iterations=2 * config.num_iterations)
     if column == "depth slow":
         config = dataclasses.replace(config, actor_learning_rate=0.5 * config.actor_learning_rate)
     randomize = drawn("env.sensors[depth]") if column == "varied" else None

@@ -7,6 +7,11 @@ takes as many substeps as ``largest_stable_dt`` asks for, the implicit one ``--i
 of the mean final height with respect to the initial state. Printed are the best processor times, which other programs
 hardly change, and the difference of both ends relative to the distance that the cloth moved, after ``--warm-up``
 control steps of the explicit solver.
+
+    JAX_ENABLE_X64=1 python benchmarks/thin_implicit.py --cells 16 --youngs-moduli 1e7 --tolerances 1e-4 1e-6 1e-7
+
+prints instead the error of the gradient of the implicit solver after four control steps of warm-up, for values of
+``Implicit.gradient_tolerance``, relative to the gradient with a tolerance of 1e-12.
 """
 
 import argparse
@@ -23,14 +28,17 @@ from rewax.physics import thin
 CONTROL_DT, SIDE, THICKNESS, DENSITY = 0.01, 0.4, 5e-4, 300.0
 
 
-def scene_of(cells: int, youngs_modulus: float, damping: float, substeps: int | None) -> thin.ThinScene:
-    """The sheet with implicit substeps, or with explicit ones for None."""
+def scene_of(
+    cells: int, youngs_modulus: float, damping: float, substeps: int | None, tolerance: float = 1e-6
+) -> thin.ThinScene:
+    """The sheet with implicit substeps and a tolerance of their gradient, or with explicit substeps for None."""
     cloth = thin.isotropic_cloth(
         youngs_modulus=youngs_modulus, poissons_ratio=0.3, thickness=THICKNESS, density=DENSITY, damping=damping
     )
     given = {"mesh": thin.sheet(SIDE, SIDE, cells, cells), "cloth": cloth, "held": [0, cells], "drag": 0.5}
     if substeps is not None:
-        return thin.make_scene(**given, dt=CONTROL_DT / substeps, stepper=thin.Implicit())
+        stepper = thin.Implicit(gradient_tolerance=tolerance)
+        return thin.make_scene(**given, dt=CONTROL_DT / substeps, stepper=stepper)
     probe = thin.make_scene(**given, dt=1e-9)
     count = int(np.ceil(CONTROL_DT / float(thin.largest_stable_dt(probe))))
     return probe.replace(dt=CONTROL_DT / count)
@@ -55,6 +63,23 @@ def seconds(function: Callable, state: Any) -> float:
     return time.process_time() - start
 
 
+def print_errors(cells: int, modulus: float, args: argparse.Namespace) -> None:
+    """Errors of the gradient with respect to positions and velocities, by tolerance."""
+
+    def gradient(tolerance: float) -> np.ndarray:
+        each = programs(scene_of(cells, modulus, args.damping, args.implicit_substeps, tolerance))
+        state = thin.initial_state(thin.sheet(SIDE, SIDE, cells, cells).vertices)
+        for _ in range(4):
+            state = each["forward"](state)
+        slope = each["forward + backward"](state)
+        return np.concatenate([np.ravel(slope.x), np.ravel(slope.v)])
+
+    exact = gradient(1e-12)
+    for tolerance in args.tolerances:
+        error = np.linalg.norm(gradient(tolerance) - exact) / np.linalg.norm(exact)
+        print(f"{cells} x {cells} cells, E = {modulus:g} Pa, tolerance {tolerance:g}: error {error:.1e}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, nargs="+", default=[8, 16])
@@ -63,9 +88,13 @@ def main() -> None:
     parser.add_argument("--implicit-substeps", type=int, default=2)
     parser.add_argument("--warm-up", type=int, default=10)
     parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--tolerances", type=float, nargs="+", default=[])
     args = parser.parse_args()
     for cells in args.cells:
         for modulus in args.youngs_moduli:
+            if args.tolerances:
+                print_errors(cells, modulus, args)
+                continue
             explicit = scene_of(cells, modulus, args.damping, None)
             implicit = scene_of(cells, modulus, args.damping, args.implicit_substeps)
             both = {"explicit": programs(explicit), "implicit": programs(implicit)}

@@ -98,15 +98,13 @@ class SoftTask(SoftBodyTask):
         self._check_joints()
 
     def _check_joints(self) -> None:
-        """Raises ValueError for concrete joints that start outside their limits, or move against their action."""
-        joints = (self.joint_lower, self.joint_start, self.joint_upper, self.joint_step)
+        """Raises ValueError for concrete joints without a range, or that move against their action."""
+        joints = (self.joint_lower, self.joint_upper, self.joint_step)
         if any(isinstance(numbers, Tracer) for numbers in joints):
             return
-        lower, start, upper, step = map(np.asarray, joints)
-        if not (np.all(lower <= start) and np.all(start <= upper)):
-            raise ValueError(
-                f"joint_start is {start}, outside joint_lower {lower} and joint_upper {upper}: start within the limits"
-            )
+        lower, upper, step = map(np.asarray, joints)
+        if not np.all(lower <= upper):
+            raise ValueError(f"joint_lower is {lower} and joint_upper {upper}: give a lower limit below the upper one")
         if not (np.all(step >= 0) and np.all(np.isfinite(step))):
             raise ValueError(f"joint_step is {step}: give the change per control step for action 1, 0 or more")
 

@@ -56,11 +56,15 @@ def ground_numbers(ground: Ground) -> list[Number]:
 
 
 def check_rotations(colliders: tuple[Collider, ...]) -> None:
-    """Raises ValueError for a collider whose ``rotation`` is not a rotation matrix. Traced matrices are not checked."""
+    """Raises ValueError for a collider whose ``rotation`` is not a rotation matrix.
+
+    Traced matrices are not checked here, nor are those of another shape or with numbers that are not finite.
+    """
     for i, collider in enumerate(colliders):
-        if isinstance(collider.rotation, Tracer):
+        COLLIDER(f"colliders[{i}]", collider)
+        matrix = np.zeros(0) if isinstance(collider.rotation, Tracer) else np.asarray(collider.rotation)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
             continue
-        matrix = np.asarray(collider.rotation, np.float64)
         if any(not np.all(number.legal.holds(number.value)) for number in _rotation_numbers("", matrix)):
             raise ValueError(
                 f"colliders[{i}].rotation is {shown(matrix.tolist())}: give a rotation matrix, with orthonormal rows "

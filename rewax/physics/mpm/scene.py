@@ -187,8 +187,8 @@ def make_scene(
     """
     check_fields(_SCENE, locals())
     materials = check_materials(material, particle_counts)
-    check_numbers(part_numbers(materials, particle_volume, gravity, colliders, walls))
     check_rotations(colliders)
+    check_numbers(part_numbers(materials, particle_volume, gravity, colliders, walls))
     check_lengths(materials, particle_counts, particle_volume)
     check_walls(walls, grid)
     dt = float(dt)

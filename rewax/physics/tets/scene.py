@@ -156,8 +156,8 @@ def make_scene(
         check_ground(ground)
     density_number = Number("density", density, POSITIVE, "give the rest density in kg/m^3")
     numbers = material_numbers(mu, lam, damping, activation)
-    check_numbers([density_number, *numbers, *contact_numbers(contact, ground, colliders), gravity_number(gravity)])
     check_rotations(colliders)
+    check_numbers([density_number, *numbers, *contact_numbers(contact, ground, colliders), gravity_number(gravity)])
     for number in (density_number, *numbers):
         check_length(number, num_tets)
     for number in () if contact is None else penalty_numbers(contact):

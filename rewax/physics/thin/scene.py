@@ -203,8 +203,8 @@ def make_scene(
     check_materials(topology, cloth, rope, law)
     if ground is not None:
         check_ground(ground)
-    check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
     check_rotations(colliders)
+    check_numbers(scene_numbers(cloth, rope, drag, gravity, contact, ground, colliders))
     check_grasps(grasps, count)
     check_lengths(topology, cloth, rope, contact, bending_law)
     check_has_law(contact, ground, colliders)

@@ -148,8 +148,8 @@ def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
             r"joint_step has shape \(2,\), but joint_start \(1,\): give one number for each joint",
         ),
         (
-            {"joint_start": jnp.array([0.7])},
-            r"joint_start is \[0.7\], outside joint_lower \[-0.6\] and joint_upper \[0.6\]: .*",
+            {"joint_lower": jnp.array([0.7])},
+            r"joint_lower is \[0.7\] and joint_upper \[0.6\]: give a lower limit below the upper one",
         ),
         ({"joint_step": jnp.array([-0.1])}, r"joint_step is \[-0.1\]: give the change per control step .*"),
         ({"list_every": 3}, "list_every is 3, which does not divide num_substeps = 5: choose a divisor, or None"),
