@@ -130,7 +130,8 @@ def _next_trial(study: Any, out_dir: Path, num_trials: int, held: ExitStack) -> 
     for old in study.get_trials(deepcopy=False):
         if old.state == TrialState.RUNNING and not _is_held(out_dir, old.number):  # its process has ended
             study.tell(old.number, state=TrialState.FAIL)
-            study.enqueue_trial(old.params)
+            # One that was cut off before its first suggestion has no parameters yet, but those it was enqueued with.
+            study.enqueue_trial({**old.system_attrs.get("fixed_params", {}), **old.params})
         elif old.state in (TrialState.COMPLETE, TrialState.PRUNED, TrialState.RUNNING):
             begun += 1
     if begun >= num_trials:

@@ -137,6 +137,18 @@ def test_a_search_is_continued_and_a_trial_that_was_cut_off_done_anew(tmp_path, 
     assert search(tmp_path, 4)[0] == 0 and len(table(tmp_path)) == 5  # nothing is left
 
 
+def test_the_preset_is_tried_again_if_it_was_cut_off_before_it_began(tmp_path, monkeypatch):
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(studies, "run_trial", quickly())
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(studies, "_do", interrupted)
+        search(tmp_path, 1)
+    search(tmp_path, 1)
+    assert best_trial(open_study(tmp_path), SPACE).values == {"noise": 0.1, "horizon": 3}
+
+
 def _distribution(where):
     from optuna.distributions import CategoricalDistribution, FloatDistribution
 
