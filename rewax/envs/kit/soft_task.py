@@ -90,6 +90,10 @@ class SoftTask(SoftBodyTask):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_list_every(self.list_every, self.num_substeps)
+        if self.list_every is not None and isinstance(self.scene, TetScene):
+            raise ValueError(
+                f"list_every is {self.list_every}, but tetrahedra have no list of active nodes: leave it out"
+            )
         integer_option("store_every", self.store_every, "give a divisor of num_substeps, 1 to store every state")
         for name in ("joint_lower", "joint_upper", "joint_step"):
             shape, wanted = jnp.shape(getattr(self, name)), jnp.shape(self.joint_start)

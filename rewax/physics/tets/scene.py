@@ -202,8 +202,8 @@ def largest_stable_dt(scene: TetScene) -> Scalar:
     the table of SoftJumper. Poisson's ratio was 0 to 0.45, and vertices were displaced at random by 1 or 10 % of a
     tet's smallest size. Without damping these bodies become unstable between 1.1 (nu 0.45, 10 %) and 1.6 of the
     smallest bound, and with strong damping between 1.6 and 2.7. Linear theory predicts 1.3 to 1.6. Stronger compression
-    needs an extra margin. The bound ignores the damping of friction. It counts contact once, although several bodies
-    can push one vertex.
+    needs an extra margin. The bound ignores the damping of friction and ``depth_damping``. It counts contact once,
+    although several bodies can push one vertex.
 
     Gradient: exact.
     """

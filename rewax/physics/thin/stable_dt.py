@@ -29,7 +29,8 @@ def largest_stable_dt(scene: "ThinScene") -> Scalar:
     c = C/m + drag. The result is 0.8 of the smallest bound of all vertices that move.
 
     Tension adds stiffness that this bound, of a body at rest, does not include; strains above 0.5 need a margin.
-    Friction damping is not included, and contact is included once, although several bodies can push one vertex.
+    Friction damping and ``depth_damping`` are not included, and contact is included once, although several bodies can
+    push one vertex.
     Self-contact is included for ``pair_law.CROWD`` pairs at a vertex, and every grasp as if it were closed.
 
     Implicit steps have no limit: the result is infinite.

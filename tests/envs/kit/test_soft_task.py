@@ -152,6 +152,7 @@ def test_a_noisy_cloud_changes_what_is_seen_and_nothing_else():
             r"joint_lower is \[0.7\] and joint_upper \[0.6\]: give a lower limit below the upper one",
         ),
         ({"joint_step": jnp.array([-0.1])}, r"joint_step is \[-0.1\]: give the change per control step .*"),
+        ({"list_every": 5}, "list_every is 5, but tetrahedra have no list of active nodes: leave it out"),
         ({"list_every": 3}, "list_every is 3, which does not divide num_substeps = 5: choose a divisor, or None"),
     ],
 )
