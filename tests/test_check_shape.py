@@ -226,6 +226,7 @@ def test_what_python_remembers_is_found():
 
 
 def test_other_keys_and_regions_draw_other_points():
+    check_shape(Sphere(radius=0.1), region=((-0.3,) * 3, (0.3,) * 3), notify=None)
     check_shape(Plane(), key=jax.random.key(1), region=((0.0, -0.1, 0.0), (1.0, 0.1, 1.0)), notify=None)
     with pytest.raises(AssertionError, match="give a region that the surface crosses"):
         check_shape(Plane(), region=((0.0, 100.0, 0.0), (1.0, 101.0, 1.0)), notify=None)

@@ -89,6 +89,16 @@ def failing_at(count):
     return change
 
 
+def ends_early(both):
+    """An episode ends with its second step. One that reaches the time limit ends there in both ways, or in none."""
+
+    def change(new, old, action):
+        limit = both & (new.step_count >= 5)
+        return new.replace(terminated=(new.step_count == 2) | limit, truncated=limit)
+
+    return change
+
+
 def late_reward(new, old, action):
     """As that of a tool that reaches the material with the fourth step."""
     return new.replace(reward=jnp.where(new.step_count >= 4, new.reward, 0.0))
@@ -182,6 +192,11 @@ BROKEN = {
     },
     "both terminated and truncated": {"step": step_with(lambda new, *_: new.replace(terminated=new.truncated))},
     "not truncated at episode_length": {"step": late},
+    "a step is both terminated and truncated at the time limit": {"step": step_with(ends_early(True))},
+    "the episode is not truncated at episode_length 5": {"step": step_with(ends_early(False))},
+    "metric 'distance' of reset is not finite": {
+        "reset": reset_with(lambda s: s.replace(metrics={"distance": jnp.nan * s.reward}))
+    },
     "before episode_length": {"step": step_with(lambda new, *_: new.replace(truncated=new.step_count >= 3))},
 }
 

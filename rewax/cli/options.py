@@ -6,6 +6,7 @@ import difflib
 import io
 import re
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
 
 import tyro
@@ -57,6 +58,14 @@ def parse(options: type[T], argv: Sequence[str], *, prog: str, description: str)
         raise ValueError(f"there is no option {name}: {near}{prog} --help lists them")
     check_fields(filled)
     return filled
+
+
+def names_of(directories: Sequence[str]) -> list[str]:
+    """The last part of each run's path; the whole path if several have the same last part."""
+    last = [Path(directory).resolve().name for directory in directories]
+    return [
+        name if last.count(name) == 1 else str(directory) for name, directory in zip(last, directories, strict=True)
+    ]
 
 
 def build_env(name: str, scale: str, **kwargs: Any) -> Env:

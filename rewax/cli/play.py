@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from rewax.agents.legal import AT_LEAST_2, Legal, Natural, Seed, is_whole
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.options import Imports, import_modules, names_of, parse
 from rewax.cli.train import quiet
 
 _PORT = Legal("give an integer from 0 (any free port) to 65535", lambda v: is_whole(v) and 0 <= v <= 65535)
@@ -81,7 +81,7 @@ def run(argv: Sequence[str]) -> int:
         return _live(options)
     opened = [open_run(directory, step=options.step, scale=options.scale) for directory in options.runs]
     recordings = []
-    for directory, name, saved in zip(options.runs, _names(options.runs), opened, strict=True):
+    for directory, name, saved in zip(options.runs, names_of(options.runs), opened, strict=True):
         recordings.append(
             record(
                 as_recorded(saved.env),
@@ -95,7 +95,7 @@ def run(argv: Sequence[str]) -> int:
         )
         last = recordings[-1]
         print(f"{directory}: {int(last.steps[-1])} steps, return {last.totals[-1]:.4g}")
-    write_player(recordings, out, title=", ".join(_names(options.runs)))
+    write_player(recordings, out, title=", ".join(names_of(options.runs)))
     print(f"wrote {out}, {out.stat().st_size / 1e6:.1f} MB: open it in a browser")
     return 0
 
@@ -116,7 +116,7 @@ def _live(options: Options) -> int:
     directory = options.runs[0]
     if is_policy(directory):
         raise ValueError(f"a live view shows a run that trains: rewax play {directory} shows its policy")
-    saved, (name,) = load_run(directory), _names(options.runs)
+    saved, (name,) = load_run(directory), names_of(options.runs)
     env = as_recorded(saved.env)
     record = make_record(env, saved.agent.policy, max_frames=options.frames, deterministic=not options.sampled)
     viewer = LiveViewer(host=options.host, port=options.port)
@@ -137,14 +137,6 @@ def _live(options: Options) -> int:
         return 128 + signal.SIGINT
     finally:
         viewer.close()
-
-
-def _names(directories: Sequence[str]) -> list[str]:
-    """The last part of each path; the whole path if several have the same last part."""
-    last = [Path(directory).resolve().name for directory in directories]
-    return [
-        name if last.count(name) == 1 else str(directory) for name, directory in zip(last, directories, strict=True)
-    ]
 
 
 __all__ = ["Options", "run"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from rewax.cli.options import parse
+from rewax.cli.options import names_of, parse
 from rewax.statistics import Curve, learning_curve
 
 _FORMATS = (".png", ".svg", ".pdf")
@@ -46,16 +46,16 @@ def run(argv: Sequence[str]) -> int:
     if out.suffix not in _FORMATS:
         raise ValueError(f"{options.out} does not end in {', '.join(_FORMATS)}: choose one of these")
     curves: dict[str, list[Curve]] = {}
-    for directory in options.runs:
-        name, curve = _curve(Path(directory), options.by)
+    for directory, own in zip(options.runs, names_of(options.runs), strict=True):
+        name, curve = _curve(Path(directory), own if options.by == "run" else "")
         curves.setdefault(name, []).append(curve)
     out.parent.mkdir(parents=True, exist_ok=True)
     print(f"wrote {curves_with_intervals(curves, out, title=options.title)}")
     return 0
 
 
-def _curve(directory: Path, by: str) -> tuple[str, Curve]:
-    """Name and curve of a run."""
+def _curve(directory: Path, name: str) -> tuple[str, Curve]:
+    """Name and curve of a run; its name is that of its configuration if ``name`` is empty."""
     from rewax.training.storage.description import read_config
     from rewax.training.storage.metrics import read_csv
 
@@ -67,8 +67,8 @@ def _curve(directory: Path, by: str) -> tuple[str, Curve]:
     columns = read_csv(path)
     if missing := [name for name in ("env_steps", "return") if name not in columns]:
         raise ValueError(f"{path} has no column {missing[0]}: it was not written by a training run")
-    if by == "run":
-        return directory.name, learning_curve(columns)
+    if name:
+        return name, learning_curve(columns)
     config = read_config(directory)
     parts = [str(config[name]) for name in ("agent", "env", "scale") if config.get(name)]
     return " ".join(parts) or directory.name, learning_curve(columns)

@@ -111,10 +111,11 @@ class Env(Protocol):
 
 def first_state(*, physics: PyTree, obs: Observation, metrics: dict[str, Array], key: Key) -> State:
     """The ``State`` at the beginning of an episode: reward 0, step 0, status ``OK``."""
+    kinds = (leaf.dtype for leaf in jax.tree.leaves(obs) if jnp.issubdtype(leaf.dtype, jnp.floating))
     return State(
         physics=physics,
         obs=obs,
-        reward=jnp.zeros((), jax.tree.leaves(obs)[0].dtype),
+        reward=jnp.zeros((), next(kinds, jnp.result_type(float))),
         terminated=jnp.zeros((), bool),
         truncated=jnp.zeros((), bool),
         metrics=metrics,

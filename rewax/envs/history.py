@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
@@ -33,8 +34,10 @@ class History(struct.Replaceable, _Wrapper):
     of: tuple[str, ...] | None = struct.static_field(default=None)
 
     def __post_init__(self) -> None:
-        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
+        whole = isinstance(self.steps, (int, np.integer)) and not isinstance(self.steps, bool)
+        if not whole or self.steps < 1:
             raise ValueError(f"steps of the history is {self.steps!r}: give a number of observations, at least 1")
+        object.__setattr__(self, "steps", int(self.steps))
         check_observed(self.env, self.of)
 
     @property

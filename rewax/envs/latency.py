@@ -69,7 +69,8 @@ class Latency(struct.Replaceable, _Wrapper):
 
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)
-        keys = jax.random.split(jax.random.fold_in(state.key, _STREAM))
+        own = jax.random.fold_in(state.key, _STREAM)
+        keys = jax.random.split(jax.random.fold_in(own, self._inside) if self._inside else own)
         late = {name: value for name, value in state.obs.items() if self.of is None or name in self.of}
         size, spec = _longest(self.observation) + 1, self.action_spec
         idle = jnp.clip(jnp.zeros((_longest(self.action), *spec.shape), state.reward.dtype), spec.low, spec.high)
@@ -96,6 +97,15 @@ class Latency(struct.Replaceable, _Wrapper):
             obs={**new.obs, **late},
             delayed=flight.replace(observations=seen, actions=given[:-1], inner=new.delayed),
         )
+
+    @property
+    def _inside(self) -> int:
+        """How many environments with latency this one is wrapped around: each draws delays of its own."""
+        env, count = self.env, 0
+        while env is not None:
+            count += isinstance(env, Latency)
+            env = getattr(env, "__dict__", {}).get("env")
+        return count
 
     def __getattr__(self, name: str) -> Any:
         """All other attributes are those of the environment, also those that tasks have beyond the protocol."""

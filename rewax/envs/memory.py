@@ -26,19 +26,21 @@ class Remembered(NamedTuple):
 class Remembering(struct.Replaceable, _Wrapper):
     """An environment that carries the memory of a policy as the observation ``memory``.
 
-    ``reset`` sets it to zeros. ``step`` takes ``Remembered(action, memory)`` and shows this memory beside the next
-    observation. Behind ``AutoReset`` a new episode therefore begins with zeros, in its own environment only, and the
+    ``reset`` sets it to its start. ``step`` takes ``Remembered(action, memory)`` and shows this memory beside the next
+    observation. Behind ``AutoReset`` a new episode therefore begins with it, in its own environment only, and the
     memory is a part of the state that checkpoints and devices hold. After a numerical failure the memory keeps its
     value, as all observations do.
 
     Attributes:
       env: an environment without auto-reset.
       size: number of components of the memory (static).
+      start: the memory at the beginning of an episode, shape (size,); None: zeros.
 
     Gradient: exact, through the memory to the steps that wrote it.
     """
 
     size: int = struct.static_field(default=1)
+    start: Array | None = None
 
     @property
     def observation_spec(self) -> dict[str, ArraySpec]:
@@ -46,7 +48,8 @@ class Remembering(struct.Replaceable, _Wrapper):
 
     def reset(self, key: Key) -> State:
         state = self.env.reset(key)
-        return state.replace(obs={**state.obs, MEMORY: jnp.zeros(self.size, state.reward.dtype)})
+        start = jnp.zeros(self.size) if self.start is None else self.start
+        return state.replace(obs={**state.obs, MEMORY: start.astype(state.reward.dtype)})
 
     def step(self, state: State, action: Remembered) -> State:  # type: ignore[override]
         if not isinstance(action, Remembered):
@@ -61,8 +64,8 @@ class Remembering(struct.Replaceable, _Wrapper):
         return new.replace(obs={**new.obs, MEMORY: memory})
 
 
-def remembering(env: Env, size: int) -> Remembering:
-    """The environment with a memory.
+def remembering(env: Env, size: int, start: Array | None = None) -> Remembering:
+    """The environment with a memory of ``size`` components that begins as ``start``, by default with zeros.
 
     Raises:
       ValueError: it has an observation of that name already.
@@ -72,7 +75,7 @@ def remembering(env: Env, size: int) -> Remembering:
             f"the environment has an observation named {MEMORY!r}, the name of a policy's memory: rename it, or give "
             "memory=0"
         )
-    return Remembering(env=env, size=size)
+    return Remembering(env=env, size=size, start=start)
 
 
 def remembered(action: Array, memory: Array | None) -> Any:
@@ -94,7 +97,11 @@ def initial_memory(policy: Callable[..., Any]) -> Array | None:
 def stage(env: Any, policy: Callable[..., Any]) -> Any:
     """The environment as a policy acts in it: with a memory, if the policy has one."""
     memory = initial_memory(policy)
-    return env if memory is None else remembering(env, len(memory))
+    if memory is None:
+        return env
+    if jnp.ndim(memory) != 1:
+        raise ValueError(f"initial_memory() of the policy has shape {jnp.shape(memory)}: return one of shape (size,)")
+    return remembering(env, len(memory), jnp.asarray(memory))
 
 
 def with_memory_of(policy: Callable[..., Any], function: Callable[..., Any]) -> Callable[..., Any]:

@@ -127,11 +127,17 @@ def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, n
     )
 
 
+_NOT_TRUNCATED = (
+    "the episode is not truncated at episode_length {}: set truncated where step_count reaches it, as next_state does"
+)
+
+
 def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
     """Checks status, step count and end flags over one episode, and that a step after its end does not reset."""
-    length = env.episode_length
+    length, first = env.episode_length, state
     for count in range(1, length + 1):
-        state = step(state, random_action(env, jax.random.fold_in(key, count)))
+        before, action = state, random_action(env, jax.random.fold_in(key, count))
+        state = step(before, action)
         bits = int(state.status)
         assert not bits & FATAL, (
             f"step {count} of random actions fails numerically ({describe(bits)}): give {remedy(bits)}"
@@ -148,13 +154,22 @@ def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
             "episode_length"
         )
         if bool(state.terminated):
+            _check_limit(step, first, random_action(env, jax.random.fold_in(key, 1)), length)
+            _check_limit(step, before, action, length)
             return
-    assert bool(state.truncated), (
-        f"the episode is not truncated at episode_length {length}: set truncated where step_count reaches it, as "
-        "next_state does"
-    )
+    assert bool(state.truncated), _NOT_TRUNCATED.format(length)
     beyond = int(step(state, random_action(env, key)).step_count)
     assert beyond == length + 1, "step resets after the end of an episode: leave that to AutoReset"
+
+
+def _check_limit(step: _Step, state: State, action: Array, length: int) -> None:
+    """Checks the flags of a step that is moved to the time limit, for episodes that end before it."""
+    late = step(state.replace(step_count=jnp.int32(length - 1)), action)
+    if int(late.step_count) != length:  # the environment counts by itself
+        return
+    both = bool(late.terminated & late.truncated)
+    assert not both, "a step is both terminated and truncated at the time limit: terminated wins, truncated is false"
+    assert bool(late.terminated | late.truncated), _NOT_TRUNCATED.format(length)
 
 
 def _floats(tree: PyTree) -> list[np.ndarray]:

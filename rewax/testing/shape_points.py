@@ -24,6 +24,7 @@ class Sample:
       shape: the given shape.
       exact: the same shape in float64.
       lower, upper: corners of the bounding box, or of the region of a shape without bounds [m], shape (3,).
+      region: corners of the box in and around which points are drawn [m], shape (3,) each.
       size: longest edge of that box [m].
       random: points in and around the box, and far away [m], shape (num, 3).
       special: centre, axes, corners, middles of edges and faces [m], shape (num, 3).
@@ -35,8 +36,9 @@ class Sample:
         self.rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
         with jax.enable_x64(True):
             self.exact = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), float), shape)
-        corners = region or (bounding_box(shape) if shape.is_bounded else (np.full(3, -1.0), np.ones(3)))
-        self.lower, self.upper = (np.asarray(corner, np.float64) for corner in corners)
+        box = bounding_box(shape) if shape.is_bounded else region or (np.full(3, -1.0), np.ones(3))
+        self.region = tuple(np.asarray(corner, np.float64) for corner in region or box)
+        self.lower, self.upper = (np.asarray(corner, np.float64) for corner in box)
         assert np.all(self.upper > self.lower), (
             f"the bounding box of {self.name} reaches from {at(self.lower)} to {at(self.upper)}: its upper corner must "
             "be above the lower one along each axis"
@@ -66,7 +68,8 @@ class Sample:
         return points, self.distance(points)[0] < 0
 
     def _random(self) -> np.ndarray:
-        middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
+        lower, upper = self.region
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         near = middle + half * self.rng.uniform(-1.5, 1.5, (NUM, 3))
         within = middle + half * self.rng.uniform(-0.9, 0.9, (NUM // 2, 3))
         far = self.rng.normal(size=(NUM // 4, 3))

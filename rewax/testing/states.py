@@ -67,6 +67,7 @@ def check_values(env: Env, state: State, source: str) -> None:
         assert dtype == jnp.bool_, f"{name} of {source} has dtype {dtype}: use bool"
     for name, value in state.metrics.items():
         assert jnp.shape(value) == (), f"metric {name!r} of {source} has shape {jnp.shape(value)}: it must be a scalar"
+        assert finite(value), f"metric {name!r} of {source} is not finite: look for a division by 0"
     dtype = jnp.result_type(state.reward)
     assert jnp.issubdtype(dtype, jnp.floating), f"the reward of {source} has dtype {dtype}: use a float"
     assert finite(state.reward), f"the reward of {source} is not finite: build the state with next_state, which ends it"
@@ -91,7 +92,8 @@ def check_next_state(env: Env, old: State, new: State) -> None:
 
 def check_pictures(env: Any, state: State, source: str) -> None:
     """Checks that ``particles`` and ``render_shapes`` of a state can be drawn."""
-    particles, render_shapes = getattr(env, "particles", None), getattr(env, "render_shapes", None)
+    bare = getattr(env, "unwrapped", env)
+    particles, render_shapes = getattr(bare, "particles", None), getattr(bare, "render_shapes", None)
     name = "particles"
     try:
         if particles is not None:

@@ -47,7 +47,8 @@ def _material_color(name: str) -> tuple[float, float, float]:
 
 def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:
     """Colours from dark blue (low) through green to red (high) of values of shape (...,), shape (..., 3)."""
-    place = np.clip((np.asarray(values) - low) / max(high - low, 1e-12), 0.0, 1.0) * (len(SCALE) - 1)
+    known = np.nan_to_num(np.asarray(values), nan=low)
+    place = np.clip((known - low) / max(high - low, 1e-12), 0.0, 1.0) * (len(SCALE) - 1)
     index = np.minimum(place.astype(int), len(SCALE) - 2)
     part = (place - index)[..., None]
     return ((1.0 - part) * SCALE[index] + part * SCALE[index + 1]).astype(np.float32)
@@ -78,7 +79,8 @@ def particle_colors(recording: "Recording", by: str = "material") -> np.ndarray:
 
 def value_range(values: np.ndarray) -> tuple[float, float]:
     """Values at the ends of the colour scale: the 1st and the 99th percentile over all frames."""
-    low, high = np.percentile(values, (1.0, 99.0))
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, (1.0, 99.0)) if known.size else (0.0, 1.0)
     return float(low), float(max(high, low + 1e-9))
 
 

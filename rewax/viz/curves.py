@@ -1,5 +1,6 @@
 """Pictures that compare: learning curves with intervals over seeds, returns around a policy."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -36,25 +37,30 @@ def curves_with_intervals(
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 4.0), layout="constrained")
         axes = figure.subplots()
-        for (name, seeds), color in zip(runs.items(), CURVE_COLORS * 4, strict=False):
+        for (name, seeds), color in zip(runs.items(), itertools.cycle(CURVE_COLORS), strict=False):
             curves = [curve for curve in seeds if curve.steps.size]
             if not curves:
                 continue
             first, last = max(c.steps[0] for c in curves), min(c.steps[-1] for c in curves)
             grid = np.linspace(first, max(first, last), _POINTS)
             values = np.stack([curve.at(grid).returns for curve in curves])
-            axes.plot(grid, values.mean(axis=0), color=color, lw=1.5, label=f"{name} ({len(curves)})")
+            axes.plot(grid, values.mean(axis=0), color=color, lw=1.5, label=_shown(f"{name} ({len(curves)})"))
             if len(curves) > 1:
                 band = np.array([bootstrap_interval(column, num_resamples=500) for column in values.T])
                 axes.fill_between(grid, band[:, 0], band[:, 1], color=color, alpha=0.18, lw=0)
-        for (name, value), style in zip((levels or {}).items(), ("--", ":", "-.") * 4, strict=False):
-            axes.axhline(value, color="0.35", ls=style, lw=1.0, label=name)
+        for (name, value), style in zip((levels or {}).items(), itertools.cycle(("--", ":", "-.")), strict=False):
+            axes.axhline(value, color="0.35", ls=style, lw=1.0, label=_shown(name))
         axes.set(title=title, xlabel="environment steps", ylabel="return of training episodes")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="best", fontsize=8)
         figure.savefig(out_png)
     return Path(out_png)
+
+
+def _shown(label: str) -> str:
+    """A label that the legend shows: matplotlib hides those that begin with an underscore."""
+    return f"\u200b{label}" if label.startswith("_") else label
 
 
 def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | Path, *, title: str = "") -> Path:
@@ -75,7 +81,8 @@ def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | P
         figure = Figure(figsize=(5.4, 4.4), layout="constrained")
         axes = figure.subplots()
         # A few very bad corners would hide all the rest.
-        low, high = np.percentile(returns, 10.0), returns.max()
+        low, high = np.nanpercentile(returns, 10.0), np.nanmax(returns)
+        returns = np.ma.masked_invalid(returns)
         levels = np.linspace(low, max(high, low + 1e-6 * max(abs(low), 1.0)), 25)
         filled = axes.contourf(offsets, offsets, returns.T, levels=levels, cmap="viridis", extend="min")
         axes.contour(offsets, offsets, returns.T, levels=levels[::2], colors="white", linewidths=0.3, alpha=0.6)

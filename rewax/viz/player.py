@@ -77,7 +77,7 @@ def _run(recording: Recording) -> dict[str, Any]:
         "name": recording.name,
         "times": _rounded(recording.times),
         "dt": recording.step_dt,
-        "rewards": _rounded(recording.rewards),
+        "rewards": _rounded(np.nan_to_num(recording.rewards)),  # JSON has no NaN
         "actions": _packed(actions, np.float32),
         "num_actions": actions.shape[1],
         "metrics": {name: _packed(values, np.float32) for name, values in recording.metrics.items()},

@@ -56,6 +56,15 @@ def test_runs_can_be_curves_of_their_own_and_pictures_vectors(runs, tmp_path, mo
     assert out.read_text().lstrip().startswith("<?xml")
 
 
+def test_runs_of_one_name_are_told_apart_and_all_are_drawn(tmp_path, monkeypatch):
+    folders = [tmp_path / str(i) for i in range(40)]
+    for folder in folders:
+        folder.mkdir()
+    seen, out, same = drawn(monkeypatch), tmp_path / "curves.svg", [make_run(folder, "_seed0") for folder in folders]
+    assert main(["plot", *same, "--by", "run", "--out", str(out)]) == 0
+    assert list(seen) == same and all(path in out.read_text() for path in same)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -80,3 +80,7 @@ def test_it_is_an_environment():
 def test_what_cannot_be_is_a_sentence(options, sentence):
     with pytest.raises(ValueError, match=sentence):
         History(env=toys.point_mass(), **options)
+
+
+def test_an_integer_of_numpy_is_a_number_of_steps():
+    assert History(env=toys.point_mass(), steps=np.int64(2)).steps == 2

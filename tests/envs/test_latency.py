@@ -98,6 +98,12 @@ def test_it_works_around_and_inside_of_randomisation_and_other_latencies():
     jax.tree.map(np.testing.assert_array_equal, run(twice)[1].obs, run(once)[1].obs)
 
 
+def test_latencies_inside_each_other_draw_delays_of_their_own():
+    env = Latency(env=Latency(env=toys.point_mass(LENGTH), observation=(0, 5)), observation=(0, 5))
+    delayed = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200)).delayed
+    assert 0.05 < float(jnp.mean(delayed.observation_delay == delayed.inner.observation_delay)) < 0.3
+
+
 @pytest.mark.parametrize("steps", [-1, 1.5, True, (2, 1), (0, 1, 2), (0, 0.5)], ids=str)
 def test_delays_that_cannot_be_are_refused(steps):
     for name in ("observation", "action"):

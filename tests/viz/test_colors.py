@@ -32,6 +32,12 @@ def test_the_scale_goes_from_blue_to_red_and_stops_at_its_ends():
     assert colors[1, 2] > colors[1, 0] and colors[2, 1] > 0.8 and colors[3, 0] > colors[3, 2]
 
 
+def test_numbers_that_are_not_finite_take_the_low_end():
+    values = np.array([0.0, 1.0, np.nan])
+    assert value_range(values) == pytest.approx((0.01, 0.99)) and value_range(values[2:]) == (0.0, 1.0)
+    np.testing.assert_array_equal(scale_colors(values, 0.0, 1.0)[2], scale_colors(values, 0.0, 1.0)[0])
+
+
 def test_height_is_along_up_and_outliers_do_not_stretch_the_scale():
     recording = recordings.cloud(2, num_particles=500)
     colors = particle_colors(recording, "height")

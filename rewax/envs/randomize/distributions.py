@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtr, ndtri
 
 from rewax.types import Array, Key
 
@@ -99,6 +100,19 @@ class Uniform(Distribution):
         return jax.random.uniform(key, shape, dtype, minval=self.low, maxval=self.high)
 
 
+def _truncated_normal(key: Key, low: float, high: float, shape: tuple[int, ...], dtype: Any) -> Array:
+    """Standard normal numbers between two bounds.
+
+    They are drawn from the lower tail, where the distribution function has full precision, and turned for bounds above.
+    """
+    turned = low + high > 0.0
+    low, high = (-high, -low) if turned else (low, high)
+    first, last = (ndtr(jnp.asarray(bound, dtype)) for bound in (low, high))
+    share = jax.random.uniform(key, shape, dtype, minval=0.5 * float(jnp.finfo(dtype).eps))
+    drawn = jnp.clip(ndtri(first + (last - first) * share), low, high)
+    return -drawn if turned else drawn
+
+
 @dataclasses.dataclass(frozen=True)
 class LogUniform(Distribution):
     """The logarithm is uniform from log(low) to log(high), 0 < low < high. The median is sqrt(low * high)."""
@@ -141,7 +155,7 @@ class Normal(Distribution):
         if math.isinf(self.low) and math.isinf(self.high):
             return self.mean + self.std * jax.random.normal(key, shape, dtype)
         low, high = self._standard(self.low), self._standard(self.high)
-        drawn = self.mean + self.std * jax.random.truncated_normal(key, low, high, shape, dtype)
+        drawn = self.mean + self.std * _truncated_normal(key, low, high, shape, dtype)
         return jnp.clip(drawn, self.low, self.high)
 
     def _standard(self, value: float) -> float:
@@ -173,7 +187,7 @@ class LogNormal(Distribution):
         low, high = self._standard(self.low), self._standard(self.high)
         if math.isinf(low) and math.isinf(high):
             return self.median * jnp.exp(self.log_std * jax.random.normal(key, shape, dtype))
-        drawn = jax.random.truncated_normal(key, low, high, shape, dtype)
+        drawn = _truncated_normal(key, low, high, shape, dtype)
         return jnp.clip(self.median * jnp.exp(self.log_std * drawn), self.low, self.high)
 
     def _standard(self, value: float) -> float:

@@ -99,7 +99,7 @@ class LeafDraws:
         for names, draw in self.draws:
             parts = [part for name in names for part in _parts_named(name, named, env)]
             for part in parts:
-                if part in drawn:
+                if any(_overlap(part, other) for other in drawn):
                     raise ValueError(f"{_name(part, named)} is drawn twice: give it one distribution")
                 drawn.add(part)
             _check_leaves(parts, named, draw)
@@ -139,6 +139,12 @@ class _Part(NamedTuple):
     """Index of the array among the leaves of the environment."""
     index: tuple[int | None, ...]  # pyright: ignore[reportIncompatibleMethodOverride]
     """Indices of the first axes of the array; None stands for a whole axis."""
+
+
+def _overlap(part: _Part, other: _Part) -> bool:
+    """Whether two parts share a number."""
+    pairs = zip(part.index, other.index, strict=False)
+    return part.leaf == other.leaf and all(i is None or j is None or i == j for i, j in pairs)
 
 
 def _parts_named(name: str, named: list[tuple[Any, Any]], env: Any) -> list[_Part]:

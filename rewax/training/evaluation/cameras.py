@@ -21,11 +21,11 @@ Pixels = dict[str, Array]
 def as_recorded(env: Any) -> Any:
     """One environment with its own parameters, and with all that changes observations and actions.
 
-    It leaves out ``AutoReset`` and ``Vmap`` around it, and ``Randomized`` everywhere: an episode is shown as it is
-    without draws.
+    It leaves out ``AutoReset`` around it, and ``Randomized`` everywhere: an episode is shown as it is without draws. Of
+    a batch it is the first environment.
     """
     while isinstance(env, (Randomized, AutoReset, Vmap)):
-        env = env.env
+        env = env._first if isinstance(env, Vmap) else env.env
     return _without_draws(env)
 
 

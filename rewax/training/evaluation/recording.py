@@ -9,7 +9,8 @@ import numpy as np
 
 from rewax.envs.base import Env, State
 from rewax.envs.memory import action_of, stage
-from rewax.envs.wrappers import select
+from rewax.envs.registry import did_you_mean
+from rewax.envs.wrappers import AutoReset, Vmap, select
 from rewax.training.evaluation.cameras import make_pixels, seen_by
 from rewax.training.evaluation.episodes import Policy, with_step
 from rewax.types import Key, PyTree
@@ -43,6 +44,10 @@ def check_color_by(env: Any, color_by: str) -> None:
     known = ("material", "height", *values)
     if color_by not in known:
         raise ValueError(f"particles cannot be coloured by {color_by!r}: use one of {', '.join(known)}")
+
+
+APPEARANCE = ("triangles", "segments", "thickness", "materials", "material_names", "floor", "camera")
+"""What ``env.appearance`` may say, see ``Recording``."""
 
 
 def record(
@@ -91,6 +96,10 @@ def make_record(
         raise ValueError(f"max_frames is {max_frames}: use 2 or more")
     if not can_record(env):
         raise ValueError(_NOTHING)
+    while isinstance(env, AutoReset):  # it would go on with the next episode
+        env = env.env
+    if isinstance(env, Vmap):
+        raise ValueError("env is a batch of environments: record one of them")
     env = stage(env, policy)
     every = max(1, -(-env.episode_length // (max_frames - 1)))
     reset, advance = jax.jit(env.reset), _make_advance(env, policy, every, deterministic)
@@ -206,6 +215,10 @@ def _recording(
     nothing = {"rewards": np.zeros(0), "status": np.zeros(0, np.int32), "actions": None, "metrics": {}}
     whole = jax.tree.map(lambda *parts: np.concatenate(parts), *logged) if logged else nothing
     options = dict(getattr(env, "appearance", {}))
+    for option in options:
+        if option not in APPEARANCE:
+            near = did_you_mean(option, APPEARANCE)
+            raise ValueError(f"appearance has {option!r}: {near}use some of {', '.join(APPEARANCE)}")
     dt = getattr(env, "control_dt", None)
     return Recording(
         steps=np.asarray(steps),

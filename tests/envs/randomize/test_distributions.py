@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 from rewax.envs.randomize import Choice, Constant, LogNormal, LogUniform, Normal, Per, Scale, Shift, Uniform
 
@@ -42,6 +43,16 @@ def test_draws_lie_in_range_with_mean_and_spread(distribution):
         and abs(drawn.std(dtype=float) - std) <= 0.02 * std + 1e-7
     )
     np.testing.assert_array_equal(drawn, distribution.sample(jax.random.key(0), (NUM,), jnp.float32))
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(4.9, math.inf), (-math.inf, -4.0), (3.0, 10.0), (-1.0, math.inf), (-2.0, 1.0)]
+)
+def test_draws_from_a_tail_are_those_of_a_truncated_normal_distribution(low, high):
+    drawn = np.asarray(Normal(0.0, 1.0, low=low, high=high).sample(jax.random.key(0), (300_000,), jnp.float32))
+    assert np.abs(drawn).max() < 8.0
+    shares = (0.01, 0.5, 0.99)
+    np.testing.assert_allclose(np.quantile(drawn, shares), stats.truncnorm(low, high).ppf(shares), atol=0.03)
 
 
 def test_the_logarithm_of_a_log_uniform_draw_is_uniform():

@@ -185,6 +185,8 @@ REFUSED = {
     r"^start is drawn twice: give it one distribution$": {"start": ONE, ".start": Shift(ONE)},
     r"^start\[3\]\[2\] is drawn twice": {"start[3,2]": ONE, "start[-1,-1]": ONE},
     r"^tools\[1\].friction is drawn twice": {"tools[*].friction": ONE, "tools[1].friction": ONE},
+    r"^start\[1\] is drawn twice": {"start": Scale(ONE), "start[1]": Shift(ONE)},
+    r"^start is drawn twice": {"start[1]": Shift(ONE), "start": Scale(ONE)},
     r"^count is of type int32: only floats can be drawn; give the environment a float there$": {"count": ONE},
     r"^whole is of type int32: only floats can be drawn": {"whole": ONE},
     r"^number is 0.0, which no factor changes: give its values, as in Uniform\(0.1, 0.5\)$": {"number": Scale(ONE)},

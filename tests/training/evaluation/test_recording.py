@@ -9,6 +9,7 @@ import pytest
 import toys
 
 from rewax import struct
+from rewax.envs import AutoReset, stack
 from rewax.envs.kit.rigid_task import RigidPhysics, RigidTask
 from rewax.envs.memory import MEMORY, Remembered
 from rewax.physics import rigid
@@ -69,6 +70,31 @@ def test_a_policy_with_memory_is_recorded_with_the_actions_that_it_remembers():
     found = record(toys.point_mass(length=6), counting, None, KEY)
     np.testing.assert_allclose(found.actions[:, 0], 0.1 * np.arange(6), rtol=1e-6)
     np.testing.assert_allclose(np.diff(found.particles[:, 0, 0]), 0.05 * np.arange(6), atol=1e-6)
+
+
+def test_a_memory_begins_as_the_policy_says():
+    def remembers(train_state, obs, key, deterministic=False):
+        return Remembered(obs[MEMORY], obs[MEMORY])
+
+    remembers.initial_memory = lambda: jnp.full(1, 0.7)
+    np.testing.assert_allclose(record(toys.point_mass(length=3), remembers, None, KEY).actions[:, 0], 0.7)
+    remembers.initial_memory = lambda: jnp.zeros((2, 3))
+    with pytest.raises(ValueError, match=r"initial_memory\(\) of the policy has shape \(2, 3\): return one of shape"):
+        record(toys.point_mass(length=3), remembers, None, KEY)
+
+
+def test_of_an_environment_with_automatic_reset_one_episode_is_recorded():
+    one, again = (recorded(env, 0.2) for env in (toys.point_mass(length=3), AutoReset(env=toys.point_mass(length=3))))
+    np.testing.assert_array_equal(again.rewards, one.rewards)
+    np.testing.assert_array_equal(again.steps, one.steps)
+    with pytest.raises(ValueError, match="env is a batch of environments: record one of them"):
+        recorded(stack([toys.point_mass(), toys.point_mass()]), 0.2)
+
+
+def test_a_misspelt_appearance_is_a_sentence(monkeypatch):
+    monkeypatch.setattr(toys.PointMass, "appearance", {"flor": 0.0}, raising=False)
+    with pytest.raises(ValueError, match="appearance has 'flor': did you mean 'floor'"):
+        recorded(toys.point_mass(), 0.2)
 
 
 def test_long_episodes_are_shown_every_few_steps_and_no_reward_is_lost():
