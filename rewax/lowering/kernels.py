@@ -59,9 +59,9 @@ def pointwise(function: Callable[[S, P], T]) -> Callable[[S, P], T]:
 
     @functools.wraps(function)
     def call(shared: S, elements: P) -> T:
-        if not build.is_available():
-            return function(shared, elements)
         dtype = common_type(elements)
+        if not build.is_available():
+            return function(shared, elements) if dtype is None else broadcast(function)(shared, elements)
         if dtype is None:
             if jax.default_backend() == "cpu":
                 report.note(function, "value", "its elements are not arrays of one length and one floating type")

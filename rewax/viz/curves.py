@@ -53,7 +53,8 @@ def curves_with_intervals(
         axes.set(title=title, xlabel="environment steps", ylabel="return of training episodes")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="best", fontsize=8)
+            many = len(axes.get_legend_handles_labels()[0]) > 12
+            axes.legend(loc="best", fontsize=4 if many else 8, ncols=3 if many else 1)
         figure.savefig(out_png)
     return Path(out_png)
 

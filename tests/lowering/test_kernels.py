@@ -177,6 +177,15 @@ def test_without_a_compiler_it_is_the_function(monkeypatch):
     assert plain == same and "linear_call" not in same
 
 
+@pytest.mark.parametrize("native", ["0", "1"])
+def test_a_result_of_the_shared_numbers_alone_is_that_of_every_element(native, monkeypatch):
+    monkeypatch.setenv("REWAX_NATIVE", native)
+    shared, elements = jnp.ones(1), jnp.ones(7)
+    twice = pointwise(lambda shared, elements: (2.0 * shared, elements))
+    assert twice(shared, elements)[0].shape == (7,)
+    assert float(jax.grad(lambda shared: twice(shared, elements)[0].sum())(shared)[0]) == 14.0
+
+
 @pytest.mark.parametrize(
     "elements",
     [(jnp.ones(4), 2.0), (jnp.ones(4), jnp.ones(1)), (jnp.ones(4), jnp.float32(2.0)), (jnp.ones(0), jnp.ones(0)),

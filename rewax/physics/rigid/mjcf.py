@@ -238,10 +238,31 @@ def _check_fields(mj: mujoco.MjModel) -> None:
                 wrong = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong])
             name = named(mj, {"dof": "joint", "jnt": "joint"}.get(kind, kind), wrong)
             raise ValueError(f"{name} has {what}, which is not supported: remove it")
+    aside = (mj.wrap_type == mujoco.mjtWrap.mjWRAP_CYLINDER) & (mj.wrap_prm >= 0.0)  # wrap_prm: the side site
+    if np.any(aside):
+        wrapped = np.isin(np.arange(mj.ngeom), mj.wrap_objid[aside])
+        raise ValueError(
+            f"a tendon wraps {named(mj, 'geom', wrapped)}, a cylinder, with a sidesite, where MJX takes another path "
+            "than MuJoCo: remove the sidesite"
+        )
+
+
+def _check_margins(mj: mujoco.MjModel) -> None:
+    """Raises ValueError for limits whose two margins overlap: MJX has one row of constraints for both sides."""
+    lines = np.isin(mj.jnt_type, (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE))
+    for kind, limited in (("jnt", (mj.jnt_limited != 0) & lines), ("tendon", mj.tendon_limited != 0)):
+        low, high = getattr(mj, f"{kind}_range").reshape(-1, 2).T
+        wrong = limited & (2.0 * getattr(mj, f"{kind}_margin") > high - low)
+        if np.any(wrong):
+            raise ValueError(
+                f"{named(mj, kind.replace('jnt', 'joint'), wrong)} has a margin of more than half its range, for which "
+                "MJX has one constraint where MuJoCo has two: give a smaller margin"
+            )
 
 
 def _check_constraints(mj: mujoco.MjModel, penalty: bool) -> None:
     if not penalty:
+        _check_margins(mj)
         return
     uneven = mj.pair_friction[:, 0] != mj.pair_friction[:, 1]
     if np.any(uneven):

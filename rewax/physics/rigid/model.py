@@ -97,9 +97,9 @@ class RigidModel(struct.Replaceable):
     Attributes:
       parameters: MuJoCo's fields named in ``PARAMETERS``. Differentiate with respect to them, vmap over them, change
         them without compiling again. Values that MuJoCo derives from them (inverse weights) do not follow. Ranges of
-        unlimited joints and actuators have no effect. In a model loaded without dry friction, a traced one has no
-        effect; in a model loaded without damping, a traced one is explicit in time. Mass and inertia are separate
-        parameters: change both. Quaternions and axes must keep length 1.
+        unlimited joints and actuators have no effect. Traced dry friction of a joint that was loaded without it has no
+        effect; in a model loaded without damping, a traced one is explicit in time. Limits whose two margins overlap
+        have one constraint instead of two. Mass and inertia are separate parameters: change both. Quaternions and axes must keep length 1.
       gravity: gravitational acceleration [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
       static: the static part of the model.
@@ -153,15 +153,25 @@ class RigidModel(struct.Replaceable):
                 raise ValueError(
                     f"{name} has shape {np.shape(value)}: give shape {self.parameters[name].shape}, as in the model"
                 )
-            absent = name in ("dof_damping", "dof_frictionloss") and not np.any(getattr(self.static.mj, name))
-            if absent and not isinstance(value, jax.core.Tracer) and np.any(np.asarray(value)):
-                raise ValueError(
-                    f"the model was loaded without {name}, so it cannot change: give it a positive value in the MJCF"
-                )
+            if name in ("dof_damping", "dof_frictionloss") and not isinstance(value, jax.core.Tracer):
+                self._check_loaded(name, np.asarray(value))
         check_numbers(parameter_numbers(changes))
         check_unit_lengths(changes)
         given = {name: jnp.asarray(value, self.parameters[name].dtype) for name, value in changes.items()}
         return self.replace(parameters={**self.parameters, **given})
+
+    def _check_loaded(self, name: str, value: np.ndarray) -> None:
+        """Raises ValueError for damping in a model, or dry friction in a joint, that was loaded without it."""
+        mj = self.static.mj
+        loaded = np.asarray(getattr(mj, name)) > 0
+        if name == "dof_damping":  # one implicit solve serves all joints
+            loaded = np.full_like(loaded, loaded.any())
+        wrong = ~loaded & (value != 0)
+        if np.any(wrong):
+            joint = mjcf.named(mj, "joint", np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong]))
+            raise ValueError(
+                f"{joint} was loaded without {name}, so it cannot change: give it a positive value in the MJCF"
+            )
 
     def with_mocap(self, position: Array, quaternion: Array | None = None) -> "RigidModel":
         """A copy with other poses of the mocap bodies. One compiled step serves all such copies.

@@ -45,3 +45,11 @@ def test_traced_parameters_are_flagged():
     assert not invalid(model.parameters, 0.0)
     assert invalid(model.parameters, -1.0)
     assert invalid({**model.parameters, "body_mass": mass}, 0.0)
+
+
+def test_dry_friction_is_that_of_the_joints_that_were_loaded_with_it():
+    joints = '<body><joint name="a" frictionloss=".2"/><geom size=".1"/></body><body><joint name="b"/><geom size=".1"/></body>'
+    model = rigid.load(f"<mujoco><worldbody>{joints}</worldbody></mujoco>")
+    model.with_parameters(dof_frictionloss=np.array([0.5, 0.0]))
+    with pytest.raises(ValueError, match="^joint 'b' was loaded without dof_frictionloss, so it cannot change"):
+        model.with_parameters(dof_frictionloss=np.array([0.2, 5.0]))

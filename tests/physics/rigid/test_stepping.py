@@ -170,7 +170,7 @@ def test_wrong_arguments_are_named():
         ),
         (
             lambda: model.with_parameters(dof_frictionloss=np.ones(6)),
-            "the model was loaded without dof_frictionloss, so it cannot change: give it a positive value in the MJCF",
+            "joint 'x' was loaded without dof_frictionloss, so it cannot change: give it a positive value in the MJCF",
         ),
     ):
         with pytest.raises(ValueError, match="^" + re.escape(sentence)):
