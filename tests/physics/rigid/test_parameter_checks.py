@@ -51,5 +51,5 @@ def test_dry_friction_is_that_of_the_joints_that_were_loaded_with_it():
     joints = '<body><joint name="a" frictionloss=".2"/><geom size=".1"/></body><body><joint name="b"/><geom size=".1"/></body>'
     model = rigid.load(f"<mujoco><worldbody>{joints}</worldbody></mujoco>")
     model.with_parameters(dof_frictionloss=np.array([0.5, 0.0]))
-    with pytest.raises(ValueError, match="^joint 'b' was loaded without dof_frictionloss, so it cannot change"):
+    with pytest.raises(ValueError, match=r"^joint 'b' was loaded without dof_frictionloss, so it cannot change"):
         model.with_parameters(dof_frictionloss=np.array([0.2, 5.0]))
