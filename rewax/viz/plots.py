@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import EngFormatter
 
-from rewax.viz.shapes import Drawing, View, bounds, check_cloud, outline
+from rewax.viz.shapes import Drawing, View, bounds, check_cloud, check_drawing, outline, side_view, turned
 
 Columns: TypeAlias = Mapping[str, np.ndarray]
 """Columns of a table by name, as ``rewax.training.storage.metrics.read_csv`` reads them."""
@@ -122,26 +122,33 @@ def particle_strip(
     labels: Sequence[str] = (),
     shapes: Sequence[Sequence[Drawing]] = (),
     diameter: float | None = None,
+    up: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0),
     title: str = "",
 ) -> Path:
-    """Draw a particle cloud over time: a column for each frame, seen from the side (x, y) and from the top (x, z).
+    """Draw a particle cloud over time: a column for each frame, seen from the side and from the top.
 
     Args:
-      frames: particle positions [m] of each frame, shape (num_particles, 3), y up.
+      frames: particle positions [m] of each frame, shape (num_particles, 3).
       out_png: picture to write.
       labels: one for each frame, e.g. its time.
       shapes: drawings of each frame (``rewax.viz.shapes``); planes are left out.
       diameter: of a drawn particle [m]; by default one that fills the first frame's volume.
+      up: unit vector that points up in the side view, shape (3,).
       title: of the picture.
 
     Returns:
-      The path written. Colour is height y; all panels have one scale.
+      The path written. Colour is the height; all panels have one scale.
 
     Raises:
       ValueError: particles have another shape, or kind or keys of a drawing are wrong.
     """
-    clouds = [check_cloud(frame) for frame in frames]
-    drawn_shapes = [list(frame) for frame in shapes] or [[] for _ in clouds]
+    view = side_view(up)
+    axes_of_view = np.stack([view.right, view.up, view.towards])
+    right, above, towards = map(_axis_name, axes_of_view)
+    clouds = [check_cloud(frame) @ axes_of_view.T for frame in frames]
+    for shape in (shape for frame in shapes for shape in frame):
+        check_drawing(shape)
+    drawn_shapes = [[turned(shape, axes_of_view) for shape in frame] for frame in shapes] or [[] for _ in clouds]
     low, high = _bounds(clouds, drawn_shapes)
     diameter = _spacing(clouds[0]) if diameter is None else diameter
     normalize = Normalize(
@@ -162,14 +169,23 @@ def particle_strip(
                 panels[row, i].set(xlim=(low[0], high[0]), ylim=(low[up], high[up]), aspect="equal")
             if i < len(labels):
                 panels[0, i].set_title(labels[i], fontsize=8)
-            panels[1, i].set_xlabel("x [m]")
-        panels[0, 0].set_ylabel("side: y [m]")
-        panels[1, 0].set_ylabel("top: z [m]")
-        figure.colorbar(drawn, ax=panels, label="height y [m]", fraction=0.03, pad=0.01, aspect=30)  # pyright: ignore[reportPossiblyUnboundVariable]
+            panels[1, i].set_xlabel(f"{right} [m]")
+        panels[0, 0].set_ylabel(f"side: {above} [m]")
+        panels[1, 0].set_ylabel(f"top: {towards} [m]")
+        figure.colorbar(drawn, ax=panels, label=f"height {above} [m]", fraction=0.03, pad=0.01, aspect=30)  # pyright: ignore[reportPossiblyUnboundVariable]
         if title:
             figure.suptitle(title, fontsize=10)
         figure.savefig(out_png)
     return Path(out_png)
+
+
+def _axis_name(direction: np.ndarray) -> str:
+    """The name of a coordinate axis, with a minus sign for the opposite direction; empty for another direction."""
+    for axis, name in zip(np.eye(3), "xyz", strict=True):
+        for sign in ("", "-"):
+            if np.allclose(direction, -axis if sign else axis, atol=1e-6):
+                return sign + name
+    return ""
 
 
 def _draw_cloud(

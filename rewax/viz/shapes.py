@@ -93,6 +93,12 @@ def side_view(up: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0)) -> View:
     return View(right / np.linalg.norm(right), up)
 
 
+def turned(drawing: Drawing, rotation: np.ndarray) -> Drawing:
+    """A drawing turned about the origin by a rotation matrix, shape (3, 3)."""
+    found = {"center", "direction", "rotation"} & drawing.keys()
+    return {**drawing, **{key: rotation @ np.asarray(drawing[key], float) for key in found}}
+
+
 def check_drawing(drawing: Drawing) -> None:
     """Check kind, keys and numbers of a drawing.
 

@@ -51,6 +51,22 @@ def test_particle_strip_has_a_column_for_each_frame(tmp_path, num_frames):
     assert min(inked) > 0.1 and max(inked) < 2.5 * min(inked)
 
 
+def test_up_may_be_another_axis(tmp_path):
+    """A picture of turned particles and shapes is the picture of the others, but for the axes' names."""
+    cloud = np.random.default_rng(0).uniform([0.4, 0.0, 0.4], [0.6, 0.1, 0.6], (300, 3))
+    to_z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y becomes z
+    turned = capsule(center=to_z @ (0.5, 0.2, 0.5), direction=to_z @ (0.0, 0.0, 1.0))
+    pictures = [
+        matplotlib.image.imread(plots.particle_strip([points], tmp_path / f"{i}.png", shapes=[[shape]], up=up))
+        for i, (points, shape, up) in enumerate(
+            [(cloud, capsule(), (0, 1, 0)), (cloud @ to_z.T, turned, (0, 0, 1)), (cloud @ to_z.T, turned, (0, 1, 0))]
+        )
+    ]
+    assert pictures[0].shape == pictures[1].shape
+    assert np.mean(np.abs(pictures[0] - pictures[1])) < 0.01
+    assert np.mean(np.abs(pictures[0] - pictures[2])) > 0.05
+
+
 def test_bounds_hold_every_shape():
     low, high = plots._bounds([np.zeros((1, 3))], [[capsule(direction=(2.0, 0.0, 0.0))]])
     assert low[0] < 0.0 and high[0] > 0.75 and high[2] > 0.55

@@ -44,7 +44,9 @@ def draw_strip(recording: Recording, out_png: Path, *, num_frames: int) -> str:
     shapes = [shown.shapes(i) for i in range(shown.num_frames)]
     if shown.particles is not None:
         diameter = None if shown.thickness is None else 3.0 * shown.thickness  # sheets and lines have no volume
-        plots.particle_strip(list(shown.particles), out_png, labels=labels, shapes=shapes, diameter=diameter)
+        plots.particle_strip(
+            list(shown.particles), out_png, labels=labels, shapes=shapes, diameter=diameter, up=shown.up
+        )
     else:
         bodies.body_strip(shapes, out_png, labels=labels, up=np.asarray(shown.up))
     return ""
