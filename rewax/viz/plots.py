@@ -164,9 +164,9 @@ def particle_strip(
             2, len(clouds), squeeze=False, sharex=True, sharey="row", height_ratios=(extent[1], extent[2])
         )
         for i, (cloud, frame_shapes) in enumerate(zip(clouds, drawn_shapes, strict=True)):
-            for row, up in enumerate((1, 2)):
-                drawn = _draw_cloud(panels[row, i], cloud, frame_shapes, up, diameter, normalize)
-                panels[row, i].set(xlim=(low[0], high[0]), ylim=(low[up], high[up]), aspect="equal")
+            for row, axis in enumerate((1, 2)):
+                drawn = _draw_cloud(panels[row, i], cloud, frame_shapes, axis, diameter, normalize)
+                panels[row, i].set(xlim=(low[0], high[0]), ylim=(low[axis], high[axis]), aspect="equal")
             if i < len(labels):
                 panels[0, i].set_title(labels[i], fontsize=8)
             panels[1, i].set_xlabel(f"{right} [m]")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import toys
 
+from rewax import struct
 from rewax.cli.main import main
 from rewax.envs import registry
 from rewax.envs.latency import Latency
@@ -98,6 +99,13 @@ def test_the_video_has_the_size_and_place_that_are_asked_for(run, tmp_path, caps
     reader.close()
 
 
+@struct.dataclass
+class Things(toys.PointMass):
+    """A point mass with an array that nothing uses."""
+
+    start: jax.Array = struct.field(default_factory=lambda: jnp.ones(3))
+
+
 def test_a_value_that_is_set_is_not_drawn():
     env = toys.point_mass(4)
     draws = hook({"gain": Scale(Uniform(0.5, 2.0))})
@@ -108,6 +116,16 @@ def test_a_value_that_is_set_is_not_drawn():
     moved = [fixed.step(state, jnp.ones(1)).physics - state.physics for state in states]
     np.testing.assert_allclose(moved, 0.3, rtol=1e-5)
     assert drawn.reset(jax.random.key(0)).drawn[".gain"] != drawn.reset(jax.random.key(1)).drawn[".gain"]
+    several = Randomized(
+        env=Things(start=jnp.ones(3), gain=jnp.float32(1.0)),
+        randomize=hook({"start": Scale(Uniform(0.5, 2.0)), "gain": Uniform(5.0, 6.0)}),
+    )
+    kept = with_parameters(several, {"env.start": 2.0})
+    assert [names for names, _ in kept.randomize.draws] == [("gain",)]
+    with pytest.raises(
+        ValueError, match=r"start\[1\] is drawn at every reset together with the rest of start: set all"
+    ):
+        with_parameters(several, {"env.start[1]": 3.0})
     own = Randomized(env=env, randomize=lambda key, env: env.replace(gain=env.gain * jax.random.uniform(key)))
     with pytest.raises(ValueError, match="gain is drawn at every reset by a function, so it has no value to set"):
         with_parameters(own, {"env.gain": 0.3})

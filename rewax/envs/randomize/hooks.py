@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import itertools
 import re
 import zlib
 from collections.abc import Mapping, Sequence
@@ -145,6 +146,24 @@ def _overlap(part: _Part, other: _Part) -> bool:
     """Whether two parts share a number."""
     pairs = zip(part.index, other.index, strict=False)
     return part.leaf == other.leaf and all(i is None or j is None or i == j for i, j in pairs)
+
+
+def reached(names: Sequence[str], others: Sequence[str], env: Any) -> tuple[bool, bool]:
+    """Whether parameters share numbers with others, and whether all their numbers are among the others'.
+
+    Args:
+      names, others: of parameters, or of parts of them.
+      env: whose parameters they are.
+    """
+    named = jax.tree.leaves_with_path(env)
+    parts, rest = ([part for name in each for part in _parts_named(name, named, env)] for each in (names, others))
+
+    def within(part: _Part, other: _Part) -> bool:
+        pairs = itertools.zip_longest(part.index, other.index)
+        return part.leaf == other.leaf and all(j is None or i == j for i, j in pairs)
+
+    some = any(_overlap(part, other) for part in parts for other in rest)
+    return some, all(any(within(part, other) for other in rest) for part in parts)
 
 
 def _parts_named(name: str, named: list[tuple[Any, Any]], env: Any) -> list[_Part]:

@@ -10,6 +10,7 @@ import jax
 
 from rewax.envs.base import Env
 from rewax.envs.randomize import Constant, LeafDraws, hook, leaves
+from rewax.envs.randomize.hooks import reached
 from rewax.envs.randomized import Randomized, changed_by
 from rewax.envs.wrappers import _Wrapper
 
@@ -52,10 +53,11 @@ def with_parameters(env: Env, values: Mapping[str, float]) -> Env:
     """An environment of the same structure with other values of some parameters, which are no longer drawn at resets.
 
     Raises:
-      ValueError: the environment has no such parameter, or a function of the user draws it.
+      ValueError: the environment has no such parameter, a function of the user draws it, or it is drawn together with
+        others that keep their draws.
     """
     fixed = hook({name: Constant(value) for name, value in values.items()})
-    return _without_draws_of(_drawn_by(fixed, env), fixed(jax.random.key(0), env))
+    return _without_draws_of([name.removeprefix(".") for name in values], fixed(jax.random.key(0), env))
 
 
 def _drawn_by(randomize: Any, env: Any) -> set[str]:
@@ -63,22 +65,33 @@ def _drawn_by(randomize: Any, env: Any) -> set[str]:
     return set(jax.eval_shape(lambda key: changed_by(randomize, key, env), jax.random.key(0)))
 
 
-def _without_draws_of(names: set[str], env: Any) -> Any:
-    """The environment without those draws that reach one of these arrays, at any depth of its wrappers."""
+def _without_draws_of(names: Sequence[str], env: Any) -> Any:
+    """The environment without the draws of these parameters, at any depth of its wrappers."""
     if not isinstance(env, _Wrapper):
         return env
-    inside = {name.removeprefix(".env") for name in names if name.startswith(".env")}
+    inside = [name.removeprefix("env.") for name in names if name.startswith("env.")]
     kept = {}
-    if isinstance(env, Randomized):
+    if isinstance(env, Randomized) and inside:
         if isinstance(env.randomize, LeafDraws):
-            draws = [draw for draw in env.randomize.draws if not inside & _drawn_by(LeafDraws((draw,)), env.env)]
-            kept = {"randomize": LeafDraws(tuple(draws))}
-        elif clash := sorted(inside & _drawn_by(env.randomize, env.env)):
-            raise ValueError(
-                f"{clash[0].removeprefix('.')} is drawn at every reset by a function, so it has no "
-                "value to set: draw it with rewax.envs.randomize.hook"
-            )
+            kept = {"randomize": LeafDraws(tuple(d for d in env.randomize.draws if not _is_set(d[0], inside, env.env)))}
+        else:
+            set_to = hook({name: Constant(0.0) for name in inside})
+            if clash := sorted(_drawn_by(set_to, env.env) & _drawn_by(env.randomize, env.env)):
+                raise ValueError(
+                    f"{clash[0].removeprefix('.')} is drawn at every reset by a function, so it has no "
+                    "value to set: draw it with rewax.envs.randomize.hook"
+                )
     return dataclasses.replace(env, env=_without_draws_of(inside, env.env), **kept)
+
+
+def _is_set(drawn: tuple[str, ...], names: Sequence[str], env: Any) -> bool:
+    """Whether the parameters of a draw are set. Raises ValueError if only a part of them is."""
+    some, every = reached(drawn, names, env)
+    if some and not every:
+        raise ValueError(
+            f"{', '.join(names)} is drawn at every reset together with the rest of {', '.join(drawn)}: set all of it"
+        )
+    return some
 
 
 def _full_name(name: str, env: Env) -> str:
