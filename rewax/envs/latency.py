@@ -8,7 +8,7 @@ import numpy as np
 
 from rewax import struct
 from rewax.envs.base import ArraySpec, State
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_observed
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, check_observed, count_inside
 from rewax.types import Array, Key, Observation, PyTree
 
 _STREAM = 0x1A7E
@@ -101,11 +101,7 @@ class Latency(struct.Replaceable, _Wrapper):
     @property
     def _inside(self) -> int:
         """How many environments with latency this one is wrapped around: each draws delays of its own."""
-        env, count = self.env, 0
-        while env is not None:
-            count += isinstance(env, Latency)
-            env = getattr(env, "__dict__", {}).get("env")
-        return count
+        return count_inside(self, Latency)
 
     def __getattr__(self, name: str) -> Any:
         """All other attributes are those of the environment, also those that tasks have beyond the protocol."""

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from rewax import struct
 from rewax.envs.base import NO_LEAF, SENSOR_LEAF, ArraySpec, State
 from rewax.envs.randomized import innermost
-from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper
+from rewax.envs.wrappers import NOT_FORWARDED, _Wrapper, count_inside
 from rewax.physics.contact import Patches
 from rewax.sensors.touch import Touch
 from rewax.sensors.world import World
@@ -129,11 +129,7 @@ class Sensing(struct.Replaceable, _Wrapper):
     @property
     def _inside(self) -> int:
         """How many environments with sensors this one is wrapped around: each has random numbers of its own."""
-        env, count = self.env, 0
-        while env is not None:
-            count += isinstance(env, Sensing)
-            env = getattr(env, "__dict__", {}).get("env")
-        return count
+        return count_inside(self, Sensing)
 
     def _see(self, state: State) -> Observation:
         world = self.world_of(state)

@@ -62,6 +62,15 @@ def check_observed(env: Any, of: Iterable[str] | None) -> None:
             raise ValueError(f"of has {name!r}, which is not observed: use some of {', '.join(known)}")
 
 
+def count_inside(env: Any, kind: type) -> int:
+    """How many environments of a kind this one is wrapped around."""
+    count, env = 0, getattr(env, "env", None)
+    while env is not None:
+        count += isinstance(env, kind)
+        env = getattr(env, "__dict__", {}).get("env")
+    return count
+
+
 def is_number(leaf: Any) -> bool:
     """Whether a leaf is a Python number: a constant of the program that all environments of a batch share."""
     return isinstance(leaf, (bool, int, float))
