@@ -86,10 +86,13 @@ class SeedPlacement(Placement):
 
     def lowered(self, train_step: Any, train_state: Any, *, donate: bool = False) -> jax.stages.Lowered:
         """Lower ``train_step``, a function of stacked states, for placed states."""
-        if self.mesh is not None:
-            spec = PartitionSpec(_SEEDS)
-            train_step = jax.shard_map(train_step, mesh=self.mesh, in_specs=spec, out_specs=spec, check_vma=False)
-        return jax.jit(train_step, donate_argnums=0 if donate else ()).lower(train_state)
+        donated = 0 if donate else ()
+        if self.mesh is None:
+            return jax.jit(train_step, donate_argnums=donated).lower(train_state)
+        spec = PartitionSpec(_SEEDS)
+        step = jax.shard_map(train_step, mesh=self.mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        out = (self.shardings(train_state), None)  # without it an empty array would come back without its sharding
+        return jax.jit(step, out_shardings=out, donate_argnums=donated).lower(train_state)
 
     def parts(self, tree: Any) -> list[Any]:
         """The arrays that each device holds, in the order of the seeds."""

@@ -13,8 +13,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np  # noqa: E402
 from rich.console import Console  # noqa: E402
-from toys import point_mass  # noqa: E402
+from toys import PointMass, point_mass  # noqa: E402
 
+from rewax import struct  # noqa: E402
 from rewax.agents.registry import algorithm  # noqa: E402
 from rewax.training.config import TrainConfig  # noqa: E402
 from rewax.training.loop.devices import placement  # noqa: E402
@@ -59,9 +60,19 @@ def run(name, num_devices, folder, *, resume=False, iterations=4):
     return train(agent, env, config, console=Console(quiet=True)).train_state
 
 
+@struct.dataclass
+class WithNothing(PointMass):
+    """A point mass whose state has an array without numbers, as that of robots without activations."""
+
+    def reset(self, key):
+        return PointMass.reset(self, key).replace(delayed=jax.numpy.zeros(0))
+
+
 def run_seeds(num_devices, folder, *, count=4):
     """Four seeds, of which each device computes as many."""
-    env, agent = make("sapo")
+    _, agent = make("sapo")
+    env = WithNothing(gain=jax.numpy.float32(0.5))
+    agent = algorithm("sapo").make(env, agent.config)
     config = TrainConfig(num_iterations=3, run_dir="", devices=num_devices, **QUICK)
     configs = [dataclasses.replace(config, seed=seed, run_dir=f"{folder}/{seed}") for seed in range(count)]
     with open(f"{folder}.txt", "w") as file:
