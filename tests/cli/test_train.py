@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+import types
 
 import jax
 import pytest
@@ -15,6 +16,8 @@ import toys
 
 from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
+from rewax.agents.sapo import SAPOConfig
+from rewax.cli import train as cli
 from rewax.cli.main import main as command
 from rewax.envs import registry
 from rewax.training.config import TrainConfig
@@ -337,3 +340,9 @@ def test_freed_memory_is_kept():
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, check=True)
     fresh, kept = map(int, done.stdout.split())
     assert kept < 0.01 * fresh
+
+
+def test_no_algorithm_can_have_the_name_of_an_option():
+    first = types.SimpleNamespace(env="PointMass", algo="sapo")
+    options = {field.name for field in dataclasses.fields(cli._options(first, "small", SAPOConfig()))} - {"sapo"}
+    assert options == set(agents._OPTIONS)

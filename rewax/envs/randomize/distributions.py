@@ -103,14 +103,15 @@ class Uniform(Distribution):
 def _truncated_normal(key: Key, low: float, high: float, shape: tuple[int, ...], dtype: Any) -> Array:
     """Standard normal numbers between two bounds.
 
-    They are drawn from the lower tail, where the distribution function has full precision, and turned for bounds above.
+    They are drawn from the lower tail, where the distribution function has full precision. For an interval above the
+    mean the sign of bounds and numbers changes.
     """
-    turned = low + high > 0.0
-    low, high = (-high, -low) if turned else (low, high)
+    above = low + high > 0.0
+    low, high = (-high, -low) if above else (low, high)
     first, last = (ndtr(jnp.asarray(bound, dtype)) for bound in (low, high))
     share = jax.random.uniform(key, shape, dtype, minval=0.5 * float(jnp.finfo(dtype).eps))
     drawn = jnp.clip(ndtri(first + (last - first) * share), low, high)
-    return -drawn if turned else drawn
+    return -drawn if above else drawn
 
 
 @dataclasses.dataclass(frozen=True)

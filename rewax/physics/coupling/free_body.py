@@ -104,7 +104,8 @@ def inertia_numbers(inertia: Inertia) -> list[Number]:
     m = jnp.asarray(inertia.moment)
     moments = jnp.diagonal(m, axis1=-2, axis2=-1)
     scale = jnp.max(jnp.abs(m), axis=(-2, -1), keepdims=True)
-    skewed = (m - jnp.swapaxes(m, -2, -1)) / jnp.where(scale > 0, scale, 1.0)
+    m = m / jnp.where(scale > 0, scale, 1.0)  # the determinant of a small body would underflow
+    skewed = m - jnp.swapaxes(m, -2, -1)
     minor = m[..., 0, 0] * m[..., 1, 1] - m[..., 0, 1] * m[..., 1, 0]
     volume = jnp.sum(jnp.cross(m[..., 0, :], m[..., 1, :]) * m[..., 2, :], axis=-1)
     definite = "give symmetric, positive definite moments of inertia in kg m^2"

@@ -137,13 +137,14 @@ def _nearest(num: int, m: mjx.Model, d: mjx.Data, geoms: np.ndarray) -> Array:
 
 def _bounding_radii(mj: mujoco.MjModel, m: mjx.Model) -> Array:
     """Radii of the geoms' bounding spheres [m], shape (num_geoms,), also for sizes that are traced or were replaced."""
-    x, y, z = m.geom_size.T
+    sizes = jax.lax.stop_gradient(m.geom_size)  # they only order the pairs
+    x, y, z = sizes.T
     by_kind = {
         mujoco.mjtGeom.mjGEOM_SPHERE: x,
         mujoco.mjtGeom.mjGEOM_CAPSULE: x + y,
         mujoco.mjtGeom.mjGEOM_CYLINDER: jnp.hypot(x, y),
         mujoco.mjtGeom.mjGEOM_BOX: jnp.sqrt(x * x + y * y + z * z),
-        mujoco.mjtGeom.mjGEOM_ELLIPSOID: m.geom_size.max(axis=1),
+        mujoco.mjtGeom.mjGEOM_ELLIPSOID: sizes.max(axis=1),
     }
     kinds = np.asarray(mj.geom_type)
     return jnp.select([kinds == kind for kind in by_kind], list(by_kind.values()), jnp.asarray(m.geom_rbound))

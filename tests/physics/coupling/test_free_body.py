@@ -107,6 +107,12 @@ def test_orientations_have_length_one():
             free_body.bodies_at_rest([[0.0, 0.0, 0.0]], [wrong])
 
 
+def test_a_grain_has_a_legal_moment_of_inertia():
+    """A cube of a tenth of a millimetre: the determinant of its moment is below the smallest float32."""
+    grain = free_body.inertia_of((Box(half_size=jnp.full(3, 5e-5)),), density=1000.0)
+    check_numbers(free_body.inertia_numbers(grain))
+
+
 @pytest.mark.parametrize(
     ("moment", "what"),
     [
