@@ -145,8 +145,6 @@ _LARGE_RETURNS: dict[str, dict[str, Value]] = {
 """Tasks with discounted returns of thousands. Without normalised rewards SAC starts slowly on them."""
 _LOCOMOTION = ("AntRun", "Ant", "CartpoleSwingUp", "HalfCheetah", "Hopper", "Humanoid", "Quadruped")
 """Tasks with chaotic episodes: a sequence of actions needs a small learning rate."""
-_RIGID = (*_LOCOMOTION, "HandReorient")
-"""Tasks where SHAC has the paper's settings at both scales."""
 
 
 def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
@@ -163,12 +161,10 @@ def sapo_preset(env_name: str, scale: str) -> SAPOConfig:
 def shac_preset(env_name: str, scale: str) -> SHACConfig:
     """Hyper-parameters of SHAC; see ``sapo_preset``.
 
-    Fast critics have a target network that follows fast. So have all tasks at ``small`` that are not known as rigid;
-    there the actor is SAPO's.
+    At ``small`` the actor is SAPO's, and the target network follows fast. It also does at ``paper`` where the critics
+    learn fast.
     """
-    changes: dict[str, Value] = {}
-    if scale == "small" and env_name not in _RIGID:
-        changes |= _SHORT_RUNS
+    changes: dict[str, Value] = dict(_SHORT_RUNS) if scale == "small" else {}
     if env_name in _FAST_CRITICS:
         changes |= _FAST_CRITICS[env_name] | {"target_decay": 0.2}
     return _sized(SHACConfig, sapo_preset(env_name, scale), **changes)

@@ -9,7 +9,7 @@ and the corrections named in ``rewax.agents.sapo``. Differences from their code:
 
 - The actor's return bootstraps with the critics. Theirs bootstraps with the target network; here the target network is
   used for the critics' targets only.
-- The presets of soft tasks at ``small`` have another actor and a faster target network, see ``rewax.agents.presets``.
+- The presets of ``small`` have another actor and a faster target network, see ``rewax.agents.presets``.
 - Point-cloud encoders are initialised with ``initial_gain`` (the square root of 2), like all layers. Theirs use 1.
 """
 
