@@ -9,6 +9,7 @@ import numpy as np
 from rewax.physics import mpm
 from rewax.physics.mpm import MPMScene, MPMState
 from rewax.physics.numerics import Pose
+from rewax.physics.numerics.checks import static_integer
 
 FIELDS = ("x", "v", "C", "F", "memory")
 
@@ -33,27 +34,33 @@ class NaNLocation(NamedTuple):
         return f"{self.field} of particle {self.particle} is not finite {when}; before: {values}"
 
 
-def locate_nan(scene: MPMScene, state: MPMState, poses: Pose) -> NaNLocation | None:
+def locate_nan(scene: MPMScene, state: MPMState, poses: Pose, *, list_every: int | None = None) -> NaNLocation | None:
     """The first substep, field and particle with a non-finite value, or None.
 
-    Repeats ``mpm.step`` substep by substep. It cannot run inside ``jit``.
+    Repeats ``mpm.step``, or a control step of a task, substep by substep. It cannot run inside ``jit``.
 
     Args:
       scene: the scene.
       state: particles of one environment at the start of the step.
       poses: poses of the scene's bodies at the boundaries of substeps, as for ``mpm.step``.
+      list_every: the substeps for which one list of active nodes serves, as a task's ``list_every``; None: all.
 
     Example:
       >>> if int(state.status) & Status.NAN:
-      ...     print(locate_nan(env.scene, previous.physics.soft, poses))
+      ...     print(locate_nan(env.scene, previous.physics.soft, poses, list_every=env.list_every))
+
+    Raises:
+      ValueError: ``list_every`` is not a positive integer.
     """
+    substeps = poses.position.shape[0] - 1
+    every = static_integer("list_every", max(1, substeps) if list_every is None else list_every, 1, "give 1 or more")
     first = _first_bad(state)
     if first is not None:
         return NaNLocation(-1, *first, _particle(state, first[1]))
-    # Active nodes are chosen once per step, as in mpm.step.
-    nodes = jax.jit(mpm.nodes_of_step)(scene, state.x)
+    nodes, nodes_near = None, jax.jit(mpm.nodes_of_step)
     one = jax.jit(lambda state, nodes, before, after: mpm.substep(scene, state, before, after, nodes=nodes))
-    for substep in range(poses.position.shape[0] - 1):
+    for substep in range(substeps):
+        nodes = nodes_near(scene, state.x) if substep % every == 0 else nodes
         before, after = (jax.tree.map(lambda p, i=i: p[i], poses) for i in (substep, substep + 1))
         new = one(state, nodes, before, after)
         first = _first_bad(new)

@@ -52,9 +52,21 @@ def test_the_substep_at_which_it_breaks(falling):
         if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(new)):
             break
         before, count = new, count + 1
-    found = locate_nan(scene, broken, poses)
-    assert 0 < count == found.substep
+    found, with_new_lists = (locate_nan(scene, broken, poses, list_every=every) for every in (None, 1))
+    assert 0 < count == found.substep == with_new_lists.substep
     bad = np.isfinite(np.asarray(getattr(new, found.field)).reshape(len(new.x), -1)).all(axis=1)
     assert found.particle == np.argmin(bad)
     np.testing.assert_allclose(found.before["x"], before.x[found.particle], atol=1e-7)
     assert f"{found.field} of particle {found.particle} is not finite in substep {count}; before: x [" in str(found)
+
+
+def test_lists_of_active_nodes_are_made_as_often_as_the_task_makes_them(falling, monkeypatch):
+    made = []
+    monkeypatch.setattr(mpm, "nodes_of_step", lambda scene, x, f=mpm.nodes_of_step: made.append(x) or f(scene, x))
+    with jax.disable_jit():
+        for every, count in ((None, 1), (2, 3), (4, 2)):
+            made.clear()
+            assert locate_nan(*falling, list_every=every) is None
+            assert len(made) == count, every
+    with pytest.raises(ValueError, match="list_every is 0: give 1 or more"):
+        locate_nan(*falling, list_every=0)

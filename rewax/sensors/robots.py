@@ -1,5 +1,7 @@
 """Articulated bodies as a camera sees them: the geoms of a model."""
 
+from typing import TypeVar
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -13,13 +15,22 @@ from rewax.sensors.world import Solid, Triangles, World
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _UNSEEN = ("hfield", "sdf")
 
+T = TypeVar("T", Solid, Triangles)
+
 
 def with_robot(world: World, model: RigidModel, state: RigidState) -> World:
-    """The world with the geoms of a model; its bodies are the model's. Gradient: exact."""
-    seen, surfaces = see_robot(model, state)
+    """The world with the geoms of a model; its bodies are the model's. Gradient: exact.
+
+    A body named like something in the world gets ``_2`` after its name, so that each has a mask of its own.
+    """
+    (seen, surfaces), taken = see_robot(model, state), world.names
+
+    def renamed(part: T) -> T:
+        return part.replace(name=f"{part.name}_2") if part.name in taken else part
+
     return world.replace(
-        solids=(*world.solids, *seen),
-        triangles=(*world.triangles, *surfaces),
+        solids=(*world.solids, *map(renamed, seen)),
+        triangles=(*world.triangles, *map(renamed, surfaces)),
         bodies=body_poses(model, state),
     )
 

@@ -1,6 +1,7 @@
 """A page that shows one episode after the other while it stays open in the browser; viser serves it."""
 
 import contextlib
+import errno
 import io
 import socket
 import threading
@@ -207,7 +208,8 @@ def _free_port(host: str, port: int) -> int:
         try:
             probe.bind((host, port))
         except OSError as error:
-            raise ValueError(f"{host}:{port} cannot be served ({error.strerror}): choose another port") from None
+            other = "port" if error.errno in (errno.EADDRINUSE, errno.EACCES) else "host, 127.0.0.1 for this machine"
+            raise ValueError(f"{host}:{port} cannot be served ({error.strerror}): choose another {other}") from None
         return int(probe.getsockname()[1])
 
 

@@ -76,6 +76,8 @@ class Recording:
             for i, (first, later) in enumerate(zip(self.drawings[0], frame, strict=True)):
                 if first["kind"] == "mesh" and not _same_mesh(first, later):
                     raise ValueError(f"drawing {i} is a mesh that changes: give the same vertices and triangles always")
+        if self.particles is not None and self.materials is not None:
+            self._check_materials(self.particles.shape[1], np.asarray(self.materials))
         for seen in self.seen:
             if len(seen.pixels) != len(self.steps):
                 raise ValueError(
@@ -83,6 +85,16 @@ class Recording:
                 )
         if self.particles is None and not any(kind != "plane" for kind in (kinds or [()])[0]):
             raise ValueError("there is nothing to show: give the environment particles or render_shapes")
+
+    def _check_materials(self, num_particles: int, materials: np.ndarray) -> None:
+        if materials.shape != (num_particles,):
+            raise ValueError(
+                f"materials has shape {materials.shape}: give one index for each of {num_particles} particles"
+            )
+        if not np.isin(materials, np.arange(max(1, len(self.material_names)))).all():
+            raise ValueError(
+                f"materials has an index beyond the {len(self.material_names)} material_names: give a name for each"
+            )
 
     @property
     def has_segments(self) -> bool:

@@ -12,6 +12,7 @@ from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.shapes import Box, Shape, Sphere
 from rewax.sensors import Balls, Camera, DepthNoise, Solid, Triangles, World, half_space
+from rewax.sensors.labels import Labels
 from rewax.sensors.robots import with_robot
 
 
@@ -46,6 +47,21 @@ def test_depth_is_that_of_mujocos_rays(scene):
     assert (
         (np.asarray(view.normal) * (ahead @ np.asarray(CAMERA.rotation).T).reshape(48, 64, 3)).sum(-1)[seen] < 1e-3
     ).all()
+
+
+def test_a_body_named_like_something_in_the_world_has_a_mask_of_its_own():
+    model = rigid.load(
+        '<mujoco><worldbody><body name="dough" pos="0 0 0.3"><freejoint/><geom type="sphere" size="0.05"/></body>'
+        "</worldbody></mujoco>",
+        dt=1e-3,
+    )
+    balls = Balls(center=jnp.array([[0.2, 0.0, 0.3]]), radius=0.05, names=("dough",), counts=(1,))
+    world = with_robot(World(balls=(balls,)), model, rigid.initial_state(model))
+    assert world.names == ("dough_2", "dough")
+    alone, robot = (
+        np.asarray(Labels(camera=CAMERA, of=(n,)).see(world, jax.random.key(0))) for n in ("dough", "dough_2")
+    )
+    assert alone.any() and robot.any() and not (alone * robot).any()
 
 
 def test_particles_are_those_of_a_brute_force_z_buffer():

@@ -1,5 +1,6 @@
 """The live page: served, moving, and another episode while it stays open."""
 
+import socket
 import sys
 import time
 import urllib.request
@@ -18,6 +19,18 @@ def viewer():
     found = LiveViewer(port=0)
     yield found
     found.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "sentence"), [("127.0.0.1", "choose another port"), ("192.0.2.1", "choose another host")]
+)
+def test_an_address_that_cannot_be_served(host, sentence):
+    pytest.importorskip("viser")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        with pytest.raises(ValueError, match=sentence):
+            LiveViewer(host=host, port=other.getsockname()[1])
 
 
 def as_balls(viewer):

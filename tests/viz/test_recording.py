@@ -76,5 +76,9 @@ def test_what_cannot_be_shown_is_refused():
             recordings.made(2, drawings=[[recordings.BALL, body], [recordings.BALL, {**body, **changed}]])
     with pytest.raises(ValueError, match=r"opacity of the drawing of a sphere is 2\.0: give numbers from 0 to 1"):
         recordings.made(1, drawings=[[{**recordings.BALL, "opacity": 2.0}]])
+    with pytest.raises(ValueError, match=r"materials has shape \(3,\): give one index for each of 60 particles"):
+        recordings.cloud(2, materials=np.zeros(3, int))
+    with pytest.raises(ValueError, match="materials has an index beyond the 1 material_names: give a name for each"):
+        recordings.cloud(2, materials=np.ones(60, int), material_names=("dough",))
     with pytest.raises(ValueError, match="a recording has no frames"):
         recordings.made(1, steps=np.zeros(0, int), particles=np.zeros((0, 4, 3)))

@@ -16,6 +16,7 @@ from rewax.physics.numerics.checks import (
     check_numbers,
     numbers_of,
     shown,
+    unit_vectors,
 )
 from rewax.physics.numerics.fields import instance
 from rewax.physics.numerics.pose import Pose
@@ -49,10 +50,7 @@ def penalty_numbers(contact: PenaltyContact, name: str = "contact") -> list[Numb
 
 def ground_numbers(ground: Ground) -> list[Number]:
     """The numbers of the ground, with their legal values."""
-    xp = jnp if isinstance(ground.normal, Tracer) else np
-    square = xp.sum(xp.asarray(ground.normal) ** 2, axis=-1)
-    unit = Number("the squared length of ground.normal", square, Legal(1.0 - 2e-4, 1.0 + 2e-4), "give a unit vector")
-    return [*numbers_of(ground, "ground."), unit]
+    return [*numbers_of(ground, "ground."), *unit_vectors("ground.normal", ground.normal)]
 
 
 def check_rotations(colliders: tuple[Collider, ...]) -> None:

@@ -15,7 +15,7 @@ def material_numbers(material: Material, prefix: str = "") -> list[Number]:
       prefix: text before the parameters' names in messages.
     """
     laws = material.laws.items()
-    return [*numbers_of(material, prefix), *(n for name, law in laws for n in numbers_of(law, f"{prefix}{name}."))]
+    return [*numbers_of(material, prefix), *(n for name, law in laws for n in law.numbers(f"{prefix}{name}."))]
 
 
 def check_material(material: Material, prefix: str = "") -> None:

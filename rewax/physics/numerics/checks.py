@@ -39,7 +39,7 @@ class Legal(NamedTuple):
             return "0 or more"
         if self == PROBABILITY:
             return "from 0 to 1"
-        return "finite" if self == FINITE else f"above {self.low:.4g} and below {self.high:.4g}"
+        return "finite" if self == FINITE else f"above {self.low:.5g} and below {self.high:.5g}"
 
 
 _SMALL = 1024
@@ -80,6 +80,20 @@ def numbers_of(tree: Any, prefix: str = "") -> list[Number]:
         if value is not None or field.default is not None:
             found.append(Number(prefix + field.name, value, *rule))
     return found
+
+
+def unit_vectors(name: str, value: Any) -> list[Number]:
+    """The squared lengths of vectors of shape (..., 3), with their legal values; none if there are no numbers.
+
+    Args:
+      name: of the vectors in messages.
+      value: the vectors.
+    """
+    vectors = value if isinstance(value, Tracer) else as_array(value)
+    if not jnp.issubdtype(vectors.dtype, jnp.number):
+        return []
+    squares = (vectors**2).sum(axis=-1)
+    return [Number(f"the squared length of {name}", squares, Legal(1.0 - 2e-4, 1.0 + 2e-4), "give unit vectors")]
 
 
 def check_numbers(numbers: Iterable[Number]) -> None:

@@ -8,6 +8,7 @@ import pytest
 from flat_materials import flat_material
 from plain_scenes import SAND, SOLID, WATER, scene
 
+from rewax.physics.mpm import Snow
 from rewax.physics.mpm.material_checks import check_material, material_numbers
 
 nan = float("nan")
@@ -18,6 +19,7 @@ def test_numbers_are_those_of_the_laws_that_are_there():
     assert [n.name for n in material_numbers(muscle, "material[1].")] == [
         "material[1].density", "material[1].elasticity.youngs_modulus", "material[1].elasticity.poissons_ratio",
         "material[1].viscosity.viscosity", "material[1].muscle.fibre", "material[1].muscle.activation",
+        "the squared length of material[1].muscle.fibre",
     ]  # fmt: skip
 
 
@@ -30,6 +32,15 @@ def test_numbers_are_those_of_the_laws_that_are_there():
         ({**WATER, "speed_of_sound": nan}, "elasticity.speed_of_sound is nan, but must be positive and finite: give"),
         ({**SOLID, "viscosity": np.array([0.1, -1.0])}, "viscosity.viscosity[1] is -1.0, but must be 0 or more: give"),
         ({**SOLID, "fibre": [0, nan, 0], "activation": 1}, "muscle.fibre[1] is nan, but must be finite: give unit"),
+        (
+            {**SOLID, "fibre": [0, 2, 0], "activation": 1},
+            "the squared length of muscle.fibre is 4.0, but must be above 0.9998 and below 1.0002",
+        ),
+        ({**SOLID, "fibre": np.eye(3) * [1, 1, 0], "activation": 1}, "the squared length of muscle.fibre[2] is 0.0"),
+        (
+            {**SOLID, "plasticity": Snow, "critical_compression": 1.0, "critical_stretch": 0.01, "hardening": 10.0},
+            "plasticity.critical_compression is 1.0, but must be above 0 and below 1",
+        ),
         ({**SOLID, "activation": None, "fibre": np.eye(3)[0]}, "muscle.activation is None, but must be finite: give"),
     ],
 )

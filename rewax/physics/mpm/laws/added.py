@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from rewax import struct
 from rewax.physics.mpm.laws.base import ActiveStress, Viscosity
 from rewax.physics.numerics import components as cp
-from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE
+from rewax.physics.numerics.checks import FINITE, NOT_NEGATIVE, Number, unit_vectors
 from rewax.physics.numerics.components import Mat3
 from rewax.types import Scalar, Vector
 
@@ -40,6 +40,9 @@ class Muscle(ActiveStress):
 
     fibre: Vector = struct.number(FINITE, "give unit vectors along the fibres", vector=True)
     activation: Scalar = struct.number(FINITE, "give an active stress in Pa")
+
+    def numbers(self, prefix: str = "") -> list[Number]:
+        return [*super().numbers(prefix), *unit_vectors(f"{prefix}fibre", self.fibre)]
 
     def stress(self, F: Mat3) -> Mat3:
         along = cp.matvec(F, cp.split_vector(jnp.asarray(self.fibre)))

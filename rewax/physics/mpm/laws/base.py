@@ -22,6 +22,7 @@ from rewax import struct
 from rewax.lowering.fusion import materialize
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics import divided_differences as dd
+from rewax.physics.numerics.checks import Number, numbers_of
 from rewax.physics.numerics.components import Mat3
 from rewax.physics.numerics.divided_differences import Principal
 from rewax.physics.numerics.elastic_constants import LameParameters
@@ -56,6 +57,14 @@ class Stretches(NamedTuple):
 
 class Law(struct.Replaceable):
     """Base of all laws."""
+
+    def numbers(self, prefix: str = "") -> list[Number]:
+        """The parameters with their legal values. Extend it by values that follow from several of them.
+
+        Args:
+          prefix: text before the parameters' names in messages.
+        """
+        return numbers_of(self, prefix)
 
     look: ClassVar[str | None] = None
     """How viewers draw particles: "water", "muscle", "dough", "sand", "snow", "elastic"; None: another law decides."""

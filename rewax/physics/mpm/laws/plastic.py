@@ -15,7 +15,7 @@ from rewax.types import Array, Scalar
 
 MAX_HARDENING = 5.0
 """Largest stiffness of packed snow over that of fresh snow [-]."""
-_FRESH_SNOW = "give a positive number (fresh snow: critical_compression 0.025, critical_stretch 0.0075, hardening 10)"
+_FRESH_SNOW = "for fresh snow give critical_compression 0.025, critical_stretch 0.0075 and hardening 10"
 
 
 @struct.dataclass
@@ -78,7 +78,8 @@ class Snow(Plasticity):
     ``MAX_HARDENING``.
 
     Attributes:
-      critical_compression, critical_stretch: [-], > 0 (fresh: 0.025 and 0.0075).
+      critical_compression: [-], between 0 and 1 (fresh: 0.025).
+      critical_stretch: [-], > 0 (fresh: 0.0075).
       hardening: [-], > 0 (fresh: 10).
 
     Source: Stomakhin et al. 2013, "A material point method for snow simulation".
@@ -87,7 +88,7 @@ class Snow(Plasticity):
     look = "snow"
     initial_memory = (1.0,)
     largest_stiffness = MAX_HARDENING
-    critical_compression: Scalar = struct.number(POSITIVE, _FRESH_SNOW)
+    critical_compression: Scalar = struct.number(Legal(0.0, 1.0), _FRESH_SNOW)
     critical_stretch: Scalar = struct.number(POSITIVE, _FRESH_SNOW)
     hardening: Scalar = struct.number(POSITIVE, _FRESH_SNOW)
 
