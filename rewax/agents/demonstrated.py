@@ -12,6 +12,8 @@ Search"; SAPO: Xing, Luk and Oh 2025. Differences:
 - The policy is regressed with squared errors of its mode and of its log standard deviation, which keeps its initial
   value.
 - The sequence is not regularised towards the policy.
+
+Whole episodes of the first phase are differentiated with ``checkpointed``, whatever ``differentiate`` says.
 """
 
 import dataclasses
@@ -27,7 +29,7 @@ from rewax.agents import sapo, trajopt
 from rewax.agents.actor_critic import actor_agent, make_actor_critic
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import no_memory
-from rewax.agents.first_order import Rollout, critic_update, start_actor_critic
+from rewax.agents.first_order import Rollout, critic_optimizer, critic_update, start_actor_critic
 from rewax.agents.gradients import mean_gradient, per_env_gradients
 from rewax.agents.legal import Count, Positive, Share
 from rewax.agents.optimizers import apply, finite_or_zero
@@ -68,7 +70,10 @@ class DemonstratedConfig(SAPOConfig):
         return int(self.demonstration_share * self.num_iterations * self.horizon) // env.episode_length
 
     def second_phase(self, env: Env) -> SAPOConfig:
-        """Options of SAPO in the second phase. Learning rates fall over its iterations."""
+        """Options of SAPO in the second phase. Learning rates fall over its iterations.
+
+        The critics' rate falls in the first phase, too, as fast, and begins anew in the second.
+        """
         left = self.num_iterations - self.demonstrations(env) * env.episode_length // self.horizon
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(SAPOConfig)}
         return SAPOConfig(**{**fields, "num_iterations": max(1, left)})
@@ -137,7 +142,7 @@ def train_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[De
     env = state.environments.env.first()
     phases: tuple[Phase, Phase] = (
         functools.partial(demonstration_step, config),
-        functools.partial(sapo.train_step, config.second_phase(env)),
+        functools.partial(reinforcement_step, config),
     )
     first, second = (jax.eval_shape(phase, state)[1] for phase in phases)
     everything = {**first, **second}
@@ -171,6 +176,16 @@ def demonstration_step(config: DemonstratedConfig, state: DemonstratedState) -> 
     if config.stagger_episodes:  # for the second phase; the first one restarts all environments
         state = state.replace(environments=staggered(state.environments, stagger_key))
     return state, {**episode_metrics, **metrics, **cloning_metrics, **critic_metrics}
+
+
+def reinforcement_step(config: DemonstratedConfig, state: DemonstratedState) -> tuple[DemonstratedState, Metrics]:
+    """One iteration of the second phase. The critics' optimizer begins anew in the first one."""
+    env = state.environments.env.first()
+    options = config.second_phase(env)
+    fresh = critic_optimizer(make_actor_critic(env, options)).init(state.critic_params)
+    begins = state.iteration == config.demonstrations(env)
+    opt = jax.tree.map(lambda new, old: jnp.where(begins, new, old), fresh, state.critic_opt)
+    return sapo.train_step(options, state.replace(critic_opt=opt))
 
 
 def clone(

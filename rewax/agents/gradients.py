@@ -98,9 +98,18 @@ def clip_per_env(grads: PyTree, max_norm: float) -> PyTree:
 
     A gradient becomes NaN if it or its norm is not finite. ``mean_of_finite`` leaves it out.
     """
+    return scaled_per_env(grads, clip_scale(grads, max_norm))
+
+
+def clip_scale(grads: PyTree, max_norm: float) -> Array:
+    """The factor of each environment's gradient in ``clip_per_env``, shape (num_envs,)."""
     norms = jax.vmap(optax.tree.norm)(grads)
     scale = jnp.minimum(1.0, max_norm / jnp.where(norms > 0, norms, 1.0))
-    scale = jnp.where(jnp.isfinite(norms), scale, jnp.nan)
+    return jnp.where(jnp.isfinite(norms), scale, jnp.nan)
+
+
+def scaled_per_env(grads: PyTree, scale: Array) -> PyTree:
+    """Arrays with a leading axis of environments, times one factor for each, shape (num_envs,)."""
     return jax.tree.map(lambda g: g * _expand(scale, g), grads)
 
 

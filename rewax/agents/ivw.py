@@ -31,7 +31,7 @@ from rewax.agents.actor_critic import ActorCritic, actor_agent, make_actor_criti
 from rewax.agents.base import Agent, Metrics
 from rewax.agents.config import no_memory
 from rewax.agents.first_order import Rollout, actor_step, rollout_loss, start_actor_critic
-from rewax.agents.gradients import Loss, per_env_gradients
+from rewax.agents.gradients import Loss, clip_scale, per_env_gradients, scaled_per_env
 from rewax.agents.legal import Positive, Share
 from rewax.agents.rollout import rollout, scale_gradient
 from rewax.agents.sapo import SAPOConfig
@@ -128,6 +128,8 @@ def measured_actor_update(
     params = (state.actor_params, jnp.zeros((config.horizon, networks.action_size)))
     losses, rollouts, (grads, nudges) = per_env_gradients(loss, params, state.common(), state.environments, key)
     state, metrics = actor_step(networks, state, losses, grads, max_norm=config.max_env_grad_norm)
+    if config.max_env_grad_norm is not None:  # the variance of the gradients that the actor follows
+        nudges = scaled_per_env(nudges, clip_scale(grads, config.max_env_grad_norm))
     variance = running_variance(state, nudges, decay)
     return state.replace(variance=variance), metrics, rollouts
 

@@ -11,6 +11,9 @@ Source: Zhong et al. 2025, "Reparameterization Proximal Policy Optimization" (ar
 - Adam and the networks are SAPO's.
 - The entropy in the objective is that of the normal distribution before the tanh.
 - The observation statistics are updated after the epochs.
+- With a memory, the gradient of the critics' values by the memory that they see is left out, so the first epoch is
+  SHAC's only for critics that do not observe it (``critic_observe``). ``truncate_every`` and ``state_gradient_decay``
+  do not act on the memory, which the epochs recompute.
 """
 
 import dataclasses

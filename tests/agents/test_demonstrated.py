@@ -41,7 +41,12 @@ def test_the_policy_does_what_the_sequence_does_when_the_second_phase_begins():
         x = x + 0.5 * action
     assert int(state.env_steps) == one * 5 * 4
     before = state.actions
+    counts = lambda: {int(a) for a in jax.tree.leaves(state.critic_opt) if a.dtype == jnp.int32}  # noqa: E731
+    config = CASES[NAME].config
+    each = config.critic_passes * config.critic_minibatches
+    assert counts() == {one * each}
     state, metrics = agent(NAME).train_step(state)
+    assert counts() == {each}, "the critics' learning rate begins anew"
     assert int(state.env_steps) == one * 5 * 4 + 4 * 4 and np.isfinite(metrics["entropy"])
     np.testing.assert_array_equal(state.actions, before)
 

@@ -84,3 +84,18 @@ def test_each_step_has_its_weight_and_actions_keep_their_gradient(gradient):
     np.testing.assert_allclose(weights[4] @ shares, flat[4], rtol=1e-3, atol=1e-5)
     for v in variances[1:]:
         np.testing.assert_allclose(of(v)[1], of(variances[0])[1], rtol=1e-5, atol=1e-7)
+
+
+def test_the_variance_is_that_of_clipped_gradients():
+    """Each environment's gradient with respect to the actions is scaled like the one that the actor follows."""
+    config = dataclasses.replace(CONFIG, max_env_grad_norm=0.5)
+    networks, state = make_actor_critic(ENV, config), make_agent("sapo_ivw", ENV, config).init(jax.random.key(0))
+
+    def loss(params, common, env, env_state, key):
+        del common, env, key
+        scale = jnp.where(env_state.obs["x"][0] == first, 1e6, 1.0)
+        return scale * (jnp.sum(params[1]) + sum(jnp.sum(a) for a in jax.tree.leaves(params[0]))), jnp.zeros(())
+
+    first = state.environments.state.obs["x"][0, 0]
+    new, _, _ = ivw.measured_actor_update(networks, state, loss, jax.random.key(1), decay=0.9)
+    np.testing.assert_allclose(new.variance, 0.0, atol=1e-12)

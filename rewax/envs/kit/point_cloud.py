@@ -19,7 +19,8 @@ class PointCloud(struct.Replaceable):
       stride: distance between the indices of two fixed points (static).
       random: observe points that are drawn at every step, without replacement, instead of the fixed ones (static).
       velocities: observe the velocity of each point beside its position (static).
-      noise: standard deviation of the noise of observed positions [m]; None for exact positions.
+      noise: standard deviation of the noise of observed positions, in their unit (metres, but for ``SoftJumper``, which
+        observes scaled ones); None for exact positions.
     """
 
     num_points: int = struct.static_field()
@@ -46,7 +47,7 @@ class PointCloud(struct.Replaceable):
 
         Args:
           obs: named observations. ``particle_q``, if present, holds the fixed points.
-          points: positions and velocities of all points, shape (num_all, 3) each.
+          points: positions and velocities of all points, in the frame of ``particle_q``, shape (num_all, 3) each.
           key: draws points and noise.
         """
         if "particle_q" not in obs or not (self.draws or self.velocities):
@@ -60,7 +61,7 @@ class PointCloud(struct.Replaceable):
         """The observed points, shape (num_points, 3), or (num_points, 6) with velocities.
 
         Args:
-          positions, velocities: of all points [m, m/s], shape (num_all, 3) each.
+          positions, velocities: of all points, shape (num_all, 3) each.
           key: draws points and noise; may be None unless ``draws``.
 
         Gradient: exact.

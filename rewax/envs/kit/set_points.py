@@ -14,13 +14,19 @@ from rewax.types import Array, Key, PyTree, Scalar
 class Following(ThinTask):
     """A task whose joints follow set points as critically damped oscillators. Subclasses say where those are.
 
-    ``joint_qd`` holds the velocities of the joints [m/s, rad/s].
+    ``joint_qd`` holds the velocities of the joints [m/s, rad/s]. ``exact_limits`` has no meaning here, because joints
+    have no limits of their own: set points have.
 
     Attributes:
       rate: angular frequency of the joints [rad/s].
     """
 
     rate: Scalar
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exact_limits:
+            raise ValueError("exact_limits is True, but joints that follow set points have no limits: leave it out")
 
     def set_point(self, physics: SoftPhysics, action: Array) -> Array:
         """Where the joints go to in a control step, shape (num_joints,)."""
@@ -52,7 +58,7 @@ class Steered(Following):
 
     def begin(self, key: Key) -> tuple[Any, Key]:
         physics, key = super().begin(key)
-        return physics.replace(task=physics.joint_q), key
+        return physics.replace(task=jnp.clip(physics.joint_q, self.joint_lower, self.joint_upper)), key
 
     def set_point(self, physics: SoftPhysics, action: Array) -> Array:
         """Gradient: exact; zero where a limit stops a set point."""

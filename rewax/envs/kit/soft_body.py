@@ -27,7 +27,9 @@ class SoftBodyTask(Task):
     cloud: PointCloud
 
     def points(self, physics: Any) -> tuple[Array, Array]:
-        """Positions and velocities of all points, in the units of the observation, shape (num_points, 3) each."""
+        """Positions and velocities of all points, in the frame and the units of the observation, shape (num_points, 3)
+        each.
+        """
         return physics.soft.x, physics.soft.v
 
     def seen(self, physics: Any, key: Key) -> tuple[Observation, Key]:

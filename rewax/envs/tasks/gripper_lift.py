@@ -113,7 +113,7 @@ def _gripper_lift(
 def paper(*, dt: float | None = None, num_substeps: int | None = None) -> GripperLift:
     """For an accelerator: cells of 1 cm, 4096 particles, six seconds. dt and num_substeps are the robot's."""
     return _gripper_lift(
-        substeps(dt, num_substeps, Substeps(1e-3, 20, list_every=5)),
+        substeps(dt, num_substeps, Substeps(1e-3, 20, list_every=2)),
         spacing=0.01,
         each=4,
         max_active_nodes=8192,
@@ -125,10 +125,10 @@ def paper(*, dt: float | None = None, num_substeps: int | None = None) -> Grippe
 def small(*, dt: float | None = None, num_substeps: int | None = None) -> GripperLift:
     """For two cores: cells of 2 cm, 512 particles, 1.2 s. dt and num_substeps are the robot's."""
     return _gripper_lift(
-        substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=5)),
+        substeps(dt, num_substeps, Substeps(2e-3, 10, list_every=2)),
         spacing=0.02,
         each=2,
-        max_active_nodes=1536,
+        max_active_nodes=1152,
         cloud=PointCloud(num_points=64, stride=8),
         max_steps=60,
     )

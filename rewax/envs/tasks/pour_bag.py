@@ -76,6 +76,10 @@ class PourBag(Steered, MixedTask):
         shift = self.vertices(physics)[0] - self.rest_positions[self.num_particles]
         return self.joint_start.at[:3].add(shift)
 
+    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
+        x, v = super().points(physics)
+        return x - self.bowl, v
+
     def observe(self, physics: SoftPhysics) -> Observation:
         """Clouds of grains and bag, and a vector of shape (21,); positions are relative to the bowl.
 
@@ -85,9 +89,9 @@ class PourBag(Steered, MixedTask):
         x, v = self.points(physics)
         hands = physics.joint_q.at[:3].add(-self.bowl)
         joints = [hands, physics.joint_qd, self.ahead(physics)]
-        vector = jnp.concatenate([*joints, x.mean(0) - self.bowl, 0.5 * v.mean(0)])
-        grains, cloth = self.observed(physics) - self.bowl, self.observed_cloth(physics) - self.bowl
-        return {"particle_q": grains, "cloth_q": cloth, "vector": vector}
+        vector = jnp.concatenate([*joints, x.mean(0), 0.5 * v.mean(0)])
+        cloth = self.observed_cloth(physics) - self.bowl
+        return {"particle_q": self.observed(physics), "cloth_q": cloth, "vector": vector}
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
         """Mean over the grains of (1 - s) / (1 + (d / scale)^2) - spilling s.
@@ -95,7 +99,7 @@ class PourBag(Steered, MixedTask):
         d is the distance of a grain from the cylinder below the bowl's opening. s rises from 0 to 1 where a grain is
         spilled: outside the bowl and below its rim.
         """
-        away = self.points(physics)[0] - self.bowl
+        away = self.points(physics)[0]
         radius, height = jnp.sqrt(away[:, 0] ** 2 + away[:, 2] ** 2 + 1e-8), away[:, 1]
         beside, above = jnp.maximum(radius - self.rim, 0.0), jnp.maximum(height, 0.0)
         distance = jnp.sqrt(beside**2 + above**2 + 1e-8)

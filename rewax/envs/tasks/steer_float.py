@@ -67,12 +67,15 @@ class SteerFloat(SoftTask):
         position = jnp.stack([x, height, z], axis=-1)
         return Pose(position[:, None], turn_about_y(turn)[:, None])
 
+    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
+        return physics.soft.x - physics.soft.x[: self.float_count].mean(0), physics.soft.v
+
     def observe(self, physics: SoftPhysics) -> Observation:
         x, v = (a[: self.float_count].mean(0) for a in (physics.soft.x, physics.soft.v))
         around = physics.joint_q[:2] - x[jnp.array([0, 2])]
         ahead = physics.task - x[jnp.array([0, 2])]
         vector = jnp.concatenate([x, v, around, physics.joint_q, physics.joint_qd, ahead])
-        return {"particle_q": self.observed(physics) - x, "vector": vector}
+        return {"particle_q": self.observed(physics), "vector": vector}
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
         """1 - (d / unit)^2, with d the horizontal distance between the center of the float and the mark [m]."""

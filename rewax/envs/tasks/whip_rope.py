@@ -78,12 +78,16 @@ class WhipRope(Following):
         return self.at_rest(positions), Aim(target=target, nearest=distance, soft_nearest=distance)
 
     def set_point(self, physics: SoftPhysics, action: Array) -> Array:
+        """The place in the box of the joints' limits that the action names; ``joint_step`` is not used."""
         del physics
         return self.joint_lower + 0.5 * (1.0 + action) * (self.joint_upper - self.joint_lower)
 
     def pins(self, physics: SoftPhysics, joint_q: Array) -> Array:
         del physics
         return joint_q[:, None]
+
+    def points(self, physics: SoftPhysics) -> tuple[Array, Array]:
+        return physics.soft.x - physics.joint_q, physics.soft.v
 
     def observe(self, physics: SoftPhysics) -> Observation:
         x, v, hand = physics.soft.x, physics.soft.v, physics.joint_q
@@ -99,7 +103,7 @@ class WhipRope(Following):
                 physics.task.soft_nearest[None],
             ]
         )
-        return {"particle_q": self.observed(physics) - hand, "vector": vector}
+        return {"particle_q": self.observed(physics), "vector": vector}
 
     def reward(self, physics: SoftPhysics) -> tuple[Array, dict[str, Array]]:
         """(m - m') / unit, with m = -blur log(sum_t exp(-d_t / blur)) before and m' after the control step.

@@ -75,3 +75,13 @@ def test_the_oscillator_is_the_exact_solution(x64):
 def test_a_task_without_set_points_is_named():
     with pytest.raises(NotImplementedError, match=r"has no set_point\(physics, action\): define it"):
         held(Following).set_point(None, jnp.zeros(2))
+
+
+def test_set_points_begin_within_their_limits():
+    env = held().replace(joint_lower=jnp.array([-0.1, 0.02]))
+    assert np.allclose(env.ahead(env.reset(jax.random.key(0)).physics), [0.0, 0.02])
+
+
+def test_exact_limits_are_refused():
+    with pytest.raises(ValueError, match="exact_limits is True, but joints that follow set points have no limits"):
+        held().replace(exact_limits=True)

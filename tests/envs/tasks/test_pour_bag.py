@@ -108,3 +108,11 @@ def test_gradients_agree_three_ways(x64):
     """Of the reward by actions, over steps in which grains press on the cloth."""
     errors = soft_tasks.difference_errors(pour_bag.small(), num_steps=3)
     assert errors[:, 0].max() < 1e-8 and errors[:, 1].max() < 1e-4
+
+
+def test_a_cloud_with_velocities_has_the_positions_of_the_cloud_without():
+    physics = START.physics
+    points, moving = ENV.observe(physics)["particle_q"], ENV.cloud.replace(velocities=True)
+    np.testing.assert_array_equal(
+        moving.shown({"particle_q": points}, ENV.points(physics), None)[0]["particle_q"][:, :3], points
+    )

@@ -90,3 +90,11 @@ def test_gradient_by_actions_is_that_of_differences(x64):
     env = env.replace(num_substeps=3, list_every=None, joint_start=jnp.array([0.14, 0.2, 0.1]))
     errors = difference_errors(env, num_steps=4, scale=0.9, h=1e-6)
     assert errors[:, 0].max() < 1e-9 and errors[:, 1].max() < 1e-4
+
+
+def test_a_cloud_with_velocities_has_the_positions_of_the_cloud_without():
+    physics = soft_tasks.run("SteerFloat", soft_tasks.start("SteerFloat"), jnp.array([1.0, 0.0, 0.5]), 3)[-1].physics
+    points, moving = ENV.observe(physics)["particle_q"], ENV.cloud.replace(velocities=True)
+    np.testing.assert_array_equal(
+        moving.shown({"particle_q": points}, ENV.points(physics), None)[0]["particle_q"][:, :3], points
+    )

@@ -87,3 +87,11 @@ def test_the_return_is_a_smooth_least_distance():
 def test_gradient_by_actions_is_that_of_differences(x64):
     errors = difference_errors(whip_rope.small(), num_steps=4, scale=0.9, directions=1, h=1e-6)
     assert errors[:, 0].max() < 1e-9 and errors[:, 1].max() < 1e-5
+
+
+def test_a_cloud_with_velocities_has_the_positions_of_the_cloud_without():
+    physics = START.physics
+    points, moving = ENV.observe(physics)["particle_q"], ENV.cloud.replace(velocities=True)
+    np.testing.assert_array_equal(
+        moving.shown({"particle_q": points}, ENV.points(physics), None)[0]["particle_q"][:, :3], points
+    )
