@@ -12,7 +12,7 @@ import optax
 from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomize import Draw
 from rewax.identify.losses import over_time
-from rewax.identify.record_checks import check_against, check_record
+from rewax.identify.record_checks import check_against, check_frame_weights, check_record
 from rewax.identify.records import Record
 from rewax.identify.simulate import Data, data_of, points_of, simulated_frames, without_reset_noise
 from rewax.identify.unknowns import Space, is_stable, space_of, stable_bounds
@@ -62,9 +62,10 @@ def minimize(
       learning_rate: in standard deviations of the priors.
 
     Raises:
-      ValueError: as ``identify``; or the median of the priors has no valid simulation.
+      ValueError: as ``identify``; or the median of the priors has no valid simulation, or no finite loss.
     """
     check_record(record)
+    check_frame_weights(frame_weights, record.num_frames)
     env = without_reset_noise(env)
     check_against(record, env, np.asarray(points_of(env, jax.jit(env.reset)(jax.random.key(seed)).physics)))
     space = space_of(unknowns, env)
@@ -79,6 +80,8 @@ def minimize(
         value, grad, status = _value_and_grad(jnp.asarray(latent, jnp.float32), leaves, data, weights, space, loss)
         grad = np.asarray(grad, float)
         if int(status) & FATAL or not (np.isfinite(value) and np.isfinite(grad).all()):
+            if iteration == 0 and not int(status) & FATAL:
+                raise ValueError("loss or its gradient is not finite at the median of the priors: give another loss")
             if iteration == 0:
                 raise ValueError(f"the median of the priors has status {describe(int(status))}: give softer priors")
             failed += 1

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -51,7 +52,7 @@ def particles_at_rest(env: Any) -> tuple[np.ndarray, Any]:
     """The particles of an environment at rest [m], shape (n, 3), and its scene.
 
     Raises:
-      ValueError: it has none, or particles of different volumes, or is a wrapper.
+      ValueError: it has none, or particles of different volumes or materials, or is a wrapper.
     """
     if isinstance(env, _Wrapper):
         raise ValueError(f"{type(env).__name__} is wrapped around a task: change the task's body, then wrap it")
@@ -61,6 +62,8 @@ def particles_at_rest(env: Any) -> tuple[np.ndarray, Any]:
         raise ValueError(f"{type(env).__name__} has no particles at rest_positions: build its body by hand")
     if jnp.ndim(scene.particle_volume) > 0:
         raise ValueError(f"the particles of {type(env).__name__} have different volumes: build its body by hand")
+    if isinstance(scene.material, tuple) or any(jnp.ndim(leaf) for leaf in jax.tree.leaves(scene.material)):
+        raise ValueError(f"the particles of {type(env).__name__} have different materials: build its body by hand")
     return np.asarray(rest), scene
 
 

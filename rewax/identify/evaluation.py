@@ -37,7 +37,7 @@ class Evaluation(NamedTuple):
     spread: Any
     """Robust standard deviation of the residuals of the weighted frames [m], shape (S,)."""
     by_frame: Any
-    """Root mean square of the residuals of each frame, clipped at the Huber bound [m], shape (S, T)."""
+    """Root mean square of the residuals of each frame, clipped at twice the Huber bound [m], shape (S, T)."""
     status: Any
     """Bits, int32, shape (S,)."""
     ok: Any

@@ -18,7 +18,8 @@ def film(result: Identified, record: Record, *, size: tuple[int, int] = (420, 96
 
     Args:
       result: of ``identify``; its values are simulated.
-      record: that was fitted, or another one of the same scene.
+      record: that was fitted, or another one of the same scene. Titles have the residuals of the fit if the times are
+        those of the fitted one.
       size: height and width in pixels.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -28,6 +29,7 @@ def film(result: Identified, record: Record, *, size: tuple[int, int] = (420, 96
     particles = simulated(result, record)
     view = _view(record, np.asarray(getattr(result.env, "up", (0.0, 1.0, 0.0))))
     low, high = _range(np.concatenate([particles.reshape(-1, 3), record.clouds[record.mask]]) @ view.T)
+    fitted = np.array_equal(record.times, result.times)
     for n in range(record.num_frames):
         figure = Figure(figsize=(width / 100, height / 100), dpi=100, layout="constrained")
         canvas = FigureCanvasAgg(figure)
@@ -40,7 +42,8 @@ def film(result: Identified, record: Record, *, size: tuple[int, int] = (420, 96
         right.scatter(*body[:, :2].T, s=30, color=_SIMULATED, alpha=np.clip(shade, 0.0, 1.0), linewidths=0)
         for axes in (left, right):
             axes.scatter(*seen[:, :2].T, s=8, color=_SEEN, linewidths=0)
-        figure.suptitle(f"{record.times[n]:.3f} s, residual {1e3 * result.residual_by_frame[n]:.1f} mm", fontsize=9)
+        residual = f", residual {1e3 * result.residual_by_frame[n]:.1f} mm" if fitted else ""
+        figure.suptitle(f"{record.times[n]:.3f} s{residual}", fontsize=9)
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 

@@ -12,7 +12,7 @@ import numpy as np
 from rewax.envs.randomize import Draw
 from rewax.identify import levenberg_marquardt as lm
 from rewax.identify.evaluation import Evaluation, Residuals
-from rewax.identify.record_checks import check_against, check_record, tool_remarks
+from rewax.identify.record_checks import check_against, check_frame_weights, check_record, tool_remarks
 from rewax.identify.records import Record
 from rewax.identify.result import Identified
 from rewax.identify.simulate import data_of, points_of, without_reset_noise
@@ -73,7 +73,7 @@ def identify(
         same function again to use its compiled program again.
       width: of the surface's weights [m]; None: half of the particles' spacing.
       shake: each start displaces the rest positions at random by up to this share of their spacing along each axis,
-        so that the scatter of the fits tells what the placement of particles does; 0: none.
+        so that the scatter of the fits tells what the placement of particles does; 0: none. Vertices of meshes stay.
       seed: of the starts, their placements and the reset.
       side_by_side: starts that are computed at the same time; more need more memory.
       limit: with several environments of particles: spacing of the grid to which the result is extrapolated [m], along
@@ -194,15 +194,11 @@ def _check_options(
         raise ValueError(f"horizons is {tuple(horizons)}: give rising shares above 0 that end with 1")
     if not 0.0 <= shake < 1.0:
         raise ValueError(f"shake is {shake}: give a share of the spacing in [0, 1)")
-    if weights is not None and (
-        np.shape(weights) != (record.num_frames,)
-        or not np.all(np.isfinite(weights))
-        or np.min(weights) < 0
-        or not np.any(weights[1:])
-    ):
+    check_frame_weights(weights, record.num_frames)
+    if weights is not None and not np.any(weights[1:]):
         raise ValueError(
-            f"frame_weights is {weights!r}: give {record.num_frames} numbers of at least 0, one above 0 after the "
-            "first, because the first frame only fixes the surface"
+            f"frame_weights is {weights!r}: give one above 0 after the first, because the first frame only fixes the "
+            "surface"
         )
 
 

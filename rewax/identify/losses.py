@@ -88,20 +88,25 @@ def one_sided_chamfer(particles: Array, cloud: Array, mask: Array, *, delta: Sca
       delta: distance beyond which the loss is linear instead of quadratic [m], see ``huber``.
       trim: share of the largest losses that is left out.
     """
-    return trimmed_mean(huber(nearest_distances(cloud, particles), delta), mask, trim)
+    return trimmed_mean(huber(nearest_distances(_seen(cloud, mask), particles), delta), mask, trim)
 
 
 def chamfer(particles: Array, cloud: Array, mask: Array, *, delta: Scalar = 1.0, trim: float = 0.0) -> Array:
     """``one_sided_chamfer`` plus the same from particles to seen points, shape (). For clouds of the whole body."""
-    back = huber(nearest_distances(particles, cloud, mask), delta)
+    back = huber(nearest_distances(particles, _seen(cloud, mask), mask), delta)
     everything = jnp.broadcast_to(mask.any(), back.shape)
     return one_sided_chamfer(particles, cloud, mask, delta=delta, trim=trim) + trimmed_mean(back, everything, trim)
 
 
 def matched(particles: Array, cloud: Array, mask: Array, *, delta: Scalar = 1.0) -> Array:
     """Mean loss of the distances between points of one index, shape (): for tracked markers. Arguments as above."""
-    gap = jnp.sqrt(((particles[: len(cloud)] - cloud) ** 2).sum(-1) + _TINY)
+    gap = jnp.sqrt(((particles[: len(cloud)] - _seen(cloud, mask)) ** 2).sum(-1) + _TINY)
     return trimmed_mean(huber(gap, delta), mask)
+
+
+def _seen(cloud: Array, mask: Array) -> Array:
+    """The points that exist, and zeros, since what does not exist may be NaN, and so would be the gradient."""
+    return jnp.where(mask[:, None], cloud, 0.0)
 
 
 def occupancy(
@@ -133,7 +138,7 @@ def occupancy(
             total = total.at[i, j, k].add(jnp.where(exists, weight, 0.0))
         return total / jnp.maximum(exists.sum(), 1)
 
-    difference = density(particles, jnp.ones(len(particles), bool)) - density(cloud, mask)
+    difference = density(particles, jnp.ones(len(particles), bool)) - density(_seen(cloud, mask), mask)
     return jnp.where(mask.any(), (difference**2).sum(), 0.0)
 
 

@@ -124,7 +124,7 @@ def _numbers(path: Path) -> np.ndarray:
 def _number(text: str, path: Path) -> float:
     try:
         return float(text)
-    except ValueError:
+    except (TypeError, ValueError):
         raise ValueError(f"{str(path)!r} holds {text!r}: give numbers below one heading") from None
 
 

@@ -182,4 +182,15 @@ def tool_remarks(env: Any) -> list[str]:
     ]
 
 
-__all__ = ["check_against", "check_record", "tool_distance", "tool_remarks"]
+def check_frame_weights(weights: Any, num_frames: int) -> None:
+    """Raises ValueError unless the weights of the frames are None, or numbers of at least 0, not all 0."""
+    if weights is not None and (
+        np.shape(weights) != (num_frames,)
+        or not np.all(np.isfinite(weights))
+        or np.min(weights) < 0
+        or not np.any(weights)
+    ):
+        raise ValueError(f"frame_weights is {weights!r}: give {num_frames} numbers of at least 0, not all 0")
+
+
+__all__ = ["check_against", "check_frame_weights", "check_record", "tool_distance", "tool_remarks"]

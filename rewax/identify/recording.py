@@ -146,7 +146,7 @@ def camera_for(points: np.ndarray, up: np.ndarray, *, pixels: int = 64) -> Camer
         up=up,
         height=pixels,
         width=pixels,
-        near=max(0.05, 1.0 * size),
+        near=0.5 * size,
         far=10.0 * size,
         field_of_view=32.0,
     )

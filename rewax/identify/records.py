@@ -96,7 +96,7 @@ def load(path: str | Path) -> Record:
     try:
         with np.load(path, allow_pickle=False) as file:
             found = {name: file[name] for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError):
+    except (OSError, ValueError, TypeError, AttributeError, zipfile.BadZipFile, EOFError):
         raise ValueError(f"{str(path)!r} is no npz file, or holds objects: give a file of arrays") from None
     if missing := [name for name in _NEEDED if name not in found]:
         raise ValueError(f"{str(path)!r} lacks {', '.join(missing)}: a record has {', '.join(_NEEDED)}")

@@ -30,8 +30,8 @@ def with_cells(env: Any, cells: float) -> Any:
       ValueError: in one sentence: the environment cannot be changed so, or the number is illegal.
     """
     rest, scene = particles_at_rest(env)
-    if not hasattr(env, "num_substeps") or isinstance(scene.material, tuple):
-        raise ValueError(f"{type(env).__name__} has several materials or no num_substeps: build its grids by hand")
+    if not hasattr(env, "num_substeps"):
+        raise ValueError(f"{type(env).__name__} has no num_substeps: build its grids by hand")
     if not (math.isfinite(cells) and cells > 0.0):
         raise ValueError(f"cells is {cells}: give the number of cells per metre, above 0")
     old, finer = scene.grid, cells * scene.grid.spacing

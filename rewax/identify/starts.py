@@ -15,6 +15,9 @@ from rewax.identify.evaluation import Evaluation, Residuals, evaluate
 from rewax.identify.simulate import Data, up_to
 from rewax.identify.uncertainty import short
 from rewax.identify.unknowns import Space
+from rewax.physics.coupling.mixed import MixedScene
+from rewax.physics.tets import TetScene
+from rewax.physics.thin import ThinScene
 
 REGIONS = 4
 """Regions along each of two axes, see ``simulate.regions``."""
@@ -124,10 +127,10 @@ def placements_of(env: Any, count: int, shake: float, spacing: float, seed: int)
     """Rest positions for each start [m], shape (count, num_particles, 3); None if the environment has none.
 
     A simulation depends on where its particles happen to lie. Each start has its own placement, so the scatter of the
-    fits shows how much.
+    fits shows how much. Vertices of a mesh are not displaced: that would strain it.
     """
     rest = getattr(env, "rest_positions", None)
-    if rest is None or shake == 0.0:
+    if rest is None or shake == 0.0 or isinstance(getattr(env, "scene", None), (TetScene, ThinScene, MixedScene)):
         return None
     generator = np.random.Generator(np.random.PCG64(seed + 1))
     return np.asarray(rest) + shake * spacing * generator.uniform(-1.0, 1.0, (count, *np.shape(rest)))

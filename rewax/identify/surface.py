@@ -36,13 +36,13 @@ def surface_offsets(particles: Array, cloud: Array, mask: Array, width: Scalar) 
     """Offsets for which the residuals of a frame vanish on average around each particle [m], shape (num_particles,).
 
     The first frame shows the body that a simulation begins with. What its surface there lacks in smoothness and shape,
-    particles carry along. Particles that no point is near have the median. Gradient: none.
+    particles carry along. Particles that no point is near have the median. Gradient: exact.
 
     Args:
       particles, cloud, width: as in ``surface_residuals``.
       mask: which points exist, shape (num_points,), bool.
     """
-    distance, weights = jax.lax.stop_gradient(_distance_from_mean(particles, cloud, width))
+    distance, weights = _distance_from_mean(particles, cloud, width)
     median = jnp.nan_to_num(jnp.nanmedian(jnp.where(mask, distance, jnp.nan)))
     weights = jnp.where(mask[:, None], weights, 0.0)
     near = weights.sum(0)

@@ -53,3 +53,10 @@ def test_what_cannot_be_filled_is_said(change, sentence):
     env = rewax.make("RollingFlat", scale="small")
     with pytest.raises(ValueError, match=sentence):
         with_body(env, **{"cloud": heap(100), **change})
+
+
+def test_a_body_of_several_materials_is_refused():
+    env = rewax.make("SteerFloat", scale="small")
+    env = env.replace(scene=env.scene.replace(particle_volume=1e-6))
+    with pytest.raises(ValueError, match="different materials"):
+        with_body(env, heap(100))

@@ -151,6 +151,11 @@ def test_adam_finds_the_same_with_a_loss_of_the_user(fitted):
     lowest = minimize(sliding_block.block(), record, BOTH, one_sided_chamfer, iterations=60, learning_rate=0.1)
     assert lowest.losses[-1] < 0.5 * lowest.losses[0]  # points on the surface stay half a spacing from the particles
     assert lowest.values["gain"] == pytest.approx(1.7, rel=0.12)
+    for weights in (np.ones((5, 1)), np.ones(3), np.zeros(5)):
+        with pytest.raises(ValueError, match="give 5 numbers of at least 0, not all 0"):
+            minimize(sliding_block.block(), record, BOTH, one_sided_chamfer, frame_weights=weights)
+    with pytest.raises(ValueError, match="loss or its gradient is not finite at the median of the priors"):
+        minimize(sliding_block.block(), record, BOTH, lambda x, cloud, mask: jnp.nan * x.sum(), iterations=1)
     held = minimize(sliding_block.block(limit=1.2), record, BOTH, one_sided_chamfer, iterations=30)
     assert held.failed > 0 and held.values["gain"] <= 1.2
 

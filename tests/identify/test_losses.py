@@ -61,6 +61,9 @@ def test_absent_points_change_nothing_and_batches_equal_loops(name):
     value = LOSSES[name](x, cloud, mask)
     moved = cloud.at[3].add(5.0)
     np.testing.assert_allclose(LOSSES[name](x, moved, mask), value, rtol=1e-12)
+    absent = 0.0 if name == "surface" else jnp.nan  # residuals have no mask
+    grads = [jax.grad(LOSSES[name])(x, points, mask) for points in (cloud, cloud.at[3].set(absent))]
+    np.testing.assert_allclose(grads[1], grads[0], rtol=1e-12)
     batch = jnp.stack([x, x + 0.01])
     together = jax.vmap(lambda one: LOSSES[name](one, cloud, mask))(batch)
     np.testing.assert_allclose(together, [LOSSES[name](one, cloud, mask) for one in batch], rtol=1e-12)

@@ -56,6 +56,7 @@ def test_faults_are_told_in_a_sentence(tmp_path):
         "time,x,y\n0,0,0\n0,0,0\n": "do not rise",
         "time,x,y\n0,0,0\n0.2,0,0\n": "covers 0 to 0.2 s",
         "time,x,y\n0,a,0\n0.2,0,0\n": "holds 'a'",
+        "time,x,y\n0,0,0\n0.2,,0\n": "holds ''",
         "time,x,y\n": "no rows of equal length",
         "time,x,y\n0,0,0\n0.4,0,0\n": "begins 0.1 from joint_start",
         "time,x,y\n0,-0.1,0\n0.1,0.1,0\n0.4,0,0\n": "times as fast as joint_step",

@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 import sliding_block
 
+import rewax
+from rewax.envs.leaves import EnvLeaves
 from rewax.envs.randomize import LogUniform, Uniform
+from rewax.identify.evaluation import evaluate
 from rewax.identify.simulate import data_of, simulated_frames, up_to
 from rewax.identify.starts import placements_of, program, spread_starts
 from rewax.identify.unknowns import space_of
@@ -48,3 +51,35 @@ def test_threads_give_the_bits_of_one_point_after_the_other(fit):
     needed = np.array([False, True, False, False, True])
     some = program(env, space, data, None, 3, placed)(points, needed, **given)
     np.testing.assert_array_equal(some.cost, np.where(needed, one.cost, 0.0))
+
+
+def test_the_gradient_is_that_of_the_cost_also_where_the_first_frame_moves():
+    """The first frame fixes the offsets of the surface. Here it shows the block after one control step."""
+    env = sliding_block.block()
+    record = sliding_block.seen(sliding_block.block(gain=1.7), frames=(0.1, 0.3, 0.5, 0.8))
+    space = space_of({"gain": LogUniform(0.2, 5.0)}, env)
+    data, weights = data_of(record, 0.03, 4), jnp.array([0.0, 1.0, 1.0, 1.0])
+    at, h = np.array([[-0.5], [0.2], [0.9]], np.float32), 0.02
+
+    def found(latents):
+        deviation = jnp.float32(0.01)
+        return evaluate(
+            jnp.asarray(latents),
+            None,
+            EnvLeaves.of(env),
+            data,
+            weights,
+            deviation,
+            space=space,
+            residuals=None,
+            num_regions=16,
+        )
+
+    difference = np.asarray(found(at + h).cost - found(at - h).cost) / (2 * h)
+    np.testing.assert_allclose(found(at).gradient[:, 0], difference, rtol=0.02)
+
+
+@pytest.mark.parametrize("name", ["WhipRope", "SoftJumper"])
+def test_vertices_of_meshes_stay_where_they_are(name):
+    assert placements_of(rewax.make(name, scale="small"), 2, 0.4, 0.01, 0) is None
+    assert placements_of(rewax.make("RollingFlat", scale="small"), 2, 0.4, 0.01, 0) is not None

@@ -51,8 +51,8 @@ def check_dt(dt: float, limit: Scalar) -> None:
         )
 
 
-def held_indices(held: Any, num_vertices: int) -> np.ndarray:
-    """Indices of held vertices, in the order given, from indices or a mask."""
+def held_indices(held: Any, num_vertices: int, name: str = "held") -> np.ndarray:
+    """Indices of held vertices, in the order given, from indices or a mask. Messages have the name."""
     try:
         held = np.asarray(held)
     except ValueError:  # rows of several lengths
@@ -63,11 +63,11 @@ def held_indices(held: Any, num_vertices: int) -> np.ndarray:
         return np.flatnonzero(held)
     if held.ndim > 1 or not np.issubdtype(held.dtype, np.integer) or len(np.unique(held)) < held.size:
         raise ValueError(
-            f"held is an array of {held.dtype} of shape {held.shape}: give different indices of vertices, or a mask of "
-            f"shape ({num_vertices},)"
+            f"{name} is an array of {held.dtype} of shape {held.shape}: give different indices of vertices, or a mask "
+            f"of shape ({num_vertices},)"
         )
     held = held.reshape(-1)
-    check_range("held", held, num_vertices)
+    check_range(name, held, num_vertices)
     return held
 
 

@@ -23,6 +23,7 @@ from rewax.physics.contact.motion import Motion
 from rewax.physics.contact.patches import accumulated, check_patches, felt, no_touch
 from rewax.physics.coupling.exchange import SoftContact, Wrench, no_wrench
 from rewax.physics.coupling.soft import Scene, Soft, prescribed_of, scan_soft, solver_of, touched_bodies
+from rewax.physics.numerics.checks import check_precision
 from rewax.physics.numerics.pose import Pose
 from rewax.physics.numerics.rotations import skew
 from rewax.physics.rigid import RigidModel, RigidState
@@ -126,6 +127,7 @@ def _advanced(
     patches: Any,
     given: tuple[Array | None, Array | None],
 ) -> tuple[Soft, RigidState, Wrench, Any]:
+    check_precision(state.x, scene.gravity, bodies.qpos)
     dtype = state.x.dtype
     ctrl, wrenches = checked_inputs(model, ctrl, wrenches, num_substeps, dtype)
     each, solver = soft_substeps(scene, model), solver_of(scene)

@@ -77,7 +77,7 @@ def step(
     """
     num_substeps, num_free = poses.position.shape[0] - 1, bodies.position.shape[0]
     num_bodies = num_free + poses.position.shape[1]
-    _check(scene, inertia, num_free, num_bodies)
+    _check(scene, inertia, num_free, num_bodies, wrench)
     check_precision(state.x, scene.gravity, poses.position, bodies.position)
     check_has_substeps(num_substeps)
     solver = solver_of(scene)
@@ -176,8 +176,13 @@ def _solve(system: System) -> tuple[Array, Array]:
     return from_velocity[:, 3] - jnp.matmul(from_velocity[:, :3], angular, precision="highest"), angular
 
 
-def _check(scene: Scene, inertia: Inertia, num_free: int, num_bodies: int) -> None:
+def _check(scene: Scene, inertia: Inertia, num_free: int, num_bodies: int, wrench: Wrench | None) -> None:
     check_numbers(inertia_numbers(inertia))
+    for name, array in () if wrench is None else zip(("force", "torque"), wrench, strict=True):
+        if array.shape != (num_free, 3):
+            raise ValueError(
+                f"wrench.{name} has shape {array.shape}: give one of shape ({num_free}, 3), a row for each free body"
+            )
     if inertia.mass.shape != (num_free,):
         raise ValueError(
             f"inertia has {len(inertia.mass)} bodies, but there are {num_free} free bodies: give the mass properties "

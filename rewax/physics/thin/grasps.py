@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax import struct
+from rewax.physics.contact.vertex_checks import held_indices
 from rewax.physics.numerics.checks import (
     FINITE,
     NOT_NEGATIVE,
@@ -50,7 +51,7 @@ class Grasp(struct.Replaceable):
       slip_time: time in which an open grasp's points follow the vertices [s].
       offset: center of the grasp in the body's frame [m], shape (3,); by default zero.
       body: index of the body (static).
-      vertices: indices of the vertices that the grasp may hold (static); None: all.
+      vertices: indices of the vertices that the grasp may hold, or a mask (static); None: all.
     """
 
     radius: Scalar | None = struct.number(POSITIVE, "give a length in metres", shape=(), default=None)
@@ -66,7 +67,9 @@ class Grasp(struct.Replaceable):
     def __post_init__(self) -> None:
         static_integer("Grasp.body", self.body, 0, "give the index of a body, counted from 0")
         if self.vertices is not None:
-            object.__setattr__(self, "vertices", tuple(int(k) for k in np.asarray(self.vertices).reshape(-1)))
+            given = np.asarray(self.vertices)
+            held = held_indices(given, given.size if given.dtype == bool else np.iinfo(np.int32).max, "vertices")
+            object.__setattr__(self, "vertices", tuple(int(k) for k in held))
 
 
 @struct.dataclass

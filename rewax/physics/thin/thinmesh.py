@@ -107,7 +107,7 @@ def check_thinmesh(mesh: ThinMesh) -> None:
     edges = flat[triangles[:, 1:]] - flat[triangles[:, :1]]
     normal = np.cross(edges[:, 0], edges[:, 1])
     small = np.linalg.norm(normal, axis=-1) <= 1e-6 * np.max(np.sum(edges**2, axis=-1), axis=1, initial=0.0)
-    if mesh.pattern is not None:
+    if mesh.pattern is not None and len(normal):
         small |= np.sign(normal[:, 2]) != np.sign(normal[0, 2])
     if small.any():
         raise ValueError(

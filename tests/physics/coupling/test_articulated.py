@@ -201,3 +201,12 @@ def test_gradients_are_those_of_differences(x64):
         found = sum(jnp.vdot(a, b) for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(along), strict=True))
         np.testing.assert_allclose(forward(point, along), found, rtol=1e-9)
         np.testing.assert_allclose((ahead - behind) / (2 * h), found, rtol=1e-5)
+
+
+def test_numbers_of_two_precisions_are_refused():
+    model = model_of()
+    scene, state = dough_under(model)
+    with jax.enable_x64(True):
+        robot = rigid.initial_state(model_of())
+        with pytest.raises(ValueError, match="the state has numbers of float32, but the scene or the poses of float64"):
+            articulated.step(scene, model, state, robot, num_substeps=1)

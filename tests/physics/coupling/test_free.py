@@ -266,3 +266,12 @@ def test_inside_shard_map(dough):
     state, bodies, wrench = traced_under_shard_map(after, dough[1], falling())
     assert state.x.shape == (1, *dough[1].x.shape)
     assert bodies.position.shape == wrench.force.shape == (1, 1, 3)
+
+
+def test_a_wrench_has_a_row_for_each_free_body(dough):
+    scene, state = dough
+    bodies = free_body.bodies_at_rest([[0.1, 0.5, 0.1]])
+    inertia = free_body.Inertia(mass=jnp.array([0.5]), moment=1e-4 * jnp.eye(3)[None])
+    for wrench in (coupling.no_wrench(2), coupling.Wrench(jnp.zeros(3), jnp.zeros(3))):
+        with pytest.raises(ValueError, match=r"wrench.force has shape .*: give one of shape \(1, 3\), a row for each"):
+            coupling.step(scene, inertia, state, bodies, mpm.static_poses(2), wrench=wrench)

@@ -167,3 +167,11 @@ def test_the_grip_has_a_slope_at_both_ends(x64):
         difference = float(height(jnp.array([grip + side * 1e-6])) - height(jnp.array([grip]))) / (side * 1e-6)
         assert abs(slope) > 1e-5
         np.testing.assert_allclose(slope, difference, rtol=1e-3)
+
+
+def test_vertices_are_indices_or_a_mask():
+    mask = np.array([True, False, True])
+    assert thin.Grasp(stiffness=1.0, vertices=mask).vertices == (0, 2)
+    for vertices in ((0.5, 1.0), (1, 1), (-1,)):
+        with pytest.raises(ValueError, match=r"^vertices"):
+            thin.Grasp(stiffness=1.0, vertices=vertices)

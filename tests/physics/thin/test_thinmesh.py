@@ -1,5 +1,7 @@
 """Meshes of cloth and ropes: sizes, inner edges, orientation."""
 
+import dataclasses
+
 import numpy as np
 from thin_bodies import LINE, SHEET
 
@@ -25,3 +27,7 @@ def test_bends_are_the_inner_vertices_of_ropes_not_their_forks():
     np.testing.assert_array_equal(bends(LINE.segments)[:, 1], np.arange(1, 8))
     assert len(bends(np.asarray([[0, 1], [1, 2], [1, 3]]))) == 0
     np.testing.assert_array_equal(bends(np.asarray([[0, 1], [1, 2], [2, 0]]))[:, 1], [0, 1, 2])  # a closed loop
+
+
+def test_a_rope_may_have_a_pattern():
+    check_thinmesh(dataclasses.replace(LINE, pattern=np.zeros((len(LINE.vertices), 2))))
