@@ -1,5 +1,6 @@
 """Functions that the adapters share: states to NumPy arrays, checks of actions."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -28,6 +29,11 @@ def state_info(state: State) -> dict[str, Any]:
     """The ``info`` of gymnasium: metrics as numbers, status in words."""
     numbers = {name: value.item() for name, value in numpy_metrics(state).items() if value.ndim == 0}
     return {**numbers, "status": describe(int(state.status))}
+
+
+def flattened(obs: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Arrays with a leading axis as one vector for each of its entries, in the order of their names."""
+    return np.concatenate([obs[name].reshape(len(obs[name]), -1) for name in sorted(obs)], axis=1)
 
 
 def key_from(generator: np.random.Generator) -> jax.Array:

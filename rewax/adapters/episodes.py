@@ -9,6 +9,7 @@ from rewax.adapters.conversion import (
     check_action,
     checked_num_envs,
     compiled,
+    flattened,
     key_from,
     numpy_metrics,
     numpy_observation,
@@ -78,7 +79,7 @@ class Episodes:
         arrays = {name: np.asarray(array, np.float32) for name, array in arrays.items()}
         if not self.flat:
             return arrays
-        return np.concatenate([arrays[name].reshape(self.num_envs, -1) for name in sorted(arrays)], axis=1)
+        return flattened(arrays)
 
 
 __all__ = ["Episodes"]

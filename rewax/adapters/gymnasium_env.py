@@ -4,8 +4,9 @@
     env = GymnasiumEnv(rewax.make("RollingFlat"))
     envs = GymnasiumVectorEnv(rewax.make("RollingFlat"), num_envs=16)
 
-Observations are ``Dict`` spaces of float32; a point cloud has shape (num_points, 3). The wrappers of gymnasium flatten
-them into one vector. No gradient passes through. Importing this module registers the names of ``gymnasium_ids``.
+Observations are ``Dict`` spaces of float32; a point cloud has shape (num_points, 3). To get one vector, wrap one
+environment in ``FlattenObservation`` of gymnasium, and give ``flat=True`` for a batch. No gradient passes through.
+Importing this module registers the names of ``gymnasium_ids``.
 """
 
 from typing import Any, ClassVar
@@ -17,6 +18,7 @@ from rewax.adapters.conversion import (
     check_action,
     checked_num_envs,
     compiled,
+    flattened,
     key_from,
     missing,
     numpy_metrics,
@@ -92,19 +94,21 @@ class GymnasiumVectorEnv(VectorEnv):
     """Many environments in one compiled program. Each begins a new episode in the step that ends one.
 
     In that step ``infos["final_obs"]`` and ``infos["final_info"]`` hold the end of the old episode, as in gymnasium's
-    mode ``SAME_STEP``. All other entries of ``infos`` are arrays over the environments; ``status`` holds bits of
-    ``rewax.Status``.
+    mode ``SAME_STEP``. All other entries of ``infos`` are arrays over the environments, with a mask of those that have
+    them: metrics belong to a step, and a new episode has made none. ``status`` holds bits of ``rewax.Status``.
 
     Args:
       env: an environment of rewax, unbatched, without ``AutoReset``.
       num_envs: number of environments.
+      flat: observations are one vector for each environment, arrays in the order of their names.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def __init__(self, env: Env, num_envs: int) -> None:
-        self.env, self.num_envs = env, checked_num_envs(num_envs)
-        self.single_observation_space = observation_space(env)
+    def __init__(self, env: Env, num_envs: int, *, flat: bool = False) -> None:
+        self.env, self.num_envs, self.flat = env, checked_num_envs(num_envs), flat
+        space = observation_space(env)
+        self.single_observation_space = spaces.flatten_space(space) if flat else space
         self.single_action_space = box(env.action_spec)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -119,30 +123,38 @@ class GymnasiumVectorEnv(VectorEnv):
         else:
             if len(seed) != self.num_envs:
                 raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments: give one for each")
+            super().reset(
+                seed=int(np.random.SeedSequence([int(s) for s in seed]).generate_state(1)[0])
+            )  # of later resets
             keys = jax.numpy.stack([key_from(np.random.default_rng(s)) for s in seed])
         self._state = state = self._reset(keys)
-        return numpy_observation(state), self._infos(numpy_metrics(state))
+        return self._observation(state.obs), self._infos(state, np.zeros(self.num_envs, bool))
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         if self._state is None:
             raise gymnasium.error.ResetNeeded("no episode has begun: call reset before step")
         shape = (self.num_envs, *self.env.action_spec.shape)
         self._state = state = self._step(self._state, check_action(actions, shape))
-        infos = self._infos(numpy_metrics(state))
         done = np.asarray(state.done)
+        infos = self._infos(state, done)
         if done.any():
-            last = {name: np.asarray(value) for name, value in state.final_obs.items()}
+            last = self._observation(state.final_obs)
             final = np.full(self.num_envs, None, dtype=object)
             for i in np.flatnonzero(done):
-                final[i] = {name: value[i] for name, value in last.items()}
+                final[i] = jax.tree.map(lambda value, i=i: value[i], last)
             metrics = numpy_metrics(state)
             ended = {**metrics, **{f"_{name}": done for name in metrics}}
             infos |= {"final_obs": final, "_final_obs": done, "final_info": ended, "_final_info": done}
         rewards = np.asarray(state.reward, np.float64)
-        return numpy_observation(state), rewards, np.array(state.terminated), np.array(state.truncated), infos
+        return self._observation(state.obs), rewards, np.array(state.terminated), np.array(state.truncated), infos
 
-    def _infos(self, metrics: dict[str, np.ndarray]) -> dict[str, Any]:
-        return {**metrics, **{f"_{name}": np.ones(self.num_envs, bool) for name in metrics}}
+    def _observation(self, obs: Any) -> Any:
+        arrays = {name: np.array(value, np.float32) for name, value in obs.items()}
+        return flattened(arrays) if self.flat else arrays
+
+    def _infos(self, state: State, done: np.ndarray) -> dict[str, Any]:
+        metrics = numpy_metrics(state)
+        return {**metrics, **{f"_{name}": ~done for name in metrics}}
 
 
 def make_gymnasium_env(
@@ -152,9 +164,11 @@ def make_gymnasium_env(
     return GymnasiumEnv(make(task, scale=scale, **options), render_mode=render_mode, size=size)
 
 
-def make_gymnasium_vector_env(*, task: str, scale: str, num_envs: int = 1, **options: Any) -> GymnasiumVectorEnv:
+def make_gymnasium_vector_env(
+    *, task: str, scale: str, num_envs: int = 1, flat: bool = False, **options: Any
+) -> GymnasiumVectorEnv:
     """Entry point of ``gymnasium.make_vec("rewax/RollingFlat-small-v0", num_envs=16)``."""
-    return GymnasiumVectorEnv(make(task, scale=scale, **options), num_envs)
+    return GymnasiumVectorEnv(make(task, scale=scale, **options), num_envs, flat=flat)
 
 
 def observation_space(env: Env) -> spaces.Dict:

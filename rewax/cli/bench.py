@@ -40,13 +40,13 @@ def run(argv: Sequence[str]) -> int:
     """Run what is missing in a suite, and write its results.
 
     Returns:
-      Exit code: 0, or 128 + signal after an interruption.
+      Exit code: 0; 1 if one of the chosen runs has failed; 128 + signal after an interruption.
 
     Raises:
       ValueError: the suite has a wrong entry; one sentence.
     """
     from rewax.training.storage.cache import enable_compilation_cache
-    from rewax.training.suites.runs import run_suite
+    from rewax.training.suites.runs import any_failed, run_suite
     from rewax.training.suites.suite import read_suite
 
     quiet()
@@ -62,8 +62,9 @@ def run(argv: Sequence[str]) -> int:
             raise ValueError(f"{odd[0]} is not one of the {name} of suite {suite.name}: {', '.join(map(str, known))}")
     chosen = {name: getattr(options, name) or getattr(suite, name) for name in ("tasks", "algorithms", "seeds")}
     out = options.out or f"bench/{suite.name}"
-    signum = run_suite(suite, out, Console(highlight=False), part=suite.only(**chosen), devices=options.devices)
-    return 128 + signum if signum else 0
+    part = suite.only(**chosen)
+    signum = run_suite(suite, out, Console(highlight=False), part=part, devices=options.devices)
+    return 128 + signum if signum else int(any_failed(suite, part, out))
 
 
 __all__ = ["Options", "run"]

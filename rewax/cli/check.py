@@ -51,6 +51,8 @@ def run(argv: Sequence[str]) -> int:
 
     quiet()
     options = parse(Options, argv, prog="rewax check", description="Check an environment or an algorithm.")
+    if options.algo and (options.in_cpp or not options.whole_episode):
+        raise ValueError("--in-cpp and --no-whole-episode belong to the check of an environment: leave out --algo")
     enable_compilation_cache()
     import_modules(options.imports)
     env = build_env(options.env, options.scale)

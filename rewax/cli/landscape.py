@@ -51,7 +51,7 @@ def run(argv: Sequence[str]) -> int:
     quiet()
     options = parse(Options, argv, prog="rewax landscape", description="Draw the return around a trained policy.")
     out = Path(options.out or Path(options.run_dir) / "landscape.png")
-    if out.suffix != ".png" or not out.parent.is_dir():
+    if options.out and (out.suffix != ".png" or not out.parent.is_dir()):
         raise ValueError(f"out is {out}: give a .png file in a folder that exists")
     enable_compilation_cache()
     import_modules(options.imports)

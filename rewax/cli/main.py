@@ -68,6 +68,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of the output has ended, such as `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
+    except (FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
+        print(f"error: {error.filename} cannot be written or read ({error.strerror}): choose another", file=sys.stderr)
+        return _BAD_INPUT
     except OSError as error:
         if type(error).__name__ != "CannotWrite":  # rewax.training.storage.run_directory, slow to import
             raise

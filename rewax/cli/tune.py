@@ -28,8 +28,8 @@ class Options:
       seeds: each trial trains once with each of these; use other seeds for final results.
       steps: control steps of each seed; by default those of the preset.
       episodes: number of episodes in each evaluation of each seed, with sampled actions.
-      reports: number of evaluations of a trial, the last one at its end. A trial is pruned if one of its evaluations is
-        worse than the median of the other trials.
+      reports: number of evaluations of a trial, the last one at its end. A trial is pruned if its best
+        evaluation so far is worse than the median of the completed trials at the same point, from the sixth trial on.
       space: TOML file with the search space; by default the one of the package for this algorithm.
       out: directory of the search, by default tune/<env>-<scale>-<algo>. The same command continues it, and several
         processes can share it.

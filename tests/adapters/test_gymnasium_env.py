@@ -116,6 +116,7 @@ def test_only_environments_that_end_report_their_end():
     assert ((x > 0.5) & (x < 1.5)).all()
     _, _, terminated, _, infos = envs.step(np.array([[1.0], [0.0]]))
     assert terminated.tolist() == [True, False]
+    assert infos["_distance"].tolist() == infos["_status"].tolist() == [False, True]  # a new episode has no step yet
     assert infos["final_obs"][1] is None and infos["final_info"]["_distance"].tolist() == [True, False]
     np.testing.assert_allclose(infos["final_obs"][0]["x"], x[0] + 1.5, rtol=1e-6)
 
@@ -202,3 +203,22 @@ def test_observations_of_other_types_become_float32():
     env = GymnasiumEnv(Sensing(env=seeing_toys.visible(3), sensors={"count": Counting()}))
     obs, _ = env.reset(seed=0)
     assert obs["count"].dtype == np.float32 and env.observation_space.contains(obs)
+
+
+def test_a_batch_may_be_flat():
+    """In the order of gymnasium's own flattening."""
+    envs, flat = (GymnasiumVectorEnv(point_mass(length=2), 2, flat=flat) for flat in (False, True))
+    assert flat.observation_space.shape == (2, 1) and flat.single_observation_space.shape == (1,)
+    obs, vectors = envs.reset(seed=3)[0], flat.reset(seed=3)[0]
+    np.testing.assert_array_equal(
+        vectors[0], gymnasium.spaces.flatten(envs.single_observation_space, {"x": obs["x"][0]})
+    )
+    flat.step(np.zeros((2, 1)))
+    end = flat.step(np.zeros((2, 1)))
+    assert flat.observation_space.contains(end[0]) and end[4]["final_obs"][1].shape == (1,)
+
+
+def test_resets_after_a_list_of_seeds_repeat():
+    envs = [GymnasiumVectorEnv(point_mass(), 2) for _ in range(2)]
+    again = [(env.reset(seed=[1, 2]), env.reset())[1][0]["x"] for env in envs]
+    np.testing.assert_array_equal(*again)

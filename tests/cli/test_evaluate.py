@@ -12,7 +12,7 @@ from rewax import struct
 from rewax.cli.main import main
 from rewax.envs import registry
 from rewax.envs.latency import Latency
-from rewax.envs.randomize import Scale, Uniform, hook
+from rewax.envs.randomize import Scale, Uniform, hook, leaves
 from rewax.envs.randomized import Randomized
 from rewax.training.evaluation import episodes
 from rewax.training.evaluation.sweep import read_grid, with_parameters
@@ -97,6 +97,22 @@ def test_the_video_has_the_size_and_place_that_are_asked_for(run, tmp_path, caps
     reader = imageio_ffmpeg.read_frames(str(path))
     assert next(reader)["size"] == (64, 48)
     reader.close()
+
+
+@struct.dataclass
+class Nested(toys.PointMass):
+    """A point mass in which two names end alike."""
+
+    floor: toys.PointMass = struct.field(default_factory=toys.point_mass)
+    parameters: dict = struct.field(default_factory=lambda: {"damping": jnp.float32(0.1)})
+
+
+def test_a_full_name_is_the_parameter_itself():
+    env = Nested(gain=jnp.float32(1.0))
+    names = leaves(env)
+    assert {"gain", "floor.gain", "parameters[damping]"} <= set(names)
+    assert list(read_grid(["gain=0.3"], env)) == ["gain"]
+    assert list(read_grid(["damping=0.3"], env)) == ["parameters[damping]"]
 
 
 @struct.dataclass

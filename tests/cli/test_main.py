@@ -46,6 +46,7 @@ def test_without_a_command_the_help_names_all(capsys):
         (["eval", "--run-dir=a", "--episodes=0"], "episodes is 0: give an integer of at least 1"),
         (["eval", "--run-dir=a", "--episode=9"], "there is no option --episode: did you mean '--episodes'? rewax eval --help lists them"),
         (["eval", "--run-dir=."], ". holds no complete checkpoint: check the path"),
+        (["landscape", "--run-dir=runs/typo"], "runs/typo holds no complete checkpoint: check the path"),
         (["envs", "--import=no.such.module"], "there is no module 'no.such.module' to import: check the name, or give the path of a .py file"),
     ],
 )  # fmt: skip

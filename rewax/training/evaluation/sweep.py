@@ -95,8 +95,10 @@ def _is_set(drawn: tuple[str, ...], names: Sequence[str], env: Any) -> bool:
 
 
 def _full_name(name: str, env: Env) -> str:
-    """The name of the one parameter that ends so; else the name itself."""
-    ends = [known for known in leaves(env) if known.endswith(f".{name}")]
+    """The name itself if there is such a parameter; else that of the one that ends so, ``[name]`` included."""
+    if name in (every := leaves(env)):
+        return name
+    ends = [known for known in every if known.endswith((f".{name}", f"[{name}]"))]
     return ends[0] if len(ends) == 1 else name
 
 

@@ -95,14 +95,17 @@ def open_run(where: str | Path, *, step: int | None = None, scale: str | None = 
     Args:
       where: directory of a run, or name of a task.
       step: iteration of the run's checkpoint; by default the newest that can be read.
-      scale: of the task.
+      scale: of the task; that of a run is known.
 
     Raises:
       ValueError: there is neither, or it cannot be loaded; one sentence.
     """
     if not is_policy(where):
         if Path(where).is_dir():
-            return load_run(where, step=step)
+            run = load_run(where, step=step)
+            if scale not in (None, of_run := run.config.get("scale")):
+                raise ValueError(f"scale is {scale!r}, but {where} is a run at scale {of_run!r}: leave the scale out")
+            return run
         raise ValueError(_no_policy(str(where), [], None))
     if step is not None:
         raise ValueError(f"step is {step}, but the policy of {where} is of one iteration: leave the step out")

@@ -116,6 +116,13 @@ def run_suite(
     return 0
 
 
+def any_failed(suite: Suite, part: Suite, out_dir: str | Path) -> bool:
+    """Whether a run of a part of the suite has failed."""
+    chosen = set(in_turn(part))
+    found = rows(suite, Path(out_dir))
+    return any(not math.isfinite(r["sampled"]) and (r["task"], r["algorithm"], r.get("seed")) in chosen for r in found)
+
+
 def _claim(suite: Suite, out_dir: Path) -> None:
     """Write the suite's options to ``suite.json``, or compare with it: results of other options need another table."""
     path, names = out_dir / "suite.json", ("scale", "steps", "options", "env_options", "num_eval_episodes")

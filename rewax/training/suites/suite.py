@@ -2,7 +2,7 @@
 
 import dataclasses
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -76,8 +76,7 @@ class Suite:
                     "them, or write [options.all]"
                 )
 
-        known = {field.name for name in self.algorithms for field in dataclasses.fields(algorithm(name).config_type)}
-        if unknown := sorted(set(self.options.get("all", {})) - known):
+        if unknown := sorted(set(self.options.get("all", {})) - _options_of(self.algorithms)):
             raise ValueError(
                 f"no algorithm of the suite {self.name} has the option {unknown[0]!r}: correct options.all"
             )
@@ -87,6 +86,9 @@ class Suite:
         steps = {task: steps for task, steps in self.steps.items() if task in tasks}
         env_options = {task: options for task, options in self.env_options.items() if task in tasks}
         options = {name: options for name, options in self.options.items() if name in (*algorithms, "all")}
+        if "all" in options:  # those of the other algorithms only are no fault
+            known = _options_of(algorithms)
+            options["all"] = {name: value for name, value in options["all"].items() if name in known}
         changes = {"steps": steps, "env_options": env_options, "options": options}
         return dataclasses.replace(self, tasks=tasks, algorithms=algorithms, seeds=seeds, **changes)
 
@@ -103,6 +105,11 @@ class Suite:
         if unknown := sorted(set(own) - known):
             raise ValueError(f"{name} has no option {', '.join(unknown)}: correct the suite {self.name}")
         return dataclasses.replace(config, **{**shared, **own})
+
+
+def _options_of(algorithms: Iterable[str]) -> set[str]:
+    """Names of the options that at least one of the algorithms has."""
+    return {field.name for name in algorithms for field in dataclasses.fields(algorithm(name).config_type)}
 
 
 def read_suite(source: str | Path) -> Suite:

@@ -226,7 +226,9 @@ def _middle(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def _minutes(rows: Sequence[dict[str, Any]]) -> str:
-    seconds = [row.get("wall_seconds") or row["seconds"] for row in rows if "seconds" in row]
+    seconds = [
+        row.get("wall_seconds") or row["seconds"] for row in rows if "seconds" in row and math.isfinite(row["sampled"])
+    ]
     return f"{float(np.median(seconds)) / 60.0:.1f}" if seconds else ""
 
 
@@ -262,8 +264,9 @@ def _draw_curves(
     for task in tasks:
         # All algorithms in the order of the suite, so that each has one colour in all pictures.
         drawn: dict[str, list[Curve]] = {name: [] for name in suite.algorithms}
-        for (name, algorithm, _), curve in curves.items():
-            if name == task and curve.steps.size:
+        failed = {(row["algorithm"], row.get("seed")) for row in rows if row["task"] == task and not _finite([row])}
+        for (name, algorithm, seed), curve in curves.items():
+            if name == task and curve.steps.size and (algorithm, seed) not in failed:
                 drawn[algorithm].append(curve)
         levels = {row["algorithm"]: row["sampled"] for row in rows if row["task"] == task and "env_steps" not in row}
         if any(drawn.values()):

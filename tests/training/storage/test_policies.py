@@ -139,6 +139,14 @@ def test_a_sequence_of_actions_is_no_policy(toy, tmp_path):
         run.act({})
 
 
+def test_the_scale_of_a_run_is_its_own(tmp_path, monkeypatch):
+    run = SavedRun(None, None, None, {"scale": "small"})
+    monkeypatch.setattr(policies, "load_run", lambda where, step: run)
+    assert open_run(tmp_path) is open_run(tmp_path, scale="small") is run
+    with pytest.raises(ValueError, match="scale is 'paper', but .* is a run at scale 'small': leave the scale out"):
+        open_run(tmp_path, scale="paper")
+
+
 def test_play_eval_and_export_take_a_tasks_name(shipped, tmp_path, monkeypatch, capsys):
     here = tmp_path / "here"
     here.mkdir()

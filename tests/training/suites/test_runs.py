@@ -15,10 +15,12 @@ from rich.console import Console
 from rewax.agents import registry as agents
 from rewax.agents.registry import Algorithm
 from rewax.envs import registry
+from rewax.statistics import Curve
 from rewax.training.loop.compilation import kept
 from rewax.training.storage.run_directory import CannotWrite, hold
 from rewax.training.suites import runs as bench
-from rewax.training.suites.runs import Cell, in_turn, read_result, run_suite
+from rewax.training.suites import tables
+from rewax.training.suites.runs import Cell, any_failed, in_turn, read_result, run_suite
 from rewax.training.suites.suite import Suite
 from rewax.training.suites.tables import COLUMNS, markdown, read_results
 
@@ -129,6 +131,24 @@ def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path,
     row = read_result(Cell("PointMass", "calm", 0).folder(tmp_path))
     assert row["failure"] == "it fell over" and np.isnan(row["sampled"])
     assert " (1 failed) |" in (tmp_path / "table.md").read_text()
+    for algorithm, failed in (("calm", True), ("wild", False)):
+        part = suite.only(tasks=suite.tasks, algorithms=(algorithm,), seeds=suite.seeds)
+        assert any_failed(suite, part, tmp_path) == failed
+
+
+def test_runs_that_failed_count_neither_for_minutes_nor_for_curves(tmp_path, monkeypatch):
+    row = {"task": "PointMass", "algorithm": "calm", "sampled": np.nan, "seconds": 4.0}
+    assert tables._minutes([{**row, "seed": 0}, {**row, "seed": 1, "sampled": 1.0, "seconds": 600.0}]) == "10.0"
+    drawn = {}
+    monkeypatch.setattr("rewax.viz.curves.curves_with_intervals", lambda runs, *args, **kwargs: drawn.update(runs))
+    suite = Suite(name="one", scale="small", tasks=("Hopper",), algorithms=("sapo",), seeds=(0, 1))
+    rows = [
+        {"task": "Hopper", "algorithm": "sapo", "seed": s, "env_steps": 1, "sampled": v}
+        for s, v in ((0, np.nan), (1, 2.0))
+    ]
+    curves = {("Hopper", "sapo", s): Curve(np.array([1.0]), np.array([float(s)])) for s in (0, 1)}
+    tables._draw_curves(suite, ["Hopper"], rows, curves, tmp_path)
+    assert [curve.returns.tolist() for curve in drawn["sapo"]] == [[1.0]]
 
 
 def test_an_error_in_one_run_does_not_end_the_suite(suite, tmp_path, monkeypatch):

@@ -76,3 +76,11 @@ def test_an_option_that_no_algorithm_has(tmp_path):
     known = ", ".join(BUILT_IN)
     with pytest.raises(ValueError, match=f"there is no suite 'nowhere': use {known}, or the path"):
         read_suite("nowhere")
+
+
+def test_a_part_keeps_the_shared_options_that_its_algorithms_have(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TASK.replace("ppo", "sac") + "[options.all]\nreplay_size = 1600\nnum_envs = 4\n")
+    suite = read_suite(path)
+    part = suite.only(tasks=("Hopper",), algorithms=("sapo",), seeds=(0,))
+    assert part.options["all"] == {"num_envs": 4} and suite.config("Hopper", "sac").replay_size == 1600
