@@ -143,7 +143,7 @@ def test_the_scale_of_a_run_is_its_own(tmp_path, monkeypatch):
     run = SavedRun(None, None, None, {"scale": "small"})
     monkeypatch.setattr(policies, "load_run", lambda where, step: run)
     assert open_run(tmp_path) is open_run(tmp_path, scale="small") is run
-    with pytest.raises(ValueError, match="scale is 'paper', but .* is a run at scale 'small': leave the scale out"):
+    with pytest.raises(ValueError, match=r"scale is 'paper', but .* is a run at scale 'small': leave the scale out"):
         open_run(tmp_path, scale="paper")
 
 
