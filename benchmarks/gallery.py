@@ -23,7 +23,7 @@ from PIL import Image
 import rewax
 from rewax.statistics import learning_curve
 from rewax.training import enable_compilation_cache, load_run, read_csv, record
-from rewax.viz.curves import curves_with_intervals
+from rewax.viz.curves import curves_of_seeds
 from rewax.viz.render import pictures
 from rewax.viz.surface import has_surfaces
 
@@ -56,7 +56,7 @@ def curve(directories: list[str], name: str, agent: str, rows: list[dict[str, st
     """Returns while the seeds were trained."""
     curves = [learning_curve(read_csv(Path(directory) / "metrics.csv")) for directory in directories]
     levels = {"no action": float(rows[0]["no_action"]), "random actions": float(rows[0]["random_mean"])} if rows else {}
-    curves_with_intervals({agent: curves}, path, title=f"{name}, small", levels=levels)
+    curves_of_seeds({agent: curves}, path, title=f"{name}, small", levels=levels)
     Image.open(path).convert("RGB").quantize(32, dither=Image.Dither.NONE).save(path, optimize=True)
 
 

@@ -35,7 +35,7 @@ def run(argv: Sequence[str]) -> int:
     Raises:
       ValueError: no runs, a directory without ``metrics.csv``, an unknown ending; one sentence.
     """
-    from rewax.viz.curves import curves_with_intervals
+    from rewax.viz.curves import curves_of_seeds
 
     options = parse(Options, argv, prog="rewax plot", description="Compare the learning curves of runs.")
     if not options.runs:
@@ -50,7 +50,7 @@ def run(argv: Sequence[str]) -> int:
         name, curve = _curve(Path(directory), own if options.by == "run" else "")
         curves.setdefault(name, []).append(curve)
     out.parent.mkdir(parents=True, exist_ok=True)
-    print(f"wrote {curves_with_intervals(curves, out, title=options.title)}")
+    print(f"wrote {curves_of_seeds(curves, out, title=options.title)}")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Pictures that compare: learning curves with intervals over seeds, returns around a policy."""
+"""Pictures that compare: learning curves of several seeds, returns around a policy."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -9,24 +9,23 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from rewax.statistics import Curve, student_interval
+from rewax.statistics import Curve
 from rewax.viz.plots import STYLE
 
 CURVE_COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
 _POINTS = 80
 
 
-def curves_with_intervals(
+def curves_of_seeds(
     runs: Mapping[str, Sequence[Curve]],
     out_png: str | Path,
     *,
     title: str = "",
     levels: Mapping[str, float] | None = None,
 ) -> Path:
-    """Draw the mean return over seeds against environment steps.
+    """Draw the mean return over seeds against environment steps, and each seed as a thin line.
 
-    From three seeds on a band is the 95 % interval of the mean, by Student's t distribution; the vertical axis shows
-    all seeds, and not always the whole band. Where some seeds have ended, the rest are shown.
+    Where some seeds have ended, the mean is that of the others.
 
     Args:
       runs: by name, each seed's learning curve; those without points are left out.
@@ -39,49 +38,35 @@ def curves_with_intervals(
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-        axes, inside = figure.subplots(), list((levels or {}).values())
+        axes = figure.subplots()
         for (name, seeds), color in zip(runs.items(), itertools.cycle(CURVE_COLORS), strict=False):
             curves = [curve for curve in seeds if curve.steps.size]
             if not curves:
                 continue
-            grid, values = _on_one_grid(curves)
-            axes.plot(grid, _mean(values), color=color, lw=1.5, label=_shown(f"{name} ({len(curves)})"))
-            inside += [np.nanmin(values), np.nanmax(values)]
-            band = np.array([_band(column[np.isfinite(column)]) for column in values.T])
-            axes.fill_between(grid, band[:, 0], band[:, 1], color=color, alpha=0.18, lw=0)
+            if len(curves) > 1:
+                for curve in curves:
+                    axes.plot(*curve, color=color, lw=0.6, alpha=0.45)
+            grid, mean = mean_curve(curves)
+            axes.plot(grid, mean, color=color, lw=1.8, label=_shown(f"{name} ({len(curves)})"), zorder=3)
         for (name, value), style in zip((levels or {}).items(), itertools.cycle(("--", ":", "-.")), strict=False):
             axes.axhline(value, color="0.35", ls=style, lw=1.0, label=_shown(name))
         axes.set(title=title, xlabel="environment steps", ylabel="return of training episodes")
-        if inside:
-            margin = 0.05 * (max(inside) - min(inside)) or 1.0
-            axes.set_ylim(min(inside) - margin, max(inside) + margin)
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if axes.get_legend_handles_labels()[0]:
             many = len(axes.get_legend_handles_labels()[0]) > 12
-            axes.legend(loc="best", fontsize=4 if many else 8, ncols=3 if many else 1)
+            axes.legend(loc="best", fontsize=4 if many else 8, ncols=3 if many else 1, framealpha=0.7)
         figure.savefig(out_png)
     return Path(out_png)
 
 
-def _on_one_grid(curves: Sequence[Curve]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps, shape (n,), and returns of each curve at these steps, NaN before and after it, shape (num_curves, n)."""
+def mean_curve(curves: Sequence[Curve]) -> Curve:
+    """Mean of the curves that reach each step, to within an 80th of the whole range."""
     grid = np.linspace(min(c.steps[0] for c in curves), max(c.steps[-1] for c in curves), _POINTS)
-    ends = np.unique(
-        [end for c in curves for end in (c.steps[0], c.steps[-1])]
-    )  # short curves need points of their own
-    grid = np.union1d(grid, ends)
-    within = [(c.steps[0] <= grid) & (grid <= c.steps[-1]) for c in curves]
-    return grid, np.stack([np.where(w, c.at(grid).returns, np.nan) for c, w in zip(curves, within, strict=True)])
-
-
-def _mean(values: np.ndarray) -> np.ndarray:
-    """Mean over the curves that are there, NaN where there is none."""
-    count = np.isfinite(values).sum(axis=0)
-    return np.where(count > 0, np.nansum(values, axis=0) / np.maximum(count, 1), np.nan)
-
-
-def _band(values: np.ndarray) -> tuple[float, float]:
-    return student_interval(values) if len(values) > 2 else (np.nan, np.nan)
+    near = grid[1] - grid[0]
+    within = np.stack([(c.steps[0] - near <= grid) & (grid <= c.steps[-1] + near) for c in curves])
+    values = np.where(within, np.stack([c.at(grid).returns for c in curves]), 0.0)
+    count = within.sum(axis=0)
+    return Curve(grid, np.where(count > 0, values.sum(axis=0) / np.maximum(count, 1), np.nan))
 
 
 def _shown(label: str) -> str:

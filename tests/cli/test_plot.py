@@ -27,13 +27,13 @@ def drawn(monkeypatch):
     """What the picture gets."""
     from rewax.viz import curves
 
-    seen, real = {}, curves.curves_with_intervals
+    seen, real = {}, curves.curves_of_seeds
 
     def note(groups, out, **options):
         seen.update(groups)
         return real(groups, out, **options)
 
-    monkeypatch.setattr(curves, "curves_with_intervals", note)
+    monkeypatch.setattr(curves, "curves_of_seeds", note)
     return seen
 
 

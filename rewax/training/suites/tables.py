@@ -258,7 +258,7 @@ def _number(value: float) -> str:
 def _draw_curves(
     suite: Suite, tasks: Sequence[str], rows: Sequence[dict[str, Any]], curves: Mapping[Run, Curve], out_dir: Path
 ) -> list[str]:
-    from rewax.viz.curves import curves_with_intervals  # matplotlib is slow to import
+    from rewax.viz.curves import curves_of_seeds  # matplotlib is slow to import
 
     sentences = []
     for task in tasks:
@@ -270,7 +270,5 @@ def _draw_curves(
                 drawn[algorithm].append(curve)
         levels = {row["algorithm"]: row["sampled"] for row in rows if row["task"] == task and "env_steps" not in row}
         if any(drawn.values()):
-            sentences.append(
-                f"wrote {curves_with_intervals(drawn, out_dir / f'{task}.png', title=task, levels=levels)}"
-            )
+            sentences.append(f"wrote {curves_of_seeds(drawn, out_dir / f'{task}.png', title=task, levels=levels)}")
     return sentences

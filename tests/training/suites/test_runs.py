@@ -140,7 +140,7 @@ def test_runs_that_failed_count_neither_for_minutes_nor_for_curves(tmp_path, mon
     row = {"task": "PointMass", "algorithm": "calm", "sampled": np.nan, "seconds": 4.0}
     assert tables._minutes([{**row, "seed": 0}, {**row, "seed": 1, "sampled": 1.0, "seconds": 600.0}]) == "10.0"
     drawn = {}
-    monkeypatch.setattr("rewax.viz.curves.curves_with_intervals", lambda runs, *args, **kwargs: drawn.update(runs))
+    monkeypatch.setattr("rewax.viz.curves.curves_of_seeds", lambda runs, *args, **kwargs: drawn.update(runs))
     suite = Suite(name="one", scale="small", tasks=("Hopper",), algorithms=("sapo",), seeds=(0, 1))
     rows = [
         {"task": "Hopper", "algorithm": "sapo", "seed": s, "env_steps": 1, "sampled": v}
