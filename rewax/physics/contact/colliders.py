@@ -337,9 +337,11 @@ def friction_factor(tangential: Vec3, approach: Array, friction: Scalar) -> Arra
       approach: u_n, velocity along the normal [m/s], negative towards the body, shape (n,).
       friction: Coulomb coefficient mu [-].
 
-    Gradient: exact, zero-safe. Source: Stomakhin et al. 2013, "A material point method for snow simulation", section 8.
+    Gradient: exact, also where u_t is zero: friction then holds, and the share is 0.
+    Source: Stomakhin et al. 2013, "A material point method for snow simulation", section 8.
     """
     square = cp.dot(tangential, tangential)
     rubs = (approach < 0) & (square > 1e-30)
     length = jnp.sqrt(jnp.where(rubs, square, 1.0))
-    return jnp.where(rubs, jnp.maximum(length + friction * approach, 0.0) / length, 1.0)
+    held = friction * approach < 0  # without rubbing u_t is zero, and so is it after a small change of it
+    return jnp.where(rubs, jnp.maximum(length + friction * approach, 0.0) / length, jnp.where(held, 0.0, 1.0))

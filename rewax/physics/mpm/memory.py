@@ -48,7 +48,7 @@ def predict_peak_bytes(
       num_substeps: substeps of one control step.
       num_envs: environments in the batch.
       horizon: differentiated control steps.
-      store_every: as for ``mpm.step``.
+      store_every: as for ``mpm.step``, but not None.
       bytes_per_float: 4, or 8 in float64.
 
     The constants are fitted to XLA's allocations on CPUs, with the transfers that this process uses, C++ or JAX (jax
@@ -58,6 +58,8 @@ def predict_peak_bytes(
       >>> predict_peak_bytes(env.scene, num_particles=2592, num_substeps=40, num_envs=32, horizon=32) / 1e9
       0.748
     """
+    if store_every is None:
+        raise ValueError("store_every is None, and what XLA then stores is not predicted: give an integer")
     check_store_every(store_every, num_substeps)
     stored = num_substeps // store_every + (store_every if store_every > 1 else 0)
     nodes = scene.grid.num_nodes if scene.max_active_nodes is None else scene.max_active_nodes

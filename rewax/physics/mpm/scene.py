@@ -140,6 +140,8 @@ def initial_state(x: Array, scene: MPMScene | None = None) -> MPMState:
     """
     x = jnp.asarray(x)
     x = x if jnp.issubdtype(x.dtype, jnp.inexact) else x.astype(float)
+    if x.shape[:1] == (0,):
+        raise ValueError("x has no particles: give at least one")
     if scene is not None:
         check_box(scene.grid, x)
         _check_count(scene, x.shape[0])

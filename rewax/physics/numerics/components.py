@@ -78,8 +78,8 @@ def safe_sqrt(a: Array) -> Array:
 
 
 def safe_rsqrt(a: Array) -> Array:
-    """1 / sqrt(a); zero, with derivative zero, where a is not positive."""
-    positive = a > 0
+    """1 / sqrt(a); zero, with derivative zero, where a is not positive, or where the derivative would overflow."""
+    positive = a > jnp.finfo(jnp.result_type(a)).tiny ** (2.0 / 3.0)
     return jnp.where(positive, jax.lax.rsqrt(jnp.where(positive, a, 1.0)), 0.0)
 
 

@@ -130,12 +130,14 @@ def select(which: Array, p: Principal, q: Principal) -> Principal:
 
 
 def maximum(p: Principal, least: Scalar) -> Principal:
-    values = cp.vector(lambda i: jnp.maximum(p.values[i], least))
+    """The larger of each value and ``least``. Gradient: exact; of equal ones that of p."""
+    values = cp.vector(lambda i: jnp.where(p.values[i] < least, least, p.values[i]))
     return chain(p, values, lambda i, j: _slope(p.values, values, i, j))
 
 
 def minimum(p: Principal, most: Scalar) -> Principal:
-    values = cp.vector(lambda i: jnp.minimum(p.values[i], most))
+    """The smaller of each value and ``most``. Gradient: exact; of equal ones that of p."""
+    values = cp.vector(lambda i: jnp.where(p.values[i] > most, most, p.values[i]))
     return chain(p, values, lambda i, j: _slope(p.values, values, i, j))
 
 

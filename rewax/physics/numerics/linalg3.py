@@ -41,10 +41,10 @@ def eigh_components(a: Mat3) -> tuple[Vec3, Mat3]:
     """Eigenvalues (unordered) and eigenvectors (columns) of symmetric matrices given by components.
 
     Cyclic Jacobi rotations: four sweeps in float32 and five in float64 reach rounding accuracy.
-    Gradient: cut (use ``spectral`` for functions of the eigenvalues).
+    Gradient: none, an error (use ``spectral`` for functions of the eigenvalues).
     Source: Golub and Van Loan, Matrix Computations, 8.5.
     """
-    rows = jax.lax.stop_gradient(tuple(jnp.asarray(component) for row in a for component in row))
+    rows = tuple(jnp.asarray(component) for row in a for component in row)
     out = linear_call(_SWEEPS, no_transpose, None, rows, (), like=[*rows[:3], *rows])
     return (out[0], out[1], out[2]), (out[3:6], out[6:9], out[9:12])  # type: ignore[return-value]
 

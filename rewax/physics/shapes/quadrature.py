@@ -131,7 +131,8 @@ def _fraction_below_zero(v: Array) -> Array:
     two = a * b + a * (1.0 - b) * d + (1.0 - a) * c * d
     three = 1.0 - (1.0 - cut(0, 3)) * (1.0 - cut(1, 3)) * (1.0 - cut(2, 3))
     some = jnp.where(v[2] < 0, three, jnp.where(v[1] < 0, two, one))
-    return jnp.where(v[3] <= 0, 1.0, jnp.where(v[0] < 0, some, 0.0))
+    # A tetrahedron whose highest corner lies on the surface is full, with the derivative of one that sticks out.
+    return jnp.where(v[3] < 0, 1.0, jnp.where(v[0] < 0, some, jnp.where(v[3] <= 0, 1.0, 0.0)))
 
 
 __all__ = ["fractions_below_zero", "fractions_inside", "inertia", "volume"]

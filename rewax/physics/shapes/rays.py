@@ -82,21 +82,23 @@ def cone_entry(origin: Vec3, direction: Vec3, radius: Scalar, half_length: Scala
     slope = radius / (2.0 * half_length)
     below, fall = half_length - origin[1], -direction[1]
     a = direction[0] ** 2 + direction[2] ** 2 - (slope * fall) ** 2
-    a = jnp.where(jnp.abs(a) < _TINY, _TINY, a)
     b = origin[0] * direction[0] + origin[2] * direction[2] - slope**2 * fall * below
     c = origin[0] ** 2 + origin[2] ** 2 - (slope * below) ** 2
     square = b * b - a * c
-    root = cp.safe_sqrt(square)
+    # The roots are larger / a and c / larger, without cancellation. A ray parallel to the slant has only the second.
+    larger = -(b + jnp.where(b < 0, -1.0, 1.0) * cp.safe_sqrt(square))
 
-    def slant(t: Array) -> Array:
+    def slant(above: Array, divisor: Array) -> Array:
+        exists = (square > 0) & (jnp.abs(divisor) > _TINY)
+        t = above / jnp.where(exists, divisor, 1.0)
         depth = below + t * fall
-        return _met(t, (square > 0) & (depth >= 0) & (depth <= 2.0 * half_length))
+        return _met(t, exists & (depth >= 0) & (depth <= 2.0 * half_length))
 
     t = _met((-half_length - origin[1]) / jnp.where(direction[1] > _TINY, direction[1], _TINY), direction[1] > _TINY)
     finite = jnp.where(jnp.isfinite(t), t, 0.0)
     x, z = origin[0] + finite * direction[0], origin[2] + finite * direction[2]
     base = jnp.where(x * x + z * z <= radius * radius, t, jnp.inf)
-    return jnp.minimum(jnp.minimum(slant((-b - root) / a), slant((-b + root) / a)), base)
+    return jnp.minimum(jnp.minimum(slant(larger, a), slant(c, larger)), base)
 
 
 def plane_entry(origin: Vec3, direction: Vec3) -> Array:

@@ -55,6 +55,16 @@ def test_sliding_loses_friction_times_normal_impulse(x64):
     np.testing.assert_allclose(contact(ground(friction=0.0), AT, [3.0, -2.0, 4.0]), [3.0, 0.0, 4.0], atol=1e-12)
 
 
+def test_a_node_that_moves_straight_down_is_held_for_small_tangential_velocities():
+    def slope(velocity):
+        after = lambda v: after_contact(ground(), jnp.array([UNDER]), v[None], REST, REST)[0]  # noqa: E731
+        return jax.jvp(after, (velocity,), (jnp.array([1.0, 0.0, 1.0]),))[1]
+
+    down = jnp.array([0.0, -2.0, 0.0])
+    np.testing.assert_array_equal(slope(down), 0.0)
+    np.testing.assert_allclose(slope(-down), [1.0, 0.0, 1.0], rtol=1e-6)
+
+
 def test_separating_is_untouched(x64):
     np.testing.assert_array_equal(contact(ground(), UNDER, [3.0, 2.0, 4.0]), [3.0, 2.0, 4.0])
 

@@ -73,3 +73,5 @@ def test_grows_with_what_it_should():
     np.testing.assert_allclose(predict(horizon=11) - predict(horizon=1), 10 * state, rtol=0.15)
     with pytest.raises(ValueError, match="store_every is 7: give an integer that divides the 40 substeps"):
         predict(store_every=7)
+    with pytest.raises(ValueError, match="store_every is None, and what XLA then stores is not predicted"):
+        predict(store_every=None)

@@ -153,3 +153,23 @@ def test_derivatives_by_velocity_and_friction(x64, kind, friction, random_like, 
     still = tuple(jnp.zeros(64) for _ in range(3))
     at_rest = jax.vjp(after, (still, jnp.float64(friction)))[1](cotangent)[0]
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(at_rest))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("speed", [-1.0, 1.0])
+def test_derivatives_of_nodes_that_move_straight_into_the_wall(x64, friction, speed, central_difference):
+    """Their tangential velocity is exactly zero, and Coulomb's friction holds a small one."""
+    grid = Grid(shape=(4, 4, 4), spacing=0.1)
+    walls = Walls(lower=(None, Wall(position=0.15, friction=friction), None), upper=OPEN)
+    velocity = (jnp.zeros(64), jnp.full(64, speed), jnp.zeros(64))
+    move = (jnp.ones(64), jnp.zeros(64), jnp.linspace(0.0, 2.0, 64))
+
+    def after(velocity):
+        return apply_walls(walls, grid, indices(grid), velocity)
+
+    tangent = jax.jvp(after, (velocity,), (move,))[1]
+    for got, expected in zip(tangent, central_difference(after, velocity, move), strict=True):
+        np.testing.assert_allclose(got, expected, atol=1e-8)
+    gradient = jax.vjp(after, velocity)[1](move)[0]
+    for got, expected in zip(gradient[::2], tangent[::2], strict=True):  # the map is symmetric here
+        np.testing.assert_allclose(got, expected, atol=1e-12)

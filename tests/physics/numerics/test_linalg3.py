@@ -166,3 +166,11 @@ def test_derivatives_are_finite_where_values_repeat_or_vanish(x64, stretched, dt
     (gradient,) = back(jax.tree.map(jnp.ones_like, value))
     finite = np.isfinite(gradient).all(axis=(1, 2))
     assert finite.all(), f"not finite for {a[~finite]}"
+
+
+def test_second_derivatives_are_refused(x64, stretched):
+    """They would lack the derivative of the eigenvectors."""
+    a = jnp.asarray(stretched(0, DISTINCT)[0])
+    first = jax.grad(lambda a: jnp.sum(jnp.sin(polar(a))))
+    with pytest.raises(NotImplementedError):
+        jax.jvp(first, (a,), (a,))

@@ -17,6 +17,9 @@ def test_places_in_cells():
     np.testing.assert_allclose(beyond, [-2, 0, 0, 0, 0, 0, 1], atol=1e-6)
     slope = jax.grad(lambda origin: locate(x, origin, 0.5, 4)[1][2])(1.0)
     np.testing.assert_allclose(slope, -2.0)
+    for x in (1.0, 2.5):  # an end has the derivative of the inside
+        assert float(jax.grad(lambda x: locate(x, 1.0, 0.5, 4)[1])(x)) == 2.0
+        assert float(jax.grad(lambda x: locate(x, 1.0, 0.5, 4)[2])(x)) == 0.0
 
 
 def test_nan_has_a_legal_cell():

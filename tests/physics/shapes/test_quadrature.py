@@ -8,7 +8,7 @@ from own_shapes import Torus
 from solids import FURTHER, SHAPES
 
 from rewax import struct
-from rewax.physics.shapes import Shape, Sphere, quadrature
+from rewax.physics.shapes import SampledDistance, Shape, Sphere, quadrature
 
 BOUNDED = {name: shape for name, shape in (SHAPES | FURTHER).items() if name != "baked"}
 
@@ -72,3 +72,13 @@ def test_nodes_on_a_surface_count_as_outside():
     fractions, lower, upper = quadrature.fractions_inside(Half())
     np.testing.assert_array_equal(np.unique(fractions[:, :32]), [1.0])
     assert quadrature.volume(fractions, lower, upper) == 4.0
+
+
+def test_derivative_of_a_volume_whose_surface_passes_through_nodes(x64):
+    """The whole slab moves: its volume changes by its area, whatever lies on a node."""
+    planes = np.broadcast_to(np.linspace(-1.0, 1.0, 5)[:, None, None], (5, 5, 5))
+    slab = SampledDistance(values=jnp.asarray(planes), origin=-jnp.ones(3), spacing=0.5)
+    volume = lambda offset: slab.replace(values=slab.values + offset).volume()  # noqa: E731
+    for offset in (0.0, 0.01, 0.5):
+        value, slope = jax.value_and_grad(volume)(offset)
+        np.testing.assert_allclose([value, slope], [4.0 * (1.0 - offset), -4.0], rtol=1e-9)

@@ -85,3 +85,10 @@ def test_planes_height_fields_and_sampled_distances():
     both = np.isfinite(found) & np.isfinite(exact)
     assert both.sum() > 100 and (np.isfinite(found) == np.isfinite(exact)).mean() > 0.95
     assert np.quantile(np.abs(np.where(both, found, 0) - np.where(both, exact, 0)), 0.95) < 0.02
+
+
+@pytest.mark.parametrize(("tilt", "t"), [(0.0, 1.125), (1e-7, 1.125), (1e-4, 1.12494), (-1e-3, 1.125563)])
+def test_rays_nearly_parallel_to_the_slant_of_a_cone(tilt, t):
+    """From (-2, 1.5, 0) along (1 + tilt, -2, 0) a ray meets the right slant, x = (1 - y) / 2, or the left one."""
+    ray = tuple(map(jnp.float32, (-2.0, 1.5, 0.0))), tuple(map(jnp.float32, (1.0 + tilt, -2.0, 0.0)))
+    np.testing.assert_allclose(Cone(radius=1.0, half_length=1.0).cast(*ray), t, rtol=2e-5)

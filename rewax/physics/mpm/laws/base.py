@@ -214,7 +214,10 @@ def elongation_of(s: Principal, floor: Principal, change: Principal | None = Non
 
 
 def stretches(eigenvalues: Principal, sign: Array) -> Principal:
-    """Square roots of the eigenvalues of F F^T, the smallest with the sign of det F."""
+    """Square roots of the eigenvalues of F F^T, the smallest with the sign of det F.
+
+    If exactly two are the smallest, both have the sign, and the sign of J is lost. ``Status.INVERTED`` is set.
+    """
     root = dd.sqrt(dd.maximum(eigenvalues, MIN_STRETCH**2))
     a, b, c = eigenvalues.values
     smallest = jnp.minimum(jnp.minimum(a, b), c)
