@@ -43,6 +43,9 @@ from rewax.physics.rigid.spring_contacts import Penalty, PointForces, limit_forc
 from rewax.physics.rigid.weld import weld_drifts
 from rewax.types import Array
 
+_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+"""Transmissions of actuators that act on one joint."""
+
 
 def kinematics(model: RigidModel, qpos: Array) -> Kinematics:
     """``kinematics.kinematics`` of a model."""
@@ -132,7 +135,9 @@ def applied_forces(
 def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     """Damping matrix -d force / d velocity, symmetric, shape (num_dofs, num_dofs).
 
-    As in MuJoCo's integrator implicitfast it includes joints, tendons and actuators, but not the Coriolis terms.
+    As in MuJoCo's integrator implicitfast it includes joints, tendons and actuators, but not the Coriolis terms, nor
+    damping between degrees of freedom of which neither moves the other, nor a joint's own actuators
+    where its ``actuatorfrcrange`` limits their force.
 
     Gradient: exact.
     """
@@ -141,15 +146,22 @@ def velocity_damping(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     def pull(velocity: Array) -> Array:
         return mjx.fwd_actuation(m, with_actuator_velocities(d, velocity)).actuator_force
 
-    damping = jnp.diag(model.parameters["dof_damping"])
+    damping, mj = jnp.zeros((model.num_dofs, model.num_dofs), d.qvel.dtype), model.static.mj
     if model.static.mj.nu and not is_disabled(model.static.mj, "ACTUATION"):
         moment, velocity = actuator_moments(d), actuator_velocities(d)
-        slope = jax.jvp(pull, (velocity,), (jnp.ones_like(velocity),))[1]  # each force depends on its own velocity
+        # Each force depends on its own velocity.
+        force, slope = jax.jvp(pull, (velocity,), (jnp.ones_like(velocity),))
+        if np.any(mj.jnt_actfrclimited):
+            total, (low, high) = dot(moment.T, force), mj.jnt_actfrcrange[mj.dof_jntid].T
+            clamped = (mj.jnt_actfrclimited[mj.dof_jntid] != 0) & ((total <= low) | (total >= high))
+            own = np.isin(mj.actuator_trntype, _ON_JOINT)
+            moment = jnp.where(clamped & own[:, None], 0.0, moment)
         damping -= dot(moment.T, slope[:, None] * moment)
     if model.static.mj.ntendon:
         jacobian = tendon_jacobian(d)
         damping += dot(jacobian.T, m.tendon_damping[:, None] * jacobian)
-    return damping
+    carries = model.static.topology.moves[mj.dof_bodyid]
+    return jnp.diag(model.parameters["dof_damping"]) + np.maximum(carries, carries.T).astype(damping.dtype) * damping
 
 
 def _drives(model: RigidModel, m: mjx.Model, d: mjx.Data) -> mjx.Data:
@@ -186,7 +198,7 @@ def _spring_forces(model: RigidModel, qpos: Array) -> Array:
 def _actuator_lengths(model: RigidModel, m: mjx.Model, d: mjx.Data) -> Array:
     """Lengths of the actuators, shape (num_actuators,). MJX's lack a derivative for ball joints."""
     mj = model.static.mj
-    on_joint = np.isin(mj.actuator_trntype, (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)))
+    on_joint = np.isin(mj.actuator_trntype, _ON_JOINT)
     joint = np.where(on_joint, mj.actuator_trnid[:, 0], 0)
     own = np.flatnonzero(on_joint & (mj.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_BALL)))
     if len(own) == 0:

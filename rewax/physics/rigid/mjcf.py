@@ -198,6 +198,11 @@ def _check_actuators(mj: mujoco.MjModel) -> None:
                 f"{actuator} has a {what} that is not supported: use one of {', '.join(k.lower() for k in kinds)}"
             )
 
+    if np.any(limited := mj.tendon_actfrclimited != 0):
+        raise ValueError(
+            f"{named(mj, 'tendon', limited)} has an actuatorfrcrange, with which the gradient is not finite at zero "
+            "force: give its actuators a forcerange"
+        )
     turning = (mj.actuator_trnid[:, 1] >= 0) & np.any(mj.actuator_gear[:, 3:] != 0, axis=1)
     turning &= mj.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)
     if np.any(turning):
@@ -238,6 +243,7 @@ def _check_fields(mj: mujoco.MjModel) -> None:
                 wrong = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong])
             name = named(mj, {"dof": "joint", "jnt": "joint"}.get(kind, kind), wrong)
             raise ValueError(f"{name} has {what}, which is not supported: remove it")
+    _check_impedances(mj)
     aside = (mj.wrap_type == mujoco.mjtWrap.mjWRAP_CYLINDER) & (mj.wrap_prm >= 0.0)  # wrap_prm: the side site
     if np.any(aside):
         wrapped = np.isin(np.arange(mj.ngeom), mj.wrap_objid[aside])
@@ -245,6 +251,33 @@ def _check_fields(mj: mujoco.MjModel) -> None:
             f"a tendon wraps {named(mj, 'geom', wrapped)}, a cylinder, with a sidesite, where MJX takes another path "
             "than MuJoCo: remove the sidesite"
         )
+    for w in np.flatnonzero((mj.wrap_type == mujoco.mjtWrap.mjWRAP_SPHERE) & (mj.wrap_prm >= 0.0)):
+        geom, site = mj.wrap_objid[w], int(mj.wrap_prm[w])
+        apart = float(np.linalg.norm(mj.site_pos[site] - mj.geom_pos[geom]))
+        if mj.geom_bodyid[geom] != mj.site_bodyid[site] or apart < mj.geom_size[geom, 0]:
+            raise ValueError(
+                f"a tendon wraps {named(mj, 'geom', np.arange(mj.ngeom) == geom)}, a sphere, with a sidesite that is "
+                "inside it or on another body, where MJX has no finite derivative or takes another path than MuJoCo: "
+                "move the sidesite outside, on the sphere's body"
+            )
+
+
+def _check_impedances(mj: mujoco.MjModel) -> None:
+    """Raises ValueError for a power of an impedance with which MJX has no finite derivative beyond its width."""
+    for kind, fields in {
+        "joint": ("jnt_solimp", "dof_solimp"), "geom": ("geom_solimp",), "pair": ("pair_solimp",),
+        "equality": ("eq_solimp",), "tendon": ("tendon_solimp_lim", "tendon_solimp_fri"),
+    }.items():  # fmt: skip
+        for field in fields:
+            power = getattr(mj, field)[:, 4]
+            wrong = (power > 1.0) & (power != np.round(power))
+            if np.any(wrong):
+                found = power[wrong][0]
+                wrong = np.isin(np.arange(mj.njnt), mj.dof_jntid[wrong]) if field.startswith("dof") else wrong
+                raise ValueError(
+                    f"{named(mj, kind, wrong)} has a solimp with the power {found:g}, with which the gradient is not "
+                    "finite: give 1, 2 or another integer"
+                )
 
 
 def _check_margins(mj: mujoco.MjModel) -> None:

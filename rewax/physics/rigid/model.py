@@ -100,7 +100,7 @@ class RigidModel(struct.Replaceable):
         unlimited joints and actuators have no effect. Traced dry friction of a joint that was loaded without it has no
         effect; in a model loaded without damping, a traced one is explicit in time. Limits whose two margins overlap
         have one constraint instead of two. Mass and inertia are separate parameters: change both. Quaternions and axes
-        must keep length 1.
+        must keep length 1. The exponent of an impedance (the last entry of solimp) has no gradient.
       gravity: gravitational acceleration [m/s^2], shape (3,).
       penalty: the contact law, or None for MuJoCo's soft constraints.
       static: the static part of the model.

@@ -37,8 +37,8 @@ from rewax.physics.rigid.tree_dynamics import inverse_dynamics, mass_matrix, spi
 from rewax.status import Status, flag
 from rewax.types import Array
 
-_MIN_ITERATIONS = 4
-"""Smallest number of solver iterations: the derivative is exact only for a converged solution."""
+_MIN_ITERATIONS = 50
+"""Smallest limit of solver iterations, which end when the solution has converged: the derivative is exact only then."""
 
 
 def initial_state(

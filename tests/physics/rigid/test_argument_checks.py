@@ -44,6 +44,12 @@ def ball():
 
 WRAPPED = """<site name="a" pos="0 0 1"/><site name="b" pos=".2 0 .9"/><site name="c" pos="0 0 2"/>
 <geom name="w" type="cylinder" size=".1 .2" pos="9 0 9" contype="0" conaffinity="0"/>"""
+BALL = WRAPPED.replace('type="cylinder" size=".1 .2" pos="9 0 9"', 'size=".3" pos="0 0 1"')
+AROUND = '<tendon><spatial><site site="a"/><geom geom="w" sidesite="{}"/><site site="c"/></spatial></tendon>'
+INSIDE = (
+    "a tendon wraps geom 'w', a sphere, with a sidesite that is inside it or on another body, where MJX has no finite "
+    "derivative or takes another path than MuJoCo: move the sidesite outside, on the sphere's body"
+)
 MODELS = {
     "mass": (mjcf(ARM.replace("size", 'mass="nan" size')), "mass is 'nan' in line 1 of the MJCF: give finite numbers"),
     "gravity": (mjcf(option='gravity="0 0 nan"'), "gravity is '0 0 nan' in line 1 of the MJCF: give finite numbers"),
@@ -54,6 +60,10 @@ MODELS = {
     "range": (mjcf(ARM.replace('name="x"', 'name="x" range="1 -1"')), "joint 'x' has the range 1 to -1: give the lower limit first"),
     "margin": (mjcf(ARM.replace('name="x"', 'name="x" range="-1 1" limited="true" margin="1.1"')), "joint 'x' has a margin of more than half its range, for which MJX has one constraint where MuJoCo has two: give a smaller margin"),
     "side site": (mjcf(ARM + WRAPPED, more='<tendon><spatial><site site="a"/><geom geom="w" sidesite="b"/><site site="c"/></spatial></tendon>'), "a tendon wraps geom 'w', a cylinder, with a sidesite, where MJX takes another path than MuJoCo: remove the sidesite"),
+    "inner side site": (mjcf(ARM + BALL, more=AROUND.format("b")), INSIDE),
+    "foreign side site": (mjcf(ARM.replace("/></body>", '/><site name="d"/></body>', 1) + BALL, more=AROUND.format("d")), INSIDE),
+    "tendon force": (mjcf(more='<tendon><fixed name="t" actuatorfrcrange="-1 1"><joint joint="x" coef="1"/></fixed></tendon>'), "tendon 't' has an actuatorfrcrange, with which the gradient is not finite at zero force: give its actuators a forcerange"),
+    "impedance": (mjcf(ARM.replace('name="x"', 'name="x" range="-1 1" limited="true" solimplimit=".1 .9 .01 .5 1.5"')), "joint 'x' has a solimp with the power 1.5, with which the gradient is not finite: give 1, 2 or another integer"),
     "limit": (mjcf(more='<custom><numeric name="max_geom_pairs" data="2.5"/></custom>'), "the model's max_geom_pairs is 2.5: give an integer, at least 0, or -1 for no limit"),
     "size": (mjcf(ARM.replace('".1"', '"-.1"')), "the model cannot be read: size 0 must be positive in geom (element name 'bob', id 0, line 1): correct the MJCF"),
     "inertia": (mjcf('<body><joint/></body>'), "the model cannot be read: mass and inertia of moving bodies must be larger than mjMINVAL (element id 1, line 1): correct the MJCF"),

@@ -96,6 +96,31 @@ def test_implicitfast_is_mujocos(x64):
     assert np.abs(simulate_in_c(mj, qpos, qvel, ctrl)[0].qpos - data.qpos).max() > 1e-3
 
 
+HAND = """<mujoco><compiler autolimits="true"/><option integrator="implicitfast" timestep="0.002"/>
+<default><geom contype="0" conaffinity="0"/></default><worldbody>
+  <body name="hand"><joint name="h" axis="0 1 0" damping=".1" actuatorfrcrange="-1 1"/><geom size=".1" pos=".3 0 0"/>
+    <body name="l" pos=".3 0 0"><joint name="l" type="slide" axis="0 1 0"/><geom size=".02"/></body>
+    <body name="r" pos=".3 0 .1"><joint name="r" type="slide" axis="0 -1 0"/><geom size=".02"/></body></body></worldbody>
+<tendon><fixed name="t" damping="5"><joint joint="l" coef=".5"/><joint joint="r" coef=".5"/></fixed>
+  <fixed name="all"><joint joint="h" coef=".7"/><joint joint="l" coef=".5"/></fixed></tendon>
+<actuator><general tendon="t" gainprm="100" biastype="affine" biasprm="0 -100 -10"/>
+  <velocity joint="h" kv="4"/><motor joint="h"/><velocity tendon="all" kv=".5"/></actuator></mujoco>"""
+"""Two fingers on one tendon, of which neither moves the other, and a joint whose actuators together are limited."""
+
+
+@pytest.mark.parametrize("ctrl", [(0.3, 0.2, 3.0, 2.0), (0.3, 0.1, -0.2, 0.1)], ids=["limited", "free"])
+def test_damping_that_implicitfast_leaves_out(x64, ctrl):
+    mj = mujoco.MjModel.from_xml_string(HAND)
+    qpos, qvel = np.array([0.1, 0.02, -0.01]), np.array([0.3, 0.5, -0.4])
+    data, _ = simulate_in_c(mj, qpos, qvel, np.array(ctrl))
+    model = rigid.load(HAND)
+    state = rigid.initial_state(model, qpos, qvel)
+    for _ in range(CALLS):
+        state = advance(model, state, np.array(ctrl), np.zeros((mj.nbody, 6)))
+    np.testing.assert_allclose(state.qpos, data.qpos, atol=1e-11)
+    np.testing.assert_allclose(state.qvel, data.qvel, atol=1e-10)
+
+
 def servos():
     """The model twice, and a state and controls at which some of its forces are saturated."""
     mj, rng = mujoco.MjModel.from_xml_string(SERVOS), np.random.default_rng(0)
