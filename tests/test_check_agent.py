@@ -211,3 +211,15 @@ def test_a_gradient_that_is_not_finite_must_not_reach_the_parameters():
 
     with pytest.raises(AssertionError, match=r"^one environment failed, and \.actor_params.* is not finite after"):
         agent_states.check_failure(agent._replace(train_step=jax.jit(poisoned)), jax.random.key(0))
+
+
+@pytest.mark.parametrize("name", ["failed_episodes", "status/NAN"])
+def test_a_failure_must_be_counted(name):
+    agent = agent_cases.agent("apg")
+
+    def hiding(state):
+        new, metrics = agent.train_step(state)
+        return new, {**metrics, name: 0 * metrics[name]}
+
+    with pytest.raises(AssertionError, match=rf"^metric '{name}' is 0 though the physics of an environment became NaN"):
+        agent_states.check_failure(agent._replace(train_step=jax.jit(hiding)), jax.random.key(0))

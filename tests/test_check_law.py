@@ -9,7 +9,7 @@ from material_cases import LAWS, material
 
 from rewax import struct
 from rewax.physics.mpm import Hencky, Material, Newtonian, Plasticity, Tait, VonMises
-from rewax.physics.mpm.laws import Flow, LameParameters, Stretches
+from rewax.physics.mpm.laws import Flow, LameParameters, Stretches, elongation_of
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics import divided_differences as dd
 from rewax.physics.numerics.checks import POSITIVE
@@ -97,6 +97,25 @@ class Half(Plasticity):
 
 
 @struct.dataclass
+class Runaway(VonMises):
+    """Beyond yield the deviator grows."""
+
+    def flow(self, s, moduli, memory):
+        right = super().flow(s, moduli, memory)
+        new = Stretches.of(dd.exp(s.log + (-0.5) * (right.stretches.log - s.log)))
+        return Flow(new, elongation_of(s.values, new.values), right.memory)
+
+
+@struct.dataclass
+class Tilted(Newtonian):
+    """It resists along the world's y axis alone."""
+
+    def stress(self, F, velocity_gradient):
+        C, zero = velocity_gradient, 0.0 * velocity_gradient[0][0]
+        return cp.matrix(lambda i, j: self.viscosity * C[1][1] if i == j == 1 else zero)
+
+
+@struct.dataclass
 class Stiffens(Plasticity):
     initial_memory = (0.0,)
     rate: Scalar = struct.number(POSITIVE, "give a number")
@@ -148,6 +167,8 @@ SOLID = {"density": 1e3, "elasticity": Hencky(**NUMBERS)}
         (Material(**SOLID, plasticity=Half(limit=0.1)), "the deformation after flow is not that of the stretches aft"),
         (Material(**SOLID, plasticity=Stiffens(rate=5.0)), "stiffness reaches "),
         (Material(**SOLID, plasticity=Ages(rate=0.01)), "memory changes in a body at rest"),
+        (Material(**SOLID, plasticity=Runaway(yield_stress=10.0)), "flow raises the elastic energy"),
+        (Material(**SOLID, viscosity=Tilted(viscosity=1.0)), "viscous stress does not turn with the body"),
         (Material(**SOLID, viscosity=Engine(viscosity=1.0)), "viscous stress makes energy"),
         (Material(**SOLID, viscosity=Spinning(viscosity=1.0)), "viscous stress is not symmetric"),
         (Material(density=1e3, elasticity=Logarithm(**NUMBERS)), "the energy of stretches 2.0 is not finite"),

@@ -81,6 +81,20 @@ def rounded(self, state, action):
     return toys.PointMass.step(self, state, jnp.round(action))
 
 
+def later(**broken):
+    """What a step of the second half of an episode gives."""
+
+    def change(new, old, action):
+        return new.replace(
+            **{
+                name: jax.tree.map(lambda a, value=value: jnp.where(new.step_count > 3, value, a), getattr(new, name))
+                for name, value in broken.items()
+            }
+        )
+
+    return change
+
+
 def failing_at(count):
     def change(new, old, action):
         failed = new.step_count == count
@@ -117,6 +131,8 @@ START = float(toys.point_mass().reset(jax.random.key(0)).physics[0])
 
 
 BROKEN = {
+    "obs 'x' of step 4 holds a number that is not finite": {"step": step_with(later(obs=jnp.nan))},
+    "the reward of step 4 is not finite": {"step": step_with(later(reward=jnp.inf))},
     "render_shapes after reset cannot be drawn: the drawing of a sphere has no 'center', but has 'centre': give it center, radius": drawn(
         {"kind": "sphere", "centre": (0.0, 0.0, 0.0), "radius": 0.1}
     ),

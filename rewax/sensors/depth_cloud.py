@@ -59,7 +59,8 @@ class DepthCloud(struct.Replaceable):
         _, order = jax.lax.top_k(rank, self.num_points)
         count = jnp.minimum(chosen.sum(), self.num_points)
         index = order[jnp.arange(self.num_points) % jnp.maximum(count, 1)]
-        return jnp.where(count > 0, points[index], self.camera.pose_in(world).position)
+        seen = jnp.where(count > 0, points[index], self.camera.pose_in(world).position)
+        return seen if self.camera.gradient else jax.lax.stop_gradient(seen)
 
 
 __all__ = ["DepthCloud"]

@@ -135,7 +135,12 @@ def check_failure(agent: Agent, key: Key) -> None:
     failing = environments.state.replace(physics=jax.tree.map(_first_is_nan, environments.state.physics))
     # Its own arrays may hold NaN: those of the failed environment, and returns that are not known.
     finite = _finite_leaves(state.replace(environments=environments.common()))
-    state, _ = agent.train_step(state.replace(environments=environments.replace(state=failing)))
+    state, metrics = agent.train_step(state.replace(environments=environments.replace(state=failing)))
+    for name in ("failed_episodes", "status/NAN"):
+        assert name not in metrics or int(metrics[name]) >= 1, (
+            f"metric {name!r} is {int(metrics[name])} though the physics of an environment became NaN: count it "
+            "(rewax.agents.run_state), or max_failed_share never stops the run"
+        )
     after = _finite_leaves(state.replace(environments=state.environments.common()))
     spoilt = [name for name in finite if finite[name] and not after[name]]
     assert not spoilt, (

@@ -133,7 +133,7 @@ _NOT_TRUNCATED = (
 
 
 def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
-    """Checks status, step count and end flags over one episode, and that a step after its end does not reset."""
+    """Checks status, values, step count and end flags of one episode, and that a step after its end does not reset."""
     length, first = env.episode_length, state
     for count in range(1, length + 1):
         before, action = state, random_action(env, jax.random.fold_in(key, count))
@@ -142,6 +142,7 @@ def check_episode(env: Env, step: _Step, state: State, key: Key) -> None:
         assert not bits & FATAL, (
             f"step {count} of random actions fails numerically ({describe(bits)}): give {remedy(bits)}"
         )
+        check_values(env, state, f"step {count}")
         both = bool(state.terminated & state.truncated)
         assert not both, f"step {count} is both terminated and truncated: terminated wins, truncated is then false"
         reached = int(state.step_count)

@@ -4,14 +4,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rewax.physics.mpm import Fluid, Material
-from rewax.physics.mpm.materials import kirchhoff_stress
+from rewax.physics.mpm.materials import elastic_energy_density, kirchhoff_stress
 from rewax.physics.numerics import components as cp
 from rewax.testing.law_states import NUM, at_start, expand, near, response, rotations, size_of
 from rewax.types import Array
 
 
 def check_flow(m: Material, F: Array, seed: int) -> None:
-    """Checks that flow is objective, keeps particles that do not flow, and agrees with the stress that it returns."""
+    """Checks that flow is objective, raises no energy, keeps what does not flow, and agrees with its stress."""
     zeros, memory = jnp.zeros_like(F), at_start(m, F)
     m = m.replace(viscosity=None, muscle=None)
     new, tau, after = response(m, F, zeros, memory)
@@ -29,6 +29,10 @@ def check_flow(m: Material, F: Array, seed: int) -> None:
     elastic = kirchhoff_stress(m, new) if factor is None else expand(factor) * kirchhoff_stress(m, new)
     what = "the deformation after flow is not that of the stretches after flow"
     near(elastic, tau, size_of(tau), what, "return elongation_of(trial, new): new over trial stretch, minus one", 1e-7)
+    before, left = (elastic_energy_density(m, a) for a in (F, new))
+    assert bool(jnp.all(left <= before + 1e-9 * size_of(before))), (
+        "flow raises the elastic energy: map stretches towards those at rest, not away from them"
+    )
     _check_without_flow(m, seed)
     if factor is not None:
         far = response(m, F @ F @ F, zeros, memory)[2]
@@ -53,7 +57,7 @@ def _check_without_flow(m: Material, seed: int) -> None:
 
 
 def check_added(m: Material, F: Array, seed: int) -> None:
-    """Checks that viscous stress is symmetric, ignores spin and dissipates; that active stress is objective."""
+    """Checks that viscous stress is symmetric, objective, ignores spin, dissipates; that active stress is objective."""
     rng, Fc = np.random.default_rng(seed + 5), cp.split_matrix(F)
     rate, Q = jnp.asarray(rng.normal(size=F.shape)), jnp.asarray(rotations(rng, NUM))
     if m.viscosity is not None:
@@ -67,6 +71,10 @@ def check_added(m: Material, F: Array, seed: int) -> None:
         spun = stress(rate + spin - jnp.swapaxes(spin, 1, 2))
         near(spun, tau, size_of(tau), "viscous stress feels a rigid rotation", "use (C + C^T) / 2 of velocity_gradient")
         near(stress(0.0 * rate), 0.0 * tau, size_of(tau), "viscous stress at rest is not zero", "let it vanish with C")
+        QT = jnp.swapaxes(Q, 1, 2)
+        turned = cp.join_matrix(viscosity.stress(cp.split_matrix(Q @ F), cp.split_matrix(Q @ rate @ QT)))
+        what = "viscous stress does not turn with the body"
+        near(turned, Q @ tau @ QT, size_of(tau), what, "use invariants of velocity_gradient, no fixed directions")
         power = jnp.sum(tau * rate, axis=(1, 2))
         assert float(jnp.min(power)) >= -1e-9 * float(size_of(power)), (
             "viscous stress makes energy, stress : velocity gradient < 0: it has the wrong sign"

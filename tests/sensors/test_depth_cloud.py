@@ -59,3 +59,16 @@ def test_noise_and_dropout_of_the_camera_reach_the_cloud():
 def test_bad_clouds_are_refused(wrong, words):
     with pytest.raises(ValueError, match=words):
         DepthCloud(camera=CAMERA, **wrong).see(WORLD, jax.random.key(0))
+
+
+@pytest.mark.parametrize("gradient", [False, True])
+def test_a_cloud_of_a_moving_camera_has_the_whole_gradient_or_none(gradient):
+    """The camera moves with everything that it sees, so the points move as much."""
+
+    def height(shift):
+        camera = CAMERA.replace(position=CAMERA.position + shift * jnp.array([0.0, 1.0, 0.0]), gradient=gradient)
+        world = World(solids=(ball("dough", (0.0, shift, 0.0)),))
+        return DepthCloud(camera=camera, num_points=30, of=("dough",)).see(world, jax.random.key(0))[:, 1].mean()
+
+    slope = float(jax.grad(height)(0.0))
+    assert slope == pytest.approx(1.0 if gradient else 0.0, abs=1e-4)

@@ -145,7 +145,8 @@ def _evaluate_sequence(env: Env, actions: Array, key: Key, num_episodes: int) ->
 def _evaluate(env: Env, act: _Act, key: Key, num_episodes: int) -> Evaluation:
     keys = jax.random.split(key, num_episodes)
     returns, lengths, status, metrics = jax.vmap(lambda key: _episode(env, act, key))(keys)
-    success = {"success": jnp.mean(metrics["success"] > 0.5)} if "success" in metrics else {}
+    whole = (status & int(FATAL)) == 0  # after a numerical failure the metrics are those of the step before
+    success = {"success": jnp.mean((metrics["success"] > 0.5) & whole)} if "success" in metrics else {}
 
     def count(bits: Status) -> Array:
         return jnp.sum((status & int(bits)) != 0, dtype=jnp.int32)

@@ -77,7 +77,7 @@ class Run:
         self.boards = _boards(config, run_dir, resume_at)
         self.evaluator = Evaluator(env, programs, config, run_dir, key, resume_at=resume_at)
         self.watch, self.finite = FailureWatch(env, config), FiniteCheck(train_state)
-        self._healthy: int | None = checkpoint.latest_step(run_dir)
+        self._healthy: int | None = checkpoint.healthy_step(run_dir)
         self._consumes, self._env_steps = agent.consumes, int(train_state.env_steps)
         self._progress: ProgressReport | None = None
         self._saved_at = time.perf_counter()
@@ -201,6 +201,7 @@ class Run:
         self._saved_at = time.perf_counter()
         if self.watch.healthy:
             self._healthy = self.iteration
+        checkpoint.write_healthy(self.run_dir, self._healthy)
 
     def _evaluate(self) -> dict[str, Any]:
         row = self.evaluator.evaluate(self.iteration, self.env_steps, self.local_state)

@@ -16,7 +16,7 @@ from rewax.training.config import TrainConfig
 from rewax.training.loop.progress import say
 from rewax.training.loop.warm_start import warm_started
 from rewax.training.storage import checkpoint
-from rewax.training.storage.description import changes, plain, read_config
+from rewax.training.storage.description import changes, one_sided, plain, read_config, versions
 from rewax.types import Key
 
 _FLAGS = {"env": "--env", "scale": "--scale", "agent": "--algo"}
@@ -69,7 +69,7 @@ def first_state(
             f"{run_dir} holds a run with sensors {_sensors(stored)}, not {_sensors(wanted)}: resume it with its own, "
             "on the command line without --sensors"
         )
-    differences = changes(stored, wanted)
+    differences = changes(stored, wanted) + one_sided(stored, wanted, "env_kwargs") + _other_versions(stored)
     for name, old, new in differences:
         if name in _FLAGS:
             raise ValueError(f"{run_dir} holds a run with {name} {old}, not {new}: resume it with {_FLAGS[name]} {old}")
@@ -90,6 +90,12 @@ def first_state(
         )
     say(console, f"resuming {run_dir} after iteration {int(train_state.iteration)}")
     return train_state
+
+
+def _other_versions(stored: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Other versions of JAX than those of the run, with which it does not go on bit by bit."""
+    now, then = versions(), stored.get("versions", {})
+    return [(name, then[name], now[name]) for name in ("jax", "jaxlib") if then.get(name, now[name]) != now[name]]
 
 
 def _other_parameters(train_state: Any, env: Env) -> list[str]:

@@ -31,8 +31,11 @@ from rewax.training.storage.leaves import (
     named_leaves,
     to_numpy,
 )
+from rewax.whole_files import replacing
 
 T = TypeVar("T")
+_HEALTHY = "healthy"
+"""Beside the checkpoints: the iteration of the last one from before failures."""
 
 
 class DamagedCheckpoint(ValueError):
@@ -113,6 +116,22 @@ def latest_step(run_dir: str | Path) -> int | None:
     """Iteration of the newest checkpoint of a run, None if there is none."""
     found = steps(run_dir)
     return found[-1] if found else None
+
+
+def healthy_step(run_dir: str | Path) -> int | None:
+    """The iteration of the last checkpoint from before failures, if it is still there; else that of the newest."""
+    try:
+        known = int((Path(run_dir) / "checkpoints" / _HEALTHY).read_text())
+    except (OSError, ValueError):
+        known = None
+    return known if known in steps(run_dir) else latest_step(run_dir)
+
+
+def write_healthy(run_dir: str | Path, step: int | None) -> None:
+    """Keep the iteration of the last checkpoint from before failures for the process that resumes the run."""
+    if step is not None:
+        with replacing(Path(run_dir) / "checkpoints" / _HEALTHY) as file:
+            file.write_text(str(step))
 
 
 def _warn(sentence: str) -> None:

@@ -36,7 +36,7 @@ def describe_run(agent: Any, env: Any, given: Mapping[str, Any] | None = None) -
 
 def write_config(run_dir: str | Path, config: Mapping[str, Any]) -> None:
     """Write the configuration of a run and the versions of the packages that it depends on to ``config.json``."""
-    content = plain(config) | {"versions": _versions()}
+    content = plain(config) | {"versions": versions()}
     with replacing(Path(run_dir) / "config.json") as unfinished:
         unfinished.write_text(json.dumps(content, indent=2) + "\n")
 
@@ -138,14 +138,23 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") ->
     return found
 
 
-def _versions() -> dict[str, str]:
-    versions = {}
+def one_sided(old: Mapping[str, Any], new: Mapping[str, Any], table: str) -> list[tuple[str, Any, Any]]:
+    """Entries of a table that only one of two descriptions has, as ``changes`` gives them."""
+    before, after = old.get(table) or {}, new.get(table) or {}
+    names = [name for name in {**before, **after} if (name in before) != (name in after)]
+    default = "its default"
+    return [(f"{table}.{name}", before.get(name, default), after.get(name, default)) for name in names]
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that a run depends on."""
+    found = {}
     for package in _PACKAGES:
         try:
-            versions[package] = importlib.metadata.version(package)
+            found[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return versions
+            found[package] = "not installed"
+    return found
 
 
 __all__ = [

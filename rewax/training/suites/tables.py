@@ -242,7 +242,10 @@ def _cell(suite: Suite, rows: Sequence[dict[str, Any]], task: str, name: str) ->
         low, high = student_interval(returns)
         text += f" [{_number(low)}, {_number(high)}]"
     left = len(suite.seeds) - len(done) if name in suite.algorithms else 0
-    notes = [f"{count} {what}" for count, what in ((len(done) - len(returns), "failed"), (left, "to do")) if count]
+    episodes = sum(row.get("failed", 0) for row in done if math.isfinite(row["sampled"]))
+    every = suite.num_eval_episodes * len(returns)
+    counts = ((len(done) - len(returns), "failed"), (episodes, f"of {every} episodes failed"), (left, "to do"))
+    notes = [f"{count} {what}" for count, what in counts if count]
     return text + (f" ({', '.join(notes)})" if notes else "")
 
 

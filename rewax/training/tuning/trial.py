@@ -104,7 +104,10 @@ def run_trial(
                 if stopped():
                     return
                 seed.advance(train_step)
-        means = [float(evaluate(seed.state, seed.key)["mean"]) for seed in seeds]
+        found = [evaluate(seed.state, seed.key) for seed in seeds]
+        for seed, evaluation in zip(seeds, found, strict=True):
+            seed.check_failures(int(evaluation["failed"]), task.episodes)
+        means = [float(evaluation["mean"]) for evaluation in found]
         if not np.all(np.isfinite(means)):
             raise Failed(f"the mean returns are {means}")
         yield Report(number, float(np.mean(means)))
@@ -133,6 +136,20 @@ class _Seed:
             raise Failed(f"iteration {iteration} made {bad} infinite or NaN")
         if reason := self._watch.reason():
             raise Failed(reason)
+
+    def check_failures(self, failed: int, episodes: int) -> None:
+        """Before a report, which short runs reach before the watch has seen enough iterations to judge.
+
+        Args:
+          failed, episodes: of the evaluation.
+
+        Raises:
+          Failed: too many episodes failed in the last iterations or in the evaluation.
+        """
+        if reason := self._watch.reason(final=True):
+            raise Failed(reason)
+        if failed > ReportConfig().max_failed_share * episodes:
+            raise Failed(f"{failed} of {episodes} evaluated episodes failed numerically")
 
 
 __all__ = ["Failed", "Report", "Task", "run_trial"]

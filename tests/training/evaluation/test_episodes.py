@@ -95,6 +95,28 @@ def test_failures_are_counted():
     assert np.all(np.isfinite(result["returns"]))
 
 
+def test_an_episode_that_fails_has_no_success():
+    class Loses(toys.PointMass):
+        """It is at its goal until it breaks in the fourth step; metrics then stay those of the third."""
+
+        def step(self, state, action):
+            inner = state.replace(metrics={"distance": state.metrics["distance"]})
+            new = self.after(inner, state.physics + jnp.where(state.step_count == 3, jnp.nan, 0.0))
+            return new.replace(metrics={**new.metrics, "success": jnp.ones(())})
+
+        def reset(self, key):
+            state = toys.PointMass.reset(self, key)
+            return state.replace(metrics={**state.metrics, "success": jnp.zeros(())})
+
+    env = struct.dataclass(Loses)(gain=jnp.float32(0.5), length=6)
+    result = evaluate.make_evaluate(env, evaluate.uniform_policy(env), 4)(None, jax.random.key(0))
+    assert int(result["failed"]) == 4 and float(result["success"]) == 0.0
+    whole = env.replace(length=3)
+    assert (
+        float(evaluate.make_evaluate(whole, evaluate.uniform_policy(env), 4)(None, jax.random.key(0))["success"]) == 1.0
+    )
+
+
 def test_actions_without_looking_equal_the_same_constant_policy():
     env, key = toys.point_mass(length=4), jax.random.key(3)
     policy = evaluate.make_evaluate(env, evaluate.constant_policy(jnp.array([-0.3])), 5)(None, key)

@@ -2,7 +2,9 @@
 
 import dataclasses
 import io
+import json
 
+import jax
 import pytest
 import toys
 from rich.console import Console
@@ -61,6 +63,15 @@ def test_resuming_another_environment_is_refused_and_changes_are_told(tmp_path):
             run(tmp_path, resume=True, describe={**describe, name: other})
     text = run(tmp_path, resume=True, num_iterations=2, describe={"env": "PointMass", "toy": {"rate": 0.2}})
     assert "note: resuming with toy.rate 0.2, it was 0.1" in text
+    config = tmp_path / "config.json"
+    stored = json.loads(config.read_text())
+    stored["versions"]["jax"] = "0.9.0"
+    config.write_text(json.dumps(stored))
+    text = run(
+        tmp_path, resume=True, num_iterations=3, describe={"env": "PointMass", "env_kwargs": {"num_substeps": 8}}
+    )
+    assert "note: resuming with env_kwargs.num_substeps 8, it was its default" in text
+    assert f"note: resuming with jax {jax.__version__}, it was 0.9.0" in text
 
 
 def test_resuming_with_another_network_names_the_options(tmp_path):

@@ -258,3 +258,13 @@ def test_a_protected_checkpoint_stays(tmp_path):
         state, _ = agent.train_step(state)
         checkpoint.save(tmp_path, state, keep=2, protect=2)
     assert checkpoint.steps(tmp_path) == [2, 4, 5]
+
+
+def test_the_last_healthy_checkpoint_is_known_to_the_next_process(tmp_path):
+    assert checkpoint.healthy_step(tmp_path) is None
+    three(tmp_path)
+    assert checkpoint.healthy_step(tmp_path) == 3
+    checkpoint.write_healthy(tmp_path, 2)
+    assert checkpoint.healthy_step(tmp_path) == 2 and checkpoint.steps(tmp_path) == [1, 2, 3]
+    checkpoint.write_healthy(tmp_path, 9)  # it was removed since
+    assert checkpoint.healthy_step(tmp_path) == 3

@@ -138,6 +138,14 @@ def test_a_run_that_fails_is_written_down_and_the_next_one_done(suite, tmp_path,
 
 def test_runs_that_failed_count_neither_for_minutes_nor_for_curves(tmp_path, monkeypatch):
     row = {"task": "PointMass", "algorithm": "calm", "sampled": np.nan, "seconds": 4.0}
+    suite = Suite(
+        name="one", scale="small", tasks=("Hopper",), algorithms=("sapo",), seeds=(0, 1), num_eval_episodes=64
+    )
+    cell = {"task": "Hopper", "algorithm": "sapo", "sampled": -4.0, "failed": 63}
+    assert (
+        tables._cell(suite, [{**cell, "seed": 0}, {**cell, "seed": 1}], "Hopper", "sapo")
+        == "-4.0 (126 of 128 episodes failed)"
+    )
     assert tables._minutes([{**row, "seed": 0}, {**row, "seed": 1, "sampled": 1.0, "seconds": 600.0}]) == "10.0"
     drawn = {}
     monkeypatch.setattr("rewax.viz.curves.curves_of_seeds", lambda runs, *args, **kwargs: drawn.update(runs))

@@ -92,6 +92,17 @@ def test_options_that_cannot_be_make_a_bad_trial():
         next(run_trial(task, toys.point_mass(), {"minibatches": 3}, Console(file=io.StringIO()), lambda: False))
 
 
+def test_failing_episodes_make_a_bad_trial_however_short_it_is(monkeypatch):
+    quiet = Console(file=io.StringIO())
+    seed = trials._Seed(toys.point_mass(), toys.make_toy(toys.point_mass()), 0)
+    seed.check_failures(2, 8)
+    with pytest.raises(Failed, match="7 of 8 evaluated episodes failed numerically"):
+        seed.check_failures(7, 8)
+    monkeypatch.setattr(trials.FailureWatch, "reason", lambda self, final=False: "too many" if final else "")
+    with pytest.raises(Failed, match="too many"):
+        next(run_trial(TASK, toys.point_mass(), {"noise": 0.1}, quiet, lambda: False))
+
+
 def test_numbers_that_are_not_finite_make_a_bad_trial(tmp_path):
     broken = toys.PointMass(gain=jnp.float32(jnp.nan))
     with pytest.raises(Failed, match="infinite or NaN"):
