@@ -87,7 +87,9 @@ _SAPO: dict[tuple[str, str], SAPOConfig] = {
     ("SoftJumperMPM", "small"): dataclasses.replace(_JUMPER, num_iterations=100, initial_temperature=0.02),
     ("SteerFloat", "small"): dataclasses.replace(SMALL, num_iterations=160),
     ("GripperLift", "small"): dataclasses.replace(SMALL, num_iterations=60, max_env_grad_norm=0.3),
-    ("WhipRope", "small"): dataclasses.replace(_WARM, num_envs=16, horizon=32, num_iterations=80, critic_minibatches=4),
+    ("WhipRope", "small"): dataclasses.replace(
+        _WARM, num_envs=16, horizon=32, num_iterations=80, critic_minibatches=4, discount=0.95
+    ),
     ("CoverBox", "small"): dataclasses.replace(SMALL, horizon=10, num_iterations=360, max_env_grad_norm=0.3),
     ("FoldCloth", "small"): dataclasses.replace(_WARM, horizon=10, num_iterations=400, max_env_grad_norm=0.3),
     ("PourBag", "small"): dataclasses.replace(SMALL, horizon=20, num_iterations=40, max_env_grad_norm=0.3),
