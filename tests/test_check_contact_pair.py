@@ -121,3 +121,34 @@ def test_stacked_geoms_touch(x64):
         point = state.second.position - jnp.array([0.0, 0.0, 1.0]) * (state.second.position[2] - 0.002)
         np.testing.assert_allclose(distance_to("plane", state.first, point), 0.002, atol=1e-12)
         np.testing.assert_allclose(distance_to(second, state.second, point), 0.0, atol=1e-9)
+
+
+def doubled(first, second):
+    """The same contact in two slots."""
+    return tuple(jnp.stack([a, a]) for a in spheres(first, second))
+
+
+def turned(first, second):
+    """A second contact beside the first, with the opposite normal."""
+    distance, point, normal = spheres(first, second)
+    beside = point + 1e-4 * jnp.cross(normal, jnp.array([0.3, 0.5, 0.8]))
+    return jnp.stack([distance, distance]), jnp.stack([point, beside]), jnp.stack([normal, -normal])
+
+
+def aside(first, second):
+    """A second contact away from both surfaces."""
+    distance, point, normal = spheres(first, second)
+    return jnp.stack([distance, 0.9 * distance]), jnp.stack([point, point + 10.0]), jnp.stack([normal, normal])
+
+
+@pytest.mark.parametrize(
+    ("function", "sentence"),
+    [
+        (doubled, "returns the same contact in two slots"),
+        (turned, "returns contacts of two geoms with opposite normals"),
+        (aside, "from the surface of the sphere"),
+    ],
+)
+def test_every_contact_is_checked(function, sentence):
+    with pytest.raises(AssertionError, match=re.escape(sentence)):
+        check_contact_pair(ContactPair(("sphere", "sphere"), 2, function), num_states=8)

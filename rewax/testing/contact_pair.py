@@ -29,7 +29,8 @@ def check_contact_pair(pair: ContactPair, *, seed: int = 0, num_states: int = 64
     - a distance is negative if and only if the geoms overlap, and the smallest is minus the depth of the overlap;
     - the normal of the deepest contact is the derivative of the distance with respect to the position of the second
       geom, both by finite differences and by ``jax.grad``;
-    - its point is at most half the distance away from both surfaces;
+    - the point of each contact is at most half the distance away from both surfaces, its normal is not opposite to that
+      of the deepest one, and no two contacts are at one place;
     - derivatives with respect to positions, rotations and sizes are finite.
 
     Slots without contact are not checked, except for finite numbers.
@@ -82,6 +83,8 @@ class _Measured(NamedTuple):
     """Distances of the contacts [m], shape (k,)."""
     frame: np.ndarray
     """Frames of the contacts, shape (k, 3, 3)."""
+    point: np.ndarray
+    """Places of the contacts [m], shape (k, 3)."""
     off: np.ndarray
     """Distances of the contact points from both surfaces [m], shape (2, k)."""
     slope: np.ndarray
@@ -102,7 +105,7 @@ def _measured(pair: ContactPair, states: Touching) -> _Measured:
 
         ends = jax.vmap(moved)(_STEP * jnp.concatenate([jnp.eye(3), -jnp.eye(3)]))
         slope = (ends[:3] - ends[3:]) / (2.0 * _STEP)
-        return distance, frame, jnp.abs(jnp.stack(off)), slope, jax.grad(moved)(jnp.zeros(3))
+        return distance, frame, point, jnp.abs(jnp.stack(off)), slope, jax.grad(moved)(jnp.zeros(3))
 
     return _Measured(*map(np.asarray, _compiled(one)(states)))
 
@@ -133,7 +136,7 @@ def _check_signs(pair: ContactPair, found: _Measured, gaps: np.ndarray, toleranc
 
 
 def _check_deepest(pair: ContactPair, found: _Measured, tolerance: float) -> None:
-    """Checks normal and point of the deepest contact of each pair that overlaps."""
+    """Checks the normal of the deepest contact of each pair that overlaps, and normals and points of all contacts."""
     rows, deepest = np.arange(len(found.distance)), np.argmin(found.distance, axis=1)
     normal = found.frame[rows, deepest, 0]
     for slope, name in ((found.slope, "a central difference"), (found.gradient, "jax.grad")):
@@ -144,13 +147,25 @@ def _check_deepest(pair: ContactPair, found: _Measured, tolerance: float) -> Non
                 f"the function of {pair} returns the normal {one}, but the distance changes by {other} as the second "
                 f"geom moves ({name}): the normal points from the first geom to the second, and is that derivative"
             )
-    half = 0.5 * np.abs(found.distance[rows, deepest])
-    for kind, off in zip(pair.kinds, found.off[rows, :, deepest].T, strict=True):
-        wrong = ~(off < half + tolerance * _DEPTH)
+    is_contact, half = found.distance < 0, 0.5 * np.abs(found.distance)
+    for kind, off in zip(pair.kinds, np.moveaxis(found.off, 1, 0), strict=True):
+        wrong = is_contact & ~(off < half + tolerance * _DEPTH)
         assert not wrong.any(), (
             f"the function of {pair} returns a point that is {off[wrong][0]:.3g} m from the surface of the {kind}, "
             f"where they overlap by {2.0 * half[wrong][0]:.3g} m: put points halfway between the two surfaces"
         )
+    along = np.einsum("pki,pi->pk", found.frame[:, :, 0], normal)
+    assert not (is_contact & (along <= 0)).any(), (
+        f"the function of {pair} returns contacts of two geoms with opposite normals: all point from the first geom to "
+        "the second"
+    )
+    apart = np.linalg.norm(found.point[:, :, None] - found.point[:, None], axis=-1)
+    twice = is_contact[:, :, None] & is_contact[:, None] & (apart < tolerance * _DEPTH)
+    twice &= ~np.eye(found.distance.shape[1], dtype=bool)
+    assert not twice.any(), (
+        f"the function of {pair} returns the same contact in two slots, which doubles its force: give unused slots a "
+        "positive distance"
+    )
 
 
 def _check_derivatives(pair: ContactPair, states: Touching) -> None:
