@@ -18,7 +18,7 @@ from rewax.training import Suite, read_suite
 from rewax.training.suites.runs import rows
 from rewax.training.suites.tables import markdown, write_results
 
-FEW_COLORS = {"colors": 128, "method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
+FEW_COLORS = {"colors": 256, "method": Image.Quantize.MAXCOVERAGE, "dither": Image.Dither.NONE}
 """Of a picture: a quarter of the bytes, and its curves can still be told apart."""
 
 

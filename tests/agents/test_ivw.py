@@ -1,6 +1,7 @@
 """Inverse-variance weights give the least variance, and scale each step's contribution to the gradient."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.flatten_util
@@ -91,11 +92,11 @@ def test_the_variance_is_that_of_clipped_gradients():
     config = dataclasses.replace(CONFIG, max_env_grad_norm=0.5)
     networks, state = make_actor_critic(ENV, config), make_agent("sapo_ivw", ENV, config).init(jax.random.key(0))
 
-    def loss(params, common, env, env_state, key):
+    def loss(params, common, env, env_state, key, first):
         del common, env, key
         scale = jnp.where(env_state.obs["x"][0] == first, 1e6, 1.0)
         return scale * (jnp.sum(params[1]) + sum(jnp.sum(a) for a in jax.tree.leaves(params[0]))), jnp.zeros(())
 
-    first = state.environments.state.obs["x"][0, 0]
+    loss = functools.partial(loss, first=float(state.environments.state.obs["x"][0, 0]))
     new, _, _ = ivw.measured_actor_update(networks, state, loss, jax.random.key(1), decay=0.9)
     np.testing.assert_allclose(new.variance, 0.0, atol=1e-12)
