@@ -134,12 +134,8 @@ _FAST_CRITICS: dict[str, dict[str, Value]] = {
     name: {"critic_learning_rate": 2e-3} for name in ("AntRun", "Ant", "Hopper")
 }
 """Tasks where the critics of SHAC and AHAC have larger learning rates than the defaults, as in the reference."""
-_SHORT_RUNS: dict[str, Value] = {
-    "activation": "silu",
-    "initial_gain": 1.0,
-    "state_dependent_std": True,
-    "target_decay": 0.2,
-}
+_SAPOS_ACTOR: dict[str, Value] = {"activation": "silu", "initial_gain": 1.0, "state_dependent_std": True}
+_SHORT_RUNS: dict[str, Value] = _SAPOS_ACTOR | {"target_decay": 0.2}
 """SHAC in runs of a few hundred iterations: SAPO's actor, and a target network that follows within a few iterations."""
 _LARGE_RETURNS: dict[str, dict[str, Value]] = {
     "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
@@ -173,8 +169,9 @@ def shac_preset(env_name: str, scale: str) -> SHACConfig:
 
 
 def apg_preset(env_name: str, scale: str) -> APGConfig:
-    """Hyper-parameters of APG with a short horizon; see ``sapo_preset``."""
-    return _sized(APGConfig, sapo_preset(env_name, scale))
+    """Hyper-parameters of APG with a short horizon; see ``sapo_preset``. At ``small`` the actor is SAPO's."""
+    changes = _SAPOS_ACTOR if scale == "small" else {}
+    return _sized(APGConfig, sapo_preset(env_name, scale), **changes)
 
 
 def apg_full_preset(env_name: str, scale: str) -> APGConfig:

@@ -47,6 +47,9 @@ def test_shac_has_sapos_actor_in_short_runs_and_the_papers_settings_elsewhere():
     papers = SHACConfig()
     assert [getattr(short, name) for name in ACTOR] == [getattr(sapo, name) for name in ACTOR]
     assert short.target_decay == 0.2
+    apg = apg_preset("Hopper", "small")
+    assert [getattr(apg, name) for name in ACTOR] == [getattr(sapo, name) for name in ACTOR]
+    assert apg_preset("Hopper", "paper").activation == "elu"
     ablations = read_suite("ablations")
     for config in (shac_preset("RollingFlat", "paper"), ablations.config("HandFlip", "shac")):
         for name in (*ACTOR, "target_decay"):
