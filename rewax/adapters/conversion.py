@@ -31,9 +31,12 @@ def state_info(state: State) -> dict[str, Any]:
     return {**numbers, "status": describe(int(state.status))}
 
 
-def flattened(obs: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Arrays with a leading axis as one vector for each of its entries, in the order of their names."""
-    return np.concatenate([obs[name].reshape(len(obs[name]), -1) for name in sorted(obs)], axis=1)
+def batch_observation(obs: Mapping[str, Any], *, flat: bool) -> Any:
+    """Observations with a leading axis as new arrays of float32 by name, or as one array in the order of the names."""
+    arrays = {name: np.array(value, np.float32) for name, value in obs.items()}
+    if not flat:
+        return arrays
+    return np.concatenate([arrays[name].reshape(len(arrays[name]), -1) for name in sorted(arrays)], axis=1)
 
 
 def key_from(generator: np.random.Generator) -> jax.Array:

@@ -6,13 +6,12 @@ import jax
 import numpy as np
 
 from rewax.adapters.conversion import (
+    batch_observation,
     check_action,
     checked_num_envs,
     compiled,
-    flattened,
     key_from,
     numpy_metrics,
-    numpy_observation,
 )
 from rewax.envs.base import Env, State
 from rewax.envs.wrappers import AutoReset, Vmap
@@ -41,7 +40,7 @@ class Episodes:
         """First observations: a dict of float32 arrays, or one array if ``flat``, with a leading axis."""
         self._state = state = self._reset(jax.random.split(key_from(generator), self.num_envs))
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, int)
-        return self._observation(numpy_observation(state))
+        return batch_observation(state.obs, flat=self.flat)
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Observations, rewards (float32), whether an episode ended (bool), and infos, of one control step.
@@ -60,11 +59,11 @@ class Episodes:
         if done.any():
             self._describe_ends(state, np.flatnonzero(done), infos)
             self._returns[done], self._lengths[done] = 0.0, 0
-        return self._observation(numpy_observation(state)), rewards, done, infos
+        return batch_observation(state.obs, flat=self.flat), rewards, done, infos
 
     def _describe_ends(self, state: State, ended: np.ndarray, infos: list[dict[str, Any]]) -> None:
         assert state.final_obs is not None
-        last = self._observation({name: np.asarray(a, np.float32) for name, a in state.final_obs.items()})
+        last = batch_observation(state.final_obs, flat=self.flat)
         metrics = numpy_metrics(state)
         status = metrics.pop("status")
         for i in ended:
@@ -74,12 +73,6 @@ class Episodes:
                 "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i])},
                 "status": describe(int(status[i])),
             }
-
-    def _observation(self, arrays: dict[str, np.ndarray]) -> Any:
-        arrays = {name: np.asarray(array, np.float32) for name, array in arrays.items()}
-        if not self.flat:
-            return arrays
-        return flattened(arrays)
 
 
 __all__ = ["Episodes"]

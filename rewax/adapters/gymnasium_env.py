@@ -15,10 +15,10 @@ import jax
 import numpy as np
 
 from rewax.adapters.conversion import (
+    batch_observation,
     check_action,
     checked_num_envs,
     compiled,
-    flattened,
     key_from,
     missing,
     numpy_metrics,
@@ -123,12 +123,11 @@ class GymnasiumVectorEnv(VectorEnv):
         else:
             if len(seed) != self.num_envs:
                 raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments: give one for each")
-            super().reset(
-                seed=int(np.random.SeedSequence([int(s) for s in seed]).generate_state(1)[0])
-            )  # of later resets
+            later = np.random.SeedSequence([int(s) for s in seed])  # later resets without seeds repeat, too
+            super().reset(seed=int(later.generate_state(1)[0]))
             keys = jax.numpy.stack([key_from(np.random.default_rng(s)) for s in seed])
         self._state = state = self._reset(keys)
-        return self._observation(state.obs), self._infos(state, np.zeros(self.num_envs, bool))
+        return batch_observation(state.obs, flat=self.flat), self._infos(state, np.zeros(self.num_envs, bool))
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         if self._state is None:
@@ -138,7 +137,8 @@ class GymnasiumVectorEnv(VectorEnv):
         done = np.asarray(state.done)
         infos = self._infos(state, done)
         if done.any():
-            last = self._observation(state.final_obs)
+            assert state.final_obs is not None
+            last = batch_observation(state.final_obs, flat=self.flat)
             final = np.full(self.num_envs, None, dtype=object)
             for i in np.flatnonzero(done):
                 final[i] = jax.tree.map(lambda value, i=i: value[i], last)
@@ -146,11 +146,13 @@ class GymnasiumVectorEnv(VectorEnv):
             ended = {**metrics, **{f"_{name}": done for name in metrics}}
             infos |= {"final_obs": final, "_final_obs": done, "final_info": ended, "_final_info": done}
         rewards = np.asarray(state.reward, np.float64)
-        return self._observation(state.obs), rewards, np.array(state.terminated), np.array(state.truncated), infos
-
-    def _observation(self, obs: Any) -> Any:
-        arrays = {name: np.array(value, np.float32) for name, value in obs.items()}
-        return flattened(arrays) if self.flat else arrays
+        return (
+            batch_observation(state.obs, flat=self.flat),
+            rewards,
+            np.array(state.terminated),
+            np.array(state.truncated),
+            infos,
+        )
 
     def _infos(self, state: State, done: np.ndarray) -> dict[str, Any]:
         metrics = numpy_metrics(state)
