@@ -33,6 +33,22 @@ def unclipped(self, state, action):
     return self.after(state, state.physics + self.gain * action)
 
 
+def half_cut(new, old, action):
+    """A reward whose second part has no gradient."""
+    return new.replace(reward=new.reward + jnp.sum(jax.lax.stop_gradient(new.physics)))
+
+
+def jumping(new, old, action):
+    """A reward that jumps too often for any difference, and has the slope of its smooth part."""
+    action = jnp.clip(action, -1.0, 1.0)
+    return new.replace(reward=jnp.sum(action) + 100.0 * jnp.sum(jnp.round(1e4 * jax.lax.stop_gradient(action)) % 2))
+
+
+def straight_through(new, old, action):
+    """A reward that is constant in the action, but has the derivative of a slope."""
+    return new.replace(reward=jnp.sum(action - jax.lax.stop_gradient(action)))
+
+
 def late(self, state, action):
     x = state.physics + self.gain * jnp.clip(action, -1.0, 1.0)
     return self.after(state, x).replace(truncated=state.step_count + 1 > self.length)
@@ -184,6 +200,12 @@ BROKEN = {
     r"of 3 steps has a zero gradient .*, though obs\['x'\], physics of the state follow them: .* Where a tool begins away from the material, begin within reach of it, or reward the tool for coming nearer, or check with more gradient_steps": {
         "step": step_with(late_reward)
     },
+    r"the derivative of the reward of 3 steps along a direction .* is -?[\d.]+, and central differences give -?[\d.]+: a stop_gradient": {
+        "step": step_with(half_cut)
+    },
+    r"is 3, and central differences give 0: a stop_gradient, .* custom derivative": {
+        "step": step_with(straight_through)
+    },
     r"reward of reset has shape \(1,\): it must be a scalar": {
         "reset": reset_with(lambda s: s.replace(reward=jnp.zeros(1)))
     },
@@ -230,6 +252,16 @@ def test_a_reward_that_comes_late_passes_with_more_steps(capsys):
     assert "gradient through 4 steps" in capsys.readouterr().out
     with pytest.raises(ValueError, match=r"^gradient_steps is 0: use 1 or more$"):
         check_env(toys.point_mass(), gradient_steps=0)
+
+
+def test_a_gradient_that_is_changed_on_purpose_passes_on_request():
+    check_env(broken(step=step_with(half_cut)), gradient_tolerance=None, notify=None)
+
+
+def test_differences_that_do_not_settle_are_named_and_pass():
+    lines = []
+    check_env(broken(step=step_with(jumping)), notify=lines.append)
+    assert sum("differences do not settle" in line for line in lines) == 2
 
 
 @pytest.mark.parametrize("sentence", BROKEN, ids=range(len(BROKEN)))

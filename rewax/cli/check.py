@@ -23,6 +23,8 @@ class Options:
       seed: draws initial states and actions.
       may_be_nan: with ``algo``: metrics that may be NaN.
       whole_episode: also run one episode to its end, which may take long.
+      compare_gradient: compare the gradient of the reward with central differences. Leave it out where a stop_gradient
+        changes the gradient on purpose.
       in_cpp: also require that all laws, contacts and bodies run in C++ on a CPU, with both derivatives.
     """
 
@@ -33,6 +35,7 @@ class Options:
     seed: Seed = 0
     may_be_nan: tuple[str, ...] = ("return",)
     whole_episode: bool = True
+    compare_gradient: bool = True
     in_cpp: bool = False
 
 
@@ -47,12 +50,16 @@ def run(argv: Sequence[str]) -> int:
     """
     from rewax.agents.registry import algorithm
     from rewax.testing import check_agent, check_env, where_it_runs
+    from rewax.testing.env import GRADIENT_TOLERANCE
     from rewax.training.storage.cache import enable_compilation_cache
 
     quiet()
     options = parse(Options, argv, prog="rewax check", description="Check an environment or an algorithm.")
-    if options.algo and (options.in_cpp or not options.whole_episode):
-        raise ValueError("--in-cpp and --no-whole-episode belong to the check of an environment: leave out --algo")
+    if options.algo and (options.in_cpp or not (options.whole_episode and options.compare_gradient)):
+        raise ValueError(
+            "--in-cpp, --no-whole-episode and --no-compare-gradient belong to the check of an environment: leave out "
+            "--algo"
+        )
     enable_compilation_cache()
     import_modules(options.imports)
     env = build_env(options.env, options.scale)
@@ -63,7 +70,8 @@ def run(argv: Sequence[str]) -> int:
             check_agent(agent, env, seed=options.seed, may_be_nan=options.may_be_nan)
             print(f"{options.algo} on {options.env} at scale {options.scale} keeps the protocol")
             return 0
-        check_env(env, seed=options.seed, check_full_episode=options.whole_episode)
+        tolerance = GRADIENT_TOLERANCE if options.compare_gradient else None
+        check_env(env, seed=options.seed, check_full_episode=options.whole_episode, gradient_tolerance=tolerance)
     except AssertionError as problem:
         print(f"problem: {problem}", file=sys.stderr)
         return _PROBLEM_FOUND

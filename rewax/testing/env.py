@@ -6,12 +6,15 @@ import jax
 
 from rewax.envs.base import Env
 from rewax.testing import functions, states
+from rewax.testing.gradient import RewardGradient
 from rewax.testing.progress import Progress
 from rewax.testing.traced import random_action, traced_reset, traced_step
 
 _JIT_TOLERANCE = 1e-3
 """Relative tolerance. A compiled program may fuse and reorder sums in float32, and stiff material amplifies the
 difference: to 2e-4 in a step of HandLift."""
+GRADIENT_TOLERANCE = 0.1
+"""Relative tolerance. Central differences through contact are no more accurate than this in float32."""
 
 
 def check_env(
@@ -21,6 +24,7 @@ def check_env(
     tolerance: float = _JIT_TOLERANCE,
     check_full_episode: bool = True,
     gradient_steps: int = 3,
+    gradient_tolerance: float | None = GRADIENT_TOLERANCE,
     notify: Callable[[str], None] | None = print,
 ) -> None:
     """Check an environment against the protocol of ``rewax.envs.base.Env``.
@@ -34,7 +38,8 @@ def check_env(
     - the first steps set no bit of ``status``;
     - ``step`` clips actions, never resets, truncates exactly at ``episode_length``, and never truncates a state that
       terminates;
-    - the gradient of the reward with respect to the actions is finite and not zero;
+    - the gradient of the reward with respect to the actions is finite and not zero, and agrees with central differences
+      along two directions, unless differences of five sizes do not agree with each other;
     - the results of ``particles`` and ``render_shapes`` can be drawn.
 
     Args:
@@ -43,6 +48,8 @@ def check_env(
       tolerance: largest relative difference by rounding within one step.
       check_full_episode: also run to ``episode_length``, which may take long.
       gradient_steps: number of steps after a reset within which some action must change some reward.
+      gradient_tolerance: largest relative difference of a derivative from a central difference; None: not compared. Use
+        None where ``stop_gradient`` or a custom derivative changes the gradient of the reward on purpose.
       notify: called with a line before each part, because compiling takes a while; None: silence.
 
     Raises:
@@ -74,7 +81,11 @@ def check_env(
     say("three side by side")
     functions.check_vmap(env, reset, step, key, tolerance)
     say(f"gradient through {gradient_steps} steps")
-    functions.check_gradient(env, state, key, gradient_steps)
+    gradient = RewardGradient(env, state, key, gradient_steps)
+    gradient.check()
+    if gradient_tolerance is not None:
+        say("differences of the reward")
+        gradient.check_differences(new, gradient_tolerance, say)
     if check_full_episode:
         say(f"an episode of {env.episode_length} steps")
         functions.check_episode(env, step, state, key)

@@ -1,7 +1,6 @@
-"""Checks of ``reset`` and ``step``: purity, equal results under ``jit`` and ``vmap``, gradients, time limit."""
+"""Checks of ``reset`` and ``step``: purity, equal results under ``jit`` and ``vmap``, time limit."""
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +8,8 @@ import numpy as np
 
 from rewax.envs.base import Env, State
 from rewax.envs.leaves import EnvLeaves
-from rewax.status import FATAL, Status, describe, remedy
-from rewax.testing.states import check_values, finite
+from rewax.status import FATAL, describe, remedy
+from rewax.testing.states import check_values
 from rewax.testing.traced import named, random_action
 from rewax.types import Array, Key, PyTree
 
@@ -63,68 +62,6 @@ def check_action_bounds(env: Env, step: _Step, state: State, tolerance: float) -
         check_values(env, beyond, "step with an action beyond its bounds")
         what = f"steps with an action beyond its bound {bound} and at it"
         check_same(beyond, step(state, jnp.full(spec.shape, bound)), tolerance, what, "clip the action in step")
-
-
-def check_gradient(env: Env, state: State, key: Key, num_steps: int) -> None:
-    """Checks the gradient of the summed reward of a few steps with respect to their actions.
-
-    It must be finite, and at least one of its entries must be nonzero.
-    """
-    actions = 0.9 * jax.vmap(lambda k: random_action(env, k))(jax.random.split(key, num_steps))
-    leaves = EnvLeaves.of(env)
-
-    def total(actions: Array, leaves: EnvLeaves) -> tuple[Array, tuple[Array, State]]:
-        env = leaves.build()
-
-        def body(state: State, action: Array) -> tuple[State, tuple[Array, Array]]:
-            state = env.step(state, action)
-            return state, (state.reward, state.status)
-
-        last, (rewards, status) = jax.lax.scan(body, state, actions)
-        return jnp.sum(rewards), (status, last)
-
-    program = jax.jit(jax.grad(total, has_aux=True))
-    gradient, (status, _) = named("step", program, actions, leaves)
-    failed = Status(int(np.bitwise_or.reduce(np.asarray(status))))
-    assert failed == Status.OK, (
-        f"{num_steps} steps of random actions fail numerically ({failed!r}): give {remedy(failed)}"
-    )
-    assert finite(gradient), (
-        "the gradient of the reward with respect to the actions holds a number that is not finite: a root, a norm or a "
-        "division at 0 does it, in the branch of a jnp.where that is not taken too; jax.debug_nans(True) finds it"
-    )
-    assert finite(program(jnp.zeros_like(actions), leaves)[0]), (
-        "the gradient of the reward at action 0 holds a number that is not finite: a root or a norm at 0 does it; take "
-        "rewax.envs.kit.rewards.smooth_norm, or add a small number under the root"
-    )
-    if not bool(jnp.any(gradient != 0)):
-        raise AssertionError(_no_gradient(total, actions, leaves, num_steps))
-
-
-def _no_gradient(total: Callable[..., Any], actions: Array, leaves: EnvLeaves, num_steps: int) -> str:
-    """The error message for a zero gradient. It says whether the actions change the state."""
-
-    def end(actions: Array) -> dict[str, Array]:
-        _, (_, last) = total(actions, leaves)
-        named = jax.tree.leaves_with_path({"physics": last.physics, "obs": dict(last.obs)})
-        names = [jax.tree_util.keystr(path[:1], simple=True) + jax.tree_util.keystr(path[1:]) for path, _ in named]
-        pairs = zip(names, (leaf for _, leaf in named), strict=True)
-        return {name: leaf for name, leaf in pairs if jnp.issubdtype(leaf.dtype, jnp.floating)}
-
-    # The forward derivative along one direction of the actions shows which arrays of the last state change.
-    _, changes = jax.jit(lambda a: jax.jvp(end, (a,), (jnp.ones_like(a),)))(actions)
-    moved = [name for name, change in changes.items() if bool(jnp.any(change != 0))]
-    what = f"the reward of {num_steps} steps has a zero gradient with respect to their actions"
-    if not moved:
-        return (
-            f"{what}, and so has the whole state: a stop_gradient, a rounding, a comparison or an integer cuts it; let "
-            "the action enter the physics through smooth operations"
-        )
-    return (
-        f"{what}, though {', '.join(moved[:3])} of the state follow them: the reward does not depend on what they "
-        "move, or not yet. Where a tool begins away from the material, begin within reach of it, or reward the tool "
-        "for coming nearer, or check with more gradient_steps, up to the horizon of the agent"
-    )
 
 
 _NOT_TRUNCATED = (

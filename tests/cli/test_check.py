@@ -64,6 +64,9 @@ def test_wrong_usage(capsys):
     assert main(["check", "--env", "RollingFlat", "--algo", "sapoo"]) == 2
     assert "did you mean 'sapo'" in capsys.readouterr().err
     assert main(["check", "--env", "RollingFlat", "--algo", "sapo", "--in-cpp"]) == 2
-    assert "--in-cpp and --no-whole-episode belong to the check of an environment" in capsys.readouterr().err
+    assert (
+        "--in-cpp, --no-whole-episode and --no-compare-gradient belong to the check of an environment"
+        in capsys.readouterr().err
+    )
     assert main(["check"]) == 2
     assert "rewax check needs the option --env" in capsys.readouterr().err
