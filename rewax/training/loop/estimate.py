@@ -15,6 +15,8 @@ _PER_CORE = {True: 0.9e6, False: 4e6}
 def cost_sentence(env: Env, agent_config: Any, num_steps: int) -> str:
     """Memory and hours that a run of a task with particles takes on a CPU, roughly; empty on an accelerator.
 
+    On other tasks: a sentence that says where the speed will stand.
+
     Args:
       env: unbatched environment.
       agent_config: of the algorithm.
@@ -22,10 +24,12 @@ def cost_sentence(env: Env, agent_config: Any, num_steps: int) -> str:
     """
     if jax.default_backend() != "cpu":
         return ""
+    from rewax.physics import mpm
+
     inner: Any = getattr(env, "unwrapped", env)
-    if not all(hasattr(inner, name) for name in ("scene", "rest_positions", "num_substeps")):
+    particles = isinstance(getattr(inner, "scene", None), mpm.MPMScene)
+    if not (particles and all(hasattr(inner, name) for name in ("rest_positions", "num_substeps"))):
         return "the first progress line says how long the run takes on this CPU"
-    from rewax.physics.mpm.memory import predict_peak_bytes
 
     count = inner.rest_positions.shape[0]
     differentiated = getattr(agent_config, "differentiate", "none") != "none"
@@ -34,7 +38,7 @@ def cost_sentence(env: Env, agent_config: Any, num_steps: int) -> str:
     text = f"about {speed:.3g} control steps a second on {jax.device_count()} cores, {hours} for all {num_steps:,}"
     if not differentiated:
         return text
-    peak = predict_peak_bytes(
+    peak = mpm.predict_peak_bytes(
         inner.scene,
         num_particles=count,
         num_substeps=inner.num_substeps,

@@ -1,9 +1,11 @@
 """What a run will take on a CPU is said before it is compiled."""
 
+import pytest
 import toys
 
 import rewax
 from rewax.agents.presets import ppo_preset, sapo_preset
+from rewax.physics import mpm
 from rewax.training.loop.estimate import cost_sentence
 
 
@@ -22,3 +24,12 @@ def test_a_task_with_particles_has_speed_time_and_memory():
 
 def test_other_tasks_are_told_where_to_look():
     assert "the first progress line says" in cost_sentence(toys.point_mass(), sapo_preset("Ant", "paper"), 100)
+
+
+@pytest.mark.parametrize("name", ["SoftJumper", "CoverBox", "WhipRope", "PourBag", "SoftJumperMPM", "Hopper"])
+def test_every_kind_of_scene_has_a_sentence(name):
+    env = rewax.make(name, scale="paper")
+    sentence = cost_sentence(env, sapo_preset(name, "paper"), 1_000_000)
+    particles = isinstance(getattr(env, "scene", None), mpm.MPMScene)
+    assert ("control steps a second on" in sentence) == particles
+    assert ("the first progress line says" in sentence) != particles
