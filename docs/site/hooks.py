@@ -43,15 +43,16 @@ def on_post_build(config: Any) -> None:
     loaded = r'<script[^>]+src="https?:[^"]*"|<link rel="stylesheet" href="https?:[^"]*"'
     for element in re.findall(loaded, _built(config, "index.html")):
         log.warning(f"the site is read from disk, but {element} needs a network")
-    for page in sorted((ROOT / "docs" / "api").glob("*.md")):
-        shown = _built(config, f"api/{page.stem}.html")
-        source = page.read_text()
-        package = source.splitlines()[0].removeprefix("# ").split(",")[0]
-        for name in _public(ROOT.joinpath(*package.split("."), "__init__.py")):
+    pages = {page.stem: page.read_text() for page in sorted((ROOT / "docs" / "api").glob("*.md"))}
+    shown = "".join(_built(config, f"api/{stem}.html") for stem in pages)
+    source = "\n".join(pages.values())
+    for init in sorted((ROOT / "rewax").rglob("__init__.py")):
+        package = ".".join(init.parent.relative_to(ROOT).parts)
+        for name in _public(init):
             if not re.search(rf'id="rewax[.\w]*\.{name}"', shown) and not re.search(
                 rf"^(:::|##) .*\.{name}$", source, flags=re.MULTILINE
             ):
-                log.warning(f"{package}.{name} is public, but docs/api/{page.name} does not show it")
+                log.warning(f"{package}.{name} is public, but no page of docs/api shows it")
 
 
 def _built(config: Any, page: str) -> str:
