@@ -136,7 +136,7 @@ _FAST_CRITICS: dict[str, dict[str, Value]] = {
 """Tasks where the critics of SHAC and AHAC have larger learning rates than the defaults, as in the reference."""
 _SAPOS_ACTOR: dict[str, Value] = {"activation": "silu", "initial_gain": 1.0, "state_dependent_std": True}
 _SHORT_RUNS: dict[str, Value] = _SAPOS_ACTOR | {"target_decay": 0.2}
-"""SHAC in runs of a few hundred iterations: SAPO's actor, and a target network that follows within a few iterations."""
+"""SHAC and AHAC in runs of a few hundred iterations: SAPO's actor, and a target network that follows in a few."""
 _LARGE_RETURNS: dict[str, dict[str, Value]] = {
     "CartpoleSwingUp": {"normalize_rewards": True, "initial_temperature": 0.01}
 }
@@ -187,10 +187,14 @@ def rpo_preset(env_name: str, scale: str) -> RPOConfig:
 
 
 def ahac_preset(env_name: str, scale: str) -> AHACConfig:
-    """Hyper-parameters of AHAC. Its horizon starts as SAPO's and may double; see ``sapo_preset``."""
+    """Hyper-parameters of AHAC. Its horizon starts as SAPO's and may double; see ``sapo_preset``.
+
+    At ``small`` the actor is SAPO's, and the target network follows fast, as in ``shac_preset``.
+    """
     base = sapo_preset(env_name, scale)
-    horizons = {"horizon": 2 * base.horizon, "initial_horizon": base.horizon, "min_horizon": base.horizon // 4}
-    return _sized(AHACConfig, base, **horizons, **_FAST_CRITICS.get(env_name, {}))
+    changes: dict[str, Value] = dict(_SHORT_RUNS) if scale == "small" else {}
+    changes |= {"horizon": 2 * base.horizon, "initial_horizon": base.horizon, "min_horizon": base.horizon // 4}
+    return _sized(AHACConfig, base, **changes, **_FAST_CRITICS.get(env_name, {}))
 
 
 def ppo_preset(env_name: str, scale: str) -> PPOConfig:

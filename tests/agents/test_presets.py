@@ -2,7 +2,7 @@
 
 import pytest
 
-from rewax.agents.presets import apg_preset, sapo_preset, shac_preset
+from rewax.agents.presets import ahac_preset, apg_preset, sapo_preset, shac_preset
 from rewax.agents.sapo import SAPOConfig
 from rewax.agents.shac import SHACConfig
 from rewax.envs import list_envs
@@ -50,6 +50,11 @@ def test_shac_has_sapos_actor_in_short_runs_and_the_papers_settings_elsewhere():
     apg = apg_preset("Hopper", "small")
     assert [getattr(apg, name) for name in ACTOR] == [getattr(sapo, name) for name in ACTOR]
     assert apg_preset("Hopper", "paper").activation == "elu"
+    ahac = ahac_preset("Hopper", "small")
+    assert [getattr(ahac, name) for name in (*ACTOR, "target_decay")] == [
+        getattr(short, name) for name in (*ACTOR, "target_decay")
+    ]
+    assert ahac_preset("Hopper", "paper").target_decay is None
     ablations = read_suite("ablations")
     for config in (shac_preset("RollingFlat", "paper"), ablations.config("HandFlip", "shac")):
         for name in (*ACTOR, "target_decay"):
