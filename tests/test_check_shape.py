@@ -27,6 +27,7 @@ from rewax.physics.shapes import (
 from rewax.testing import check_shape
 from rewax.testing.shape_points import Sample
 from rewax.testing.shape_programs import check_programs
+from rewax.testing.shape_rays import check_rays
 from rewax.testing.shape_solid import check_bounds, check_drawings, check_inertia, check_volume
 from rewax.types import Scalar
 
@@ -188,6 +189,16 @@ BROKEN_SOLID = {
         check_inertia, torus(inertia=lambda self, density: (Torus.inertia(self, density)[0], jnp.eye(3) * 0.006)),
         "moments of inertia of Broken are [[0.006",
     ),
+    "rays that miss": (
+        check_rays, torus(cast=lambda self, origin, direction: jnp.full_like(origin[0], jnp.inf)), "a ray from (",
+    ),
+    "rays through the hole": (
+        check_rays, torus(cast=lambda self, *ray: Sphere(radius=0.4).cast(*ray)), "a ray from (",
+    ),
+    "rays in metres": (
+        check_rays, torus(cast=lambda self, o, d: cp.norm(d) * Torus.cast(self, o, d)), "a direction that is three times as long ",
+    ),
+    "rays backwards": (check_rays, torus(cast=lambda self, o, d: -Torus.cast(self, o, d)), "cast of Broken returns (-"),
     "no drawing": (check_drawings, torus(draw=lambda self: [{"kind": "ring"}]), "draw of Broken returns what cannot be drawn: cannot draw"),
     "a large drawing": (
         check_drawings, torus(draw=lambda self: [{"kind": "sphere", "center": np.zeros(3), "radius": self.ring + self.tube}]),

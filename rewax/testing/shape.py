@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import jax
 
 from rewax.physics.shapes import Shape
-from rewax.testing import shape_derivatives, shape_distance, shape_programs, shape_protocol, shape_solid
+from rewax.testing import shape_derivatives, shape_distance, shape_programs, shape_protocol, shape_rays, shape_solid
 from rewax.testing.progress import Progress
 from rewax.testing.shape_points import Sample
 from rewax.types import Key
@@ -31,6 +31,7 @@ def check_shape(
       distance depends on each size;
     - bounding box and radius contain the solid, and the box is tight;
     - volume and inertia agree with those of random points;
+    - rays enter the solid where its distance is zero, and not later than they meet it;
     - pictures have the extent of the bounding box;
     - ``jit``, ``vmap`` and C++ give the same numbers.
 
@@ -63,7 +64,8 @@ def check_shape(
         shape_solid.check_bounds(sample)
         shape_solid.check_volume(sample)
         shape_solid.check_inertia(sample)
-    say("pictures")
+    say("rays and pictures")
+    shape_rays.check_rays(sample)
     shape_solid.check_drawings(sample)
     say("jit, vmap and C++")
     for line in shape_programs.check_programs(sample):

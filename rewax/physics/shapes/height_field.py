@@ -10,6 +10,7 @@ from rewax.physics.numerics.components import Vec3
 from rewax.physics.shapes.base import Shape
 from rewax.physics.shapes.drawn import Drawing, mesh
 from rewax.physics.shapes.grid_cells import check_nodes, locate, take
+from rewax.physics.shapes.rays import bilinear_entry
 from rewax.physics.shapes.sampled_surface import height_surface
 from rewax.types import Array, Scalar, Vector
 
@@ -54,6 +55,12 @@ class HeightField(Shape):
         slope_z = jnp.where(beyond_z == 0, (slopes[0] + fx * (slopes[1] - slopes[0])) / self.spacing, 0.0)
         _, n = cp.unit((-slope_x, jnp.ones_like(slope_x), -slope_z))
         return (p[1] - (ends[0] + fx * (ends[1] - ends[0]))) * n[1], n
+
+    def cast(self, origin: Vec3, direction: Vec3) -> Array:
+        """Exact."""
+        return bilinear_entry(
+            jnp.asarray(self.heights), (self.origin[..., 0], self.origin[..., 1]), self.spacing, origin, direction
+        )
 
     def draw(self) -> list[Drawing]:
         """A mesh of the surface over its grid, cached by heights."""

@@ -1,4 +1,4 @@
-"""Where a ray first enters a solid: closed forms of the primitives, sphere tracing of any other distance.
+"""Where a ray first enters a solid: closed forms of primitives and terrain, sphere tracing of any other distance.
 
 A ray is ``origin + t direction`` with t > 0; directions have any length. Every function returns t, infinite where the
 ray misses. Rays begin outside: a solid that holds the origin is not seen, as a renderer that culls back faces.
@@ -9,13 +9,14 @@ closed form measures t from the point of the ray that is nearest to the solid's 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import jax
 import jax.numpy as jnp
 
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.components import Vec3
+from rewax.physics.shapes.grid_cells import take
 from rewax.types import Array, Scalar
 
 if TYPE_CHECKING:
@@ -107,6 +108,86 @@ def plane_entry(origin: Vec3, direction: Vec3) -> Array:
     return _met(origin[1] / jnp.where(falls, -direction[1], 1.0), falls)
 
 
+def bilinear_entry(
+    heights: Array, start: tuple[Scalar, Scalar], spacing: Scalar, origin: Vec3, direction: Vec3
+) -> Array:
+    """Entry into the ground under heights that are bilinear on a grid and continue beyond its border.
+
+    A ray begins where it falls below the highest node, and goes from cell to cell. Within a cell, its height above the
+    ground is a quadratic function of t. The loop ends when each ray has hit, or has left the grid or its heights.
+
+    Args:
+      heights: y at the nodes [m], shape (nx, nz).
+      start: x and z of node (0, 0) [m].
+      spacing: of the nodes [m].
+      origin, direction: of the rays, in the frame of the heights.
+
+    Gradient: none.
+
+    Source: Amanatides and Woo 1987, "A fast voxel traversal algorithm for ray tracing".
+    """
+    heights, start, spacing, origin, direction = jax.lax.stop_gradient((heights, start, spacing, origin, direction))
+    nodes, flat = heights.shape, heights.reshape(-1)
+    begin = [(origin[2 * k] - start[k]) / spacing for k in range(2)]  # in cells
+    speed = [direction[2 * k] / spacing for k in range(2)]
+    forward = [speed[k] > 0 for k in range(2)]
+    top, falls = jnp.max(heights), direction[1] < 0
+    high = origin[1] > top
+
+    def leaves(cell: Array, k: int) -> Array:
+        """t at which a ray leaves a cell along one axis, infinite where it never does."""
+        ends = jnp.where(forward[k], cell < nodes[k] - 1, cell >= 0) & (jnp.abs(speed[k]) > _TINY)
+        border = (cell + forward[k]).astype(begin[k].dtype)
+        return jnp.where(ends, (border - begin[k]) / jnp.where(ends, speed[k], 1.0), jnp.inf)
+
+    def above_ground(cells: list[Array], t: Array) -> tuple[Array, Array, Array]:
+        """Height above the ground of a cell, as a polynomial of the time after t, the constant last."""
+        i, j = ([jnp.clip(cells[k] + end, 0, nodes[k] - 1) for end in (0, 1)] for k in range(2))
+        corners = [[take(flat, i[a] * nodes[1] + j[c]) for c in (0, 1)] for a in (0, 1)]
+        u, v = (begin[k] + t * speed[k] - cells[k].astype(t.dtype) for k in range(2))
+        by_u, by_v = corners[1][0] - corners[0][0], corners[0][1] - corners[0][0]
+        by_both = corners[1][1] - corners[0][1] - by_u
+        ground = corners[0][0] + by_u * u + by_v * v + by_both * u * v
+        rise = by_u * speed[0] + by_v * speed[1] + by_both * (u * speed[1] + v * speed[0])
+        return -by_both * speed[0] * speed[1], direction[1] - rise, origin[1] + t * direction[1] - ground
+
+    def follow(carry: _Followed) -> _Followed:
+        t, cells, hit, going = carry
+        exits = [leaves(cells[k], k) for k in range(2)]
+        end = jnp.minimum(*exits)
+        met = t + _first_fall(*above_ground(cells, t), end - t)
+        hit = jnp.where(going, met, hit)
+        going = going & jnp.isinf(met) & jnp.isfinite(end) & (falls | (origin[1] + end * direction[1] <= top))
+        steps = [jnp.where(going & (exits[k] <= end), jnp.where(forward[k], 1, -1), 0) for k in range(2)]
+        return jnp.where(going, end, t), [cells[k] + steps[k] for k in range(2)], hit, going
+
+    t = jnp.where(high & falls, (top - origin[1]) / jnp.where(falls, direction[1], -1.0), 0.0)
+    # Cell -1 lies before the grid, cell n - 1 behind it. The integer is clipped too, so that NaN finds a cell.
+    within = [jnp.clip(begin[k] + t * speed[k], -1, nodes[k] - 1) for k in range(2)]
+    cells = [jnp.clip(jnp.floor(within[k]).astype(int), -1, nodes[k] - 1) for k in range(2)]
+    going = jnp.where(high, falls, above_ground(cells, t)[2] > 0)
+    carry = (t, cells, jnp.full_like(t, jnp.inf), going)
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[-1]), follow, carry)[2]
+
+
+_Followed: TypeAlias = tuple[Array, list[Array], Array, Array]
+"""t at the entry into a cell, the cell along x and z, t of the hit, and whether a ray still goes on."""
+
+
+def _first_fall(a: Array, b: Array, c: Array, end: Array) -> Array:
+    """The first s in [0, end] from which a s^2 + b s + c is negative; infinite if there is none. 0 if c <= 0."""
+    square = b * b - 4.0 * a * c
+    # The roots are larger / (2 a) and 2 c / larger, without cancellation.
+    larger = -(b + jnp.where(b < 0, -1.0, 1.0) * cp.safe_sqrt(square))
+
+    def root(above: Array, divisor: Array) -> Array:
+        exists = (square > 0) & (jnp.abs(divisor) > _TINY)
+        s = above / jnp.where(exists, divisor, 1.0)
+        return jnp.where(exists & (2.0 * a * s + b <= 0) & (s >= 0) & (s <= end), s, jnp.inf)
+
+    return jnp.where(c <= 0, 0.0, jnp.minimum(root(larger, 2.0 * a), root(2.0 * c, larger)))
+
+
 def traced_entry(shape: Shape, origin: Vec3, direction: Vec3, start: Array | None = None) -> Array:
     """Entry into any shape by sphere tracing: a ray may advance by the distance to the surface.
 
@@ -138,8 +219,10 @@ def traced_entry(shape: Shape, origin: Vec3, direction: Vec3, start: Array | Non
 
     outside = at(begin)[0] > 0
     t = jax.lax.fori_loop(0, TRACE_STEPS, advance, begin)
-    near = at(t)[0] < 1e-3 * length * (t - begin) + 1e-6
-    t = jax.lax.fori_loop(0, _REFINEMENTS, refine, t)
+    left = at(t)[0]
+    near = left < 1e-3 * length * (t - begin) + 1e-6
+    refined = jax.lax.fori_loop(0, _REFINEMENTS, refine, t)
+    t = jnp.where(jnp.abs(at(refined)[0]) <= jnp.abs(left), refined, t)  # at a ridge Newton's step may lead away
     return _met(t, near & jnp.isfinite(first) & (outside | (begin > 0)))
 
 
@@ -148,6 +231,6 @@ def _met(t: Array, condition: Array) -> Array:
 
 
 __all__ = [
-    "TRACE_STEPS", "ball_entry", "capsule_entry", "common_entry", "cone_entry", "plane_entry", "slab_interval",
-    "traced_entry", "tube_interval",
+    "TRACE_STEPS", "ball_entry", "bilinear_entry", "capsule_entry", "common_entry", "cone_entry", "plane_entry",
+    "slab_interval", "traced_entry", "tube_interval",
 ]  # fmt: skip

@@ -103,12 +103,17 @@ class SampledDistance(Shape):
         return jnp.sum(fractions_below_zero(jnp.asarray(self.values))) / 6.0 * self.spacing**3
 
     def cast(self, origin: Vec3, direction: Vec3) -> Array:
-        """By sphere tracing from where the ray enters the grid's box; beyond it the distance may be too large."""
+        """By sphere tracing, from where the ray enters the grid's box if it begins beyond it.
+
+        Beyond the box the distance may be too large.
+        """
         values = jnp.asarray(self.values)
         half = [0.5 * self.spacing * (values.shape[i] - 1) for i in cp.AXES]
         from_center = cp.vector(lambda i: origin[i] - (self.origin[..., i] + half[i]))
         slabs = [slab_interval(from_center[i], direction[i], half[i]) for i in cp.AXES]
-        return traced_entry(self, origin, direction, common_entry(*slabs))
+        within = cp.vector(lambda i: jnp.abs(from_center[i]) <= half[i])
+        begins_within = within[0] & within[1] & within[2]
+        return traced_entry(self, origin, direction, jnp.where(begins_within, 0.0, common_entry(*slabs)))
 
     def draw(self) -> list[Drawing]:
         """A mesh, cached by values."""

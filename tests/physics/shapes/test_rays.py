@@ -87,6 +87,46 @@ def test_planes_height_fields_and_sampled_distances():
     assert np.quantile(np.abs(np.where(both, found, 0) - np.where(both, exact, 0)), 0.95) < 0.02
 
 
+def terrain(kind):
+    generator, n = np.random.default_rng(1), 9
+    heights = {
+        "stairs": np.repeat(np.repeat([0.0, 0.5, 1.0], 3)[:, None], 7, axis=1),
+        "rough": generator.normal(size=(n, 7)),
+        "a ridge": np.where(np.arange(n)[:, None] == 4, 1.0, 0.0) * np.ones(7),
+    }[kind]
+    return HeightField(heights=heights, origin=(-1.2, -0.9), spacing=0.3)
+
+
+@pytest.mark.parametrize("kind", ["stairs", "rough", "a ridge"])
+def test_rays_meet_steep_terrain_where_they_first_fall_below_it(kind):
+    """The distance of a height field is right to first order only: sphere tracing would pass steps and ridges."""
+    field, (origin, direction) = terrain(kind), rays(300, distance=2.0)
+    shares = np.linspace(0.0, 4.0, 8001)
+    steps = jnp.float32(shares)
+    along = tuple(o[:, None] + steps * d[:, None] for o, d in zip(origin, direction, strict=True))
+    below = np.asarray(field.distance(along)[0]) < 0
+    outside = ~below[:, 0]
+    first = np.where(below.any(axis=1), shares[below.argmax(axis=1)], np.inf)[outside]
+    found = np.asarray(jax.jit(field.cast)(origin, direction))[outside]
+    found = np.where(found > shares[-1], np.inf, found)
+    assert (np.isfinite(found) == np.isfinite(first)).mean() > 0.99 and np.isfinite(found).sum() > 100
+    both = np.isfinite(found) & np.isfinite(first)
+    assert np.abs(found - first)[both].max() < 2 * shares[1]
+
+
+def test_rays_from_below_the_ground_and_from_nowhere_miss():
+    field = terrain("stairs")
+    below = tuple(map(jnp.float32, ([0.0, np.nan], [-1.0, 0.0], [0.0, 0.0])))
+    assert not np.isfinite(field.cast(below, tuple(map(jnp.float32, ([1.0, 1.0], [0.1, 0.1], [0.0, 0.0]))))).any()
+
+
+def test_rays_that_begin_in_the_box_of_a_sampled_distance_meet_it():
+    nodes = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 25)] * 3, indexing="ij"), -1)
+    ball = SampledDistance(values=np.linalg.norm(nodes, axis=-1) - 0.2, origin=(-0.6,) * 3, spacing=0.05)
+    ray = tuple(map(jnp.float32, (0.5, 0.1, 0.0))), tuple(map(jnp.float32, (-1.0, 0.0, 0.0)))
+    np.testing.assert_allclose(ball.cast(*ray), 0.5 - np.sqrt(0.2**2 - 0.1**2), atol=5e-3)
+
+
 @pytest.mark.parametrize(("tilt", "t"), [(0.0, 1.125), (1e-7, 1.125), (1e-4, 1.12494), (-1e-3, 1.125563)])
 def test_rays_nearly_parallel_to_the_slant_of_a_cone(tilt, t):
     """From (-2, 1.5, 0) along (1 + tilt, -2, 0) a ray meets the right slant, x = (1 - y) / 2, or the left one."""
