@@ -179,6 +179,9 @@ BROKEN = {
     r"metrics of reset and step differ in \['more'\]": {
         "step": step_with(lambda new, *_: new.replace(metrics={**new.metrics, "more": new.reward}))
     },
+    r"\.metrics\['distance'\] of the state is a Python number after reset and an array after step, so that": {
+        "reset": reset_with(lambda s: s.replace(metrics={"distance": jnp.asarray(0.0)}))
+    },
     r"\.physics of the state is float32": {
         "step": step_with(lambda new, *_: new.replace(physics=jnp.tile(new.physics, 2)))
     },

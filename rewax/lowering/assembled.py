@@ -65,9 +65,15 @@ def _over(function: Callable[[Any, Any], Any], sums: bool) -> Callable[[Stencil 
         if not build.is_available():
             return whole(given, shared, own, fields)
         one_type = common_type(fields)
-        if one_type is None or (jax.tree.leaves(own) and not _fit(own, one_type, whole.count(given))):
+        at_vertices = all(jnp.shape(leaf) == (elements.num_vertices,) for leaf in jax.tree.leaves(fields))
+        if (
+            one_type is None
+            or not at_vertices
+            or (jax.tree.leaves(own) and not _fit(own, one_type, whole.count(given)))
+        ):
             if jax.default_backend() == "cpu":
-                report.note(function, "value", "its fields and elements are not arrays of one length and floating type")
+                reason = "its fields and elements are not arrays of their number and of one floating type"
+                report.note(function, "value", reason)
             return whole(given, shared, own, fields)
         shared = as_arrays(shared, one_type)
         arrays, treedef, constants = split_arguments((given, shared, own, fields))

@@ -30,6 +30,8 @@ _refused: set["Source"] = set()
 """Programs whose shipped library this JAX refuses."""
 
 _locks: dict["Source", threading.Lock] = {}
+if hasattr(os, "register_at_fork"):  # a lock that another thread holds would never be released in the child
+    os.register_at_fork(after_in_child=_locks.clear)
 
 
 class Source(NamedTuple):

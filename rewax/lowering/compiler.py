@@ -1,5 +1,6 @@
 """Finds and runs the system's C++ compiler."""
 
+import errno
 import functools
 import os
 import platform
@@ -64,6 +65,7 @@ def build(words: Sequence[str], text: str, options: Sequence[str], folder: Path)
 
     Raises:
       CompilerError: the compiler wrote no library.
+      OSError: the disk is full.
     """
     program, library = folder / "program.cc", folder / "library.so"
     program.write_text(text, encoding="utf-8")
@@ -87,6 +89,7 @@ def run(words: Sequence[str], seconds: float) -> str:
 
     Raises:
       CompilerError: the program failed.
+      OSError: the disk is full.
     """
     name = shlex.join(words[: -1 if len(words) == 2 else 1])
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
@@ -111,6 +114,8 @@ def run(words: Sequence[str], seconds: float) -> str:
             raise
         if status:
             messages = _text(errors).strip().splitlines()
+            if any(os.strerror(errno.ENOSPC) in line for line in messages):
+                raise OSError(errno.ENOSPC, f"{name} failed ({os.strerror(errno.ENOSPC)})")
             first = next(
                 (line for line in messages if "error" in line), messages[0] if messages else f"exit status {status}"
             )

@@ -23,9 +23,19 @@ def split_vector(vector: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array
     With C++ on a CPU this is one operation. XLA would make one kernel per array, which takes longer to compile than to
     run.
 
+    Args:
+      vector: shape (size,).
+      shapes: of the arrays.
+
+    Raises:
+      ValueError: the sizes of the shapes do not add up to the vector's.
+
     Gradient: exact, forward and reverse.
     """
     shapes = tuple(shapes)
+    size = sum(math.prod(shape) for shape in shapes)
+    if vector.shape != (size,):
+        raise ValueError(f"vector has shape {vector.shape}: give ({size},), the total size of the shapes")
     like = [jax.ShapeDtypeStruct(shape, vector.dtype) for shape in shapes]
     return list(linear_call(_SPLIT, _joined, shapes, (), (vector,), like=like))
 

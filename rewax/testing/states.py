@@ -85,6 +85,11 @@ def check_next_state(env: Env, old: State, new: State) -> None:
         same = a.shape == b.shape and a.dtype == b.dtype
         kinds = f"{a.dtype}{a.shape} after reset, {b.dtype}{b.shape} after step"
         assert same, f"{jax.tree_util.keystr(path)} of the state is {kinds}: a scan needs them the same"
+        weak_before, weak_after = (getattr(leaf, "weak_type", False) for leaf in (a, b))
+        assert not weak_before or weak_after, (
+            f"{jax.tree_util.keystr(path)} of the state is a Python number after reset and an array after step, so "
+            "that a second step compiles again: give jnp.zeros(()) or jnp.asarray(number, dtype) in reset"
+        )
     check_values(env, new, "step")
     assert int(new.step_count) == 1, f"step_count is {int(new.step_count)} after one step: it counts steps since reset"
     _check_status(new, "the first step")

@@ -172,9 +172,16 @@ def test_lists_that_differ_between_environments(x64, machine_only, relative_erro
 def test_what_does_not_fit_together_is_left_to_jax(x64, relative_error):
     of, (shared, own, fields) = elements(13), arguments(13)
     mixed = {**fields, "b": fields["b"].astype(np.float32)}
-    with pytest.warns(match="not arrays of one length and floating type"):
+    with pytest.warns(match="not arrays of their number and of one floating type"):
         found = FAST(of, shared, own, mixed)
     assert relative_error(found, plain(of, shared, own, mixed)) < 1e-6
+
+
+def test_fields_of_another_length_are_left_to_jax(x64, relative_error):
+    """The machine reads num_vertices numbers of each."""
+    of, (shared, own, fields) = elements(13), arguments(13)
+    longer = jax.tree.map(lambda a: jnp.concatenate([a, a]), fields)
+    assert relative_error(FAST(of, shared, own, longer), plain(of, shared, own, longer)) < 1e-13
 
 
 def test_without_cpp_the_numbers_are_the_same(x64, monkeypatch, random_like, relative_error):

@@ -5,6 +5,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import jax
@@ -162,3 +163,15 @@ def test_is_available_with_a_compiler_unless_turned_off(folder, monkeypatch):
     assert build.is_available()
     monkeypatch.setenv("REWAX_NATIVE", "0")
     assert not build.is_available()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*")
+def test_a_child_does_not_wait_for_a_thread_that_it_does_not_have():
+    source = build.Source("never", "")
+    with build._locks.setdefault(source, threading.Lock()):
+        child = os.fork()
+        if child == 0:
+            os._exit(len(build._locks))
+        assert os.waitpid(child, 0)[1] == 0
+    del build._locks[source]

@@ -139,6 +139,14 @@ def test_a_server_that_the_compiler_leaves_is_not_waited_for(script):
 
 
 @needs_processes
+def test_a_full_disk_is_no_fault_of_the_program(script, tmp_path):
+    """So that the caller builds in another folder."""
+    script("echo 'error: cannot write: No space left on device' >&2; echo 'ld returned 1 exit status' >&2; exit 1")
+    with pytest.raises(OSError, match="No space left on device"):
+        compiler.build(compiler.command(), "", (), tmp_path)
+
+
+@needs_processes
 def test_a_compiler_that_reads_its_input_gets_none(script):
     assert compiler.run([str(script("cat; echo read"))], 60.0) == "read\n"
 

@@ -50,3 +50,9 @@ def test_derivatives(random_like):
     cotangents = random_like(0, value)
     (pulled,) = jax.vjp(lambda v: split_vector(v, SHAPES), vector)[1](cotangents)
     np.testing.assert_array_equal(pulled, np.concatenate([np.ravel(c) for c in cotangents]))
+
+
+@pytest.mark.parametrize("size", [4, 7])
+def test_a_vector_of_another_size_is_refused(size):
+    with pytest.raises(ValueError, match=rf"^vector has shape \({size},\): give \(5,\), the total size of the shapes$"):
+        split_vector(jnp.zeros(size), [(2,), (3,)])

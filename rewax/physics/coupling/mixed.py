@@ -62,6 +62,13 @@ class MixedState(struct.Replaceable):
     missed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
     speed: Scalar = struct.number(NOT_NEGATIVE, "give 0", shape=(), default=0.0)
 
+    def __post_init__(self) -> None:
+        # The types of a step's result: a weak one would compile the next step again.
+        for name in ("full", "missed", "speed"):
+            value = getattr(self, name)
+            if getattr(value, "weak_type", False):
+                object.__setattr__(self, name, jnp.asarray(value, value.dtype))
+
     @property
     def x(self) -> Array:
         """Positions of the particles [m], shape (num_particles, 3)."""

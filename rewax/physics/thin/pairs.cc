@@ -26,7 +26,7 @@ struct Vec {
 
 template <typename T>
 T Unit(T t) {
-  return t < T(0) ? T(0) : t > T(1) ? T(1) : t;
+  return t > T(0) ? (t < T(1) ? t : T(1)) : T(0);  // NaN (0 / 0 on an edge of no length) becomes 0
 }
 
 template <typename T>
@@ -171,9 +171,12 @@ struct Search {
     }
     if (!(overlap[0] | overlap[1] | overlap[2] | overlap[3])) return;
     for (int64_t n = 0; n < kArity; ++n) {
-      if (!overlap[n] || (same && (level ? i > j + n : i >= j + n))) continue;
+      // Beyond the last box, and in empty places, boxes are (inf, -inf), which overlaps a box without bounds.
+      if (!overlap[n] || j + n >= (same ? a : b).places >> (2 * level)) continue;
+      if (same && (level ? i > j + n : i >= j + n)) continue;
       if (level == 0) {
-        Meet(a.order[i], (same ? a : b).order[j + n]);
+        const int32_t one = a.order[i], other = (same ? a : b).order[j + n];
+        if (one >= 0 && other >= 0) Meet(one, other);
         continue;
       }
       for (int64_t m = 0; m < kArity; ++m) Meet(level - 1, kArity * i + m, kArity * (j + n));
