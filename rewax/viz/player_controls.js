@@ -11,6 +11,10 @@ function fill(id, choices, chosen, change) {
   select.value = chosen;
   select.closest("label").hidden = choices.length < 2;
   select.addEventListener("change", () => change(select.value));
+  let clicked = false;  // chosen with the mouse, it gives the keyboard back to the page
+  select.addEventListener("pointerdown", () => { clicked = true; });
+  select.addEventListener("keydown", () => { clicked = false; });
+  select.addEventListener("change", () => { if (clicked) select.blur(); });
 }
 
 // Take the next choice of a chooser, after the last one the first.
@@ -68,7 +72,7 @@ function addKeys(player) {
   const step = player.runs[0].dt;
   const buttons = { b: "surface", f: "full", g: "follow", h: "home", o: "one", p: "picture", v: "video", 1: "front", 2: "side", 3: "top", "?": "help" };
   window.addEventListener("keydown", (event) => {
-    const typing = ["INPUT", "SELECT"].includes(event.target.tagName);
+    const typing = event.target.tagName === "SELECT" || (event.target.tagName === "INPUT" && event.target.type !== "range");
     if (typing || event.ctrlKey || event.metaKey || event.altKey || byId("keys").open) return;
     if (event.target.tagName === "BUTTON" && event.key === " ") return;  // the space bar presses the button
     const keys = {
