@@ -29,6 +29,8 @@ SCALE = np.array(
      [0.98, 0.73, 0.22], [0.93, 0.36, 0.08], [0.70, 0.10, 0.01]]
 )  # fmt: skip
 """The Turbo colour map (Mikhailov 2019), sampled at equal distances."""
+_ALWAYS = ("material", "height")
+"""What particles of every recording can be coloured by."""
 
 
 def material_colors(names: Sequence[str]) -> np.ndarray:
@@ -56,7 +58,17 @@ def scale_colors(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 def color_by(recording: "Recording") -> tuple[str, ...]:
     """What particles can be coloured by: the material, the height, and the recording's own values."""
-    return ("material", "height", *recording.values)
+    return (*_ALWAYS, *named_values(recording))
+
+
+def named_values(recording: "Recording") -> dict[str, np.ndarray]:
+    """The recording's own values by the names that ``color_by`` has for them."""
+    return {renamed(name, _ALWAYS): np.asarray(value) for name, value in recording.values.items()}
+
+
+def renamed(name: str, taken: Sequence[str]) -> str:
+    """The name, or, if it is one of those taken, ``<name> (recorded)``."""
+    return f"{name} (recorded)" if name in taken else name
 
 
 def particle_colors(recording: "Recording", by: str = "material") -> np.ndarray:
@@ -72,7 +84,7 @@ def particle_colors(recording: "Recording", by: str = "material") -> np.ndarray:
         return material_colors(recording.material_names)[index]
     if by not in color_by(recording):
         raise ValueError(f"particles cannot be coloured by {by!r}: use one of {', '.join(color_by(recording))}")
-    values = recording.particles @ np.asarray(recording.up) if by == "height" else recording.values[by]
+    values = recording.particles @ np.asarray(recording.up) if by == "height" else named_values(recording)[by]
     low, high = value_range(values)
     return scale_colors(values, low, high)
 
@@ -81,7 +93,7 @@ def value_range(values: np.ndarray) -> tuple[float, float]:
     """Values at the ends of the colour scale: the 1st and the 99th percentile over all frames."""
     known = values[np.isfinite(values)]
     low, high = np.percentile(known, (1.0, 99.0)) if known.size else (0.0, 1.0)
-    return float(low), float(max(high, low + 1e-9))
+    return float(low), max(float(high), float(low) + max(1e-9, 1e-6 * abs(float(low))))  # of a constant, too
 
 
 def shape_color(drawing: "Drawing") -> tuple[np.ndarray, float]:
@@ -89,4 +101,7 @@ def shape_color(drawing: "Drawing") -> tuple[np.ndarray, float]:
     return np.asarray(drawing.get("color", SOLID), np.float32), float(drawing.get("opacity", 1.0))
 
 
-__all__ = ["MATERIALS", "color_by", "material_colors", "particle_colors", "scale_colors", "shape_color", "value_range"]
+__all__ = [
+    "MATERIALS", "color_by", "material_colors", "named_values", "particle_colors", "renamed", "scale_colors",
+    "shape_color", "value_range",
+]  # fmt: skip

@@ -1,33 +1,6 @@
 "use strict";
 // The page: reads the recordings and plays them on one clock with one camera.
 
-const TYPES = { f4: Float32Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
-
-// An array from its text: deflated numbers in base64. Arrays with frames hold, after the first frame, differences from
-// the frame before; numbers of two bytes hold all low bytes before all high ones.
-async function decode({ z, type, frames }) {
-  const packed = Uint8Array.from(atob(z), (c) => c.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
-  if (!frames) return new TYPES[type](bytes.buffer);
-  const wide = type === "u2", count = wide ? bytes.length / 2 : bytes.length;
-  const numbers = wide ? new Uint16Array(count) : new Uint8Array(count);
-  const each = count / frames;
-  for (let i = 0; i < count; i++) {
-    const difference = wide ? bytes[i] | (bytes[count + i] << 8) : bytes[i];
-    numbers[i] = difference + (i < each ? 0 : numbers[i - each]);  // wraps around, as it was written
-  }
-  return numbers;
-}
-
-async function decodeAll(value) {
-  if (Array.isArray(value)) return Promise.all(value.map(decodeAll));
-  if (value === null || typeof value !== "object") return value;
-  if ("z" in value) return decode(value);
-  const entries = await Promise.all(Object.entries(value).map(async ([key, inner]) => [key, await decodeAll(inner)]));
-  return Object.fromEntries(entries);
-}
-
 // The frame at a time, the next one, and how far it is between them.
 function momentOf(run, time) {
   const { times } = run, last = times.length - 1;
@@ -71,9 +44,9 @@ class Player {
     for (const { scene } of this.views) resized.observe(scene.canvas);
     let before = null;
     const tick = (now) => {
+      requestAnimationFrame(tick);  // first, so that an error does not stop the page
       this.advance(before === null ? 0 : (now - before) / 1000);
       before = now;
-      requestAnimationFrame(tick);
     };
     requestAnimationFrame(tick);
   }
@@ -187,12 +160,13 @@ class Player {
 
   // One distance of the camera, one grid on the floor, and one range of colours and of curves for all visible runs.
   commonScale(runs) {
-    const farthest = runs.reduce((a, b) => ((this.show.follow ? a.followed.distance > b.followed.distance : a.still.distance > b.still.distance) ? a : b));
+    const framings = runs.map((run) => (this.show.follow ? run.followed : run.still));
+    const farthest = framings.reduce((a, b) => (a.distance > b.distance ? a : b));
     const names = new Set(runs.flatMap((run) => Object.keys(run.ranges)));
     const ranges = [...names].map((name) => [name, union(runs.map((run) => run.ranges[name]).filter(Boolean))]);
     return {
-      distance: (this.show.follow ? farthest.followed : farthest.still).distance, spacing: farthest.spacing,
-      ranges: Object.fromEntries(ranges), extent: extentOf(runs, this.show.plot),
+      distance: farthest.distance, spacing: farthest.spacing,
+      ranges: dictionary(ranges), extent: extentOf(runs, this.show.plot),
     };
   }
 
@@ -220,13 +194,7 @@ function follow(player, wanted) {
 }
 
 async function open() {
-  const data = await decodeAll(JSON.parse(byId("data").textContent));
-  for (const run of data.runs) {
-    run.totals = run.rewards.reduce((sums, reward) => [...sums, sums[sums.length - 1] + reward], [0]);
-    const values = run.particles ? Object.entries(run.particles.values).map(([name, { low, high }]) => [name, [low, high]]) : [];
-    run.ranges = run.particles ? { height: run.particles.heights, ...Object.fromEntries(values) } : {};
-  }
-  const player = new Player(data);
+  const player = new Player(await read(byId("data").textContent));
   window.player = player;
   follow(player, new URLSearchParams(location.hash.slice(1)));
   player.draw();

@@ -12,21 +12,24 @@ from typing import Any
 import numpy as np
 
 from rewax.status import Status
-from rewax.viz.camera import frame_both
-from rewax.viz.colors import SCALE, color_by, material_colors, shape_color, value_range
+from rewax.viz.camera import Framing, frame_both
+from rewax.viz.colors import SCALE, color_by, material_colors, named_values, renamed, shape_color, value_range
 from rewax.viz.ground import grid_spacing
 from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, diameters, playback
 from rewax.viz.seen import Seen
 from rewax.viz.shapes import side_view
 from rewax.viz.skin import skinned
+from rewax.whole_files import replacing
 
 MAX_RUNS = 8
 """Browsers draw no more WebGL canvases at once reliably."""
+CURVES = ("reward", "return", "actions")
+"""Curves that every page offers; metrics follow."""
 _ASPECT = 4 / 3
 _ASSETS = Path(__file__).parent
 SCRIPTS = (
-    "player_gl.js", "player_shaders.js", "player_surface.js", "player_cloud.js", "player_scene.js", "player_curves.js",
+    "player_data.js", "player_gl.js", "player_shaders.js", "player_surface.js", "player_cloud.js", "player_scene.js", "player_curves.js",
     "player_seen.js", "player_camera.js", "player_capture.js", "player_controls.js", "player.js",
 )  # fmt: skip
 """Scripts of the page, in the order in which they are read."""
@@ -63,7 +66,8 @@ def write_player(recordings: Sequence[Recording], out_html: str | Path, *, title
     }
     page = re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], _asset("player.html"))
     out = Path(out_html)
-    out.write_text(page, encoding="utf-8")
+    with replacing(out) as unfinished:
+        unfinished.write_text(page, encoding="utf-8", errors="replace")  # names of files may not be UTF-8
     return out
 
 
@@ -75,27 +79,37 @@ def _run(recording: Recording) -> dict[str, Any]:
     actions = np.zeros((0, 0)) if recording.actions is None else np.asarray(recording.actions)
     return {
         "name": recording.name,
-        "times": _rounded(recording.times),
+        "times": recording.times.tolist(),  # not rounded: a step is over once its time is reached
         "dt": recording.step_dt,
         "rewards": _rounded(np.nan_to_num(recording.rewards)),  # JSON has no NaN
         "actions": _packed(actions, np.float32),
         "num_actions": actions.shape[1],
-        "metrics": {name: _packed(values, np.float32) for name, values in recording.metrics.items()},
+        "metrics": {
+            renamed(name, CURVES): _packed(values, np.float32) for name, values in recording.metrics.items()
+        },
         "status": np.asarray(recording.status, int).tolist(),
         "axes": [side.right.tolist(), side.towards.tolist(), np.asarray(side.up).tolist()],
         "follow": follow,
-        "followed": {"targets": _rounded(followed.targets), "distance": followed.distance},
-        "still": {"targets": _rounded(still.targets[0]), "distance": still.distance},
+        "followed": _framing(followed, followed.targets),
+        "still": _framing(still, still.targets[0]),
         "aspect": _ASPECT,
         "azimuth": float(np.radians(chosen.azimuth)),
         "elevation": float(np.radians(chosen.elevation)),
-        "radius": chosen.radius,
-        "spacing": grid_spacing(chosen.radius),
         "floor": chosen.floor,
         "palette": np.round(SCALE, 3).tolist(),
         "solids": _solids(recording),
         "seen": [_seen(seen) for seen in recording.seen],
         "particles": None if recording.particles is None else _particles(recording),
+    }
+
+
+def _framing(framing: Framing, targets: np.ndarray) -> dict[str, Any]:
+    """Where the camera looks, from how far, and the floor that it then sees."""
+    return {
+        "targets": _rounded(targets),
+        "distance": framing.distance,
+        "radius": framing.radius,
+        "spacing": grid_spacing(framing.radius),
     }
 
 
@@ -118,7 +132,7 @@ def _particles(recording: Recording) -> dict[str, Any]:
             for i, some in members.items()
         ],
         "heights": list(value_range(cloud @ np.asarray(recording.up, float))),
-        "values": {name: _value(value) for name, value in recording.values.items()},
+        "values": {name: _value(value) for name, value in named_values(recording).items()},
         "triangles": None if recording.triangles is None else _packed(recording.triangles, np.uint32),
     }
 
@@ -126,7 +140,7 @@ def _particles(recording: Recording) -> dict[str, Any]:
 def _value(values: np.ndarray) -> dict[str, Any]:
     """A value of each particle in each frame, as a fraction of the range from ``low`` to ``high``."""
     low, high = value_range(values)
-    part = np.clip((values - low) / (high - low), 0.0, 1.0)
+    part = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0)
     return {"low": low, "high": high, "data": _moving(np.round(255.0 * part).astype(np.uint8))}
 
 

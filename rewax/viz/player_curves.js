@@ -32,7 +32,7 @@ function extentOf(runs, name) {
     for (const x of line) if (Number.isFinite(x)) [low, high] = [Math.min(low, x), Math.max(high, x)];
   }
   if (low > high) [low, high] = [0, 1];
-  return [Math.min(low, name === "reward" ? 0 : low), Math.max(high, low + 1e-9)];
+  return [Math.min(low, name === "reward" ? 0 : low), Math.max(high, low + Math.max(1e-9, 1e-6 * Math.abs(low)))];
 }
 
 class Curves {
@@ -86,7 +86,7 @@ class Curves {
     const { run } = this, step = stepAt(run, time), lines = linesOf(run, name);
     pen.font = "11px system-ui, sans-serif";
     pen.fillStyle = "#566573";
-    const text = lines[0].length ? `${name}, ${short(low)} to ${short(high)}:` : `this run has no ${name}`;
+    const text = lines.some((line) => line.length) ? `${name}, ${short(low)} to ${short(high)}:` : `this run has no ${name}`;
     pen.fillText(text, 8, 12);
     let x = 14 + pen.measureText(text).width;
     for (const [i, line] of lines.entries()) {

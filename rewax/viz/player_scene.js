@@ -69,8 +69,9 @@ class Scene {
     const target = [0, 1, 2].map((i) => mix(targets[(3 * frame + i) % targets.length], targets[(3 * next + i) % targets.length], part));
     const shifted = add(add(target, side, -2 * TANGENT * distance * camera.shift[0]), above, 2 * TANGENT * distance * camera.shift[1]);
     const eye = add(shifted, back, distance);
-    const near = 0.02 * distance, far = 2 * distance + 30 * run.radius;
-    this.spacing = show.spacing || run.spacing;
+    const near = 0.02 * distance, far = 2 * distance + 30 * framing.radius;
+    this.spacing = show.spacing || framing.spacing;
+    this.reach = 3.2 * framing.radius;
     this.target = target;
     this.back = back;
     this.eye = eye;
@@ -89,8 +90,7 @@ class Scene {
     const { gl, run } = this, [right, towards, up] = run.axes;
     const middle = add(this.target, up, run.floor - dot(this.target, up));
     if (dot(this.eye, up) < run.floor) return;
-    const reach = 3.2 * run.radius;
-    this.use("ground", { middle, along: right, across: towards, reach, spacing: this.spacing });
+    this.use("ground", { middle, along: right, across: towards, reach: this.reach, spacing: this.spacing });
     gl.bindVertexArray(this.quad.array);
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }

@@ -78,7 +78,7 @@ def test_positions_values_poses_and_curves_come_back(tmp_path):
     np.testing.assert_allclose(poses[:, :3], [shapes[0]["center"] for shapes in recording.drawings], atol=1e-6)
     assert run["solids"][0]["opacity"] == 0.5 and decoded(run["solids"][0]["triangles"]).max() < 2000
     assert run["rewards"] == [1.0] * 4 and run["status"] == [0, 4, 0, 1]
-    np.testing.assert_allclose(run["times"], recording.times)
+    assert run["times"] == recording.times.tolist()
     assert run["num_actions"] == 2 and decoded(run["actions"]).tolist() == [0, 1, 2, 3, 4, 5, 6, 7]
     assert decoded(run["metrics"]["height"]).tolist() == [4.0, 3.0, 2.0, 1.0]
 
@@ -138,6 +138,34 @@ def test_the_page_is_one_file_that_asks_for_nothing_and_is_small(tmp_path):
     assert "<title>a &lt; b</title>" in text and "{{" not in re.sub(r'"z":"[^"]*"', "", text)
     assert data_of(path)["runs"][0]["name"] == "</script><b>"
     assert [file.name for file in tmp_path.iterdir()] == ["a.html"]
+
+
+def test_a_page_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
+    path = write_player([recordings.moving_ball()], tmp_path / "a.html")
+    before = path.read_text()
+
+    def full(file, text, **options):
+        file.write_bytes(text[:1000].encode())
+        raise OSError("no space left")
+
+    monkeypatch.setattr(player.Path, "write_text", full)
+    with pytest.raises(OSError, match="no space left"):
+        write_player([recordings.moving_ball(99)], path)
+    assert path.read_text() == before and [file.name for file in tmp_path.iterdir()] == ["a.html"]
+
+
+def test_a_title_may_be_a_directory_whose_name_is_not_utf8(tmp_path):
+    path = write_player([recordings.moving_ball(name="a\udce9")], tmp_path / "a.html", title="runs/a\udce9")
+    assert "<title>runs/a?</title>" in path.read_text() and data_of(path)["runs"][0]["name"] == "a\udce9"
+
+
+def test_constant_and_missing_values_have_a_colour_without_warnings(tmp_path):
+    values = {"large": np.full((5, 60), 1e8, np.float32), "missing": np.full((5, 60), np.nan)}
+    values["partly"] = np.where(np.arange(60) < 30, np.nan, 2.0) * np.ones((5, 1))
+    (run,) = data_of(write_player([recordings.cloud(values=values)], tmp_path / "a.html"))["runs"]
+    for value in run["particles"]["values"].values():
+        assert value["high"] > value["low"] and not decoded(value["data"]).any()
+        assert np.float32(value["high"]) > np.float32(value["low"])  # as the graphics card has them
 
 
 def test_scripts_set_names_as_text_and_every_script_is_small():
