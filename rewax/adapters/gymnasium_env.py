@@ -81,7 +81,7 @@ class GymnasiumEnv(gymnasium.Env):
         return numpy_observation(state), float(state.reward), *ends, state_info(state)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """A picture of the present state. The camera also shows the first state of the episode."""
+        """A picture of the present state. The camera also shows the first state, unless it follows what moves."""
         if self._record is None:
             return None
         if self._state is None:

@@ -206,8 +206,11 @@ def _floor(recording: Recording, corners: np.ndarray) -> float:
 
 
 def _smooth(path: np.ndarray) -> np.ndarray:
-    """A smoothed path: the mean over a window of about a tenth of its length."""
-    width = max(1, len(path) // 20)
+    """A smoothed path: the mean over a window of about a tenth of its length; a short path stays as it is.
+
+    Frames of a short path are far apart, so a mean over them would lie beside what each of them shows.
+    """
+    width = len(path) // 20
     padded = np.concatenate([np.repeat(path[:1], width, 0), path, np.repeat(path[-1:], width, 0)])
     sums = np.cumsum(np.concatenate([np.zeros((1, 3)), padded]), axis=0)
     return (sums[2 * width + 1 :] - sums[: -2 * width - 1]) / (2 * width + 1)

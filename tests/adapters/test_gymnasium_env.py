@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import recordings
 import seeing_toys
 from toys import PointMass, point_mass, subprocess_environment
 
@@ -21,6 +22,7 @@ import rewax  # noqa: E402
 from rewax.adapters import gymnasium_ids  # noqa: E402
 from rewax.adapters.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv  # noqa: E402
 from rewax.envs.sensing import Sensing  # noqa: E402
+from rewax.viz.render import pictures  # noqa: E402
 
 
 class EndsBeyondTwo(PointMass):
@@ -160,6 +162,14 @@ def test_pictures_change_with_the_state():
     assert GymnasiumEnv(point_mass()).render() is None
     with pytest.raises(ValueError, match="render_mode is 'human': give 'rgb_array' or None"):
         GymnasiumEnv(point_mass(), render_mode="human")
+
+
+def test_a_picture_shows_a_robot_that_has_run_away():
+    env = GymnasiumEnv(point_mass(), render_mode="rgb_array", size=(48, 64))
+    env.reset(seed=0)
+    env._record = lambda states: recordings.moving_ball(len(states), travel=30.0)
+    (expected,) = pictures(recordings.moving_ball(1, camera={"follow": True}), size=(48, 64), renderer="software")
+    assert np.abs(env.render().astype(int) - expected).mean() < 1.0
 
 
 def test_every_task_has_a_name_for_gymnasium():

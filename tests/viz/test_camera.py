@@ -41,6 +41,14 @@ def test_the_camera_goes_with_what_travels_far():
     assert not still.follow and still.distance > 3.0 * framing.distance
 
 
+def test_the_camera_is_at_what_two_frames_show():
+    """As ``GymnasiumEnv.render`` asks for: the first state of an episode and the present one."""
+    framing = frame_recording(recordings.moving_ball(2, travel=30.0))
+    assert framing.follow
+    np.testing.assert_allclose(framing.targets, [[0.0, 0.5, 0.0], [30.0, 0.5, 0.0]])
+    assert framing.distance == pytest.approx(frame_recording(recordings.moving_ball(1)).distance)
+
+
 def test_the_floor_is_the_plane_or_just_below_everything():
     assert frame_recording(recordings.moving_ball()).floor == 0.0
     alone = recordings.made(1, drawings=[[recordings.BALL]])
