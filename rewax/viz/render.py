@@ -69,15 +69,15 @@ def pictures(
 
 
 def software_pictures(
-    recording: Recording, size: tuple[int, int], color_by: str, *, surface: bool = False
+    recording: Recording, size: tuple[int, int], color_by: str, *, surface: bool = False, start: int = 0
 ) -> Iterator[np.ndarray]:
-    """Draw pictures with NumPy, several at a time in threads."""
+    """Draw pictures with NumPy, several at a time in threads, from the frame ``start`` on."""
     from rewax.viz.software import SoftwareRenderer
 
     drawn = SoftwareRenderer(recording, height=size[0], width=size[1], color_by=color_by, surface=surface)
     threads = max(1, min(4, os.cpu_count() or 1))
     with ThreadPoolExecutor(threads) as pool:
-        for first in range(0, recording.num_frames, 4 * threads):  # limits the memory of finished pictures
+        for first in range(start, recording.num_frames, 4 * threads):  # limits the memory of finished pictures
             yield from pool.map(drawn.render, range(first, min(first + 4 * threads, recording.num_frames)))
 
 
@@ -91,7 +91,7 @@ def _or_software(recording: Recording, size: tuple[int, int], color_by: str, bac
             yield picture
             done += 1
     except OSError:  # the drawing process has died
-        yield from software_pictures(recording.take(range(done, recording.num_frames)), size, color_by)
+        yield from software_pictures(recording, size, color_by, start=done)  # framed and coloured as a whole
 
 
 __all__ = ["RENDERERS", "pictures", "software_pictures"]
