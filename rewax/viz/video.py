@@ -78,7 +78,7 @@ def _encode(frames: Iterable[np.ndarray], out: Path, *, rate: float, size: tuple
         _ffmpeg(), "-y", "-loglevel", "error",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{rate:.3f}", "-i", "-",
         "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "veryfast", "-movflags", "+faststart",
-        "-f", "mp4", str(out),
+        "-f", "mp4", str(out.absolute()),  # a colon in a relative path would end the name of a protocol
     ]  # fmt: skip
     # In its own session ffmpeg does not receive Ctrl-C, so the file is completed.
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)

@@ -35,6 +35,12 @@ def test_a_recording_plays_as_long_as_it_lasted(tmp_path):
     assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0
 
 
+def test_a_folder_may_have_a_colon(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = video.write_video([np.zeros((32, 48, 3), np.uint8)] * 3, "run:1/a.mp4", rate=10.0, size=(32, 48))
+    assert len(read(tmp_path / path)[1]) == 3
+
+
 def test_what_cannot_be_is_refused_and_a_failure_leaves_no_file(tmp_path, monkeypatch):
     for size, rate, said in (
         ((31, 48), 10.0, "size is 31 x 48: H.264 needs even numbers"),
