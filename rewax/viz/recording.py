@@ -156,7 +156,7 @@ def playback(recording: Recording) -> tuple[Recording, float, float]:
     duration = float(times[-1] - times[0])
     if recording.num_frames < 2 or duration <= 0.0:
         return recording, 1.0, 1.0
-    slowest = recording.num_frames / 10.0 / duration  # below ten frames a second motion looks jerky
+    slowest = (recording.num_frames - 1) / 10.0 / duration  # below ten frames a second motion looks jerky
     wanted = max(1, int(np.ceil(_SHORT / duration))) if duration < _SHORT else 1
     slow = max(1, min(wanted, int(slowest)))
     rate = (recording.num_frames - 1) / (duration * slow)

@@ -27,6 +27,7 @@ def test_times_and_totals_are_those_of_the_frames():
         (61, 0.007, 1 / 0.056, 1 / 8, "8 times slower than real time"),
         (6, 0.5, 10 / 5, 1.0, "2 times slower than real time"),
         (101, None, 25.0, 1.0, "25 steps per second"),
+        (5, 0.02, 10.0, 1 / 5, "5 times slower than real time"),
     ],
 )  # fmt: skip
 def test_videos_last_as_long_as_is_said(num_frames, dt, rate, speed, said):
