@@ -19,6 +19,7 @@ from rewax.envs.memory import MEMORY, remembered
 from rewax.training.storage import numpy_policy
 from rewax.training.storage.saved import SavedRun, agent_config
 from rewax.types import Array, Observation
+from rewax.whole_files import replacing
 
 PLATFORMS = ("cpu", "cuda")
 
@@ -40,7 +41,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
 
     Args:
       run: from ``load_run``.
-      out: folder, made if missing.
+      out: folder, made if missing. Each file appears once it is complete.
 
     Returns:
       Paths of the files.
@@ -51,7 +52,6 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
     actor, params = _actor(run), run.train_state.actor_params
     statistics = run.train_state.environments.statistics
     out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
 
     def action(obs: Observation, noise: Array, *memory: Array) -> Any:
         obs = {**obs, MEMORY: memory[0]} if memory else obs
@@ -68,10 +68,15 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
     exported = export.export(jax.jit(jax.vmap(action)), platforms=PLATFORMS)(obs, noise, *memory)
     described = _description(run, actor)
     files = {name: out / name for name in ("policy.stablehlo", "weights.npz", "numpy_policy.py", "policy.json")}
-    files["policy.stablehlo"].write_bytes(exported.serialize())
-    np.savez(files["weights.npz"], describes=json.dumps(described), **_weights(actor, params, statistics))  # pyright: ignore[reportArgumentType]
-    shutil.copyfile(numpy_policy.__file__, files["numpy_policy.py"])
-    files["policy.json"].write_text(json.dumps(described, indent=1) + "\n")
+    weights = _weights(actor, params, statistics)
+    with replacing(files["policy.stablehlo"]) as unfinished:
+        unfinished.write_bytes(exported.serialize())
+    with replacing(files["weights.npz"]) as unfinished:
+        np.savez(unfinished, describes=json.dumps(described), **weights)  # pyright: ignore[reportArgumentType]
+    with replacing(files["numpy_policy.py"]) as unfinished:
+        shutil.copyfile(numpy_policy.__file__, unfinished)
+    with replacing(files["policy.json"]) as unfinished:
+        unfinished.write_text(json.dumps(described, indent=1) + "\n")
     return list(files.values())
 
 

@@ -67,6 +67,21 @@ def batch(size, seed=0):
     return {name: generator.normal(2.0, 3.0, (size, *s.shape)).astype(np.float32) for name, s in spec.items()}
 
 
+def test_files_that_cannot_be_written_stay_as_they_were(tmp_path, monkeypatch):
+    run = saved("sapo")
+    before = {path: path.read_bytes() for path in export_policy(run, tmp_path)}
+
+    def full(file, **arrays):
+        file.write_bytes(b"part")
+        raise OSError("no space left")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(OSError, match="no space left"):
+        export_policy(run, tmp_path)
+    assert (tmp_path / "weights.npz").read_bytes() == before[tmp_path / "weights.npz"]
+    assert sorted(tmp_path.iterdir()) == sorted(before)
+
+
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
