@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from rewax.viz.plots import STYLE
+from rewax.viz.plots import STYLE, plain
 from rewax.viz.shapes import Drawing, View, check_drawing, outline, side_view
 
 _NEAR, _FAR = np.array([0.22, 0.42, 0.65]), np.array([0.75, 0.82, 0.90])
@@ -59,10 +59,10 @@ def body_strip(
             _draw(axes, shapes, view, np.array([middle[i], 0.5 * (low + high)]), half_width + high - low)
             axes.set_xlabel(f"{_name(view.right)} [m]")
             if i < len(labels):
-                axes.set_title(labels[i], fontsize=8)
+                axes.set_title(plain(labels[i]), fontsize=8)
         panels[0].set_ylabel(f"{_name(view.up)} [m]")
         if title:
-            figure.suptitle(title, fontsize=10)
+            figure.suptitle(plain(title), fontsize=10)
         figure.savefig(out_png)
     return Path(out_png)
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from rewax.statistics import Curve
-from rewax.viz.plots import STYLE
+from rewax.viz.plots import STYLE, plain
 
 CURVE_COLORS = ("#c44e52", "#4c72b0", "#2a7f4f", "#dd8452", "#8172b3", "#937860", "#da8bc3", "#8c8c8c", "#ccb974")
 _POINTS = 80
@@ -50,7 +50,7 @@ def curves_of_seeds(
             axes.plot(grid, mean, color=color, lw=1.8, label=_shown(f"{name} ({len(curves)})"), zorder=3)
         for (name, value), style in zip((levels or {}).items(), itertools.cycle(("--", ":", "-.")), strict=False):
             axes.axhline(value, color="0.35", ls=style, lw=1.0, label=_shown(name))
-        axes.set(title=title, xlabel="environment steps", ylabel="return of training episodes")
+        axes.set(title=plain(title), xlabel="environment steps", ylabel="return of training episodes")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if axes.get_legend_handles_labels()[0]:
             many = len(axes.get_legend_handles_labels()[0]) > 12
@@ -71,13 +71,14 @@ def mean_curve(curves: Sequence[Curve]) -> Curve:
 
 def _shown(label: str) -> str:
     """A label that the legend shows: matplotlib hides those that begin with an underscore."""
-    return f"\u200b{label}" if label.startswith("_") else label
+    return plain(f"\u200b{label}" if label.startswith("_") else label)
 
 
 def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | Path, *, title: str = "") -> Path:
     """Draw returns on a square of two directions; the policy is the cross in the middle.
 
-    The colour scale begins at the tenth percentile; lower returns have one colour.
+    The colour scale begins at the tenth percentile; lower returns have one colour. Returns that are not finite have
+    none.
 
     Args:
       offsets: along either direction, shape (size,).
@@ -91,15 +92,20 @@ def landscape_picture(offsets: np.ndarray, returns: np.ndarray, out_png: str | P
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.4, 4.4), layout="constrained")
         axes = figure.subplots()
-        # A few very bad corners would hide all the rest.
-        low, high = np.nanpercentile(returns, 10.0), np.nanmax(returns)
-        returns = np.ma.masked_invalid(returns)
-        levels = np.linspace(low, max(high, low + 1e-6 * max(abs(low), 1.0)), 25)
+        returns = np.ma.masked_invalid(np.asarray(returns, np.float64))  # float32 cannot divide a narrow scale
+        levels = _levels(returns.compressed())
         filled = axes.contourf(offsets, offsets, returns.T, levels=levels, cmap="viridis", extend="min")
-        axes.contour(offsets, offsets, returns.T, levels=levels[::2], colors="white", linewidths=0.3, alpha=0.6)
+        lines = [level for level in levels[::2] if returns.min() < level < returns.max()]
+        axes.contour(offsets, offsets, returns.T, levels=lines, colors="white", linewidths=0.3, alpha=0.6)
         axes.plot(0.0, 0.0, marker="x", color="white", ms=8, mew=2)
-        axes.set(title=title, xlabel="first direction", ylabel="second direction", aspect="equal")
+        axes.set(title=plain(title), xlabel="first direction", ylabel="second direction", aspect="equal")
         axes.grid(False)
         figure.colorbar(filled, ax=axes, label="return", format="%.4g")
         figure.savefig(out_png)
     return Path(out_png)
+
+
+def _levels(known: np.ndarray) -> np.ndarray:
+    """Steps of the colour scale for finite returns, shape (25,); a few very bad corners would hide all the rest."""
+    low, high = (np.percentile(known, 10.0), known.max()) if known.size else (0.0, 1.0)
+    return np.linspace(low, max(high, low + 1e-6 * max(abs(low), 1.0)), 25)

@@ -84,9 +84,7 @@ def _run(recording: Recording) -> dict[str, Any]:
         "rewards": _rounded(np.nan_to_num(recording.rewards)),  # JSON has no NaN
         "actions": _packed(actions, np.float32),
         "num_actions": actions.shape[1],
-        "metrics": {
-            renamed(name, CURVES): _packed(values, np.float32) for name, values in recording.metrics.items()
-        },
+        "metrics": {renamed(name, CURVES): _packed(values, np.float32) for name, values in recording.metrics.items()},
         "status": np.asarray(recording.status, int).tolist(),
         "axes": [side.right.tolist(), side.towards.tolist(), np.asarray(side.up).tolist()],
         "follow": follow,

@@ -88,7 +88,7 @@ def _draw_returns(axes: Axes, metrics: Columns, evaluation: Columns, baselines: 
                 label=f"evaluation, {name}",
             )
     for (name, value), style in zip(baselines.items(), ("--", ":", "-.", (0, (6, 2, 1, 2))) * 8, strict=False):
-        axes.axhline(value, color="0.35", ls=style, lw=1.0, label=f"{name} ({value:.3g})")
+        axes.axhline(value, color="0.35", ls=style, lw=1.0, label=plain(f"{name} ({value:.3g})"))
     axes.set_ylabel("return")
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best", fontsize=8)
@@ -105,6 +105,11 @@ def _draw_exploration(axes: Axes, metrics: Columns) -> None:
         twin.grid(False)
         twin.plot(metrics["env_steps"], temperature, color=_SAMPLED, lw=1.2)
         twin.set_ylabel("temperature alpha", color=_SAMPLED)
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib shows as it is; between two dollar signs it would read mathematics."""
+    return text.replace("$", r"\$")
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
@@ -166,15 +171,17 @@ def particle_strip(
         for i, (cloud, frame_shapes) in enumerate(zip(clouds, drawn_shapes, strict=True)):
             for row, axis in enumerate((1, 2)):
                 drawn = _draw_cloud(panels[row, i], cloud, frame_shapes, axis, diameter, normalize)
-                panels[row, i].set(xlim=(low[0], high[0]), ylim=(low[axis], high[axis]), aspect="equal")
+                # From above, what is near in the side view is at the bottom.
+                ends = (low[axis], high[axis]) if axis == 1 else (high[axis], low[axis])
+                panels[row, i].set(xlim=(low[0], high[0]), ylim=ends, aspect="equal")
             if i < len(labels):
-                panels[0, i].set_title(labels[i], fontsize=8)
+                panels[0, i].set_title(plain(labels[i]), fontsize=8)
             panels[1, i].set_xlabel(f"{right} [m]")
         panels[0, 0].set_ylabel(f"side: {above} [m]")
         panels[1, 0].set_ylabel(f"top: {towards} [m]")
         figure.colorbar(drawn, ax=panels, label=f"height {above} [m]", fraction=0.03, pad=0.01, aspect=30)  # pyright: ignore[reportPossiblyUnboundVariable]
         if title:
-            figure.suptitle(title, fontsize=10)
+            figure.suptitle(plain(title), fontsize=10)
         figure.savefig(out_png)
     return Path(out_png)
 
@@ -191,8 +198,13 @@ def _axis_name(direction: np.ndarray) -> str:
 def _draw_cloud(
     axes: Axes, cloud: np.ndarray, shapes: Sequence[Drawing], up: int, diameter: float, normalize: Normalize
 ) -> EllipseCollection:
-    """One panel: axis 0 points right, axis ``up`` points up, nearer particles are drawn later."""
-    depth = np.argsort(-cloud[:, 2] if up == 1 else cloud[:, 1])
+    """One panel: axis 0 is level, axis ``up`` is upright, nearer particles are drawn later.
+
+    Args:
+      cloud: particles along right, up and towards the eye of the side view [m], shape (num_particles, 3).
+      up: 1 for the side view, 2 for the view from above.
+    """
+    depth = np.argsort(cloud[:, 3 - up])
     cloud = cloud[depth]
     sizes = np.full(len(cloud), diameter)
     particles = EllipseCollection(

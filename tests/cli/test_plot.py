@@ -56,6 +56,12 @@ def test_runs_can_be_curves_of_their_own_and_pictures_vectors(runs, tmp_path, mo
     assert out.read_text().lstrip().startswith("<?xml")
 
 
+def test_dollar_signs_in_names_and_titles_are_shown(tmp_path):
+    run, out = make_run(tmp_path, "cost_$\\bad$"), tmp_path / "curves.svg"
+    assert main(["plot", run, "--by", "run", "--title", "$\\frac{$", "--out", str(out)]) == 0
+    assert "<!-- $\\frac{$ -->" in out.read_text() and "<!-- cost_$\\bad$ (1) -->" in out.read_text()
+
+
 def test_runs_of_one_name_are_told_apart_and_all_are_drawn(tmp_path, monkeypatch):
     folders = [tmp_path / str(i) for i in range(40)]
     for folder in folders:

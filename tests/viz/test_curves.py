@@ -29,6 +29,21 @@ def test_the_landscape_is_drawn(tmp_path):
     assert matplotlib.image.imread(tmp_path / "b.png").shape[2] == pytest.approx(4)
 
 
+@pytest.mark.parametrize("kind", ["equal", "nearly equal", "all missing", "one known", "infinite"])
+def test_a_landscape_without_hills_is_drawn(tmp_path, kind):
+    returns = np.full((5, 5), -1950.0, np.float32)
+    if kind == "nearly equal":
+        returns[2, 2] = np.nextafter(returns[2, 2], np.float32(0.0))
+    elif kind == "infinite":
+        returns = np.arange(25.0, dtype=np.float32).reshape(5, 5)
+        returns[0, 0], returns[4, 4] = -np.inf, np.inf
+    elif kind != "equal":
+        returns[:] = np.nan
+        returns[2, 2] = np.nan if kind == "all missing" else 1.0
+    picture = landscape_picture(np.linspace(-1.0, 1.0, 5), returns, tmp_path / "a.png", title="$\\none$")
+    assert matplotlib.image.imread(picture)[..., :3].std() > 0.05
+
+
 def test_a_short_seed_ends_without_cutting_the_others():
     curves = [Curve(np.array([0.0, 50.0, 100.0]), np.full(3, level)) for level in (2.0, 4.0)]
     grid, mean = mean_curve([*curves, Curve(np.array([0.0, 5.0]), np.array([9.0, 9.0]))])

@@ -54,6 +54,7 @@ def test_particle_strip_has_a_column_for_each_frame(tmp_path, num_frames):
 def test_up_may_be_another_axis(tmp_path):
     """A picture of turned particles and shapes is the picture of the others, but for the axes' names."""
     cloud = np.random.default_rng(0).uniform([0.4, 0.0, 0.4], [0.6, 0.1, 0.6], (300, 3))
+    cloud = cloud[(cloud[:, 0] < 0.45) | (cloud[:, 2] < 0.45)]  # an L, which no mirror leaves as it is
     to_z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y becomes z
     turned = capsule(center=to_z @ (0.5, 0.2, 0.5), direction=to_z @ (0.0, 0.0, 1.0))
     pictures = [
@@ -65,6 +66,43 @@ def test_up_may_be_another_axis(tmp_path):
     assert pictures[0].shape == pictures[1].shape
     assert np.mean(np.abs(pictures[0] - pictures[1])) < 0.01
     assert np.mean(np.abs(pictures[0] - pictures[2])) > 0.05
+
+
+@pytest.mark.parametrize("up", [(0, 1, 0), (0, 0, 1)])
+def test_both_views_are_seen_from_outside(tmp_path, monkeypatch, up):
+    """Near is below far when seen from above; what is nearer to the eye hides what is behind it."""
+    figures = []
+
+    class Kept(plots.Figure):
+        def __init__(self, **options):
+            super().__init__(**options)
+            figures.append(self)
+
+    monkeypatch.setattr(plots, "Figure", Kept)
+    axes = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]] if up == (0, 1, 0) else [[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    near_and_low, far_and_high = np.array([0.0, 0.0, 1.0]) @ axes, np.array([0.0, 0.1, 0.0]) @ axes
+    rod = capsule(center=near_and_low, direction=np.array([1.0, 0.0, 0.0]) @ axes)
+    clouds = [np.stack([near_and_low, far_and_high]), np.stack([far_and_high, near_and_low])]
+    plots.particle_strip(clouds, tmp_path / "a.png", shapes=[[rod]] * 2, up=up, diameter=0.3)
+    panels = figures[0].axes[:4]
+    for i, panel in enumerate(panels):
+        (particles,), (outline,) = panel.collections, panel.patches
+        order = (
+            [0.1, 0.0] if i < 2 else [0.0, 0.1]
+        )  # heights: from the side the near one is last, from above the high one
+        np.testing.assert_allclose(particles.get_array(), order)
+        pixels = panel.transData.transform(particles.get_offsets())[:, 1]
+        near, far = pixels[np.argsort(order)]
+        assert near < far
+        assert panel.transData.transform(outline.get_xy()[:-1])[:, 1].mean() == pytest.approx(near, abs=1.0)
+
+
+def test_dollar_signs_are_no_mathematics(tmp_path):
+    name = "cost_$\\bad$"
+    assert plots.plain("a$b") == r"a\$b"
+    cloud = np.random.default_rng(0).uniform(size=(20, 3))
+    plots.particle_strip([cloud], tmp_path / "a.png", title=name, labels=[name])
+    plots.learning_curve(metrics(3), tmp_path / "b.png", baselines={name: 1.0})
 
 
 def test_bounds_hold_every_shape():
