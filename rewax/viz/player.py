@@ -29,8 +29,8 @@ CURVES = ("reward", "return", "actions")
 _ASPECT = 4 / 3
 _ASSETS = Path(__file__).parent
 SCRIPTS = (
-    "player_data.js", "player_gl.js", "player_shaders.js", "player_surface.js", "player_cloud.js", "player_scene.js", "player_curves.js",
-    "player_seen.js", "player_camera.js", "player_capture.js", "player_controls.js", "player.js",
+    "player_data.js", "player_gl.js", "player_shaders.js", "player_surface.js", "player_cloud.js", "player_scene.js",
+    "player_curves.js", "player_seen.js", "player_camera.js", "player_capture.js", "player_controls.js", "player.js",
 )  # fmt: skip
 """Scripts of the page, in the order in which they are read."""
 
