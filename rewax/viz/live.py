@@ -14,7 +14,7 @@ from rewax.viz.camera import FIELD_OF_VIEW, Framing, frame_recording
 from rewax.viz.colors import color_by, shape_color
 from rewax.viz.ground import grid_spacing
 from rewax.viz.live_guard import guarded
-from rewax.viz.live_matter import KINDS, Matter
+from rewax.viz.live_matter import KINDS, ROOT, Matter
 from rewax.viz.meshes import mesh, pose
 from rewax.viz.recording import Recording, playback
 from rewax.viz.skin import skinned
@@ -51,6 +51,7 @@ class LiveViewer:
         self._lock, self._closed = threading.RLock(), threading.Event()
         self._recording: Recording | None = None
         self._framing: Framing | None = None
+        self._root: Any = None
         self._solids: list[tuple[int, Any]] = []
         self._matter: Matter | None = None
         self._time, self._duration, self._speed, self._shown = 0.0, 0.0, 1.0, -1
@@ -97,7 +98,10 @@ class LiveViewer:
             return frame
 
     def positions(self) -> np.ndarray:
-        """Positions of balls or of a surface's vertices on the page [m], shape (n, 3); n is 0 without particles."""
+        """Positions of the balls or of the surface's vertices that the page shows [m], shape (n, 3).
+
+        They are those of the recording: where the camera follows, the page shifts everything. n is 0 without particles.
+        """
         with self._lock:
             return np.zeros((0, 3), np.float32) if self._matter is None else self._matter.positions()
 
@@ -108,19 +112,24 @@ class LiveViewer:
             self._server.stop()
 
     def _build(self, recording: Recording, framing: Framing) -> None:
-        """Create the floor, the solids and the particles of an episode, in its first frame."""
+        """Create the floor, the solids and the particles of an episode, in its first frame.
+
+        The user turns the camera, so it stays; where it should follow, everything is shifted instead.
+        """
         scene, up = self._server.scene, np.asarray(recording.up, float)
         scene.set_up_direction(tuple(float(x) for x in up))
         scene.configure_environment_map("city", environment_intensity=0.25)
-        size = 4.0 * framing.radius
+        low, high = framing.targets.min(axis=0), framing.targets.max(axis=0)
+        middle, size = 0.5 * (low + high), 4.0 * framing.radius + float((high - low).max())
         planes = {0: "yz", 1: "xz", 2: "xy"}
+        self._root = scene.add_frame(ROOT, show_axes=False)
         scene.add_grid(
-            "/floor",
+            f"{ROOT}/floor",
             width=size,
             height=size,
             plane=planes[int(np.argmax(np.abs(up)))],
             cell_size=grid_spacing(framing.radius),
-            position=tuple(framing.targets[0] + (framing.floor - framing.targets[0] @ up) * up),
+            position=tuple(middle + (framing.floor - middle @ up) * up),
         )
         self._solids = []
         for i, shape in enumerate(recording.shapes(0)):
@@ -128,7 +137,7 @@ class LiveViewer:
                 continue
             surface, (color, opacity) = mesh(shape), shape_color(shape)
             handle = scene.add_mesh_simple(
-                f"/solids/{i}",
+                f"{ROOT}/solids/{i}",
                 np.asarray(surface.vertices, np.float32),
                 np.asarray(surface.triangles, np.uint32),
                 color=tuple(float(x) for x in color),
@@ -147,11 +156,12 @@ class LiveViewer:
         self._matter.recolor(self._by.value)
 
     def _draw(self, frame: int) -> None:
-        """Move solids and particles to their poses in a frame."""
-        recording = self._recording
-        if recording is None or frame == self._shown:
+        """Move solids and particles to their poses in a frame, and all of them so that the camera follows."""
+        recording, framing = self._recording, self._framing
+        if recording is None or framing is None or frame == self._shown:
             return
         with self._server.atomic():
+            self._root.position = tuple(framing.targets[0] - framing.targets[frame])
             for i, handle in self._solids:
                 place, turn = pose(recording.shapes(frame)[i])
                 handle.position, handle.wxyz = tuple(place), (turn[3], *turn[:3])

@@ -10,6 +10,8 @@ from rewax.viz.colors import particle_colors
 from rewax.viz.recording import Recording, diameters
 from rewax.viz.surface import Surface, surfaces
 
+ROOT = "/episode"
+"""Parent of what an episode shows: it moves where the camera follows."""
 _GAMMA = 2.2
 """viser takes colours of batched meshes and of vertices in linear space: sRGB to this power."""
 
@@ -32,25 +34,26 @@ class Matter(Protocol):
 
 
 class Body:
-    """A mesh of tetrahedra or of cloth, by its triangles, in one colour."""
+    """A mesh of tetrahedra, of cloth or of ropes, by its triangles, in the colours of its particles."""
 
     def __init__(self, scene: Any, recording: Recording) -> None:
         assert recording.particles is not None
+        self._scene, self._recording = scene, recording
         self._vertices = np.asarray(recording.particles, np.float32)
-        color = particle_colors(recording, "material").reshape(-1, 3)[0]
-        triangles = np.asarray(recording.triangles, np.uint32)
-        self._handle = scene.add_mesh_simple(
-            "/body", self._vertices[0], triangles, color=tuple(float(x) for x in color)
-        )
+        self._triangles = np.asarray(recording.triangles, int)
+        self._colors = _linear(particle_colors(recording, "material"))
+        self.draw(0)
 
     def draw(self, frame: int) -> None:
-        self._handle.vertices = self._vertices[frame]
+        shown = _trimesh(self._vertices[frame], self._triangles, _in_frame(self._colors, frame))
+        self._handle = self._scene.add_mesh_trimesh(f"{ROOT}/body", shown)
+        self._shown = frame
 
     def recolor(self, by: str) -> None:
-        """A mesh has one colour."""
+        self._colors = _linear(particle_colors(self._recording, by))
 
     def positions(self) -> np.ndarray:
-        return np.asarray(self._handle.vertices)
+        return self._vertices[self._shown]
 
     def remove(self) -> None:
         self._handle.remove()
@@ -63,7 +66,9 @@ class Balls:
         assert recording.particles is not None
         self._recording, self._centers = recording, np.asarray(recording.particles, np.float32)
         self._colors = _linear(particle_colors(recording, "material"))
-        self._handle = _balls(scene, "/particles", self._centers[0], diameters(recording), _in_frame(self._colors, 0))
+        self._handle = _balls(
+            scene, f"{ROOT}/particles", self._centers[0], diameters(recording), _in_frame(self._colors, 0)
+        )
 
     def draw(self, frame: int) -> None:
         self._handle.batched_positions = self._centers[frame]
@@ -100,13 +105,17 @@ class Surfaces:
         colors = _in_frame(self._colors, frame)
         shown: dict[str, Any] = {}
         for i, part in enumerate(parts):
-            name = f"/surfaces/{i}"
-            shown[name] = self._scene.add_mesh_trimesh(name, _colored(part, colors[part.nearest]))
+            name = f"{ROOT}/surfaces/{i}"
+            shown[name] = self._scene.add_mesh_trimesh(
+                name, _trimesh(part.vertices, part.triangles, colors[part.nearest], part.normals)
+            )
         loose = np.concatenate([np.asarray(part.loose, int) for part in parts]) if parts else np.zeros(0, int)
         if len(loose):
             assert self._recording.particles is not None
             centers = np.asarray(self._recording.particles[frame], np.float32)[loose]
-            shown["/loose"] = _balls(self._scene, "/loose", centers, self._diameters[loose], colors[loose])
+            shown[f"{ROOT}/loose"] = _balls(
+                self._scene, f"{ROOT}/loose", centers, self._diameters[loose], colors[loose]
+            )
         for name, handle in self._shown.items():
             if name not in shown:
                 handle.remove()
@@ -123,12 +132,13 @@ class Surfaces:
             handle.remove()
 
 
-def _colored(part: Surface, colors: np.ndarray) -> Any:
+def _trimesh(vertices: np.ndarray, triangles: np.ndarray, colors: np.ndarray, normals: np.ndarray | None = None) -> Any:
+    """A mesh with a colour at each vertex, and by default with smooth normals."""
     import trimesh  # viser depends on it
 
-    return trimesh.Trimesh(
-        part.vertices, part.triangles, vertex_normals=part.normals, vertex_colors=colors, process=False
-    )
+    made = trimesh.Trimesh(vertices, triangles, vertex_normals=normals, vertex_colors=colors, process=False)
+    _ = made.vertex_normals  # it exports those that it has computed
+    return made
 
 
 def _balls(scene: Any, name: str, centers: np.ndarray, diameter: np.ndarray, colors: np.ndarray) -> Any:

@@ -10,7 +10,8 @@ import pytest
 import recordings
 
 from rewax.viz.live import LiveViewer
-from rewax.viz.live_matter import ball
+from rewax.viz.camera import frame_recording
+from rewax.viz.live_matter import ROOT, ball
 
 
 @pytest.fixture
@@ -118,6 +119,41 @@ def test_colours_are_those_of_the_recording(viewer):
     assert "speed" in viewer._by.options and not np.array_equal(before, viewer._matter._handle.batched_colors)
 
 
+def test_the_page_follows_a_robot_that_runs_over_a_floor_that_does_not_end(viewer):
+    recording = recordings.moving_ball(60, travel=0.5)
+    viewer.show(recording)
+    viewer._playing.value = False
+    ((_, ball),), framing = viewer._solids, frame_recording(recording)
+    for part in (0.0, 0.5, 1.0):
+        viewer.seek(part)
+        on_page = np.asarray(ball.position) + viewer._root.position
+        assert np.linalg.norm(on_page - framing.targets[0]) < 0.5  # of 30 m
+    floor = viewer._server.scene._handle_from_node_name[f"{ROOT}/floor"]
+    assert abs(floor.position[0] - 14.75) < 0.5 and floor.width > 28.0
+    viewer.show(recordings.cloud(5))
+    viewer.seek(1.0)
+    np.testing.assert_allclose(viewer._root.position, 0.0, atol=1e-6)
+
+
+def test_a_mesh_has_the_colours_of_its_particles(viewer, monkeypatch):
+    meshes = []
+    monkeypatch.setattr(viewer._server.scene, "add_mesh_trimesh", lambda name, mesh: meshes.append(mesh))
+    corners = np.array([[0.0, 0.3, 0.0], [1.0, 0.3, 0.0], [0.0, 0.3, 1.0], [1.0, 0.3, 1.0]])
+    cloth = recordings.made(
+        2, particles=np.stack([corners, corners + 1.0]), triangles=np.array([[0, 2, 1]]), materials=np.array([0, 0, 0, 1]),
+        material_names=("cloth", "sand"), thickness=0.02, floor=0.0, values={"load": np.array([[0.0, 0, 0, 1]] * 2)},
+    )  # fmt: skip
+    viewer.show(cloth)
+    viewer._playing.value = False
+    colors = {tuple(color[:3]) for color in np.asarray(meshes[-1].visual.vertex_colors).tolist()}
+    assert len(colors) == 3  # the cloth's front and back, and sand
+    before = len(meshes)
+    viewer._by.value = "load"
+    viewer._recolor()
+    shown = np.asarray(meshes[-1].visual.vertex_colors)[:, :3]
+    assert len(meshes) > before and np.ptp(shown[:6], axis=0).max() == 0 and (shown[0] != shown[-1]).any()
+
+
 def test_particles_are_shown_by_their_surface_until_balls_are_asked_for(viewer):
     """One surface for each material, moved with the frame; a particle that flies alone is a ball."""
     recording = recordings.cloud(3, 2000, travel=0.1)
@@ -128,8 +164,8 @@ def test_particles_are_shown_by_their_surface_until_balls_are_asked_for(viewer):
     before = viewer.positions()
     extent = np.ptp(before, axis=0)
     assert (extent > 0.4).all() and (extent < 0.6).all()
-    assert set(viewer._matter._shown) == {"/surfaces/0", "/surfaces/1", "/loose"}
-    np.testing.assert_allclose(viewer._matter._shown["/loose"].batched_positions[0], recording.particles[0, 0])
+    assert set(viewer._matter._shown) == {f"{ROOT}/surfaces/0", f"{ROOT}/surfaces/1", f"{ROOT}/loose"}
+    np.testing.assert_allclose(viewer._matter._shown[f"{ROOT}/loose"].batched_positions[0], recording.particles[0, 0])
     viewer.seek(1.0)
     np.testing.assert_allclose(viewer.positions().mean(axis=0) - before.mean(axis=0), [0.2, 0.0, 0.0], atol=0.01)
     as_balls(viewer)
