@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import recordings
 
-from rewax.viz.live import LiveViewer
 from rewax.viz.camera import frame_recording
+from rewax.viz.live import LiveViewer
 from rewax.viz.live_matter import ROOT, ball
 
 
