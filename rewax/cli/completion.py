@@ -38,7 +38,8 @@ _SCRIPT = """\
     if [[ -n $words ]]; then
         COMPREPLY=($(compgen -W "$words" -- "$word"))
     else
-        COMPREPLY=($(compgen -f -- "$word"))
+        # A name in each line: names may hold spaces. bash 3 and zsh have no `mapfile -t`.
+        while IFS= read -r word; do COMPREPLY+=("$word"); done < <(compgen -f -- "$word")
     fi
 }}
 complete -o filenames -F _rewax rewax

@@ -30,7 +30,7 @@ def completed(script, *words, cwd=None):
     ask = f'COMP_WORDS=({typed}); COMP_CWORD={len(words) - 1}; _rewax; printf "%s\\n" "${{COMPREPLY[@]}}"'
     done = subprocess.run(["bash", "-c", f"{script}\n{ask}"], capture_output=True, text=True, cwd=cwd, check=True)
     assert not done.stderr
-    return done.stdout.split()
+    return [line for line in done.stdout.splitlines() if line]
 
 
 def test_commands_environments_and_algorithms_are_completed(script):
@@ -57,6 +57,14 @@ def test_files_are_completed_elsewhere(script, tmp_path):
     (tmp_path / "runs").mkdir()
     assert completed(script, "rewax", "play", "ru", cwd=tmp_path) == ["runs"]
     assert completed(script, "rewax", "eval", "--run-dir", "ru", cwd=tmp_path) == ["runs"]
+
+
+def test_names_of_files_may_have_spaces_and_stars(script, tmp_path):
+    names = ["my *", "my run", "my run 2"]
+    for name in names:
+        (tmp_path / name).mkdir()
+    assert sorted(completed(script, "rewax", "play", "my", cwd=tmp_path)) == names
+    assert sorted(completed(script, "rewax", "play", "my r", cwd=tmp_path)) == names[1:]
 
 
 def test_a_shell_without_a_script_is_a_sentence(capsys):
