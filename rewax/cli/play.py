@@ -114,6 +114,8 @@ def _live(options: Options) -> int:
     if len(options.runs) != 1 or options.step is not None:
         raise ValueError("a live view shows the newest checkpoint of one run: give one run directory, and no step")
     directory = options.runs[0]
+    if options.scale is not None:
+        raise ValueError("a live view shows a run at the scale it trains at: leave out --scale")
     if is_policy(directory):
         raise ValueError(f"a live view shows a run that trains: rewax play {directory} shows its policy")
     saved, (name,) = load_run(directory), names_of(options.runs)

@@ -92,6 +92,7 @@ def _neither(name, guess=""):
         (["nowhere"], _neither("nowhere")),
         (["HandFlop"], _neither("HandFlop", "did you mean 'HandFlip'? ")),
         (["RollingFlat", "--live"], "a live view shows a run that trains: rewax play RollingFlat shows its policy"),
+        (["a", "--live", "--scale=small"], "a live view shows a run at the scale it trains at: leave out --scale"),
         (["a", "--out=a.mp4"], "out is a.mp4: give an .html file in a folder that exists"),
         (["a", "--out=no/such/a.html"], "out is no/such/a.html: give an .html file in a folder that exists"),
         (["a", "--frames=1"], "frames is 1: give an integer of at least 2"),
