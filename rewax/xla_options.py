@@ -24,12 +24,28 @@ def wrong_gradients(flags: str) -> str | None:
     Returns:
       A sentence without the remedy, else None.
     """
-    named = (flag.lstrip("-").partition("=") for flag in flags.split())
-    chosen = {name: value for name, _, value in named}
-    older = chosen.get(_OLDER_GENERATOR, "true").lower() in ("false", "0")
-    if older and chosen.get(_LEVEL) == "0":
+    older = not is_on(flags, _OLDER_GENERATOR, default=True)
+    if older and _chosen(flags).get(_LEVEL) == "0":
         return f"--{_OLDER_GENERATOR}=false together with --{_LEVEL}=0 gives gradients that are wrongly zero"
     return None
+
+
+def is_on(flags: str, name: str, *, default: bool = False) -> bool:
+    """Whether flags turn a switch on. The last mention counts; one without a value turns it on.
+
+    Args:
+      flags: value of the environment variable ``XLA_FLAGS``.
+      name: of the switch, without dashes.
+      default: the answer where flags do not name it.
+    """
+    value = _chosen(flags).get(name)
+    return default if value is None else value.lower() not in ("false", "0")
+
+
+def _chosen(flags: str) -> dict[str, str]:
+    """Values of flags by name; empty for a flag without one."""
+    named = (flag.lstrip("-").partition("=") for flag in flags.split())
+    return {name: value for name, _, value in named}
 
 
 def warn_of_wrong_gradients() -> None:
@@ -63,4 +79,12 @@ def unoptimised() -> dict[str, Any]:
     return {_LEVEL: 0} | ({_OLDER_GENERATOR: True} if has_older_generator() else {})
 
 
-__all__ = ["QUICK", "has_older_generator", "knows", "unoptimised", "warn_of_wrong_gradients", "wrong_gradients"]
+__all__ = [
+    "QUICK",
+    "has_older_generator",
+    "is_on",
+    "knows",
+    "unoptimised",
+    "warn_of_wrong_gradients",
+    "wrong_gradients",
+]

@@ -219,9 +219,9 @@ def flag_problems(flags: str) -> Iterator[tuple[str, str]]:
     Args:
       flags: value of the environment variable XLA_FLAGS.
     """
-    if "--xla_gpu_deterministic_ops=true" in flags:
+    if xla_options.is_on(flags, "xla_gpu_deterministic_ops"):
         yield (
-            "--xla_gpu_deterministic_ops=true makes the particles' scatter a serial loop on a GPU",
+            "--xla_gpu_deterministic_ops makes the particles' scatter a serial loop on a GPU",
             "remove it from XLA_FLAGS",
         )
     wrong = xla_options.wrong_gradients(flags)

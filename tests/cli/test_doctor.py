@@ -74,6 +74,20 @@ def test_a_harmful_flag_ends_in_exit_code_1(monkeypatch, capsys):
     assert "remove it from XLA_FLAGS" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("values", "on"),
+    [
+        (["=true"], True), ([""], True), (["=1"], True), (["=True"], True), (["=false", "=true"], True),
+        ([], False), (["=false"], False), (["=0"], False), (["=true", "=false"], False), (["_extra=true"], False),
+    ],
+)  # fmt: skip
+def test_a_flag_is_read_as_xla_reads_it(values, on):
+    flags = " ".join(f"--xla_gpu_deterministic_ops{value}" for value in values)
+    assert [problem for problem, _ in doctor.flag_problems(flags)] == [
+        "--xla_gpu_deterministic_ops makes the particles' scatter a serial loop on a GPU"
+    ] * on
+
+
 def test_a_cache_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")
