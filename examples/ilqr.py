@@ -40,8 +40,8 @@ class Args:
     """Gauss-Newton steps for each control step."""
     first_iterations: int = 6
     """For the first one, whose plan begins with zeros."""
-    bound: float = 0.0
-    """Upper bound of a step's reward; 0: that of a known task."""
+    bound: float | None = None
+    """Upper bound of a step's reward; without it, that of a known task."""
     steps: int = 0
     """Control steps; 0: an episode."""
     seed: int = 0
@@ -92,8 +92,8 @@ def improved(env: Any, state: Any, plan: np.ndarray, bound: float) -> np.ndarray
 
 def main(args: Args) -> float:
     """Control an episode; returns the sum of rewards."""
-    bound = args.bound or REWARD_BOUNDS.get(args.env, 0.0)
-    if not bound > 0.0:
+    bound = REWARD_BOUNDS.get(args.env) if args.bound is None else args.bound
+    if bound is None:
         raise ValueError(f"the largest reward of {args.env} is not known here: give --bound")
     env: Any = rewax.make(args.env, scale=args.scale)
     step = jax.jit(lambda env, state, action: env.step(state, action))

@@ -52,3 +52,17 @@ def test_ilqr_of_the_rolling_pin_earns_more_than_no_action():
     assert names["main"](names["Args"](**args)) > still + 0.03
     with pytest.raises(ValueError, match="the largest reward of Hopper is not known here: give --bound"):
         names["main"](names["Args"](env="Hopper"))
+
+
+def test_the_bound_of_ilqr_may_be_zero_or_negative(monkeypatch):
+    names, bounds = example("ilqr"), []
+    monkeypatch.setattr(names["rewax"], "make", lambda env, scale: toys.point_mass())
+
+    def keep(env, state, plan, bound):
+        bounds.append(bound)
+        return plan
+
+    monkeypatch.setitem(names["main"].__globals__, "improved", keep)
+    for bound in (0.0, -1.0):
+        names["main"](names["Args"](env="RollingFlat", bound=bound, steps=1))
+    assert set(bounds) == {0.0, -1.0}
