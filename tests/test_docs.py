@@ -237,7 +237,9 @@ def test_adapters_page_runs_and_does_what_it_says():
 
 def test_adapters_page_carries_gradients_into_torch():
     pytest.importorskip("torch", reason="pip install 'rewax[torch]'")
-    actions = run_page("docs/adapters.md", "torch")["actions"]
+    names = run_page("docs/adapters.md", "torch")
+    actions, weight = names["actions"], names["net"].weight
+    assert np.isfinite(weight.grad.numpy()).all() and float(weight.grad.abs().max()) > 0.0
     assert np.isfinite(actions.grad.numpy()).all() and float(actions.grad.abs().max()) > 0.0
 
 

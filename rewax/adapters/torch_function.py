@@ -41,7 +41,7 @@ def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
       no gradient stores nothing for one.
 
     Raises:
-      ValueError: an argument is float64, but JAX computes in float32.
+      ValueError: an argument is float64, but JAX computes in float32; or it is a random key.
     """
 
     @functools.partial(jax.jit, static_argnums=0)
@@ -87,7 +87,7 @@ def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     def of_tensors(*args: PyTree) -> PyTree:
         leaves, treedef = jax.tree.flatten(args)
         treedefs = [treedef]
-        results = Call.apply(treedefs, *(torch.as_tensor(leaf) for leaf in leaves))
+        results = Call.apply(treedefs, *(torch.as_tensor(_no_key(leaf)) for leaf in leaves))
         return jax.tree.unflatten(treedefs[1], results)
 
     return of_tensors
@@ -108,8 +108,24 @@ def to_jax(tensor: Any) -> Array:
 
 
 def to_torch(array: Array) -> Any:
-    """A JAX array as a torch tensor on the same device. Gradient: none."""
-    return torch.from_dlpack(array)
+    """A JAX array as a torch tensor on the same device. Gradient: none.
+
+    Raises:
+      ValueError: a random key, or a tree of arrays.
+    """
+    if not hasattr(array, "dtype"):
+        raise ValueError(f"to_torch takes one array, not a {type(array).__name__}: use jax.tree.map(to_torch, tree)")
+    return torch.from_dlpack(_no_key(array))
+
+
+def _no_key(leaf: Any) -> Any:
+    """The leaf. Raises ValueError if it is a random key, which torch does not know."""
+    if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        raise ValueError(
+            "a leaf is a random key, which cannot be a tensor: pass jax.random.key_data(key), and wrap it inside the "
+            "function with jax.random.wrap_key_data"
+        )
+    return leaf
 
 
 def _is_float(array: Array) -> bool:

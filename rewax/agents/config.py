@@ -93,8 +93,19 @@ class RunConfig:
 
 
 def steps_in(config: Any, env: Env) -> int:
-    """Control steps of one environment per iteration; the horizon for a configuration that is no ``RunConfig``."""
-    return config.steps_in(env) if hasattr(config, "steps_in") else config.horizon
+    """Control steps of one environment per iteration; the horizon for a configuration that is no ``RunConfig``.
+
+    Raises:
+      ValueError: the configuration has no horizon.
+    """
+    if hasattr(config, "steps_in"):
+        return config.steps_in(env)
+    if not hasattr(config, "horizon"):
+        raise ValueError(
+            f"{type(config).__name__} has no horizon: derive it from rewax.agents.config.RunConfig, or give it the "
+            "fields num_envs, horizon and num_iterations"
+        )
+    return config.horizon
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

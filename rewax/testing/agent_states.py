@@ -122,7 +122,11 @@ def check_seeds(agent: Agent, key: Key, tolerance: float) -> None:
     for i in range(2):
         alone = Iteration(*agent.train_step(agent.init(keys[i])))
         row = Iteration(*jax.tree.map(lambda leaf, i=i: leaf[i], together))
-        what, remedy = "vmap over seeds, and a run alone,", "let a run depend on its own state only"
+        what = "vmap over seeds, and a run alone,"
+        remedy = (
+            "let a run depend on its own state only; rounding does it, too, where chaotic episodes amplify it: check "
+            "with a shorter horizon, or another seed"
+        )
         _check_same_iteration(row, alone, tolerance, what, remedy)
 
 
@@ -162,8 +166,8 @@ def _check_form(before: PyTree, after: PyTree) -> None:
 def _check_metrics(metrics: Metrics, may_be_nan: Collection[str]) -> None:
     missing = [name for name in _NEEDED if name not in metrics]
     assert not missing, (
-        f"metrics lack {missing[0]!r}, which the training loop reads: add those of RunState.after, or of "
-        "rewax.agents.episodes.episode_metrics"
+        f"metrics lack {', '.join(map(repr, missing))}, which the training loop reads: add those of RunState.after, or "
+        "of rewax.agents.episodes.episode_metrics"
     )
     for name, value in metrics.items():
         assert jnp.shape(value) == (), f"metric {name!r} has shape {jnp.shape(value)}: it must be a scalar"

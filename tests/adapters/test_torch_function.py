@@ -8,7 +8,7 @@ from toys import point_mass
 
 torch = pytest.importorskip("torch", reason="pip install 'rewax[torch]'")
 
-from rewax.adapters.torch_function import torch_function  # noqa: E402
+from rewax.adapters.torch_function import to_torch, torch_function  # noqa: E402
 
 
 def test_a_rollouts_gradient_reaches_a_torch_policy():
@@ -63,3 +63,20 @@ def test_torchs_own_check_of_gradients():
     with jax.enable_x64(True):
         x = torch.linspace(0.1, 1.0, 4, dtype=torch.float64, requires_grad=True)
         assert torch.autograd.gradcheck(torch_function(lambda x: jnp.cumprod(jnp.sin(x))), (x,))
+
+
+def test_random_keys_and_trees_are_named():
+    """A state holds a key; its data can cross."""
+    state = point_mass().reset(jax.random.key(0))
+    with pytest.raises(
+        ValueError, match=r"^a leaf is a random key, which cannot be a tensor: pass jax.random.key_data"
+    ):
+        torch_function(lambda state: state.reward)(state)
+    with pytest.raises(ValueError, match=r"^a leaf is a random key"):
+        to_torch(state.key)
+    with pytest.raises(
+        ValueError, match=r"^to_torch takes one array, not a State: use jax.tree.map\(to_torch, tree\)$"
+    ):
+        to_torch(state)
+    crossed = jax.tree.map(to_torch, state.replace(key=jax.random.key_data(state.key)))
+    assert float(torch_function(lambda state: state.reward)(crossed)) == float(state.reward)

@@ -88,8 +88,10 @@ def _is_set(drawn: tuple[str, ...], names: Sequence[str], env: Any) -> bool:
     """Whether the parameters of a draw are set. Raises ValueError if only a part of them is."""
     some, every = reached(drawn, names, env)
     if some and not every:
+        some_of_it = [name for name in names if reached(drawn, [name], env)[0]]
         raise ValueError(
-            f"{', '.join(names)} is drawn at every reset together with the rest of {', '.join(drawn)}: set all of it"
+            f"{', '.join(some_of_it)} is drawn at every reset together with the rest of {', '.join(drawn)}: set all of "
+            "it"
         )
     return some
 

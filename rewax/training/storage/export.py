@@ -47,7 +47,7 @@ def export_policy(run: SavedRun, out: str | Path) -> list[Path]:
       Paths of the files.
 
     Raises:
-      ValueError: the algorithm learns no policy network.
+      ValueError: the algorithm has no policy of ``make_actor``.
     """
     actor, params = _actor(run), run.train_state.actor_params
     statistics = run.train_state.environments.statistics
@@ -85,8 +85,8 @@ def _actor(run: SavedRun) -> Actor:
     config = agent_config(algorithm(run.config["agent"]).config_type, config)
     if not isinstance(config, AnyPolicyConfig) or not hasattr(run.train_state, "actor_params"):
         raise ValueError(
-            f"{run.config['agent']} learns no policy network, so there is nothing to export: train with another "
-            "algorithm, or read what it learns from load_run(run).train_state"
+            f"{run.config['agent']} has no policy of rewax.agents.actor_critic.make_actor, and no other can be "
+            "exported: train with another algorithm, or read what it learns from load_run(run).train_state"
         )
     return make_actor(run.env, config)
 

@@ -184,7 +184,10 @@ def test_an_algorithm_without_a_policy_is_refused():
     env, known = toys.point_mass(), algorithm("trajopt")
     agent = known.make(env, known.config_type(num_envs=2))
     run = SavedRun(env, agent, agent.init(jax.random.key(0)), {"agent": "trajopt", "trajopt": {"num_envs": 2}})
-    with pytest.raises(ValueError, match="trajopt learns no policy network, so there is nothing to export"):
+    with pytest.raises(
+        ValueError,
+        match=r"^trajopt has no policy of rewax.agents.actor_critic.make_actor, and no other can be exported",
+    ):
         export_policy(run, "unused")
 
 

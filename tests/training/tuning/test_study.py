@@ -70,6 +70,8 @@ def test_a_trial_trains_its_seeds_as_long_as_the_preset():
     assert dataclasses.replace(TASK, steps=240).config(toys.point_mass(), long).num_iterations == 10
     plain = dataclasses.make_dataclass("Plain", [("num_envs", int, 4), ("horizon", int, 3), ("num_iterations", int, 8)])
     assert steps_in(plain(), toys.point_mass()) == 3  # a configuration that is no RunConfig
+    with pytest.raises(ValueError, match=r"^object has no horizon: derive it from rewax.agents.config.RunConfig"):
+        steps_in(object(), toys.point_mass())
     reports = list(run_trial(TASK, toys.point_mass(), {"noise": 0.1}, quiet, lambda: False))
     agent, means = toys.make_toy(toys.point_mass()), []
     for seed in TASK.seeds:
