@@ -31,6 +31,13 @@ def test_500_particles_of_sand_stay_in_a_held_bag_for_half_a_second():
     np.testing.assert_array_less(np.asarray(state.thin.x)[:, 1].min(), -0.06)  # their weight draws the bag down
 
 
+def test_a_start_has_the_types_of_a_steps_result():
+    """A weak type would compile the second step again."""
+    mesh, _ = bag_mesh()
+    start = jax.jit(lambda grains: both(mesh, grains)[1])(fill_box((0.0, -0.01, 0.0), (0.02, 0.02, 0.02), SPACING))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(start))
+
+
 def thrown(times):
     """Smallest height of eight layers of sand, thrown at a held sheet at a multiple of the largest safe speed."""
     mesh = thin.ThinMesh(vertices=thin.sheet(0.1, 0.1, 5, 5).vertices - [0.05, 0.0, 0.05],
