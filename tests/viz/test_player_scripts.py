@@ -2,18 +2,17 @@
 
 import json
 import re
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
 import recordings
+from javascript import NODE, needs_node
 
 from rewax.viz import player
 from rewax.viz.player import write_player
 
-NODE = shutil.which("node")
-pytestmark = pytest.mark.skipif(NODE is None, reason="node is not installed: it runs the page's scripts")
+pytestmark = needs_node
 
 
 def in_node(page, names, ask):

@@ -1,19 +1,17 @@
 """The page computes the surfaces that pictures show."""
 
 import json
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
 import recordings
+from javascript import NODE, needs_node
 
 from rewax.viz import player
 from rewax.viz.surface import surfaces
 
-NODE = shutil.which("node")
 SPACING = 0.05
-needs_node = pytest.mark.skipif(NODE is None, reason="node is not installed: it runs the page's scripts")
 SCRIPT = """
 const { points, diameter, values } = JSON.parse(require("fs").readFileSync(0));
 const found = particleSurface(Float32Array.from(points), diameter, values && Float32Array.from(values));
