@@ -180,8 +180,8 @@ def test_what_does_not_fit_together_is_left_to_jax(x64, relative_error):
 def test_fields_of_another_length_are_left_to_jax(x64, relative_error):
     """The machine reads num_vertices numbers of each."""
     of, (shared, own, fields) = elements(13), arguments(13)
-    longer = jax.tree.map(lambda a: jnp.concatenate([a, a]), fields)
-    assert relative_error(FAST(of, shared, own, longer), plain(of, shared, own, longer)) < 1e-13
+    for other in (jax.tree.map(lambda a: jnp.concatenate([a, a]), fields), jax.tree.map(lambda a: a[:-9], fields)):
+        assert relative_error(FAST(of, shared, own, other), plain(of, shared, own, other)) < 1e-13
 
 
 def test_without_cpp_the_numbers_are_the_same(x64, monkeypatch, random_like, relative_error):

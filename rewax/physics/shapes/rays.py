@@ -219,10 +219,8 @@ def traced_entry(shape: Shape, origin: Vec3, direction: Vec3, start: Array | Non
 
     outside = at(begin)[0] > 0
     t = jax.lax.fori_loop(0, TRACE_STEPS, advance, begin)
-    left = at(t)[0]
-    near = left < 1e-3 * length * (t - begin) + 1e-6
-    refined = jax.lax.fori_loop(0, _REFINEMENTS, refine, t)
-    t = jnp.where(jnp.abs(at(refined)[0]) <= jnp.abs(left), refined, t)  # at a ridge Newton's step may lead away
+    near = at(t)[0] < 1e-3 * length * (t - begin) + 1e-6
+    t = jax.lax.fori_loop(0, _REFINEMENTS, refine, t)
     return _met(t, near & jnp.isfinite(first) & (outside | (begin > 0)))
 
 
