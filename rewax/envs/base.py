@@ -138,9 +138,9 @@ def next_state(
 ) -> State:
     """The ``State`` after a control step. Truncates at the time limit and ends episodes that fail numerically.
 
-    A step fails if physics, observation or reward hold a non-finite number, or if ``status`` has a fatal bit. Then
-    ``Status.NAN`` is set, the episode terminates with reward 0, and physics, observation and metrics keep their
-    previous, finite values; no gradient flows.
+    A step fails if physics, observation or reward hold a non-finite number, which sets ``Status.NAN``, or if ``status``
+    has a fatal bit. Then the episode terminates with reward 0, and physics, observation and metrics keep their previous,
+    finite values; no gradient flows.
 
     Args:
       state: the state before the step.
@@ -152,9 +152,9 @@ def next_state(
     Gradient: passes through unchanged; cut in a failed step. The derivative of a failed step may itself hold a NaN,
       which cannot be removed here: agents drop the gradient of such an environment and count it.
     """
-    broken = [~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)]
+    not_finite = jnp.stack([~all_finite(leaf) for leaf in _checked_leaves(physics, obs, reward)])
     # A fatal status without a non-finite number has the index after the last array's.
-    broken = jnp.stack([*broken, (jnp.asarray(status) & FATAL) != 0])
+    broken = jnp.append(not_finite, (jnp.asarray(status) & FATAL) != 0)
     first = jnp.min(jnp.where(broken, jnp.arange(len(broken), dtype=jnp.int32), len(broken)))
     failed = first < len(broken)
 
@@ -171,7 +171,7 @@ def next_state(
         truncated=~terminated & (step_count >= episode_length),
         metrics=keep(metrics, state.metrics),
         step_count=step_count,
-        status=jnp.asarray(status, jnp.int32) | flag(failed, Status.NAN),
+        status=jnp.asarray(status, jnp.int32) | flag(not_finite.any(), Status.NAN),
         failed_leaf=jnp.where(failed, first, NO_LEAF),
     )
 

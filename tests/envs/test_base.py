@@ -52,6 +52,11 @@ def test_the_first_array_that_failed_has_a_name(changes, name):
     np.testing.assert_array_equal(state.obs["a"], OBS["a"])
 
 
+def test_the_bit_nan_says_that_a_number_is_not_finite():
+    assert step(status=int(Status.INVALID_PARAMETERS)).status == Status.INVALID_PARAMETERS
+    assert step(reward=jnp.nan, status=int(Status.CFL)).status == Status.NAN | Status.CFL
+
+
 def test_names_are_those_of_a_task():
     env = rewax.make("CartpoleSwingUp", scale="small")
     assert failed_leaf_name(env, 0) == "physics.rigid.qpos"

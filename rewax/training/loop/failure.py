@@ -12,7 +12,7 @@ import numpy as np
 
 from rewax.agents.replay import Replay
 from rewax.envs.base import Env, State, failed_leaf_name
-from rewax.status import all_finite
+from rewax.status import FATAL, Status, all_finite, describe, remedy
 from rewax.training.config import ReportConfig
 from rewax.training.loop.devices import on_one_device
 
@@ -146,10 +146,13 @@ def _is_finite(leaf: Any) -> bool:
 
 
 def _culprit(env: Env, metrics: Mapping[str, Any]) -> str:
-    """A clause that names the failed environment and its non-finite array, if the metrics contain them."""
+    """A clause that names the failed environment and its non-finite array or fatal status, if the metrics have them."""
     index, leaf = int(metrics.get("failed_env", -1)), int(metrics.get("failed_leaf", -1))
     if index < 0 or leaf < 0:
         return "an environment failed because its physics, an observation or the reward was not finite"
     name = failed_leaf_name(env, leaf)
-    what = "its status had a fatal bit" if name == "status" else f"{name} was not finite"
-    return f"environment {index} failed because {what}"
+    if name != "status":
+        return f"environment {index} failed because {name} was not finite"
+    bits = sum(bit for bit in Status if bit & FATAL and metrics.get(f"status/{bit.name}", 0))
+    what = f"was {describe(bits)} (give {remedy(bits)})" if bits else "had a fatal bit"
+    return f"environment {index} failed because its status {what}"

@@ -85,6 +85,13 @@ def test_the_first_failure_names_the_culprit():
     assert "at last environment 5 failed because its status had a fatal bit" in followed.reason(final=True)
 
 
+def test_a_fatal_status_is_named_with_its_remedy():
+    followed = watch()
+    failed = {"failed_episodes": 1, "episodes": 1, "failed_env": 2, "failed_leaf": 3}
+    said = followed.add(1, 1, {**failed, "status/INVALID_PARAMETERS": 0.1, "status/CFL": 0.5, "status/NAN": 0.0})
+    assert "its status was INVALID_PARAMETERS (give numbers that make_scene or load accept)" in said
+
+
 @struct.dataclass
 class TrainState(struct.Replaceable):
     """Parts of a training state."""
