@@ -139,8 +139,8 @@ def next_state(
     """The ``State`` after a control step. Truncates at the time limit and ends episodes that fail numerically.
 
     A step fails if physics, observation or reward hold a non-finite number, which sets ``Status.NAN``, or if ``status``
-    has a fatal bit. Then the episode terminates with reward 0, and physics, observation and metrics keep their previous,
-    finite values; no gradient flows.
+    has a fatal bit. Then the episode terminates with reward 0, and physics, observation and metrics keep their
+    previous, finite values; no gradient flows.
 
     Args:
       state: the state before the step.
