@@ -1,5 +1,6 @@
 """The base of all shapes: the methods of a solid, with defaults derived from its distance."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import jax
@@ -193,8 +194,36 @@ def around_origin(x: Scalar, y: Scalar, z: Scalar) -> tuple[Array, Array]:
     return -half, half
 
 
+def rounding_error(length: Scalar, like: Array) -> Array:
+    """A bound on the rounding errors of positions near a solid: 256 units in the last place of its length [m].
+
+    So many, because positions are differences of coordinates that may be much larger than the solid.
+
+    Args:
+      length: the solid's largest size [m].
+      like: gives the precision.
+
+    Gradient: none.
+    """
+    return jax.lax.stop_gradient(256.0 * jnp.finfo(like.dtype).eps * jnp.asarray(length))
+
+
+def mean_of_nearest(distances: Sequence[Array], least: Array) -> list[Array]:
+    """Components of a normal inside a solid, along the normals of its faces, which are at right angles.
+
+    Args:
+      distances: signed distance to each face [m].
+      least: faces at this distance or nearer to the surface share the normal.
+
+    Gradient: none.
+    """
+    near = [(d >= least).astype(d.dtype) for d in distances]
+    scale = jax.lax.rsqrt(sum(near[1:], near[0]))
+    return [n * scale for n in near]
+
+
 def _writes(shape: Shape, method: str) -> bool:
     return getattr(type(shape), method) is not getattr(Shape, method)
 
 
-__all__ = ["Shape", "around_origin", "require_shape", "signed_distance"]
+__all__ = ["Shape", "around_origin", "mean_of_nearest", "require_shape", "rounding_error", "signed_distance"]

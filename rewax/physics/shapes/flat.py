@@ -6,7 +6,7 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import Shape
+from rewax.physics.shapes.base import Shape, mean_of_nearest, rounding_error
 from rewax.physics.shapes.drawn import ORIGIN, STRAIGHT, Drawing
 from rewax.physics.shapes.rays import common_entry, plane_entry, slab_interval
 from rewax.types import Array, Scalar, Vector
@@ -20,18 +20,21 @@ class Box(Shape):
     fills_its_box = True
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """Exact. Inside, the normal is that of the nearest face; at edges and corners that of one side."""
+        """Exact. Inside, the normal is that of the nearest face, and the mean of several that are equally near.
+
+        A point that is outside by no more than rounding errors counts as inside. Otherwise rounding would decide the
+        normal on an edge, and its derivative there would be the inverse of a rounding error.
+        """
         half = (self.half_size[..., 0], self.half_size[..., 1], self.half_size[..., 2])
         q = cp.vector(lambda i: jnp.abs(p[i]) - half[i])
         deepest = jnp.maximum(jnp.maximum(q[0], q[1]), q[2])
         outside, corner = cp.unit(cp.vector(lambda i: jnp.maximum(q[i], 0.0)))
-        is_x = q[0] >= deepest
-        is_y = ~is_x & (q[1] >= deepest)
-        face = (is_x, is_y, ~is_x & ~is_y)
-        inside = deepest <= 0
+        unsure = rounding_error(jnp.maximum(jnp.maximum(half[0], half[1]), half[2]), p[0])
+        share = mean_of_nearest(q, deepest - unsure)
+        inside = deepest <= unsure
 
         def normal(i: int) -> Array:
-            return jnp.where(p[i] < 0, -1.0, 1.0) * jnp.where(inside, jnp.where(face[i], 1.0, 0.0), corner[i])
+            return jnp.where(p[i] < 0, -1.0, 1.0) * jnp.where(inside, share[i], corner[i])
 
         return jnp.where(inside, deepest, outside), cp.vector(normal)
 

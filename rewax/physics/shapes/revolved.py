@@ -8,7 +8,7 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import Shape, around_origin
+from rewax.physics.shapes.base import Shape, around_origin, mean_of_nearest, rounding_error
 from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
 from rewax.physics.shapes.rays import common_entry, cone_entry, slab_interval, tube_interval
 from rewax.types import Array, Scalar
@@ -42,7 +42,7 @@ class Cylinder(_Revolved):
     half_length: Scalar = struct.number(POSITIVE, "give a length in metres", shape=())
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """Exact. On the axis the normal's radial part is zero."""
+        """Exact. On the axis the normal's radial part is zero; on the edges it is the mean, as for ``Box``."""
         square = p[0] * p[0] + p[2] * p[2]
         inverse = cp.safe_rsqrt(square)
         r = square * inverse
@@ -50,11 +50,13 @@ class Cylinder(_Revolved):
         a, b = jnp.maximum(side, 0.0), jnp.maximum(cap, 0.0)
         scale = cp.safe_rsqrt(a * a + b * b)
         outside = (a * a + b * b) * scale
-        inside = jnp.maximum(side, cap) <= 0
-        on_side = side >= cap
-        radial = jnp.where(inside, jnp.where(on_side, 1.0, 0.0), a * scale)
-        axial = jnp.where(inside, jnp.where(on_side, 0.0, 1.0), b * scale)
-        distance = jnp.where(inside, jnp.maximum(side, cap), outside)
+        deepest = jnp.maximum(side, cap)
+        unsure = rounding_error(jnp.maximum(self.radius, self.half_length), p[0])
+        on_side, on_cap = mean_of_nearest((side, cap), deepest - unsure)
+        inside = deepest <= unsure
+        radial = jnp.where(inside, on_side, a * scale)
+        axial = jnp.where(inside, on_cap, b * scale)
+        distance = jnp.where(inside, deepest, outside)
         return distance, (radial * p[0] * inverse, axial * jnp.where(p[1] < 0, -1.0, 1.0), radial * p[2] * inverse)
 
     def cast(self, origin: Vec3, direction: Vec3) -> Array:
@@ -91,11 +93,12 @@ class Cone(_Revolved):
         slant_r, slant_y = height * shrink, radius * shrink  # normal of the slant
         from_edge_r, from_edge_y = r - radius, p[1] + half_length
         slant, base = from_edge_r * slant_r + from_edge_y * slant_y, -from_edge_y
-        inside = jnp.maximum(slant, base) <= 0
+        unsure = rounding_error(jnp.maximum(radius, half_length), p[0])
+        inside = jnp.maximum(slant, base) <= unsure  # rounding does not decide the normal on the edge
         # Coordinate along the slant, from the edge of the base (0) to the apex (1).
         along = (from_edge_y * slant_r - from_edge_r * slant_y) * shrink
-        to_slant = jnp.where(inside, slant >= base, (slant > 0) & (along > 0) & (along < 1))
-        to_base = jnp.where(inside, slant < base, (slant <= 0) & (from_edge_r < 0))
+        to_slant = jnp.where(inside, slant >= base - unsure, (slant > 0) & (along > 0) & (along < 1))
+        to_base = jnp.where(inside, slant < base - unsure, (slant <= 0) & (from_edge_r < 0))
         to_apex = (slant > 0) & (along >= 1)
         corner_r = jnp.where(to_apex, r, from_edge_r)
         corner_y = jnp.where(to_apex, p[1] - half_length, from_edge_y)

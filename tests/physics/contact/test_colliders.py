@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rewax.envs.kit.soft_parts import turn_about_y
 from rewax.physics.contact.colliders import (
     Collider,
     Overlap,
@@ -48,6 +49,22 @@ UNDER, AT = [0.3, -0.05, 0.1], [0.3, 0.0, 0.1]
 def test_sticking(x64):
     """Coulomb's limit 0.5 * 2 exceeds the tangential speed 0.6."""
     np.testing.assert_allclose(contact(ground(), UNDER, [0.6, -2.0, 0.0]), 0.0, atol=1e-14)
+
+
+def test_rounding_does_not_decide_the_velocity_of_a_node_on_an_edge():
+    """A paddle at a round position, turned by pi: nodes lie on its edge, up to the rounding of their coordinates."""
+    nodes = jnp.asarray([[0.395, 0.135, 0.25], [0.395, 0.135, 0.35]], jnp.float32)
+    velocity = jnp.asarray([[0.3, 0.1, -0.2], [0.3, 0.1, 0.2]], jnp.float32)
+    box = Collider(shape=Box(half_size=(0.025, 0.06, 0.05)), friction=0.2, softness=300.0)
+
+    def after(shift):
+        turned = turn_about_y(jnp.asarray(np.pi, jnp.float32))
+        pose = Pose(jnp.asarray([0.42, 0.135, 0.3], jnp.float32) + shift, turned)
+        return after_contact(box, nodes, velocity, pose, pose)
+
+    shifts = jnp.asarray(np.random.default_rng(1).uniform(-1e-7, 1e-7, (20, 3)), jnp.float32)
+    assert np.ptp(jax.jit(jax.vmap(after))(shifts), axis=0).max() < 1e-4
+    assert np.abs(jax.jit(jax.vmap(jax.jacrev(after)))(shifts)).max() < 200.0  # softness times speed, not 1e6
 
 
 def test_sliding_loses_friction_times_normal_impulse(x64):

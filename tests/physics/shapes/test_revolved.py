@@ -1,9 +1,14 @@
 """Cylinders and cones: against projections onto them."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as hs
 from shape_cases import SHAPES, H, R, assert_nearest
+
+from rewax.physics.numerics import components as cp
 
 
 def radial(p):
@@ -49,6 +54,23 @@ def test_distance_of_a_cone_is_the_one_to_the_nearest_point(x64, seed):
         return np.linalg.norm(cone_outline(p) - half_plane(p)[:, None], axis=2).min(axis=1)
 
     assert_nearest(SHAPES["cone"], seed, onto_cone, depth)
+
+
+@pytest.mark.parametrize("kind", ["cylinder", "cone"])
+def test_rounding_does_not_decide_the_normal_on_an_edge(kind):
+    """The mean of side and cap for a cylinder, the slant's for a cone; the derivative is not a rounding error's."""
+    generator = np.random.default_rng(0)
+    angle, noise = generator.uniform(0, 2 * np.pi, 200), generator.uniform(-3e-8, 3e-8, (200, 3))
+    points = np.stack([R * np.cos(angle), np.full(200, -H), R * np.sin(angle)], axis=1) + noise
+
+    def normal(p):
+        return jnp.stack(SHAPES[kind].distance(cp.split_vector(p))[1])
+
+    up, out = (-1.0, 1.0) if kind == "cylinder" else (R, 2 * H)
+    expected = np.stack([out * np.cos(angle), np.full(200, up), out * np.sin(angle)], axis=1) / np.hypot(up, out)
+    points = jnp.asarray(points, jnp.float32)
+    np.testing.assert_allclose(jax.jit(jax.vmap(normal))(points), expected, atol=1e-5)
+    assert np.abs(jax.jit(jax.vmap(jax.jacrev(normal)))(points)).max() < 2.0 / R  # the curvature of the side
 
 
 def test_three_cones_are_a_cylinder(x64):
