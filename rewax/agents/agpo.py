@@ -142,7 +142,10 @@ def simulation_shares(config: AGPOConfig, variance: Array) -> Array:
 
     Args:
       variance: variance of each step's discounted gradient, shape (T,). A step with variance 0 has the share 1.
+        Behind a latency the last actions have no effect within the rollout, so the last step with a variance above 0
+        tells the critics'.
     """
     undiscounted = variance / discounts(config) ** 2
-    allowed = config.max_ratio * undiscounted[-1]
+    last = jnp.max(jnp.where(undiscounted > 0, jnp.arange(len(variance)), 0))
+    allowed = config.max_ratio * undiscounted[last]
     return jnp.where(undiscounted > allowed, allowed / jnp.where(undiscounted > 0, undiscounted, 1.0), 1.0)

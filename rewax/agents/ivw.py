@@ -79,7 +79,7 @@ class IVWState(SoftState):
     """The complete state of a run; this is what a checkpoint stores.
 
     Attributes:
-      variance: running mean of ``step_variance``, shape (T,). It starts as discount^t, which gives equal weights.
+      variance: running mean of ``step_variance``, shape (T,). It starts as 0, which gives equal weights.
     """
 
     variance: Array
@@ -95,7 +95,7 @@ def start(config: SAPOConfig, leaves: EnvLeaves, key: Key) -> IVWState:
     """The first state of a run."""
     networks = make_actor_critic(leaves.first(), config)
     log_alpha, opt = start_temperature(networks, config.initial_temperature, config.temperature_learning_rate)
-    own = {"log_temperature": log_alpha, "temperature_opt": opt, "variance": discounts(config)}
+    own = {"log_temperature": log_alpha, "temperature_opt": opt, "variance": jnp.zeros(config.horizon)}
     return start_actor_critic(IVWState, networks, leaves, key, **own)
 
 
@@ -185,12 +185,15 @@ def step_weights(config: IVWConfig, variance: Array) -> Array:
 
     Args:
       config: gives the discount and the floor.
-      variance: variance of each step's discounted gradient, shape (T,). If all are zero, all weights are 1.
+      variance: variance of each step's discounted gradient, shape (T,). A step with variance 0 says nothing about
+        its noise, as behind a latency, where the last actions have no effect within the rollout: it counts as a step
+        with the mean variance of the others. If all are zero, all weights are 1.
     """
-    mean = variance.mean()
-    floored = jnp.maximum(variance, config.variance_floor * jnp.where(mean > 0, mean, 1.0))
     discount = discounts(config)
-    weights = jnp.where(mean > 0, discount / floored, 1.0)
+    known = variance > 0
+    mean = jnp.sum(variance) / jnp.maximum(jnp.sum(known), 1)
+    floored = jnp.where(known, jnp.maximum(variance, config.variance_floor * mean), mean)
+    weights = jnp.where(mean > 0, discount / jnp.where(mean > 0, floored, 1.0), 1.0)
     return weights * jnp.sum(discount) / jnp.sum(weights * discount)
 
 

@@ -11,6 +11,9 @@ EPSILON = 1e-5
 WINSOR_WIDTH = 10.0
 """Samples are clipped to the wider of two ranges: this many standard deviations around the running mean, or this many
 interquartile ranges beyond the quartiles of their batch."""
+NEVER_CLIPPED = 1.0
+"""Distance from the running mean within which no sample is clipped. Flags that are rarely set need it: their quartiles
+are equal, and a deviation of clipped samples would shrink with every update."""
 
 
 @struct.dataclass
@@ -70,7 +73,8 @@ def update_statistics(statistics: RunningStatistics, obs: Observation, valid: Ar
     added = jnp.sum(keep).astype(statistics.count.dtype)
     total = statistics.count + added
     mean, variance = {}, {}
-    quartiles = _quartiles({name: batch for name, batch in flat.items() if batch.ndim < 4}, keep)
+    pictures = {name for name, mean in statistics.mean.items() if mean.ndim == 3}
+    quartiles = _quartiles({name: batch for name, batch in flat.items() if name not in pictures}, keep)
     for name, batch in flat.items():
         old, old_variance = statistics.mean[name], statistics.variance[name]
         if name in quartiles:
@@ -154,9 +158,9 @@ def _order_statistics(columns: Array, keep: Array, shares: tuple[float, ...]) ->
 def _winsorised(batch: Array, quartiles: Array, keep: Array, mean: Array, variance: Array) -> Array:
     """Samples clipped to the usual range. Masked samples are zero."""
     low, high = jnp.where(jnp.any(keep), quartiles, mean)
-    deviation, between = jnp.sqrt(variance), high - low
-    low = jnp.minimum(mean - WINSOR_WIDTH * deviation, low - WINSOR_WIDTH * between)
-    high = jnp.maximum(mean + WINSOR_WIDTH * deviation, high + WINSOR_WIDTH * between)
+    reach, between = jnp.maximum(WINSOR_WIDTH * jnp.sqrt(variance), NEVER_CLIPPED), high - low
+    low = jnp.minimum(mean - reach, low - WINSOR_WIDTH * between)
+    high = jnp.maximum(mean + reach, high + WINSOR_WIDTH * between)
     return jnp.where(keep.reshape(-1, *[1] * (batch.ndim - 1)), jnp.clip(batch, low, high), 0.0)
 
 

@@ -26,6 +26,13 @@ def test_shares_by_hand():
     np.testing.assert_allclose(agpo.simulation_shares(config, jnp.zeros(4)), 1.0)
 
 
+def test_a_latency_does_not_take_the_share_of_the_simulation():
+    """The last action has no effect within the rollout, so the step before it tells the variance of the critics."""
+    config = dataclasses.replace(CONFIG, discount=1.0, max_ratio=2.0)
+    shares = agpo.simulation_shares(config, jnp.array([8.0, 1.0, 1.0, 0.0]))
+    np.testing.assert_allclose(shares, [0.25, 1.0, 1.0, 1.0], rtol=1e-6)
+
+
 def test_the_critics_part_leaves_out_the_ends_of_segments():
     done, valid = jnp.array([False, True, False, False]), jnp.ones(4, bool)
     share = jnp.array([1.0, 1.0, 0.5, 1.0])

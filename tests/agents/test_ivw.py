@@ -30,14 +30,17 @@ def test_weights_are_those_of_least_variance():
 
 
 def test_equal_weights_at_first_and_where_nothing_varies():
-    np.testing.assert_allclose(ivw.step_weights(CONFIG, ivw.discounts(CONFIG)), 1.0, rtol=1e-6)
+    config = dataclasses.replace(CONFIG, discount=0.9, horizon=64)
+    first = make_agent("sapo_ivw", ENV, config).init(jax.random.key(0)).variance
+    np.testing.assert_allclose(ivw.step_weights(config, first), 1.0, rtol=1e-6)
     np.testing.assert_allclose(ivw.step_weights(CONFIG, jnp.zeros(CONFIG.horizon)), 1.0, rtol=1e-6)
 
 
-def test_a_step_whose_gradient_is_zero_does_not_take_all_the_weight():
+def test_a_step_whose_variance_is_zero_counts_as_the_mean_of_the_others():
     config = dataclasses.replace(CONFIG, discount=1.0, variance_floor=0.5)
-    weights = ivw.step_weights(config, jnp.array([0.0, 1.0, 1.0, 2.0]))  # floor 0.5
-    np.testing.assert_allclose(weights, 4.0 * np.array([2.0, 1.0, 1.0, 0.5]) / 4.5, rtol=1e-6)
+    weights = ivw.step_weights(config, jnp.array([0.0, 1.0, 0.2, 4.8]))  # mean 2, floor 1
+    inverse = np.array([0.5, 1.0, 1.0, 1 / 4.8])
+    np.testing.assert_allclose(weights, 4.0 * inverse / inverse.sum(), rtol=1e-6)
 
 
 def test_the_variance_leaves_out_what_is_not_finite():

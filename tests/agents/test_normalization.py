@@ -113,6 +113,24 @@ def test_a_wild_observation_in_the_first_batch_of_few_is_held_too():
     assert got.mean["x"] < 1200.0 and np.isfinite(got.variance["x"])
 
 
+@pytest.mark.parametrize("share", [0.002, 0.005, 0.05])
+def test_a_flag_that_is_rarely_set_has_its_true_statistics(share):
+    """Its quartiles are equal, so only the deviation says what is usual."""
+    flags = np.random.default_rng(0).random((200, 512, 1)) < share
+    update = jax.jit(update_statistics)
+    got = init_statistics({"x": ArraySpec((1,))})
+    for batch in flags.astype(np.float32):
+        got = update(got, {"x": batch})
+    np.testing.assert_allclose(got.mean["x"], flags.mean(), rtol=0.01)
+    np.testing.assert_allclose(got.variance["x"], flags.var(), rtol=0.01)
+
+
+def test_observations_of_four_axes_are_vectors():
+    batch = np.random.default_rng(0).normal(size=(9, 2, 1, 2, 2)).astype(np.float32)
+    got, expected = learnt([batch], batch.shape[1:]), learnt([batch.reshape(9, 8)], (8,))
+    np.testing.assert_array_equal(got.variance["x"].reshape(8), expected.variance["x"])
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_is_left_out_sample_by_sample(x64, bad):
     batch = np.random.default_rng(0).normal(size=(16, 3))
