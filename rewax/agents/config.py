@@ -66,6 +66,8 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if isinstance(self, PolicyOptions):
+            self.check_deviation()
         if self.horizon != 0 or self.least_horizon > 0:
             COUNT.check("horizon", self.horizon)
 
@@ -137,7 +139,8 @@ class PolicyOptions:
       normalize_observations: running normalisation of vector observations and pictures.
       observation_clip: clamp of normalised observations, with zero gradient beyond; None: no limit. The default acts
         only in a task's first rollout and on outliers.
-      stagger_episodes: start environments at random times of their episodes, so that they do not reset together.
+      stagger_episodes: start environments at random times of their episodes, so that they do not reset together. No
+        effect where each iteration begins new episodes.
     """
 
     observe: tuple[str, ...] = ()
@@ -165,6 +168,18 @@ class PolicyOptions:
     normalize_observations: bool = True
     observation_clip: Limit = 100.0
     stagger_episodes: bool = False
+
+    def check_deviation(self) -> None:
+        """Raises ValueError if the first standard deviation is beyond its clamp, where its gradient is zero.
+
+        A clamp to one number is legal: it fixes the deviation.
+        """
+        low, high = self.log_std_range
+        if low < high and not low <= self.initial_log_std <= high:
+            raise ValueError(
+                f"initial_log_std is {self.initial_log_std}, but log_std_range is {self.log_std_range}: give a number "
+                "between its ends, beyond which the standard deviation learns nothing"
+            )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ Whole episodes of the first phase are differentiated with ``checkpointed``, what
 
 import dataclasses
 import functools
+import warnings
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -117,6 +118,13 @@ def make_demonstrated(
         raise ValueError(
             f"critic_minibatches is {config.critic_minibatches}, which does not divide num_envs * episode length = "
             f"{config.num_envs * length}: choose a divisor"
+        )
+    if config.demonstration_share > 0 and not config.demonstrations(EnvLeaves.of(env).first()):
+        share = config.demonstration_share
+        warnings.warn(
+            f"the run is too short for a demonstration: {share:g} of {config.num_iterations} iterations of "
+            f"{config.horizon} steps is less than an episode of {length}, so this is SAPO without demonstrations",
+            stacklevel=2,
         )
     return actor_agent("sapo_from_demonstrations", env, config, init=init, train_step=train_step, randomize=randomize)
 

@@ -91,3 +91,9 @@ def test_minibatches_that_do_not_fit_an_episode_are_refused():
     config = DemonstratedConfig(num_envs=4, horizon=4, critic_minibatches=8)
     with pytest.raises(ValueError, match="does not divide num_envs \\* episode length = 20"):
         make_demonstrated(ENV, config)
+
+
+def test_a_run_without_time_for_a_demonstration_says_so():
+    config = dataclasses.replace(CASES[NAME].config, num_iterations=1)
+    with pytest.warns(UserWarning, match="less than an episode of 5, so this is SAPO without demonstrations"):
+        make_demonstrated(ENV, config)

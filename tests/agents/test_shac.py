@@ -57,6 +57,11 @@ def test_options_that_cannot_be():
         ({"max_env_grad_norm": -1.0}, "max_env_grad_norm is -1.0: give a positive number, or None for no limit"),
         ({"truncate_every": 0}, "truncate_every is 0: give an integer of at least 1, or None"),
         ({"optimizer": "sgd"}, "optimizer is 'sgd': use adamw or adam"),
+        (
+            {"initial_log_std": -6.0},
+            "initial_log_std is -6.0, but log_std_range is (-5.0, 2.0): give a number between its ends, beyond which "
+            "the standard deviation learns nothing",
+        ),
     ):
         with pytest.raises(ValueError) as caught:
             dataclasses.replace(CASES["shac"].config, **change)

@@ -18,4 +18,4 @@ def test_what_cannot_be_is_one_sentence(capsys):
     assert main(["tune", "--trials", "0"]) == 2
     assert capsys.readouterr().err == "error: trials is 0: give an integer of at least 1\n"
     assert main(["tune", "--seeds", "3", "3"]) == 2
-    assert capsys.readouterr().err == "error: seeds are [3, 3]: give integers from 0 on, each of them once\n"
+    assert capsys.readouterr().err == "error: seeds are [3, 3]: give integers from 0 to 4294967295, each of them once\n"

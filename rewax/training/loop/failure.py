@@ -47,6 +47,7 @@ class FailureWatch:
         self._env, self._config = env, config
         self._recent: deque[_Iteration] = deque(maxlen=config.failure_window)
         self._culprit = ""
+        self._resumes_failure = False
 
     def add(self, iteration: int, num_steps: int, metrics: Mapping[str, Any]) -> str:
         """Add an iteration.
@@ -70,12 +71,29 @@ class FailureWatch:
         first, self._culprit = not self._culprit, _culprit(self._env, metrics)
         return f"warning: in iteration {iteration} {self._culprit}: {_REMEDY}" if first else ""
 
+    def recall(self, columns: Mapping[str, np.ndarray], iteration: int) -> None:
+        """Add the iterations before a resumed one, so that the run stops where it would have without the interruption.
+
+        A run that had stopped because of failures begins with an empty window.
+
+        Args:
+          columns: of ``metrics.csv``.
+          iteration: the one that the run continues from. Earlier ones count as far back as there is a row for each.
+        """
+        for row in _rows_before(columns, iteration, self._config.failure_window):
+            self.add(int(row["iteration"]), int(row["num_steps"]), row)
+        if self.reason():
+            self._recent.clear()
+            self._resumes_failure = True
+
     @property
     def healthy(self) -> bool:
         """Whether there is no reason to stop, also before the window is full.
 
         The last iteration's share of failed episodes is checked on its own, too.
         """
+        if not self._recent:
+            return not self._resumes_failure
         last = [self._recent[-1]] if self._recent else []
         return not self.reason(final=True) and not any(self._too_many(one.failed, one.episodes) for one in last)
 
@@ -103,6 +121,20 @@ class FailureWatch:
 
     def _too_many(self, failed: int, episodes: float) -> bool:
         return failed > self._config.max_failed_share * max(episodes, 1)
+
+
+def _rows_before(columns: Mapping[str, np.ndarray], iteration: int, most: int) -> list[dict[str, float]]:
+    """The last rows up to an iteration, without gaps, in order. ``num_steps`` are the control steps of each."""
+    numbers = columns.get("iteration", np.zeros(0))
+    rows: list[dict[str, float]] = []
+    for i in range(len(numbers) - 1, -1, -1):
+        if numbers[i] != iteration - len(rows) or len(rows) == most:
+            break
+        row = {name: float(values[i]) for name, values in columns.items()}
+        before = columns["env_steps"][i - 1] if i else 0.0
+        finite = {name: value for name, value in row.items() if math.isfinite(value) or name == "critic_loss"}
+        rows.insert(0, {**finite, "num_steps": row["env_steps"] - before})
+    return rows
 
 
 class FiniteCheck:

@@ -21,7 +21,7 @@ from rewax.training.loop.interrupt import Stop
 from rewax.training.loop.progress import ProgressReport, say
 from rewax.training.storage import checkpoint
 from rewax.training.storage.description import read_config
-from rewax.training.storage.metrics import CsvWriter, TensorBoardWriter, WandbWriter
+from rewax.training.storage.metrics import CsvWriter, TensorBoardWriter, WandbWriter, read_csv
 from rewax.training.storage.schedule import Schedule, due_rows, lost_rows
 from rewax.types import Key
 
@@ -77,6 +77,7 @@ class Run:
         self.boards = _boards(config, run_dir, resume_at)
         self.evaluator = Evaluator(env, programs, config, run_dir, key, resume_at=resume_at)
         self.watch, self.finite = FailureWatch(env, config), FiniteCheck(train_state)
+        self.watch.recall(read_csv(run_dir / "metrics.csv"), resume_at)
         self._healthy: int | None = checkpoint.healthy_step(run_dir)
         self._consumes, self._env_steps = agent.consumes, int(train_state.env_steps)
         self._progress: ProgressReport | None = None

@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from rewax.agents.legal import SEED
 from rewax.agents.registry import algorithm
 from rewax.envs import registry
 from rewax.envs.base import Env
@@ -47,8 +48,10 @@ class Suite:
             object.__setattr__(self, name, tuple(value))
             if len(set(value)) < len(value):
                 raise ValueError(f"{name} of the suite {self.name} are {list(value)}: name each of them once")
-        if any(isinstance(seed, bool) or not isinstance(seed, int) or seed < 0 for seed in self.seeds):
-            raise ValueError(f"seeds of the suite {self.name} are {list(self.seeds)}: give integers from 0 on")
+        if not all(map(SEED.holds, self.seeds)):
+            raise ValueError(
+                f"seeds of the suite {self.name} are {list(self.seeds)}: give integers from 0 to 4294967295"
+            )
         for name in ("steps", "options", "env_options"):
             if not isinstance(getattr(self, name), Mapping):
                 raise ValueError(f"{name} of the suite {self.name} is no table: write [{name}] above its entries")

@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from rewax.agents.config import Value, steps_in
+from rewax.agents.legal import SEED
 from rewax.agents.registry import algorithm, build_agent
 from rewax.envs.base import Env
 from rewax.training.config import ReportConfig
@@ -47,8 +48,8 @@ class Task:
     reports: int = 4
 
     def __post_init__(self) -> None:
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
-            raise ValueError(f"seeds are {list(self.seeds)}: give integers from 0 on, each of them once")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or not all(map(SEED.holds, self.seeds)):
+            raise ValueError(f"seeds are {list(self.seeds)}: give integers from 0 to 4294967295, each of them once")
         for name in ("steps", "episodes", "reports"):
             value = getattr(self, name)
             if value is not None and value < 1:

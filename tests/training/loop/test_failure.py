@@ -3,6 +3,7 @@
 import math
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 import toys
 
@@ -122,3 +123,14 @@ def test_impossible_options_are_refused():
             ReportConfig(max_failed_share=share)
     with pytest.raises(ValueError, match="failure_window is 0: give an integer of at least 1"):
         ReportConfig(failure_window=0)
+
+
+def test_rows_before_a_gap_are_not_recalled():
+    followed = watch()
+    rows = {"iteration": [1, 3, 4], "env_steps": [10, 30, 40], "failed_episodes": [4, 4, 1], "episodes": [4, 4, 4]}
+    followed.recall({name: np.array(values, float) for name, values in rows.items()}, 4)
+    assert not followed.reason() and "5 of 8 episodes" in followed.reason(final=True)
+    followed.recall({}, 4)
+    other = watch()
+    other.recall({name: np.array(values, float) for name, values in rows.items()}, 5)  # row 5 is missing
+    assert other.healthy and not other.reason(final=True)

@@ -144,3 +144,42 @@ def test_checkpoints_can_be_a_time_apart(tmp_path):
     run(tmp_path / "all", SOUND, SOUND_AGENT, num_iterations=4, keep_checkpoints=9)
     run(tmp_path / "last", SOUND, SOUND_AGENT, num_iterations=4, keep_checkpoints=9, checkpoint_seconds=1e6)
     assert checkpoint.steps(tmp_path / "all") == [1, 2, 3, 4] and checkpoint.steps(tmp_path / "last") == [4]
+
+
+def failing_after(iteration):
+    """An agent all of whose episodes fail after an iteration, according to its metrics."""
+
+    def train_step(state):
+        new, metrics = SOUND_AGENT.train_step(state)
+        failed = jnp.where(new.iteration > iteration, 4, 0)
+        return new, {**metrics, "failed_episodes": failed, "episodes": jnp.maximum(metrics["episodes"], failed)}
+
+    return SOUND_AGENT._replace(train_step=jax.jit(train_step))
+
+
+FAILS_LATE = failing_after(6)
+
+
+def test_a_resumed_run_stops_where_it_would_have_and_keeps_its_healthy_checkpoint(tmp_path):
+    options = {"keep_checkpoints": 2, "failure_window": 8, "num_iterations": 40}
+    whole, _ = run(tmp_path / "whole", SOUND, FAILS_LATE, **options)
+    run(tmp_path / "parts", SOUND, FAILS_LATE, **{**options, "num_iterations": 9})
+    parts, _ = run(tmp_path / "parts", SOUND, FAILS_LATE, **options, resume=True)
+    assert int(parts.train_state.iteration) == int(whole.train_state.iteration) == 10
+    assert parts.failure == whole.failure
+    for part in ("whole", "parts"):
+        assert checkpoint.steps(tmp_path / part) == [6, 9, 10] and checkpoint.healthy_step(tmp_path / part) == 6
+
+
+def test_an_evaluation_before_the_first_iteration_keeps_the_healthy_checkpoint(tmp_path):
+    options = {"keep_checkpoints": 2, "failure_window": 8}
+    run(tmp_path, SOUND, FAILS_LATE, **{**options, "num_iterations": 9})
+    run(tmp_path, SOUND, FAILS_LATE, **{**options, "num_iterations": 40, "eval_every": 9}, resume=True)
+    assert checkpoint.steps(tmp_path) == [6, 9, 10] and checkpoint.healthy_step(tmp_path) == 6
+
+
+def test_a_failed_run_that_is_resumed_has_a_window_of_its_own(tmp_path):
+    options = {"keep_checkpoints": 2, "failure_window": 8, "num_iterations": 40}
+    run(tmp_path, SOUND, FAILS_LATE, **options)
+    again, _ = run(tmp_path, SOUND, FAILS_LATE, **options, resume=True)
+    assert int(again.train_state.iteration) == 18 and checkpoint.healthy_step(tmp_path) == 6
