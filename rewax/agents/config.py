@@ -13,6 +13,7 @@ from rewax.agents.legal import (
     POSITIVE,
     Count,
     Decay,
+    EnvLimit,
     Interval,
     Legal,
     Natural,
@@ -217,13 +218,14 @@ class GradientOptions:
       differentiate: what the backward pass stores, see ``rewax.agents.rollout``. ``none``: the actor learns nothing.
       truncate_every: cut the gradient of the environment's state every so many steps; None: never.
       state_gradient_decay: factor on the gradient of the environment's state at every step; 1: exact gradient.
-      max_env_grad_norm: norm to which each environment's gradient is clipped before the mean; None: no clipping.
+      max_env_grad_norm: norm to which each environment's gradient is clipped before the mean; ``median``: the median of
+        the environments' norms in this iteration, without zeros; None: no clipping.
     """
 
     differentiate: Differentiation = "checkpointed"
     truncate_every: Count | None = None
     state_gradient_decay: Share = 1.0
-    max_env_grad_norm: Limit = None
+    max_env_grad_norm: EnvLimit = None
 
     @property
     def gradient_flow(self) -> GradientFlow:

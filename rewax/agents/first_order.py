@@ -12,6 +12,7 @@ from rewax.agents.actor_critic import Actor, ActorCritic
 from rewax.agents.base import Metrics
 from rewax.agents.config import AnyPolicyConfig, Combination, FirstOrderConfig
 from rewax.agents.gradients import Loss, mean_gradient, per_env_gradients
+from rewax.agents.legal import EnvLimit
 from rewax.agents.optimizers import apply
 from rewax.agents.returns import short_horizon_return, td_lambda
 from rewax.agents.rollout import Transition
@@ -84,7 +85,7 @@ def rollout_loss(
 
 
 def actor_update(
-    actor: Actor[AnyPolicyConfig], state: S, loss: Loss[S, D], key: Key, *, max_norm: float | None
+    actor: Actor[AnyPolicyConfig], state: S, loss: Loss[S, D], key: Key, *, max_norm: EnvLimit
 ) -> tuple[S, Metrics, D]:
     """One step of the actor along the mean of the environments' finite gradients.
 
@@ -92,7 +93,7 @@ def actor_update(
       actor, state: the policy network with its optimizer, and the run.
       loss: loss of one environment, see ``per_env_gradients``.
       key: split into one key per environment.
-      max_norm: norm to which each environment's gradient is clipped before the mean; None: no clipping.
+      max_norm: limit of each environment's gradient before the mean; None: no clipping.
 
     Returns:
       The new state; the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``; and the data of the
@@ -103,7 +104,7 @@ def actor_update(
 
 
 def actor_step(
-    actor: Actor[AnyPolicyConfig], state: S, losses: Array, grads: PyTree, *, max_norm: float | None
+    actor: Actor[AnyPolicyConfig], state: S, losses: Array, grads: PyTree, *, max_norm: EnvLimit
 ) -> tuple[S, Metrics]:
     """``actor_update`` for losses and gradients that are given, leading axis of environments."""
     grad, metrics = mean_gradient(losses, grads, max_norm=max_norm)

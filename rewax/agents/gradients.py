@@ -1,7 +1,7 @@
 """Gradients through rollouts, one per environment, so that a non-finite one does not reach the others."""
 
 from collections.abc import Callable
-from typing import TypeAlias, TypeVar
+from typing import Literal, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import optax
 
 from rewax.agents.base import Metrics
 from rewax.agents.devices import check_closes_over_no_array
+from rewax.agents.legal import EnvLimit
 from rewax.agents.optimizers import Packing
 from rewax.agents.run_state import Environments, RunState
 from rewax.envs.base import State
@@ -52,12 +53,12 @@ def per_env_gradients(
     return losses, jax.lax.stop_gradient(data), grads
 
 
-def mean_gradient(losses: Array, grads: PyTree, *, max_norm: float | None = None) -> tuple[PyTree, Metrics]:
+def mean_gradient(losses: Array, grads: PyTree, *, max_norm: EnvLimit = None) -> tuple[PyTree, Metrics]:
     """Mean of the environments' finite gradients, and its metrics.
 
     Args:
       losses, grads: from ``per_env_gradients``.
-      max_norm: norm to which each environment's gradient is clipped before the mean; None: no clipping.
+      max_norm: limit of each environment's gradient before the mean; None: no clipping.
 
     Returns:
       The gradient, and the metrics ``actor_loss``, ``actor_grad_norm`` and ``dropped_gradients``.
@@ -93,18 +94,22 @@ def mean_of_finite(losses: Array, grads: PyTree) -> tuple[PyTree, Array]:
     return jax.tree.map(mean, grads), kept
 
 
-def clip_per_env(grads: PyTree, max_norm: float) -> PyTree:
-    """Clips the global norm of each environment's gradient to ``max_norm``.
+def clip_per_env(grads: PyTree, max_norm: float | Literal["median"]) -> PyTree:
+    """Clips the global norm of each environment's gradient to ``max_norm``, see ``EnvLimit``.
 
     A gradient becomes NaN if it or its norm is not finite. ``mean_of_finite`` leaves it out.
     """
     return scaled_per_env(grads, clip_scale(grads, max_norm))
 
 
-def clip_scale(grads: PyTree, max_norm: float) -> Array:
+def clip_scale(grads: PyTree, max_norm: float | Literal["median"]) -> Array:
     """The factor of each environment's gradient in ``clip_per_env``, shape (num_envs,)."""
     norms = jax.vmap(optax.tree.norm)(grads)
-    scale = jnp.minimum(1.0, max_norm / jnp.where(norms > 0, norms, 1.0))
+    if max_norm == "median":  # zeros are left out: where most environments feel nothing, the others still learn
+        limit = jnp.nanmedian(jnp.where((norms > 0) & jnp.isfinite(norms), norms, jnp.nan))
+    else:
+        limit = max_norm
+    scale = jnp.where(norms > 0, jnp.minimum(1.0, limit / jnp.where(norms > 0, norms, 1.0)), 1.0)
     return jnp.where(jnp.isfinite(norms), scale, jnp.nan)
 
 

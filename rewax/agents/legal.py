@@ -75,6 +75,15 @@ NonNegative = Annotated[float, NON_NEGATIVE]
 Widths = Annotated[tuple[int, ...], WIDTHS]
 Interval = Annotated[tuple[float, float], INTERVAL]
 
+EnvLimit = Annotated[
+    float | Literal["median"] | None,
+    Legal(
+        "give a positive number, median, or None for no limit",
+        lambda v: v is None or POSITIVE.holds(v) or (isinstance(v, str) and v == "median"),
+    ),
+]
+"""Norm to which each environment's gradient is clipped; ``"median"``: that of the environments' norms above 0."""
+
 _PLAIN = {
     bool: Legal("give True or False", lambda v: isinstance(v, bool)),
     int: Legal("give an integer", is_whole),
@@ -157,6 +166,7 @@ def _tuple(parts: tuple[Any, ...]) -> Legal | None:
 
 
 __all__ = [
-    "AT_LEAST_2", "COUNT", "INTERVAL", "NATURAL", "POSITIVE", "Count", "Decay", "Interval", "Legal", "Natural",
-    "NonNegative", "Positive", "Seed", "Share", "Widths", "check_fields", "is_number", "is_whole", "legal_values",
+    "AT_LEAST_2", "COUNT", "INTERVAL", "NATURAL", "POSITIVE", "Count", "Decay", "EnvLimit", "Interval", "Legal",
+    "Natural", "NonNegative", "Positive", "Seed", "Share", "Widths", "check_fields", "is_number", "is_whole",
+    "legal_values",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -37,6 +38,23 @@ def test_each_environment_is_clipped_by_its_own_norm():
     mean, kept = mean_of_finite(jnp.zeros(3), clipped)
     np.testing.assert_array_equal(kept, [True, True, False])
     np.testing.assert_allclose(mean["b"], 0.6, rtol=1e-6)
+
+
+def test_the_median_leaves_out_environments_that_feel_nothing_or_failed():
+    """Norms 1, 3, 8 count; more than half of the environments must not make the limit zero."""
+    grads = jnp.array([[1.0, 0.0], [0.0, 3.0], [8.0, 0.0], *[[0.0, 0.0]] * 4, [jnp.nan, 1.0], [1e30, 1e30]])
+    clipped = np.asarray(clip_per_env(grads, "median"))
+    np.testing.assert_allclose(clipped[:7], [[1.0, 0.0], [0.0, 3.0], [3.0, 0.0], *[[0.0, 0.0]] * 4], rtol=1e-6)
+    kept = mean_of_finite(jnp.zeros(9), clipped)[1]
+    np.testing.assert_array_equal(kept, [True] * 7 + [False] * 2)
+    np.testing.assert_array_equal(clip_per_env(jnp.zeros((3, 2)), "median"), np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_the_direction_at_the_median_has_no_unit(scale):
+    grads = jnp.asarray(np.random.default_rng(0).normal(size=(9, 5)) * 10.0 ** np.arange(-4, 5)[:, None], jnp.float32)
+    mean = np.asarray(mean_of_finite(jnp.zeros(9), clip_per_env(scale * grads, "median"))[0])
+    np.testing.assert_allclose(mean / scale, mean_of_finite(jnp.zeros(9), clip_per_env(grads, "median"))[0], rtol=1e-5)
 
 
 @given(st.lists(st.floats(-1e6, 1e6, width=32), min_size=3, max_size=3), st.floats(0.125, 100.0, width=32))

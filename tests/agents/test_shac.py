@@ -54,7 +54,14 @@ def test_options_that_cannot_be():
     for change, sentence in (
         ({"target_decay": 1.5}, "target_decay is 1.5: give a number between 0 and 1, or None"),
         ({"target_value": "max"}, "target_value is 'max': use mean or min"),
-        ({"max_env_grad_norm": -1.0}, "max_env_grad_norm is -1.0: give a positive number, or None for no limit"),
+        (
+            {"max_env_grad_norm": -1.0},
+            "max_env_grad_norm is -1.0: give a positive number, median, or None for no limit",
+        ),
+        (
+            {"max_env_grad_norm": "mean"},
+            "max_env_grad_norm is 'mean': give a positive number, median, or None for no limit",
+        ),
         ({"truncate_every": 0}, "truncate_every is 0: give an integer of at least 1, or None"),
         ({"optimizer": "sgd"}, "optimizer is 'sgd': use adamw or adam"),
         (
