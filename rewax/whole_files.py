@@ -29,4 +29,13 @@ def replacing(path: str | Path) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
 
 
-__all__ = ["replacing"]
+def check_can_write(path: str | Path) -> None:
+    """Raises OSError if a file cannot be written there: before a long computation, not after it."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    probe = path.with_name(f".writing-{secrets.token_hex(4)}-{path.name}")
+    probe.touch()
+    probe.unlink()
+
+
+__all__ = ["check_can_write", "replacing"]

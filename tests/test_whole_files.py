@@ -1,6 +1,6 @@
 import pytest
 
-from rewax.whole_files import replacing
+from rewax.whole_files import check_can_write, replacing
 
 
 def test_a_reader_sees_the_old_file_until_the_new_one_is_whole(tmp_path):
@@ -44,3 +44,13 @@ def test_two_at_once_do_not_meet(tmp_path):
         assert first.suffix == second.suffix == ".mp4"
     assert path.read_text() == "first"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_whether_a_file_can_be_written_is_known_before(tmp_path):
+    (tmp_path / "file").write_text("old")
+    check_can_write(tmp_path / "file")
+    check_can_write(tmp_path / "new" / "other")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "new"]
+    assert (tmp_path / "file").read_text() == "old"
+    with pytest.raises((NotADirectoryError, FileExistsError)):
+        check_can_write(tmp_path / "file" / "below")

@@ -116,14 +116,18 @@ class GymnasiumVectorEnv(VectorEnv):
         self._state: State | None = None
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """First states. ``seed`` is one number, or one for each environment."""
+        """First states of all environments. ``seed`` is one number, or one for each environment; None draws it."""
+        if options and "reset_mask" in options:
+            raise ValueError("reset_mask is given, but environments that end begin anew by themselves: leave it out")
         if seed is None or isinstance(seed, (int, np.integer)):
             super().reset(seed=None if seed is None else int(seed))
             keys = jax.random.split(key_from(self.np_random), self.num_envs)
         else:
             if len(seed) != self.num_envs:
                 raise ValueError(f"there are {len(seed)} seeds for {self.num_envs} environments: give one for each")
-            later = np.random.SeedSequence([int(s) for s in seed])  # later resets without seeds repeat, too
+            drawn = np.random.SeedSequence().generate_state(self.num_envs)
+            seed = [int(new if s is None else s) for s, new in zip(seed, drawn, strict=True)]
+            later = np.random.SeedSequence(seed)  # later resets without seeds repeat, too
             super().reset(seed=int(later.generate_state(1)[0]))
             keys = jax.numpy.stack([key_from(np.random.default_rng(s)) for s in seed])
         self._state = state = self._reset(keys)

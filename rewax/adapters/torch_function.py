@@ -59,9 +59,9 @@ def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
     class Call(torch.autograd.Function):
         @staticmethod
-        def forward(ctx: Any, treedefs: list[Any], *tensors: Any) -> Any:
+        def forward(ctx: Any, treedefs: list[Any], is_recorded: bool, *tensors: Any) -> Any:
             leaves = [to_jax(t) for t in tensors]
-            if any(ctx.needs_input_grad):
+            if is_recorded and any(ctx.needs_input_grad):
                 floats = {i: a for i, a in enumerate(leaves) if _is_float(a)}
                 others = {i: a for i, a in enumerate(leaves) if not _is_float(a)}
                 results, ctx.pullback = with_pullback(treedefs[0], floats, others)
@@ -82,12 +82,13 @@ def torch_function(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
                 jnp.zeros(*kind) if g is None else to_jax(g) for kind, g in zip(ctx.kinds, given, strict=True)
             ]
             found = pull_back(ctx.pullback, cotangents)
-            return None, *(to_torch(found[i]) if i in found else None for i in range(ctx.num_inputs))
+            return None, None, *(to_torch(found[i]) if i in found else None for i in range(ctx.num_inputs))
 
     def of_tensors(*args: PyTree) -> PyTree:
         leaves, treedef = jax.tree.flatten(args)
         treedefs = [treedef]
-        results = Call.apply(treedefs, *(torch.as_tensor(_no_key(leaf)) for leaf in leaves))
+        is_recorded = torch.is_grad_enabled()  # within ``forward`` it is always False
+        results = Call.apply(treedefs, is_recorded, *(torch.as_tensor(_no_key(leaf)) for leaf in leaves))
         return jax.tree.unflatten(treedefs[1], results)
 
     return of_tensors
@@ -97,13 +98,21 @@ def to_jax(tensor: Any) -> Array:
     """A torch tensor as a JAX array on the same device. Gradient: none.
 
     Raises:
-      ValueError: the tensor is float64 and JAX computes in float32, which would round it.
+      ValueError: the tensor is float64 and JAX computes in float32, which would round it; or it is int64, and a value
+        does not fit JAX's int32.
     """
     if tensor.dtype == torch.float64 and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise ValueError(
             "a tensor is float64, but JAX computes in float32: give tensor.float(), or let JAX compute in float64 with "
             'jax.config.update("jax_enable_x64", True) before anything else'
         )
+    if tensor.dtype == torch.int64 and not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        fits = torch.iinfo(torch.int32)
+        if tensor.numel() and not (fits.min <= int(tensor.min()) and int(tensor.max()) <= fits.max):
+            raise ValueError(
+                "a tensor is int64 and has a value beyond int32, in which JAX computes: give smaller numbers, or let "
+                'JAX compute in 64 bits with jax.config.update("jax_enable_x64", True) before anything else'
+            )
     return jnp.from_dlpack(tensor.detach().contiguous())
 
 

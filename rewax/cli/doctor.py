@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rewax import jax_versions, xla_options
-from rewax.cli.options import Imports, import_modules, parse
+from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.jax_versions import numbers
 
 _PACKAGES = ("rewax", "jax", "jaxlib", "flax", "optax", "distrax", "orbax-checkpoint", "mujoco", "mujoco-mjx", "numpy")
@@ -52,8 +52,9 @@ def run(argv: Sequence[str]) -> int:
         problems += flag_problems(os.environ.get("XLA_FLAGS", ""))
     for note in version_notes(versions):
         print(f"note: {note}")
-    if options.env and versions["jax"]:
+    if versions["jax"]:
         import_modules(options.imports)
+    if options.env and versions["jax"]:
         print_lowering(options.env, options.scale)
     for problem, remedy in problems:
         print(f"problem: {problem}: {remedy}")
@@ -152,11 +153,10 @@ def print_lowering(name: str, scale: str) -> None:
     Raises:
       ValueError: there is no such environment or scale.
     """
-    from rewax.envs import registry
     from rewax.lowering.report import LoweringWarning
     from rewax.testing import where_it_runs
 
-    env = registry.make(name, scale=scale)
+    env = build_env(name, scale)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LoweringWarning)  # the list below has these
         decisions = where_it_runs(env)

@@ -1,6 +1,7 @@
 """``rewax eval``: returns of a trained policy, with sampled and with deterministic actions, also over parameters."""
 
 import dataclasses
+import errno
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import tyro
 from rewax.agents.legal import Count, Natural, Seed
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
+from rewax.whole_files import replacing
 
 _MODES = {"sampled": False, "deterministic": True}
 _Settings = tyro.conf.UseAppendAction[
@@ -88,7 +90,12 @@ def run(argv: Sequence[str]) -> int:
     found |= {"grid": _print_grid(saved, grid, options)} if grid else _print_results(saved, options)
     folder = None if is_policy(where) else Path(where)
     if out := options.json or (folder and folder / "eval.json"):
-        print(_write_json(Path(out), found))
+        try:
+            print(_write_json(Path(out), found))
+        except OSError as error:  # a run of somebody else can be evaluated, too
+            if options.json or error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+                raise
+            print(f"warning: {out} was not written ({error.strerror}): --json names another file")
     if films:
         default = Path(f"{where}.mp4") if folder is None else folder / "episode.mp4"
         print(_film(saved, env, Path(options.video_path or default), options))
@@ -180,10 +187,8 @@ def _numbers(result: Any) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> str:
-    try:
-        path.write_text(json.dumps(content, indent=1) + "\n")
-    except OSError as error:
-        return f"warning: {path} was not written ({error.strerror})"
+    with replacing(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=1) + "\n")
     return f"wrote {path}"
 
 

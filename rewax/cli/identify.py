@@ -17,6 +17,7 @@ from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.record import task
 from rewax.cli.train import quiet
 from rewax.envs.registry import recipe
+from rewax.whole_files import check_can_write
 
 Unknowns: TypeAlias = tyro.conf.UseAppendAction[
     Annotated[tuple[str, ...], tyro.conf.arg(name="unknown", metavar="PARAMETER=LOW,HIGH")]
@@ -85,6 +86,7 @@ def run(argv: Sequence[str]) -> int:
     out = Path(options.out) if options.out else Path(options.record).with_suffix(".json")
     if out.suffix != ".json":
         raise ValueError(f"--out is {options.out}: give a file .json, since pictures of the same name lie beside it")
+    check_can_write(out)
     record = load(options.record)
     enable_compilation_cache()
     env = task(options.env, options.scale, options.num_substeps)

@@ -7,6 +7,7 @@ from pathlib import Path
 from rewax.agents.legal import Count, Natural, Positive, Seed
 from rewax.cli.options import Imports, import_modules, parse
 from rewax.cli.train import quiet
+from rewax.whole_files import replacing
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -65,7 +66,8 @@ def run(argv: Sequence[str]) -> int:
         span=options.span,
         num_episodes=options.episodes,
     )
-    np.savez(out.with_suffix(".npz"), **found._asdict())
+    with replacing(out.with_suffix(".npz")) as unfinished:
+        np.savez(unfinished, **found._asdict())
     title = f"{saved.config['agent']} on {saved.config.get('env', '')}, iteration {int(saved.train_state.iteration)}"
     landscape_picture(found.offsets, found.returns, out, title=title)
     middle = found.returns[options.size // 2, options.size // 2]

@@ -1,6 +1,7 @@
 """The commands by name; an error in the input becomes one sentence and an exit code."""
 
 import difflib
+import errno
 import importlib
 import os
 import signal
@@ -40,6 +41,7 @@ COMMANDS = {
     "completion": "rewax.cli.completion",
 }
 """Modules of the commands by name."""
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CLEAN_EXIT, _CANNOT_GO_ON, _BAD_INPUT = 0, 1, 2
 
 
@@ -72,9 +74,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error.filename} cannot be written or read ({error.strerror}): choose another", file=sys.stderr)
         return _BAD_INPUT
     except OSError as error:
-        if type(error).__name__ != "CannotWrite":  # rewax.training.storage.run_directory, slow to import
+        if error.errno in _NO_SPACE:
+            what = error.filename or "a file"
+            print(f"error: {what} cannot be written ({error.strerror}): free some space", file=sys.stderr)
+        elif type(error).__name__ == "CannotWrite":  # rewax.training.storage.run_directory, slow to import
+            print(f"error: {error}", file=sys.stderr)
+        else:
             raise
-        print(f"error: {error}", file=sys.stderr)
         return _CANNOT_GO_ON
 
 

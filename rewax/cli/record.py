@@ -13,6 +13,7 @@ from rewax.agents.legal import Count, Natural, Seed
 from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 from rewax.envs.registry import recipe
+from rewax.whole_files import check_can_write
 
 Settings: TypeAlias = tyro.conf.UseAppendAction[
     Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="PARAMETER=VALUE")]
@@ -79,6 +80,7 @@ def run(argv: Sequence[str]) -> int:
     env = task(options.env, options.scale, options.num_substeps, _sensors(saved))
     if not callable(getattr(env, "particles", None)) or not callable(getattr(env, "world", None)):
         raise ValueError(f"{options.env} has no soft body that a camera could see: choose a task on soft bodies")
+    check_can_write(options.out)
     grid = read_grid(options.settings, env)
     if several := [name for name, numbers in grid.items() if len(numbers) > 1]:
         raise ValueError(f"--set gives {several[0]} {len(grid[several[0]])} values: a record has one, so give one")

@@ -20,6 +20,7 @@ from rewax.agents.registry import Algorithm, algorithm, build_agent
 from rewax.cli.documented import option_group, with_options
 from rewax.cli.env_from import DEFAULT_ENV, env_arguments, sentences
 from rewax.cli.options import Imports, build_env, import_modules, parse
+from rewax.envs.randomize.stored import read_result
 from rewax.envs.registry import default_scale
 
 _PROG = "rewax train"
@@ -53,6 +54,8 @@ def run(argv: Sequence[str]) -> int:
     enable_compilation_cache()
     first = _look_ahead(argv)
     _set_devices(first, console)
+    if first.env_from and first.env is None:  # names the run directory
+        first.env = (read_result(first.env_from)["made_by"] or {}).get("env")
     modules = import_modules(first.imports) or _recorded_modules(first)
     chosen = algorithm(first.algo)
     use = "values" if first.env_from_values else "draws"

@@ -10,6 +10,7 @@ from rewax.agents.legal import Count
 from rewax.cli.options import Imports, build_env, import_modules, parse
 from rewax.cli.train import quiet
 from rewax.envs import registry
+from rewax.whole_files import replacing
 
 _PROG = "rewax tune"
 
@@ -78,7 +79,8 @@ def run(argv: Sequence[str]) -> int:
     best = best_trial(open_study(out_dir), space)
     if best is not None:
         table = as_toml(task, best.values)
-        (out_dir / "best.toml").write_text(table)
+        with replacing(out_dir / "best.toml") as unfinished:
+            unfinished.write_text(table)
         console.print(f"best of the trials in {out_dir}: trial {best.number}, mean return {best.mean:.6g}\n")
         console.print(f"{as_command(task, best.values)}\n\n{table}", markup=False, end="")
     elif not signum:

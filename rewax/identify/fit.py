@@ -28,6 +28,9 @@ _AT_BOUND = 1e-3
 """Coordinates that are nearer to a bound of the search lie at it."""
 _BEYOND = 2.0
 """How far beyond the priors grids are searched whose values are extrapolated, in standard deviations of the prior."""
+_ONE_FIT = (
+    "One fit counts for each environment, so intervals lack what the particles' placement does: give more starts."
+)
 _ALIKE = 1.0
 """Starts whose cost exceeds the lowest by less than this share count for the result. Costs differ by placement, too."""
 
@@ -128,6 +131,8 @@ def identify(
     found = Evaluation(*(np.asarray(a)[finest].mean(0) for a in search.evaluation))
     covariance = posterior(found.hessian, found.scores, between)
     remarks += tool_remarks(given[-1]) + _remarks(search, space, latent, kept, *ends)
+    if kept.sum() == len(np.unique(groups[kept])):
+        remarks.append(_ONE_FIT)
     remarks += cut_off(space, latent, covariance) + ([] if spacings is None else _halfway(space, coarsest, ends))
     return Identified(
         space=space, latent=latent, covariance=covariance, bounds=ends,

@@ -11,6 +11,7 @@ from rewax.identify.records import Record
 from rewax.identify.result import Identified
 from rewax.identify.simulate import data_of, simulated_frames, without_reset_noise
 from rewax.identify.uncertainty import short
+from rewax.whole_files import replacing
 
 
 def draw(result: Identified, record: Record, path: str | Path) -> Path:
@@ -39,7 +40,8 @@ def draw(result: Identified, record: Record, path: str | Path) -> Path:
     axes.set(xlabel="time [s]", ylabel="residual [mm]", ylim=(0.0, None), title="distance of seen points, by frame")
     axes = figure.add_subplot(grid[1, 2:4])
     _draw_parameters(axes, result)
-    figure.savefig(path, dpi=110)
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished, dpi=110)
     return path
 
 

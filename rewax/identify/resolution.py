@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -30,6 +31,8 @@ def with_cells(env: Any, cells: float) -> Any:
       ValueError: in one sentence: the environment cannot be changed so, or the number is illegal.
     """
     rest, scene = particles_at_rest(env)
+    if hasattr(env, "model"):
+        raise ValueError(f"{type(env).__name__} has a robot with substeps of its own: build its grids by hand")
     if not hasattr(env, "num_substeps"):
         raise ValueError(f"{type(env).__name__} has no num_substeps: build its grids by hand")
     if not (math.isfinite(cells) and cells > 0.0):
@@ -46,7 +49,12 @@ def with_cells(env: Any, cells: float) -> Any:
     )  # fmt: skip
     points = jnp.asarray(resampled(rest, volume, count), jnp.result_type(env.rest_positions))
     lists = {name: value for name, value in (("list_every", None), ("store_every", 1)) if hasattr(env, name)}
-    return env.replace(scene=new, rest_positions=points, num_substeps=steps, **lists)
+    changed = env.replace(scene=new, rest_positions=points, num_substeps=steps, **lists)
+    try:
+        jax.eval_shape(changed.reset, jax.random.key(0))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{type(env).__name__} needs its own particles ({error}): build its grids by hand") from error
+    return changed
 
 
 def _grid(old: Grid, walls: tuple[Any, ...], spacing: float) -> Grid:

@@ -102,8 +102,15 @@ def simulated_frames(env: Any, space: Space, latent: Array, data: Data) -> tuple
 
 
 def points_of(env: Any, physics: PyTree) -> Array:
-    """Points of an environment's soft bodies [m], shape (num_points, 3)."""
-    return getattr(env, "unwrapped", env).particles(physics)
+    """Points of an environment's soft bodies [m], shape (num_points, 3).
+
+    Raises:
+      ValueError: the environment has no ``particles``.
+    """
+    bare = getattr(env, "unwrapped", env)
+    if not callable(getattr(bare, "particles", None)):
+        raise ValueError(f"{type(bare).__name__} has no soft body for a record: choose a task on soft bodies")
+    return bare.particles(physics)
 
 
 def without_reset_noise(env: Any) -> Any:

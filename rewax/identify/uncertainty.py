@@ -1,6 +1,7 @@
 """How certain a fit is: Laplace's approximation with errors that neighbours share, and what data leave open."""
 
 import numpy as np
+from scipy.special import stdtrit
 
 from rewax.identify.unknowns import Space
 
@@ -53,7 +54,8 @@ def combined(
     Without spacings, the result is the mean of the last group, the finest resolution. Its covariance is that of the
     placements, for a body whose own placement is one more draw, and the mean square of the other groups' differences
     from it. The former is enlarged by the squared ratio of the quantiles of Student's and of the normal distribution at
-    97.5 %, so that 1.96 standard deviations are an interval of 95 % although few fits tell the covariance.
+    97.5 %, so that 1.96 standard deviations are an interval of 95 % although few fits tell the covariance. One fit for
+    each group tells nothing about it: it is then zero.
 
     With spacings of the grids, the result is that of the line through the first and the last mean, at ``limit``: the
     error of a simulation is taken as proportional to the spacing. The covariance of the placements is enlarged as the
@@ -81,7 +83,7 @@ def combined(
         first, last = spacings[names[0]], spacings[names[-1]]
         step = (last - limit) / (first - last)
     if free > 0:
-        student = z + (z**3 + z) / (4.0 * free) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * free**2)
+        student = float(stdtrit(free, 0.975))
         share = 1.0 + (1.0 + step) ** 2 / counts[1] + step**2 / counts[0]
         covariance = (student / z) ** 2 * share * apart.T @ apart / free
     moved = step * (means[-1] - means[0])

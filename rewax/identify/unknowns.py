@@ -23,7 +23,8 @@ from rewax.envs.randomize import (
     hook,
     with_numbers,
 )
-from rewax.physics import mpm
+from rewax.physics import mpm, tets, thin
+from rewax.physics.coupling.mixed import MixedScene, largest_stable_mixed_dt
 from rewax.types import Array
 
 _INITIAL = {f"initial.{what}[{i}]": (what, i) for what in ("position", "velocity") for i in range(3)}
@@ -148,13 +149,25 @@ def space_of(unknowns: Mapping[Any, Draw], env: Any) -> Space:
 
 
 def is_stable(env: Any) -> bool:
-    """Whether the substep of a scene of particles is stable for its materials; True for other environments."""
+    """Whether the substep of an environment's scene is stable for its materials; True without a scene of rewax."""
     scene = getattr(getattr(env, "unwrapped", env), "scene", None)
-    if not isinstance(scene, mpm.MPMScene):
+    if not isinstance(scene, (mpm.MPMScene, tets.TetScene, thin.ThinScene, MixedScene)):
         return True
-    materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
-    limit = min(float(np.min(mpm.largest_stable_dt(material, scene.grid))) for material in materials)
-    return scene.dt * _MARGIN <= limit
+    margin = 1.0 / _MARGIN if isinstance(scene, mpm.MPMScene) else _MARGIN
+    return scene.dt <= margin * float(_largest_stable_dt(scene))
+
+
+@jax.jit
+def _largest_stable_dt(scene: mpm.MPMScene | tets.TetScene | thin.ThinScene | MixedScene) -> Array:
+    """The largest substep that the solvers' statuses allow [s], shape ()."""
+    if isinstance(scene, MixedScene):
+        limits = [_largest_stable_dt(scene.particles), _largest_stable_dt(scene.thin), largest_stable_mixed_dt(scene)]
+    elif isinstance(scene, mpm.MPMScene):
+        materials = scene.material if isinstance(scene.material, tuple) else (scene.material,)
+        limits = [jnp.min(mpm.largest_stable_dt(material, scene.grid)) for material in materials]
+    else:
+        limits = [(tets if isinstance(scene, tets.TetScene) else thin).largest_stable_dt(scene)]  # pyright: ignore[reportArgumentType]
+    return jnp.min(jnp.stack(limits))
 
 
 def stable_bounds(space: Space, envs: Sequence[Any], beyond: float = 0.0) -> tuple[np.ndarray, np.ndarray, list[str]]:

@@ -141,6 +141,15 @@ def test_wrong_numbers_of_environments_and_seeds():
         GymnasiumVectorEnv(point_mass(), 3).reset(seed=[0, 1])
 
 
+def test_seeds_may_be_left_open_and_a_mask_is_refused():
+    envs = GymnasiumVectorEnv(point_mass(), 2)
+    first, second = (envs.reset(seed=[7, None])[0]["x"] for _ in range(2))
+    np.testing.assert_array_equal(first[0], second[0])
+    assert first[1] != second[1]
+    with pytest.raises(ValueError, match="reset_mask is given, but environments that end begin anew by themselves"):
+        envs.reset(options={"reset_mask": np.array([True, False])})
+
+
 def test_the_same_seed_gives_the_same_numbers_as_jax():
     env = point_mass()
     adapted = GymnasiumEnv(env)

@@ -49,6 +49,32 @@ def test_without_gradient_nothing_is_recorded():
     np.testing.assert_allclose(out, np.sin(np.ones(2)), rtol=1e-6)
 
 
+def test_without_gradient_no_pullback_is_computed():
+    traced = []
+
+    @jax.custom_vjp
+    def sine(x):
+        return jnp.sin(x)
+
+    sine.defvjp(lambda x: traced.append(x) or (jnp.sin(x), x), lambda x, g: (jnp.cos(x) * g,))
+    function, x = torch_function(sine), torch.ones(2, requires_grad=True)
+    with torch.no_grad():
+        function(x)
+    assert not traced
+    function(x).sum().backward()
+    assert traced
+    np.testing.assert_allclose(x.grad, np.cos(np.ones(2)), rtol=1e-6)
+
+
+def test_a_whole_number_that_jax_cannot_hold_is_not_wrapped_in_silence():
+    function = torch_function(lambda i: i + 1)
+    assert int(function(torch.tensor([2**31 - 2]))[0]) == 2**31 - 1
+    with pytest.raises(ValueError, match="a tensor is int64 and has a value beyond int32"):
+        function(torch.tensor([2**31]))
+    with jax.enable_x64(True):
+        assert int(function(torch.tensor([2**40]))[0]) == 2**40 + 1
+
+
 def test_a_float64_tensor_is_not_rounded_in_silence():
     for argument in (torch.ones(2, dtype=torch.float64), np.ones(2)):
         with pytest.raises(

@@ -7,6 +7,7 @@ from native_cases import NEEDS_COMPILER
 
 from rewax.cli import doctor
 from rewax.cli.main import main
+from rewax.envs import registry
 from rewax.lowering import build, shipped
 
 GOOD = {"jax": "0.10.1", "jaxlib": "0.10.1", "flax": "0.12.8", "mujoco-mjx": "3.17.0"}
@@ -20,6 +21,16 @@ def test_a_working_installation_has_no_problems(capsys, monkeypatch):
     said = capsys.readouterr().out
     assert "Python 3." in said and "jax 0." in said and "compiled programs: " in said
     assert said.endswith("no problems found\n")
+
+
+def test_modules_are_imported_and_errors_of_an_environment_are_one_sentence(capsys, monkeypatch, tmp_path):
+    for name in ("_device_problems", "native_problems"):
+        monkeypatch.setattr(doctor, name, list)
+    assert main(["doctor", "--import", "no.such.module"]) == 2
+    assert "there is no module 'no.such.module' to import" in capsys.readouterr().err
+    monkeypatch.setitem(registry._FACTORIES, "Bad", lambda scale: {}["missing"])
+    assert main(["doctor", "--env", "Bad"]) == 2
+    assert "building Bad at scale small failed" in capsys.readouterr().err
 
 
 def test_devices_are_named(capsys):

@@ -1,6 +1,8 @@
 """``rewax eval``: numbers as lines, as JSON and over a grid of parameters; options are checked before any work."""
 
 import json
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +42,24 @@ def test_numbers_are_printed_and_kept_as_json(run, capsys):
         assert f"{name:13s} mean {numbers['mean']:.4g} [" in text
         assert numbers["mean"] == pytest.approx(sum(numbers["returns"]) / 3) and len(numbers["returns"]) == 3
         assert numbers["interval"][0] <= numbers["mean"] <= numbers["interval"][1]
+
+
+def test_a_full_disk_keeps_the_old_numbers(run, tmp_path, capsys):
+    """In a process of its own, whose files may have 4 KiB."""
+    kept = (run / "eval.json").read_bytes() if (run / "eval.json").exists() else b""
+    (run / "eval.json").write_text("{}")
+    program = (
+        "import resource, signal, sys\nfrom pathlib import Path\nfrom rewax.cli import main as cli\n"
+        "from rewax.cli.evaluate import _write_json\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nresource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\n"
+        "cli._run = lambda argv: print(_write_json(Path(argv[0]), {'a': list(range(100))}))\n"
+        "sys.exit(cli.main(sys.argv[1:]))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program, run / "eval.json"], capture_output=True, text=True)
+    assert ended.returncode == 1 and ended.stderr.count("\n") == 1
+    assert "cannot be written (File too large): free some space" in ended.stderr
+    assert (run / "eval.json").read_text() == "{}" and len(list(run.glob(".writing*"))) == 0
+    (run / "eval.json").write_bytes(kept or b"{}")
 
 
 def test_baselines_are_those_of_the_same_starts(run, tmp_path, capsys):

@@ -61,10 +61,13 @@ def test_from_a_push_to_a_material(tmp_path, capsys):
         (["record", "--env=RollingFlat", "--script", "absent.csv"], "there is no script 'absent.csv'"),
         (["record", "--env=Hopper", "--action", "1"], "Hopper has no soft body"),
         (["identify", "a.npz", "--env=RollingFlat", "--out", "a.png"], "--out is a.png: give a file .json"),
+        (["identify", "a.npz", "--env=RollingFlat", "--out", "file/a.json"], "file cannot be written or read"),
+        (["record", *PUSH, "--out", "file/a.npz"], "file cannot be written or read"),
     ],
 )
 def test_mistakes_are_told_in_a_sentence(command, sentence, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
     assert main(command) == 2
     message = capsys.readouterr().err
     assert sentence in message and message.count("\n") == 1

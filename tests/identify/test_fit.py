@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sliding_block
 
+import rewax
 from rewax.envs.randomize import LogNormal, LogUniform, Normal, Uniform
 from rewax.identify import identify, load_result, minimize, one_sided_chamfer
 from rewax.identify.evaluation import evaluate
@@ -56,6 +57,20 @@ def test_what_data_do_not_determine_is_said():
     assert high - low == pytest.approx(2 * 1.96 * 0.3, rel=0.05)
 
 
+def test_one_fit_cannot_tell_what_placements_do_and_says_so():
+    record = sliding_block.seen(sliding_block.block(gain=1.5))
+    alone = identify(sliding_block.block(), record, {"gain": LogUniform(0.2, 5.0)}, starts=1)
+    assert sum("One fit counts for each environment" in remark for remark in alone.remarks) == 1
+    several = identify(sliding_block.block(), record, {"gain": LogUniform(0.2, 5.0)}, starts=2)
+    assert not any("One fit counts" in remark for remark in several.remarks)
+
+
+def test_an_environment_without_a_soft_body_is_said():
+    record = sliding_block.seen(sliding_block.block())
+    with pytest.raises(ValueError, match="CartpoleSwingUp has no soft body for a record"):
+        identify(rewax.make("CartpoleSwingUp", scale="small"), record, {"gain": LogUniform(0.2, 5.0)})
+
+
 def test_shared_names_share_a_number():
     record = sliding_block.seen(sliding_block.block(gain=1.3, softness=1.3))
     found = identify(sliding_block.block(), record, {("gain", "softness"): LogNormal(1.0, 0.7)}, starts=1)
@@ -75,7 +90,7 @@ def test_failed_simulations_are_rejected_and_counted():
     found = identify(sliding_block.block(limit=1.2), record, BOTH)
     assert found.values["gain"] <= 1.2 and found.failed > 0
     assert any("simulations failed and were rejected" in remark for remark in found.remarks)
-    with pytest.raises(ValueError, match=r"no start has a valid simulation, status NAN.INVALID_PARAMETERS"):
+    with pytest.raises(ValueError, match=r"no start has a valid simulation, status INVALID_PARAMETERS"):
         identify(sliding_block.block(limit=0.01), record, BOTH)
 
 

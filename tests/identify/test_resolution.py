@@ -52,3 +52,11 @@ def test_what_has_no_other_grid_is_said():
         with_cells(env, -1)
     with pytest.raises(ValueError, match="no particles at rest_positions"):
         with_cells(rewax.make("Hopper", scale="small"), 24)
+
+
+def test_a_robot_or_a_body_of_fixed_particles_has_no_other_grid():
+    with pytest.raises(ValueError, match="GripperLift has a robot with substeps of its own: build its grids by hand"):
+        with_cells(rewax.make("GripperLift", scale="small"), 60)
+    hand = rewax.make("HandFlip", scale="small")
+    with pytest.raises(ValueError, match=r"HandFlip needs its own particles .*: build its grids by hand"):
+        with_cells(hand, 0.75 / hand.scene.grid.spacing)

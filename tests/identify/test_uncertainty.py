@@ -44,7 +44,7 @@ def test_the_scatter_of_placements_adds_to_the_variance():
     assert not combined(np.ones((1, 2)), np.zeros(1, int))[1].any()
 
 
-@pytest.mark.parametrize("count", [4, 6, 30])
+@pytest.mark.parametrize("count", [2, 3, 6, 30])
 def test_the_interval_of_few_fits_holds_for_one_more_draw(count):
     generator, held = np.random.Generator(np.random.PCG64(1)), []
     for _ in range(4000):

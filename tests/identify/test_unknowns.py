@@ -82,3 +82,22 @@ def test_a_wrapped_task_is_simulated_without_its_reset_noise(env):
     wrapped = without_reset_noise(History(env=with_sensors(env, ("labels",), 8), steps=2))
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(wrapped.noise)) and wrapped.steps == 2
     assert any(np.any(leaf) for leaf in jax.tree.leaves(env.noise))
+
+
+@pytest.mark.parametrize(
+    ("task", "names"),
+    [
+        ("PourBag", (".scene.particles.material.elasticity.youngs_modulus",)),
+        ("FoldCloth", (".scene.cloth.warp",)),
+        ("SoftJumper", (".scene.mu", ".scene.lam")),
+    ],
+)
+def test_stability_is_that_of_every_solver(task, names):
+    """The status of a step says INVALID_PARAMETERS where the scene is not stable, and only there."""
+    env = rewax.make(task, scale="small")
+    state = env.reset(jax.random.key(0))
+    check = jax.jit(lambda env: env.step(state, jnp.zeros(env.action_spec.shape)).status)
+    for factor in (1.0, 1e4):
+        scale = lambda path, a: a * factor if jax.tree_util.keystr(path) in names else a  # noqa: E731
+        changed = jax.tree.map_with_path(scale, env)
+        assert is_stable(changed) == (factor == 1.0) == (not int(check(changed)) & Status.INVALID_PARAMETERS)
