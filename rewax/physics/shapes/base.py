@@ -208,6 +208,18 @@ def rounding_error(length: Scalar, like: Array) -> Array:
     return jax.lax.stop_gradient(256.0 * jnp.finfo(like.dtype).eps * jnp.asarray(length))
 
 
+def inverse_distance(square: Array, length: Scalar) -> Array:
+    """1 / distance to a solid's centre or axis; zero, with derivative zero, within rounding errors of it.
+
+    Args:
+      square: the distance's square [m^2].
+      length: the solid's size, as for ``rounding_error`` [m].
+
+    Gradient: exact.
+    """
+    return jnp.where(square > rounding_error(length, square) ** 2, cp.safe_rsqrt(square), 0.0)
+
+
 def mean_of_nearest(distances: Sequence[Array], least: Array) -> list[Array]:
     """Components of a normal inside a solid, along the normals of its faces, which are at right angles.
 
@@ -226,4 +238,7 @@ def _writes(shape: Shape, method: str) -> bool:
     return getattr(type(shape), method) is not getattr(Shape, method)
 
 
-__all__ = ["Shape", "around_origin", "mean_of_nearest", "require_shape", "rounding_error", "signed_distance"]
+__all__ = [
+    "Shape", "around_origin", "inverse_distance", "mean_of_nearest", "require_shape", "rounding_error",
+    "signed_distance",
+]  # fmt: skip

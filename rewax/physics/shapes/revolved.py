@@ -8,7 +8,7 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import Shape, around_origin, mean_of_nearest, rounding_error
+from rewax.physics.shapes.base import Shape, around_origin, inverse_distance, mean_of_nearest, rounding_error
 from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
 from rewax.physics.shapes.rays import common_entry, cone_entry, slab_interval, tube_interval
 from rewax.types import Array, Scalar
@@ -44,7 +44,7 @@ class Cylinder(_Revolved):
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
         """Exact. On the axis the normal's radial part is zero; on the edges it is the mean, as for ``Box``."""
         square = p[0] * p[0] + p[2] * p[2]
-        inverse = cp.safe_rsqrt(square)
+        inverse = inverse_distance(square, self.radius)
         r = square * inverse
         side, cap = r - self.radius, jnp.abs(p[1]) - self.half_length
         a, b = jnp.maximum(side, 0.0), jnp.maximum(cap, 0.0)
@@ -86,7 +86,7 @@ class Cone(_Revolved):
         """Exact: in the half-plane (r, y) the cone is the triangle of the axis, the base and the slant."""
         radius, half_length = self.radius, self.half_length
         square = p[0] * p[0] + p[2] * p[2]
-        inverse = cp.safe_rsqrt(square)
+        inverse = inverse_distance(square, radius)
         r = square * inverse
         height = 2.0 * half_length
         shrink = cp.safe_rsqrt(jnp.asarray(radius * radius + height * height))

@@ -8,7 +8,7 @@ from rewax import struct
 from rewax.physics.numerics import components as cp
 from rewax.physics.numerics.checks import NOT_NEGATIVE, POSITIVE
 from rewax.physics.numerics.components import Vec3
-from rewax.physics.shapes.base import Shape, around_origin
+from rewax.physics.shapes.base import Shape, around_origin, inverse_distance
 from rewax.physics.shapes.drawn import ORIGIN, UPRIGHT, Drawing
 from rewax.physics.shapes.rays import ball_entry, capsule_entry
 from rewax.physics.shapes.revolved import cylinder_inertia
@@ -23,7 +23,7 @@ class Sphere(Shape):
     has_edges = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """Exact. At the centre normal and gradient are zero."""
+        """Exact. At the centre, up to rounding errors, normal and gradient are zero."""
         return _round(p, self.radius)
 
     def bounding_box(self) -> tuple[Array, Array]:
@@ -61,7 +61,7 @@ class Capsule(Shape):
     has_edges = False
 
     def distance(self, p: Vec3) -> tuple[Array, Vec3]:
-        """Exact. On the axis normal and gradient are zero."""
+        """Exact. On the axis, up to rounding errors, normal and gradient are zero."""
         nearest = jnp.clip(p[1], -self.half_length, self.half_length)
         return _round((p[0], p[1] - nearest, p[2]), self.radius)
 
@@ -98,8 +98,9 @@ class Capsule(Shape):
 
 
 def _round(p: Vec3, radius: Scalar) -> tuple[Array, Vec3]:
-    length, n = cp.unit(p)
-    return length - radius, n
+    square = cp.dot(p, p)
+    inverse = inverse_distance(square, radius)
+    return square * inverse - radius, cp.scale(inverse, p)
 
 
 __all__ = ["Capsule", "Sphere"]
