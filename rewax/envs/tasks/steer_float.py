@@ -118,7 +118,9 @@ def _steer_float(
     pool = np.asarray(lattice_box(start, size, counts))
     float_counts = tuple(round(edge / per_edge) for edge in FLOAT_SIZE)
     solid = np.asarray(lattice_box(FLOAT_START, FLOAT_SIZE, float_counts))
-    margin = 0.5 * size[0] / counts[0]  # a particle fills a cell of the lattice, which reaches half a cell further
+    # A particle fills a cell of the lattice, which reaches half a cell further; those that touch are left out, whatever
+    # rounding says.
+    margin = 0.5 * size[0] / counts[0] + 1e-6
     half, paddle = 0.5 * np.asarray(FLOAT_SIZE) + margin, np.asarray(PADDLE) + margin
     joint_start = (0.1, 0.2, 0.0)
     paddle_at = np.array([joint_start[0], floor + PADDLE[1], joint_start[1]])

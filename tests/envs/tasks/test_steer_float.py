@@ -98,3 +98,10 @@ def test_a_cloud_with_velocities_has_the_positions_of_the_cloud_without():
     np.testing.assert_array_equal(
         moving.shown({"particle_q": points}, ENV.points(physics), None)[0]["particle_q"][:, :3], points
     )
+
+
+@pytest.mark.parametrize("scale", ["paper", "small"])
+def test_rounding_does_not_decide_how_much_water_there_is(scale):
+    with jax.enable_x64(True):
+        precise = steer_float.small() if scale == "small" else steer_float.paper()
+    assert precise.scene.particle_counts == make("SteerFloat", scale).scene.particle_counts
