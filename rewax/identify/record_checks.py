@@ -143,13 +143,18 @@ def check_against(record: Record, env: Any, particles: np.ndarray) -> None:
 
 
 def tool_distance(record: Record, env: Any) -> float | None:
-    """Smallest distance of seen points from a tool's surface [m]; None if the record or the environment has no tool."""
+    """Smallest distance of seen points from a tool's surface [m]; None if the record or the environment has no tool.
+
+    The tool is that of every step, because it may touch between two frames; points are those of the frames around it.
+    """
     bare = getattr(env, "unwrapped", env)
     colliders = getattr(getattr(bare, "scene", None), "colliders", ())
     if record.joint_q is None or not colliders or not callable(getattr(bare, "poses", None)):
         return None
-    steps = np.clip(np.round(record.frame_steps).astype(int), 0, len(record.joint_q) - 1)
-    bodies = bare.poses(jnp.asarray(record.joint_q[steps], jnp.float32))
+    steps, last = np.arange(len(record.joint_q)), len(record.clouds) - 1
+    before = np.clip(np.searchsorted(record.frame_steps, steps + 0.5) - 1, 0, last)
+    frames = np.concatenate([before, np.minimum(before + 1, last)])
+    bodies = bare.poses(jnp.asarray(record.joint_q[np.tile(steps, 2)], jnp.float32))
 
     def nearest(bodies: Any, cloud: Any, mask: Any) -> Any:
         distances = []
@@ -163,7 +168,7 @@ def tool_distance(record: Record, env: Any) -> float | None:
         return jnp.stack(distances).min()
 
     clouds = jnp.asarray(np.where(record.mask[..., None], record.clouds, 0.0), jnp.float32)
-    return float(jax.jit(jax.vmap(nearest))(bodies, clouds, jnp.asarray(record.mask)).min())
+    return float(jax.jit(jax.vmap(nearest))(bodies, clouds[frames], jnp.asarray(record.mask)[frames]).min())
 
 
 def tool_remarks(env: Any) -> list[str]:

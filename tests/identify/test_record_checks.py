@@ -83,7 +83,21 @@ def test_the_distance_of_the_tool_is_that_of_its_surface():
     steps = np.round(record.times / record.control_dt).astype(int)
     centers = np.stack([record.joint_q[steps, 0], record.joint_q[steps, 1], np.zeros(5)], -1)
     gap = np.linalg.norm(points - centers[:, None], axis=-1) - 0.1
-    assert tool_distance(record, env) == pytest.approx(gap[record.mask].min(), abs=1e-6)
+    still = dataclasses.replace(record, joint_q=np.tile(record.joint_q[:1], (len(record.joint_q), 1)))
+    first = np.linalg.norm(points - centers[0], axis=-1) - 0.1
+    assert tool_distance(still, env) == pytest.approx(first[record.mask].min(), abs=1e-6)
+    assert tool_distance(record, env) <= gap[record.mask].min() + 1e-6
+
+
+def test_a_touch_between_two_frames_counts():
+    """The tool is at the body in one step alone, which no frame shows."""
+    every, env = record_cases.pushed(), record_cases.pusher()
+    record = dataclasses.replace(every, times=every.times[::2], clouds=every.clouds[::2], mask=every.mask[::2])
+    assert 1 not in np.round(record.frame_steps)
+    away = np.full_like(record.joint_q, 5.0)
+    away[1] = record.joint_q[1]
+    near = tool_distance(dataclasses.replace(record, joint_q=away), env)
+    assert near < 1.0 < tool_distance(dataclasses.replace(record, joint_q=np.full_like(away, 5.0)), env)
 
 
 def test_files_that_are_no_records_are_refused(tmp_path):
