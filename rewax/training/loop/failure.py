@@ -47,7 +47,7 @@ class FailureWatch:
         self._env, self._config = env, config
         self._recent: deque[_Iteration] = deque(maxlen=config.failure_window)
         self._culprit = ""
-        self._resumes_failure = False
+        self._warned = self._resumes_failure = False
 
     def add(self, iteration: int, num_steps: int, metrics: Mapping[str, Any]) -> str:
         """Add an iteration.
@@ -68,7 +68,7 @@ class FailureWatch:
         self._recent.append(_Iteration(failed, episodes, not all(map(math.isfinite, critics))))
         if not failed:
             return ""
-        first, self._culprit = not self._culprit, _culprit(self._env, metrics)
+        first, self._warned, self._culprit = not self._warned, True, _culprit(self._env, metrics)
         return f"warning: in iteration {iteration} {self._culprit}: {_REMEDY}" if first else ""
 
     def recall(self, columns: Mapping[str, np.ndarray], iteration: int) -> None:
@@ -82,6 +82,7 @@ class FailureWatch:
         """
         for row in _rows_before(columns, iteration, self._config.failure_window):
             self.add(int(row["iteration"]), int(row["num_steps"]), row)
+        self._warned = False
         if self.reason():
             self._recent.clear()
             self._resumes_failure = True
@@ -124,14 +125,14 @@ class FailureWatch:
 
 
 def _rows_before(columns: Mapping[str, np.ndarray], iteration: int, most: int) -> list[dict[str, float]]:
-    """The last rows up to an iteration, without gaps, in order. ``num_steps`` are the control steps of each."""
+    """The last rows up to an iteration, in order, as far as each follows another. ``num_steps``: its control steps."""
     numbers = columns.get("iteration", np.zeros(0))
     rows: list[dict[str, float]] = []
     for i in range(len(numbers) - 1, -1, -1):
-        if numbers[i] != iteration - len(rows) or len(rows) == most:
+        number_before, before = (numbers[i - 1], columns["env_steps"][i - 1]) if i else (0, 0.0)
+        if numbers[i] != iteration - len(rows) or number_before != numbers[i] - 1 or len(rows) == most:
             break
         row = {name: float(values[i]) for name, values in columns.items()}
-        before = columns["env_steps"][i - 1] if i else 0.0
         finite = {name: value for name, value in row.items() if math.isfinite(value) or name == "critic_loss"}
         rows.insert(0, {**finite, "num_steps": row["env_steps"] - before})
     return rows

@@ -127,10 +127,23 @@ def test_impossible_options_are_refused():
 
 def test_rows_before_a_gap_are_not_recalled():
     followed = watch()
-    rows = {"iteration": [1, 3, 4], "env_steps": [10, 30, 40], "failed_episodes": [4, 4, 1], "episodes": [4, 4, 4]}
-    followed.recall({name: np.array(values, float) for name, values in rows.items()}, 4)
+    rows = {
+        "iteration": [1, 3, 4, 5],
+        "env_steps": [10, 30, 40, 50],
+        "failed_episodes": [4, 4, 4, 1],
+        "episodes": [4] * 4,
+    }
+    followed.recall({name: np.array(values, float) for name, values in rows.items()}, 5)
     assert not followed.reason() and "5 of 8 episodes" in followed.reason(final=True)
     followed.recall({}, 4)
     other = watch()
-    other.recall({name: np.array(values, float) for name, values in rows.items()}, 5)  # row 5 is missing
+    other.recall({name: np.array(values, float) for name, values in rows.items()}, 6)  # row 6 is missing
     assert other.healthy and not other.reason(final=True)
+
+
+def test_a_resumed_process_warns_of_its_own_first_failure():
+    followed = watch()
+    rows = {"iteration": [1], "env_steps": [10], "failed_episodes": [1], "episodes": [4], "failed_env": [2]}
+    followed.recall({name: np.array(values, float) for name, values in rows.items()}, 1)
+    failed = {"failed_episodes": 1, "episodes": 4}
+    assert followed.add(2, 10, failed).startswith("warning: in iteration 2") and not followed.add(3, 10, failed)
