@@ -17,9 +17,10 @@ import numpy as np
 import tyro
 
 import rewax
-from rewax.lowering import assembler, kernels
+from rewax.lowering import kernels
 from rewax.lowering.instructions import Expression
 from rewax.lowering.recompute import RECOMPUTED, Program
+from rewax.lowering.selection import Cover
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,9 +103,9 @@ def text(expression: Expression) -> str:
 
 def mine(cases: list[Case]) -> None:
     used, pairs = Counter(), Counter()
-    steps_of = assembler._Cover.steps
+    steps_of = Cover.steps
 
-    def record(cover: assembler._Cover) -> list[Any]:
+    def record(cover: Cover) -> list[Any]:
         steps = steps_of(cover)
         by_operation = {step.operation: step for step in steps}
         users = Counter(o for step in steps for o in step.operands)
@@ -114,12 +115,12 @@ def mine(cases: list[Case]) -> None:
             pairs.update(f"{text(s.instruction)} of {text(o.instruction)}" for s, o in inner)
         return steps
 
-    assembler._Cover.steps = record  # type: ignore[method-assign]
+    Cover.steps = record  # type: ignore[method-assign]
     try:
         for case in cases:
             kernels.bytecode_of(case.which, case.program, case.avals, case.varies)
     finally:
-        assembler._Cover.steps = steps_of
+        Cover.steps = steps_of
     for title, counted in (("instructions", used), ("pairs that could be one instruction", pairs)):
         print(f"\n{title}:")
         for name, times in counted.most_common(40):

@@ -60,6 +60,8 @@ def run(argv: Sequence[str]) -> int:
             "--in-cpp, --no-whole-episode and --no-compare-gradient belong to the check of an environment: leave out "
             "--algo"
         )
+    if not options.algo and options.may_be_nan != Options.may_be_nan:
+        raise ValueError("--may-be-nan names metrics of an algorithm: also give --algo, or leave it out")
     enable_compilation_cache()
     import_modules(options.imports)
     env = build_env(options.env, options.scale)

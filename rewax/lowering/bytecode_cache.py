@@ -29,7 +29,8 @@ from jax.core import Tracer
 from jax.extend import linear_util
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from rewax.lowering.assembler import BlockBytecode, Bytecode
+from rewax.lowering.assembler import BlockBytecode
+from rewax.lowering.lane_assembler import Bytecode
 from rewax.lowering.operations import UnsupportedError
 from rewax.whole_files import replacing
 

@@ -1,7 +1,7 @@
 """Lowers traced programs to lists of scalar operations.
 
-Small arrays are expanded into scalars, and short loops are unrolled. Both branches of a condition are computed, and one
-is selected. ``primitives`` lists the supported operations; others are refused with a reason.
+Small arrays are expanded into scalars, and loops of a fixed length are unrolled. Both branches of a condition are
+computed, and one is selected. ``primitives`` lists the supported operations; others are refused with a reason.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from jax.extend.core import ClosedJaxpr
 
 from rewax.lowering.indexing import Values, rows
 from rewax.lowering.linear_primitive import linear_call_p, run_scalar_form
-from rewax.lowering.operations import ARITHMETIC, Operation, Operations, UnsupportedError
+from rewax.lowering.operations import ARITHMETIC, Loop, Operation, Operations, UnsupportedError
 from rewax.lowering.primitives import PRIMITIVES, Equation, select
 from rewax.lowering.structural import marks_structural_zeros
 
@@ -32,29 +32,36 @@ _LOOP_PARAMETERS = frozenset({
 })  # fmt: skip
 
 
+_WHILE_PARAMETERS = frozenset({"cond_jaxpr", "cond_nconsts", "body_jaxpr", "body_nconsts"})
+
+
 class OperationList(NamedTuple):
-    """A program without loops and conditions."""
+    """A program of scalar operations."""
 
     operations: list[Operation]
     outputs: list[list[int]]
     """For each result, the indices of the operations of its entries, in order."""
     dtype: np.dtype
     """The program's floating type."""
+    loops: tuple[Loop, ...] = ()
 
 
-def from_jaxpr(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_000) -> OperationList:
+def from_jaxpr(
+    program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_000, loops: bool = False
+) -> OperationList:
     """The operations of a traced program of one element.
 
     Args:
       program: arithmetic on small arrays.
       varies: which of its arguments differ between elements.
       most: largest number of operations.
+      loops: whether it may have loops without a fixed number of turns.
 
     Raises:
       UnsupportedError: the program cannot be lowered.
     """
     dtype = _floating_type(program)
-    builder, inputs = _Builder(dtype, most), []
+    builder, inputs = _Builder(dtype, most, loops), []
     for k, (aval, varying) in enumerate(zip(program.in_avals, varies, strict=True)):
         kind = builder.kind_of(aval.dtype)
         if kind == "u":
@@ -64,7 +71,7 @@ def from_jaxpr(program: ClosedJaxpr, varies: Sequence[bool], *, most: int = 5_00
         raise UnsupportedError(f"its results are of floating types other than {dtype}")
     found = builder.run(program.jaxpr, program.consts, inputs)
     outputs = [np.ravel(output).tolist() for output in found]
-    return OperationList(builder.listed, outputs, dtype)
+    return OperationList(builder.listed, outputs, dtype, tuple(builder.loops))
 
 
 def _floating_type(program: ClosedJaxpr) -> np.dtype:
@@ -76,6 +83,10 @@ def _floating_type(program: ClosedJaxpr) -> np.dtype:
 
 class _Builder(Operations):
     """Builds the list of a traced program's operations."""
+
+    def __init__(self, dtype: np.dtype, most: int, has_loops: bool) -> None:
+        super().__init__(dtype, most)
+        self.has_loops = has_loops
 
     def run(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Values]) -> list[Values]:
         values: dict[Any, Values] = {}
@@ -107,6 +118,8 @@ class _Builder(Operations):
             return self.run(inner.jaxpr, inner.consts, args)
         if name == "scan":
             return self.scan(eqn, args)
+        if name == "while" and self.has_loops:
+            return self.while_loop(params, args)
         if name == "cond":
             return self.cond(params, args)
         if name == "reduce":
@@ -158,6 +171,18 @@ class _Builder(Operations):
         if params["reverse"]:
             turns.reverse()
         return [*carry, *(np.stack(same) for same in zip(*turns, strict=True))]
+
+    def while_loop(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
+        """A loop whose number of turns depends on its values."""
+        known("while", params, _WHILE_PARAMETERS)
+        test, turn = params["cond_jaxpr"], params["body_jaxpr"]
+        last = params["cond_nconsts"] + params["body_nconsts"]
+        of_test, of_turn, initial = args[: params["cond_nconsts"]], args[params["cond_nconsts"] : last], args[last:]
+        return self.loop(
+            initial,
+            lambda carried: self.run(test.jaxpr, test.consts, [*of_test, *carried])[0],
+            lambda carried: self.run(turn.jaxpr, turn.consts, [*of_turn, *carried]),
+        )
 
     def cond(self, params: dict[str, Any], args: list[Values]) -> list[Values]:
         """Computes all branches of a condition and selects one, as ``vmap`` does."""

@@ -195,8 +195,8 @@ BY_NAME: dict[str, list[int]] = defaultdict(list)
 for _number, _instruction in enumerate(INSTRUCTIONS):
     BY_NAME[_instruction.expression[0]].append(_number)
 SPECIAL = ("constant", "load_float", "load_int32", "load_int64", "load_bool", "store", "convert_int32", "convert_int64",
-           "convert_bool", "store_bool", "sum", "sum_of_products")  # fmt: skip
-"""Instructions that move numbers between registers and arrays; ``machine.cc`` holds their C++."""
+           "convert_bool", "store_bool", "sum", "sum_of_products", "loop_exit", "loop_back")  # fmt: skip
+"""Instructions that move numbers between registers and arrays, and those of loops; ``machine.cc`` holds their C++."""
 NUMBERS |= {name: len(INSTRUCTIONS) + k for k, name in enumerate(SPECIAL)}
 
 

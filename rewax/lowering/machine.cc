@@ -114,6 +114,14 @@ inline V SumOf(int64_t end, int left, const Vectors& vector) {
   return even + (odd + Part(vector(last), left));
 }
 
+// Whether a boolean is true in one of the first lanes.
+inline bool AnyOf(const char* lanes, int count) {
+  for (size_t k = 0; k < static_cast<size_t>(count) * sizeof(T); k += sizeof(T)) {
+    if (lanes[k]) return true;
+  }
+  return false;
+}
+
 #define REPEAT(width) for (; times; --times, at += (width))
 #define OPERAND(k) (kBlocks ? addresses[at[k]] : registers + static_cast<int64_t>(at[k]) * kLanes)
 #define EACH for (int64_t k = 0; k < end; k += kLanes)
@@ -178,6 +186,12 @@ void Run(const Code& program, const Frame& f) {
           const T *const a = OPERAND(1), *const b = OPERAND(2);
           f.sums[at[0]] += SumOf(end, f.left, [=](int64_t k) { return Get<V>(a + k) * Get<V>(b + k); });
         }
+        break;
+      case kLoopExit:  // of lanes: a condition, and the distance to what follows the loop
+        at += AnyOf(reinterpret_cast<const char*>(OPERAND(0)), f.count) ? 2 : at[1];
+        break;
+      case kLoopBack:
+        at -= at[0];
         break;
       default:
         return;

@@ -1,4 +1,4 @@
-"""The machine: one C++ program that interprets bytecode (``assembler``); ``interpreted`` runs functions in it.
+"""The machine: one C++ program that interprets bytecode; ``interpreted`` runs functions in it.
 
 A substep of articulated bodies is tens of thousands of scalar operations in hundreds of small arrays. XLA's CPU
 compiler emits hundreds of loops, which take most of the compile time and much of the run time. A C++ compiler would
@@ -20,11 +20,12 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from rewax.lowering import build, report
-from rewax.lowering.assembler import BlockBytecode, Bytecode, assemble
+from rewax.lowering.assembler import BlockBytecode
 from rewax.lowering.bytecode_cache import key_of, remembered
 from rewax.lowering.ffi_layout import batch_shape, cpu_rules, operands_of, trace_function, trace_rule
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.instructions import NUMBERS, SPECIAL, cases
+from rewax.lowering.lane_assembler import Bytecode, assemble
 from rewax.lowering.linear_primitive import Arrays
 from rewax.lowering.operations import UnsupportedError
 from rewax.lowering.recompute import RECOMPUTED, Program, run_program, split_arguments
@@ -41,7 +42,7 @@ def interpreted(function: Callable[..., T], derivative_of: Callable[..., T] | No
     """``recomputed``, with its value, JVP and VJP interpreted by the machine on a CPU.
 
     Under ``vmap`` the batch elements run in the lanes of vectors. A rule that is more than arithmetic at constant
-    indices (a ``while_loop``, for instance) is left to XLA. Without the machine, and on a GPU, all rules are.
+    indices and loops (sorting, for instance) is left to XLA. Without the machine, and on a GPU, all rules are.
 
     Args:
       function, derivative_of: as for ``recomputed``, on small arrays of one floating type.
@@ -117,7 +118,7 @@ def _target(which: str, program: Program, avals: tuple, count: int, precision: A
 def _assembled(which: str, program: Program, avals: tuple, function: ClosedJaxpr) -> tuple[np.dtype, Bytecode, tuple]:
     """The floating type of a rule, its bytecode, and the outputs of ``_Target``."""
     traced = trace_rule(which, program, avals, function)
-    listing = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS)
+    listing = from_jaxpr(traced, [True] * len(avals), most=_MOST_OPERATIONS, loops=True)
     bytecode = assemble(listing, [aval.dtype for aval in traced.in_avals])
     return listing.dtype, bytecode, tuple((a.shape, a.dtype) for a in traced.out_avals)
 

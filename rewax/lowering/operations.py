@@ -64,7 +64,7 @@ class Operation(NamedTuple):
 
     name: str
     """One of ``ARITHMETIC``, ``select``, ``constant``, ``input``, ``wrap`` (an integer to 32 bits), or a conversion,
-    ``b_to_f``."""
+    ``b_to_f``; ``carry`` is a value of a ``Loop``, ``result`` the same after it."""
     operands: tuple[int, ...]
     """Indices of earlier operations."""
     kind: str
@@ -72,7 +72,29 @@ class Operation(NamedTuple):
     shared: bool
     """Whether all elements of a batch element share the value."""
     constant: Any = None
-    """The value of a ``constant``, as text; the index of the argument and the offset in it of an ``input``."""
+    """The value of a ``constant``, as text; the index of the argument and the offset in it of an ``input``; the indices
+    of the loop and of the value in it of a ``carry`` and a ``result``."""
+    place: tuple[int, ...] = ()
+    """Where it is computed, that of its last operand: () before all loops, see ``Loop``."""
+
+
+class Loop(NamedTuple):
+    """Operations that are repeated while a condition holds: those whose place begins with the loop's.
+
+    Places are ordered. A program is computed in the order of its operations' places, and at one place in the order of
+    the list. The first loop at place p is at (*p, 1), what follows from its results at (*p, 2), the second loop at
+    (*p, 3). An operation in a loop that does not depend on the loop's values is computed before the loop.
+    """
+
+    place: tuple[int, ...]
+    condition: int
+    """A boolean of the values in this turn: whether the turn counts."""
+    initial: tuple[int, ...]
+    """The values before the first turn."""
+    carried: tuple[int, ...]
+    """The values in this turn."""
+    following: tuple[int, ...]
+    """The values in the next turn; those of this turn if the condition does not hold."""
 
 
 class Operations:
@@ -86,10 +108,17 @@ class Operations:
         self.constants: dict[int, Any] = {}
         self.absent: int | None = None
         """Index of the structural zero, if there is one."""
+        self.loops: list[Loop] = []
+        self.inside: tuple[int, ...] = ()
+        """Place of the loop whose operations are being listed."""
+        self.passed = 0
+        """Twice the number of loops that have ended inside of it."""
 
     def add(self, operation: Operation) -> int:
         if len(self.listed) >= self.most:
             raise UnsupportedError(f"it has more than {self.most} operations")
+        if self.loops and operation.operands:
+            operation = operation._replace(place=max(self.listed[o].place for o in operation.operands))
         self.listed.append(operation)
         return len(self.listed) - 1
 
@@ -104,6 +133,39 @@ class Operations:
             self.known[key] = index = self.add(Operation("constant", (), kind, True, text))
             self.constants[index] = number
         return self.known[key]
+
+    def loop(
+        self,
+        initial: list[Values],
+        condition: Callable[[list[Values]], Values],
+        turn: Callable[[list[Values]], list[Values]],
+    ) -> list[Values]:
+        """The values after turns of a loop, which end when the condition of the values does not hold."""
+        begin = [i for values in initial for i in values.ravel().tolist()]
+        number, inside, passed = len(self.loops), self.inside, self.passed
+        self.inside, self.passed = place, _ = (*inside, passed + 1), 0
+        self.loops.append(Loop(place, 0, (), (), ()))  # from here on, operations have places
+        carried = self.alike(initial, lambda k: self.carry("carry", begin[k], (number, k), place))
+        holds = int(condition(carried).ravel()[0])
+        if self.listed[holds].place < place:
+            raise UnsupportedError("it has the operation while with a condition that does not change")
+        now = [i for values in carried for i in values.ravel().tolist()]
+        after = [i for values in turn(carried) for i in values.ravel().tolist()]
+        following = tuple(self.selected(holds, i, j) for i, j in zip(now, after, strict=True))
+        self.loops[number] = Loop(place, holds, tuple(begin), tuple(now), following)
+        self.inside, self.passed = inside, passed + 2
+        return self.alike(initial, lambda k: self.carry("result", begin[k], (number, k), (*inside, passed + 2)))
+
+    def carry(self, name: str, like: int, which: tuple[int, int], place: tuple[int, ...]) -> int:
+        return self.add(Operation(name, (), self.listed[like].kind, False, which, place))
+
+    def alike(self, given: list[Values], number: Callable[[int], int]) -> list[Values]:
+        """Arrays of the shapes of others, with ``number(k)`` as the k-th of all their entries."""
+        ends = np.cumsum([0, *(values.size for values in given)]).tolist()
+        return [
+            self.array(values.shape, lambda k, first=first: number(first + k))
+            for values, first in zip(given, ends[:-1], strict=True)
+        ]
 
     def structural(self, values: Values) -> Values:
         """The same values; constant zeros become structural zeros."""

@@ -132,9 +132,9 @@ def _call(program: Program, *arrays: Array) -> Arrays:
 
 
 def _call_jvp(program: Program, arrays: Arrays, tangents: Arrays) -> tuple[Arrays, Arrays]:
-    perturbed = tuple(not isinstance(t, SymbolicZero) and t.dtype != jax.dtypes.float0 for t in tangents)
+    perturbed = tuple(not isinstance(t, SymbolicZero) and jax.typeof(t).dtype != jax.dtypes.float0 for t in tangents)
     program = program._replace(perturbed=perturbed)
-    linear = [t for t, p in zip(tangents, perturbed, strict=True) if p]
+    linear = [jnp.asarray(t) for t, p in zip(tangents, perturbed, strict=True) if p]
     out = _call(program._replace(perturbed=()), *arrays)
     known = () if program.derivative_of is None else tuple(out)
     forward, reverse = program.rules.tangent, program.rules.cotangent

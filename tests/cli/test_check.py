@@ -68,5 +68,7 @@ def test_wrong_usage(capsys):
         "--in-cpp, --no-whole-episode and --no-compare-gradient belong to the check of an environment"
         in capsys.readouterr().err
     )
+    assert main(["check", "--env", "RollingFlat", "--may-be-nan", "alpha"]) == 2
+    assert "--may-be-nan names metrics of an algorithm: also give --algo" in capsys.readouterr().err
     assert main(["check"]) == 2
     assert "rewax check needs the option --env" in capsys.readouterr().err

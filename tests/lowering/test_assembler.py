@@ -9,10 +9,11 @@ import pytest
 from native_cases import NEEDS_COMPILER
 
 from rewax.lowering import kernels
-from rewax.lowering.assembler import assemble, assemble_blocks
+from rewax.lowering.assembler import assemble_blocks
 from rewax.lowering.from_jaxpr import from_jaxpr
 from rewax.lowering.instructions import INSTRUCTIONS, NUMBERS
 from rewax.lowering.kernels import pointwise
+from rewax.lowering.lane_assembler import assemble
 from rewax.lowering.operations import UnsupportedError
 
 FLOAT = np.dtype(np.float32)

@@ -9,6 +9,8 @@ import numpy as np
 from rewax.types import Array
 
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+_EARLIER = np.tri(len(_CORNERS), k=-1, dtype=bool)
+"""``_EARLIER[i, j]``: corner j comes before corner i in the list."""
 
 
 def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_size: Array) -> tuple[Array, Array]:
@@ -30,8 +32,9 @@ def plane_box(plane: Array, normal: Array, center: Array, rotation: Array, half_
     """
     arms = jnp.sum(rotation * (jnp.asarray(_CORNERS, half_size.dtype) * half_size)[:, None, :], axis=-1)
     height = jnp.sum(arms * normal, axis=-1)
-    lower = jax.lax.top_k(-height, 4)[1]
-    onehot = jax.nn.one_hot(lower, len(_CORNERS), dtype=arms.dtype)
+    below = (height[None, :] < height[:, None]) | ((height[None, :] == height[:, None]) & _EARLIER)
+    rank = jnp.sum(below, axis=-1)  # how many corners come before: lower ones, and of equally high ones the earlier
+    onehot = (rank == np.arange(4)[:, None]).astype(arms.dtype)
     corner = center + jnp.matmul(onehot, arms, precision=jax.lax.Precision.HIGHEST)
     distance = jnp.sum((corner - plane) * normal, axis=-1)
     return distance, corner - 0.5 * distance[:, None] * normal

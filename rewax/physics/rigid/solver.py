@@ -22,22 +22,8 @@ import numpy as np
 
 from rewax.lowering.linear_primitive import Arrays, ByPlatform, linear_call, no_transpose
 from rewax.lowering.structural import structural_zeros
+from rewax.physics.rigid.line_search import Rows, clipped_forces, exact_line_search, side_of
 from rewax.types import Array
-
-
-class Rows(NamedTuple):
-    """Constraints, one per row."""
-
-    jacobian: Array
-    """J, shape (num_rows, num_dofs)."""
-    stiffness: Array
-    """D > 0: force per unit of J a - a_ref, shape (num_rows,)."""
-    target: Array
-    """a_ref: acceleration at which the force is zero, shape (num_rows,)."""
-    lower: Array
-    """Smallest force, or -inf, shape (num_rows,)."""
-    upper: Array
-    """Largest force, or inf, shape (num_rows,)."""
 
 
 def row_forces(rows: Rows, qacc: Array) -> Array:
@@ -48,12 +34,12 @@ def row_forces(rows: Rows, qacc: Array) -> Array:
     Gradient: exact, zero where clipped. Source: Todorov 2014, "Convex and analytically-invertible dynamics with
       contacts and constraints in MuJoCo".
     """
-    return _forces(rows, _dot(rows.jacobian, qacc) - rows.target)
+    return clipped_forces(rows, _dot(rows.jacobian, qacc) - rows.target)
 
 
 def curvature(mass: Array, rows: Rows, qacc: Array) -> Array:
     """M + J^T D J over the unclipped rows, shape (num_dofs, num_dofs): symmetric, positive definite."""
-    return _curvature(mass, rows, _side(rows, _dot(rows.jacobian, qacc) - rows.target))
+    return _curvature(mass, rows, side_of(rows, _dot(rows.jacobian, qacc) - rows.target))
 
 
 def solve_accelerations(
@@ -82,19 +68,19 @@ def solve_accelerations(
         done: Array
 
     def step(at: Iterate) -> Iterate:
-        gradient = _dot(mass, at.qacc) - force - _dot(rows.jacobian.T, _forces(rows, at.missed))
+        gradient = _dot(mass, at.qacc) - force - _dot(rows.jacobian.T, clipped_forces(rows, at.missed))
         direction = -solve_spd(_curvature(mass, rows, at.side), gradient)
         change = _dot(rows.jacobian, direction)
         slope, curve = jnp.sum(direction * gradient), jnp.sum(direction * _dot(mass, direction))
-        length = _exact_line_search(rows, at.missed, change, slope, curve, num_bounded)
+        length = exact_line_search(rows, at.missed, change, slope, curve, num_bounded)
         qacc = at.qacc + length * direction
         missed = _dot(rows.jacobian, qacc) - rows.target
-        side = _side(rows, missed)
+        side = side_of(rows, missed)
         small = jnp.max(jnp.abs(direction)) <= 4 * jnp.finfo(qacc.dtype).eps * (1.0 + jnp.max(jnp.abs(qacc)))
         return Iterate(qacc, missed, side, at.count + 1, small | jnp.all(side == at.side))
 
     missed = _dot(rows.jacobian, start) - rows.target
-    begin = Iterate(start, missed, _side(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros_like(start, bool, ()))
+    begin = Iterate(start, missed, side_of(rows, missed), jnp.zeros((), jnp.int32), jnp.zeros_like(start, bool, ()))
     return jax.lax.while_loop(lambda at: ~at.done & (at.count < max_iterations), step, begin).qacc
 
 
@@ -204,55 +190,8 @@ _ELIMINATION = ByPlatform(
 )
 
 
-def _forces(rows: Rows, missed: Array) -> Array:
-    return jnp.clip(-rows.stiffness * missed, rows.lower, rows.upper)
-
-
-def _side(rows: Rows, missed: Array) -> Array:
-    """0 for rows with unclipped force, -1 and 1 for rows at their lower and upper bound."""
-    force = -rows.stiffness * missed
-    return jnp.where(force <= rows.lower, -1, jnp.where(force >= rows.upper, 1, 0))
-
-
 def _curvature(mass: Array, rows: Rows, side: Array) -> Array:
     return mass + _dot(rows.jacobian.T, jnp.where(side == 0, rows.stiffness, 0.0)[:, None] * rows.jacobian)
-
-
-def _exact_line_search(rows: Rows, missed: Array, change: Array, slope: Array, curve: Array, num_bounded: int) -> Array:
-    """Step length at which the cost along a direction is least, shape ().
-
-    Args:
-      rows: the constraints.
-      missed: J a - a_ref, shape (num_rows,).
-      change: J times the direction, the change of ``missed`` per unit of length, shape (num_rows,).
-      slope: derivative of the whole cost at length 0, negative.
-      curve: curvature of the cost without the constraints.
-      num_bounded: number of leading rows that can have a finite upper bound.
-
-    The derivative is piecewise linear and increasing, with kinks where a row begins or ceases to be clipped. It is
-    evaluated at all kinks. Between the last kink with a negative value and the next one it is linear.
-    """
-    begin = _forces(rows, missed)
-
-    def derivative(lengths: Array) -> Array:
-        forces = _forces(rows, missed + lengths[:, None] * change)
-        return slope + lengths * curve - jnp.sum(change * (forces - begin), axis=-1)
-
-    def kinks(bound: Array) -> Array:
-        count = len(bound)
-        finite = (change[:count] != 0) & jnp.isfinite(bound)
-        at = -jnp.where(finite, bound, 0.0) / rows.stiffness[:count] - missed[:count]
-        return jnp.maximum(jnp.where(finite, at / jnp.where(finite, change[:count], 1.0), 0.0), 0.0)
-
-    lengths = jnp.concatenate([kinks(rows.lower), kinks(rows.upper[:num_bounded])])
-    rising = derivative(lengths) > 0
-    low = jnp.max(jnp.where(rising, 0.0, lengths))
-    high = jnp.min(jnp.where(rising, lengths, jnp.inf))
-    inside = jnp.where(jnp.isfinite(high), 0.5 * (low + high), low + 1.0)
-    side = _side(rows, missed + inside * change)
-    steepness = curve + jnp.sum(jnp.where(side == 0, rows.stiffness * change * change, 0.0))
-    steepness = jnp.where(steepness > 0, steepness, 1.0)  # zero for a direction of zero: already at the minimum
-    return jnp.clip(low - derivative(low[None])[0] / steepness, low, high)
 
 
 def _dot(a: Array, b: Array) -> Array:

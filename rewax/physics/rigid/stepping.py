@@ -90,7 +90,7 @@ def step(
 
     Gradient: exact for the discrete map, forward (JVP) and reverse (VJP), with respect to state, controls, wrenches and
       parameters. The reverse derivative stores one state per substep. Zero through ``qacc`` and saturated controls. The
-      solver takes the model's ``iterations``, but at least 4, because the derivative assumes that it has converged.
+      solver takes the model's ``iterations``, but at least 50, because the derivative assumes that it has converged.
 
     Raises:
       ValueError: a shape differs from the model's, or an argument is not a number.

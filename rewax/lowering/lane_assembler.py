@@ -1,0 +1,204 @@
+"""Assembles programs with one batch element per lane: lists of operations, with loops, become bytecode."""
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rewax.lowering.from_jaxpr import OperationList
+from rewax.lowering.instructions import NUMBERS
+from rewax.lowering.operations import Loop, Operation, UnsupportedError
+from rewax.lowering.selection import Cover, Registers, Step, in_runs, needed_for
+
+
+class Bytecode(NamedTuple):
+    """Bytecode with one batch element per lane."""
+
+    code: np.ndarray
+    """Runs: an instruction, its number of repetitions, and its registers for each repetition; int32."""
+    constants: np.ndarray
+    num_registers: int
+    operands: tuple[int, ...]
+    """Indices of the arguments that it reads."""
+
+
+def assemble(listing: OperationList, types: Sequence[Any]) -> Bytecode:
+    """Bytecode of a list of operations, with one batch element per lane.
+
+    Args:
+      listing: the operations.
+      types: types of the arguments.
+
+    Raises:
+      UnsupportedError: the program returns integers or booleans, or an operation has no instruction.
+    """
+    operations, outputs = listing.operations, listing.outputs
+    if any(operations[i].kind != "f" for output in outputs for i in output):
+        raise UnsupportedError("it returns integers or booleans")
+    arguments = {operations[i].constant[0] for i in needed_for(listing, outputs) if operations[i].name == "input"}
+    found, registers = in_registers(listing, outputs, types, tuple(sorted(arguments)))
+    full = [output for output in outputs if output]
+    stores = [("store", (registers[i], k, offset)) for k, output in enumerate(full) for offset, i in enumerate(output)]
+    return found._replace(code=np.concatenate([found.code, in_runs(stores)]))
+
+
+def in_registers(
+    listing: OperationList, outputs: Sequence[Sequence[int]], types: Sequence[Any], arguments: tuple[int, ...]
+) -> tuple[Bytecode, dict[int, int]]:
+    """Bytecode that keeps its results in registers, and the registers of all values.
+
+    Args:
+      listing, types: as for ``assemble``.
+      outputs: results, by the indices of the operations of their entries.
+      arguments: indices of the arguments that it reads.
+    """
+    operations, needed = listing.operations, needed_for(listing, outputs)
+    loops = [loop for loop in listing.loops if not {*loop.carried}.isdisjoint(needed)]
+    carried = {
+        i: _Carried(loop.initial[k], loop.following[k])
+        for loop in loops
+        for k, i in enumerate(loop.carried)
+        if i in needed
+    }
+    kept = {i for output in outputs for i in output} | {i for value in carried.values() for i in value}
+    kept |= {loop.condition for loop in loops}
+    steps = Cover(operations, needed, kept, lanes=True).steps()
+    read = {o for step in steps for o in step.operands} | kept
+    given = [i for i in needed if operations[i].name in ("constant", "input") and i in read]
+    constants = {i: k for k, i in enumerate(i for i in given if operations[i].name == "constant")}
+    for i in given:
+        if i in constants:
+            steps.append(Step("constant", i, (), (constants[i],)))
+        else:
+            argument, offset = operations[i].constant
+            steps.append(Step(f"load_{type_name(types[argument])}", i, (), (arguments.index(argument), offset)))
+    # After a loop its values lie in the registers in which they were during the loop.
+    same = {i: listing.loops[n].carried[k] for i, (n, k) in _results(operations, needed)}
+    placed = [((operations[s.operation].place, s.operation), s) for s in steps]
+    placed += [at for loop in loops for at in _loop_steps(operations, loop, carried)]
+    placed.sort(key=lambda at: at[0])
+    steps = [step._replace(operands=tuple(same.get(o, o) for o in step.operands)) for _, step in placed]
+    registers = Registers(steps, {same.get(i, i) for output in outputs for i in output})
+    _keep_through_loops(steps, registers)
+    dying: dict[int, list[int]] = defaultdict(list)
+    for i, k in registers.last.items():
+        dying[k].append(i)
+    code = _Code()
+    for k, (instruction, i, operands, extra) in enumerate(steps):
+        locations = tuple(registers.register[o] for o in operands)
+        registers.release(k, dying[k])
+        to = () if i is None else (registers.take(i),)
+        code.append(instruction, (*to, *locations, *extra))
+    numbers = np.array([_lane(operations[i], listing.dtype) for i in constants], listing.dtype)
+    found = registers.register | {i: registers.register[j] for i, j in same.items() if j in registers.register}
+    return Bytecode(code.finished(), numbers, registers.count, arguments), found
+
+
+def type_name(dtype: Any) -> str:
+    """Name of an argument's type in the instructions that load it."""
+    return "float" if np.issubdtype(dtype, np.floating) else np.dtype(dtype).name
+
+
+def _lane(operation: Operation, dtype: np.dtype) -> Any:
+    """A constant as a number with the bits of its lane."""
+    if operation.kind == "f":
+        return dtype.type(float(operation.constant))
+    bits = 8 * dtype.itemsize
+    integer = -int(operation.constant == "True") if operation.kind == "b" else int(operation.constant)
+    return np.array(integer % 2**bits, f"uint{bits}").view(dtype)
+
+
+# --- Loops ------------------------------------------------------------------------------------------------------------
+
+
+class _Carried(NamedTuple):
+    """A value of a loop."""
+
+    initial: int
+    following: int
+
+
+def _results(operations: Sequence[Operation], needed: Sequence[int]) -> list[tuple[int, tuple[int, int]]]:
+    """The values after loops; for each, the loop and which of its values it is."""
+    return [(i, operations[i].constant) for i in needed if operations[i].name == "result"]
+
+
+def _loop_steps(
+    operations: Sequence[Operation], loop: Loop, carried: dict[int, _Carried]
+) -> list[tuple[tuple[tuple[float, ...], float], Step]]:
+    """The steps of a loop that belong to no operation, and where they are in the order of places."""
+    own = {i: carried[i] for i in loop.carried if i in carried}
+    copies = {i: ("copy", "f" if operations[i].kind == "f" else "w") for i in own}
+    moved = {i: value.following for i, value in own.items() if value.following != i}
+    before, after = loop.place, (*loop.place, math.inf)
+    exit_at = (operations[loop.condition].place, loop.condition + 0.5)
+    return [
+        *(((before, -2), Step(copies[i], i, (value.initial,))) for i, value in own.items()),
+        ((before, -1), Step("loop_begin", None, ())),
+        (exit_at, Step("loop_exit", None, (loop.condition,))),
+        *(((after, 0), Step(copies[i], i, (following,))) for i, following in moved.items()),
+        ((after, 1), Step("loop_back", None, ())),
+    ]
+
+
+def _keep_through_loops(steps: Sequence[Step], registers: Registers) -> None:
+    """Values from before a loop that it reads are read again in its next turn."""
+    first: dict[int, int] = {}
+    for k, step in enumerate(steps):
+        if step.operation is not None:
+            first.setdefault(step.operation, k)
+    begins = []
+    for end, step in enumerate(steps):
+        if step.instruction == "loop_begin":
+            begins.append(end)
+        if step.instruction != "loop_back":
+            continue
+        begin = begins.pop()
+        for inner in steps[begin:end]:
+            for i in inner.operands:
+                if first[i] < begin:
+                    registers.last[i] = max(registers.last[i], end)
+
+
+class _Code:
+    """Bytecode with the jumps of loops."""
+
+    def __init__(self) -> None:
+        self.parts: list[np.ndarray] = []
+        self.rows: list[tuple[Any, tuple[int, ...]]] = []
+        self.length = 0
+        self.open: list[list[int]] = []
+        """For each open loop: where it begins, and the part and place of its exit."""
+
+    def append(self, instruction: Any, locations: tuple[int, ...]) -> None:
+        if instruction == "loop_begin":
+            self.flush()
+            self.open.append([self.length])
+        elif instruction == "loop_exit":
+            self.flush()
+            self.put(NUMBERS["loop_exit"], 1, *locations, 0)
+            self.open[-1] += [len(self.parts) - 1, self.length]
+        elif instruction == "loop_back":
+            self.flush()
+            begin, part, after_exit = self.open.pop()
+            self.put(NUMBERS["loop_back"], 1, self.length + 2 - begin)
+            self.parts[part][-1] = self.length - (after_exit - 2)
+        else:
+            self.rows.append((instruction, locations))
+
+    def put(self, *numbers: int) -> None:
+        self.parts.append(np.array(numbers, np.int32))
+        self.length += len(numbers)
+
+    def flush(self) -> None:
+        self.put(*in_runs(self.rows).tolist())
+        self.rows = []
+
+    def finished(self) -> np.ndarray:
+        self.flush()
+        return np.concatenate(self.parts)
+
+
+__all__ = ["Bytecode", "assemble", "in_registers", "type_name"]
