@@ -129,7 +129,7 @@ def _piece_by_piece(num_bounded: int, residuals: Arrays, linear: Arrays) -> Arra
     begin = jnp.zeros_like(line.slope)
     search = Search(begin + 1.0, begin, begin + jnp.inf, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
     search = jax.lax.while_loop(lambda at: ~at.done & (at.turns < _MOST_TURNS), step, search)
-    return (jnp.maximum(search.length, 0.0),)
+    return (jnp.where(line.slope < 0, search.length, 0.0),)
 
 
 _MOST_TURNS = 100

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sharded import traced_under_shard_map
 
+from rewax.physics.rigid import line_search as ls
 from rewax.physics.rigid import solver as cs
 from rewax.physics.rigid.solver import Rows
 
@@ -178,13 +179,20 @@ def test_the_number_of_steps_is_bounded(x64):
 # --- The line search --------------------------------------------------------------------------------------------------
 
 
-@jax.jit
-def line_search(rows, missed, change, slope, curve):
-    return cs._exact_line_search(rows, missed, change, slope, curve, 4)
+def searched(form):
+    return jax.jit(
+        lambda rows, missed, change, slope, curve: form(4, (*rows[1:], missed, change, slope, curve), ())[0]
+    )
 
 
+SEARCHES = {"at all kinks": searched(ls._at_all_kinks), "piece by piece": searched(ls._piece_by_piece)}
+"""The form that XLA compiles, and the form that the machine runs."""
+BOTH = pytest.mark.parametrize("line_search", SEARCHES.values(), ids=SEARCHES.keys())
+
+
+@BOTH
 @given(seed=SEEDS, size=st.sampled_from([0.01, 1.0, 100.0]))
-def test_the_line_search_finds_the_least_cost(x64, seed, size):
+def test_the_line_search_finds_the_least_cost(x64, line_search, seed, size):
     """Against a grid that is refined around its best point until nothing is left."""
     mass, force, rows, start = problem(seed, 4, SIX)
     rng = np.random.default_rng(seed + 1)
@@ -214,7 +222,8 @@ def test_the_line_search_finds_the_least_cost(x64, seed, size):
     assert abs(slope_at(length)) < 1e-9 * abs(slope_at(0.0))
 
 
-def test_the_line_search_ends_on_a_kink(x64):
+@BOTH
+def test_the_line_search_ends_on_a_kink(x64, line_search):
     """Where the derivative jumps in effect (a row so stiff that it is a step), and beyond the last kink."""
     steep = Rows(*(np.array(x) for x in ([[1.0]], [1e12], [0.0], [0.0], [np.inf])))
     got = line_search(steep, np.array([2.0]), np.array([-1.0]), np.array(-1.0), np.array(0.1))
@@ -226,7 +235,8 @@ def test_the_line_search_ends_on_a_kink(x64):
         np.testing.assert_allclose(got, length, rtol=1e-14)
 
 
-def test_the_line_search_stays_where_there_is_no_direction(x64):
+@BOTH
+def test_the_line_search_stays_where_there_is_no_direction(x64, line_search):
     rows = Rows(*(np.array(x) for x in ([[1.0]], [5.0], [0.0], [0.0], [np.inf])))
     assert float(line_search(rows, np.array([1.0]), np.zeros(1), np.array(0.0), np.array(0.0))) == 0.0
 
