@@ -199,6 +199,10 @@ BROKEN_SOLID = {
         check_rays, torus(cast=lambda self, o, d: cp.norm(d) * Torus.cast(self, o, d)), "a direction that is three times as long ",
     ),
     "rays backwards": (check_rays, torus(cast=lambda self, o, d: -Torus.cast(self, o, d)), "cast of Broken returns (-"),
+    "rays from inside": (
+        check_rays, torus(cast=lambda self, o, d: jnp.where(self.distance(o)[0] < 0, 0.1, Torus.cast(self, o, d))),
+        "a ray from (",
+    ),
     "no drawing": (check_drawings, torus(draw=lambda self: [{"kind": "ring"}]), "draw of Broken returns what cannot be drawn: cannot draw"),
     "a large drawing": (
         check_drawings, torus(draw=lambda self: [{"kind": "sphere", "center": np.zeros(3), "radius": self.ring + self.tube}]),

@@ -31,7 +31,7 @@ def check_shape(
       distance depends on each size;
     - bounding box and radius contain the solid, and the box is tight;
     - volume and inertia agree with those of random points;
-    - rays enter the solid where its distance is zero, and not later than they meet it;
+    - rays enter the solid where its distance is zero, not later than they meet it, and never from inside;
     - pictures have the extent of the bounding box;
     - ``jit``, ``vmap`` and C++ give the same numbers.
 

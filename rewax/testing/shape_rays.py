@@ -16,7 +16,10 @@ _SLACK = 5e-3
 
 
 def check_rays(sample: Sample) -> None:
-    """Checks rays from outside, through points inside and past the solid, against the distance along them."""
+    """Checks rays from outside, through points inside and past the solid, against the distance along them.
+
+    Rays from inside must miss.
+    """
     origins, directions, targets = _rays(sample)
     found = _cast(sample, origins, directions)
     advice = f"correct cast of {sample.name}, or leave the method out"
@@ -47,6 +50,13 @@ def check_rays(sample: Sample) -> None:
     assert inside.mean() <= _MISSED, (
         f"a ray from {at(origins[inside][0])} through {at(targets[inside][0])} enters {sample.name} earlier than its "
         f"cast says ({found[inside][0]:.4g} of the way): {advice}"
+    )
+
+    begins = targets[sample.distance(targets)[0] < -slack]
+    sees = np.isfinite(_cast(sample, begins, directions[: len(begins)]))
+    assert not sees.any(), (
+        f"a ray from {at(begins[sees][:1].ravel())}, inside of {sample.name}, meets its surface, by its cast: return "
+        "infinity where a ray begins inside, or leave the method out"
     )
 
 

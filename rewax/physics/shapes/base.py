@@ -129,7 +129,7 @@ class Shape(struct.Replaceable):
           direction: where they go, of any length, components of shape (...).
 
         Returns:
-          Distance in units of the direction's length, infinite where a ray misses, shape (...).
+          Distance in units of the direction's length, shape (...), infinite where a ray misses or begins inside.
 
         Gradient: none is promised; sensors cut it.
         """

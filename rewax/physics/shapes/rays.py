@@ -72,7 +72,10 @@ def capsule_entry(origin: Vec3, direction: Vec3, radius: Scalar, half_length: Sc
     side, _ = tube_interval(origin, direction, radius)
     height = origin[1] + jnp.where(jnp.isfinite(side), side, 0.0) * direction[1]
     ends = [ball_entry((origin[0], origin[1] + y, origin[2]), direction, radius) for y in (half_length, -half_length)]
-    return jnp.minimum(_met(side, jnp.abs(height) <= half_length), jnp.minimum(*ends))
+    t = jnp.minimum(_met(side, jnp.abs(height) <= half_length), jnp.minimum(*ends))
+    beyond = jnp.maximum(jnp.abs(origin[1]) - half_length, 0.0)  # of the segment
+    # From inside, the ray would enter one of the overlapping balls and tube out of another.
+    return jnp.where(origin[0] ** 2 + beyond**2 + origin[2] ** 2 < radius * radius, jnp.inf, t)
 
 
 def cone_entry(origin: Vec3, direction: Vec3, radius: Scalar, half_length: Scalar) -> Array:
@@ -99,7 +102,8 @@ def cone_entry(origin: Vec3, direction: Vec3, radius: Scalar, half_length: Scala
     finite = jnp.where(jnp.isfinite(t), t, 0.0)
     x, z = origin[0] + finite * direction[0], origin[2] + finite * direction[2]
     base = jnp.where(x * x + z * z <= radius * radius, t, jnp.inf)
-    return jnp.minimum(jnp.minimum(slant(larger, a), slant(c, larger)), base)
+    begins_inside = (c < 0) & (below > 0) & (below < 2.0 * half_length)
+    return jnp.where(begins_inside, jnp.inf, jnp.minimum(jnp.minimum(slant(larger, a), slant(c, larger)), base))
 
 
 def plane_entry(origin: Vec3, direction: Vec3) -> Array:

@@ -54,11 +54,13 @@ def test_sphere_tracing_finds_the_same(name):
     assert np.quantile(np.abs(np.where(both, exact, 0) - np.where(both, traced, 0)), 0.99) < 5e-4
 
 
-@pytest.mark.parametrize("name", ["sphere", "box", "ellipsoid"])
+@pytest.mark.parametrize("name", SHAPES)
 def test_rays_that_begin_inside_or_point_away_miss(name):
     shape, (origin, direction) = SHAPES[name], rays(50)
     assert not np.isfinite(shape.cast(origin, tuple(-d for d in direction))).any()
     assert not np.isfinite(shape.cast(tuple(0.01 * o for o in origin), direction)).any()
+    up, sideways = ((jnp.zeros(1), jnp.ones(1), jnp.zeros(1)), (jnp.ones(1), jnp.zeros(1), jnp.zeros(1)))
+    assert np.isinf(shape.cast((jnp.zeros(1),) * 3, up)) and np.isinf(shape.cast((jnp.zeros(1),) * 3, sideways))
 
 
 def test_a_small_ball_far_away_is_met_to_float32():
